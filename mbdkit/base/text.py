@@ -55,6 +55,11 @@ def message_of(error: BaseException) -> str:
     return shortened(shown(" ".join(str(error)[:10_000].split())))
 
 
+def joined_lines(text: str) -> str:
+    """Return the lines of a message on one line."""
+    return "; ".join(line.strip() for line in text.splitlines())
+
+
 def shortened(text: str) -> str:
     """Return text shortened to 300 characters; dots replace the end of a longer text."""
     return text if len(text) <= 300 else text[:297] + "..."

@@ -113,15 +113,16 @@ def repeated_inverse(before: Run, archive: Path, output: Path | None, *, overwri
 
 
 def validate_inverse(source: str | Document, name: str, assignments: list[str]) -> None:
-    """Check a spec of inverse dynamics and its data, and print what would be
-    computed.
-    """
-    from mbdkit.inverse_dynamics.compute import InverseProblem
+    """Check a spec of inverse dynamics, its data and their first frame, and print what would be computed."""
+    from mbdkit.inverse_dynamics.compute import InverseProblem, check
+    from mbdkit.measures.take import check_measures
     from mbdkit.mechanism.mechanism import gravity_text
     from mbdkit.spec import load_inverse_spec
 
     spec = load_inverse_spec(source, assignments)
     problem = InverseProblem.of(spec)
+    check_measures(spec)
+    check(problem)
     measured, time = problem.measured, problem.measured.time
     show(f"{name}: this spec of inverse dynamics is valid")
     show(f"model        {spec.model_item.id}: {spec.mechanism().description()}")

@@ -230,7 +230,18 @@ class RunCompiler(Compiler):
                 )
             case ast.Name(id=name) if meant := [quoted for quoted in self.quoted if re.match(rf"{name}\W", quoted)]:
                 self.refuse(f"unknown name '{name}'{self.spelling(meant[0])}", node)
+            case ast.Attribute() if meant := self.with_quotes(ast.unparse(node)):
+                self.refuse(f"'{ast.unparse(node)}' contains a name with a dot, which needs quotes: {meant}", node)
         return super().operand(node)
+
+    def with_quotes(self, text: str) -> str:
+        """Return a quantity such as ``joints.R.knee.force`` with its name in quotes; empty if no name is found."""
+        kind, _, rest = text.partition(".")
+        for word, path in [(kind, rest)] if kind in self.known else [(word, text) for word in self.known]:
+            for name in self.known[word]:
+                if "." in name and path.startswith(f"{name}."):
+                    return f'{word}["{name}"]{path.removeprefix(name)}'
+        return ""
 
     def path(self, node: ast.Attribute) -> tuple[str, str, str] | None:
         """Return kind, name and attribute of ``KIND.NAME.ATTRIBUTE`` or ``KIND["NAME"].ATTRIBUTE``; None otherwise."""

@@ -11,7 +11,7 @@ from mbdkit.base.errors import RunError, SpecError
 from mbdkit.base.text import counted, listed
 from mbdkit.engine.kernels.observe import Observed
 from mbdkit.engine.observed_states import GivenForces, StateObserver
-from mbdkit.inverse_dynamics.dynamics import Dynamics, largest_unbalanced, solve_dynamics
+from mbdkit.inverse_dynamics.dynamics import Dynamics, largest_unbalanced, require_driven, solve_dynamics
 from mbdkit.inverse_dynamics.fit import Fitter
 from mbdkit.inverse_dynamics.loads import Loads, LoadSeries, loads_on, read_loads
 from mbdkit.inverse_dynamics.manifold import Manifold
@@ -33,6 +33,8 @@ from mbdkit.runs.law_ranges import LawRanges
 from mbdkit.spec import InverseSpec
 from mbdkit.spec.named_actuators import NamedActuator, actuators_of
 from mbdkit.stepping.interface import Nodes
+
+_COLUMNS = "motion.columns"
 
 
 @dataclass(frozen=True)
@@ -203,15 +205,28 @@ def fit(problem: InverseProblem) -> Fitted:
     RunError
         If no pose is found.
     """
-    fitter, measured = problem.fitter, problem.measured
-    target, start = measured.target, problem.prepared.equations.q0
-    columns = "motion.columns"
-    fitter.require_observed(target.rows(slice(0, 1)), start[None], columns)
-    first, values = fitter.first_pose(target, start)
-    measured = measured.turned(values)
+    first, values = _first_pose(problem)
+    fitter, measured = problem.fitter, problem.measured.turned(values)
     q = fitter.poses(measured.target, first)
-    fitter.require_observed(measured.target, q, columns)
+    fitter.require_observed(measured.target, q, _COLUMNS)
     return Fitted(measured, q)
+
+
+def _first_pose(problem: InverseProblem) -> tuple[np.ndarray, np.ndarray]:
+    """Return the pose of the first frame; see `Fitter.first_pose`."""
+    fitter, target, start = problem.fitter, problem.measured.target, problem.prepared.equations.q0
+    fitter.require_observed(target.rows(slice(0, 1)), start[None], _COLUMNS)
+    return fitter.first_pose(target, start)
+
+
+def check(problem: InverseProblem) -> None:
+    """Raise the errors of `compute` that the first frame shows, without computing the others."""
+    try:
+        first, _ = _first_pose(problem)
+        if problem.spec.unbalanced == "refuse":
+            require_driven(problem.fitter, float(problem.measured.time[0]), first, problem.actuators)
+    except SpecError as error:
+        raise problem.spec.placed(error) from error
 
 
 def compute(problem: InverseProblem) -> Inverse:

@@ -73,7 +73,7 @@ def solve_dynamics(
     manifold = fitter.manifold
     frames = manifold.frames(motion.time, motion.q, motion.v, forces=True)
     balance = Balance(manifold, motion, actuators, manifold.directions(frames.jacobian))
-    rank = _rank(fitter, balance.directions, balance.effect, motion, report)
+    rank = _rank(fitter, balance.directions, balance.effect, motion.time, report)
     needed = manifold.mass * motion.a - frames.force - loads.generalized
     value, lam, unbalanced = balance.solved(needed)
     power = value * (np.swapaxes(balance.columns, 1, 2) @ motion.v[..., None])[..., 0]
@@ -144,6 +144,15 @@ class Balance:
         return self._inverse
 
 
+def require_driven(fitter: Fitter, time: float, q: np.ndarray, actuators: Sequence[NamedActuator]) -> None:
+    """Raise SpecError if actuators cannot produce every motion from a pose (n,), as `solve_dynamics` does."""
+    manifold, times, poses = fitter.manifold, np.array([time]), q[None]
+    directions = manifold.directions(manifold.frames(times, poses, np.zeros_like(poses)).jacobian)
+    free = np.swapaxes(directions.free * manifold.scale[:, None], 1, 2)
+    effect = (free @ columns_of(poses, actuators)) / weights_of(manifold, actuators)
+    _rank(fitter, directions, effect, times, report=False)
+
+
 def columns_of(q: np.ndarray, actuators: Sequence[NamedActuator]) -> np.ndarray:
     """Return the generalized forces (T, n, U) of unit actuators at positions (T, n)."""
     return np.swapaxes(Quantities([actuator.quantity for actuator in actuators]).jacobian(q), 1, 2)
@@ -163,7 +172,7 @@ def _require_regular(directions: Directions, motion: Motion) -> None:
         )
 
 
-def _rank(fitter: Fitter, directions: Directions, effect: np.ndarray, motion: Motion, report: bool) -> int:
+def _rank(fitter: Fitter, directions: Directions, effect: np.ndarray, time: np.ndarray, report: bool) -> int:
     """Return the number of free directions that the actuators drive in all frames."""
     freedoms = directions.free.shape[2]
     if not freedoms:
@@ -175,7 +184,7 @@ def _rank(fitter: Fitter, directions: Directions, effect: np.ndarray, motion: Mo
     rank = int(ranks[frame])
     if rank < freedoms and not report:
         undriven = directions.free[frame] @ np.linalg.svd(effect[frame], full_matrices=True)[0][:, rank:]
-        where = "" if np.all(ranks == rank) else f" at t = {motion.time[frame]:.6g} s"
+        where = "" if np.all(ranks == rank) else f" at t = {time[frame]:.6g} s"
         missing = freedoms - rank
         raise SpecError(
             f"no actuator drives {fitter.names_of(np.abs(undriven).max(axis=1))}{where}: "

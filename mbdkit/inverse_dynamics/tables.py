@@ -127,10 +127,22 @@ class Table:
                     raise ValueError
                 cell = float(text)
             except ValueError:
-                raise self.error(f"column '{shown(heading)}': {shown(text)!r} is not a number", row=row) from None
+                message = f"column '{shown(heading)}': {shown(text)!r} is not a number{self._hint(text, row)}"
+                raise self.error(message, row=row) from None
         if math.isinf(cell):
             raise self.error(f"column '{shown(heading)}': {cell} is not a finite number", row=row)
         return float(cell)
+
+    def _hint(self, text: str, row: int) -> str:
+        """Return how to change a file with decimal commas, or with a row of units below the headings."""
+        if _DECIMAL_COMMA.fullmatch(text):
+            return "; decimal commas are not read, so replace them by points"
+        if row == 0 and len(self) > 1 and self.lines and not any(map(_begins_like_number, self.cells[0])):
+            return (
+                "; if this row holds the units of the columns, begin it with # (a comment) or delete it, and write "
+                "units in the spec, such as `{column: NAME, unit: mm}`"
+            )
+        return ""
 
     def times(self, heading: str, key: str, factor: float) -> np.ndarray:
         """Return the times in a column, (T,) [s].
@@ -162,6 +174,13 @@ class Table:
                 row=row,
             )
         return values
+
+
+_DECIMAL_COMMA = re.compile(r"[-+]?\d*,\d+([eE][-+]?\d+)?")
+
+
+def _begins_like_number(cell: Any) -> bool:
+    return not isinstance(cell, str) or bool(re.match(r"\s*[-+.]?\d", cell))
 
 
 def _is_plain(cell: Any) -> bool:

@@ -88,7 +88,8 @@ class QuantityNames:
             element = name.rpartition(".")[0]
             known = [*self._number, *self.mechanism.joints, *self.mechanism.markers]
             own = list(self.mechanism.coordinates)
-            hint = did_you_mean(name, own) or did_you_mean(element, known)
+            of_element = f" (did you mean '{name}.angle'?)" if self._matches(f"{name}.angle") else ""
+            hint = of_element or did_you_mean(name, own) or did_you_mean(element, known)
             raise SpecError(
                 f"the mechanism has no quantity '{name}'{hint}; quantities are JOINT.angle, BODY.x, BODY.y, "
                 f"BODY.angle, MARKER.x and MARKER.y{f', and its coordinates {listed(own)}' if own else ''}",

@@ -9,7 +9,7 @@ from itertools import islice
 from mbdkit.archive.finished_run import FinishedRun
 from mbdkit.base.errors import MbdkitError, PluginError, ResourceError, SpecError
 from mbdkit.base.one_thread import one_thread_of_linear_algebra
-from mbdkit.base.text import one_line
+from mbdkit.base.text import joined_lines, one_line
 from mbdkit.engine.consistent_start import Starts
 from mbdkit.engine.native.levels import WIDTH
 from mbdkit.runs.lane_runs import LaneRuns
@@ -97,7 +97,7 @@ def refusal(error: BaseException) -> Refused:
     """Return status and reason of a run that raised an exception."""
     match error:
         case SpecError():
-            return Refused("failed", f"wrong-input: {error}")
+            return Refused("failed", f"wrong-input: {joined_lines(str(error))}")
         case ResourceError() | OSError():
             return Refused("missing", f"no-resources: {error}")
         case MemoryError():

@@ -19,7 +19,7 @@ from mbdkit.archive.archive_check import check
 from mbdkit.archive.checkpoint import Checkpoint
 from mbdkit.archive.hdf5_errors import reading
 from mbdkit.archive.missing_plugins import check_plugins_of
-from mbdkit.archive.part_file import SUFFIX, check_target
+from mbdkit.archive.part_file import SUFFIX, check_target, checkpoint_path
 from mbdkit.archive.reader import load
 from mbdkit.archive.run import Run
 from mbdkit.archive.run_writer import Origin
@@ -174,8 +174,9 @@ def _renamed(part: Path, path: Path, overwrite: bool) -> Run:
             why = why_without(spec, make_method(spec))
             if not why and _CHECKPOINT_0_2 in run.file:
                 why = "its checkpoint is in the file itself, where another version of mbdkit has written it"
-            first = f"runs write the first one after {INTERVAL:g} s of steps"
-            raise _refused(part, why or f"it has no checkpoint; {first}")
+            missing = f"its checkpoint {checkpoint_path(part).name} is not in the same folder"
+            first = f"the first one is written after {INTERVAL:g} s of steps"
+            raise _refused(part, why or f"{missing} (a run may also end before it has one: {first})")
     if problems := check(part):
         raise _refused(part, f"it has ended, but its archive is damaged ({problems[0]})")
     try:

@@ -20,6 +20,7 @@ from mbdkit.archive.run_contents import ArrayContents, Heading
 from mbdkit.base.errors import ResourceError, SpecError
 from mbdkit.base.plain_data import collecting_new_objects_only, path_text
 from mbdkit.base.terminal import say
+from mbdkit.base.text import joined_lines
 from mbdkit.measures.take import Description, with_error
 from mbdkit.runs.batch import CHUNK, Refused, refusal, simulate_batch
 from mbdkit.runs.provenance import plugins_of, surroundings
@@ -185,7 +186,7 @@ def _member(point: PlannedPoint, varied: Mapping[str, VariedSpecs], skip: Mappin
             return _Member(point, base, values, point.spec)
         except SpecError as error:  # stored without the file name, which depends on the folder
             text = f"{error.key}: {error.message}" if error.key else error.message
-            return _Member(point, base, values, Refused("failed", f"wrong-input: {text}"))
+            return _Member(point, base, values, Refused("failed", f"wrong-input: {joined_lines(text)}"))
     except Exception as error:
         return _Member(point, base, values, refusal(error))
     return _Member(point, base, values, spec)

@@ -41,6 +41,8 @@ def with_row(number: int, row: str) -> list[str]:
     [
         (ROWS, {"columns": {"hip.angle": "hop"}}, "key motion.columns.\"hip.angle\".column: t.csv has no column 'hop'"),
         (ROWS, {"columns": {"hip.angle": "text"}}, "t.csv:2: column 'text': 'a' is not a number"),
+        ([ROWS[0], "s,rad,-", *ROWS[1:]], {}, "t.csv:2: column 'time': 's' is not a number; if this row"),
+        ([row.replace(",", ";").replace(".", ",") for row in ROWS], {}, "'0,00' is not a number; decimal commas are"),
         (with_row(5, "0.03,,a"), {}, "t.csv:5: column 'hip': the value is missing (1 row without a value)"),
         (with_row(5, "0.03,nan,a"), {}, "t.csv:5: column 'hip': the value is missing"),
         (with_row(5, "0.03,inf,a"), {}, "t.csv:5: column 'hip': inf is not a finite number"),
@@ -51,6 +53,7 @@ def with_row(number: int, row: str) -> list[str]:
         (ROWS[:1], {}, "t.csv: this table has no rows"),
         (["# nothing"], {}, "t.csv: this table is empty"),
         (ROWS, {"columns": {"knee.angle": "hip"}}, "the mechanism has no quantity 'knee.angle'"),
+        (ROWS, {"columns": {"hip": "hip"}}, "the mechanism has no quantity 'hip' (did you mean 'hip.angle'?)"),
         (ROWS, {"columns": {"hip.angle": {"column": "hip", "unit": "mm"}}}, "'mm' is not a unit of an angle"),
         (ROWS, {"columns": {"hip.angle": {"column": "hip", "unit": "ell"}}}, "'ell' is not a known unit"),
         (ROWS, {"columns": {"tip.x": {"column": "hip", "unit": "deg"}}}, "'deg' is not a unit of a length (m, mm)"),
@@ -168,6 +171,21 @@ def test_errors_of_a_file_name_its_line(tmp_path: Path) -> None:
     done = CliRunner().invoke(app, ["run", str(tmp_path / "s.yaml")])
     assert done.exit_code == 2
     assert "compute it with `mbdkit inverse`" in done.stderr
+
+
+@pytest.mark.parametrize(
+    ("wrong", "told"),
+    [
+        ({"measures": {"peak": "max(abs(actuators.knee.value))"}}, "measures.peak: there is no actuator 'knee'"),
+        ({"motion": {"file": "t.csv", "columns": {"rod.angle": "hip"}}}, "actuators: no actuator drives"),
+    ],
+)
+def test_validate_refuses_what_inverse_refuses(tmp_path: Path, wrong: dict[str, Any], told: str) -> None:
+    (tmp_path / "t.csv").write_text("\n".join(ROWS), encoding="utf-8")
+    (tmp_path / "s.yaml").write_text(yaml.safe_dump(pendulum("t.csv") | wrong), encoding="utf-8")
+    done = [CliRunner().invoke(app, [word, str(tmp_path / "s.yaml")]) for word in ("inverse", "validate")]
+    assert [one.exit_code for one in done] == [2, 2]
+    assert told in done[0].stderr == done[1].stderr
 
 
 def test_commands_compute_check_and_print(tmp_path: Path) -> None:

@@ -13,6 +13,7 @@ import pytest
 import mbdkit
 from mbdkit.archive.archive_check import check
 from mbdkit.base.errors import ResourceError, SpecError
+from mbdkit.runs.batch import refusal
 from mbdkit.studies import pool, study_index
 from mbdkit.studies.folder_lock import Shard
 
@@ -358,3 +359,10 @@ def test_without_a_folder_a_study_lives_as_long_as_it_is_held():
         assert run.status == "complete"
     del study
     assert not folder.exists()
+
+
+def test_reasons_of_runs_with_several_wrong_values_are_on_one_line() -> None:
+    error = SpecError("should be greater than 0, not -1\n  also: model.b: is missing", key="model.a")
+    assert refusal(error).reason == (
+        "wrong-input: model.a: should be greater than 0, not -1; also: model.b: is missing"
+    )

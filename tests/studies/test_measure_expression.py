@@ -183,6 +183,15 @@ def test_what_is_wrong_is_one_sentence(text: str) -> None:
     assert REFUSED[text] in str(error.value)
 
 
+@pytest.mark.parametrize("text", ["joints.R.knee.force", "R.knee.force"])
+def test_names_with_dots_need_quotes(text: str) -> None:
+    model = {"bodies": {"R.Shank": {"mass": 1.0, "inertia": 0.1}}}
+    model["joints"] = {"R.knee": {"type": "revolute", "bodies": ["ground", "R.Shank"], "at": [0.0, 0.1]}}
+    spec = load_spec(SPEC, model={"name": "mechanism"} | model, events={}, measures={})
+    with pytest.raises(SpecError, match=r'a name with a dot, which needs quotes: joints\["R\.knee"\]\.force'):
+        MeasureExpression.parse(f"max(abs({text}))", spec)
+
+
 def test_a_unit_of_another_quantity_is_refused() -> None:
     with pytest.raises(SpecError, match=r"unit: the expression has the unit m, which cannot be given in N"):
         MeasureExpression.parse("final(ball.x)", SPEC, "N")

@@ -309,7 +309,9 @@ def test_run_with_a_damaged_checkpoint_is_refused(part: Path) -> None:
 
 def test_run_without_checkpoint_is_refused(part: Path) -> None:
     checkpoint_path(part).unlink()
-    assert "it has no checkpoint; runs write the first one after 5 s of steps; run it anew" in refusal(part)
+    told = refusal(part)
+    assert "its checkpoint run.h5.part.checkpoint is not in the same folder" in told
+    assert "(a run may also end before it has one: the first one is written after 5 s of steps); run it anew" in told
 
 
 def test_checkpoint_of_version_0_2_is_refused(part: Path) -> None:
