@@ -63,9 +63,11 @@ def equilibrium(
         mechanism = prepared.spec.mechanism()
         save(equilibrium_figure(found, mechanism, f"Equilibrium: {prepared.spec.title or mechanism.name}"), output)
     if as_json:
-        show_json(mechanics_summary.equilibrium_data(found) | {"warnings": [*_warnings(prepared), *notes]})
+        show_json(
+            mechanics_summary.equilibrium_data(found) | {"warnings": [*_warnings(prepared), *found.warnings, *notes]}
+        )
     else:
-        _show(mechanics_summary.equilibrium_text(found), prepared, notes)
+        _show(mechanics_summary.equilibrium_text(found), prepared, found.warnings, notes)
 
 
 def modes(
@@ -136,9 +138,9 @@ def kinematics(
         _show(mechanics_summary.kinematics_text(found), prepared)
 
 
-def _show(text: str, prepared: PreparedMechanism, notes: Sequence[str] = ()) -> None:
-    """Print a result, the warnings about its spec, and notes."""
-    warnings = (f"warning      {warning}" for warning in _warnings(prepared))
+def _show(text: str, prepared: PreparedMechanism, found: Sequence[str] = (), notes: Sequence[str] = ()) -> None:
+    """Print a result, the warnings about its spec and the `found` ones, and notes."""
+    warnings = (f"warning      {warning}" for warning in (*_warnings(prepared), *found))
     show("\n".join([text, *warnings, *(f"note         {note}" for note in notes)]))
 
 

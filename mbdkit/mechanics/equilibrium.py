@@ -21,6 +21,7 @@ from mbdkit.engine.kernels.observe import constraints_at
 from mbdkit.engine.kernels.projection import STAGNANT
 from mbdkit.engine.nearest_state import ROUND_OFF
 from mbdkit.engine.observed_states import StateObserver
+from mbdkit.mechanics.coarse_beams import coarse_beams
 from mbdkit.mechanics.reduced import (
     DENSE,
     State,
@@ -129,6 +130,8 @@ class Equilibrium(HtmlView):
         `position` minus the consistent initial position [m, rad].
     mechanism
         The mechanism; notebooks use it to draw the equilibrium.
+    warnings
+        Warnings about beams whose elements are too coarse, as sentences.
     """
 
     time: float
@@ -150,6 +153,7 @@ class Equilibrium(HtmlView):
     beams: Mapping[str, np.ndarray] = field(default_factory=dict)
     displacement: np.ndarray = field(default_factory=lambda: np.zeros((0, 3)))
     mechanism: Mechanism | None = field(default=None, repr=False, compare=False)
+    warnings: tuple[str, ...] = ()
 
     def __getitem__(self, body: str) -> np.ndarray:
         """Return x, y [m] and angle [rad] of a body by its name."""
@@ -235,6 +239,11 @@ def equilibrium_of(prepared: PreparedMechanism) -> Equilibrium:
         rows = p.recorded_multipliers(p.t0, found.q, found.lam)
         force, torque = joint_reactions(prepared, p.t0, found.q, rows)
         residual = float(np.max(np.abs(p.constraints(p.t0, found.q)), initial=0.0))
+    mechanism, forces = prepared.spec.mechanism(), _internal_forces(prepared, found)
+    turned = dict(zip(p.bodies, found.q[2::3].tolist(), strict=True))
+    angles = {
+        name: np.array([turned[node] for node in beam.node_names(name)]) for name, beam in mechanism.beams.items()
+    }
     return Equilibrium(
         time=p.t0,
         bodies=p.bodies,
@@ -252,9 +261,10 @@ def equilibrium_of(prepared: PreparedMechanism) -> Equilibrium:
         iterations=found.iterations,
         states=tuple(one.name for one in compiled.states),
         state=found.z,
-        beams=_internal_forces(prepared, found),
+        beams=forces,
         displacement=(found.q - p.q0).reshape(-1, 3),
-        mechanism=prepared.spec.mechanism(),
+        mechanism=mechanism,
+        warnings=tuple(coarse_beams(mechanism.beams, angles, forces)),
     )
 
 

@@ -184,3 +184,21 @@ def test_internal_forces_of_a_beam_at_rest_reach_its_ends(nodes: int) -> None:
     (row,) = (line.split() for line in equilibrium_text(found).splitlines() if line.startswith(f"{tip} "))
     sag = weight * length**4 / (8 * 2.1e13 * 5e-7) + force * length**3 / (3 * 2.1e13 * 5e-7)
     assert float(row[5]) == pytest.approx(-sag, rel=0.01 if nodes == 2 else 2e-3)  # shear adds 0.12 %
+
+
+@pytest.mark.parametrize(("elements", "nodes", "is_coarse"), [(8, 3, True), (20, 2, True), (60, 2, False)])
+def test_beams_that_bend_within_an_element_are_told(elements: int, nodes: int, is_coarse: bool) -> None:
+    # expected: elastica under a force P across its tip, M^2 = 2 P EI sin(angle of the tip) at the clamp
+    force, bending = 3000.0, 2.75
+    m = mbdkit.Mechanism(gravity=(0.0, 0.0))
+    stiffness = {"axial": 1e7, "bending": bending, "shear": "none"}
+    shape = {"a": (0.0, 0.0), "b": (0.5, 0.0), "elements": elements, "nodes": nodes}
+    blade = m.beam("blade", **shape, stiffness=stiffness, mass_per_length=0.2)
+    m.weld("clamp", m.ground, blade[0], at=(0.0, 0.0))
+    m.force("tip", blade[-1], value=(0.0, -force))
+    found = mbdkit.equilibrium(m)
+    expected = np.sqrt(2.0 * force * bending * np.sin(-found[blade[-1]][2]))
+    assert (abs(found.reaction_torque[0] / expected - 1.0) > 0.01) == is_coarse
+    assert [warning.partition(":")[0] for warning in found.warnings] == [
+        "the elements of beam 'blade' are too coarse"
+    ] * is_coarse
