@@ -23,6 +23,7 @@ from mbdkit.base.text import did_you_mean, listed
 from mbdkit.expressions.operations import OPERATIONS
 from mbdkit.expressions.parser import Code, Compiler
 from mbdkit.expressions.program import Program, execute
+from mbdkit.mechanism.beams import last_nodes
 from mbdkit.mechanism.bodies import GROUND
 from mbdkit.mechanism.mechanism import Mechanism
 from mbdkit.quantities.quantity import Quantity
@@ -190,6 +191,7 @@ class RunCompiler(Compiler):
     def __init__(self, text: str, mechanism: Mechanism, parameters: Mapping[str, float] | None = None):
         self.mechanism = mechanism
         self.known = {word: list(getattr(mechanism, word)) for word in _KINDS if hasattr(mechanism, word)}
+        self._last = last_nodes(mechanism.beams)
         self.known["states"] = [*mechanism.state_names(), *mechanism.held_names()]
         self.known["contacts"] = mechanism.contact_names()
         self.known["ground_reactions"] = mechanism.feet()
@@ -230,8 +232,8 @@ class RunCompiler(Compiler):
                 )
             case ast.Name(id=name) if meant := [quoted for quoted in self.quoted if re.match(rf"{name}\W", quoted)]:
                 self.refuse(f"unknown name '{name}'{self.spelling(meant[0])}", node)
-            case ast.Attribute() if meant := self.with_quotes(ast.unparse(node)):
-                self.refuse(f"'{ast.unparse(node)}' contains a name with a dot, which needs quotes: {meant}", node)
+            case ast.Attribute() if right := self.with_quotes(ast.unparse(node)):
+                self.refuse(f"'{ast.unparse(node)}' contains a name with a dot, which needs quotes: {right}", node)
         return super().operand(node)
 
     def with_quotes(self, text: str) -> str:
@@ -277,6 +279,7 @@ class RunCompiler(Compiler):
 
     def of(self, kind: str, name: str, attribute: str, node: ast.expr) -> Code:
         """Return the program of a quantity of an element."""
+        name = self._last.get(name, name) if kind == "bodies" else name
         if name not in self.known[kind]:
             self.unknown(name, self.known[kind], _KINDS[kind].one, node)
         self.checked(attribute, [kind], name, node)

@@ -5,13 +5,13 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping
 from functools import cached_property
-from typing import Annotated, ClassVar, Literal, NamedTuple
+from typing import Annotated, Any, ClassVar, Literal, NamedTuple
 
 import numpy as np
 from pydantic import BeforeValidator, Field, ValidationError, model_validator
 
 from mbdkit.base.errors import SpecError
-from mbdkit.base.plain_data import quoted
+from mbdkit.base.plain_data import Path, quoted
 from mbdkit.base.strict_model import StrictModel
 from mbdkit.mechanism.beam_shape import END_CORRECTIONS, INTEGRATION, NODE_SHARES, Place, curved, straight
 from mbdkit.mechanism.bodies import Body
@@ -356,6 +356,26 @@ class Beam(StrictModel):
                 slope = tuple(x / length for x in point.slope)
                 reference = (1.0, 0.0, 0.0) if is_straight else _strains(places[some], point.shape, slope)
                 yield BeamSection(element, names[some], point.shape, slope, point.weight * length, reference)
+
+
+LAST = ".last"
+"""Suffix of the name by which a spec refers to the last node of a beam, whatever its number of elements."""
+
+
+def last_nodes(beams: Mapping[str, Beam]) -> dict[str, str]:
+    """Return the names of the last nodes of beams, by the names that end with `LAST`."""
+    return {f"{name}{LAST}": beam.node_names(name)[-1] for name, beam in beams.items()}
+
+
+def with_body(element: Any, path: Path, body: str) -> Any:
+    """Return an element with another body at a key path within it."""
+    if not path:
+        return body
+    head, *rest = path
+    if isinstance(element, tuple):
+        assert isinstance(head, int)
+        return (*element[:head], with_body(element[head], tuple(rest), body), *element[head + 1 :])
+    return element.model_copy(update={str(head): with_body(getattr(element, str(head)), tuple(rest), body)})
 
 
 def beam_of(node: str) -> str:

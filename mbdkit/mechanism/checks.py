@@ -8,7 +8,7 @@ from collections.abc import Callable, Collection, Container, Iterable, Mapping
 from mbdkit.base.errors import SpecError
 from mbdkit.base.plain_data import LONGEST_NAME, quoted, value_text
 from mbdkit.base.text import did_you_mean, listed, shortened
-from mbdkit.mechanism.beams import Beam, beam_of, parts_of
+from mbdkit.mechanism.beams import LAST, Beam, beam_of, parts_of
 from mbdkit.mechanism.bodies import GROUND, Body, Element
 from mbdkit.mechanism.forces import Force, PointForce, SpringDamper, Torque
 from mbdkit.mechanism.joints import Joint, Revolute
@@ -62,7 +62,7 @@ def check_names(bodies: Iterable[str], beams: Collection[str], elements: Mapping
         for name in names:
             key = f"model.{kind}.{quoted(name)}"
             check_name(name, key)
-            if kind == "bodies" and (beam := beam_of(name)) in beams:
+            if kind == "bodies" and (beam := beam_of(name) or name.removesuffix(LAST)) in beams and beam != name:
                 raise SpecError(f"'{name}' would be a node of the beam '{beam}'; choose another name", key=key)
 
 
@@ -146,7 +146,9 @@ def check_known(name: object, bodies: Iterable[str], key: str) -> None:
         known = [GROUND, *bodies]
         nodes = [other for other in known if beam_of(other) == name]
         if nodes:
-            raise SpecError(f"'{name}' is a beam; name one of its nodes, '{nodes[0]}' to '{nodes[-1]}'", key=key)
+            raise SpecError(
+                f"'{name}' is a beam; name one of its nodes, '{nodes[0]}' to '{nodes[-1]}', or '{name}{LAST}'", key=key
+            )
         beam = beam_of(name)
         nodes = [other for other in known if beam and beam_of(other) == beam]
         if nodes:

@@ -10,11 +10,11 @@ from pydantic import TypeAdapter, ValidationError
 from mbdkit.base import higher_layers
 from mbdkit.base.errors import SpecError
 from mbdkit.base.html_view import HtmlView
-from mbdkit.base.plain_data import plain, quoted, value_text
+from mbdkit.base.plain_data import parse_path, plain, quoted, value_text
 from mbdkit.base.strict_model import StrictModel
 from mbdkit.base.text import counted
 from mbdkit.mechanism.angle_function import Center
-from mbdkit.mechanism.beams import Beam, parts_of
+from mbdkit.mechanism.beams import Beam, last_nodes, parts_of, with_body
 from mbdkit.mechanism.bodies import GROUND, Body, Element, Marker
 from mbdkit.mechanism.checks import check_centers, check_known, check_mechanism, check_name, check_names, check_tables
 from mbdkit.mechanism.contacts import Contact, Treatment, check_contacts, feet
@@ -1037,8 +1037,10 @@ class Mechanism(HtmlView):
             elements |= {
                 name: mechanism._with_points(one, f"model.{kind}.{quoted(name)}") for name, one in given.items()
             }
-        mechanism.assembly = data.assembly
-        mechanism.coordinates = dict(data.coordinates)
+        last = last_nodes(mechanism.beams)
+        fixed = tuple(last.get(name, name) for name in data.assembly.fix)
+        mechanism.assembly = data.assembly.model_copy(update={"fix": fixed})
+        mechanism.coordinates = {name: _with_last(one, last) for name, one in data.coordinates.items()}
         mechanism.states = dict(data.states)
         mechanism.controllers = dict(data.controllers)
         mechanism.validate()
@@ -1098,9 +1100,21 @@ class Mechanism(HtmlView):
 
     def _with_points(self, element: AnyPlaced, key: str) -> AnyPlaced:
         """Return an element with its points in the frames of its bodies, which must exist."""
+        last = last_nodes(self.beams)
         for place, body in element.places():
+            if body in last and not place.startswith("among"):  # the shapes of a group have the names of its bodies
+                element = with_body(element, parse_path(place), last[body])
+                continue
             self._known(body, f"{key}.{place}")
         return element.placed(self.bodies, key)
+
+
+def _with_last(one: NamedCoordinate, last: Mapping[str, str]) -> NamedCoordinate:
+    """Return a coordinate with the names of last nodes of beams in place of ``BEAM.last``."""
+    owner, dot, quantity = one.of.rpartition(".")
+    other = one.relative_to
+    names = {"of": last.get(owner, owner) + dot + quantity, "relative_to": last.get(other, other) if other else other}
+    return one.model_copy(update=names)
 
 
 def _make(cls: type[AnyElement], key: str, /, **values: Any) -> AnyElement:

@@ -124,7 +124,7 @@ class MechanismData(StrictModel):
     bodies: dict[str, Body] = Field(default_factory=dict)
     """Bodies by name; `ground` is predefined."""
     beams: dict[str, Beam] = Field(default_factory=dict)
-    """Flexible beams by name; the nodes of a beam `link` are the bodies `link.0`, `link.1`, ..."""
+    """Flexible beams by name; the nodes of a beam `link` are the bodies `link.0`, `link.1`, ..., `link.last`."""
     joints: dict[str, Joint] = Field(default_factory=dict)
     """Joints and drivers by name."""
     forces: dict[str, Force] = Field(default_factory=dict)

@@ -14,6 +14,7 @@ from mbdkit.base.errors import SpecError
 from mbdkit.mechanism.beam_shape import with_ends
 from mbdkit.mechanism.beams import beam_of
 from mbdkit.mechanism.mechanism import Mechanism
+from mbdkit.spec import load_spec
 
 STEEL = {"E": 2.0e11, "nu": 0.25, "density": 8000.0}
 STRIP = {"A": 2.0e-4, "I": 4.0e-10}
@@ -223,3 +224,26 @@ def test_internal_forces_at_the_clamp_of_an_elastica_converge_with_order_three()
         errors.append(abs(with_ends(forces, 1.0 / elements, 2)[0, 1] + 10.0))
     assert np.all(np.divide(errors[:-1], errors[1:]) > 6.0)
     assert errors[0] < 0.01 * 10.0
+
+
+def test_the_last_node_has_a_name_for_any_number_of_elements() -> None:
+    model = {"name": "mechanism", "bodies": {"block": {"mass": 1.0, "inertia": 1.0, "position": [2.0, 0.0]}}}
+    model["beams"] = {"link": {"a": [0.0, 0.0], "b": [1.0, 0.0], "elements": "n", **DIRECT}}
+    model["joints"] = {"end": {"type": "weld", "bodies": ["link.last", "block"], "at": [1.0, 0.0]}}
+    pathway = {"type": "two-points", "bodies": ["ground", "link.last"], "points": [[0.0, 1.0], [0.0, 0.0]]}
+    model["forces"] = {"tip": {"type": "force", "body": "link.last", "value": [0.0, "-bodies['link.last'].vy"]}}
+    model["forces"] |= {"rope": {"type": "law", "law": "linear", "stiffness": 1.0, "pathway": pathway}}
+    model["markers"] = {"tip": {"body": "link.last"}}
+    model["coordinates"] = {"height": "link.last.y"}
+    spec = {"mbdkit": 1, "parameters": {"n": 4}, "model": model, "integrator": {"name": "rk4"}}
+    spec |= {"events": {"low": {"when": "bodies['link.last'].y + 1"}}, "time": {"end": 1e-3, "step": 1e-4}}
+    spec |= {"measures": {"tip": "final(bodies['link.last'].x)"}}
+    for count in (4, 8):
+        loaded = load_spec(spec, [f"parameters.n={count}"])
+        mechanism, node = loaded.mechanism(), f"link.{count}"
+        assert mechanism.joints["end"].bodies == (node, "block")
+        assert mechanism.forces["rope"].pathway.bodies == ("ground", node)
+        assert mechanism.forces["tip"].body == mechanism.markers["tip"].body == node
+        assert mechanism.coordinates["height"].of == f"{node}.y"
+        run = mbdkit.run(loaded)
+        assert run.measures["tip"] == run[node].position[-1, 0]
