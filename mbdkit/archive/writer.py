@@ -195,16 +195,18 @@ class ArchiveWriter(RunWriter):
         with self._storing():
             errors = 0 if accuracy is None else accuracy.size_in_bytes + _ATTRIBUTE_BYTES
             with self._room(more=False, also=_ATTRIBUTE_BYTES + 16 * len(misalignment_max) + errors):
+                is_begun = self._file is not None
                 file, before = self._with_all_rows()
                 if accuracy is not None:
                     accuracy.write(file, self.names.bodies, self.names.joints)
-                self._write_end(file, ending.reason, {**ending.stats, "finish_s": 0.0}, misalignment_max)
+                self._write_end(file, {**ending.stats, "finish_s": 0.0}, misalignment_max)
                 self._write_verdict(file, ending.judgement, ending.warnings)
                 if ending.integrals:
                     set_text(file, layout.INTEGRALS, integrals_json(ending.integrals))
-                if self._is_on_disk:
-                    file.flush()
-                file.attrs.modify("status", ending.status)  # written last, because it marks all other contents as valid
+                if is_begun:
+                    self._change_head(file, ending)
+                else:
+                    self._write_head(file, ending)
                 if measured is not None:
                     set_text(file, layout.MEASURES, measured(file))
                 # Computed from the file, so that the hash covers all of its contents. Attributes prescribed by the
@@ -233,7 +235,6 @@ class ArchiveWriter(RunWriter):
         skeleton = skeleton_of(self.names, self.arrays, rows)
         values = {path: rows for table in self._tables.values() for path, rows in table.taken().items()}
         self._file = skeleton.file(values)
-        self._write_head(self._file)
         return self._file, skeleton.attributes
 
     def _publish(self, target: Target, file: h5py.File, started: float, ending: Ending) -> None:
@@ -283,18 +284,16 @@ class ArchiveWriter(RunWriter):
                 self._file["trajectory"].attrs[layout.ROWS_FLUSHED] = np.zeros(len(GROWING), np.int64)
         return self._file
 
-    def _write_head(self, file: h5py.File) -> None:
-        origin = self.origin
-        for name, value in self.root_attributes().items():
-            set_text(file, name, value)
-        self._set(file, "provenance", origin.provenance)
+    def _write_head(self, file: h5py.File, ending: Ending | None = None) -> None:
+        self._set(file, "", self.root_attributes(ending))
+        self._set(file, "provenance", self.origin.provenance)
         if self.shared is not None:
             length = float(self.shared.length)
             self._set(file, "joints", {"redundancy": self.shared.redundancy, "characteristic_length": length})
 
     def _set(self, file: h5py.File, path: str, values: Mapping[str, str | int | float]) -> None:
         """Add strings and numbers as attributes to a group, and note their lines in `attributes_sha256`."""
-        group = file[path]
+        group = file[path] if path else file
         for name, value in values.items():
             known: str | np.int64 | np.float64
             if isinstance(value, str):
@@ -305,24 +304,30 @@ class ArchiveWriter(RunWriter):
                 set_number(group, name, known)
             self._known[f"{path}@{name}"] = attribute_line(f"{path}@{name}", known)
 
-    def root_attributes(self) -> dict[str, str]:
-        """Return `layout.ROOT_ATTRIBUTES` with their values, which depend on whether the run has ended."""
-        origin, ending = self.origin, self.ending
+    def _change_head(self, file: h5py.File, ending: Ending) -> None:
+        """Change the attributes that depend on how the run has ended."""
+        known = self.root_attributes(ending)
+        for name in ("data_sha256", "status_reason"):
+            file.attrs.modify(name, known[name])
+        file.flush()
+        file.attrs.modify("status", ending.status)  # written last, because it marks all other contents as valid
+        for name in ("data_sha256", "status_reason", "status"):
+            self._known.pop(f"@{name}")
+
+    def root_attributes(self, ending: Ending | None) -> dict[str, str]:
+        """Return `layout.ROOT_ATTRIBUTES` with their values at the end of a run, or while it is in progress."""
+        origin = self.origin
         status, reason, digest = "running", "", ""
         if ending is not None:
-            status, reason, digest = ending.status, ending.reason, self._data_sha256()
+            digest = digest_lines([*name_lines(self.names, self.arrays), *self.lines])
+            status, reason = ending.status, ending.reason
         values = (
             layout.FORMAT, layout.FORMAT_VERSION, status, reason, origin.run_id, origin.created_utc, origin.spec_json,
             origin.spec_sha256, digest,
         )  # fmt: skip
         return dict(zip(layout.ROOT_ATTRIBUTES, values, strict=True))
 
-    def _data_sha256(self) -> str:
-        return digest_lines([*name_lines(self.names, self.arrays), *self.lines])
-
-    def _write_end(
-        self, file: h5py.File, reason: str, stats: Mapping[str, int | float], misalignment_max: np.ndarray
-    ) -> None:
+    def _write_end(self, file: h5py.File, stats: Mapping[str, int | float], misalignment_max: np.ndarray) -> None:
         self._set(file, "stats", stats)
         joints = file["joints"]
         joints.attrs["misalignment_max"] = misalignment_max
@@ -333,11 +338,9 @@ class ArchiveWriter(RunWriter):
                 names = self.shared.drivers if path == "joints/driver_power" else self.shared.joints
                 if path in file and names:
                     set_text(file[path], "not_unique", ", ".join(names))
-        file.attrs.modify("data_sha256", self._data_sha256())
-        file.attrs.modify("status_reason", reason)
 
     def _write_verdict(self, file: h5py.File, judgement: Judgement, warnings: Sequence[str]) -> None:
-        set_text(file, "verdict", judgement.level)
+        self._set(file, "", {"verdict": judgement.level})
         set_texts(file, "verdict_reasons", judgement.reasons)
         set_texts(file, "warnings", warnings)
 
