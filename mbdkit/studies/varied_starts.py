@@ -16,6 +16,9 @@ from mbdkit.spec import RunSpec
 KEPT = 0.01
 """Share of the range of an initial value by which assembly may change this range without a warning."""
 
+ROUNDING = 1e-9
+"""Ranges of initial values below this share of the largest value count as rounding errors."""
+
 KEYS = (("position", 0), ("position", 1), ("angle",), ("velocity", 0), ("velocity", 1), ("angular_velocity",))
 """Keys of the initial values of a body."""
 
@@ -44,7 +47,8 @@ def start_warnings_of_study(specs: Iterable[RunSpec]) -> list[str]:
     if len(kept) < 2:
         return []
     off, span = np.ptp(changes, axis=0), np.ptp(kept, axis=0)
-    share = np.divide(off, span, out=np.zeros_like(off), where=span > 0)
+    varies = span > ROUNDING * np.max(np.abs(kept))
+    share = np.divide(off, span, out=np.zeros_like(off), where=varies)
     body, column = np.unravel_index(int(np.argmax(share)), share.shape)
     if not share[body, column] > KEPT:
         return []

@@ -229,7 +229,7 @@ def _ending(evidence: Evidence) -> Found:
     if evidence.status == "failed":
         yield "bad", f"The run stopped at t = {evidence.end:.6g} s, before its end: {evidence.status_reason}"
     elif evidence.status == "interrupted":
-        yield "doubtful", f"The run did not reach its end: {evidence.status_reason}"
+        yield "doubtful", f"The run was {evidence.status_reason}"
 
 
 def _joints(evidence: Evidence) -> Found:
