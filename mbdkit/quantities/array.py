@@ -7,7 +7,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING, Literal, get_args
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -27,9 +27,6 @@ COORDINATE_UNITS: Mapping[str, tuple[str, ...]] = {
     "acceleration_row_units": ("m/s^2", "m/s^2", "rad/s^2"),
 }
 """Units along the axis ``coordinate``, by the name of the array with this axis."""
-
-ChosenGroup = Literal["beams", "constraints", "energy", "forces", "joints", "markers"]
-"""Groups of quantities that can be selected by `output.quantities`."""
 
 #: Axes that grow during a run: recorded rows, intervals between them, events, and impacts.
 GROWING = ("time", "interval", "event", "impact")
@@ -248,6 +245,8 @@ class Kind:
         Array with the name of the object of each element along this axis, if an object has several.
     is_bare
         Whether `word` may be omitted in expressions.
+    is_chosen
+        Whether the group can be selected by `output.quantities`.
     is_optional
         Whether mechanisms may have no object of the kind; archives then lack the group.
     may_be_unknown
@@ -264,6 +263,7 @@ class Kind:
     axis: str = ""
     owner: str = ""
     is_bare: bool = False
+    is_chosen: bool = False
     is_optional: bool = False
     may_be_unknown: bool = False
     unit_of: Callable[[Mechanism, str], str] | None = None
@@ -272,11 +272,6 @@ class Kind:
     def group(self) -> str:
         """Name of the group."""
         return self.arrays[0].group
-
-    @property
-    def is_chosen(self) -> bool:
-        """Whether the group can be selected by `output.quantities`."""
-        return self.group in get_args(ChosenGroup)
 
     @property
     def named_by(self) -> str:

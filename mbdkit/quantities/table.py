@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal, get_args
 
 import numpy as np
 
@@ -66,6 +66,10 @@ _MISALIGNMENT: Mapping[str, Any] = {
 }
 
 
+ChosenGroup = Literal["beams", "constraints", "energy", "forces", "joints", "markers"]
+"""Groups of quantities that can be selected by `output.quantities`."""
+
+
 def _of_muscles(name: str, units: str, what: str, **more: Any) -> Recorded:
     return _taken(name, _TU, units, what, lambda s: s.of_muscles(name), **more)
 
@@ -87,7 +91,7 @@ def _kind(group: str, *arrays: Array, since: str = "1.0", optional: bool = False
         replace(array, path=f"{group}/{array.path}", since=max(array.since, since), optional=array.optional or optional)
         for array in arrays
     )
-    return Kind(tuple(placed), **more)
+    return Kind(tuple(placed), is_chosen=group in get_args(ChosenGroup), **more)
 
 
 def _taken(

@@ -19,8 +19,7 @@ from mbdkit.engine.stabilization import NONE, Stabilization
 from mbdkit.mechanism.checks import check_name
 from mbdkit.mechanism.contacts import Treatment
 from mbdkit.mechanism.state_values import Expression
-from mbdkit.quantities.array import ChosenGroup
-from mbdkit.quantities.table import quantities_of_events
+from mbdkit.quantities.table import ChosenGroup, quantities_of_events
 
 QUANTITIES = get_args(ChosenGroup)
 

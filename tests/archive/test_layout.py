@@ -16,7 +16,7 @@ from mbdkit.archive.layout import (
     later,
     recorded,
 )
-from mbdkit.quantities.array import ChosenGroup
+from mbdkit.quantities.table import ChosenGroup
 
 DOCUMENT = Path(__file__).parents[2] / "schemas" / "archive.md"
 
