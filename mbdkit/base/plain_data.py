@@ -68,9 +68,9 @@ _PART = re.compile(rf"({QUOTED})(?=[.\[]|$)|\[(\d{{1,9}})\]|(?:[^.\[]++|\[(?!\d{
 
 def quoted(name: str) -> str:
     """Return a key as it is written in a key path: quoted, with backslashes, if it contains special characters such as
-    dots.
+    dots, or begins or ends with a blank.
     """
-    if name and not _MEANT.search(name):
+    if name and name == name.strip() and not _MEANT.search(name):
         return name
     return '"' + re.sub(r'(["\\])', r"\\\1", name) + '"'
 
