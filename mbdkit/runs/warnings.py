@@ -162,12 +162,13 @@ def center_warnings(mechanism: Mechanism, reached: np.ndarray) -> tuple[str, ...
 
 def _improbable(spec: RunSpec) -> Iterator[str]:
     """Yield warnings about values that probably have another unit."""
-    yield from _angles_in_degrees(spec)
+    yield from angles_in_degrees(spec)
     yield from improbable_inertias(spec.mechanism())
     yield from improbable_frictions(spec.mechanism())
 
 
-def _angles_in_degrees(spec: RunSpec) -> Iterator[str]:
+def angles_in_degrees(spec: RunSpec) -> Iterator[str]:
+    """Yield a warning for each angle of the model that is given in radians, but probably meant in degrees."""
     for path, angle in _angles(spec.model, ("model",)):
         written = spec.written.get(path)
         used = [name for name in spec.parameters if name in names_in(written)]

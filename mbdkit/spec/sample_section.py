@@ -136,6 +136,15 @@ def _in_si(values: Mapping[str, Any]) -> tuple[dict[str, Any], Unit | None]:
     return numbers, next(iter(units.values()), None)
 
 
+def typical_values(given: Any) -> list[float]:
+    """Return the finite ones of lower limit, mean and upper limit of a valid distribution."""
+    distribution = frozen(given)
+    with np.errstate(all="ignore"):
+        low, high = distribution.support()
+        values = float(low), float(distribution.mean()), float(high)
+    return [value for value in values if math.isfinite(value)]
+
+
 def unit_of(given: Any) -> Unit | None:
     """Return the unit of the parameters of a valid distribution; None if they are plain numbers."""
     (parameters,) = given.values()

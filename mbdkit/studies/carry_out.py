@@ -244,6 +244,9 @@ def _carried_out(spec: StudySpec, out: str | Path | None, engine: Engine, option
         with count_bar(spec.title or folder.path.name, quiet=not is_shown) as bar:
             execution = Execution(spec, folder, replace(options, progress=options.progress or bar))
             _LOG.info("study in %s begins: %s", shown(folder.path), counted(execution.store.count, "run"))
+            for warning in execution.store.plan.warnings_of_sample():
+                _LOG.warning("%s", warning)
+                options.notify(f"warning: {warning}")
             execution.run(engine)
             _LOG.info(
                 "study in %s ends: %d computed, %d failed", shown(folder.path), execution.computed, execution.failed

@@ -18,6 +18,7 @@ from mbdkit.studies import study_index
 from mbdkit.studies.folder_lock import Shard
 from mbdkit.studies.study_folder import StudyFolder
 from mbdkit.studies.study_index import Index
+from mbdkit.studies.study_plan import StudyPlan
 from mbdkit.studies.tasks import Outcome, Task
 
 MISSING = Outcome("missing", "")
@@ -73,9 +74,12 @@ class RunStore(ABC, Generic[Key]):
     ----------
     count
         Number of different runs of the study.
+    plan
+        The plan of the study.
     """
 
     count: int
+    plan: StudyPlan
 
     def __init__(self, spec: StudySpec, folder: StudyFolder):
         self.spec, self.folder = spec, folder

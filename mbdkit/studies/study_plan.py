@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable, Mapping
+from contextlib import suppress
 from functools import cached_property
 
 from mbdkit.archive.measured_values import ERROR
@@ -12,10 +13,13 @@ from mbdkit.base.plain_data import Path, path_text
 from mbdkit.base.text import without_numbers
 from mbdkit.measures.take import Description, describe, has_error, is_taken
 from mbdkit.runs.preparation import caution
+from mbdkit.runs.warnings import angles_in_degrees
 from mbdkit.spec import RunSpec
 from mbdkit.spec.reading import parse_key
+from mbdkit.spec.sample_section import typical_values
 from mbdkit.spec.study_measures import DefinedMeasure, expressions_of
 from mbdkit.spec.study_spec import StudySpec
+from mbdkit.spec.varied_specs import VariedSpecs
 from mbdkit.studies.judge import check_verdict
 from mbdkit.studies.planned_points import PlannedPoint, PlannedPoints, distinct_runs, grids, plan_points
 from mbdkit.studies.study_blocks import StudyBlocks
@@ -103,7 +107,28 @@ class StudyPlan:
         found: dict[str, str] = {}
         for warning in (one for spec in specs for one in caution(spec)):
             found.setdefault(without_numbers(warning), warning)
-        return [*found.values(), *start_warnings_of_study(spec for _, spec in self._valid_samples())]
+        of_starts = start_warnings_of_study(spec for _, spec in self._valid_samples())
+        return [*found.values(), *of_starts, *self.warnings_of_sample()]
+
+    def warnings_of_sample(self) -> list[str]:
+        """Return warnings about distributions of angles that are probably meant in degrees.
+
+        Drawn values have too many decimals for this warning, so that limits and means are checked.
+        """
+        specs = (spec for _, spec in self._valid_samples()) if self.spec.in_blocks else iter(self.runs.values())
+        if self.spec.sample is None or (spec := next(specs, None)) is None:
+            return []
+        varied = VariedSpecs(spec.canonical_json())
+        found: dict[str, str] = {}
+        known = {without_numbers(warning) for warning in angles_in_degrees(spec)}
+        for key, distribution in self.spec.sample.variables.items():
+            for value in typical_values(distribution):
+                with suppress(SpecError):  # a limit may be invalid although no drawn value is
+                    for warning in angles_in_degrees(varied.spec([(parse_key(key), value)])):
+                        if without_numbers(warning) not in known:
+                            place = path_text(("sample", "variables", key))
+                            found.setdefault(key, f"{place}: with {value:g}, {warning}")
+        return list(found.values())
 
     @cached_property
     def expressions(self) -> tuple[str, ...]:

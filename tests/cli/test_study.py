@@ -271,6 +271,20 @@ def test_validate_warns_of_an_unused_variable_as_study_does(mbdkit, in_tmp_path)
     assert told in mbdkit("study", "sweep.yaml", "--workers", "1").stderr
 
 
+def test_a_distribution_of_an_angle_in_degrees_is_told(mbdkit, in_tmp_path):
+    (in_tmp_path / "angles.yaml").write_text(
+        "mbdkit_study: 1\nbase:\n  parameters: {a: 1.0, b: 1.0}\n  model: {name: double-pendulum, angles: [a, b]}\n"
+        "  integrator: {name: rk4}\n  time: {end: 0.02, step: 0.01}\n"
+        "sample: {variables: {parameters.a: {uniform: [10, 40]}, parameters.b: {normal: [0.1, 0.2]}}, n: 2}\n"
+    )
+    told = 'sample.variables."parameters.a": with 10, the angle of 10 rad at model.angles[0] (from parameters.a)'
+    for words in (["validate", "angles.yaml"], ["study", "angles.yaml", "--workers", "1"]):
+        result = mbdkit(*words)
+        assert result.exit_code == 0
+        assert result.stderr.count("warning: ") == 1
+        assert told in result.stderr
+
+
 def test_validate_takes_a_study(mbdkit, in_tmp_path):
     text = SWEEP + 'measures: {far: "max(abs(rod1.position))", turn: {value: final(rod1.angle), unit: deg}}\n'
     (in_tmp_path / "sweep.yaml").write_text(text)
