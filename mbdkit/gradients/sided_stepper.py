@@ -196,7 +196,8 @@ class SidedStepper(DifferentiatedStepper):
             return 0.0, number
         for index, theta in enumerate(PLACES):
             if wrong[index, number] and value(theta) < 0.0:
-                return float(brentq(value, begin, theta, xtol=1e-15)), number
+                # in a long step, the interpolation from which `begin` follows may be on the wrong side
+                return float(brentq(value, begin if value(begin) > 0.0 else SAME, theta, xtol=1e-15)), number
             if not wrong[index, number]:
                 begin = theta
         return None

@@ -179,3 +179,21 @@ def test_controlled_steps_across_corners_are_doubted() -> None:
     assert "the run passes a point at which the force 'pad', or its derivative, is discontinuous" in found.doubts[0]
     falling = mbdkit.gradient({**spec, "time": {"end": 0.3}}, MEASURES, "y", check=False)
     assert falling.doubts == ()
+
+
+def test_steps_too_long_for_the_interpolation_between_their_ends_have_gradients() -> None:
+    # expected: energy, F = m g + sqrt((m g)^2 + 2 k m g h) for a fall of h onto a rope of stiffness k, within the error
+    # of the long steps; and the derivative of these steps, by differences of their results
+    mass, stiffness, fall, small = 2.0, 5000.0, 0.5, 1e-4
+    pathway = {"type": "two-points", "bodies": ["ground", "ball"], "points": [[0.0, 3.0], [0.0, 0.0]]}
+    rope = {"type": "law", "law": "one-sided", "acts": "tension", "stiffness": stiffness, "free_length": 2.0}
+    bodies = {"ball": {"mass": "m", "inertia": 0.1, "position": [0.0, 1.0 + fall]}}
+    model = {"name": "mechanism", "bodies": bodies, "forces": {"rope": rope | {"pathway": pathway}}}
+    spec = {"mbdkit": 1, "model": model, "integrator": {"name": "rk4"}, "time": {"end": 1.5, "step": 0.02}}
+    lighter, found, heavier = (
+        mbdkit.gradient(spec | {"parameters": {"m": m}}, ["max(abs(forces.rope.value))"], ["m"])
+        for m in (mass - small, mass, mass + small)
+    )
+    weight = mass * GRAVITY
+    assert found.value[0] == pytest.approx(weight + np.sqrt(weight**2 + 2.0 * stiffness * weight * fall), rel=0.01)
+    assert found.jacobian[0, 0] == pytest.approx((heavier.value[0] - lighter.value[0]) / (2.0 * small), rel=1e-5)
