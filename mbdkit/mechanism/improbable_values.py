@@ -32,6 +32,10 @@ def improbable_inertias(mechanism: Mechanism) -> Iterator[str]:
     if not rigid:
         return
     heaviest = max(body.mass for body in mechanism.bodies.values())
+    # Centres of mass are among the points that determine the size, which takes longer to compute than their distances.
+    extent = max(max(x) - min(x) for x in zip(*(body.position for body in mechanism.bodies.values()), strict=True))
+    if max(body.inertia or 0.0 for body in rigid.values()) <= heaviest * (FAR_MASS * extent) ** 2:
+        return
     size = mechanism_size(mechanism, np.array([(*body.position, body.angle) for body in mechanism.bodies.values()]))
     for name, body in rigid.items():
         inertia = body.inertia or 0.0
