@@ -14,6 +14,7 @@ from scipy.sparse.linalg import splu
 
 from mbdkit.base.errors import StepError
 from mbdkit.base.html_view import HtmlView
+from mbdkit.base.logs import warn_on_stderr
 from mbdkit.base.plain_data import plain
 from mbdkit.engine.compiled_mechanism import with_ground
 from mbdkit.engine.equations_of_motion import EquationsOfMotion
@@ -219,7 +220,9 @@ def equilibrium(source: RunSource, **sections: Unpack[Sections]) -> Equilibrium:
     >>> round(float(found.position[0, 1]), 9)
     -1.1962
     """
-    return equilibrium_of(PreparedMechanism.of(source, **sections))
+    found = equilibrium_of(PreparedMechanism.of(source, **sections))
+    warn_on_stderr(found.warnings)
+    return found
 
 
 def equilibrium_of(prepared: PreparedMechanism) -> Equilibrium:

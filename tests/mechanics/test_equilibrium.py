@@ -187,7 +187,9 @@ def test_internal_forces_of_a_beam_at_rest_reach_its_ends(nodes: int) -> None:
 
 
 @pytest.mark.parametrize(("elements", "nodes", "is_coarse"), [(8, 3, True), (20, 2, True), (60, 2, False)])
-def test_beams_that_bend_within_an_element_are_told(elements: int, nodes: int, is_coarse: bool) -> None:
+def test_beams_that_bend_within_an_element_are_told(
+    elements: int, nodes: int, is_coarse: bool, capsys: pytest.CaptureFixture[str]
+) -> None:
     # expected: elastica under a force P across its tip, M^2 = 2 P EI sin(angle of the tip) at the clamp
     force, bending = 3000.0, 2.75
     m = mbdkit.Mechanism(gravity=(0.0, 0.0))
@@ -202,3 +204,4 @@ def test_beams_that_bend_within_an_element_are_told(elements: int, nodes: int, i
     assert [warning.partition(":")[0] for warning in found.warnings] == [
         "the elements of beam 'blade' are too coarse"
     ] * is_coarse
+    assert capsys.readouterr().err.count("too coarse") == is_coarse
