@@ -30,6 +30,10 @@ def ground_reactions(contacts: Sequence[ActingContact], values: Mapping[str, np.
     """
     pairs = [one.pair.ordered for one in contacts]
     names = feet(pairs)
+    touching: dict[str, list[int]] = {name: [] for name in names}
+    for i, pair in enumerate(pairs):
+        if GROUND in pair:
+            touching[pair[0] if pair[1] == GROUND else pair[1]].append(i)
     push, normal = values["normal_force"], values["normal"]
     turned = np.stack([normal[..., 1], -normal[..., 0]], axis=-1)
     on_second = push[..., None] * normal + values["friction_force"][..., None] * turned
@@ -41,7 +45,7 @@ def ground_reactions(contacts: Sequence[ActingContact], values: Mapping[str, np.
     }
     with np.errstate(invalid="ignore", divide="ignore"):
         for place, name in enumerate(names):
-            own = [i for i, pair in enumerate(pairs) if GROUND in pair and name in pair]
+            own = touching[name]
             signs = np.array([1.0 if contacts[i].pair.bodies[1] == name else -1.0 for i in own])
             found["force"][:, place] = np.sum(signs[:, None] * on_second[:, own], axis=1)
             found["normal_force"][:, place] = np.sum(push[:, own], axis=1)
