@@ -311,7 +311,10 @@ def _parts(
 
 
 def _series_of(run: Run) -> list[_Series]:
-    """Return the joints that transmit a force or torque, and the actuators or drivers of a run."""
+    """Return the force or torque of every joint, driver and actuator of a run over time, in the order of `KINDS`.
+
+    Drivers of a forward run count as actuators; in inverse dynamics, they are joints.
+    """
     drivers = () if run.kind == "inverse" else run.drivers
     found = []
     bars = run.accuracy if run.kind == "inverse" else None

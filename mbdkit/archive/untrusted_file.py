@@ -177,7 +177,7 @@ class _Inspection:
             info = h5o.get_info(group, name)
             if info.addr in self.seen:
                 place = f"{path}/{name.decode(errors='replace')}".lstrip("/")
-                raise self.refused(f"{place} is a second link to an object")
+                raise self.refused(f"{place} is a hard link to a group or array that the file already contains")
             self.seen.add(info.addr)
             links[number] = name, info.type
         return links

@@ -310,7 +310,8 @@ class ArchiveWriter(RunWriter):
         for name in ("data_sha256", "status_reason"):
             file.attrs.modify(name, known[name])
         file.flush()
-        file.attrs.modify("status", ending.status)  # written last, because it marks all other contents as valid
+        # Written after all results, because it marks them as valid; only measures, hash and duration follow.
+        file.attrs.modify("status", ending.status)
         for name in ("data_sha256", "status_reason", "status"):
             self._known.pop(f"@{name}")
 

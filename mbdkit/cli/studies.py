@@ -152,7 +152,7 @@ def watch(
     ] = 10.0,
     once: Annotated[bool, typer.Option("--once", help="Print the state now, and end.")] = False,
 ) -> None:
-    """Show the progress of a study or design that another process runs.
+    """Show the progress of a study or design of another process.
 
     Prints a line whenever the state has changed, until the work is complete, or until
     no process computes it. Nothing in the folder is changed.

@@ -83,7 +83,7 @@ def _vector(state: Any, name: str) -> np.ndarray:
     values = state.get(name) if isinstance(state, Mapping) else None
     kind = np.int64 if name in _INTEGERS else np.float64
     if not isinstance(values, np.ndarray) or values.ndim != 1 or values.dtype != kind:
-        raise ValueError(f"{name} of a pattern is not a vector")
+        raise ValueError(f"the array {name} of a sparsity pattern is missing, or is not a vector of {np.dtype(kind)}")
     return values
 
 

@@ -31,10 +31,14 @@ class Slider:
     ----------
     path
         Key path in the spec.
-    words, unit
-        Name and unit for readers.
-    low, high, value
-        Range, and value in the spec, in the unit.
+    words
+        Name that is shown at the slider, such as ``stiffness of support``.
+    unit
+        SI unit; empty if there is none.
+    low, high
+        Ends of the range, in this unit.
+    value
+        Value in the spec, in this unit.
     """
 
     path: Path

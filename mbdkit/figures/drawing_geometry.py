@@ -257,7 +257,8 @@ class _Sketch:
         self.beams: list[BeamCurve] = []
         self.marked: list[Trace] = []
         self.moving: list[Trace] = []
-        self.traced: set[int] = set()  # bodies that already have a traced point
+        # Bodies with the trace of a joint or of a free end. Of other bodies, except nodes, the centre is traced.
+        self.traced: set[int] = set()
 
     def point(self, body: int, local: tuple[float, float]) -> int:
         """Return the index of a point given in the frame of a body; a new point is added."""

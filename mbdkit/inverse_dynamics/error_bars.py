@@ -120,7 +120,7 @@ def error_bars(result: Inverse) -> ErrorBars | None:
         return None
     recruiter = problem.recruiter
     if recruiter is not None and recruiter.couples_frames:
-        return None  # noise in one frame changes other frames, which is not part of the covariances of single frames
+        return None  # forces of muscles depend on the noise of other frames; the covariances are those within a frame
     random = np.random.default_rng(asked.seed)
     measured, times = fitted.measured, result.motion.time
     coordinates = independent.quantities.values(fitted.q)

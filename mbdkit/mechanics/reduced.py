@@ -280,9 +280,8 @@ def unstable_motions(prepared: PreparedMechanism, at: State) -> int:
     matrix = static_matrix(prepared, at)[0].toarray()
     if np.max(np.abs(matrix - matrix.T)) > SYMMETRIC * np.max(np.abs(matrix)):
         return int(np.sum(np.linalg.eigvals(reduce(prepared, at).stiffness).real < 0))
-    _, blocks, _ = ldl(
-        0.5 * (matrix + matrix.T)
-    )  # eigenvalues of the blocks of one or two rows; the matrix has the same number of negative ones
+    _, blocks, _ = ldl(0.5 * (matrix + matrix.T))
+    # By Sylvester's law of inertia, the matrix has as many negative eigenvalues as the blocks of this factorization.
     signs = eigvalsh_tridiagonal(np.diag(blocks).copy(), np.diag(blocks, 1).copy())
     return int(np.sum(signs < 0)) - prepared.equations.m
 

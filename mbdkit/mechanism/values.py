@@ -184,9 +184,9 @@ class Table(StrictModel):
     not for drivers)."""
     ends: Ends = "not-a-knot"
     """Condition at the ends of a spline: `not-a-knot` (the outer pieces continue the polynomials of their neighbours),
-    `natural` (no curvature at the ends; a quintic spline: no third and fourth derivative), `clamped` (no rate there; a
-    quintic spline: no rate and no second derivative), or `periodic`: the table repeats, its first and last values are
-    equal, and it may be shorter than the run."""
+    `natural` (the second derivative is zero at the ends; for a quintic spline, the third and fourth), `clamped` (the
+    first derivative is zero; for a quintic spline, the first and second), or `periodic` (the table repeats; its first
+    and last values must be equal)."""
 
     @staticmethod
     def columns(value: Any, key: str = "") -> Any:

@@ -255,7 +255,8 @@ class ImplicitRungeKutta(Method):
         refused = f"{self.tableau.name} cannot be used with the formulation {formulation.name!r}"
         if not self.tableau.is_diagonalisable:
             raise TableauError(
-                f"{refused}: its stages are solved one after the other, which is implemented for index-1"
+                f"{refused}: its stages can only be solved one after the other, which this formulation does not "
+                "support; use index-1"
             )
         if not self.tableau.is_stiffly_accurate or self.stage_solver != "newton":
             raise TableauError(

@@ -64,7 +64,7 @@ FAMILY = "taylor"
 INTEGRATORS = (
     IntegratorPlugin(
         name="taylor",
-        summary="Taylor series of any order: explicit, fixed or adaptive steps, for trees of pins.",
+        summary="Taylor series of any order: explicit, fixed or adaptive steps, for trees of revolute joints.",
         options=TaylorOptions,
         create=lambda options: TaylorSeries(options.chosen_order(), options.tolerances()),
         claims=_claims,

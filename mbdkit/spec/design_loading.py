@@ -25,8 +25,9 @@ def load_design_spec(source: Any, assignments: Iterable[str] = (), **sections: A
     Parameters
     ----------
     source
-        A file (YAML, TOML, JSON), ``"-"`` for standard input, the name of a packaged design, a mapping, a document that
-        was read, or a `DesignSpec`. The file name of a base is relative to the folder of the design file.
+        A file (YAML, TOML, JSON), ``"-"`` for standard input, the name of a packaged design, a mapping, a
+        `Document` that was already read, or a `DesignSpec`. A file named as `base` is relative to the folder of the
+        design file or, without such a file, to the working folder.
     assignments
         Assignments to keys of the design spec, such as ``"optimizer.starts=8"``, with values in YAML.
     sections

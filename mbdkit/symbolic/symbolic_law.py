@@ -103,8 +103,8 @@ def smooth_pieces(law: ExpressionLaw, names: Sequence[str]) -> tuple[sp.Expr, sp
 
 
 def _without_corners(expression: sp.Expr) -> sp.Expr:
-    # Derivatives of Abs, Min and similar functions contain DiracDelta, which `law_source` rejects; those of Piecewise
-    # do not.
+    # Second derivatives of Abs, Min and Max, and first derivatives of sign and Heaviside, contain DiracDelta, which
+    # `law_source` rejects; those of Piecewise do not.
     return expression.rewrite(sp.Piecewise) if expression.has(*_CORNERED) else expression
 
 

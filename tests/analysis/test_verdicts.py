@@ -99,7 +99,7 @@ def chain(factor: Callable[[int], float]) -> Any:
 def test_a_factor_of_thirty_per_joint_keeps_the_prediction() -> None:
     claim, table, _ = joints(chain(lambda number: 30.0))
     assert claim.answer is YES
-    assert claim.computed.startswith("30 to 30 for the second joint")
+    assert claim.computed.startswith("a factor of 30 to 30 for the second joint")
     assert all(row[4] == pytest.approx(30.0) for row in table.rows if row[2] != 1)
 
 
@@ -155,7 +155,7 @@ def test_knee_prediction_names_the_steps_at_which_both_hold() -> None:
     # expected: two stages from 0.1 (1e-3 / 0.1)^(1/4) = 0.0316 s on, three up to 0.1 (1e-4 / 1e-2)^(1/6) = 0.0464 s
     claims, table, figure = knee(knees({"RK-Gill": 10.0, "Gauss 2": 0.1, "Gauss 3": 1e-2}))
     assert [claim.answer for claim in claims] == [PARTLY, PARTLY, PARTLY]
-    assert claims[-1].computed == "both for steps of 0.032 to 0.046 s"
+    assert claims[-1].computed == "both hold for steps of 0.032 to 0.046 s"
     assert "1.0e-02 mm, outside it" in claims[1].sentence
     assert (len(table.rows), len(figure.lines), len(figure.bands)) == (30, 6, 2)
 

@@ -73,9 +73,15 @@ REFUSED: dict[str, tuple[Change, str]] = {
         "the values of energy/kinetic are in another file",
     ),
     "virtual dataset": (virtual, "energy/kinetic is a virtual dataset"),
-    "cycle": (lambda file: file["energy"].__setitem__("up", file["/"]), "energy/up is a second link to an object"),
-    "second link": (lambda file: file.__setitem__("e", file["energy/total"]), "is a second link to an object"),
-    "forty doubled groups": (doubled, "is a second link to an object"),
+    "cycle": (
+        lambda file: file["energy"].__setitem__("up", file["/"]),
+        "energy/up is a hard link to a group or array",
+    ),
+    "second link": (
+        lambda file: file.__setitem__("e", file["energy/total"]),
+        "is a hard link to a group or array",
+    ),
+    "forty doubled groups": (doubled, "is a hard link to a group or array"),
     "deep groups": (lambda file: file.create_group("/".join("a" * 20)) and None, "nested more than 8 deep"),
     "never written": (replaced("energy/kinetic", shape=(HUGE,), dtype="<f8"), "declares 8,796,093,022,208 bytes"),
     "in chunks": (replaced("energy/kinetic", shape=(HUGE,), dtype="<f8", chunks=(64,)), "declares 8,796,093,022,208"),

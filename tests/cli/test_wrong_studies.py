@@ -283,7 +283,7 @@ WRONG = {
     "a blank name of an axis": (
         study("  - time.step: [0.1, 0.05]", '  - "  ": [{label: x, set: {time.step: 0.1}}]'),
         11,
-        "axes[1].  ",
+        'axes[1]."  "',
         "is blank",
     ),
     "a long name of an axis": (

@@ -28,7 +28,7 @@ run.animate()
 # ## Forces
 #
 # `run.joints`, `run.forces` and `run.bodies` have the results by name; type `run.joints["` and press Tab to see the
-# names. Joints C and D are on the thigh, so that they carry the load of the leg together.
+# names. Joints C and D connect the two rods to the thigh, so the force in the knee is the sum of their reactions.
 
 
 # %%

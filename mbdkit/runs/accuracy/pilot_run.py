@@ -211,9 +211,10 @@ class RecordedPilot:
 
 
 def can_be_recorded(spec: RunSpec) -> bool:
-    """Return whether a pilot of a spec can store the ends of all its steps, between which states are interpolated.
+    """Return whether a pilot (trial run) of a spec can store the state at the end of every step, so that states at
+    other times can be interpolated.
 
-    The method has to be explicit with adaptive steps: in stiff mechanisms, which need implicit methods, accelerations
+    The method has to be explicit and adaptive, because implicit methods are for stiff mechanisms, whose accelerations
     are too inaccurate for interpolation. No driver may cause impulses, which make velocities discontinuous. The caller
     also excludes events and first-order states.
     """
