@@ -124,7 +124,10 @@ DAMAGE: dict[str, tuple[Callable[[h5py.File], None], str]] = {
         lambda file: file.__setitem__(FORGED, h5py.SoftLink("/energy")),
         r"x\nother.h5: sound is a",
     ),
-    "group with two lines": (lambda file: file.__setitem__(FORGED, file["energy"]), r"x\nother.h5: sound is a second"),
+    "group with two lines": (
+        lambda file: file.__setitem__(FORGED, file["energy"]),
+        r"x\nother.h5: sound is a hard link",
+    ),
     "version with two lines": (attribute("/", "format_version", FORGED), r"version x\nother.h5: sound, this"),
     "step of 400 digits": (step(10**399), "it has an integer of 400 digits"),
     "infinite step": (step(float("inf")), "time.step is not a finite number"),

@@ -36,7 +36,7 @@ OTHERS = [
     *(("radau-iia", {"stages": s}) for s in (2, 3, 5)),
     ("gauss", {"stage_solver": "fixed-point"}),
     *((name, {}) for name in ("rk4", "rk-gill", "dopri5", "rattle", "scipy-dop853", "scipy-radau", "scipy-lsoda")),
-    ("nonsmooth-generalized-alpha", {}),
+    *((name, {}) for name in ("moreau-jean", "nonsmooth-generalized-alpha")),
 ]
 """Members of families of which others are verified as well."""
 EVERY = [pytest.param(*x, marks=[pytest.mark.slow] if x in OTHERS else []) for x in VARIANTS]
