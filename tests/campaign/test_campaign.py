@@ -11,7 +11,7 @@ from mbdkit.guide.pages import pages
 
 from .__main__ import attacks, problems
 
-MOST = int(os.environ.get("MBDKIT_CAMPAIGN_CASES", "3"))
+MOST = int(os.environ.get("MBDKIT_CAMPAIGN_CASES", "1"))
 """Largest number of cases of an attack; attacks that have few cases in all take long for each."""
 
 

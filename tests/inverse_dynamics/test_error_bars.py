@@ -46,7 +46,7 @@ def loops(tmp_path_factory: pytest.TempPathFactory) -> dict[str, tuple[Truth, di
     return found
 
 
-@pytest.mark.parametrize("seed", [2, 3])
+@pytest.mark.parametrize("seed", [2])
 def test_bars_cover_true_torques_and_joint_forces_of_closed_loops(
     loops: dict[str, tuple[Truth, dict[str, Any]]], seed: int
 ) -> None:
