@@ -1,1 +1,1 @@
-"""Analysis of runs: joint drift and its growth, observed order, energy, error and cost, and the verdicts on them."""
+"""Analysis of runs: growth of misalignment, energy, observed order, cost, cycles, workload, and verdicts of studies."""

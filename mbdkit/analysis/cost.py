@@ -18,8 +18,8 @@ class Cost:
     Attributes
     ----------
     steps, evaluations, jacobians, factorizations, iterations
-        Numbers of steps, of evaluations of the right-hand side or the stage equations, of evaluations of their
-        Jacobians, of matrix factorizations, and of Newton iterations.
+        Numbers of steps, of evaluations of the right-hand side or of the stage equations, of evaluations of the
+        Jacobian, of matrix factorizations, and of Newton iterations.
     wall_s
         Wall time from the first step to the last [s].
     """
@@ -51,16 +51,16 @@ def at_equal_work(work: Sequence[float], result: Sequence[float], wanted: float)
     Parameters
     ----------
     work
-        (K,) costs > 0, in any order.
+        (K,) costs of the runs, in any order; runs with costs that are not positive are ignored.
     result
-        (K,) errors or misalignments; values that are not finite or not positive are ignored.
+        (K,) errors or misalignments of the runs; runs with values that are not finite or not positive are ignored.
     wanted
         Cost at which to interpolate.
 
     Returns
     -------
     float
-        Interpolated result; nan if `wanted` lies outside the range of `work`, because nothing is extrapolated.
+        Interpolated result; nan if `wanted` lies outside the range of the costs, because nothing is extrapolated.
     """
     pairs = sorted((w, r) for w, r in zip(work, result, strict=True) if w > 0 and r > 0 and math.isfinite(r))
     if not pairs or not pairs[0][0] <= wanted <= pairs[-1][0]:
@@ -70,21 +70,22 @@ def at_equal_work(work: Sequence[float], result: Sequence[float], wanted: float)
 
 
 def work_for(work: Sequence[float], result: Sequence[float], wanted: float) -> float:
-    """Return the smallest cost above which the result is always at most `wanted`.
+    """Return the smallest cost from which on all results are at most `wanted`.
 
     Parameters
     ----------
     work
-        (K,) costs > 0, in any order.
+        (K,) costs of the runs, in any order; runs with costs that are not positive are ignored.
     result
-        (K,) errors or misalignments; a value that is not finite counts as too large.
+        (K,) errors or misalignments of the runs; a value that is not finite counts as too large.
     wanted
         Result to reach.
 
     Returns
     -------
     float
-        Cost, interpolated between runs in logarithms; nan if the most expensive run exceeds `wanted`.
+        Cost, interpolated between two runs in logarithms where their results allow it; nan if the result of the most
+        expensive run exceeds `wanted`, or if there are no runs.
     """
     pairs = sorted((w, r if math.isfinite(r) else math.inf) for w, r in zip(work, result, strict=True) if w > 0)
     last_bad = max((i for i, (_, r) in enumerate(pairs) if r > wanted), default=-1)

@@ -57,8 +57,8 @@ def normalized(time: np.ndarray, values: np.ndarray, starts: np.ndarray) -> Norm
 
 
 def crossings(time: np.ndarray, values: np.ndarray, threshold: float, *, rising: bool = True) -> np.ndarray:
-    """Return the times [s] at which a quantity (T,) rises through a threshold, or falls through it, interpolated
-    linearly.
+    """Return the times [s] at which a quantity (T,) rises through a threshold, or falls through it if `rising` is
+    False. The quantity is interpolated linearly.
     """
     above = values >= threshold
     change = np.flatnonzero(~above[:-1] & above[1:] if rising else above[:-1] & ~above[1:])
@@ -68,7 +68,7 @@ def crossings(time: np.ndarray, values: np.ndarray, threshold: float, *, rising:
 
 
 def contacts(run: Run, load: str, threshold: float) -> tuple[np.ndarray, np.ndarray]:
-    """Return the times [s] at which the magnitude of a load rises above a threshold [N], and falls below it.
+    """Return the times [s] at which the magnitude of a load reaches a threshold [N], and those at which it falls below.
 
     Raises
     ------

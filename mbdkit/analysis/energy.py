@@ -11,7 +11,7 @@ from mbdkit.analysis.growth import BLOCKS, block_means, independent
 from mbdkit.archive.run import Run
 
 SURE = 3.0
-"""A slope counts as a trend if its ratio to its standard error is at least this."""
+"""A slope counts as a drift if its magnitude is larger than this multiple of its standard error."""
 
 
 @dataclass(frozen=True)
@@ -21,8 +21,8 @@ class Trend:
     Attributes
     ----------
     slope, error
-        Change per second and its standard error [unit of the series per s]; the error includes oscillation about the
-        line.
+        Slope of the line and its standard error [unit of the series per s]. Oscillation about the line increases the
+        error.
     largest
         Largest absolute value of the series.
     oscillation
@@ -43,8 +43,8 @@ class Trend:
 def trend(time: np.ndarray, value: np.ndarray, *, blocks: int = BLOCKS) -> Trend:
     """Fit a straight line to the block means of a time series.
 
-    The standard error is computed from the effective number of independent blocks; correlation of neighbouring rows
-    would otherwise make it too small.
+    The standard error is computed from the effective number of independent blocks. The number of rows would give too
+    small an error, because neighbouring rows are correlated.
 
     Parameters
     ----------
@@ -58,7 +58,7 @@ def trend(time: np.ndarray, value: np.ndarray, *, blocks: int = BLOCKS) -> Trend
     Raises
     ------
     ValueError
-        If there are fewer than 12 rows, or not as many times as values.
+        If there are fewer than 12 values, or if the numbers of times and values differ.
     """
     return trends(time, np.asarray(value, dtype=float)[None], blocks=blocks)[0]
 
@@ -68,8 +68,17 @@ def trends(time: np.ndarray, values: np.ndarray, *, blocks: int = BLOCKS) -> lis
 
     Parameters
     ----------
+    time
+        (T,) increasing times [s].
     values
         (R, T) values.
+    blocks
+        Maximum number of blocks.
+
+    Raises
+    ------
+    ValueError
+        If there are fewer than 12 values per series, or if the numbers of times and values differ.
     """
     time, values = np.asarray(time, dtype=float), np.asarray(values, dtype=float)
     count = values.shape[-1]
@@ -93,5 +102,6 @@ def trends(time: np.ndarray, values: np.ndarray, *, blocks: int = BLOCKS) -> lis
 
 
 def energy_trend(run: Run) -> Trend:
-    """Return the trend of the energy balance [W] of a run; the exact solution has zero balance."""
+    """Return the trend of the energy balance of a run, with the slope in W; the balance of the exact solution is zero.
+    """
     return trend(run.time, run.energy.balance)

@@ -16,7 +16,8 @@ from mbdkit.archive.run import Run
 Law = Literal["none", "bounded", "linear", "quadratic", "exponential", "unclear"]
 
 BLOCKS = 24
-"""Default number of blocks: enough to distinguish growth laws, but few enough that each block spans an oscillation."""
+"""Default number of blocks: enough to distinguish growth laws, but so few that each block should span an oscillation.
+"""
 FEWEST = 6
 """Minimum number of blocks needed to determine a law."""
 CLEAR = 4.0
@@ -25,7 +26,7 @@ CLEAR = 4.0
 Burnham and Anderson describe differences of 4 to 7 as "considerably less support".
 """
 LOOSE = math.log(2.0)
-"""The law is unclear if the logarithms of the block maxima scatter about the best law by more than this."""
+"""The law is unclear if the root mean square of log(block maxima / best law) is larger than this."""
 STEADY = 1.5
 """A law counts as growth if it rises over the series by at least this factor; otherwise, it counts as bounded."""
 
@@ -41,11 +42,12 @@ class Fit:
     scale
         Value of the law at the end of the series [unit of the series].
     offset
-        Constant part c of a power law c + a s^p as a fraction of `scale`; 0 for the other laws.
+        Constant part c of a power law c + a s^p as a fraction of `scale`; 0 for the other laws. s is the time since the
+        start, divided by the duration.
     rate
         Growth rate of the exponential law [1/s]; 0 for the other laws.
     scatter
-        Root mean square of log(maxima / law); 0.1 is about 10 percent.
+        Root mean square of log(maxima / law); a value of 0.1 means that the maxima differ from the law by about 10 %.
     aicc
         Akaike information criterion, corrected for small samples, for the effective number of independent maxima; lower
         is better.
@@ -74,16 +76,18 @@ class Growth:
     Attributes
     ----------
     law
-        The law with the most support; ``none`` if all values are zero, ``unclear`` if none of the four laws fits.
+        The law with the most support; ``none`` if all values are zero, ``unclear`` if none of the four laws fits or
+        fewer than six block maxima are positive.
     candidates
         All laws that the data do not distinguish from the best one, beginning with the best; only one law if it is
         certain.
     exponent, exponent_error
-        Exponent p of the power law s^p fitted to the maxima, and its standard error; nan if all values are zero.
+        Exponent p of the power law s^p fitted to the maxima, and its standard error; nan if fewer than six block maxima
+        are positive.
     independent
         Effective number of independent maxima.
     fits
-        The four fits, best first.
+        The four fits, best first; empty if fewer than six block maxima are positive.
     """
 
     law: Law
@@ -114,10 +118,11 @@ def growth_law(time: np.ndarray, value: np.ndarray, *, blocks: int = BLOCKS) -> 
     """Determine the growth law of a time series.
 
     The series is divided into blocks of equal duration. The maxima of the blocks are not affected by oscillation within
-    a block. Their logarithms are fitted by least squares with the laws c, c + a s, c + a s^2 (c, a >= 0) and c exp(r
-    s), where s is the time since the start. The laws are ranked by the corrected Akaike criterion. Its sample size is
-    the effective number of independent maxima, from the correlation of their residuals, so that a slow oscillation is
-    not mistaken for growth. All laws that the data do not distinguish are returned as candidates.
+    a block. Their logarithms are fitted by least squares with the logarithms of the laws c, c + a s, c + a s^2
+    (c, a >= 0) and c exp(r s) (r >= 0), where s is the time since the start, divided by the duration. The laws are
+    ranked by the corrected Akaike criterion. Its sample size is the effective number of independent maxima, computed
+    from the correlation of the residuals, so that a slow oscillation is not mistaken for growth. All laws that the data
+    do not distinguish from the best one are returned as candidates.
 
     Parameters
     ----------
@@ -136,7 +141,8 @@ def growth_law(time: np.ndarray, value: np.ndarray, *, blocks: int = BLOCKS) -> 
     Raises
     ------
     ValueError
-        If there are fewer than 24 rows, or if values are negative or not finite.
+        If there are fewer than 24 values, if the numbers of times and values differ, or if values are negative or not
+        finite.
 
     References
     ----------
@@ -176,7 +182,8 @@ def growth_law(time: np.ndarray, value: np.ndarray, *, blocks: int = BLOCKS) -> 
     return Growth(candidates[0], candidates, exponent, error, count, fits)
 
 
-# Residuals, logarithm of the value at the end, shape parameter (offset or rate), and number of parameters.
+# A fit: residuals, logarithm of the law's value at the end of the series, shape parameter (offset of a power law, rate
+# times duration of the exponential law, 0 of the bounded law), and number of parameters.
 _Found = tuple[np.ndarray, float, float, int]
 
 
@@ -224,7 +231,7 @@ _FITS: dict[Law, Callable[[np.ndarray, np.ndarray], _Found]] = {
 
 def _fit(law: Law, found: _Found, count: float, maxima: int, duration: float) -> Fit:
     residual, log_end, shape, parameters = found
-    variance = max(float(residual @ residual) / maxima, 1e-12)  # scatter below 1e-6: all laws fit equally well
+    variance = max(float(residual @ residual) / maxima, 1e-12)  # laws with a scatter below 1e-6 count as equal
     k = parameters + 1  # the variance is a parameter too
     correction = 2 * k * (k + 1) / max(count - k - 1, 0.5)
     power = law in ("linear", "quadratic")

@@ -8,12 +8,14 @@ from dataclasses import dataclass
 import numpy as np
 
 AGREE = 0.25
-"""Largest difference of the slopes between neighbouring steps within the asymptotic window."""
+"""Within the asymptotic window, the slopes between neighbouring steps differ from each other by at most this."""
 ABOVE_FLOOR = 20.0
-"""Smallest ratio of an error to the round-off floor; at this ratio, round-off changes a slope by about 0.07."""
+"""Errors in the asymptotic window are larger than this multiple of the round-off floor. At this multiple, round-off
+changes the slope between two steps with the ratio 2 by about 0.07.
+"""
 SLOPE_AT_FLOOR = 0.5
-"""The error at the finest steps counts as round-off if its slope is below this, because every method has a higher
-order.
+"""The errors at the finest steps count as round-off if the slope between them is below this, because every method has
+a higher order.
 """
 
 
@@ -31,7 +33,8 @@ class ObservedOrder:
     slopes
         Slopes between neighbouring steps in the window.
     floor
-        Round-off floor of the errors, as given or as estimated from the finest steps; 0 if it was not reached.
+        Round-off floor of the errors, as given or as estimated from the finest steps. The estimate is 0 if the error
+        decreases down to the finest step.
     """
 
     order: float
@@ -57,9 +60,9 @@ def observed_order(
 ) -> ObservedOrder:
     """Determine the asymptotic window from the errors, and return the observed order in it.
 
-    The window is the longest sequence of neighbouring steps in which the error decreases, lies well above the round-off
-    floor, and has slopes that agree with each other. If several sequences have the same length, the one with the finest
-    steps is used.
+    The window is the longest sequence of step sizes in which the error decreases with the step, lies well above the
+    round-off floor, and has slopes that agree with each other. If several sequences have the same length, the one with
+    the finest steps is used.
 
     Parameters
     ----------
@@ -73,7 +76,7 @@ def observed_order(
     fewest
         Minimum number of steps in a window.
     agree
-        Maximum difference of the slopes between neighbouring steps.
+        Largest difference between two slopes in the window.
 
     Returns
     -------

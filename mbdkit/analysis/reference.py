@@ -1,4 +1,4 @@
-"""Differences between a run and a reference run, which may have recorded other times."""
+"""Differences between a run and a reference run. The two may have recorded different times."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ def offsets(run: Run, reference: Run, rows: slice = EVERY_ROW) -> np.ndarray:
 
 
 def common_rows(run: Run, reference: Run) -> tuple[np.ndarray, np.ndarray]:
-    """Return the rows that a run and a reference recorded at the same times, without the start.
+    """Return the rows that a run and a reference recorded at the same times, without the first row of the run.
 
     Parameters
     ----------
@@ -63,10 +63,10 @@ def common_rows(run: Run, reference: Run) -> tuple[np.ndarray, np.ndarray]:
 
 
 def multiplier_error(run: Run, reference: Run) -> float:
-    """Return the relative error of the Lagrange multipliers of a run in the rows that both runs recorded.
+    """Return the relative error of the Lagrange multipliers of a run at the times that both runs recorded.
 
-    The multipliers of the run are those that its method computes, if it computes any, and otherwise the index-1
-    multipliers at the recorded states. The multipliers of the reference are the index-1 ones.
+    If the run recorded multipliers of its method, these are compared, otherwise the index-1 multipliers at the
+    recorded states. Of the reference, the index-1 multipliers are always used.
 
     Parameters
     ----------
@@ -77,7 +77,7 @@ def multiplier_error(run: Run, reference: Run) -> float:
     -------
     float
         Largest error, relative to the largest multiplier of the same unit in the reference; nan if the runs have no
-        common rows.
+        common times after the start, inf if multipliers that are all zero in the reference are not zero in the run.
     """
     own = carries_multipliers(run)
     mine, theirs = common_rows(run, reference)
@@ -97,8 +97,8 @@ def multiplier_error(run: Run, reference: Run) -> float:
 
 
 def carries_multipliers(run: Run) -> bool:
-    """Return whether a run recorded multipliers of its method, in addition to those that follow from the recorded
-    states.
+    """Return whether a run recorded the multipliers that its method computes, in addition to the index-1 multipliers
+    at the recorded states.
     """
     return run.records("constraints/method_multiplier")
 

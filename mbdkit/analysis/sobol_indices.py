@@ -10,7 +10,7 @@ RESAMPLES = 1000
 """Number of bootstrap samples. With 1000 samples, 25 values lie beyond each end of a 95 % interval."""
 
 ROUND_OFF = 1e-13
-"""Largest range of values, relative to their magnitude, that counts as rounding errors."""
+"""Values count as equal if their range is at most this share of their largest magnitude."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -20,7 +20,8 @@ class SobolIndices:
     Attributes
     ----------
     first, total
-        (d,) shares of the variance that each variable explains alone, and together with all others.
+        (d,) share of the variance that each variable explains alone, and share that it explains alone and by
+        interactions with other variables.
     first_low, first_high, total_low, total_high
         (d,) ends of the confidence intervals.
     """
@@ -33,8 +34,7 @@ class SobolIndices:
     total_high: np.ndarray
 
     def informative(self) -> SobolIndices:
-        """Return the indices; those whose intervals cover 0 to 1, and therefore contain no information, are replaced by
-        nan.
+        """Return the indices with nan for every index whose interval covers 0 to 1, so that it contains no information.
         """
         first, total = (
             np.where((low <= 0.0) & (high >= 1.0), np.nan, value)
@@ -51,12 +51,12 @@ def sobol_indices(
 ) -> SobolIndices:
     """Return the Sobol indices of values from a Saltelli design.
 
-    The estimator of first-order indices is (b) in table 2 of [1]_, that of total indices is (f) there, from [2]_; they
-    are those of `scipy.stats.sobol_indices`. Intervals are bootstrap quantiles over the rows, which are treated as
-    independent; for a Sobol or Halton sequence, the actual errors are smaller.
+    First-order indices are estimated by formula (b) in table 2 of [1]_, total indices by formula (f) of that table,
+    which is from [2]_. `scipy.stats.sobol_indices` uses the same formulas. Intervals are bootstrap quantiles over the
+    rows, which are treated as independent; for a Sobol or Halton sequence, the actual errors are smaller.
 
-    `scipy.stats.sobol_indices` itself cannot be used. It requires that the number of rows is a power of 2, which is not
-    the case if members with a failed run are left out, and it returns 0 instead of nan if all values are equal.
+    `scipy.stats.sobol_indices` itself cannot be used. It requires that the number of rows is a power of 2, but rows
+    with a failed run are left out here. It also returns 0 instead of nan if all values are equal.
 
     Parameters
     ----------

@@ -1,7 +1,7 @@
 """Verdicts as sentences, with the claims, tables and figures that support them, for use in reports.
 
-Answers are based on ranges and factors. Within a margin around each limit the answer is open, so that it does not
-depend on the last digits, which differ between machines.
+An answer says whether a value lies in a range, or exceeds another value. Within a margin around each limit the answer
+is open, so that it does not depend on the last digits, which differ between machines.
 """
 
 from __future__ import annotations
@@ -16,6 +16,7 @@ import numpy as np
 
 from mbdkit.figures.page_model import Axis, Band, Cell, Column, Figure, Guide, Line, Mark, Table, columns_of
 
+# The names from page_model are exported again, so that a study imports all parts of its verdict from this file.
 __all__ = [
     "MARGIN",
     "UNDECIDED",
@@ -37,10 +38,8 @@ __all__ = [
     "together",
     "told",
 ]
-# Re-exported, so that a study imports all parts of its verdict from here.
-
 MARGIN = 1.05
-"""The answer is open within this factor of a limit; the factor is larger than differences between machines."""
+"""The answer is open for values within this factor of a limit. Values from different machines differ by less."""
 
 
 class Answer(StrEnum):
@@ -59,8 +58,10 @@ class Range:
 
     Parameters
     ----------
+    low, high
+        Limits of the range, in `unit`.
     unit
-        Unit, for example ``mm``; empty if there is none.
+        Unit, for example ``mm``; empty if the values have no unit.
     """
 
     low: float
@@ -94,7 +95,9 @@ def exceeds(value: float, other: float, *, margin: float = MARGIN) -> Answer:
 
 
 def together(answers: Sequence[Answer]) -> Answer:
-    """Combine answers: the common answer if all agree; open if some are open and the others agree; otherwise partly."""
+    """Combine answers: the common answer if all agree; open if there are none, or if some are open and all others
+    agree; otherwise partly.
+    """
     decided = {answer for answer in answers if answer is not Answer.OPEN}
     if not decided or (len(decided) == 1 and Answer.OPEN in answers):
         return Answer.OPEN

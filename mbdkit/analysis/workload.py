@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from mbdkit.archive.run import Run
 
 KINDS = ("joint", "actuator", "reserve", "residual")
-"""Kinds of elements, in the order of tables."""
+"""Kinds of elements, in the order in which tables show them."""
 
 
 @dataclass(frozen=True)
@@ -43,7 +43,7 @@ class Load:
         Largest rate at which the magnitude rises [N/s or N m/s].
     peak_error
         Error of the peak over a whole run, as in the summary of the run; None if unknown. In inverse dynamics, this is
-        a bound that holds with a probability of 95 %; in a forward run, it is the estimate of its check.
+        a bound that holds with a probability of 95 %; in a forward run, it is the estimate by the check of the run.
     """
 
     units: str
@@ -80,8 +80,9 @@ class ElementWorkload:
     Attributes
     ----------
     name, kind
-        Name, and ``joint``, ``actuator``, ``reserve`` or ``residual``, in this order; drivers of a forward run count as
-        actuators. A residual is an external load on a part of the mechanism that no joint connects to the ground.
+        Name of the element, and its kind: ``joint``, ``actuator``, ``reserve`` or ``residual``. Drivers of a forward
+        run count as actuators. A residual is an external load on a part of the mechanism that no joint connects to the
+        ground.
     load
         Magnitude of the reaction force of a joint; force or torque of an actuator.
     torque
@@ -119,8 +120,8 @@ class Phase:
 
 @dataclass(frozen=True)
 class _Series:
-    """Quantities of one joint or actuator over time, each (T,): a force or torque, an additional torque, power, and
-    errors.
+    """Quantities of one joint or actuator over time, each (T,): a force or torque in `units`, the torque of a joint
+    that also carries one, the power of an actuator, and the errors of the first two.
     """
 
     name: str
@@ -167,7 +168,7 @@ class Workload(HtmlView):
         Forces of joints and values of actuators over 0 to 100 % of the cycles, by name; empty without cycles. Where a
         joint and an actuator have the same name, the entry is that of the actuator.
     note
-        A clause on loads that the errors count as exact; empty if there are none.
+        A clause that names the loads that the error estimates treat as exact; empty if there are none.
     """
 
     start: float
@@ -178,7 +179,13 @@ class Workload(HtmlView):
     note: str = ""
 
     def __getitem__(self, name: str) -> ElementWorkload:
-        """Return the workload of a joint or actuator; if both have this name, that of the actuator."""
+        """Return the workload of a joint or actuator; if a joint and an actuator have this name, of the actuator.
+
+        Raises
+        ------
+        UnknownNameError
+            If there is no joint or actuator with this name.
+        """
         found = [element for element in self.elements if element.name == name]
         if not found:
             raise UnknownNameError("joint or actuator", name, [element.name for element in self.elements])
@@ -212,13 +219,13 @@ def workload(
     Parameters
     ----------
     cycles
-        Times at which cycles begin, the end of the last one included [s].
+        Times at which the cycles begin, and as last value the end of the last cycle [s]. Not used if `load` is given.
     load
-        Name of a measured load of inverse dynamics, instead of `cycles`. A cycle begins when the magnitude of the load
-        rises to `threshold`, as at heel strike. The contact of the cycle ends when the magnitude falls below
-        `threshold`; the rest of the cycle is its swing.
+        Name of a measured load of inverse dynamics that determines the cycles. A cycle begins when the magnitude of
+        the load rises to `threshold`, for example at heel strike. The contact of the cycle ends when the magnitude
+        falls below `threshold`; the rest of the cycle is its swing.
     threshold
-        Force [N] at which contacts begin and end; used with `load` only.
+        Force at which contacts begin and end [N]; only used with `load`.
 
     Returns
     -------
@@ -229,8 +236,10 @@ def workload(
     Raises
     ------
     SpecError
-        If the run has less than two rows, cycles do not increase or lie outside the run, or the load never reaches the
-        threshold.
+        If the run has fewer than two rows, if the values of `cycles` do not increase or lie outside the run, or if the
+        load never rises to the threshold.
+    UnknownNameError
+        If the run has no load with this name.
 
     Examples
     --------
@@ -289,7 +298,8 @@ def _with_errors(run: Run, elements: tuple[ElementWorkload, ...]) -> tuple[Eleme
 def _parts(
     run: Run, cycles: Sequence[float] | None, load: str | None, threshold: float
 ) -> tuple[np.ndarray, list[tuple[str, float, float]]]:
-    """Return the times at which cycles start; and name, start and end of each contact, swing and cycle."""
+    """Return the times at which cycles start, and a list with the name, start and end of each contact, swing and cycle.
+    """
     off = np.zeros(0)
     if load is not None:
         starts, off = contacts(run, load, threshold)
@@ -373,7 +383,7 @@ def _phase_text(phase: Phase) -> str:
 
 
 def _rows(one: ElementWorkload) -> list[tuple[str, ...]]:
-    """Return the table rows of one element: its force, or value, and its torque."""
+    """Return the table rows of one element: one of its load, and one of its torque if it has one."""
     work = one.work
     powers = ("", "", "")
     if work is not None:

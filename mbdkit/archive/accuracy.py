@@ -18,7 +18,7 @@ from mbdkit.quantities.array import COORDINATE_UNITS
 from mbdkit.quantities.names import COORDINATES
 
 SMALL_FORCE = 1e-9
-"""A joint's largest force below this share of the largest force of all joints counts as a rounding error."""
+"""The force of a joint counts as a rounding error if it never exceeds this share of the largest force of all joints."""
 
 
 @dataclass(frozen=True)
@@ -54,7 +54,7 @@ class AccuracyFigures:
     Attributes
     ----------
     known_until, end
-        Time until which the errors are known, and time of the last row [s]; nan if unknown.
+        Time until which the errors are known [s], nan if no error is known; time of the last row [s], nan without rows.
     joints
         Accuracy of the reaction force of each joint.
     """

@@ -45,12 +45,17 @@ class Checked:
 
 
 def check(path: str | Path) -> list[str]:
-    """Check the structure, units, dimension scales, times, values and hashes of a run archive.
+    """Check the structure, units, dimension scales, times, values and hashes of a run archive or a block of runs.
 
     Returns
     -------
     list of str
         One sentence per problem; empty if the archive is valid.
+
+    Raises
+    ------
+    ResourceError
+        If a run is still writing the file, or the system refuses to read it.
     """
     return examine(path).problems
 
@@ -102,7 +107,9 @@ def blaming_damage(*paths: Path) -> Iterator[None]:
 
 
 def _unreadable(path: Path) -> list[str]:
-    """Return the reason why `Run` cannot read an archive in which no other problem was found."""
+    """Return a list with the reason why `Run` cannot read an archive in which no other problem was found; empty if it
+    can.
+    """
     try:
         with Run.open(path) as run:
             run.summary()
@@ -164,7 +171,7 @@ class _Checker:
 
     @contextlib.contextmanager
     def reading(self, what: str) -> Iterator[None]:
-        """Report a read error in this block as a problem instead of raising it."""
+        """Report a read error in the body of a `with` statement as a problem instead of raising it."""
         try:
             yield
         except DAMAGE as error:
@@ -223,7 +230,7 @@ class _Checker:
                 self.say(f"the attribute {name} does not hold strings")
 
     def expected(self) -> tuple[Array, ...]:
-        """Return the arrays required by the groups in the file and by the spec."""
+        """Return the arrays that the file should contain, according to its spec and the groups that it has."""
         output = self.spec.get("output")
         asked = output.get("quantities", "all") if isinstance(output, dict) else "all"
         wanted = layout.QUANTITIES if asked == "all" or not isinstance(asked, list) else frozenset(map(str, asked))

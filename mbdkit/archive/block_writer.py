@@ -35,13 +35,13 @@ Store = Literal["hashes", "summary", "histories", "all"]
 STORES: tuple[Store, ...] = get_args(Store)
 
 HISTORIES = frozenset(["trajectory/time", *(array.path for array in RECORDED.values() if array.is_history)])
-"""Paths of the arrays that ``store: histories`` keeps."""
+"""Paths of the arrays with rows that ``store: histories`` keeps; names are kept as well."""
 
 KEEPING_TIMES: tuple[Store, ...] = ("histories", "all")
 """Values of `store` for which a study keeps recorded rows."""
 
 COUNTS = (("time", "trajectory"), ("interval", "steps"), ("event", "events"), ("impact", "impacts"))
-"""Axes of a run archive that grow during a run, each with the group in which a block stores its length for each run."""
+"""Axes of a run archive that grow during a run, each with the group in which a block stores its length by run."""
 
 
 def prefix(structure: int) -> str:
@@ -69,7 +69,10 @@ _HASHES = {
 }
 
 _AXIS = {"time": "row", "interval": "interval", "event": "event", "impact": "impact"}
-"""Names of the growing axes in a block. They count rows, because the recorded times differ between runs."""
+"""Names in a block of the axes that grow during a run.
+
+The scale along such an axis numbers the rows, because the recorded times differ between runs.
+"""
 
 _UNSET = object()
 
@@ -87,7 +90,7 @@ class BlockRun:
     values
         The values that are set in `base` for this run, by dotted key.
     status, reason
-        Status of the run, and the reason if the run failed or was ended by an event.
+        Status of the run, and why it is not complete or which event ended it; otherwise empty.
     spec_sha256, run_id
         Hash and identifier of the run's spec; empty if the spec is not valid.
     plugins
@@ -136,7 +139,10 @@ class BlockHeading:
 
 
 def kept(finished: FinishedRun, store: Store) -> FinishedRun:
-    """Return a run with the arrays selected by `store` and the arrays of names."""
+    """Return a run with the arrays selected by `store` and the arrays of names.
+
+    Estimated errors are kept only if `store` is ``all``.
+    """
     if store == "all":
         return finished
     arrays, keys = _KEPT.of(finished.layout, store)
@@ -155,8 +161,8 @@ class _KeptArrays:
         self._found: tuple[tuple[Array, ...], frozenset[str]] = ((), frozenset())
 
     def of(self, recorded: tuple[Array, ...], store: Store) -> tuple[tuple[Array, ...], frozenset[str]]:
-        """Return the arrays selected by `store`, with those of names, and the keys of the selected arrays that have
-        rows.
+        """Return the arrays selected by `store` together with the arrays of names, and the keys of the selected arrays
+        that have rows.
         """
         if self._asked[0] is not recorded or self._asked[1] != store:
             wanted: frozenset[str] = HISTORIES if store == "histories" else frozenset()
@@ -177,7 +183,7 @@ def write_block(path: Path, heading: BlockHeading, runs: Sequence[BlockRun]) -> 
     SpecError
         If no file may be written at `path`.
     ResourceError
-        If the disk is full.
+        If the file cannot be written, as on a full disk.
     """
     # The file is created in memory, because HDF5 crashes the interpreter if the disk is full when a file is closed.
     name = f"block-{next(_NUMBERS)}"
@@ -228,7 +234,7 @@ class _Writer:
         set_text(self.file, layout.ATTRIBUTES_HASH, attributes_sha256(self.file))
 
     def add(self, path: str, values: Any, dtype: str, units: str, what: str) -> h5py.Dataset:
-        """Write a column with one row for each run of the block; its group is created with the first one."""
+        """Write a column with one row for each run of the block; create its group, with the axis ``run``, if needed."""
         group = path.partition("/")[0]
         if group not in self.file:
             self.scale("", group, "run", [run.number for run in self.runs], "number of the run in the study, from 1")
@@ -236,7 +242,7 @@ class _Writer:
         return write_column(self.file, array, values, compress=self.heading.compress)
 
     def scale(self, under: str, group: str, name: str, numbers: Sequence[int], what: str) -> None:
-        """Write `numbers` along an axis; the group is created if it does not exist."""
+        """Write `numbers` as the dimension scale `name` of a group, which is created if it does not exist."""
         self.file.require_group(f"{under}{group}")
         create(
             self.file, Array(f"{group}/{name}", (name,), "1", what, INTEGER), np.array(numbers, INTEGER), under=under
@@ -294,7 +300,7 @@ class _Writer:
             set_text(item, "key", key)
 
     def measures(self) -> None:
-        """Write the measures."""
+        """Write the value of each measure for each run; nan where a run has none."""
         for name, (units, what) in self.heading.measures.items():
             taken = [np.nan if run.measures is None else run.measures.get(name, np.nan) for run in self.runs]
             self.add(f"measures/{name}", taken, FLOAT, units, what)
@@ -313,7 +319,7 @@ class _Writer:
             create(self.file, array, np.array([key[index] for key in self.structures], object))
 
     def structure(self, under: str, rows: Sequence[int]) -> None:
-        """Write the arrays of the runs that have one structure."""
+        """Write the groups of one structure, below the path `under`, for the runs in `rows` of the block."""
         results = [result for row in rows if (result := self.runs[row].result) is not None]
         numbers = [self.runs[row].number for row in rows]
         first, count = results[0], len(results)
@@ -371,7 +377,10 @@ def _structure(result: FinishedRun) -> tuple[str, str, str]:
 
 
 def _is_alike(one: FinishedRun, other: FinishedRun) -> bool:
-    """Return whether two runs have the same structure object; its contents are not compared."""
+    """Return whether two runs share their names and layout as objects, and have no redundant joints.
+
+    Runs that are alike have one structure. The contents of the objects are not compared, to save time.
+    """
     return one.names is other.names and one.layout is other.layout and one.shared is other.shared is None
 
 

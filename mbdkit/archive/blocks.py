@@ -47,6 +47,8 @@ class Block:
     ------
     SpecError
         If the file is not a block that this version can read.
+    ResourceError
+        If the file is in use, or the system refuses to read it.
     """
 
     def __init__(self, path: Path):
@@ -108,8 +110,8 @@ class Block:
         return str(self.file["provenance"].attrs.get("mbdkit", "unknown"))
 
     def row(self, number: int) -> int:
-        """Return the index in the block of a run, given its number in the study; raise SpecError if the block lacks
-        it.
+        """Return the index of a run in the block from its number in the study; raise SpecError if the block lacks the
+        run.
         """
         rows = np.flatnonzero(self.numbers == number)
         if len(rows) != 1:
@@ -127,7 +129,8 @@ class Block:
         Raises
         ------
         SpecError
-            If the rebuilt spec does not have the hash of the spec that was run.
+            If the block is damaged or does not contain the run, or if the rebuilt spec does not have the hash of the
+            spec that was run.
         """
         row = self.row(number)
         with reading("specs", self.path, hint=_HINT):
@@ -151,7 +154,7 @@ class Block:
         Raises
         ------
         SpecError
-            If the block is damaged.
+            If the block is damaged or does not contain the run.
         """
         row = self.row(number)
         if not self.runs["data_sha256"][row]:
@@ -264,14 +267,14 @@ class Block:
 
 
 class _Rows(Mapping[str, np.ndarray]):
-    """Arrays over time of all runs of a structure, read on first access.
+    """Arrays over time of all runs of a structure, with their rows joined, read on first access.
 
     Parameters
     ----------
     under
         Path of the groups of the structure.
     first
-        Arrays of its first run, with the keys.
+        Arrays of the first run of the structure, of which only the keys are used.
     """
 
     def __init__(self, block: Block, under: str, first: Mapping[str, np.ndarray]):

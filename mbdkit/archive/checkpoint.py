@@ -68,9 +68,9 @@ class StoredRows:
         return cls(dataset.shape[1:], dataset.chunks[0], offsets, ())
 
     def read(self, part: BinaryIO, array: Array, some: slice) -> np.ndarray:
-        """Return the rows of a slice from the bytes of the ``.part``.
+        """Return the rows `some` of `array` from the bytes of the ``.part``; the slice has a start and a stop.
 
-        Raises ValueError or LookupError if the rows are not there.
+        Raises ValueError or LookupError if the file does not contain these rows.
         """
         if array.dtype == TEXT:
             return np.array(self.texts[some], dtype=object)
@@ -100,7 +100,8 @@ class Checkpoint:
     rows
         Number of rows along each growing axis of the layout.
     lines
-        Sorted lines that describe the arrays with these rows; `data_sha256` is their hash (see `fingerprint.line`).
+        Sorted lines that describe the arrays with these rows (see `fingerprint.line`). Together with the lines of the
+        arrays of names, they determine `data_sha256`.
     arrays
         Locations of the rows, by path of the array.
     state
@@ -124,7 +125,7 @@ class Checkpoint:
 
     @classmethod
     def decoded(cls, content: bytes) -> Checkpoint | None:
-        """Return the checkpoint encoded in these bytes; None if they are damaged."""
+        """Return the checkpoint encoded in these bytes; None if they are damaged or not a valid checkpoint."""
         digest, body = content[len(_MAGIC) : _HEADER], content[_HEADER:]
         if not content.startswith(_MAGIC) or hashlib.sha256(body).digest() != digest:
             return None
@@ -166,7 +167,7 @@ class Checkpoint:
         Raises
         ------
         SpecError
-            If the checkpoint is damaged.
+            If the checkpoint is damaged or cannot be read.
         """
         path = checkpoint_path(part)
         if not path.is_file():
@@ -183,7 +184,7 @@ class Checkpoint:
 
 
 def _sync_folder(folder: Path) -> None:
-    """Wait until renamings in a folder are on the disk, as far as the system allows."""
+    """Wait until files renamed in a folder have their new names on the disk, as far as the system allows."""
     with contextlib.suppress(OSError):  # Windows cannot open folders
         handle = os.open(folder, os.O_RDONLY)
         try:

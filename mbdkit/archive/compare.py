@@ -36,6 +36,8 @@ class Comparison:
     same_data
         Whether both runs have ended and all compared arrays are bitwise equal. Hashes are computed from the arrays,
         because stored hashes may be wrong.
+    same_spec
+        Whether the canonical JSON of both specs is the same.
     differences
         Largest difference of each array except timings, relative to the largest magnitude of that array in either run.
         Infinite if only one run has the array, or if the shapes, the names or the positions of non-finite values
@@ -95,12 +97,14 @@ def compare(first: Run, second: Run) -> Comparison:
     ------
     MbdkitError
         If a run is closed.
+    SpecError
+        If an archive is damaged.
     """
     formats = first.format_version, second.format_version
     one, of_one, falsified_one = _contents(first)
     two, of_two, falsified_two = _contents(second)
     left_out = frozenset.union(*(layout.later({*one} ^ {*two}, version) for version in formats))
-    # a crashed run has no hash and may lack rows
+    # a crashed run has no hash and may lack rows, so its data count as different
     same = bool(first.data_sha256 and second.data_sha256)
     if left_out:
         with reading("its contents", None):

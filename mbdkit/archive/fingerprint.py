@@ -21,7 +21,7 @@ _STR = h5t.py_create(h5py.string_dtype())  # in memory: references to Python str
 #: Attributes in which HDF5 stores dimension scales; they hold addresses in the file.
 OF_SCALES = frozenset({"CLASS", "NAME", "REFERENCE_LIST", "DIMENSION_LIST"})
 
-#: Attributes that `attributes_sha256` does not cover: the hashes, and one that is written after them.
+#: Attributes that `attributes_sha256` does not cover: both hashes, and `finish_s`, which is written after them.
 _NOT_COVERED = frozenset({"/data_sha256", f"/{ATTRIBUTES_HASH}", "stats/finish_s"})
 
 
@@ -58,7 +58,7 @@ def _beginning(path: str, dtype: str, shape: tuple[int, ...]) -> str:
 
 
 def digest_lines(lines: Iterable[str]) -> str:
-    """Return `data_sha256`, the SHA-256 of the sorted lines of all arrays."""
+    """Return the SHA-256 of lines, sorted and joined; for the lines of all arrays, this is `data_sha256`."""
     return hashlib.sha256("".join(sorted(lines)).encode()).hexdigest()
 
 
@@ -117,8 +117,8 @@ def attribute_lines(item: h5g.GroupID | h5d.DatasetID, path: str, known: Mapping
 def _identifiers(
     group: h5g.GroupID, path: str, without: Collection[str]
 ) -> Iterator[tuple[str, h5g.GroupID | h5d.DatasetID]]:
-    """Yield the path and the identifier of a group, and of every group and dataset in it and its subgroups, without
-    some datasets.
+    """Yield the path and the identifier of a group and of every group and dataset below it, except for the paths in
+    `without`.
     """
     yield path, group
     for name in group:

@@ -39,7 +39,7 @@ class FinishedRun:
     shared
         Description of the reactions of redundant joints; None without redundant joints.
     status, reason
-        ``complete``, ``failed`` or ``interrupted``, and the reason.
+        ``complete``, ``failed`` or ``interrupted``, and the reason; see `Ending`.
     stats
         Counters and times [s].
     misalignment_max
@@ -53,7 +53,7 @@ class FinishedRun:
     accuracy
         Estimated errors, if the run was checked.
     cause
-        The exception of a plugin that ended the run.
+        The exception of a plugin that ended the run; None if there was none.
     integrals
         See `Ending`.
     """
@@ -93,7 +93,7 @@ class FinishedRun:
         return next((len(self.arrays[one.key]) for one in self.layout if one.dims[0] == dim and one.grows), 0)
 
     def write(self, writer: ArchiveWriter) -> None:
-        """Write the arrays into an archive that was opened for them; the caller finishes the archive."""
+        """Append the rows of all arrays to an archive that was begun for them; the caller finishes the archive."""
         for dim in GROWING:
             growing = {one.key: self.arrays[one.key] for one in self.layout if one.grows and one.dims[0] == dim}
             if growing:
@@ -173,7 +173,7 @@ class ArrayWriter(RunWriter):
         self._buffers = {}
 
     def finish(self, ending: Ending, *, measured: Callable[[h5py.File], str] | None = None) -> None:
-        """Compute the hash of the rows, and store the result in `finished`."""
+        """Compute the hash of the rows, and store the run in `finished`; `measured` is not called."""
         started = time.perf_counter()
         for dim, rows in self._rows.items():
             self._resize(dim, rows)
@@ -212,7 +212,7 @@ class ArrayHash:
         hashed = [one for one in recorded if one.grows and layout.is_hashed(one.path)]
         lines: list[tuple[str, Array | None]] = [(name, None) for name in name_lines(names, tuple(recorded))]
         lines += [(f"{one.path} ", one) for one in hashed]
-        #: Arrays in the order of their lines, which is that of their paths, with the lines of names before each.
+        #: For each hashed array, in the order of their paths: lines of names that precede its line, path, key and type.
         self._arrays: list[tuple[str, str, str, str]] = []
         self._rest = ""
         for name, one in sorted(lines, key=lambda item: item[0]):

@@ -1,4 +1,4 @@
-"""A group of the archive as a table: one row for each recorded time, one named column for each number.
+"""A group of the archive as a table: one row for each time in the group, one named column for each number.
 
 Columns have the names that quantities have in expressions of events, such as ``knee.force_x`` or ``foot.vy``.
 """
@@ -57,6 +57,8 @@ class GroupTable:
 
     Parameters
     ----------
+    run
+        The run, which must stay open.
     group
         Name of the group.
     rows
@@ -114,7 +116,7 @@ def group_table(run: Run, group: str) -> GroupTable:
     UnknownNameError
         If there is no such group.
     MbdkitError
-        If the run did not record it, or its mechanism has no such elements.
+        If the run did not record the group, or its mechanism has no such elements.
     """
     if group not in GROUPS:
         raise UnknownNameError("group", group, GROUPS)
@@ -131,7 +133,7 @@ def group_table(run: Run, group: str) -> GroupTable:
 
 
 def _arrays(run: Run, group: str) -> list[Array]:
-    """Return the arrays of a group over time that a run recorded, without the time itself."""
+    """Return the arrays with rows that a run recorded in a group, without the array of times."""
     arrays = [array for array in LAYOUT if array.group == group and array.grows and run.records(array.path)]
     return [array for array in arrays if array.name != "time"] if len(arrays) > 1 else []
 
@@ -170,7 +172,7 @@ def _values(dataset: h5py.Dataset | np.ndarray, rows: slice) -> np.ndarray:
 def data_frame(
     columns: Mapping[Any, Sequence[Any] | np.ndarray], index: Sequence[Any] | np.ndarray | None = None, name: str = ""
 ) -> pandas.DataFrame:
-    """Return a DataFrame of columns, in their order.
+    """Return a DataFrame with the columns in the given order.
 
     Parameters
     ----------

@@ -13,16 +13,16 @@ from mbdkit.archive.hdf5 import create
 from mbdkit.archive.layout import is_timing
 from mbdkit.quantities.array import TEXT, Array
 
-#: Size of the row buffers of a table; they are written when they are full or when a flush is due.
+#: Size of the row buffers of a table [bytes]; they are written when they are full or when a flush is due.
 BUFFER_BYTES = 1 << 23
 
-#: Bounds of the size of a chunk. Within them, a chunk holds the rows of the first flush (about one second of the run),
-#: and always at least one row.
+#: Bounds of the size of a chunk [bytes]. Within these bounds, a chunk has the size of the rows of the first flush
+#: (about one second of the run). A chunk holds at least one row, even if this row exceeds the upper bound.
 CHUNK_BYTES = (1 << 14, 1 << 17)
 
 FIRST_ROWS = 256
 
-#: Upper bound of the space that HDF5 metadata needs when an array grows.
+#: Upper bound of the space that HDF5 metadata needs when an array grows [bytes].
 _OVERHEAD_BYTES = 1 << 12
 
 
@@ -52,7 +52,9 @@ class Series:
         return max(1, min(max(first * row, low), high) // row)
 
     def size_on_disk(self, rows: int, *, more: bool) -> int:
-        """Estimate the bytes that `rows` more rows take in the file, including a partial chunk and HDF5 metadata."""
+        """Estimate the bytes by which the file grows with the next `rows` rows, including a partial chunk and HDF5
+        metadata.
+        """
         begun = self._chunk_rows(rows) * self.row_bytes if more or self.dataset is not None else 0
         return rows * self.row_bytes + begun + _OVERHEAD_BYTES
 
@@ -153,7 +155,10 @@ class Table:
         return sum(series.size_on_disk(self.waiting, more=more) for series in self.series)
 
     def taken(self) -> dict[str, np.ndarray]:
-        """Return all rows by path, if none has been written yet, for an archive that is written as a whole."""
+        """Return the buffered rows by path, and count them as written.
+
+        This is for an archive that is written as a whole, so that no row has been written before.
+        """
         values = {series.array.path: self._buffers[series.array.key][: self.waiting] for series in self.series}
         for series in self.series:
             series.take(values[series.array.path])

@@ -63,7 +63,7 @@ def create(
     chunks
         Shape of a chunk for an array whose first axis grows; None for an array of fixed size.
     plan
-        Compression of an array of fixed size; None for none.
+        Compression of an array of fixed size; None for no compression.
     under
         Path of the group in which the layout starts, with a slash at the end; empty for the root group.
     """
@@ -93,7 +93,7 @@ def create(
 
 
 def fill_text(file: h5py.File, array: Array, values: np.ndarray) -> None:
-    """Write the values of an array of strings that exists already."""
+    """Write the values of an existing array of strings."""
     if values.size:
         h5d.open(file.id, array.path.encode()).write(h5s.ALL, h5s.ALL, values, mtype=_STR)
 

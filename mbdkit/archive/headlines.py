@@ -23,7 +23,8 @@ MOST_DIGITS = 6
 #: Numbers are printed without an exponent if the power of ten of their first digit is in this range.
 SMALLEST_PLACE, LARGEST_PLACE = -3, 8
 
-#: Torques [N m] below this share of the largest force [N] or driver torque count as zero, and so do forces.
+#: Values up to this share of the largest value of their kind count as zero. Torques of drivers [N m] also count as zero
+#: up to this share of the largest force in a joint [N].
 ROUND_OFF = 1e-10
 
 
@@ -44,15 +45,15 @@ class Headline(NamedTuple):
 def plus_minus(value: float, error: float, sign: str = "+-") -> str:
     """Return a value and its error as text, such as ``368.2 +- 0.3``.
 
-    The value is rounded to the place of the error's first digit or, if it has no decimals, of the error's second digit,
-    as in ``3600 +- 210``.
+    The value is rounded to the place of the error's first digit. If the error is 10 or more and the value is printed
+    without an exponent, it is rounded to the place of the error's second digit, as in ``3600 +- 210``.
 
     Parameters
     ----------
     value, error
         The value and its error, in the same unit; an error that is nan is unknown.
     sign
-        Sign between them.
+        Sign between the value and the error.
     """
     if not math.isfinite(error):
         return f"{value:.4g} (error unknown)"
@@ -80,7 +81,10 @@ def headlines(run: Run, most: int = MOST) -> list[Headline]:
 
 
 def largest_loads(run: Run) -> list[Headline]:
-    """Return the largest torques of drivers and the largest forces of joints, each in descending order."""
+    """Return the largest torque of each driver and then the largest force of each joint, both in descending order.
+
+    Values that count as zero are left out.
+    """
     if not run.joint_names or not run.records("joints/reaction_force"):
         return []
     force = np.linalg.norm(run.array("joints/reaction_force"), axis=2)
@@ -121,8 +125,8 @@ def _contacts(run: Run) -> list[Headline]:
 
 
 def _errors(run: Run, name: str, size: np.ndarray) -> np.ndarray | None:
-    """Return the estimated errors (J,) of the largest values (T, J) of joints; None unless the whole run was
-    checked.
+    """Return the estimated errors (J,) of the largest values of joints, from all values `size` (T, J); None unless the
+    errors of all rows are known.
     """
     is_known = run.accuracy is not None and run.accuracy.is_complete
     return peak_errors(run, name, size, len(run.time)) if is_known else None
@@ -131,7 +135,10 @@ def _errors(run: Run, name: str, size: np.ndarray) -> np.ndarray | None:
 def _largest(
     words: str, names: list[str] | tuple[str, ...], size: np.ndarray, unit: str, errors: np.ndarray | None
 ) -> list[Headline]:
-    """Return the elements' largest values over time (T, J) with errors (J,) in descending order; zeros are left out."""
+    """Return the largest value of each element, from values `size` (T, J), with its error, in descending order.
+
+    Values that count as zero are left out.
+    """
     rows = _peak_rows(size)
     headlines = []
     for column, row in enumerate(rows):
@@ -143,5 +150,5 @@ def _largest(
 
 
 def _peak_rows(size: np.ndarray) -> np.ndarray:
-    """Return for each column of `size` (T, J) the row with its largest value (J,)."""
+    """Return the row (J,) of the largest value in each column of `size` (T, J)."""
     return np.argmax(np.nan_to_num(size), axis=0) if size.size else np.zeros(0, int)

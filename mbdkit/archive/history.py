@@ -69,7 +69,7 @@ class Source(Protocol):
         ...
 
     def column(self, path: str, index: int | slice | None, part: slice | int | None) -> np.ndarray:
-        """Return the array at `path` at one `index` of its second axis and a `part` of its third."""
+        """Return the array at `path`, restricted to an `index` of its second axis and a `part` of its third."""
         ...
 
     def text(self, path: str, index: int | slice | None) -> str:
@@ -137,7 +137,7 @@ def columns_of(kind: Kind) -> Iterator[tuple[str, Column]]:
 
 
 class Label:
-    """A property that returns the text of an object from an array of the archive, or its texts from several arrays."""
+    """A property that returns a text about an object, such as its unit; a tuple of texts from several arrays."""
 
     def __init__(self, arrays: Sequence[Array]):
         self.paths = [array.path for array in arrays]
@@ -182,7 +182,7 @@ class View:
 
 
 VIEWS: dict[str, type[View]] = {}
-"""Classes of histories by group. Kinds of elements without a class in this module get one when they are first read."""
+"""Classes of histories by group. A kind without a class in this module gets one when it is first read."""
 
 
 class BodyHistory(View, of="trajectory"):
@@ -280,7 +280,7 @@ class BeamHistory(View, of="beams"):
 
     @property
     def arc_length(self) -> np.ndarray:
-        """Distance along the beam of the values of `along`, (elements + 2,) [m], at the start of the run."""
+        """Distances from end a at which `along` returns values, (elements + 2,) [m], at the start of the run."""
         return places_with_ends(self._length, self.moment.shape[1])
 
     def along(self, component: str) -> np.ndarray:
@@ -295,7 +295,10 @@ class BeamHistory(View, of="beams"):
 
     @property
     def _length(self) -> float:
-        """Length of circular arcs through the nodes in the first row [m], which turn by the angles between them."""
+        """Length of the beam in the first row [m].
+
+        Consecutive nodes are joined by circular arcs, each of which turns by the difference between their angles.
+        """
         steps = np.diff(self.position[0], axis=0)
         turn = 0.5 * steps[:, 2]
         return float(np.sum(np.hypot(steps[:, 0], steps[:, 1]) / np.sinc(turn / np.pi)))
@@ -319,7 +322,7 @@ class ObservedHistory(View, of="motion"):
 
 
 class ActuatorHistory(View, of="actuators"):
-    """Value [N or N m], its error and power of one actuator, in inverse dynamics.
+    """Value [N or N m] of one actuator in inverse dynamics, the error of the value, and the power.
 
     Its `kind` is ``actuator``, ``reserve`` (of recruitment) or ``residual`` (a load from outside on a part that no
     joint connects to the ground); empty in archives of earlier versions.
@@ -352,8 +355,10 @@ class MuscleHistory(View, of="muscles"):
 
 
 class ContactHistory(View, of="contacts"):
-    """Gap, forces, slip and mode of one contact; friction and slip are those of its second body, along the normal
-    turned by -90 degrees.
+    """Gap, forces, slip and mode of one contact.
+
+    Friction is the force on the second body, and slip its velocity relative to the first. Both are positive along the
+    normal turned by -90 degrees.
     """
 
     # columns (python -m mbdkit.archive.history_columns mbdkit/archive/history.py)
@@ -470,16 +475,16 @@ class Impacts:
         Impulses on the second body, (I,), N s; 0 at the end of a sequence, and for drivers, whose impulses are among
         those of the joints.
     energy_lost
-        Energy that all contacts dissipate at this time, or for a driver that drivers take from the bodies, (I,), J;
-        negative if they add it. Of several contacts struck at one time, each has the whole energy; the same holds for
-        drivers. `total_energy_lost` counts it once.
+        For a contact, the energy that all contacts dissipate at this time; for a driver, the energy that all drivers
+        take from the bodies at this time, negative if they add energy; (I,), J. Simultaneous impacts of contacts all
+        have the same entry, and so have simultaneous impulses of drivers; `total_energy_lost` counts each energy once.
     joint
         Names of the joints, drivers included, (J,).
     reaction_impulse
         Impulse of the first body of each joint on the second in all impacts at this time, (I, J, 2), N s, global frame;
         nan in archives that lack it.
     reaction_torque_impulse
-        Impulse of the torque at the second's joint point, (I, J), N m s.
+        Impulse of the torque on the second body at its joint point, (I, J), N m s; nan in archives that lack it.
     """
 
     time: np.ndarray
@@ -613,7 +618,7 @@ class Histories(ReadOnlyDict[str, V]):
         return f"<{len(self)} of {self.kind.one}: {few}{', ...' if len(self) > 8 else ''}>"
 
 
-# Each kind has a class, because completion in notebooks reads the class of the histories from its definition.
+# Each kind has a class of its own, because completion in notebooks reads the type of the items from this class.
 
 
 class BodyHistories(Histories[BodyHistory]):
@@ -661,7 +666,7 @@ class ContactHistories(Histories[ContactHistory]):
 
 
 class GroundReactionHistories(Histories[GroundReactionHistory]):
-    """Forces of the ground on the bodies of a run that may touch it, by name of the body."""
+    """Forces of the ground on the bodies of a run that may touch the ground, by name of the body."""
 
 
 class LoadHistories(Histories[LoadHistory]):

@@ -20,7 +20,7 @@ from mbdkit.archive.run_summary import accuracy_sentence, corrections
 from mbdkit.base.text import shown
 from mbdkit.quantities.array import TEXT
 
-#: Maximum number of items of a list to print.
+#: Largest number of items of a list that are printed.
 NAMES_SHOWN = 32
 
 
@@ -38,6 +38,8 @@ def describe(path: str | Path) -> dict[str, Any]:
     ------
     SpecError
         If `path` is not an archive that this version can read.
+    ResourceError
+        If a run is still writing the file, or the system refuses to read it.
     """
     path = Path(path)
     with blaming_damage(path), load(path) as run, reading("its contents", path):

@@ -82,7 +82,7 @@ LAYOUT: tuple[Array, ...] = tuple(array for kind in KINDS for array in kind.arra
 BY_PATH: Mapping[str, Array] = {array.path: array for array in LAYOUT}
 GROUPS = tuple(kind.group for kind in KINDS)
 VERSIONS = tuple(sorted({array.since for array in LAYOUT}))
-"""Versions of the format whose arrays the layout lists."""
+"""Versions of the format in which arrays of the layout were added."""
 FORMAT_VERSION = VERSIONS[-1]
 
 #: Groups that can be selected by `output.quantities`.
@@ -94,8 +94,8 @@ ELEMENTS = frozenset(kind.group for kind in KINDS if kind.is_optional)
 #: Groups whose numbers may be nan, for unknown errors and gaps in measured data.
 MAY_BE_UNKNOWN = tuple(kind.group for kind in KINDS if kind.may_be_unknown)
 
-#: Arrays with the attribute `not_unique`, which lists the joints of a redundant mechanism whose reactions are not
-#: unique.
+#: Arrays that get the attribute `not_unique` if the mechanism is redundant; it lists the joints (or drivers) whose
+#: values are not unique.
 SHARED = tuple(array.path for array in RECORDED.values() if array.is_shared)
 
 #: Groups of inverse dynamics; a group without elements is absent.
@@ -133,7 +133,10 @@ def is_timing(path: str) -> bool:
 
 
 def is_hashed(path: str) -> bool:
-    """Whether the array at `path` is hashed as data; timings, estimated errors and properties of a file are not."""
+    """Whether the array at `path` is hashed as data.
+
+    Timings, estimated errors, and the hashes and states of files that a study index lists are not.
+    """
     is_of_file = path.endswith(("/file_sha256", "/file_state"))
     return not is_timing(path) and not path.lstrip("/").startswith("accuracy/") and not is_of_file
 
@@ -191,7 +194,7 @@ def recorded_by(
 
 
 def of_elements(names: ArchiveNames) -> list[str]:
-    """Return the paths of the optional arrays of elements that a run records, with the names along their axes."""
+    """Return the paths of the optional arrays that a run records for its elements, and of names along their axes."""
     sizes, paths = sizes_of(names), []
     for kind in KINDS:
         if kind.is_optional and sizes[kind.axis]:

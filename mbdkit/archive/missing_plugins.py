@@ -18,8 +18,10 @@ class Needed:
 
     Parameters
     ----------
-    id
-        Long name of the plugin.
+    kind, id
+        Kind and full name of the plugin.
+    distribution, version
+        Name and version of the distribution that contains the plugin.
     """
 
     kind: Kind

@@ -83,7 +83,8 @@ def check_target(path: str | Path, *, overwrite: bool = False, source: str | Pat
 
 
 class Target:
-    """An archive being written to `path`: created as ``.part`` immediately, published or dropped at the end.
+    """An archive being written to `path`: created as ``.part`` immediately, in the end renamed (`publish`) or removed
+    (`drop`).
 
     Parameters
     ----------
@@ -97,7 +98,7 @@ class Target:
     SpecError
         If no archive may be written at `path`.
     ResourceError
-        If the system refuses the file, or another run is writing it.
+        If the system refuses to create the file, or another run is writing it.
     """
 
     def __init__(self, path: Path, *, overwrite: bool, part: Path | None = None):
@@ -111,7 +112,7 @@ class Target:
         self._handle: int | None = self._create()
         self.file: h5py.File | None = None
         self._image = b""
-        remove_checkpoint(self.part)  # a checkpoint of an earlier file of this name
+        remove_checkpoint(self.part)  # it may have been left by an earlier file of this name
 
     @property
     def path(self) -> Path:
@@ -156,7 +157,7 @@ class Target:
         raise self._in_use()
 
     def _is_locked(self, handle: int) -> bool:
-        """Lock a new .part; return False if another run, which has seen it before it was locked, removes it."""
+        """Lock a new .part. Return False if another run took it for that of a crashed run before it was locked."""
         if sys.platform == "win32":
             return True
         import fcntl
@@ -170,7 +171,7 @@ class Target:
         return os.fstat(handle).st_nlink > 0
 
     def open(self) -> h5py.File:
-        """Return the .part as an HDF5 file, for a run whose rows do not stay in memory until its end."""
+        """Open the .part as an HDF5 file, for a run that writes rows before its end."""
         try:
             self.file = h5py.File(self.part, "w", libver=LIBVER, locking=False)
         except BlockingIOError:  # HDF5_USE_FILE_LOCKING=TRUE: HDF5 locks the file itself
@@ -183,7 +184,7 @@ class Target:
         return ResourceError(message, file=self.path)
 
     def _remove_stale(self) -> None:
-        """Remove the .part of a crashed run. The .part of a run in progress is locked."""
+        """Remove the .part of a crashed run; raise ResourceError if it is locked by a run in progress."""
         try:
             if not stat.S_ISREG(os.lstat(self.part).st_mode):
                 raise SpecError(f"{self.part} exists and is not a regular file", file=self.path)
@@ -251,7 +252,10 @@ class Target:
         self._image = image
 
     def amend(self, image: bytes) -> None:
-        """Replace the few bytes in which another image differs from the one that was written, if both have one size."""
+        """Overwrite the written image from the first to the last byte in which `image` differs from it.
+
+        Nothing is written if the two images differ in size.
+        """
         if len(image) != len(self._image):
             return
         differing = np.flatnonzero(np.frombuffer(self._image, np.uint8) != np.frombuffer(image, np.uint8))
@@ -268,7 +272,7 @@ class Target:
         Raises
         ------
         MbdkitError
-            If the .part cannot be renamed; it keeps its name.
+            If the .part cannot be renamed; it then keeps its name.
         """
         self._end_if_forked()
         if sys.platform == "win32" and self.file is not None:  # Windows cannot rename an open file
@@ -330,6 +334,11 @@ class Target:
         """Rename this .part and its checkpoint to `part` and the checkpoint of `part`, and replace existing files.
 
         The data must have been flushed. Afterwards, `drop` does not remove the files.
+
+        Raises
+        ------
+        ResourceError
+            If a file cannot be renamed.
         """
         self.sync()
         try:
@@ -350,7 +359,9 @@ def write_image(path: Path, image: bytes, *, overwrite: bool = False) -> None:
     SpecError
         If no archive may be written at `path`.
     ResourceError
-        If the disk is full.
+        If the file cannot be written, as on a full disk, or another run is writing it.
+    MbdkitError
+        If the file was created by another program in the meantime, and `overwrite` is not set.
     """
     target = Target(path, overwrite=overwrite)
     try:

@@ -29,7 +29,7 @@ blanks."""
 
 
 def peak_errors(run: Run, name: str, size: np.ndarray, count: int) -> np.ndarray | None:
-    """Return the errors (J,) of the largest values of the joints in the first rows; None without a check.
+    """Return the errors (J,) of the largest values of the joints in the first `count` rows; None without a check.
 
     In a simulated run, the error is the sum of two terms: the largest error of the method in any of these rows, because
     the true peak may be in another row, and the height by which a peak between rows may exceed the recorded one. For
@@ -58,8 +58,8 @@ def peak_errors(run: Run, name: str, size: np.ndarray, count: int) -> np.ndarray
 def jumps(run: Run) -> np.ndarray:
     """Return the times (B,) at which forces may be discontinuous [s].
 
-    These are impacts, events that set states, and changes of the mode of a rigid contact. The latter are taken halfway
-    between two rows.
+    These are the times of impacts, of events that set states, and of changes of the mode of a contact. A mode is
+    assumed to change halfway between two rows.
     """
     named = [name for name, event in (run.spec.get("events") or {}).items() if event.get("set")]
     found = [run.impacts.time, *(run.events.of_name(name).time for name in named)]
@@ -74,8 +74,8 @@ def errors_of_frames(run: Run, quantity: str, names: Sequence[str], size: np.nda
 
     If the run has a measure such as ``max(abs(joints.NAME.force))`` for the value, the error of the measure is
     returned, so that a number has the same error wherever it is printed. Otherwise the result is the error of the frame
-    with the largest value. The two can differ: the error of the measure is sampled for the maximum itself, while that
-    of the frame bounds a vector, or belongs to one frame.
+    with the largest value. These two errors can differ: that of the measure is sampled for the maximum itself, while
+    that of a frame is a bound for a vector, or belongs to a single frame.
 
     Parameters
     ----------
@@ -129,7 +129,9 @@ def excess_between_rows(time: np.ndarray, size: np.ndarray, jumps: Sequence[floa
 
 
 def _above_rows(time: np.ndarray, size: np.ndarray, recorded: np.ndarray, ends: Sequence[float | None]) -> np.ndarray:
-    """Return upper bounds (J,) of continuous curves between the rows, extrapolated to the `ends` that are given."""
+    """Return estimated upper bounds (J,) of continuous curves between the rows, and up to those `ends` that are not
+    None.
+    """
     if len(time) < 2:
         return recorded
     above = [recorded]

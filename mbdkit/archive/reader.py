@@ -24,6 +24,8 @@ def load(path: str | Path) -> Run:
     ------
     SpecError
         If `path` is not an archive that this version can read.
+    ResourceError
+        If a run is still writing the file, or the system refuses to read it.
 
     Examples
     --------

@@ -386,7 +386,10 @@ class Run(HtmlView):
 
     @cached_property
     def muscles(self) -> MuscleHistories:
-        """Lengths, activations and tensions of the muscles by name; empty without `recruitment`."""
+        """Lengths, activations and tensions of the muscles by name.
+
+        Empty if the model has no muscles or, in inverse dynamics, without `recruitment`.
+        """
         return MuscleHistories(BY_WORD["muscles"], self)
 
     @cached_property
@@ -515,7 +518,10 @@ class Run(HtmlView):
 
     @cached_property
     def joint_misalignments(self) -> np.ndarray:
-        """Largest misalignment of each joint over all steps, (J,), m; nan if unknown after a crash."""
+        """Largest misalignment of each joint over all steps, (J,), m.
+
+        After a crash, only the recorded rows count; nan if they do not contain the misalignment.
+        """
         if self._header.misalignment_max is not None:
             return self._header.misalignment_max
         # The archive of a crashed run lacks the maxima over all steps; use the maxima over the recorded rows.
@@ -525,7 +531,10 @@ class Run(HtmlView):
 
     @property
     def misalignment_max(self) -> float:
-        """Largest misalignment of any joint over all steps, m; 0 without joints, nan if unknown after a crash."""
+        """Largest misalignment of any joint over all steps, m; 0 without joints.
+
+        For crashed runs, see `joint_misalignments`.
+        """
         return float(np.max(self.joint_misalignments, initial=0.0))
 
     def records(self, path: str) -> bool:
@@ -559,7 +568,7 @@ class Run(HtmlView):
         return self._arrays[path]
 
     def column(self, path: str, index: int | slice | None, part: slice | int | None) -> np.ndarray:
-        """Return a view of the array at `path`: one `index` of its second axis and a `part` of its third; read-only."""
+        """Return the array at `path` at an `index` of its second axis and a `part` of its third; read-only."""
         at: tuple[Any, ...] = (slice(None),)
         if index is not None:
             at += (index,)
@@ -691,7 +700,7 @@ class Run(HtmlView):
             return to_datatree(self.file, self._contents.whole_rows if self.status == "running" else {})
 
     def to_frame(self, group: str) -> pandas.DataFrame:
-        """Return a group of the archive as a table with one row for each recorded time.
+        """Return a group of the archive as a table with one row for each time in the group.
 
         Columns are named as quantities in expressions of events, such as ``knee.force_x`` [N], ``foot.vy`` [m/s] or
         ``kinetic`` [J]. The index is the time [s]; ``frame.attrs["units"]`` maps the names to units.
@@ -707,13 +716,13 @@ class Run(HtmlView):
         UnknownNameError
             If there is no such group.
         MbdkitError
-            If pandas is not installed, or the run did not record the group.
+            If pandas is not installed, the run did not record the group, or its mechanism has no such elements.
         """
         frame: pandas.DataFrame = higher_layers.run_frame(self, group)
         return frame
 
     def save(self, path: str | Path, *, overwrite: bool = False) -> None:
-        """Write the archive to a file, byte for byte.
+        """Write a copy of the archive to a file, byte for byte.
 
         Parameters
         ----------
@@ -725,7 +734,7 @@ class Run(HtmlView):
         SpecError
             If no archive may be written at `path`.
         ResourceError
-            If the disk is full.
+            If the file cannot be written, as on a full disk.
         MbdkitError
             If the run is closed, or a study does not keep all of its arrays.
 
@@ -763,7 +772,7 @@ class Run(HtmlView):
 
 
 def _objects_of(word: str) -> property:
-    """Return a property of `Run` that maps the names of the objects of a kind to the objects."""
+    """Return a property of `Run` whose value contains the histories of the objects of a kind by name."""
     return property(lambda run: Histories(BY_WORD[word], run), doc=f"The {word} by name.")
 
 

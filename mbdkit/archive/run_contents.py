@@ -69,7 +69,7 @@ class Header:
 
 
 class RunContents(ABC):
-    """Interface through which a `Run` reads its data; `Run` does not check what this class guarantees.
+    """Interface through which a `Run` reads its data.
 
     Attributes
     ----------
@@ -134,12 +134,12 @@ class ArchiveContents(RunContents):
     path
         Path of the archive; None if it is in memory.
     header
-        Its header, if this is known already.
+        The header of the archive, if it is known already; by default, it is read from the file.
 
     Raises
     ------
     SpecError
-        If the header is damaged.
+        If the header is read and is damaged.
     """
 
     def __init__(self, file: h5py.File, path: Path | None = None, header: Header | None = None):
@@ -162,7 +162,7 @@ class ArchiveContents(RunContents):
 
     @classmethod
     def open(cls, path: Path) -> ArchiveContents:
-        """Open the archive at a path, and check the shapes of its arrays."""
+        """Open the archive at a path, and check its header, its names and the shapes of its arrays."""
         file = open_archive(path)
         try:
             with reading("its arrays", path):
@@ -180,7 +180,7 @@ class ArchiveContents(RunContents):
 
     @classmethod
     def just_written(cls, writer: ArchiveWriter) -> ArchiveContents:
-        """Open an archive that this process has just written; what the writer knows is not read from the file."""
+        """Open an archive that this process has just written; the header is taken from the writer."""
         path, ending, origin = writer.path, writer.ending, writer.origin
         assert path is not None
         assert ending is not None

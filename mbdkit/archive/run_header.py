@@ -81,7 +81,7 @@ LONGEST = 4 * LONGEST_NAME
 def check_shapes(file: h5py.File) -> None:
     """Raise ValueError if an array of the layout has a type or shape that contradicts its axes."""
     lengths: dict[str, int] = {}
-    # interrupted between two flushes, so arrays may have different numbers of rows
+    # if the run crashed between two flushes, its arrays may have different numbers of rows
     crashed = file.attrs.get("status") == "running"
     for path in ("trajectory/body", "joints/joint"):
         if path not in file:
@@ -118,7 +118,7 @@ def plain_attributes(group: h5py.Group) -> Mapping[str, Any]:
 
 
 def numbers(group: h5py.Group) -> Mapping[str, Any]:
-    """Return the attributes of a group of numbers; raise ValueError if one of `/stats` is not a number."""
+    """Return the attributes of the group ``/stats``; raise ValueError if a counter or a time is not a number."""
     values = plain_attributes(group)
     for name in (*layout.COUNTERS, *layout.TIMINGS):
         if isinstance(values.get(name, 0), str):

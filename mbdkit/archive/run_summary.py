@@ -22,10 +22,10 @@ if TYPE_CHECKING:
     from mbdkit.archive.history import Impacts
     from mbdkit.archive.run import Run
 
-#: Number of joints listed with their misalignment.
+#: Largest number of joints, contacts, muscles or other elements that one line lists; the rest are only counted.
 JOINTS_NAMED = 4
 
-#: Number of events listed.
+#: Largest number of events listed.
 EVENTS_NAMED = 4
 
 #: Range of the lengths of fibres, in optimal lengths, outside of which their active force is almost zero.
@@ -48,7 +48,7 @@ _COUNTERS = {
 
 
 def summary(run: Run) -> str:
-    """Summarize a run: verdict, status, model, method, time, speed, misalignment, energy, events, counters and archive.
+    """Summarize a run, from its verdict and measures to its counters and the path of its archive.
 
     Returns
     -------
@@ -182,12 +182,15 @@ def corrections(run: Run) -> str:
 
 
 def accuracy_sentence(run: Run) -> str:
-    """Return a sentence on the estimated errors of a run: the largest reaction, or position, and its error.
+    """Return a sentence on the estimated errors of a run: of the largest reaction force, and of the positions.
+
+    In inverse dynamics, it states the largest reaction force with its error bar.
 
     Parameters
     ----------
     run
-        The run; the sentence is empty if its errors were not estimated.
+        The run. The sentence is empty if the run has no rows, or if its errors were not estimated; in inverse dynamics,
+        it is also empty without joints.
     """
     accuracy = run.accuracy
     if run.kind == "inverse":
@@ -211,7 +214,10 @@ def accuracy_sentence(run: Run) -> str:
 
 
 def _error_bars(run: Run) -> str:
-    """Return a sentence on the error bar of the largest reaction force of inverse dynamics; empty if not requested."""
+    """Return a sentence on the error bar of the largest reaction force of inverse dynamics, or on why it is unknown.
+
+    The sentence is empty if no error bars were requested, or if there are no joints.
+    """
     accuracy = run.accuracy
     if accuracy is None:
         if run.spec.get("motion", {}).get("errors") == "none":
@@ -245,7 +251,7 @@ def exact_loads(run: Run) -> str:
 
 
 def _measured(load: Mapping[str, Any]) -> list[Any]:
-    """Return the columns of a load; numbers are no columns."""
+    """Return the columns of data that a measured load refers to, without components that are constant numbers."""
     every = [*(load.get("force") or ()), *(load.get("point") or ()), load.get("torque")]
     return [one for one in every if one is not None and not isinstance(one, int | float)]
 
@@ -314,7 +320,7 @@ def _angles(run: Run) -> str:
 
 
 def _singularity(run: Run) -> str:
-    """Return the smallest distance from a singular position; empty if it is not small."""
+    """Return the smallest distance from a singular position; empty if it is not small, or hardly below the largest."""
     path = "constraints/singularity_distance"
     if not run.records(path) or len(run.time) == 0:
         return ""
@@ -359,7 +365,7 @@ def _smoothing(spec: Mapping[str, Any]) -> str:
 
 
 def _fit(run: Run) -> str:
-    """Return the root mean square of the residuals of each observed quantity, in descending order."""
+    """Return the largest root mean squares of the residuals of observed quantities, in descending order."""
     parts = []
     for name, one in run.motion.items():
         known = one.residual[np.isfinite(one.residual)]
@@ -373,7 +379,7 @@ def _fit(run: Run) -> str:
 
 
 def _gaps(run: Run) -> str:
-    """Return the gaps of the measured columns that were filled by interpolation; empty if there were none."""
+    """Return the gaps of the measured columns, which are filled by interpolation; empty if there are none."""
     texts = []
     for name, one in run.motion.items():
         missing = np.concatenate([[False], np.isnan(one.raw), [False]])
@@ -385,7 +391,10 @@ def _gaps(run: Run) -> str:
 
 
 def _raw_misalignment(run: Run) -> str:
-    """Return the largest misalignment of the measured data; empty if they determine none."""
+    """Return the largest misalignments of joints if bodies are placed by the measured data alone.
+
+    Empty if the data determine none.
+    """
     if not run.records("motion/raw_misalignment"):
         return ""
     gaps = run.raw_misalignment
@@ -396,9 +405,9 @@ def _raw_misalignment(run: Run) -> str:
 
 
 def _actuators(run: Run, *, residual: bool = False) -> str:
-    """Return the largest value of each actuator, with its error bar and time, in descending order.
+    """Return the largest value of each actuator with its error bar and time: the largest of these, in descending order.
 
-    With `residual`, return the values of the residual loads instead.
+    With `residual`, return those of the residual loads instead.
     """
     if not run.actuators:
         return ""
@@ -419,7 +428,7 @@ def _actuators(run: Run, *, residual: bool = False) -> str:
 
 
 def _muscles(run: Run) -> str:
-    """Return the largest activation of each muscle and its time, in descending order."""
+    """Return the largest activations of muscles and their times, in descending order."""
     peaks = []
     for name, muscle in run.muscles.items():
         row = int(np.argmax(muscle.activation))
@@ -454,9 +463,9 @@ def _far_fibers(run: Run) -> str:
 
 
 def _contacts(run: Run) -> str:
-    """Return the deepest overlap of each contact with its time, and the largest slip while it sticks.
+    """Return the deepest overlaps of contacts with their times, and their largest creep (slip while they stick).
 
-    The deepest overlap comes first; rounding errors are left out.
+    The deepest overlap comes first; overlaps and creep that are rounding errors are left out.
     """
     parts = []
     for name, contact in run.contacts.items():
@@ -474,8 +483,8 @@ def _contacts(run: Run) -> str:
 
 
 def _impacts(run: Run) -> str:
-    """Return the number of impacts of each contact, their largest impulse and the energy that they lose, and the same
-    for the impulses of drivers.
+    """Return the number of impacts of each contact, the largest of their impulses and the energy that they lose, and
+    the same for the impulses of drivers.
 
     Time-stepping does not locate impacts; the text then says that contact forces include them.
     """
@@ -506,14 +515,17 @@ def _struck(impacts: Impacts, some: np.ndarray) -> tuple[str, str]:
     names, counts = np.unique(impacts.contact[some].astype(str), return_counts=True)
     shown = [f"{name} {count}" for name, count in zip(names, counts, strict=True)]
     more = f", {len(shown) - JOINTS_NAMED} more" if len(shown) > JOINTS_NAMED else ""
-    # the energy is the same for all at one time
+    # all impacts at one time have the same entry, the energy lost by all of them
     lost = impacts.energy_lost[some][np.unique(impacts.time[some], return_index=True)[1]].sum()
     change = f"{lost:.4g} J lost" if lost >= 0.0 else f"{-lost:.4g} J supplied"
     return f"{np.count_nonzero(some)} ({', '.join(shown[:JOINTS_NAMED])}{more})", change
 
 
 def _contact_forces(run: Run) -> str:
-    """Return the largest reaction force of each joint with and without muscles; empty without recruitment."""
+    """Return the largest reaction forces of joints with muscles, and those of the same joints without muscles.
+
+    Joints whose force the muscles change by less than 0.1 % are left out. Empty without recruitment.
+    """
     if not run.records("muscles/certificate"):
         return ""
     without = np.linalg.norm(run.array("muscles/reaction_force_without"), axis=2)
@@ -530,7 +542,10 @@ def _contact_forces(run: Run) -> str:
 
 
 def _reserves(run: Run) -> str:
-    """Return the root mean square of each reserve actuator as a share of its total moment; empty without muscles."""
+    """Return the root mean square of each reserve as a share of that of the total moment.
+
+    Empty without recruitment.
+    """
     if not run.records("muscles/certificate"):
         return ""
     shares = reserve_shares(run)
@@ -538,7 +553,10 @@ def _reserves(run: Run) -> str:
 
 
 def reserve_shares(run: Run) -> dict[str, float]:
-    """Return the root mean square of each reserve that is used, relative to that of the total moment."""
+    """Return the root mean square of each reserve relative to that of the total moment of its actuator, by actuator.
+
+    Reserves that are not used are left out.
+    """
     shares = {}
     for name, reserve in run.actuators.items():
         actuator = name.removeprefix(RESERVE)
@@ -564,7 +582,7 @@ def _events(run: Run) -> str:
 
 def answer_lines(run: Run) -> list[tuple[str, str]]:
     """Return a line for each measure, with its value and unit or the reason why it has none; without measures, the
-    headlines. If the run stopped early, another line says when.
+    headlines. If the run stopped early, a last line says when.
     """
     lines: list[tuple[str, str]] = []
     for name, value in run.measures.items():
@@ -596,8 +614,8 @@ def _elements(run: Run) -> list[str]:
 
 
 def _gradients(run: Run) -> list[tuple[str, str]]:
-    """Return a line for each derivative of a measure, for each measure that has none or whose check fails, and for each
-    doubt.
+    """Return a line for each derivative of a measure, each measure without derivatives, each check that fails, and each
+    reason to doubt the derivatives.
     """
     lines: list[tuple[str, str]] = []
     for name, gradient in run.gradients.items():

@@ -185,16 +185,17 @@ class RunWriter(ABC):
         Parameters
         ----------
         ending
-            Results known at the end. This method adds its own duration up to the renaming [s] to `Ending.stats`, as
-            ``finish_s``.
+            Results known at the end. Besides `Ending.stats`, this method stores its own duration up to the renaming
+            [s], as ``finish_s``.
         measured
-            Function that evaluates the measures from the file, which is otherwise complete, and returns the attribute
-            ``measures``. Not called without a file.
+            Function that evaluates the measures from the HDF5 file, which is otherwise complete, and returns the
+            attribute ``measures``. Writers that make no HDF5 file do not call it.
 
         Returns
         -------
         h5py.File or None
-            The open archive if it is in memory; None for a file, which this method closes.
+            The open archive if it is an HDF5 file in memory. None if it is a file on disk, which this method closes,
+            or if the writer makes no HDF5 file.
 
         Raises
         ------
@@ -242,8 +243,8 @@ class RunWriter(ABC):
         self._append("event", {**keyed, "events/event": self._numbers("event", len(rows["name"]))})
 
     def append_impacts(self, rows: Mapping[str, np.ndarray]) -> None:
-        """Append impacts: ``time``, ``contact`` (strings), impulses and energy, each (I,), and impulses of
-        joints (I, J, 2) and (I, J).
+        """Append impacts: ``time``, ``contact`` (strings), impulses and energy, each (I,), and for the joints the
+        impulses of forces (I, J, 2) and of torques (I, J).
         """
         keyed = {f"impacts/{name}": values for name, values in rows.items()}
         self._append("impact", {**keyed, "impacts/impact": self._numbers("impact", len(rows["time"]))})
@@ -261,7 +262,7 @@ class RunWriter(ABC):
 
 @lru_cache(maxsize=256)
 def name_line(path: str, text: tuple[str, ...]) -> str:
-    """Return the line of an array of names for `data_sha256`; runs of one mechanism have the same."""
+    """Return the line of an array of names for `data_sha256`; it is the same for all runs of one mechanism."""
     return line(path, TEXT, (len(text),), sha256(text_bytes(text)).hexdigest())
 
 

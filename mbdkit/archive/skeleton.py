@@ -1,7 +1,7 @@
 """Archives without values: HDF5 files in memory with all groups and arrays of a run, which similar runs fill.
 
-HDF5 takes about 0.15 ms to create an array with its attributes and dimension scales, several times the time that its
-values take. Runs of a mechanism often differ in their values only.
+HDF5 takes about 0.15 ms to create an array with its attributes and dimension scales, several times as long as it takes
+to write the values. The archives of runs of one mechanism often differ in their values only.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from mbdkit.quantities.names import ArchiveNames
 from mbdkit.quantities.table import sizes_of
 
 LARGEST = 1 << 20
-"""Size of the arrays up to which a skeleton is cached [bytes]."""
+"""Skeletons are cached if their arrays over time have at most this total size [bytes]."""
 
 _IN_MEMORY = itertools.count(1)
 
@@ -46,7 +46,8 @@ class Skeleton:
     places
         Where the values of arrays of numbers over time begin in `image`, by path.
     attributes
-        Lines of the attributes in `attributes_sha256`, by path, of those arrays that have all their attributes.
+        Lines of the attributes of an array in `attributes_sha256`, by path of the array. Arrays that get further
+        attributes when a run ends, and arrays that `data_sha256` does not cover, are left out.
     """
 
     image: bytes
@@ -121,7 +122,7 @@ def _made(names: ArchiveNames, arrays: tuple[Array, ...], rows: tuple[tuple[str,
             if is_hashed(one.path) and one.path not in _AT_THE_END
         }
         file.flush()
-        filled = {path: place for path, place in places.items() if place is not None}  # others have no values
+        filled = {path: place for path, place in places.items() if place is not None}  # empty arrays have no offset
         return Skeleton(file.id.get_file_image(), texts, filled, attributes)
 
 

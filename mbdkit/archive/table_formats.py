@@ -154,7 +154,7 @@ FORMATS: Mapping[str, Callable[[ExportedTable, Path], None]] = {
     "sto": write_sto,
     "json": write_json,
 }
-"""Functions that write a table to a file, by the name of the format, which is also the suffix of the file."""
+"""Functions that write a table to a file, by name of the format; this name is also the suffix of the file."""
 
 
 def _names_and_units(table: ExportedTable) -> Iterator[tuple[str, str]]:
@@ -171,7 +171,7 @@ def _heading(name: str, units: str) -> str:
 
 
 def _rows(table: ExportedTable) -> Iterator[list[Any]]:
-    """Yield the rows of a table as lists of Python numbers and texts, the time first."""
+    """Yield the rows of a table as lists of Python numbers and texts; the first column comes first."""
     for time, values in table.blocks():
         yield from map(list, zip(time.tolist(), *(column.tolist() for column in values), strict=True))
 

@@ -31,16 +31,19 @@ ATTRIBUTES = 10_000
 """Largest number of attributes of a group or an array."""
 
 UNPACKED = 50
-"""Largest ratio of the size of uncompressed arrays to that of the file. Compression reduces results to about 85 %."""
+"""Largest ratio of the unpacked size of all compressed arrays, beyond `FREE`, to the size of the file.
+
+Compression reduces results to about 85 % of their size.
+"""
 
 FREE = 1 << 26
-"""Compressed or sparse arrays up to this size are not compared with the size of the file [bytes]."""
+"""Compressed arrays may always unpack to this total size [bytes], and smaller files are not searched for holes."""
 
 CHUNK = 1 << 28
 """Largest uncompressed size of one chunk [bytes]; a chunk is decompressed in memory as a whole."""
 
 TEXT = 1 << 30
-"""Largest total size of the strings of an attribute [bytes]."""
+"""Largest estimate of the total size of the strings of an attribute [bytes]."""
 
 FIXED = 1 << 12
 """Longest string of fixed length [bytes]. Other programs may add such strings; those of an archive have variable
@@ -51,8 +54,8 @@ _FEW = 64  # strings of an attribute that are read without an estimate of their 
 _DEFLATE = 1032  # largest ratio of deflate
 _FILTERS = {h5z.FILTER_DEFLATE, h5z.FILTER_SHUFFLE, h5z.FILTER_FLETCHER32}
 _OF_SCALES = {b"CLASS", b"NAME", b"REFERENCE_LIST", b"DIMENSION_LIST"}
+# Reference to a string of variable length, as it is stored in the file:
 _DESCRIPTOR = np.dtype([("length", "<u4"), ("address", "<u8"), ("index", "<u4")])
-# reference to a string of variable length, as it is stored in the file
 
 
 def check_regular(path: Path) -> None:
@@ -81,7 +84,7 @@ def open_hdf5(path: Path, what: str, *, hint: str = "", objects: int = OBJECTS) 
         If the file is in use, or the system refuses to read it.
     SpecError
         If the file is not a regular file, is not an HDF5 file, is damaged, or is refused because it refers to other
-        files, links an object twice, or declares more data than it holds.
+        files, links an object twice, declares more data than it holds, or has other contents that are not accepted.
     """
     check_regular(path)
     noun = what.rpartition(" ")[2]
@@ -118,7 +121,7 @@ def is_sparse(path: Path) -> bool:
 
 
 class _Inspection:
-    """Visits every object of a file by its low-level identifier, without reading values."""
+    """Visits every object of a file by its low-level identifier; of the values, only lengths of strings are read."""
 
     def __init__(self, file: h5py.File, path: Path, objects: int):
         self.path, self.objects = path, objects
@@ -153,8 +156,8 @@ class _Inspection:
                     )
 
     def links(self, path: str, group: h5g.GroupID) -> list[tuple[bytes, int]]:
-        """Return names and kinds of the members of a group; refuse soft and external links, and second links to an
-        object.
+        """Return names and kinds of the members of a group; refuse soft and external links, second links to an object,
+        and too many objects.
         """
         links: list[tuple[bytes, int]] = []
         words = {h5l.TYPE_SOFT: "a soft link", h5l.TYPE_EXTERNAL: "a link to another file"}
@@ -189,7 +192,7 @@ class _Inspection:
         for index in range(count):
             attribute = h5a.open(item, index=index)
             if attribute.name in _OF_SCALES:
-                continue  # links are not read as values
+                continue  # attributes of dimension scales are never read
             place = f"the attribute {attribute.name.decode(errors='replace')} of {path}"
             space, kind = attribute.get_space(), attribute.get_type()
             is_text = self.kind(place, kind, space)
@@ -212,7 +215,9 @@ class _Inspection:
         return min(largest, self.size)
 
     def kind(self, place: str, kind: h5t.TypeID, space: h5s.SpaceID) -> bool:
-        """Return whether values are strings; refuse those that are neither strings nor numbers."""
+        """Return whether values are strings of variable length; refuse values that are neither strings nor numbers, and
+        long strings of fixed length.
+        """
         if space.get_simple_extent_type() == h5s.NULL:
             raise self.refused(f"{place} has no values and no type of number")
         if isinstance(kind, h5t.TypeStringID):
@@ -271,8 +276,8 @@ class _Inspection:
             raise self.refused(f"a compressed chunk of {path} has {most[0]:,} bytes, more than can be unpacked safely")
 
     def strings(self, path: str, item: h5d.DatasetID, layout: int, size: int) -> None:
-        """Refuse strings whose total length exceeds that of the file, which is possible if many of them share
-        characters.
+        """Add the lengths of the strings of an array, and refuse the file if all its strings so far are longer than the
+        file. This is possible if many strings share characters.
         """
         places: list[tuple[int, int]] = []
         if layout == h5d.CHUNKED:

@@ -69,7 +69,7 @@ class ArchiveWriter(RunWriter):
     SpecError
         If no archive may be written at `path`.
     ResourceError
-        If the system refuses the file, or another run is writing it.
+        If the system refuses to create the file, or another run is writing it.
     """
 
     def __init__(
@@ -100,7 +100,7 @@ class ArchiveWriter(RunWriter):
         #: from an image in memory; until then, its ``.part`` is empty.
         self._file: h5py.File | None = None
         self.ending: Ending | None = None
-        self._known: dict[str, str] = {}  # lines of attributes
+        self._known: dict[str, str] = {}  # lines of attributes for `attributes_sha256`, by ``PATH@NAME``
 
     @property
     def row_keys(self) -> frozenset[str]:
@@ -138,7 +138,10 @@ class ArchiveWriter(RunWriter):
 
     @property
     def lines(self) -> tuple[str, ...]:
-        """Sorted lines that describe the arrays with the rows written so far; `data_sha256` is their hash."""
+        """Sorted lines that describe the arrays with the rows written so far.
+
+        `data_sha256` is the hash of these lines and those of the arrays of names.
+        """
         grown = (series.line() for table in self._tables.values() for series in table.series)
         return tuple(sorted(filter(None, grown)))
 
@@ -223,8 +226,8 @@ class ArchiveWriter(RunWriter):
             return file
 
     def _with_all_rows(self) -> tuple[h5py.File, Mapping[str, Sequence[str]]]:
-        """Return the file with the remaining rows, and the lines of the attributes of those arrays for which they are
-        known.
+        """Return the file with all rows, and lines of attributes for `attributes_sha256`, by path of the array, as far
+        as they are known.
         """
         if self._file is not None:
             self._write_tables(self._file, more=False)
@@ -273,7 +276,7 @@ class ArchiveWriter(RunWriter):
         return self._target is not None and self._target.file is not None
 
     def _begin(self) -> h5py.File:
-        """Return the file, which is begun if all rows have been in the buffers so far."""
+        """Return the file; create it, with names and attributes, if all rows have been in the buffers so far."""
         if self._file is None:
             self._file = memory_file() if self._target is None else self._target.open()
             names = self.names
@@ -292,7 +295,7 @@ class ArchiveWriter(RunWriter):
             self._set(file, "joints", {"redundancy": self.shared.redundancy, "characteristic_length": length})
 
     def _set(self, file: h5py.File, path: str, values: Mapping[str, str | int | float]) -> None:
-        """Add strings and numbers as attributes to a group, and note their lines in `attributes_sha256`."""
+        """Add strings and numbers as attributes to a group, and store their lines, which `attributes_sha256` needs."""
         group = file[path] if path else file
         for name, value in values.items():
             known: str | np.int64 | np.float64
@@ -305,7 +308,7 @@ class ArchiveWriter(RunWriter):
             self._known[f"{path}@{name}"] = attribute_line(f"{path}@{name}", known)
 
     def _change_head(self, file: h5py.File, ending: Ending) -> None:
-        """Change the attributes that depend on how the run has ended."""
+        """Change those root attributes of a file begun earlier that depend on how the run has ended."""
         known = self.root_attributes(ending)
         for name in ("data_sha256", "status_reason"):
             file.attrs.modify(name, known[name])
@@ -364,7 +367,7 @@ class ArchiveWriter(RunWriter):
         self._kept = True
 
     def _mark_rows(self, file: h5py.File) -> None:
-        """Flush the tables, then store the numbers of their rows in an attribute.
+        """Flush the tables, and then store their numbers of rows in an attribute; do nothing for an archive in memory.
 
         HDF5 writes its metadata in many pieces. If the process is killed in between, arrays may seem to have rows that
         were never written. The attribute is written in one piece, so that the rows it counts are always complete.
@@ -385,7 +388,10 @@ class ArchiveWriter(RunWriter):
 
     @contextlib.contextmanager
     def _storing(self) -> Iterator[None]:
-        """Convert HDF5's errors on a full or missing disk into MbdkitError, and keep the data flushed before."""
+        """Convert HDF5's errors, as on a full or missing disk, into ResourceError, and keep the data flushed before.
+
+        The archive is closed by such an error. Raises MbdkitError if it is closed already.
+        """
         if self._ended:
             raise MbdkitError("the archive is closed")
         try:

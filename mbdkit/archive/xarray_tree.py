@@ -22,11 +22,17 @@ def to_datatree(file: h5py.File, rows: Mapping[str, int]) -> xarray.DataTree:
     ----------
     rows
         Number of rows to load, by the name of the first axis; arrays with other first axes are loaded completely.
+        Empty to load all rows.
 
     Returns
     -------
     xarray.DataTree
-        Equal to the result of `xarray.open_datatree(path, engine="h5netcdf")`.
+        Equal to the result of `xarray.open_datatree(path, engine="h5netcdf")` if all rows are loaded.
+
+    Raises
+    ------
+    MbdkitError
+        If xarray is not installed.
     """
     try:
         import xarray

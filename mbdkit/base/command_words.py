@@ -19,7 +19,7 @@ def command_line() -> str:
 
 
 def command_words() -> list[str]:
-    """Return the words of `command_line`; they are passed to a process that executes a part of the command."""
+    """Return the words of `command_line`, which are passed to processes that execute a part of the command."""
     return list(_words)
 
 

@@ -25,7 +25,8 @@ class SpecError(MbdkitError, ValueError):
     message
         What is wrong and how to correct it.
     key
-        Dotted key path in the spec, such as ``model.joints.A.bodies[1]``; empty if not in a spec.
+        Dotted key path of the input in a spec, such as ``model.joints.A.bodies[1]``; empty if unknown or not in a
+        spec.
     file, line
         Location of the input, if known (lines count from 1).
     """
@@ -54,7 +55,7 @@ class SpecError(MbdkitError, ValueError):
 
 
 class UnsupportedMechanismError(SpecError):
-    """A method does not support elements of a mechanism; its claims say which ones it supports."""
+    """A method does not support elements of a mechanism; the claims of the method say which mechanisms it supports."""
 
 
 class ResourceError(MbdkitError):
@@ -97,13 +98,14 @@ def file_error(number: int | None, message: str, *, file: str | Path | None = No
 
 
 class PluginError(MbdkitError):
-    """A plugin could not be imported, conflicts with another, or raised an exception."""
+    """A plugin could not be imported, conflicts with another, provides a wrong value, or raised an exception."""
 
 
 @contextmanager
 def in_this_process() -> Iterator[None]:
-    """At the end of a block, end a process that a plugin has forked in it, so that only the original process
-    continues.
+    """If a plugin forks the process within a block, end the new process at the end of the block.
+
+    Only the original process continues.
     """
     process = os.getpid()
     try:
@@ -130,14 +132,15 @@ def blaming(what: str, *expected: type[Exception]) -> Iterator[None]:
 
 
 _NO_PLUGINS = frozenset({"mbdkit", "pluggy", "pydantic", "pydantic_core", "numpy", "scipy", "sympy", "numba", "h5py"})
-"""Packages that are not plugins, but call plugins or are called by them."""
+"""Packages that are not plugins, but that call plugins or are called by them."""
 
 
 def with_place(error: BaseException) -> str:
     """Return an exception of a plugin on one line, with the file and line of the plugin where it was raised, if any.
 
-    The line is the last one in the package that was called first. An exception raised in a library is thus reported
-    with the line of the plugin that called the library.
+    The package of the plugin is the first one in the traceback that is neither in `_NO_PLUGINS` nor in the standard
+    library, and the line is the last one in this package. An exception raised in a library is thus reported with the
+    line of the plugin that called the library.
     """
     place = _place_of(error)
     cause = error.__cause__
@@ -171,8 +174,8 @@ StepCode = Literal[
 
 
 class StepError(Exception):
-    """A step failed. The run ends with the status ``failed`` and this reason; its archive contains the rows recorded
-    before.
+    """A step failed. The run ends with the status ``failed`` and this reason; its archive contains the results that
+    were recorded before.
 
     `EquationsOfMotion` raises it if the equations have no unique or no finite solution; a method raises it if its own
     iteration does not converge.

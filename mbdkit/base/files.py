@@ -1,5 +1,5 @@
-"""Safe writing of files: to a temporary file that is renamed at the end, so that no failure damages an existing
-file.
+"""Safe writing of files: contents go to a temporary file that is renamed at the end, so that no failure damages an
+existing file.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ def check_suffix(path: str | os.PathLike[str], allowed: Sequence[str], what: str
 
 
 def check_output(path: Path, *, overwrite: bool, source: str | Path | None = None, suffix: str = "") -> None:
-    """Check that a file may be written at `path`, without changing the file system.
+    """Check that a file may be written at `path`; the check does not change the file system.
 
     Parameters
     ----------
@@ -43,7 +43,7 @@ def check_output(path: Path, *, overwrite: bool, source: str | Path | None = Non
     source
         The input file, which is never replaced; None or ``-`` if the input is not a file.
     suffix
-        Suffix of the name that is suggested if `path` is a folder; by default that of `path`.
+        Suffix of the file name that the message suggests if `path` is a folder; by default the suffix of `path`.
 
     Raises
     ------
@@ -110,7 +110,9 @@ def replacing(target: Path, *, overwrite: bool = True, source: str | Path | None
     Raises
     ------
     SpecError
-        If the file may not or cannot be written. An existing file then remains unchanged.
+        If the file may not be written, or its name is not valid. An existing file then remains unchanged.
+    ResourceError
+        If writing fails for another reason, such as a full disk. An existing file then remains unchanged.
     """
     check_output(target, overwrite=overwrite, source=source)
     stem = f".{target.stem[:40]}"
@@ -141,12 +143,12 @@ def replacing(target: Path, *, overwrite: bool = True, source: str | Path | None
 
 
 def _created(target: Path, stem: str) -> tuple[Path, int]:
-    """Create a temporary file in the folder of `target`, lock it, and return it with its handle."""
+    """Create a temporary file in the folder of `target`, lock it, and return its path and its handle."""
     while True:
         path = target.with_name(f"{stem}-{secrets.token_hex(4)}.mbdkit{target.suffix}")
         handle = os.open(path, os.O_RDWR | os.O_CREAT | os.O_EXCL | getattr(os, "O_NOFOLLOW", 0), 0o666)
         _locked(handle, wait=True)
-        # Until the file is locked, another process may take it for that of a killed process, and remove it.
+        # Before the file is locked, another process may mistake it for the file of a killed process, and remove it.
         with suppress(FileNotFoundError):
             if sys.platform == "win32" or os.path.samestat(os.fstat(handle), os.lstat(path)):
                 return path, handle
@@ -160,7 +162,7 @@ def rename_new(source: Path, target: Path) -> None:
     except FileExistsError:
         raise
     except OSError:
-        # The file system has no hard links. A file created between the check and the renaming is overwritten.
+        # The file system has no hard links. A target created between the next two statements is overwritten.
         if os.path.lexists(target):
             raise FileExistsError(str(target)) from None
         os.rename(source, target)
@@ -185,7 +187,10 @@ def _remove_left(folder: Path, pattern: re.Pattern[str]) -> None:
 
 
 def _locked(handle: int, *, wait: bool = False) -> bool:
-    """Lock an open file, and return whether that was possible; with `wait`, wait until another process unlocks it."""
+    """Lock an open file, and return whether this was possible; with `wait`, wait until another process unlocks it.
+
+    On Windows, files are not locked, and the result is True.
+    """
     if sys.platform == "win32":
         return True
     import fcntl

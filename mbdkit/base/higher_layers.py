@@ -10,7 +10,7 @@ from collections.abc import Callable
 from typing import Any
 
 installed_plugins: Callable[[], Any]
-"""Returns the `PluginLookup` of the installed plugins, which gives access to their options."""
+"""Returns the `PluginLookup` of the installed plugins, which finds the models of their options."""
 
 symbolic_system: Callable[..., Any]
 """Returns the `SymbolicSystem` of a mechanism; with `numbers=True`, parameters are numbers instead of symbols."""
@@ -19,7 +19,7 @@ state_program: Callable[..., Any]
 """Returns the program of an expression of the state, and the quantities in it; see `mbdkit.events.state_program`."""
 
 state_values: Callable[..., Any]
-"""Returns the values of an expression of the state in states of a run; see `mbdkit.events.state_program`."""
+"""Returns the values of an expression of the state at recorded states of a run; see `mbdkit.events.state_program`."""
 
 check_gradients: Callable[[Any, Any], None]
 """Raises `SpecError` if the gradients requested by a run spec do not exist with this method."""
@@ -28,13 +28,13 @@ gradients_json: Callable[[Any], str]
 """Returns the gradients requested by a run spec, in the form stored in its archive."""
 
 draw_run: Callable[..., Any]
-"""Draws a plot of a run, of the given kind, on axes, and returns the axes; see `mbdkit.archive.run_views.RunPlots`."""
+"""Draws a plot of a given kind for a run on axes, and returns the axes; see `mbdkit.archive.run_views.RunPlots`."""
 
 animation: Callable[[Any], Any]
 """Returns the animation of a run; see `mbdkit.archive.run_views.Animation`."""
 
 moment_arms: Callable[[Any, str, str], Any]
-"""Returns the moment arms of a muscle about a coordinate at the recorded rows of a run."""
+"""Returns the moment arms of a muscle about a coordinate at the recorded times of a run."""
 
 run_summary: Callable[[Any], str]
 """Returns the summary of a run as lines of text."""

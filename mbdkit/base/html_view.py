@@ -1,4 +1,4 @@
-"""Objects that notebooks show as HTML, which `mbdkit.notebook` generates."""
+"""Base class of objects that notebooks show as HTML; `mbdkit.notebook` generates the HTML."""
 
 from __future__ import annotations
 

@@ -40,8 +40,8 @@ def stop_as_by_ctrl_c() -> None:
 def interrupts_noted(note: Callable[[], None]) -> Iterator[None]:
     """Call `note` on Ctrl-C, SIGTERM and SIGHUP instead of ending the block; has no effect outside the main thread.
 
-    After the block, SIGTERM and SIGHUP are delivered again, unless the program that called mbdkit treats them as
-    Ctrl-C. Their default action, or the program's own handler, then takes effect.
+    After the block, a SIGTERM or SIGHUP that was noted is raised again, so that its default action, or the handler of
+    the program that called mbdkit, takes effect. It is not raised again if `stop_as_by_ctrl_c` had set its handler.
     """
     if threading.current_thread() is not threading.main_thread():
         yield
@@ -95,8 +95,9 @@ def _raise_interrupt(number: int, frame: FrameType | None) -> None:
 def _watch_second_sigterm() -> Callable[[], None]:
     """Start a thread that ends the process on a second SIGTERM; return a function that ends the thread.
 
-    Python calls its signal handlers between two instructions of the main thread, which an endless compiled force law
-    never reaches. Compiled code releases the interpreter lock, so this thread runs nevertheless.
+    Python calls its signal handlers between two instructions of the main thread. While compiled code runs, such as a
+    force law with an endless loop, there is no next instruction. Compiled code releases the interpreter lock, so this
+    thread runs nevertheless.
     """
     if sys.platform == "win32":
         return lambda: None

@@ -1,7 +1,8 @@
 """The loggers of modules, such as `mbdkit.runs.simulation`; they are silent unless a program configures `logging`.
 
-Level INFO reports the start and the end of runs and studies, WARNING their warnings and runs that stop early, DEBUG
-details. Warnings about plugins and the cache go to the logger `mbdkit` itself, which prints them on stderr by default.
+Messages of level INFO report the start and the end of runs and studies. Messages of level WARNING report runs that stop
+early, and the warnings of runs and studies. Messages of level DEBUG report details. Warnings about plugins and the
+cache go to the logger `mbdkit` itself, which prints them on stderr by default.
 """
 
 from __future__ import annotations
@@ -29,8 +30,9 @@ def to_stderr(message: str) -> None:
 
 
 def warn_on_stderr(warnings: Iterable[str]) -> None:
-    """Print the warnings of a run that was started by a Python program; commands print warnings in their summary
-    instead.
+    """Print the warnings of a run or analysis that a Python program started.
+
+    Commands print warnings in their summary instead.
     """
     for warning in warnings:
         to_stderr(f"warning: {shown(warning)}")

@@ -1,7 +1,8 @@
 """Linear algebra on one thread, so that results are bitwise identical for any number of threads.
 
-The libraries behind NumPy and SciPy split sums among threads, which changes rounding errors. A study of many runs
-computes several of them at once and gives each run one thread; a single run must have the same results.
+The libraries behind NumPy and SciPy split sums among threads, so that rounding errors depend on the number of threads.
+A study computes several runs at once and gives each run one thread; a run outside of studies must have the same
+results.
 """
 
 from __future__ import annotations
@@ -19,7 +20,7 @@ _users = 0
 
 @contextmanager
 def one_thread_of_linear_algebra() -> Iterator[None]:
-    """Limit linear algebra to one thread within this context, in all threads of the process.
+    """Limit each call of linear algebra to one thread within this context, for all threads of the process.
 
     Contexts may overlap in several threads; the limit is lifted at the end of the last one.
     """

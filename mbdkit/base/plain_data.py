@@ -31,12 +31,12 @@ LONGEST_NAME = 255
 """Largest number of characters of the name of an element; pictures with much longer names would take minutes."""
 
 LARGEST_NUMBER = int(sys.float_info.max)
-"""Largest magnitude of a whole number in a spec: that of a number in double precision."""
+"""Largest magnitude of a whole number in a spec: the largest number in double precision."""
 
 
 @contextmanager
 def without_collection() -> Iterator[None]:
-    """Pause the cyclic garbage collector in a block; it would take half of the time for building large plain data."""
+    """Pause the cyclic garbage collector in a block, because it takes half of the time of building large plain data."""
     before = gc.isenabled()
     gc.disable()
     try:
@@ -87,7 +87,7 @@ def path_text(path: Path) -> str:
 def parse_path(text: str) -> Path:
     """Return the parts of a key path such as ``model.joints.A.bodies[1]``; the inverse of `path_text`.
 
-    Because specs have at most `DEEPEST` levels, at most one part more than that is returned.
+    At most ``DEEPEST + 1`` parts are returned, because specs have at most `DEEPEST` levels.
     """
     parts: list[str | int] = []
     for match in islice(_PART.finditer(text), DEEPEST + 1):
@@ -148,7 +148,7 @@ def copied(value: Any, path: Path = ()) -> Any:
     Raises
     ------
     SpecError
-        If it has more than `DEEPEST` levels, as a list that contains itself, or if a key is not text.
+        If the value has more than `DEEPEST` levels, as a list that contains itself does, or if a key is not text.
     """
     if len(path) > DEEPEST:
         raise SpecError(f"is nested too deeply (more than {DEEPEST} levels), or contains itself", key=str(path[0]))
@@ -174,7 +174,7 @@ class _WrittenField(NamedTuple):
         if not self.may_be_absent:
             return True
         is_empty = value is None or (isinstance(value, Sized) and not len(value))
-        return not is_empty and bool(value != self.default)  # 0 is written if the default is another value
+        return not is_empty and bool(value != self.default)  # 0 is not empty, so it is written unless it is the default
 
 
 @lru_cache(maxsize=512)
@@ -189,7 +189,7 @@ def _written_fields(kind: type[BaseModel]) -> tuple[_WrittenField, ...]:
 
 
 def canonical(value: Any) -> Any:
-    """Convert models to dicts with sorted keys; mappings whose keys are names given by the user keep their order.
+    """Convert models to dicts with sorted keys; mappings keep the order of their keys, which are names from the user.
 
     Keys listed in the model's ``ABSENT_BY_DEFAULT`` are omitted if they are empty or have their default value.
     """
@@ -209,7 +209,7 @@ def canonical(value: Any) -> Any:
 
 
 def canonical_text(data: Any) -> str:
-    """Return plain data as the JSON that is hashed: without spaces, keys in their order, numbers in shortest form."""
+    """Return plain data as the JSON that is hashed: without spaces, keys as ordered in the data, shortest numbers."""
     return json.dumps(data, separators=(",", ":"), ensure_ascii=False, allow_nan=False)
 
 

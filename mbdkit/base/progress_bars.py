@@ -17,7 +17,7 @@ PATIENCE = 0.5
 _PAUSE = 0.1
 """Smallest time between two updates of a bar in a notebook [s]."""
 LINES_EVERY = 10.0
-"""Smallest time before the first line and between lines, if there is no terminal [s]."""
+"""If there is no terminal: smallest time before the first line, and between two lines [s]."""
 
 
 class _Bar(Protocol):
@@ -32,8 +32,9 @@ def _drawing(
 ) -> Iterator[Callable[[float | None, str], None] | None]:
     """Yield a function that draws a bar from a fraction (None if unknown) and a note.
 
-    In a notebook, and if stderr is a terminal, the function draws a bar. Elsewhere, it prints lines if `lines` is set.
-    In all other cases, and if `quiet` is set, None is yielded instead of a function.
+    In a notebook, or if stderr is a terminal, the function draws a bar, at the earliest `patience` seconds after the
+    start. Elsewhere, it prints lines if `lines` is set. In all other cases, and if `quiet` is set, None is yielded
+    instead of a function.
     """
     make = None if quiet else _kind_of_bar() or (_Lines if lines else None)
     if make is None:
@@ -58,7 +59,7 @@ def _drawing(
 
 @contextmanager
 def progress_bar(what: str, quiet: bool = False) -> Iterator[Callable[[float, float], None] | None]:
-    """Yield a function of (time reached, end time) [s] that draws a bar after `PATIENCE` seconds; see `_drawing`."""
+    """Yield a function of (time reached, end time) [s] of a run that draws a bar; see `_drawing`."""
     first: float | None = None
     with _drawing(what, quiet, PATIENCE) as draw:
 
@@ -152,7 +153,7 @@ class _Lines:
 
     def draw(self, share: float | None, note: str) -> None:
         now = time.perf_counter()
-        self._first = self._first or share or 0.0  # results that were known at the start took no time
+        self._first = self._first or share or 0.0  # results that already existed at the start took no time
         if now - self._printed < LINES_EVERY:
             return
         self._printed, passed = now, now - self._begin

@@ -14,7 +14,9 @@ from pydantic import BaseModel, ConfigDict, GetJsonSchemaHandler
 from pydantic_core import CoreSchema
 
 STRICT = ConfigDict(extra="forbid", frozen=True, strict=True, allow_inf_nan=False)
-"""Reject unknown keys, infinities and NaN; forbid assignment; do not convert text or booleans to numbers."""
+"""Configuration of pydantic that rejects unknown keys, infinities and NaN, forbids assignment, and does not convert
+text or booleans to numbers.
+"""
 
 
 class StrictModel(BaseModel):
@@ -28,7 +30,10 @@ class StrictModel(BaseModel):
 
     @classmethod
     def chosen_unit(cls, name: str, data: Mapping[str, Any]) -> str:
-        """Return the unit of a field if it depends on the other keys, which need not be valid; empty otherwise."""
+        """Return the unit of the field `name` if it depends on other keys of `data`, which need not be valid.
+
+        The result is empty if the unit is always that in the description of the field.
+        """
         return ""
 
     @classmethod
@@ -54,7 +59,7 @@ def description(model: type[BaseModel], name: str) -> str:
 
 @cache
 def _docstrings(model: type[BaseModel]) -> Mapping[str, str]:
-    """Return the docstrings of the attributes of a model and of its bases."""
+    """Return the docstrings of the attributes of a model and of its bases, by name of the attribute."""
     found: dict[str, str] = {}
     for base in reversed(model.__mro__):
         if issubclass(base, StrictModel) and (definition := _definition(base)) is not None:

@@ -1,4 +1,4 @@
-"""Results, error messages and exit statuses of the commands.
+"""Output of results and error messages of the commands, and their exit statuses.
 
 stdout is reserved for the results that `show` and `show_json` print. While a command runs, everything else that is
 written to stdout, such as output of a plugin, goes to stderr.
@@ -74,7 +74,7 @@ class Commands(TyperGroup):
         return parsed
 
     def get_command(self, ctx: Any, cmd_name: str) -> Any:
-        """Return a command whose function can print to stdout only through `show`; its help is not affected."""
+        """Return a command whose function can print to stdout only through `show`; help texts still go to stdout."""
         command = super().get_command(ctx, cmd_name)
         if command is not None:
             _guard(command, ("mbdkit", cmd_name))
@@ -112,7 +112,7 @@ class _Results:
         try:
             print(text, file=self.stream, flush=True)
         except OSError:
-            with suppress(OSError, ValueError):  # otherwise, Python would flush again at exit and print a warning
+            with suppress(OSError, ValueError):  # without this, Python would flush again at exit and print a warning
                 os.dup2(os.open(os.devnull, os.O_WRONLY), self.stream.fileno())
             raise
         self.shown = True
@@ -134,8 +134,8 @@ def _results_apart() -> Iterator[_Results]:
 
 
 def _guard(command: Any, words: tuple[str, ...]) -> None:
-    """Redirect stdout to stderr, and record the command for archives, while the functions of a command and its
-    subcommands run.
+    """Wrap the functions of a command and its subcommands: while they run, stdout goes to stderr, and the command is
+    recorded for archives.
 
     Parameters
     ----------
@@ -197,8 +197,8 @@ def _json_error(message: str, status: int, error: BaseException | None = None) -
 def open_streams() -> None:
     """Open the null device in place of closed standard streams, as after ``2>&-``.
 
-    Otherwise the next file to be opened would get the file descriptor of such a stream, and output would be written to
-    it.
+    Otherwise, the next file to be opened would get the file descriptor of such a stream, and output of the program
+    would be written into this file.
     """
     for number, name in enumerate(("stdin", "stdout", "stderr")):
         try:
@@ -212,7 +212,7 @@ def open_streams() -> None:
 
 
 def keep_results_apart() -> None:
-    """Redirect file descriptor 1 to stderr for the rest of the process, and let `sys.stdout` write to the real stdout.
+    """Redirect file descriptor 1 to stderr for the rest of the process, while `sys.stdout` writes to the real stdout.
 
     Compiled code and child processes then cannot write into the results.
     """

@@ -26,7 +26,7 @@ def did_you_mean(word: str, known: Iterable[str]) -> str:
 
 
 def listed(names: Iterable[str], last: str = "") -> str:
-    """Join names as ``a, b and c`` if `last` is ``and``, or as ``a, b, c`` if `last` is empty."""
+    """Join names as ``a, b and c`` if `last` is ``and`` (or another word), or as ``a, b, c`` if `last` is empty."""
     words = list(names)
     if not last or len(words) < 2:
         return ", ".join(words)
@@ -51,7 +51,7 @@ def one_line(error: BaseException) -> str:
 
 
 def message_of(error: BaseException) -> str:
-    """Return the message of an exception without its type, otherwise as `one_line` does."""
+    """Return the message of an exception on one line, escaped and truncated as by `one_line`, but without the type."""
     return shortened(shown(" ".join(str(error)[:10_000].split())))
 
 
@@ -81,7 +81,7 @@ def _kept_lines(found: re.Match[str]) -> str:
 
 
 def _escaped(found: re.Match[str]) -> str:
-    """Return a character as in JSON; all are below U+10000."""
+    """Return a character as it is escaped in JSON; all characters of `_HARMFUL` are below U+10000."""
     return {"\n": "\\n", "\t": "\\t", "\r": "\\r"}.get(found[0], f"\\u{ord(found[0]):04x}")
 
 
@@ -104,7 +104,7 @@ def _is_number(word: str) -> bool:
 
 
 _FORMULAS = ("=", "+", "-", "@", "\uff1d", "\uff0b", "\uff0d", "\uff20")
-"""Characters with which formulas begin; some spreadsheets treat the full-width forms in the same way."""
+"""Characters with which formulas in spreadsheets begin; some spreadsheets also accept their full-width forms."""
 
 
 def csv_cell(text: str) -> str:

@@ -54,7 +54,7 @@ class Unit:
         return self.exponents == other.exponents
 
     def fits(self, wanted: Unit) -> bool:
-        """Return whether a number with this unit can stand where `wanted` is expected.
+        """Return whether a number with this unit can be given where a number in the unit `wanted` is expected.
 
         rad may be left out, as in N m for N m/rad, but 10 Hz is not an angular velocity, and 2 deg is not a length.
         """
@@ -63,7 +63,7 @@ class Unit:
         )
 
     def times(self, other: Unit, power: Fraction = Fraction(1)) -> Unit:
-        """Return the SI unit of the product of this quantity with another one raised to `power`."""
+        """Return the SI unit of the product of a quantity in this unit and a quantity in `other` raised to `power`."""
         a, b = self.exponents, other.exponents
         return si_unit((a[0] + power * b[0], a[1] + power * b[1], a[2] + power * b[2]))
 
@@ -109,7 +109,7 @@ _SYMBOLS: dict[str, tuple[Exponents, float]] = {
 """Exponents and SI factor of each symbol."""
 _COUNTS = {"rad": (1, 0, 0), "mrad": (1, 0, 0), "deg": (1, 0, 0), "rev": (1, 0, 0), "Hz": (0, 1, 0), "%": (0, 0, 1)}
 _SI = {"kg": "kg", "g": "kg", "min": "s", "Hz": "Hz", "deg": "rad", "rev": "rad", "mrad": "rad", "%": "1"}
-"""SI symbols of those units whose SI symbol is not the symbol without prefix."""
+"""SI symbols of the units for which removing the prefix does not give the SI symbol."""
 
 _NAMED = {
     exponents: text
@@ -236,7 +236,9 @@ def read_quantity(text: object, names: Container[str] = ()) -> tuple[float, Unit
 
 
 def number_in(value: float | str, unit: str) -> float:
-    """Return a number, or the SI value of a number with a unit; raise SpecError if that unit does not fit `unit`."""
+    """Return a number, or the SI value of a number with a unit; raise SpecError if its unit does not fit `unit`, or for
+    any other text.
+    """
     quantity = read_quantity(value)
     if quantity is None:
         if isinstance(value, str):
@@ -251,8 +253,8 @@ def number_in(value: float | str, unit: str) -> float:
 def described_units(description: str) -> tuple[str, ...]:
     """Return the units in a description such as ``Stiffness [N/m]``.
 
-    There are several in ``[N/m or N m/rad]`` and ``[m, rad]``, and none if no brackets of the description contain
-    units.
+    The units are those in the first brackets that contain only units. There are two in ``[N/m or N m/rad]`` and in
+    ``[m, rad]``, and none if there are no such brackets.
     """
     for inside in re.findall(r"\[([^\[\]]+)\]", description):
         units = tuple(re.split(r",? or |, ", inside))

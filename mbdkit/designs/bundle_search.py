@@ -17,26 +17,27 @@ from scipy.optimize import OptimizeResult, linprog
 from mbdkit.designs.problem import FAILED, FEASIBLE, Problem
 
 PENALTY = 100.0
-"""Cost, relative to that at the start of the design, of a relative violation of 1 of a limit."""
+"""Cost that is added for a violation of a limit by its whole size; 1 is the cost at the start of the design."""
 WIDE = 0.1
 """First radius of the trust region of a search, as a share of the bounds."""
 NEAR = 1e-3
-"""First radius of the trust region where another search ended, as a share of the bounds."""
+"""First radius of the trust region if the search begins where another search ended, as a share of the bounds."""
 NEGLIGIBLE = 1e-5
 """Largest radius of the trust region at which a search ends, as a share of the bounds."""
 FLAT = 1e-2
-"""Decrease of the model per radius below which the end of another search counts as a smooth minimum, relative to the
-cost there or to a tenth of that at the start."""
+"""The end of another search counts as a smooth minimum if the model decreases by at most this share of the cost per
+radius. The cost is that at this end, but at least a tenth of the cost at the start of the design."""
 
 JUMP = 0.1
-"""Difference of derivatives at neighbouring points, relative to the largest one, that is taken for a kink."""
+"""Derivatives at neighbouring points that differ by more than this share of the largest derivative indicate a kink."""
 
 
 @dataclass(frozen=True)
 class Linearization:
     """Cost and margins of a problem at a point (n,), with their derivatives (n,) and (m, n).
 
-    Half of the violation that counts as zero is added to the margins.
+    The margins are the distances from the m limits (see `Problem.margins`), plus half of the violation that counts as
+    zero.
     """
 
     point: np.ndarray
@@ -64,7 +65,8 @@ class Linearization:
     def at(self, center: Linearization) -> tuple[float, np.ndarray]:
         """Return the linearized cost and margins (m,) at the point of `center`.
 
-        They are corrected where they contradict the values there, as those of functions that are not convex may.
+        A linearized cost above the cost at that point, and linearized margins below the margins there, are replaced by
+        the values there. They occur if the functions are not convex.
         """
         step = center.point - self.point
         cost, margins = self.cost + self.slope @ step, self.margins + self.margin_slopes @ step
@@ -81,15 +83,15 @@ def bundle_search(
     radius
         First radius of the trust region, as a share of the bounds.
     tolerance
-        Decrease of the model, relative to the cost, at which the search ends.
+        Decrease of the model, relative to the cost, below which the trust region is reduced or the search ends.
     most
         Largest number of linearizations.
 
     Returns
     -------
     OptimizeResult
-        ``x`` (n,), ``message``, ``linearizations``, and ``is_least``: whether those near the end show that it is a
-        local minimum.
+        ``x`` (n,), ``message``, ``success``, ``linearizations``, and ``is_least``: whether the linearizations near the
+        end show that the end is a local minimum.
     """
     best = Linearization.of(problem, start)
     bundle, count = [best], 1
@@ -101,7 +103,8 @@ def bundle_search(
             if radius <= NEGLIGIBLE:
                 message, is_least = "no linearization of a nearby point leads to a lower cost", True
                 break
-            radius = max(0.1 * radius, NEGLIGIBLE)  # without distant points, which mislead if the cost is not convex
+            # a smaller region excludes distant points, which mislead if the cost is not convex
+            radius = max(0.1 * radius, NEGLIGIBLE)
             continue
         trial = Linearization.of(problem, np.clip(best.point + step, 0.0, 1.0))
         count += 1
@@ -110,7 +113,7 @@ def bundle_search(
             continue
         bundle.append(trial)
         share, size = (best.merit - trial.merit) / decrease, float(np.max(np.abs(step)))
-        if best.is_feasible and not trial.is_feasible:  # which may pay where a limit has no slope
+        if best.is_feasible and not trial.is_feasible:  # the merit may be lower there if a limit has no slope
             share = 0.0
         if share > 0.7:
             radius = max(radius, 2.0 * size)
@@ -122,7 +125,15 @@ def bundle_search(
 
 
 def beyond_kink(problem: Problem, ended: OptimizeResult, tolerance: float, most: int) -> OptimizeResult:
-    """Continue a search along gradients by a bundle method if it ended at a kink; return its own result otherwise."""
+    """Continue a search along gradients by a bundle method if it ended at a kink; otherwise, return `ended` unchanged.
+
+    Parameters
+    ----------
+    ended
+        Result of the search along gradients.
+    tolerance, most
+        See `bundle_search`.
+    """
     end = np.clip(ended.x, 0.0, 1.0)
     at_end = Linearization.of(problem, end)
     _, decrease = _model_step(at_end, [at_end], NEAR)
@@ -130,7 +141,7 @@ def beyond_kink(problem: Problem, ended: OptimizeResult, tolerance: float, most:
         return ended
     found = bundle_search(problem, end, radius=NEAR, tolerance=tolerance, most=most)
     if not any(_slopes_jump(at_end, one) for one in found.linearizations):
-        return ended  # the model decreases because a limit has no slope there, for example
+        return ended  # no kink; the model may decrease for another reason, such as a limit without a slope
     found.message = f"{str(ended.message).rstrip('.')} at a kink; from there, {found.message}"
     return found
 

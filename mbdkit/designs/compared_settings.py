@@ -28,15 +28,16 @@ class Comparison:
     name
         Name of the settings in `compare` of the design spec.
     believed
-        The point, with goals and measures computed with these settings; None if no point was found.
+        The point, with goals and measures computed with the other settings; None if no point was found.
     actual
-        The same point, with goals and measures computed with the settings of the design.
+        The same point, with goals and measures computed with the settings of the design; None if no point was found.
     is_feasible
         Whether the point satisfies all limits with the settings of the design.
     reason
-        Reason why there is no point, or why it violates limits even with these settings; empty otherwise.
+        Reason why there is no point, or that the point violates limits even with the other settings; empty otherwise.
     own_start, own_best
-        The start and the best point of the design itself, computed with these settings; None if the start fails.
+        The start and the best point of the design itself, with goals and measures computed with the other settings;
+        None if no point was found, for example because a run fails at the start.
     """
 
     name: str
@@ -48,8 +49,8 @@ class Comparison:
     own_best: DesignPoint | None = None
 
     def confirmation(self) -> str:
-        """Return a sentence that compares the goals at the start and at the best point of the design, computed with
-        these settings.
+        """Return a sentence that compares the goal at the start and at the best point of the design, both computed with
+        the other settings; empty if `own_start` or `own_best` is None.
         """
         if self.own_start is None or self.own_best is None:
             return ""
@@ -77,16 +78,16 @@ class Comparison:
 
 
 def compared_with(evaluator: Evaluator, name: str) -> Evaluator:
-    """Return an evaluator of a design with the settings of this name in `compare`."""
+    """Return an evaluator of the same design, with the settings that have this name in `compare` of the spec."""
     return Evaluator(evaluator.spec, evaluator.run, compared=name)
 
 
 def compare(evaluator: Evaluator, name: str, best: np.ndarray, stages: Stages) -> Comparison:
-    """Search for the best point of a design with the settings of this name; also compute the design's best point with
-    them.
+    """Search for the best point of a design with other settings, which have this name in `compare` of the spec.
 
-    The search begins at `best`: if both settings are accurate, the other point is near it. If a run with these settings
-    fails there, the search begins at the start of the design.
+    Goals and limits at the start and at the best point of the design are also computed with the other settings. The
+    search begins at `best`, the best point of the design: if both settings are accurate, the other best point is near.
+    If a run with the other settings fails there, the search begins at the start of the design.
     """
     other = compared_with(evaluator, name)
     stages.begin(f"comparison with {name}", other)

@@ -1,4 +1,4 @@
-"""Computes jobs of a design: in this process and, if they take long, in worker processes or by an executor."""
+"""Computes jobs of a design: in this process and, if they take long, in worker processes, or by an executor."""
 
 from __future__ import annotations
 
@@ -31,9 +31,9 @@ class Computer:
         The design.
     engine
         Worker processes, or an executor. Worker processes of this machine are used only after jobs in this process have
-        taken `PATIENCE` seconds in total.
+        taken `PATIENCE` seconds in total; an executor computes all jobs.
     notify
-        Called once with each distinct message of the workers.
+        Called with each message of the workers, unless it differs from an earlier one only in numbers.
     place
         Path of a file in a folder to which the workers of executors have access.
     """
@@ -51,7 +51,7 @@ class Computer:
         Raises
         ------
         ResourceError
-            If a resource such as disk space is lacking, or the system refuses to start processes.
+            If a resource, such as memory, is not available, or the system refuses to start processes.
         RunError
             If a worker fails for a reason other than a failed run.
         """
@@ -71,7 +71,7 @@ class Computer:
         return engine.executor is not None or (engine.workers > 1 and self._spent >= PATIENCE)
 
     def _pieces(self, scenario: str, jobs: Sequence[Job]) -> list[tuple[Job, ...]]:
-        """Return the jobs of a scenario in groups that are computed and stored together."""
+        """Return the jobs of a scenario in groups; the jobs of a group are computed together."""
         own = [job for job in jobs if job.scenario == scenario]
         if isinstance(self._spec.specs[scenario], InverseSpec):
             size = 1
@@ -91,7 +91,7 @@ class Computer:
                 is_death = outcome.reason.startswith("worker-died")
                 if outcome.status == "complete":
                     yield from zip(task.key, map(outcome_of, outcome.results), strict=True)
-                # jobs are computed one by one to find the one that kills processes
+                # the jobs are computed again one by one, to find the job that kills processes
                 elif is_death and len(task.key) > 1:
                     again += [self._task((job,)) for job in task.key]
                 elif is_death:
@@ -123,7 +123,7 @@ class Computer:
 
 
 def is_passing(outcome: Outcome) -> bool:
-    """Return whether the cause of a failure is external, so that the next call tries again."""
+    """Return whether a run failed for an external reason, so that the next call tries again."""
     return outcome.reason.startswith(PASSING)
 
 

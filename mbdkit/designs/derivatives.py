@@ -1,6 +1,6 @@
 """Derivatives of goals and limits of designs with respect to the variables.
 
-They are exact where gradients exist, and otherwise computed by differences.
+They are exact if the gradients of all scenarios can be computed; otherwise, they are differences of runs.
 """
 
 from __future__ import annotations
@@ -27,10 +27,10 @@ STEP = 1e-4
 
 
 def derivatives(evaluator: Evaluator, x: np.ndarray) -> np.ndarray:
-    """Return the derivatives (S, K, n) of goals and limits with respect to the scaled variables, at a point (n,).
+    """Return the derivatives (S, K, n) of K goals and limits in S scenarios with respect to the n scaled variables.
 
-    The derivatives are exact unless a scenario has no gradients (see `Evaluator.why_differences`), or a run fails at
-    this point.
+    The derivatives at a point `x` (n,) are exact unless a scenario has no gradients (see `Evaluator.why_differences`),
+    or a run fails at this point.
     """
     if evaluator.why_differences or np.any(np.isnan(evaluator.values(x[None]))):
         return differences(evaluator, x)
@@ -55,7 +55,7 @@ def differences(evaluator: Evaluator, x: np.ndarray) -> np.ndarray:
 def unconfirmed(evaluator: Evaluator, x: np.ndarray) -> tuple[str, ...]:
     """Return a sentence for each goal or limit whose exact derivatives at a point disagree with differences of runs.
 
-    The two often disagree if a one-sided force law begins to act exactly at a frame of a measured motion.
+    A frequent cause is a one-sided force law that begins to act exactly at a frame of a measured motion.
     """
     if evaluator.why_differences:
         return ()
@@ -74,7 +74,12 @@ def unconfirmed(evaluator: Evaluator, x: np.ndarray) -> tuple[str, ...]:
 
 
 def gradients(evaluator: Evaluator, x: np.ndarray, *, check: bool) -> list[Gradient]:
-    """Return the gradients of goals and limits of each scenario with respect to the variables, at a point (n,).
+    """Return the gradients of goals and limits with respect to the variables at a point (n,), for each scenario.
+
+    Parameters
+    ----------
+    check
+        Whether the gradients are checked by differences of runs.
 
     Raises
     ------

@@ -35,7 +35,7 @@ class Design:
         The start point and the best point. On a Pareto front, the best point is the one closest to the smallest values
         of all goals, each goal relative to its range on the front.
     front
-        Points of the Pareto front, in ascending order of the first goal; only `best` for a single goal.
+        Points of the Pareto front, for two goals in ascending order of the first goal; only `best` for a single goal.
     trust
         Certification of the best point.
     is_feasible
@@ -43,7 +43,7 @@ class Design:
     runs, failures
         Number of runs, and number of failed runs.
     searches
-        Number of searches that ended within 0.1 % of the best goal, and number of all searches.
+        Number of searches whose goal at the end is within 0.1 % of the best one, and number of all searches.
     message
         Reason why the best search ended.
     derivatives
@@ -51,8 +51,8 @@ class Design:
     unconfirmed
         Goals and limits whose exact derivatives at the best point disagree with differences of runs, as sentences.
     undetermined
-        Simultaneous changes of variables, by name, that do not affect the goal at the best point; only a combination of
-        these variables is determined. Empty for a Pareto front.
+        Simultaneous changes of variables, by name, that do not affect the goal at the best point, so that only a
+        combination of these variables is determined, or none if a single variable changes. Empty for a Pareto front.
     compared
         Results of the design with other settings of the runs (`compare` of its spec); empty until they are computed.
     is_converged
@@ -159,8 +159,9 @@ class Design:
 
     @property
     def doubt(self) -> str:
-        """Sentence that the best point violates limits, or may not be an optimum because the search was cut short or
-        derivatives there are not confirmed; empty otherwise.
+        """Sentence that says that the best point violates limits, or why it may not be an optimum; empty otherwise.
+
+        It may not be an optimum if the search ended early, or if derivatives at the best point are not confirmed.
         """
         if not self.is_feasible:
             return "No point that satisfies all limits was found; this one violates them least."
@@ -212,7 +213,7 @@ class Design:
 
 
 def solve(evaluator: Evaluator, stages: Stages) -> Design:
-    """Solve a design, without comparisons."""
+    """Solve a design, without the comparisons with other settings of the runs."""
     spec, first = evaluator.spec, evaluator.first
     stages.begin("optimisation", evaluator)
     problem = Problem(evaluator)
@@ -248,15 +249,16 @@ def solve(evaluator: Evaluator, stages: Stages) -> Design:
 
 
 def with_comparisons(evaluator: Evaluator, design: Design, stages: Stages) -> Design:
-    """Return a design with the comparisons of its spec.
+    """Return a design to which the comparisons with other settings of the runs (`compare` of its spec) are added.
 
     Parameters
     ----------
     evaluator
-        A new evaluator, so that the number of runs does not depend on interruptions.
+        A new evaluator of the design. With the evaluator of the optimisation, the number of runs would depend on
+        whether a call was interrupted.
     """
     best = evaluator.point(design.best.variables)
-    # stored by the optimisation, and therefore not computed again
+    # these outcomes are stored by the optimisation, and therefore not computed again
     evaluator.outcomes(np.array([evaluator.first, best]))
     evaluator.runs, evaluator.failures = design.runs, design.failures
     compared = tuple(compare(evaluator, name, best, stages) for name in design.spec.compare)

@@ -40,10 +40,12 @@ class Outcome:
     ----------
     values
         Goals and limits in their order; nan if the run failed.
-    verdict, reason
-        Verdict on the run, or ``failed``, and the reason why the run failed or is judged doubtful or bad.
+    verdict
+        Verdict on the run, or ``failed``.
+    reason
+        Reason why the run failed or is judged doubtful or bad; empty otherwise.
     errors
-        Estimated errors of the values; nan where unknown, empty without a check.
+        Estimated errors of the values; nan where unknown, empty if errors are not estimated.
     """
 
     values: tuple[float, ...]
@@ -112,7 +114,13 @@ class ScenarioRuns:
         return varied_inverse(self.spec, settings)
 
     def outcomes(self, points: Sequence[Settings]) -> list[Outcome]:
-        """Return the outcomes of the scenario at some points; forward runs are vectorized if possible."""
+        """Return the outcomes of the scenario at some points; forward runs are vectorized if possible.
+
+        Raises
+        ------
+        ResourceError
+            If a resource, such as memory, is not available.
+        """
         found: list[Outcome | None] = [None] * len(points)
         runs: dict[int, RunSpec] = {}
         for place, settings in enumerate(points):
@@ -142,7 +150,10 @@ class ScenarioRuns:
         return [one for one in found if one is not None]
 
     def sampled(self, settings: Settings) -> SampledMeasures | None:
-        """Return goals and limits with samples for inverse dynamics; None if their errors are unknown."""
+        """Return goals and limits of inverse dynamics with samples that show their errors.
+
+        The result is None for forward runs, and if the errors are unknown.
+        """
         spec = self.at(settings)
         if isinstance(spec, RunSpec):
             return None
@@ -189,8 +200,9 @@ def in_this_process(scenarios: Mapping[str, ScenarioRuns]) -> Source:
 
 
 class Evaluator:
-    """Evaluates a design at points of its variables. A coordinate of a point is 0 at the lower bound of a variable, and
-    1 at the upper bound.
+    """Evaluates a design at points of its variables.
+
+    A coordinate of a point is 0 at the lower bound of a variable, and 1 at the upper bound.
 
     Parameters
     ----------
@@ -214,7 +226,7 @@ class Evaluator:
     least
         Smallest value of the first goal so far at a point that satisfies all limits; nan if there is none.
     why_differences
-        Reason why derivatives are computed by differences of runs; empty if they are exact.
+        Reason why derivatives are computed by differences of runs; empty as long as they are exact.
 
     Raises
     ------
@@ -268,8 +280,9 @@ class Evaluator:
         return [(variable_path(name), value) for name, value in self.variables(x).items()]
 
     def outcomes(self, points: np.ndarray) -> list[tuple[Outcome, ...]]:
-        """Return the outcomes of all scenarios at points (N, n); points that were evaluated before are not computed
-        again.
+        """Return the outcomes of all scenarios at points (N, n), for each point.
+
+        Points that were evaluated before are not computed again.
         """
         keys = [np.ascontiguousarray(x).tobytes() for x in points]
         new = {key: self.settings(x) for key, x in zip(keys, points, strict=True) if key not in self._known}
@@ -289,7 +302,10 @@ class Evaluator:
         return [np.frombuffer(key) for key in self._known]
 
     def exceeded(self, values: np.ndarray) -> tuple[str, ...]:
-        """Return the names of the limits that values of goals and limits (..., K) violate; nan violates every limit."""
+        """Return the names of the limits that are violated by values of goals and limits (..., K).
+
+        If the value of a limited measure is nan, its limit counts as violated.
+        """
         found = []
         for name, limit in self.spec.subject_to.items():
             column = values[..., self.names.index(name)]

@@ -20,7 +20,7 @@ SLACK = 1e-6
 
 
 def pareto_front(evaluator: Evaluator, first_end: Search, notify: Notify) -> list[Search]:
-    """Return points of the Pareto front, in ascending order of the first goal.
+    """Return the searches that end at points of the Pareto front, for two goals in ascending order of the first goal.
 
     First, each goal is minimised alone. Each goal except the first is then limited to values between its largest and
     its smallest value at these points, and the first goal is minimised for all combinations of these limits
@@ -38,7 +38,7 @@ def pareto_front(evaluator: Evaluator, first_end: Search, notify: Notify) -> lis
     goals = np.array([evaluator.totals(one.end) for one in (first_end, *ends.values())])
     caps = {k: np.linspace(np.max(goals[:, k]), goals[k, k], spec.front) for k in others}
     places = list(product(range(spec.front), repeat=len(others)))
-    found = {places[0]: first_end}  # no point exceeds the first limits
+    found = {places[0]: first_end}  # `first_end` does not exceed the first limits, the largest values
     for number, place in enumerate(places[1:], start=2):
         limits = {k: float(caps[k][step]) for k, step in zip(others, place, strict=True)}
         strictest = next((k for k, step in zip(others, place, strict=True) if step == spec.front - 1), None)
@@ -55,7 +55,7 @@ def _before(found: dict[tuple[int, ...], Search], place: tuple[int, ...]) -> Sea
 
 
 def _efficient(evaluator: Evaluator, points: list[Search]) -> list[Search]:
-    """Return the points that are not dominated: no other point is better in one goal and as good in all others."""
+    """Return the searches that are not dominated: no other end is better in one goal and as good in all others."""
     if not points:
         return []
     goals = np.array([evaluator.totals(point.end) for point in points])

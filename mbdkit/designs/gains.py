@@ -1,4 +1,4 @@
-"""The gains of a design in its goals, and its costs, which are larger loads of joints."""
+"""The gains of a design, which are changes of its goals, and its costs, which are changes of the loads of joints."""
 
 from __future__ import annotations
 
@@ -101,7 +101,9 @@ def gains(spec: DesignSpec, start: DesignPoint, best: DesignPoint, trust: Trust)
 
 
 def costs(pairs: Mapping[str, Mapping[str, Run]]) -> list[Cost]:
-    """Return the largest loads of joints that the design changes, in descending order of the increase.
+    """Return the changes of the largest loads of joints, in descending order of the relative change.
+
+    Changes by less than `LEAST_CHANGE` are left out.
 
     Parameters
     ----------

@@ -18,8 +18,8 @@ STEP = 1e-3
 NEGLIGIBLE = 1e-5
 """A direction is not determined if its singular value, relative to the largest one, is below this."""
 ACTIVE = 1e-5
-"""A bound or limit counts as active at a point if their distance, relative to the size of the bound or limit, is below
-this."""
+"""A bound counts as active at a point if its distance, as a share of the bounds, is below this. A limit counts as
+active if its margin is below this (see `Problem.margins`)."""
 MOST = 10
 """Largest number of variables for which the second derivatives are computed."""
 
@@ -49,7 +49,10 @@ def undetermined(problem: Problem, best: np.ndarray) -> tuple[dict[str, float], 
 
 
 def _second_derivatives(problem: Problem, best: np.ndarray, free: np.ndarray) -> np.ndarray:
-    """Return the second derivatives (F, F) of the cost with respect to the free variables; nan if a run fails."""
+    """Return the second derivatives (F, F) of the cost with respect to the free variables, which are not at a bound.
+
+    They are nan where a run fails.
+    """
     center = np.clip(best, 2 * STEP, 1 - 2 * STEP)
     single = [STEP * np.eye(len(best))[place] for place in free]
     pairs = list(combinations(range(len(free)), 2))

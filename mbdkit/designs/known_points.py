@@ -38,7 +38,7 @@ def read_versioned(text: str | bytes, name: str, path: Path) -> dict[str, Any]:
 
 
 NOT_READ = (ValueError, KeyError, TypeError, AttributeError, OverflowError, RecursionError)
-"""Exceptions that are raised when data that are not those of a design are read."""
+"""Exceptions that occur if the data that are read are not those of a design."""
 
 VERSION = "mbdkit_points"
 """Name of the format version in the first line of the file."""
@@ -52,10 +52,11 @@ Compute = Callable[[Sequence[Job]], Iterator[tuple[Job, Outcome]]]
 class PointFile:
     """A text file with a line of JSON for each evaluated scenario and point: ``points.jsonl``.
 
-    A line has the ``scenario``, the ``settings`` of its keys, the ``values`` of goals and limits by name (null if the
-    run failed), the ``verdict`` on the run, the ``reason`` of a failure, the ``errors`` of the values in their order if
-    they were estimated, and a check sum. Lines are appended, so that a killed process leaves at most one unfinished
-    line. The next process removes unfinished and damaged lines, and computes their points again.
+    The first line has the format version. Each further line has the ``scenario``, the ``settings`` of its keys, the
+    ``values`` of goals and limits by name (null if the run failed), the ``verdict`` on the run, the ``reason`` if the
+    run failed or is judged doubtful or bad, the ``errors`` of the values, in the same order, if they were estimated,
+    and a check sum. Lines are appended, so that a killed process leaves at most one unfinished line. The next process
+    removes unfinished and damaged lines, and computes their points again.
 
     Parameters
     ----------
@@ -69,7 +70,9 @@ class PointFile:
         self.path, self._names, self._notify = path, names, notify
 
     def read(self) -> dict[str, Outcome]:
-        """Return the outcomes in the file by the key of their job, and prepare the file for further lines.
+        """Return the outcomes in the file by `Job.key`, after removing unfinished and damaged lines from the file.
+
+        If there is no file, it is created.
 
         Raises
         ------

@@ -103,9 +103,10 @@ def sensitivities(evaluator: Evaluator, best: np.ndarray) -> list[Sensitivity]:
 
 
 def _sides(evaluator: Evaluator, best: np.ndarray) -> np.ndarray:
-    """Return the changes (2, S, K, n) if a variable decreases, and if it increases, by `SHARE`.
+    """Return the changes (2, S, K, n) of goals and limits if a variable decreases, and if it increases, by `SHARE`.
 
-    They are nan where the measure is smooth, at a bound, and where a run fails.
+    They are nan except at corners: where a goal or limit is smooth, where the best point is at a bound of the variable,
+    and where a run fails.
     """
     count = len(best)
     points = [best, *(best + sign * step * one for step in DISTANCES for sign in (-1, 1) for one in np.eye(count))]

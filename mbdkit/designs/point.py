@@ -26,7 +26,7 @@ class DesignPoint:
     goals
         Goals by name, summed over the scenarios by their weights.
     measures
-        Goals and limits by name, for each scenario by its name (empty if there is only the base).
+        Goals and limits by name, for each scenario. The name of the scenario is empty if there is only the base.
     """
 
     variables: dict[str, float]

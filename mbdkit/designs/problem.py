@@ -17,7 +17,8 @@ if TYPE_CHECKING:
 FAILED = 1e3
 """Cost assigned to points where a run fails, relative to the cost at the start; so large that no search ends there."""
 FEASIBLE = 1e-6
-"""Largest violation of a limit that counts as zero, relative to the larger of the limit and the value at the start."""
+"""Largest violation of a limit that counts as zero, relative to the largest magnitude of the limits of the measure and
+its value at the start."""
 
 Jacobian = Callable[["Evaluator", np.ndarray], np.ndarray]
 """Function that returns the derivatives (S, K, n) of goals and limits with respect to the scaled variables, at a point
@@ -33,7 +34,7 @@ class Bound:
     name
         Name of the measure; if there are several scenarios, preceded by the name of the scenario and a colon.
     weights
-        (S, K) weights of the values of goals and limits, whose weighted sum is the limited quantity.
+        (S, K) weights of K goals and limits in S scenarios. The weighted sum of their values is the limited quantity.
     low, high
         Limits; infinite if there is no limit.
     """
@@ -66,7 +67,7 @@ class Problem:
     caps
         Upper limits of other goals, by index of the goal.
     jacobian
-        Derivatives of goals and limits.
+        Function that returns the derivatives of goals and limits.
 
     Raises
     ------
@@ -124,7 +125,7 @@ class Problem:
         return np.nan_to_num(self._goal(self.evaluator.values(points)) / self.scale, nan=failed)
 
     def slope(self, x: np.ndarray) -> np.ndarray:
-        """Return the derivatives (n,) of the cost, zero where they are unknown."""
+        """Return the derivatives (n,) of the cost; zero where they are unknown."""
         return np.asarray(np.tensordot(self.weights, self._derivatives(x), 2) / self.scale)
 
     def margins(self, x: np.ndarray) -> np.ndarray:
@@ -196,7 +197,7 @@ def _cap(evaluator: Evaluator, goal: int, most: float) -> Bound:
 
 
 def _size(bound: Bound, first: float) -> float:
-    """Return the magnitude relative to which a limit is evaluated."""
+    """Return the magnitude to which the margins of a limit are relative; `first` is the value at the start."""
     sizes = [abs(x) for x in (bound.low, bound.high, first) if np.isfinite(x)]
     return max(sizes, default=1.0) or 1.0
 

@@ -1,4 +1,4 @@
-"""The effect of inexact numbers on a design: of the device that is built, and of the user who was measured."""
+"""The effect of inexact numbers on a design, such as dimensions of the built device and measured masses of its user."""
 
 from __future__ import annotations
 
@@ -56,8 +56,8 @@ class Deviation:
 def robustness(evaluator: Evaluator, best: np.ndarray) -> list[Deviation]:
     """Return goals and limits near the best point (n,), with one number changed at a time.
 
-    Each variable and each large mass of the model is changed by 5 %, and each attachment of a force element is moved by
-    2 mm along x and along y.
+    Each variable and each of the `MOST` largest masses of the model are changed by 5 %. Each attachment of a force
+    element is moved by 2 mm along x and along y.
     """
     settings = evaluator.settings(best)
     specs = [runs.at(settings) for runs in evaluator.scenarios]
@@ -86,7 +86,10 @@ def robustness(evaluator: Evaluator, best: np.ndarray) -> list[Deviation]:
 
 
 def _numbers(spec: ModelSpec, taken: Sequence[Path]) -> Iterator[tuple[Path, Sequence[Settings]]]:
-    """Yield the paths of masses and of coordinates of attachments in a model, with the settings for both deviations."""
+    """Yield the paths of masses and of coordinates of attachments in a model, with the settings for both deviations.
+
+    Numbers at or below the paths in `taken` are left out.
+    """
     model = canonical(spec.model)
     found = [path for path in _paths(model, ("model",)) if not any(path[: len(one)] == one for one in taken)]
     masses = [path for path in found if path[1] not in _ELEMENTS and key_unit(path, [spec]) == "kg"]
@@ -130,7 +133,7 @@ def _replaced(holder: Any, path: Path, value: float) -> Any:
 
 
 def robustness_text(spec: DesignSpec, deviations: Sequence[Deviation]) -> str:
-    """Return the deviations with the largest effect as a table for a terminal, in descending order of the effect."""
+    """Return the deviations with the largest first goal as a table for a terminal, in descending order of this goal."""
     ranked = sorted(deviations, key=lambda one: -np.max(np.nan_to_num(one.goals[:, 0], nan=np.inf)))
     sides = [f"{goal_words(name)} {sign}".upper() for name in spec.totals for sign in "-+"]
     rows = [("NUMBER", "OFF BY", *sides, *(("EXCEEDS",) if spec.subject_to else ()))]

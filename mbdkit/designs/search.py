@@ -91,8 +91,8 @@ def _starts(optimizer: LocalOptimizer, first: np.ndarray) -> list[np.ndarray]:
 def _search(problem: Problem, start: np.ndarray, method: Callable[[], OptimizeResult]) -> Search:
     """Return the search by a method from one start.
 
-    If the method ends at a point worse than the start, such as one at which a run fails, the best point evaluated
-    during the search is used as its end.
+    If the method ends at a point worse than the start, such as a point at which a run fails, the end of the search is
+    the best point that was evaluated during the search.
     """
     before = len(problem.evaluator.evaluated)
     result = method()
@@ -108,7 +108,7 @@ def _search(problem: Problem, start: np.ndarray, method: Callable[[], OptimizeRe
 
 
 def _descent(problem: Problem, optimizer: LocalOptimizer, start: np.ndarray) -> OptimizeResult:
-    """Return the result of a search along gradients, continued beyond a kink at which it stops."""
+    """Return the result of the bundle method, or of a search along gradients that is continued if it ends at a kink."""
     if optimizer.name == "bundle":
         return bundle_search(problem, start, tolerance=optimizer.tolerance, most=optimizer.max_iterations)
     n, is_slsqp = len(start), optimizer.name == "slsqp"
@@ -134,7 +134,7 @@ def _descent(problem: Problem, optimizer: LocalOptimizer, start: np.ndarray) -> 
 
 
 def _squares(problem: Problem, optimizer: LocalOptimizer, start: np.ndarray) -> OptimizeResult:
-    """Return the search for the minimum sum of squares, by a trust-region method and the Jacobian of the terms."""
+    """Return the result of least squares by a trust-region method, with the Jacobian of the terms."""
     tolerance = max(optimizer.tolerance, 2 * np.finfo(float).eps)  # SciPy does not accept smaller values
     return least_squares(
         problem.residuals,

@@ -71,9 +71,10 @@ def design(
     Raises
     ------
     SpecError
-        If the spec is not valid, or the folder belongs to another design. Nothing is written in this case.
+        If an argument or the spec is not valid, the optimiser is not installed, or the folder belongs to another design
+        or contains other files. Nothing is written in this case.
     RunError
-        If a run fails at the start of the variables.
+        If a run fails at the start of the variables, or a worker fails for a reason other than a failed run.
     ResourceError
         If the folder cannot be written to or is in use by another call, or a resource is not available. The points
         evaluated so far remain in the folder.
@@ -154,20 +155,21 @@ def load_design(folder: str | Path) -> Design:
     Raises
     ------
     SpecError
-        If the folder contains no design with a result.
+        If the folder contains no design with a valid result.
     """
     return DesignFolder(Path(folder)).read()
 
 
 @contextmanager
 def evaluating(spec: DesignSpec, folder: DesignFolder | None, engine: Engine, stages: Stages) -> Iterator[Evaluator]:
-    """Yield the evaluator of a design; if there is a folder, it is created and locked, and points are stored in it.
+    """Yield the evaluator of a design, which reads and stores points in the folder, if there is one.
 
-    If Ctrl-C ends the block, a message says how to continue.
+    The folder must exist, and the caller should lock it. If Ctrl-C ends the block, a message says how to continue.
     """
     notify = stages.notify
     place = Path("points.jsonl") if folder is None else folder.points
-    with one_thread_of_linear_algebra(), Computer(spec, engine, notify, place) as computer:  # searches use it, too
+    # searches need linear algebra, too
+    with one_thread_of_linear_algebra(), Computer(spec, engine, notify, place) as computer:
         names = [measure.name for measure in spec.defined_measures()]
         known = KnownPoints(computer, None if folder is None else PointFile(place, names, notify), stages.count)
         try:

@@ -14,8 +14,8 @@ if TYPE_CHECKING:
     from mbdkit.designs.evaluation import Evaluator
 
 Progress = Callable[[int, int, str], None]
-"""Function called with the number of runs so far, the number of failed runs, and the stage with its best goal in
-words.
+"""Function called with the number of runs so far, the number of failed runs, and a text that names the stage and its
+best goal so far.
 """
 
 
@@ -29,11 +29,11 @@ class Stages:
     notify
         Called with a sentence when a stage begins or has a result.
     progress
-        Called when a run is complete.
+        Called after each run.
     optimum_only
         Whether comparisons are omitted.
     further
-        Number of stages of the caller that follow these.
+        Number of further stages that the caller begins after these.
     """
 
     def __init__(

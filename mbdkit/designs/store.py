@@ -77,7 +77,7 @@ class DesignFolder(OwnedFolder[DesignSpec]):
         Raises
         ------
         SpecError
-            If the folder contains no design, or a design without a result.
+            If the folder contains no design, or if its result is missing or is not that of the design.
         """
         if not self.spec.is_file():
             raise SpecError("this folder contains no design (no design.yaml)", file=self.path)
@@ -103,7 +103,7 @@ class DesignFolder(OwnedFolder[DesignSpec]):
             temporary.write_text(json.dumps({VERSION: 1, **design.to_dict()}, indent=2) + "\n", encoding="utf-8")
 
     def _archives(self, design: Design, which: str) -> Iterator[Path]:
-        """Write the archives of a point, with the estimated errors of their runs, and yield their names."""
+        """Write the archives of a point, with the estimated errors of their runs, and yield their paths."""
         point: DesignPoint = getattr(design, which)
         settings = [(variable_path(name), value) for name, value in point.variables.items()]
         for name, scenario in design.spec.specs.items():

@@ -24,15 +24,15 @@ class Trust:
     errors
         Estimated error of each goal and limit at the best point, by name; nan if unknown. These are the errors of the
         measures in the runs at this point (`Run.measure_errors`) or, in inverse dynamics, bounds of the errors due to
-        noise and cutoff.
+        noise, cutoff and deviations of muscle properties.
     gain
         Decrease of each goal from the start to the best point, by name.
     is_gain
-        Whether the gain of each goal exceeds its error, by name; None if there is no estimate.
+        Whether the gain of each goal exceeds the error of the gain, by name; None if this error is unknown.
     verdict
         Worst verdict on the runs at the best point, whose errors are estimated (``check: true``).
     reason
-        Reason why this verdict is doubtful or bad; empty otherwise.
+        Reason for this verdict if it is failed, bad or doubtful; empty otherwise.
     failures
         Sentences that say why errors of runs are unknown: the first reason at the start, and the first at the best
         point.
@@ -106,9 +106,10 @@ def certified(evaluator: Evaluator, start: np.ndarray, best: np.ndarray) -> Trus
 
 
 def _sampled(evaluator: Evaluator, x: np.ndarray) -> SampledMeasures | None:
-    """Return the goals, summed over the scenarios, and the largest limits at a point (n,), with their samples.
+    """Return goals and limits at a point (n,), with their samples.
 
-    None if any scenario is not inverse dynamics, or has unknown errors.
+    Goals are summed over the scenarios; the value of a limited measure is the largest one over the scenarios. The
+    result is None if any scenario is not inverse dynamics or has unknown errors, or if their samples do not correspond.
     """
     found = [scenario.sampled(evaluator.settings(x)) for scenario in evaluator.scenarios]
     known = [one for one in found if one is not None]
@@ -135,16 +136,26 @@ def _checked(evaluator: Evaluator, x: np.ndarray) -> list[Outcome]:
 
 
 def check_of(spec: RunSpec | InverseSpec) -> Settings:
-    """Return the changes of a spec that enable error estimates of its measures; none for inverse dynamics."""
+    """Return the changes of a spec that enable error estimates of its measures.
+
+    There are none if the estimates are already enabled, and for inverse dynamics.
+    """
     return [(("check",), True)] if isinstance(spec, RunSpec) and not spec.check else []
 
 
 def _errors(
     evaluator: Evaluator, x: np.ndarray, checked: list[Outcome], point: str
 ) -> tuple[np.ndarray, tuple[str, ...]]:
-    """Return the estimated errors at a point (n,), called `point` in messages, and why some of them are unknown.
+    """Return the estimated errors at a point (n,), and sentences that say why some of them are unknown.
 
-    The errors (K,) of goals are summed over the scenarios; those of limits are the largest over the scenarios.
+    Errors of goals are summed over the scenarios; those of limits are the largest over the scenarios.
+
+    Parameters
+    ----------
+    checked
+        Outcomes at the point of runs with error estimates.
+    point
+        Name of the point in messages.
     """
     unknown = []
     for scenario, one in zip(evaluator.spec.specs, checked, strict=True):

@@ -34,7 +34,7 @@ class Work:
         Number of runs or blocks that are done, and their total number; the latter is nan for a design, whose end
         depends on its search.
     is_complete
-        Whether the result exists.
+        Whether the result exists, and no process is computing.
     owners
         The processes that compute the study or design, in words.
     """

@@ -28,7 +28,8 @@ If velocities change by much more than their own size, round-off leaves residual
 """
 
 ROUND_OFF = 8 * np.finfo(float).eps
-"""Residuals below this, relative to the largest coordinate, count as round-off."""
+"""Residuals count as round-off below this times the largest coordinate or, for velocities, below this times the largest
+velocity times the largest lever arm."""
 
 
 @dataclass(frozen=True)
@@ -46,7 +47,7 @@ class AssembledState:
     changed_velocity, changed_rate
         Change of each body's velocity [m/s] and angular velocity [rad/s], as absolute values.
     residual, velocity_residual
-        Largest remaining |Phi| and |Phi_q v + Phi_t|.
+        Largest remaining |Phi| [m, rad] and |Phi_q v + Phi_t| [m/s, rad/s] of the constraints Phi(q, t) = 0.
     """
 
     q: np.ndarray
@@ -60,7 +61,7 @@ class AssembledState:
     velocity_residual: float
 
     def describe(self) -> str:
-        """Return a sentence that lists the changes made by assembly, largest first."""
+        """Return a sentence about the changes made by assembly; of each kind, it lists the three largest."""
         if not self.changed:
             return "The given initial state satisfies the constraints and is left untouched."
         parts = []
@@ -79,7 +80,7 @@ class AssembledState:
 
 
 def search_for(mechanism: Mechanism, compiled: CompiledMechanism, t0: float) -> LeastChange:
-    """Return the solver of the assembly of a mechanism, which is the same for all its initial states."""
+    """Return the solver for `assemble`, which can be used for all initial states of a mechanism at time `t0`."""
     fixed = [name in mechanism.assembly.fix for name in mechanism.bodies]
     return LeastChange(compiled, t0, np.repeat(np.array(fixed, dtype=bool), 3))
 
@@ -116,7 +117,8 @@ def assemble(
     Raises
     ------
     SpecError
-        If the constraints cannot be satisfied. The message names the joints and their remaining residuals.
+        If a driver, a load or a moving center is not finite at the start, or if the constraints cannot be satisfied.
+        In the latter case, the message names the joints with the largest remaining residuals.
     """
     compiled = compiled or compile_mechanism(mechanism)
     return _Assembly(mechanism, search or search_for(mechanism, compiled, t0)).run()
@@ -168,9 +170,8 @@ class _Assembly:
             written += [
                 (f"model.forces.{quoted(name)}.value", x) for x in (value if isinstance(value, tuple) else [value])
             ]
-        values = dict(
-            zip(self.compiled.motions, scratch.u, strict=False)
-        )  # the programs of moving centres come after those of the motions
+        # In `scratch.u`, rows of moving centers follow those of the motions, hence strict=False.
+        values = dict(zip(self.compiled.motions, scratch.u, strict=False))
         for key, motion in written:
             if motion is not None and not np.all(np.isfinite(values[motion][: 3 if key.endswith("motion") else 1])):
                 if isinstance(motion, Table):
@@ -209,7 +210,7 @@ class _Assembly:
                 )
 
     def failure(self, residual: np.ndarray, tolerance: float, what: str) -> SpecError:
-        """Return the error that names the joints with residuals above the tolerance, largest first."""
+        """Return the error that names up to six joints with residuals above the tolerance, largest first."""
         gaps: dict[str, tuple[float, str]] = {}
         for row, value in zip(self.compiled.rows, residual, strict=True):
             name, unit = row.label.rsplit(".", 1)[0], row.unit if what == "be assembled" else f"{row.unit}/s"

@@ -47,7 +47,7 @@ LOADS = {"torque": TORQUE, "point_force": POINT_FORCE, "body_force": BODY_FORCE}
 
 
 class CompiledForces:
-    """Collects force elements on pathways (springs) and loads: their kinds, bodies and parameters."""
+    """Collects the force elements on pathways, loads, contacts and first-order states of a mechanism in flat lists."""
 
     def __init__(self, mechanism: Mechanism, number: dict[str, int], motions: CompiledMotions):
         self.joints, self.number, self.motions = mechanism.joints, number, motions
@@ -157,9 +157,7 @@ class CompiledForces:
         self.law_parameters += block
 
     def _add_friction(self, number: int, friction: FrictionForce) -> None:
-        """Add the friction of a joint, and the indices of its parameters in which the multipliers of the joint are
-        stored.
-        """
+        """Add the friction of a joint, and note which parameters of its law stand for multipliers of the joint."""
         begin, law = len(self.law_parameters), len(self.laws)
         self.frictions.append(len(self.springs))
         self._add_law(friction.name, friction, "joints")
@@ -176,7 +174,11 @@ class CompiledForces:
         self.load_points.append(load.point)
 
     def _add_contact(self, contact: ActingContact) -> None:
-        """Add a force and a torque at the centre of mass of each body that moves; see `contact_forces`."""
+        """Add the loads of a contact at the centres of mass of its bodies.
+
+        These are a force and a torque; ground has none, and point masses have no torque. See
+        `mbdkit.engine.contact_forces`.
+        """
         form, begin, name = contact.form, len(self.law_parameters), contact.pair.name
         laws = contact_laws(form, len(contact.numbers))
         first, places = len(self.inputs), {}
@@ -203,8 +205,8 @@ class CompiledForces:
     def _add_wrench(self, name: str, body: int, laws: Sequence[int]) -> list[tuple[int, int, int]]:
         """Add a force at the centre of mass of a body, and a torque if there is a third law.
 
-        Returns for each law the index of the load, the component of the load that the law computes, and its index in
-        `laws`.
+        Returns for each law the index of its load, the component of the load that it computes, and the index of the law
+        in `laws`.
         """
         added = []
         for kind, components in (("point_force", (0, 1)), ("torque", (2,)))[: max(len(laws) - 1, 0)]:
@@ -218,8 +220,9 @@ class CompiledForces:
         return added
 
     def _add_held(self, contacts: Sequence[ActingContact], bodies: Sequence[str]) -> list[ActingContact]:
-        """Add the states that rigid contacts keep during a step: their forces and modes, and the resultants on each
-        body.
+        """Add the states that store the forces and modes of rigid contacts, and the sum of these forces on each body.
+
+        The values of these states are constant during a step. Loads apply the sums to the bodies.
 
         Returns the contacts, each with the index of its first state.
         """
@@ -241,7 +244,11 @@ class CompiledForces:
         return found
 
     def add_expressions(self, mechanism: Mechanism) -> None:
-        """Add the expressions of the state: values of loads, and rates of the mechanism's own first-order states."""
+        """Add the expressions that depend on the state, and the states that belong to them.
+
+        These are values of loads, excitations of muscles, rates of the first-order states that the mechanism defines,
+        and outputs and states of sampled controllers.
+        """
         held = [(name, value, 0.0) for name, one in mechanism.controllers.items() for value in one.outputs]
         held += [
             (name, value, state.initial)
@@ -303,7 +310,7 @@ class CompiledForces:
             self._add_law_row(name, slope, begin)
 
     def _add_expression(self, numbering: Numbering, key: str, name: str, text: str) -> tuple[int, int, StateExpression]:
-        """Add an expression; return the row of its law, the index of its first parameter, and the expression."""
+        """Add an expression; return the index of its law, where its parameters begin, and the expression."""
         try:
             expression = numbering.expression(text, name)
         except SpecError as error:

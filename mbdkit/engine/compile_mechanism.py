@@ -130,7 +130,7 @@ def _members(
 
 
 def _of_bodies(mechanism: Mechanism) -> dict[str, np.ndarray]:
-    """Return the masses and inertias of `Topology`, ground last."""
+    """Return the arrays of `Topology` about masses and inertias, ground last, and gravity."""
     mass = np.ones((len(mechanism.bodies) + 1, 3))
     for i, body in enumerate(mechanism.bodies.values()):
         mass[i] = (body.mass, body.mass, 1.0 if body.inertia is None else body.inertia)
@@ -174,11 +174,11 @@ def _of_joints_and_markers(mechanism: Mechanism, number: dict[str, int]) -> dict
 
 
 def compiled_content(mechanism: Mechanism) -> bytes | None:
-    """Return a key of all input of `compile_mechanism` and of the choice of fixed bodies; None if some input is not
-    hashable.
+    """Return bytes that identify all input of `compile_mechanism` and the bodies that assembly keeps fixed.
 
-    Mechanisms with equal keys differ only in initial positions and velocities. These are part of the key if a joint
-    depends on them. Numbers are compared bitwise, so that 0.0 and -0.0 differ.
+    Mechanisms with equal keys differ only in initial positions and velocities. If a joint depends on the initial
+    positions, these are part of the key as well. Numbers are compared bitwise, so that 0.0 and -0.0 differ. The result
+    is None if some input has a type that `marshal` does not support.
     """
     posed = any(joint.point_moves_on_first or joint.angles() for joint in mechanism.joints.values())
     bodies = [
@@ -206,12 +206,12 @@ def compiled_content(mechanism: Mechanism) -> bytes | None:
     ]
     try:
         return marshal.dumps((bodies, data, elements, len(mechanism.joints), tuple(mechanism.gravity), tuple(fixed)), 2)
-    except ValueError:  # a table of a motion, or an option of a force law, may not be hashable
+    except ValueError:  # `marshal` rejects the type of a value, such as an option of a force law
         return None
 
 
 def _content(element: Element) -> dict[str, object]:
-    """Return the data of an element for the key; friction as plain data."""
+    """Return the data of an element for the key of `compiled_content`; friction as plain data."""
     friction = getattr(element, "friction", None)
     return element.__dict__ if friction is None else {**element.__dict__, "friction": plain(friction)}
 
@@ -275,9 +275,9 @@ class _Beams:
 
 
 def characteristic_length(mechanism: Mechanism) -> float:
-    """Return the largest distance [m] between two joint points, or a joint point and the centre of mass, of one body.
+    """Return the largest distance [m] between two joint points, or a joint point and the centre of mass, of a body.
 
-    The length of a beam counts as well. The result is 1 if all distances are 0.
+    Lengths of beams are compared with these distances. The result is 1 if all distances are 0.
     """
     points: dict[str, set[tuple[float, float]]] = {name: {(0.0, 0.0)} for name in mechanism.bodies}
     for joint in mechanism.joints.values():

@@ -63,7 +63,7 @@ class CompiledMotions:
 
     def _program(self, motion: Motion) -> Program:
         if is_of_state(motion):
-            return (("const", 0.0),)  # kernels replace this value
+            return (("const", 0.0),)  # placeholder; kernels compute the value from the state
         if isinstance(motion, str):
             return Expression.parse(motion).program
         if not isinstance(motion, Table):
@@ -83,9 +83,9 @@ class CompiledMotions:
 def _piecewise_polynomial(table: Table, *, derivative: bool) -> list[float]:
     """Return the curve of a table, or its derivative, as the list of numbers that kernels read.
 
-    The list contains the number of pieces, the number of coefficients of each piece, the period, the times between the
-    pieces, and the coefficients, those of the highest power last. All coefficients are nan if no curve passes through
-    the points.
+    The list contains the number of pieces, the number of coefficients of each piece, the period, the times (or angles)
+    at which pieces begin and end, and the coefficients of each piece, those of the highest power last. All coefficients
+    are nan if no curve passes through the points.
     """
     times = np.array(table.table[0])
     coefficients = np.full((len(times) - 1, 4), np.nan)  # stays if there is no curve; `check_motions` reports it

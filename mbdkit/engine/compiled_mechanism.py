@@ -20,9 +20,9 @@ from mbdkit.mechanism.values import Motion
 from mbdkit.muscles.acting_muscles import MuscleForce
 
 MOST_COUPLINGS = 60
-"""Limit of the sum of squared numbers of joints per body, divided by the number of pairs of rows.
+"""Limit of a ratio: the sum of the squared numbers of pairs of rows on each body, by the number of all pairs of rows.
 
-Above it, the Schur complement is denser than the whole system, and the pivoted solver is used.
+Above this limit, the Schur complement is denser than the whole system, and the pivoted solver is used.
 """
 
 
@@ -68,7 +68,7 @@ class ActingMuscle:
         state.
     excitation
         Program and quantities of an excitation that is an expression of the state; see
-        `mbdkit.events.state_program.state_program`.
+        `mbdkit.events.state_program.state_program`. None for any other excitation.
     """
 
     force: MuscleForce
@@ -92,8 +92,10 @@ class SampledController:
     ----------
     name
         Its name.
-    period, delay
-        Time between two samples, and from a sample until its outputs apply [s].
+    period
+        Time between two samples [s].
+    delay
+        Time from a sample until its outputs apply [s].
     outputs, states
         For each output and each state, its index among the first-order states, and the row of ``topology.laws`` that
         computes its value at a sample.
@@ -169,13 +171,13 @@ class CompiledMechanism:
     coordinates
         Number of coordinates: 3 for each body, 2 for each point mass, whose angle is not counted.
     length
-        Characteristic length [m]: the largest distance between two joint points, or a joint point and the centre of
-        mass, of one body, or the largest length of a beam; 1 if there is none.
+        Characteristic length [m]; see `mbdkit.engine.compile_mechanism.characteristic_length`.
     motions
         Each motion as given in the model: a number, an expression or a table.
     laws
-        Name and compiled law of each force element with a force law, followed by the laws of the rates of its states,
-        in the order of ``topology.laws``. Linear springs have no law.
+        Name of the element and compiled law, in the order of ``topology.laws``: for each force element with a law, this
+        law and those of the rates of its states; and laws of contacts and of expressions of the state. Linear springs
+        have no law.
     order, below
         Order of elimination of the pairs, and the resulting fill, as returned by `sparse_order`.
     well_scaled
@@ -183,7 +185,8 @@ class CompiledMechanism:
     redundancy
         Constraints that are excluded because the other constraints imply them.
     states
-        First-order states of force elements and of the mechanism, and the values that sampled controllers hold.
+        First-order states of force elements and of the mechanism, and values that are constant during a step: forces
+        and modes of rigid contacts, and outputs and states of sampled controllers.
     controllers
         Sampled controllers.
     members
@@ -219,9 +222,9 @@ class CompiledMechanism:
     members: Mapping[str, tuple[tuple[str, tuple[str, ...]], ...]] = field(default_factory=dict)
 
     def freedoms(self) -> str:
-        """Return the number of degrees of freedom as text, such as ``1 degree of freedom, 10 joints, 1 driver``.
+        """Return a description such as ``1 degree of freedom, 10 joints, 1 driver``, with any redundant rows.
 
-        This is the number of coordinates minus the number of independent constraint rows.
+        The number of degrees of freedom is the number of coordinates minus the number of independent constraint rows.
         """
         number = self.coordinates - int(np.sum(self.topology.rows))
         parts = [
@@ -254,7 +257,7 @@ class CompiledMechanism:
         """Raise SpecError if the mechanism has first-order states.
 
         `what` names the computation that does not support such states; `hint` is a clause that names computations that
-        do.
+        support them.
         """
         if self.states:
             names = listed([state.name for state in self.states], "and")
@@ -317,7 +320,7 @@ class CompiledMechanism:
 
     @property
     def row_index(self) -> np.ndarray:
-        """(P, 2) index of each multiplier among the unknowns of the pivoted system; -1 for redundant rows."""
+        """(P, 2) index of each multiplier among the unknowns of the pivoted system; -1 for redundant or absent rows."""
         index = np.full((len(self.topology.pairs), 2), -1, dtype=np.int64)
         for i, row in enumerate(self.solved_rows):
             index[row.pair, row.place] = 3 * len(self.bodies) + i

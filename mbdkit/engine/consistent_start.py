@@ -62,7 +62,8 @@ def workspace_at_start(
     mechanism
         The validated mechanism.
     t0, end
-        Start and end of the run [s]; `end` defaults to `t0`. Redundancy is analysed at times between them.
+        Start and end of the run [s]; `end` defaults to `t0`. If there are drivers, redundancy is analysed at the start
+        and at times of the run.
     formulation, stabilization
         Formulation of the equations of motion, and their stabilization.
     starts
@@ -78,8 +79,10 @@ def workspace_at_start(
     Raises
     ------
     SpecError
-        If the constraints cannot be satisfied, the two ends of a spring coincide, redundant joints are inconsistent, or
-        the initial position is singular.
+        If, at the start, the constraints cannot be satisfied, a driver, load or moving center is not finite, the table
+        of a moving center does not cover the angle, the two ends of a spring coincide, shapes of a contact overlap too
+        much, redundant joints are inconsistent or make the friction of a joint undetermined, the position is singular,
+        or numbers are too large or too small for double precision.
     """
     start = (starts or Starts()).at_start(mechanism, t0, end)
     workspace = Workspace(start.mechanism, t0, start.q0, start.v0, formulation=formulation, stabilization=stabilization)
@@ -131,7 +134,7 @@ def _with_fibers(mechanism: Mechanism, compiled: CompiledMechanism, q: np.ndarra
 
 
 MOST_MECHANISMS = 8
-"""Number of compiled mechanisms in the cache."""
+"""Largest number of compiled mechanisms in the cache."""
 
 
 @dataclass(frozen=True)
@@ -151,7 +154,10 @@ class _Compiled:
 
 
 class Starts:
-    """Computes consistent initial states, and compiles mechanisms that differ only in their initial states once."""
+    """Computes consistent initial states, with a cache of compiled mechanisms.
+
+    Mechanisms that differ only in their initial states are compiled once.
+    """
 
     def __init__(self) -> None:
         self._compiled: dict[tuple[bytes, float], _Compiled] = {}

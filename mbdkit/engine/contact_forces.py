@@ -2,8 +2,8 @@
 
 A contact exerts a force and a torque on each of its bodies that is not ground. Their values are laws without a pathway
 (see `mbdkit.engine.state_expressions`) that share one block of parameters: the coordinates and velocities of the
-bodies, which kernels renew, the numbers of the shapes, and those of the laws. The tangents are the derivatives of the
-traced functions with respect to these coordinates and velocities.
+bodies, which kernels update, the parameters of the shapes, and the parameters of the force laws. The tangents are the
+derivatives of the traced functions with respect to these coordinates and velocities.
 """
 
 from __future__ import annotations
@@ -104,9 +104,9 @@ class ActingContact:
     Attributes
     ----------
     pair
-        The row.
+        Names, bodies and geometry of the row.
     form
-        Its form.
+        The properties on which its programs depend.
     bodies
         Indices of its bodies.
     law
@@ -131,7 +131,7 @@ class ActingContact:
 
     @property
     def inputs(self) -> list[tuple[int, int, int]]:
-        """Kind, index and name of each input; see `mbdkit.engine.kernels.applied_forces`."""
+        """For each input, kind and index as in `mbdkit.engine.kernels.applied_forces`, and item of `Form.inputs`."""
         found = []
         for one in self.form.inputs:
             side, place = divmod(one, COORDINATES)
@@ -197,7 +197,7 @@ def acting_contacts(mechanism: Mechanism, number: Mapping[str, int]) -> list[Act
     Raises
     ------
     SpecError
-        If a contact has no compliance.
+        If contacts are compliant and one of them has no compliance.
     """
     if not mechanism.contacts:
         return []
@@ -284,7 +284,8 @@ def check_start(
 ) -> None:
     """Raise SpecError for the first contact whose shapes overlap too much at the start.
 
-    Rigid contacts may overlap by `tolerance`. The force of a compliant contact may be up to `HEAVY` times the weight.
+    The shapes of any contact may overlap by `tolerance`. Those of a compliant contact may overlap more if its force at
+    rest is at most `HEAVY` times the weight.
 
     Parameters
     ----------

@@ -23,7 +23,8 @@ LITTLE_FILL = 4
 """If the factors have at most this many times the entries of the matrix, no further strategy is tried."""
 
 MANY_UNKNOWNS, MUCH_FILL = 5000, 40
-"""In a matrix with so many unknowns, further strategies are tried only above this fill. In nets, they take minutes."""
+"""For matrices with at least so many unknowns, this limit of the fill replaces `LITTLE_FILL`, because more strategies
+take minutes if the mechanism is a net."""
 
 GOOD_CONDITION = 1e8
 """1-norm condition number of the equilibrated matrix below which no further scaling is tried."""
@@ -207,7 +208,10 @@ def pivot_order(
 
 
 def _sparsest(matrix: Any) -> tuple[Any, float]:
-    """Return the sparsest accurate SuperLU factors of an equilibrated matrix and its 1-norm condition number."""
+    """Return the sparsest accurate SuperLU factors of an equilibrated matrix and its 1-norm condition number.
+
+    Returns None and infinity if no factors are accurate.
+    """
     from scipy.sparse.linalg import LinearOperator, onenormest, splu
 
     probe = matrix @ np.ones(matrix.shape[0])

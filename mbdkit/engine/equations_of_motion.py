@@ -142,7 +142,7 @@ class EquationsOfMotion:
     def free_now(self) -> np.ndarray:
         """Return for each body (B,) whether only rigid contacts couple it to others, according to the last tangents.
 
-        Such a body has no joint, and no force on it depends on a position or velocity.
+        Such a body has no joint, and no force on it, except those of rigid contacts, depends on a position or velocity.
         """
         terms = self._workspace.terms
         coupled = (self._classes != MASS) & (self.terms_now[terms.source] != 0.0)
@@ -255,8 +255,8 @@ class EquationsOfMotion:
         The unknowns should be scaled as accelerations and multipliers. With dv = c1 da and dq = c2 da, all formulations
         use ``damping=c1, stiffness=c2``, and in addition
 
-        - index 3: the lower right side -Phi / c2;
-        - index 2: ``gamma_v=-c2 / (2 c1)`` and the lower right side -(Phi_q v + Phi_t) / c1;
+        - index 3: the lower right-hand side -Phi / c2;
+        - index 2: ``gamma_v=-c2 / (2 c1)`` and the lower right-hand side -(Phi_q v + Phi_t) / c1;
         - index 1: ``gamma_v=-c1, residual_q=c2``.
 
         Rows and columns are equilibrated.
@@ -329,7 +329,7 @@ class EquationsOfMotion:
         """Return the reactions (J, 3) of the joints on their second bodies for multipliers `lam` (m,).
 
         A reaction is a force (x, y) and the torque at the joint point [N, N m]; impulses if the multipliers are
-        impulses. They are shared evenly between redundant joints.
+        impulses. Redundant joints share their reactions evenly.
         """
         workspace, times, none = self._workspace, np.array([t]), np.zeros(self.n)
         mechanism = workspace.mechanism
@@ -358,7 +358,7 @@ class EquationsOfMotion:
         return float(max(lengths, change[:, 2].max() / max(1.0, size[:, 2].max())))
 
     def arrive(self, t: float, q: np.ndarray, v: np.ndarray, worst: np.ndarray) -> bool:
-        """Update the maxima `worst` (P,) by the squared misalignments at a state; return whether it is finite."""
+        """Update the maxima `worst` (P,) by the squared misalignments at a state; return whether q and v are finite."""
         finite: bool = equations.arrive_at(self.address, float(t), vector(q, self.n), vector(v, self.n), worst)
         return finite
 
@@ -372,7 +372,7 @@ class EquationsOfMotion:
 
         def solve() -> int:
             self.counters.factorizations += 1
-            # the workspace has new pivots, chosen here or by the recorder
+            # The solvers differ if the workspace has new pivots, chosen here or by the recorder.
             if self._pinned.bundle.solver is not workspace.solver:
                 self._pinned.replace(self._pinned.bundle._replace(solver=workspace.solver))
                 self.address = self._pinned.address
@@ -411,7 +411,7 @@ class EquationsOfMotion:
             raise self._not_finite()
 
     def _sparse(self, keep: np.ndarray, *, below: bool = False) -> csr_array:
-        """Return the sum of the selected terms of the last evaluation; `below` selects the lower rows."""
+        """Return the sum of the selected terms of the last evaluation, (n, n), or (m, n) if they are `below` row n."""
         from scipy.sparse import csr_array
 
         terms = self._workspace.terms.kept(keep)
@@ -448,8 +448,8 @@ class EquationsOfMotion:
     def _choose_at_start(self, key: tuple[bool, ...], coefficients: np.ndarray) -> None:
         """Choose pivots from the values at the start, if possible.
 
-        This choice does not depend on where the run was interrupted, so that a resumed run has the same pivots as
-        others.
+        This choice does not depend on where the run was interrupted, so that a resumed run has the same
+        pivots as an uninterrupted one.
         """
         try:
             a, lam = self.accelerations(self.t0, self.q0, self.v0)

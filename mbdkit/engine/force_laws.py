@@ -53,7 +53,7 @@ class CompiledLaw:
     claims
         The properties `HAS_POTENTIAL` and `PASSIVE`, as bits.
     keeper
-        Object whose lifetime is that of the program and machine code.
+        Object that keeps the program and the machine code in memory.
     law, parameters
         The law, and the names and example values of its parameters.
     """
@@ -186,7 +186,8 @@ class _Compiler:
         self.places: dict[str, int] = {}
         self.code: list[tuple[str, int, int, int]] = []
         self.names: dict[str, int] = {name: i for i, name in enumerate(ARGUMENTS)}
-        # Values are numbered as they are computed: negative numbers stand for constants until their count is known.
+        # Numbers of values: first the arguments and parameters, then the results of instructions in their order.
+        # Constants have negative numbers, since their count is not known yet.
         self.values = 3 + parameters
         for statement in function.body:
             if isinstance(statement, ast.Assign):

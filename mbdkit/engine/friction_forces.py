@@ -18,7 +18,7 @@ from mbdkit.mechanism.mechanism import Mechanism
 from mbdkit.mechanism.pathways import Segment
 
 REACTIONS = ("reaction_0", "reaction_1")
-"""Parameters of the laws that stand for the multipliers of the first rows of the joint; kernels update them."""
+"""Names of the law parameters for the multipliers of the first rows of the joint; kernels update their values."""
 
 
 @dataclass(frozen=True)
@@ -108,7 +108,7 @@ def _against(normal: Any, slip: Any, p: Mapping[str, Any]) -> Any:
 
 @lru_cache(maxsize=2)
 def friction_law(force: Law) -> TracedLaw:
-    """Return the law of this kind of friction."""
+    """Return the law of one kind of friction; `force` is `_pin` or `_slide`."""
     return TracedLaw(lambda length, rate, time, p: force(rate, p), lambda one: one.numbers, passive=True)
 
 

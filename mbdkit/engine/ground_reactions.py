@@ -24,9 +24,9 @@ def ground_reactions(contacts: Sequence[ActingContact], values: Mapping[str, np.
     Returns
     -------
     dict
-        ``force`` (T, F, 2) and ``normal_force`` (T, F), sums over the contacts of a body [N], and
-        ``center_of_pressure`` (T, F, 2), the mean of the contact points weighted with the normal forces [m]; nan where
-        no contact is closed.
+        For T states and F bodies: ``force`` (T, F, 2) and ``normal_force`` (T, F), sums over the contacts of a body
+        [N], and ``center_of_pressure`` (T, F, 2), the mean of the contact points weighted with the normal forces [m].
+        The latter is nan where no contact is closed.
     """
     pairs = [one.pair.ordered for one in contacts]
     names = feet(pairs)

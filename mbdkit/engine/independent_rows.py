@@ -13,8 +13,8 @@ from dataclasses import dataclass
 import numpy as np
 
 WELL_HELD = 0.1
-"""A row may be removed only if its component in the self-stresses is at least this, relative to the largest
-component.
+"""A row may be removed only if, at every position, the component of its pair in the self-stresses is at least this,
+relative to the largest component. If no pair satisfies this, the one that comes closest is used.
 """
 
 SAME_FRAME = 1e-6

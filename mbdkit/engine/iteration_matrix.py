@@ -74,7 +74,7 @@ class Pivots:
 
 
 def chosen_pivots(workspace: Workspace, classes: np.ndarray, coefficients: np.ndarray) -> Pivots:
-    """Choose pivots for the tangents of the last evaluation; raise SingularSystemError if there are none."""
+    """Choose pivots for the tangents of the last evaluation; raise SingularSystemError if the matrix is singular."""
     used = coefficients[classes] != 0
     terms = workspace.terms.kept(used)
     pattern, position = workspace.pivots_of(terms, coefficients[classes[used]])

@@ -68,5 +68,5 @@ class JointSums:
 
 @lru_cache(maxsize=16)
 def joint_sums(mechanism: CompiledMechanism) -> JointSums:
-    """Return the sums of a mechanism."""
+    """Return the `JointSums` of a mechanism, which are created only once."""
     return JointSums(mechanism)

@@ -73,7 +73,8 @@ class LeastChange:
     def positions(self, given: np.ndarray, tolerance: float) -> np.ndarray:
         """Return the positions nearest to the given ones that satisfy the constraints.
 
-        If none are found, return positions with small residuals; the caller must check them.
+        If an iteration fails, the result may not be the nearest, or have residuals above the tolerance, which the
+        caller must check.
         """
         q = self.closed(self.separated(given), tolerance)
         if float(np.max(np.abs(self.evaluate(q)[0]))) > tolerance:
@@ -106,7 +107,10 @@ class LeastChange:
         return v
 
     def closed(self, q: np.ndarray, tolerance: float) -> np.ndarray:
-        """Solve ``Phi = 0`` by Newton steps of least norm, damped if the residual does not decrease."""
+        """Solve ``Phi = 0`` by Newton steps of least norm, damped if the residual does not decrease.
+
+        The result may have residuals above the tolerance.
+        """
         phi, jacobian, _ = self.evaluate(q)
         size = max(1.0, float(np.max(np.abs(q), initial=0.0)), self.reach)
         nothing = np.zeros(self.n)
@@ -139,7 +143,10 @@ class LeastChange:
         return q
 
     def stationary(self, given: np.ndarray, q: np.ndarray, tolerance: float) -> np.ndarray | None:
-        """Apply Newton's method to the optimality conditions, starting at `q`; None unless it finds a nearer point."""
+        """Apply Newton's method to the optimality conditions, starting at `q`.
+
+        Returns None unless it converges to a point that is not farther from the given positions than `q`.
+        """
         start = q
         size = max(1.0, float(np.max(np.abs(q), initial=0.0)), self.reach)
         multipliers: np.ndarray | None = None
@@ -245,7 +252,7 @@ class LeastChange:
         return row[order], column[order], value[order]
 
     def _hessian(self, stiffness: Entries | None) -> Entries:
-        """Return the entries of M + K over the free coordinates that are not structurally zero."""
+        """Return the nonzero entries of M + K over the free coordinates, column by column."""
         from scipy.sparse import csr_array
 
         if stiffness is None:

@@ -5,7 +5,9 @@ The matrix of a stage with rate ``h mu`` is
     [ M + h mu C + (h mu)^2 K                     Phi_q^T ]
     [ Phi_q - h mu gamma_v + (h mu)^2 res_q       0       ]
 
-With ``h mu = 0`` this is the matrix of the index-1 system.
+where h is the step size, mu an eigenvalue of the method's coefficients, M the mass matrix, Phi_q the constraint
+Jacobian, and the others are the tangents that `mbdkit.engine.equations_of_motion.Tangents` defines. With ``h mu = 0``
+this is the matrix of the index-1 system.
 """
 
 from __future__ import annotations

@@ -17,18 +17,18 @@ from collections.abc import Iterator, Sequence
 from mbdkit.engine.elimination_order import minimum_degree
 
 FEWEST_NODES, MUCH_FILL = 300, 30
-"""Numbers of nodes, and of products of blocks per node in order of minimum degree, from which nested dissection is
-tried. In smaller nets it gains nothing."""
+"""Nested dissection is tried if there are at least this many nodes, and if the factorization in order of minimum degree
+takes at least this many products of blocks per node. In smaller nets it gains nothing."""
 
 MOST_NEIGHBOURS = 30
-"""Mean number of adjacent nodes above which it is not tried: the joints of a body with hundreds of joints cannot be
-separated."""
+"""Mean number of adjacent nodes above which nested dissection is not tried: the joints of a body with hundreds of
+joints cannot be separated."""
 
 SMALLEST_PART = 100
-"""Parts with at most this many nodes are not divided; smaller ones gain a few per cent and take longer to find."""
+"""Parts with at most this many nodes are not divided, which would save a few per cent of the products but take long."""
 
 SHARES = (0.35, 0.4, 0.45, 0.5, 0.55, 0.6, 0.65)
-"""Shares of the nodes in the first part that are tried."""
+"""Shares of the nodes that are tried for the first of two parts."""
 
 UNEVENNESS = 0.25
 """A separator whose parts have sizes of 2:1 counts as longer than an even one by a third of this share. The value was
@@ -42,7 +42,9 @@ Division = tuple[set[int], set[int], set[int]]
 
 
 def sparse_order(adjacent: Sequence[set[int]]) -> tuple[list[int], list[set[int]]]:
-    """Return the order with fewer products, of minimum degree and nested dissection, in the format of `minimum_degree`.
+    """Return the order by minimum degree or, in large nets, that by nested dissection if it takes fewer products.
+
+    The result has the format of `minimum_degree`.
 
     Parameters
     ----------
@@ -103,10 +105,11 @@ def _length(division: Division) -> float:
 
 
 def _halves(adjacent: Sequence[set[int]], part: set[int]) -> Iterator[tuple[set[int], set[int]]]:
-    """Yield divisions of the nodes into two sets, across the net and along it, and diagonally.
+    """Yield divisions of the nodes into two sets, across the net, along it, and diagonally.
 
-    Each direction is the difference of the distances from two nodes that are far apart: the first two are opposite
-    corners of a square, the others the remaining corners.
+    The difference of the distances from two nodes that are far apart is a coordinate of all nodes. In a square net, two
+    opposite corners give one coordinate, and the other two corners give another. Nodes are divided by their order in
+    each coordinate, in the sum and in the difference of both.
     """
 
     def across(root: int) -> tuple[dict[int, int], dict[int, int]]:
@@ -137,7 +140,7 @@ def _distances(adjacent: Sequence[set[int]], part: set[int], root: int) -> dict[
 def _between(adjacent: Sequence[set[int]], first: set[int], second: set[int]) -> Division:
     """Divide a graph by the fewest nodes that touch all edges between two sets.
 
-    They are a minimum vertex cover of a bipartite graph, which follows from a maximum matching (König's theorem).
+    They form a minimum vertex cover of a bipartite graph, which follows from a maximum matching (König's theorem).
     """
     from scipy.sparse import csr_array
     from scipy.sparse.csgraph import maximum_bipartite_matching

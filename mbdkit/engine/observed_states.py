@@ -20,7 +20,7 @@ SELF_STRESS_BYTES = 1 << 25
 
 @dataclass(frozen=True)
 class SingularState:
-    """A state without unique accelerations: its row, and the unknown at which elimination failed (-1 if not known)."""
+    """A state without unique accelerations: its index, and the unknown at which elimination failed (-1: not known)."""
 
     row: int
     unknown: int
@@ -123,7 +123,7 @@ class StateObserver:
         Returns
         -------
         SingularState or None
-            The state that could not be evaluated. Its row of `out` and all later rows are not valid.
+            The state that could not be evaluated. In `out`, the rows of this state and all later ones are not valid.
         """
         if z is None:
             self.workspace.mechanism.refuse_states("the evaluation of positions and velocities alone")

@@ -29,7 +29,10 @@ MOVES = (1e-4, 1e-2, 0.1)
 """Displacements from the start at which redundancy is tested, relative to the characteristic length and to 1 rad."""
 
 SMALL_MOVE = 1e-2
-"""Displacements up to this size are possible from every position that is not singular."""
+"""At least one of the displacements up to this size is possible from every position that is not singular.
+
+It is also the time after the start [s] up to which drivers must be consistent.
+"""
 
 LATER = ((1e-3, 1e-3), (1e-2, 1e-2), (0.1, 0.1))
 """Times after the start at which drivers are checked: for each pair, the smaller of a time [s] and a fraction of the
@@ -39,7 +42,7 @@ run.
 FAR, FAR_MOVE = 40, 0.2
 """Number of distant positions, and the displacement from one to the next. Together they cover a full rotation.
 
-Half of the positions lie on each side of the start.
+Half of the positions lie on each side of the start. With drivers, the same number of times of the run is added.
 """
 
 FAR_COORDINATES = 12_000
@@ -188,7 +191,8 @@ class _Analysis:
     def moved(self, start: _Place, step: np.ndarray) -> list[_Place]:
         """Return positions near the start.
 
-        Raises SpecError if no small admissible displacement leads to a consistent position: the start is singular.
+        Raises SpecError if no small admissible displacement leads to a consistent position, because the start is
+        singular then.
         """
         spare = start.stresses.shape[1]
         places: list[_Place] = []
@@ -204,7 +208,7 @@ class _Analysis:
         return places
 
     def wandered(self, start: _Place, step: np.ndarray, number: int) -> list[_Place]:
-        """Return positions on a path from the start, up to the first one with fewer self-stresses than the start."""
+        """Return positions on a path from the start, as long as they have as many self-stresses as the start."""
         size = FAR_MOVE * float(np.max(np.abs(step * self.unit)))
         q, step = start.q, FAR_MOVE * step
         places: list[_Place] = []
@@ -271,7 +275,7 @@ class _Analysis:
             raise self.contradiction(start, gamma, "they require different accelerations at the start")
 
     def contradiction(self, start: _Place, residual: np.ndarray, what: str) -> SpecError:
-        """Return the error that names the joints with inconsistent scaled residuals."""
+        """Return the error that names the joints with inconsistent residuals, only the drivers if there are several."""
         part = start.stresses @ (start.stresses.T @ residual)
         names = self.joints_of(np.abs(part) > 0.1 * np.max(np.abs(part)))
         driven = [name for name in names if name in self.compiled.drivers]
@@ -329,12 +333,13 @@ def _named(names: list[str]) -> str:
 
 
 def require_unique_start(workspace: Workspace) -> None:
-    """Raise SpecError if the accelerations at the start are not unique or overflow in double precision.
+    """Raise SpecError if the accelerations at the start are not unique or not finite.
 
     Parameters
     ----------
     workspace
-        The mechanism at its start, with independent rows. Afterwards its solver has pivots for the start.
+        The mechanism at its start, with independent rows. If its solver is pivoted, it has pivots for the start
+        afterwards.
     """
     mechanism = workspace.mechanism
     acc, lam = np.zeros(mechanism.size), np.zeros((len(mechanism.topology.pairs), 2))
@@ -355,12 +360,12 @@ def require_unique_start(workspace: Workspace) -> None:
     if not (np.all(np.isfinite(acc)) and np.all(np.isfinite(lam))):
         refuse_law(workspace)
         raise SpecError("the forces at the start overflow in double precision", key="model")
-    # A force law with an infinite derivative at the start can still be used by explicit methods.
+    # Explicit methods can use a force law with an infinite derivative at the start, so its fault is cleared.
     workspace.scratch.faulty[0] = -1
 
 
 def refuse_law(workspace: Workspace) -> None:
-    """Raise SpecError if a force law does not return a finite number at the start."""
+    """Raise SpecError if a force law returned no finite number at the start, or the friction in a joint locks it."""
     if workspace.locks:
         raise SpecError(f"{workspace.unusable()} at the start", key="model.joints")
     if force := workspace.unusable_law():

@@ -28,8 +28,10 @@ Each iteration suppresses components whose singular values are far above the squ
 
 
 MOST_PRODUCTS = 100
-"""Largest number of products per row of a Jacobian, in its product with its transpose, for which this product is sparse
-enough to be factorized. Bodies with hundreds of joints exceed it."""
+"""A Jacobian J is used in the form J J^T only if computing J J^T takes at most this many multiplications per row of J.
+
+If a body has hundreds of joints, J J^T has too many entries to be factorized.
+"""
 
 
 def looped_rows(compiled: CompiledMechanism) -> np.ndarray:
@@ -120,7 +122,8 @@ def _smallest(jacobian: Any, some: int) -> tuple[np.ndarray, np.ndarray]:
 
     m, n = jacobian.shape
     on_column = np.bincount(jacobian.indices, minlength=n)
-    # Without coordinates, the matrix is positive definite and needs no pivoting, which would cause much fill.
+    # J J^T, without unknowns for the coordinates, is positive definite and needs no pivoting, which would cause much
+    # fill. If it has too many entries, a larger matrix with unknowns for the coordinates is used.
     without_coordinates = np.sum(on_column**2) <= MOST_PRODUCTS * m
     if without_coordinates:
         matrix, threshold = (jacobian @ jacobian.T + TRACE * eye_array(m)).tocsc(), 0.0

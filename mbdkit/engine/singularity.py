@@ -3,8 +3,8 @@
 The distance is the smallest singular value of ``D Phi_q M^-1/2``, the constraint Jacobian of the independent rows in
 the mass metric. The block-diagonal matrix D makes the two rows (x, y) of each pair orthonormal, so that the value does
 not depend on the orientation of the axes. It is 1 if the joints do not interact, and 0 if the rows are dependent. Near
-a singular position it is proportional to the remaining distance. The rounding errors of accelerations grow with its
-inverse, those of multipliers with the square of its inverse.
+a singular position it is proportional to the displacement that leads to this position. The rounding errors of
+accelerations grow with its inverse, those of multipliers with the square of its inverse.
 
 During a run the distance is computed by inverse iteration with two vectors on ``D Phi_q M^-1 Phi_q^T D^T``. The
 iteration reuses the matrix factors from the solution for the accelerations and starts from the two vectors found for
@@ -54,7 +54,8 @@ def nearest_singularity(workspace: Workspace, t: float, q: np.ndarray) -> tuple[
         Smallest singular value of the scaled Jacobian, accurate to round-off; 1 with fewer than two rows, 0 if the
         Jacobian is not finite.
     joint : str
-        Name of the joint whose rows have the largest component in the left singular vector; empty without rows.
+        Name of the joint whose rows have the largest component in the left singular vector; empty without rows. If the
+        Jacobian is not finite, a joint whose rows are not.
     """
     mechanism = workspace.mechanism
     top, w, rows = mechanism.topology, workspace.scratch, mechanism.solved_rows

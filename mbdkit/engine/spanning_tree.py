@@ -50,8 +50,8 @@ def spanning_tree(top: Topology) -> np.ndarray:
     reached: list[tuple[int, int, int, int, int]] = []
 
     def turned(body: int) -> tuple[int, int]:
-        """Return the pair that determines the angle of a body relative to a body in the tree (-1: none), and its side
-        in the pair.
+        """Return the pair that determines the angle of a body relative to a body in the tree, and the side of `body` in
+        this pair; (-1, 0) if there is no such pair.
         """
         known = (one for one in turning[body] if depth[int(top.pairs[one[0], 2 - one[1]])] >= 0)
         return next(known, (-1, 0))
@@ -80,8 +80,9 @@ def spanning_tree(top: Topology) -> np.ndarray:
 
 
 def is_tree_of_pins(top: Topology, tree: np.ndarray) -> bool:
-    """Return whether articulated bodies can compute the accelerations: all constraints are fixed pins of the tree
-    without friction.
+    """Return whether the articulated-body algorithm can compute the accelerations.
+
+    All constraints must be revolute joints that are part of the tree and have no friction.
     """
     if len(top.frictions):
         return False

@@ -1,5 +1,4 @@
-"""Expressions of the state for kernels: values of loads, with derivatives with respect to their inputs, and rates of
-states.
+"""Expressions of the state for kernels: values of loads, rates of states, and values of sampled controllers.
 
 An expression becomes a law (`mbdkit.engine.force_laws`) without a pathway. Its parameters are its constants, its inputs
 and the states that it contains; kernels update the inputs and states before each evaluation. Inputs are coordinates,
@@ -68,7 +67,7 @@ class StateExpression:
 
 @dataclass(frozen=True)
 class Numbering:
-    """Indices in a mechanism that is being compiled, which expressions refer to.
+    """Indices of the elements, in a mechanism that is being compiled, to which expressions can refer.
 
     Parameters
     ----------
@@ -93,7 +92,7 @@ class Numbering:
         Raises
         ------
         SpecError
-            If it contains a quantity that kernels cannot evaluate here.
+            If the expression is invalid, or contains a quantity of a load, which kernels cannot evaluate here.
         """
         program, quantities = higher_layers.state_program(text, self.mechanism)
         terms = _Terms(self)

@@ -31,7 +31,9 @@ def stored(bundle: Any) -> dict[str, Any]:
 
 
 def restore(arrays: Mapping[str, np.ndarray], state: Any) -> None:
-    """Copy stored values into arrays by name; raise ValueError if names, shapes or types differ."""
+    """Copy stored values into arrays by name; raise ValueError if names, shapes or types differ, or an integer is
+    negative.
+    """
     if not isinstance(state, Mapping) or state.keys() != arrays.keys():
         raise ValueError("it has other arrays")
     for name, array in arrays.items():
@@ -39,7 +41,7 @@ def restore(arrays: Mapping[str, np.ndarray], state: Any) -> None:
 
 
 def fill(array: np.ndarray, values: Any) -> None:
-    """Copy stored values into an array; raise ValueError if they have another shape or type, or a negative count."""
+    """Copy stored values into an array; raise ValueError if shape or type differ, or an integer is negative."""
     if not isinstance(values, np.ndarray) or values.shape != array.shape or values.dtype != array.dtype:
         raise ValueError("an array has another shape or type")
     if values.dtype == np.int64 and np.any(values < 0):

@@ -44,8 +44,8 @@ _SLOPES: Mapping[Any, Callable[..., tuple[Any, ...]]] = {
     np.cos: lambda f, x: (-np.sin(x),),
     **dict.fromkeys((np.less, np.less_equal, np.greater, np.greater_equal), lambda f, x, y: (0.0, 0.0)),
 }
-"""Derivatives of functions with respect to their operands; f is the value of the function. All other functions are
-traced without derivatives.
+"""Derivatives of functions with respect to their operands; f is the value of the function. `Traced`
+differentiates ``np.where`` itself. Other functions can be used only for numbers without derivatives.
 """
 
 
@@ -84,7 +84,8 @@ class Source:
 
 
 def _without_effect(function: Any, operands: Sequence[Term]) -> Term | None:
-    """Return the simplified result of a sum with 0, a product or quotient with 0 or 1, or a choice between equals.
+    """Return the simplified result of a sum with 0, a product or quotient with 0 or 1, a power with exponent 1,
+    or a choice between equals.
 
     None if the operation is none of these.
     """
@@ -106,14 +107,17 @@ def _without_effect(function: Any, operands: Sequence[Term]) -> Term | None:
 
 
 class Traced(NDArrayOperatorsMixin):
-    """A number of a law that is traced, with its derivatives with respect to length and rate if they are requested."""
+    """A number in a law that is traced, with its derivatives with respect to the inputs of the law, if requested.
+
+    The inputs are, for example, length and rate of a pathway.
+    """
 
     def __init__(self, source: Source, term: Term, slopes: tuple[Any, ...] = ()):
         self.source, self.term, self.slopes = source, term, slopes
 
     @property
     def plain(self) -> Traced:
-        """The number without derivatives; an iteration can approach its solution with it at no additional cost."""
+        """The number without derivatives, for calculations that need none, such as the first steps of an iteration."""
         return Traced(self.source, self.term)
 
     def __array_ufunc__(self, ufunc: Any, method: str, *operands: Any, **_: Any) -> Any:

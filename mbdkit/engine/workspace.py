@@ -120,7 +120,7 @@ class Workspace:
         Parameters
         ----------
         rate
-            ``h mu`` of a stage matrix, real or complex; None for the bare KKT matrix.
+            ``h mu`` of a stage matrix, real or complex; None for the matrix of the index-1 system.
 
         Returns
         -------
@@ -204,7 +204,7 @@ class Workspace:
         self.scratch.law_values[place] = z[state]
 
     def motions_are_finite(self) -> bool:
-        """Return whether drivers and loads were finite in the last evaluation."""
+        """Return whether drivers, loads and moving centers were finite in the last evaluation."""
         return finite_motions(self.mechanism.topology, self.scratch.u)
 
     def unusable(self) -> str:
@@ -236,13 +236,13 @@ class Workspace:
         return "self-locking" if self.locks else "not-finite"
 
     def unusable_law(self) -> str | None:
-        """Return the name of the force element whose law last failed to return a finite number, if any."""
+        """Return the name of the force element whose law was the last to return no finite number, or None."""
         law = int(self.scratch.faulty[0])
         return self.mechanism.laws[law][0] if law >= 0 else None
 
     def use_pivots(self) -> None:
-        """Switch to the pivoted solver, with pivots for the current values; raise SingularSystemError if there are
-        none.
+        """Switch to the pivoted solver, with pivots for the current values; raise SingularSystemError if the
+        matrix is singular.
         """
         pattern, factors, scatter = self.choose_pivots()
         self.solver.pivoted[0] = 1

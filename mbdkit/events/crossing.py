@@ -13,7 +13,9 @@ ACCURACY = 1e-13
 """Accuracy of the time of a crossing, relative to the larger of the time and 1 s."""
 
 POLE = 100.0
-"""A sign change counts as a pole if the scalar there exceeds the values at both ends by more than this factor."""
+"""A sign change between two points of a step counts as a pole if the scalar at the sign change is more than this many
+times as large as at both points.
+"""
 
 _ROUNDING = 2.0**-52
 

@@ -40,11 +40,17 @@ Function = Callable[[Sequence[float]], float]
 
 
 class CompiledExpression(NamedTuple):
-    """An expression as a function (`value`), the arguments of its periodic functions, and scalars whose zeros are its
-    kinks.
+    """An expression as a function, with functions that determine how densely it must be sampled.
 
-    At these zeros, the expression is not smooth. The scalars are the arguments of ``abs`` and the differences of the
-    operands of ``min`` and ``max``.
+    Attributes
+    ----------
+    value
+        The expression.
+    phases
+        Arguments of the periodic functions in the expression.
+    breaks
+        Functions at whose zeros the expression has kinks: arguments of ``abs``, and differences of the operands of
+        ``min`` and ``max``.
     """
 
     value: Function
@@ -162,9 +168,7 @@ def _check_crossing(program: Program, quantities: Sequence[Quantity]) -> None:
 
 
 def check_state(name: str, mechanism: Mechanism) -> None:
-    """Raise SpecError if a mechanism has no first-order state, and no output or state of a controller, with this
-    name.
-    """
+    """Raise SpecError if neither a first-order state nor an output or state of a controller has this name."""
     known = [*mechanism.state_names(), *mechanism.held_names()]
     if name not in known:
         some = f"; there are {listed(known[:6])}{', ...' * (len(known) > 6)}" if known else "; the mechanism has none"
@@ -278,7 +282,7 @@ class RunCompiler(Compiler):
         return [kind for kind in _BARE if name in self.known[kind]]
 
     def of(self, kind: str, name: str, attribute: str, node: ast.expr) -> Code:
-        """Return the program of a quantity of an element."""
+        """Return the program of a quantity of a body, joint or other element of the mechanism."""
         name = self._last.get(name, name) if kind == "bodies" else name
         if name not in self.known[kind]:
             self.unknown(name, self.known[kind], _KINDS[kind].one, node)
@@ -334,7 +338,7 @@ class RunCompiler(Compiler):
         )
 
     def get(self, quantity: Quantity) -> Code:
-        """Return the program that pushes a checked quantity."""
+        """Return the program that pushes a quantity, which is known to exist."""
         if quantity not in self.quantities:
             self.quantities.append(quantity)
         return [("get", float(self.quantities.index(quantity)))]

@@ -45,6 +45,8 @@ class QuantityEvaluator:
     ----------
     workspace
         The mechanism and the solver of the run.
+    quantities
+        The quantities to evaluate.
     """
 
     def __init__(self, workspace: Workspace, quantities: Sequence[Quantity]):
@@ -58,7 +60,7 @@ class QuantityEvaluator:
 
     @property
     def kept(self) -> np.ndarray:
-        """See `StateObserver.kept`."""
+        """Vectors of the iteration for the distance to singularity; see `StateObserver.kept`."""
         return self._observer.kept
 
     def values(self, times: Sequence[float], q: np.ndarray, v: np.ndarray, z: np.ndarray) -> list[list[float]]:

@@ -1,4 +1,4 @@
-"""Samples of an event's scalar within a step, chosen so densely that no sign change between two samples is missed.
+"""Samples of an event's scalar within a step, so dense that sign changes between two samples are rarely missed.
 
 The sampling starts with the quarters of the step and is refined in three ways.
 
@@ -41,8 +41,8 @@ forever.
 """
 
 NOISE = 1e-12
-"""Values of the scalar below this share of its largest value so far count as rounding errors; their sign changes are
-ignored.
+"""Values of the scalar below this share of its largest value so far count as rounding errors. No samples are added
+between five samples with such values.
 """
 
 SAFETY, LOWER_SHARE = 4.0, 0.1
@@ -66,7 +66,7 @@ def refined(
     breaks: Sequence[Scalar],
     largest: float,
 ) -> list[tuple[float, float]]:
-    """Return samples (position in the step, value) of a scalar by position, with samples added where they are needed.
+    """Return samples (position in the step, value) of a scalar in order, with samples added where they are needed.
 
     Parameters
     ----------
@@ -179,10 +179,11 @@ def _interpolation(nodes: tuple[float, ...]) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _roots_are_clear(five: Sequence[float], values: Sequence[float]) -> tuple[bool, list[float]]:
-    """Return whether a scalar has no double root near five samples, and the positions at which it changes sign.
+    """Return whether a scalar has no double root near five samples, and the positions of missing samples.
 
-    A double root is possible if an extremum of the polynomial is smaller than its error, or if the derivative may
-    vanish near a root.
+    A sample is missing at an extremum of the polynomial through the five samples if the sign there differs from the
+    sign at a neighbouring sample. A double root is possible if an extremum of the polynomial is smaller than its error,
+    or if the derivative may vanish near a root.
     """
     begin, width = five[0], five[-1] - five[0]
     nodes = [round((place - begin) / width, 9) for place in five]

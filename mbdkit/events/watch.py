@@ -49,6 +49,8 @@ class Watched:
 
     Parameters
     ----------
+    name
+        Name of the event.
     when
         Expression whose zero crossings are detected.
     direction
@@ -154,7 +156,7 @@ class Watch:
         self._raised: Exception | None = None
         self._failure: Failure | None = None
         self._values: list[float] | None = None
-        self._ended: np.ndarray | None = None  # velocities at the end of the last step
+        self._ended: np.ndarray | None = None  # velocities and first-order states at the end of the last step
         self._largest = [0.0] * len(events)
         self.stopped: Found | None = None
         self._worst_before = stepper.worst_pairs.copy()
@@ -239,7 +241,7 @@ class Watch:
         return Nodes.joined([*taken, self.stepper.taken_nodes()])
 
     def taken_steps(self) -> list[StepTaken]:
-        """Return the steps since the last call; the last one ends at the event that stops the run."""
+        """Return the steps since the last call; if an event has stopped the run, the last step ends at this event."""
         steps, self._steps = self._steps, []
         return steps
 
@@ -275,7 +277,8 @@ class Watch:
         self._latest = float(state["latest"])
 
     def _look(self, stretch: Stretch) -> Stretch:
-        """Find the events of the last step; return its rows, truncated at an event that stops the run."""
+        """Find the events of the last step; return its rows, truncated at an event that stops the run or sets states.
+        """
         step = self.stepper.last_step
         if step is None or not self.events:
             return stretch
@@ -336,8 +339,8 @@ class Watch:
         """Return, for each event, samples (position, value) of its scalar from the start to the end of a step."""
         begin = np.concatenate([step.v0, step.z0])
         if self._values is None or self._ended is None or not np.array_equal(self._ended, begin):
-            # The start of this step is not the end of the last one at the start of the run, after an impulse, after an
-            # event that sets states, and at a sample of a controller.
+            # This step does not continue the last one. Cases: the start of the run, an impulse, an event that sets
+            # states, and a sample of a controller.
             self._values = self._quantities.values([step.t0], step.q0[None], step.v0[None], step.z0[None])[0]
         states = [*(self.stepper.inside(theta) for theta in INSIDE), step.between(1.0)]
         q, v, z = (np.array([state[part] for state in states]) for part in range(3))
@@ -361,8 +364,8 @@ class Watch:
     ) -> list[tuple[float, float]]:
         """Return samples of the scalar of an event that has set states at the start of the step.
 
-        A change of sign by setting the states is not a crossing. If the scalar is still zero up to rounding errors, it
-        is set to zero, so that leaving zero in either direction is not a crossing.
+        A change of sign that is caused by the new states is not a crossing. If the scalar is zero up to rounding errors
+        after the change, it is set to zero, so that it may then leave zero in either direction without a crossing.
         """
         step = self.stepper.last_step
         assert step is not None

@@ -26,11 +26,13 @@ if TYPE_CHECKING:
     from mbdkit.spec.run_spec import RunSpec
 
 NUMBERS = 20_000
-"""Largest number of pose values of a motion."""
+"""Approximate number of pose values of a motion."""
 ROWS = 300
 """Largest number of points of a curve."""
 CURVES = 6
-"""Largest number of joints whose forces are drawn: the joints with the largest forces."""
+"""Largest number of curves: the joints with the largest forces or, in inverse dynamics, the actuators with the largest
+values.
+"""
 
 
 class Explorer:
@@ -52,8 +54,13 @@ class Explorer:
         self.title = str(spec.title or self._data["model"]["name"])
 
     def answer(self, values: Mapping[str, float]) -> dict[str, Any]:
-        """Return the contents of the page for values of the sliders, by key; an ``error`` if the spec refuses a
-        value.
+        """Return the contents of the page for the given values of sliders, as JSON values; only the ``error`` and the
+        ``spec`` if the spec refuses a value or the run cannot be made.
+
+        Parameters
+        ----------
+        values
+            Values by key of the slider. Other sliders have the values of the spec; unknown keys are ignored.
         """
         known = {key: float(value) for key, value in values.items() if key in self._by_key}
         changed = {key: value for key, value in known.items() if value != self._by_key[key].value}
@@ -85,7 +92,9 @@ class Explorer:
 
 
 def _curves(made: Run) -> dict[str, Any]:
-    """Return the largest forces of joints over time, or the values of actuators."""
+    """Return the curves of a run over time: forces of joints or, in inverse dynamics, values of actuators. At most
+    `CURVES` are included, those with the largest values.
+    """
     time = np.asarray(made.time)
     if made.kind == "inverse":
         names, unit = list(made.actuators), "N or N m"

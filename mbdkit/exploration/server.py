@@ -1,4 +1,4 @@
-"""The server of the page. It is bound to this machine, and answers only requests that contain its token."""
+"""The server of the page with sliders. It is bound to this machine, and answers only requests with its token."""
 
 from __future__ import annotations
 
@@ -87,8 +87,8 @@ def explore(spec: Any, parameters: Sequence[str] | None = None, *, port: int = 0
         A run spec or an inverse spec: a file, the name of a packaged example, or a mapping.
     parameters
         Named parameters or dotted keys of numbers, such as ``model.springs.support.stiffness``; by default the named
-        parameters or, if there are none, numbers of the model. A slider ranges from half to twice the value; for an
-        angle, by 30 degrees to both sides.
+        parameters or, if there are none, numbers of the model. A slider ranges from half of the value to twice the
+        value, or from -1 to 1 if the value is 0. The slider of an angle ranges over 30 degrees to both sides.
     port
         Port of the page; by default a free one.
 

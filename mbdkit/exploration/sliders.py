@@ -15,7 +15,7 @@ from mbdkit.spec.key_words import key_unit, key_words
 from mbdkit.spec.model_spec import ModelSpec
 
 MOST = 12
-"""Number of sliders that are chosen by default."""
+"""Largest number of sliders that are chosen by default."""
 TURN = math.radians(30)
 """Half of the range of an angle [rad]."""
 _LEFT_OUT = ("gravity", "name", "assembly", "pitches", "points", "point", "axis", "position", "velocity", "elements",
@@ -60,8 +60,9 @@ def sliders(spec: ModelSpec, names: Sequence[str] | None = None) -> list[Slider]
     Parameters
     ----------
     names
-        Named parameters or dotted keys of numbers. By default all named parameters or, if there are none, numbers of
-        the model; among angles, only those of bodies and of the model itself.
+        Named parameters or dotted keys of numbers. By default, the named parameters that are numbers; if there are
+        none, numbers of the model, except positions and settings, and except zeros that are not angles. At most `MOST`
+        sliders are chosen by default.
 
     Raises
     ------

@@ -1,7 +1,7 @@
 """Values of programs with their first two derivatives, over arrays of arguments, in NumPy.
 
-The engine has compiled kernels for this (`mbdkit.engine.kernels.motions`). This module also returns the arguments at
-whose sign changes an operation, such as ``abs``, changes its form, so that a derivative of the function jumps.
+The engine has compiled kernels for this (`mbdkit.engine.kernels.motions`). This module also finds switches: the
+operations, such as ``abs``, that change their form where an argument changes its sign. A derivative may jump there.
 """
 
 from __future__ import annotations
@@ -33,13 +33,13 @@ class Jet:
 
 @dataclass(frozen=True)
 class Switch:
-    """An operation that changes its form where `argument` changes sign; see `mbdkit.expressions.operations`.
+    """An operation that changes its form where `argument` changes its sign; see `mbdkit.expressions.operations`.
 
-    The operation ``atan2`` jumps there only if its second operand is not positive.
+    The operation ``atan2`` has a jump at such a point only if its second operand is not positive.
     """
 
     level: int
-    """Depth of nesting of such operations; 1 if no operand of this operation contains another one."""
+    """Depth of nesting of switches; 1 if no operand of this operation contains a switch."""
     argument: Jet
 
 

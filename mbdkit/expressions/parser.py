@@ -77,7 +77,7 @@ class Expression:
         Raises
         ------
         SpecError
-            For the first error; it contains the position in the text.
+            For the first error; it contains the position in the text unless it concerns the text as a whole.
         """
         return _parse(text)
 
@@ -131,7 +131,7 @@ class Compiler:
     variable
         Name of the argument, which the instruction ``t`` pushes.
     error
-        Type of the errors that refer to a position in the text.
+        Class of the errors that refer to a position in the text.
     own_functions
         Functions that exist only in this context, with their numbers of arguments. If they have the same name as a
         function of all contexts, the number of arguments decides which of the two is meant.
@@ -175,7 +175,7 @@ class Compiler:
             raise SpecError("the expression is too deeply nested") from None
 
     def refuse(self, message: str, place: ast.AST | int) -> NoReturn:
-        """Raise SpecError with the message and the position in the text."""
+        """Raise an error of class `error` with the message and the position in the text."""
         column = place if isinstance(place, int) else getattr(place, "col_offset", 0)
         shown = self.source if len(self.source) <= 60 else self.source[max(column - 30, 0) :][:60] + "..."
         raise self.error(f"{message} (position {column + self.shift + 1} of '{shown}')")
@@ -303,7 +303,7 @@ class Compiler:
         return [("const", value)]
 
     def given(self, node: ast.expr) -> str:
-        """Return the values of the parameters in a node in words; empty if it contains none."""
+        """Return the values of the parameters that a node contains, as a part of a message; empty if there are none."""
         names = dict.fromkeys(part.id for part in ast.walk(node) if isinstance(part, ast.Name))
         values = [f"{name} = {self.parameters[name]:g}" for name in names if name in self.parameters]
         return f" for {listed(values[:MOST_TOLD], 'and')}" if values else ""

@@ -1,4 +1,4 @@
-"""Programs of expressions in postfix notation: how they are executed, and their derivatives as programs."""
+"""Programs of expressions in postfix notation: their execution, and programs of their derivatives."""
 
 from __future__ import annotations
 
@@ -68,7 +68,7 @@ def derivative_of(program: Program) -> Program:
 
     The compiled kernel computes the value and two derivatives of a program. Applied to the program returned here, it
     gives the first three derivatives of the given program. A derivative can be written as a program because the rules
-    for derivatives use only operations; that of ``cos``, for example, uses ``sin``.
+    for derivatives use only operations; the rule for ``cos``, for example, uses ``sin``.
     """
 
     def step(operation: str, number: float, *operands: tuple[_Term, _Term]) -> tuple[_Term, _Term]:
@@ -80,8 +80,9 @@ def derivative_of(program: Program) -> Program:
 
 
 def with_slope(operation: str, number: float, operands: Sequence[tuple[Any, Any]], zero: Any) -> tuple[Any, Any]:
-    """Return value and derivative of an operation, given those of its operands; `zero` is a zero of the same type as
-    these.
+    """Return value and derivative of an operation, given the values and derivatives of its operands.
+
+    `zero` is a zero of the same type as these values.
     """
     rule = OPERATIONS[operation].rule
     if len(operands) == 2:

@@ -1,4 +1,4 @@
-"""Beams as smooth curves: cubic Bezier curves between nodes, whose tangents are the angles of the nodes.
+"""Beams as smooth curves: cubic Bezier curves between nodes. The tangent at a node has the angle of the node.
 
 The control points are fixed to the nodes, so that they move like all other points of a drawing.
 """
@@ -27,7 +27,7 @@ class BeamCurve:
     nodes
         Indices of the beam's nodes among the bodies of the drawing, shape (K + 1,).
     corners
-        Control points, by their indices in the table of the drawing, shape (3 K + 1,): every third one is a node.
+        Control points, by their indices among the points of the drawing, shape (3 K + 1,): every third one is a node.
     elements
         Number of elements; an element has one or two intervals.
     """

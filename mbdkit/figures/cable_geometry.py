@@ -49,8 +49,8 @@ def _beside(start: tuple[float, float], end: tuple[float, float], radius: float)
 
 
 def _centre(joints: Mapping[str, Joint], joint: Joint, body: str) -> tuple[float, float]:
-    """Return the point of a joint in the frame of one of its bodies; a driver uses that of the joint of the same
-    bodies.
+    """Return the point of a joint in the frame of one of its bodies [m]. For a driver without points, the point of
+    another joint between the same bodies is used; the origin if there is none.
     """
     for one in (joint, *joints.values()):
         if set(one.bodies) == set(joint.bodies):

@@ -132,9 +132,17 @@ def take(data: Any, rows: NDArray[np.intp], columns: Sequence[int] | None = None
 
 
 def errors_at(accuracy: Accuracy, errors: Array, time: Array) -> Array:
-    """Return estimated errors (T, ...) of the recorded rows at the last row before each time [s] of a picture.
+    """Return the estimated errors at the times of a picture.
 
-    Errors are nan from `Accuracy.known_until` on, even for joints or bodies whose errors are known longer.
+    They are those of the last recorded row at or before each time. After `Accuracy.known_until` they are nan, even for
+    joints or bodies whose errors are known longer.
+
+    Parameters
+    ----------
+    errors
+        (T, ...) errors of the recorded rows.
+    time
+        (K,) times of the picture [s].
     """
     rows = np.searchsorted(accuracy.time, time, side="right") - 1
     found = np.array(errors[rows], dtype=np.float64)
@@ -143,7 +151,7 @@ def errors_at(accuracy: Accuracy, errors: Array, time: Array) -> Array:
 
 
 def band_over_time(time: Array, low: Array, high: Array, error: Array) -> Array | None:
-    """Return the outline of a band around a curve; None where no error is known.
+    """Return the outline of the error band around a curve; None if no error is known.
 
     Parameters
     ----------
@@ -166,8 +174,8 @@ def band_over_time(time: Array, low: Array, high: Array, error: Array) -> Array 
 
 
 def band_along_path(path: Array, error: Array) -> Array | None:
-    """Return the outline of a band on both sides of a path, whose half-width is the error; None where no error is
-    known.
+    """Return the outline of a band along a path, which extends by the error on both sides; None if the error is known
+    at fewer than two points.
 
     Parameters
     ----------

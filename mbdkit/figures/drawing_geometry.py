@@ -58,16 +58,24 @@ class Drawing:
     outlines
         Points of the outline of each body in order: one (a disc), two (a rod) or more (a closed outline). Most nodes of
         beams have none.
-    pins, grounds, centres
-        Points drawn as joints, as ground symbols and as centres of mass.
-    springs, bars
-        Pairs of points joined by a spring, or by a massless bar (a distance joint).
+    pins
+        Points drawn as pins.
+    grounds
+        Points drawn as ground symbols.
+    centres
+        Centre of mass of each body.
+    springs
+        Pairs of points joined by a spring.
+    bars
+        Pairs of points joined by a massless bar (a distance joint).
     muscles
         Points along the path of each muscle.
     shapes
         Points along the outline of each shape of a contact.
-    guides, sliders
-        Pairs of points that are the ends of the line of a sliding joint, and the points that slide on them.
+    guides
+        Pairs of points: the ends of the line along which each sliding joint moves.
+    sliders
+        Points that slide along guides.
     welds
         Points drawn as rigid connections.
     beams
@@ -222,8 +230,9 @@ def draw_mechanism(mechanism: Mechanism) -> Drawing:
 
 
 def _travel(mechanism: Mechanism, joint: SlidingJoint) -> tuple[float, float]:
-    """Return the ends of a guide along its axis [m]; it extends beyond its point and the slider by a quarter of the
-    size.
+    """Return the ends of a guide as distances along its axis from the point of the joint on the first body [m].
+
+    The guide extends beyond this point and beyond the slider by a quarter of the mechanism's size.
     """
     elements = [*mechanism.joints.values(), *mechanism.forces.values()]
     places = [mechanism.to_global(name, point) for element in elements for _, name, point in element.attachments()]
@@ -261,7 +270,7 @@ class _Sketch:
         self.traced: set[int] = set()
 
     def point(self, body: int, local: tuple[float, float]) -> int:
-        """Return the index of a point given in the frame of a body; a new point is added."""
+        """Return the index of a point given in the frame of a body. The point is added if it is new."""
         key = (body, round(local[0], 12), round(local[1], 12))
         if key not in self.known:
             self.known[key] = len(self.owner)
@@ -302,8 +311,8 @@ class _Sketch:
         self.muscles.append(tuple(self.point(self.index[body], local) for body, local in places))
 
     def shape(self, body: str, shape: Shape, places: Sequence[Place]) -> None:
-        """Add the outline of the shape of a contact; the outline of its body is extended to the points and corners of
-        the shape.
+        """Add the outline of the shape of a contact. The outline of the body is extended so that it contains the points
+        of the shape, unless the shape is a line.
         """
         owner = self.index[body]
         if places:
@@ -393,10 +402,11 @@ class _Sketch:
         return found
 
     def _free_end(self, body: int) -> tuple[float, float] | None:
-        """Return the joints of a body reflected at its centre of mass, if all of them are on one side of it.
+        """Return the free end of a body, in the frame of the body [m]; None if there is none.
 
-        If the body has a marker farther away than half of this distance, such as the head of a trunk, its end is the
-        marker.
+        A body whose joints are all on one side of its centre of mass has a free end: the mean of the points of the
+        joints, reflected at the centre of mass. A marker beyond half of the distance to this point, such as the head of
+        a trunk, replaces the free end.
         """
         held = np.array([self.local[index] for index in dict.fromkeys(self.held[body])]).reshape(-1, 2)
         if not len(held):

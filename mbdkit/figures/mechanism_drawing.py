@@ -34,7 +34,7 @@ NAMES = 60
 LONGEST = 28
 """Largest number of characters of a name."""
 CROWD = 40
-"""Number of links above which only outlines are drawn."""
+"""Number of links above which joints, centres of mass, loads and names are not drawn."""
 _SHORT_ARROW = 20.0  # length of the arrows of the distributed load of a beam [px]
 
 
@@ -77,7 +77,7 @@ class NamedPose:
         return cls(drawing, mechanism if known else None, pose, times, ROUND_OFF * size)
 
     def place(self, body: str, local: tuple[float, float]) -> Array:
-        """Return the global coordinates [m] of a point in the frame of a body."""
+        """Return the global coordinates [m] of a point that is given in the frame of a body."""
         if body == GROUND:
             return np.array(local)
         x, y, angle = self.pose[self.drawing.bodies.index(body)]
@@ -101,7 +101,7 @@ def mechanism_svg(shown: NamedPose, width: float) -> Markup:
 
 
 def names_shown(shown: NamedPose) -> bool:
-    """Return whether all names fit in a drawing."""
+    """Return whether a mechanism has at most `NAMES` names."""
     elements = shown.mechanism
     count = len(shown.drawing.links)
     if elements is not None:
@@ -200,7 +200,7 @@ def _ground(canvas: Canvas, point: Array) -> None:
 
 
 def _draw_loads(canvas: Canvas, shown: NamedPose, mechanism: Mechanism) -> None:
-    """Draw drivers, loads, markers and gravity."""
+    """Draw drivers, loads, torsion springs, markers and gravity."""
     for joint in mechanism.joints.values():
         if joint.is_driver:
             centre = canvas.px(joint_point(shown, mechanism, joint))
@@ -288,7 +288,7 @@ def _axis(shown: NamedPose, driver: Any) -> Array:
 
 
 def _load_direction(shown: NamedPose, load: Any) -> Array:
-    """Return the direction on the canvas of a force at the time at which it is largest.
+    """Return the direction of a load on the canvas, at the recorded time at which the load is largest.
 
     A component that is an expression of the state counts as positive and constant.
     """
@@ -326,7 +326,7 @@ def _names(canvas: Canvas, shown: NamedPose) -> Iterator[Name]:
 
 
 def short_name(name: str, longest: int = LONGEST) -> str:
-    """Return a name of at most `longest` characters."""
+    """Return a name, shortened with an ellipsis to `longest` characters if it is longer."""
     return name if len(name) <= longest else f"{name[: longest - 1]}\u2026"
 
 

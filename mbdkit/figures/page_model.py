@@ -73,7 +73,7 @@ class Line:
     kind
         Whether to draw a line, points, or both.
     group
-        Lines of the same group have the same colour; in most figures the label of the method.
+        Name of a group; by default the label. Lines of the same group have the same colour.
     color
         Colour as ``#rrggbb``, such as that of a body in other pictures; by default that of the group.
     band
@@ -193,7 +193,7 @@ class Illustration:
 
 @dataclass(frozen=True)
 class Section:
-    """A section.
+    """A section of a page.
 
     Parameters
     ----------

@@ -37,14 +37,16 @@ def zigzag(start: Array, end: Array, width: float, coils: int = 6) -> Array:
     Parameters
     ----------
     start, end
-        Ends of the spring [m], shape (..., 2).
+        Ends of the spring, in any unit of length, shape (..., 2).
     width
-        Amplitude of the zigzag [m].
+        Amplitude of the zigzag, in the same unit.
+    coils
+        Number of coils; each has two corners.
 
     Returns
     -------
     Array
-        Corners of the polyline [m], shape (..., 2 * coils + 4, 2).
+        Corners of the polyline, in the same unit, shape (..., 2 * coils + 4, 2).
     """
     along = end - start
     length = np.hypot(along[..., 0], along[..., 1])[..., None]
@@ -59,8 +61,9 @@ def zigzag(start: Array, end: Array, width: float, coils: int = 6) -> Array:
 def view_box(paths: Array, poses: Array, margin: float = 0.08) -> tuple[tuple[float, float], tuple[float, float], bool]:
     """Return the x limits and y limits [m] of a picture, and whether points lie outside them.
 
-    The limits contain all finite points, unless the motion diverges. If it extends hundreds of times farther than in
-    its first tenth, the limits contain only the motion before that.
+    The limits contain all finite points, unless the motion diverges. It diverges if it extends more than 300 times
+    farther from its start than in its first tenth. The limits then contain only points that are at most three times as
+    far from the start as those of that tenth.
 
     Parameters
     ----------

@@ -20,8 +20,8 @@ if TYPE_CHECKING:
 
 RATE = 50
 """Frames per second; fewer if there are many bodies."""
-_GRAIN = 1.0 / 20_000  # share of the view; this is a fourteenth of a pixel on a wide screen
-_ANGLE = 2e-4  # rad
+_GRAIN = 1.0 / 20_000  # unit of positions, as a share of the view; a fourteenth of a pixel on a wide screen
+_ANGLE = 2e-4  # unit of angles [rad]
 _JOINTS = 40  # largest number of joints with gaps
 _SAME = 1e-9  # m; closer points of a body are drawn as one point
 
@@ -42,7 +42,9 @@ def film_data(run: Run, numbers: int, label: str = "") -> dict[str, Any]:
 
 
 def _scene_data(shown: Scene) -> dict[str, Any]:
-    """Return the drawing and its poses as integers: positions in units of `grain`, angles in units of `_ANGLE`."""
+    """Return the drawing, and the poses as integers: positions in units of `_GRAIN` times the size of the view, angles
+    in units of `_ANGLE`.
+    """
     drawing = shown.drawing
     (x0, x1), (y0, y1) = shown.xlim, shown.ylim
     size = max(x1 - x0, y1 - y0)
@@ -141,7 +143,8 @@ class Gaps:
 
 
 def gaps(spec: Mapping[str, Any], drawing: Drawing, poses: Array) -> Gaps:
-    """Return the gaps of the joints of a run except drivers; none if the model is not installed.
+    """Return the gaps of the joints of a run; none if its model is not available. Drivers, and joints that do not
+    connect two points, are left out.
 
     Parameters
     ----------

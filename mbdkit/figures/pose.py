@@ -118,7 +118,9 @@ class Pose:
         mark(drawing.welds, "weld")
 
     def _strokes(self, strokes: Sequence[Sequence[int]]) -> list[int]:
-        """Return the point indices of one polyline through all strokes; gaps have the index after the last point."""
+        """Return the point indices of one polyline through all strokes. Strokes are separated by the index after the
+        last point, which stands for a gap.
+        """
         gap = len(self.drawing.owner)
         points: list[int] = []
         for stroke in strokes:

@@ -71,6 +71,10 @@ def scene(run: Run, *, rate: float, most: int, shortest: float, longest: float) 
 
     Parameters
     ----------
+    rate
+        Frames per second.
+    most
+        Largest number of frames.
     shortest, longest
         Limits of the duration of the animation [s]. A run between them is shown in real time; a shorter run is slowed
         down, and a longer one accelerated, by a round factor.
@@ -103,7 +107,9 @@ def round_speed(duration: float, shortest: float, longest: float) -> float:
 
 
 def nearest_rows(time: Array, wanted: Array | Sequence[float]) -> NDArray[np.intp]:
-    """Return the rows whose increasing `time` (T,) is nearest to the times `wanted` (F,)."""
+    """Return the indices (F,) of the rows that are nearest to the times `wanted` (F,). The times of the rows, `time`
+    (T,), increase.
+    """
     wanted = np.asarray(wanted)
     if len(time) == 1:
         return np.zeros(len(wanted), dtype=np.intp)

@@ -36,7 +36,10 @@ class Value:
 
 
 def of_operands(operation: str, number: float, *operands: Value) -> Value:
-    """Return the result of an operation in expressions, with its derivatives."""
+    """Return the result of an operation in expressions, with its derivatives.
+
+    `number` is the exponent of ``powi``; other operations do not use it.
+    """
     x, *others = operands
     if operation == "norm":
         return _norm(x)

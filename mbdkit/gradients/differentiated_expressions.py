@@ -27,7 +27,7 @@ NO_MEASURES: Definitions = MappingProxyType({})
 def definitions_of(spec: RunSpec | InverseSpec, measures: Measures) -> Definitions:
     """Return the definitions of measures; names of measures of a spec may stand for their expressions.
 
-    Raises SpecError if there are no measures.
+    Raises SpecError if there are no measures, or if a name stands for a measure of a plugin.
     """
     known = {measure.name: measure for measure in spec.defined_measures()}
     if isinstance(measures, str):
@@ -58,12 +58,12 @@ def expressions_of(spec: ModelSpec, definitions: Definitions) -> dict[str, Measu
 
 
 def numbers_of(spec: ModelSpec, definitions: Definitions) -> dict[str, np.ndarray]:
-    """Return the numbers in the instructions of all measures, by `of_measure`."""
+    """Return the numbers in the instructions of all measures, by the names that `of_measure` returns."""
     return {of_measure(name): _numbers(one.program) for name, one in expressions_of(spec, definitions).items()}
 
 
 def numbers_of_events(spec: RunSpec) -> dict[str, np.ndarray]:
-    """Return the numbers in the instructions of all events, by `of_event`."""
+    """Return the numbers in the instructions of all events, by the names that `of_event` returns."""
     return {of_event(name): _numbers(one.program) for name, one in spec.watched().items()}
 
 
@@ -78,8 +78,9 @@ def of_event(name: str) -> str:
 
 
 def slopes_of(program: Program, seeds: Seeds, name: str) -> np.ndarray:
-    """Return the derivatives (I, K) of the numbers in a program with respect to K parameters, from the array with this
-    name.
+    """Return the derivatives (I, K) of the numbers in the I instructions of a program with respect to K parameters.
+
+    They are zero if `seeds` have no array with this name.
     """
     found = seeds.get(name)
     return np.zeros((len(program), seeds.count)) if found is None else found

@@ -53,7 +53,7 @@ class DifferentiatedMotion:
     stepper
         The run at its start.
     evaluator
-        Evaluates its states.
+        Evaluates states of the run.
     uses_accelerations
         See `StepEnds`.
     """
@@ -97,14 +97,14 @@ class DifferentiatedMotion:
         return -side * np.inf
 
     def add(self) -> None:
-        """Add the corners and the end of the last step of the stepper."""
+        """Add the corners (discontinuities of force laws) that the last step has passed, and the end of this step."""
         reached = self._stepper.time
         for corner in [] if self._sided is None else self._sided.corners[self._corners :]:
             self._corners += 1
             time, before, after = float(corner.before.time[0]), corner.before, corner.after
             if time > self._parts[-1].time[-1]:
                 self._parts[-1].add(time, before.q[0], before.v[0])
-            v = after.v[0].copy()  # derivatives at fixed times change by the jump of the accelerations
+            v = after.v[0].copy()  # a jump of the accelerations changes the derivatives at a fixed time
             v[:, 1:] += np.outer(before.observed.acc[0, :, 0] - after.observed.acc[0, :, 0], corner.slope)
             self._begin_at(time, after.q[0], v, corner)
         if reached > self._parts[-1].time[-1]:

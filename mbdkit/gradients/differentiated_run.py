@@ -34,7 +34,7 @@ from mbdkit.stepping.start import NoDerivativeError, compiled_method, require_de
 
 @dataclass(frozen=True)
 class Event:
-    """A crossing of an event: its name, its time [s], the expression, and whether the event ends the run."""
+    """A crossing of an event: name and expression of the event, time [s], and whether the event ends the run."""
 
     name: str
     time: float
@@ -44,7 +44,7 @@ class Event:
 
 @dataclass(frozen=True)
 class Crossing:
-    """A crossing of an event: its name, its time [s], and the derivatives (K,) of the time."""
+    """A crossing of an event: name of the event, time [s], and derivatives (K,) of the time."""
 
     name: str
     time: float
@@ -58,7 +58,8 @@ class Needs:
     Attributes
     ----------
     nodes, ends
-        Whether stages of the steps are stored as nodes of integrals, and whether the ends of all steps are stored.
+        Whether stages of the steps are stored as nodes of integrals, and whether the states at the ends of all steps
+        are stored.
     """
 
     nodes: bool = False
@@ -143,10 +144,15 @@ def differentiated_run(
 
 
 def plain_run(spec: RunSpec) -> DifferentiatedRun:
-    """Run a spec without events, and return its recorded states, without derivatives and nodes; raise RunError.
+    """Run a spec without events, and return its recorded states, without derivatives and nodes.
 
-    This function is used by the check of a gradient, because `simulate` imports this package. Method, steps and
-    evaluation of states are the same as there.
+    The check of a gradient uses this function, because `simulate` imports this package. Method, steps and evaluation of
+    states are the same as in `simulate`.
+
+    Raises
+    ------
+    RunError
+        If the run stops early, or if the accelerations of a recorded state are not unique.
     """
     method = make_method(spec)
     workspace, _ = build(spec)
@@ -407,7 +413,11 @@ class _Pass:
         return ends
 
     def _crossing(self, event: Event, at: _AtEvent) -> Crossing:
-        """Return the time of an event and its derivatives, ``-g_p / g_t`` for the expression g that crosses zero."""
+        """Return the time of an event and its derivatives.
+
+        They are ``-g_p / g_t``, where the expression g crosses zero, g_p are its derivatives with respect to the
+        parameters, and g_t is its rate.
+        """
         self._use(at.sides)
         here = self._evaluator.states(np.array([event.time]), *(x[None] for x in at.state))
         slopes = slopes_of(event.expression.program, self.seeds, of_event(event.name))

@@ -119,12 +119,12 @@ def series_of(expression: RunExpression, states: DifferentiatedStates, constants
 
 
 def one_after_another(parts: Sequence[DifferentiatedStates]) -> DifferentiatedStates:
-    """Return the states of several parts joined in order of time."""
+    """Return the states of several parts, in the order of the parts."""
     return _together(parts, np.concatenate, ("time", *_ARRAYS))
 
 
 def joined_states(parts: Sequence[DifferentiatedStates]) -> DifferentiatedStates:
-    """Return the states with the derivatives of several passes combined."""
+    """Return states with the derivatives of all parts, which have the same states and different parameters."""
 
     def joined(arrays: Sequence[np.ndarray]) -> np.ndarray:
         return np.concatenate([arrays[0], *(x[..., 1:] for x in arrays[1:])], axis=-1)

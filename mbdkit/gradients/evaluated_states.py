@@ -90,7 +90,7 @@ class StateEvaluator:
         """Return eight states near a state along the motion, without derivatives, and the time between neighbouring
         ones.
 
-        `rate_of` computes rates of quantities along the motion from them.
+        The states are at most ``unit / 8`` [s] away. `rate_of` computes rates of quantities from them.
         """
         distance = unit / 32.0
         offsets = distance * np.array(CENTRAL)
@@ -100,7 +100,7 @@ class StateEvaluator:
         return self.states(here.time[0] + offsets, *moved), distance
 
     def _use_other_pivots(self, t: float, *, is_last_try: bool) -> None:
-        """Choose pivots for a state that could not be evaluated; raise RunError if there are none."""
+        """Choose pivots for a state that could not be evaluated; raise RunError if there are none, or in a last try."""
         try:
             if is_last_try or not self.workspace.is_finite(tangents=False):
                 raise SingularSystemError

@@ -141,9 +141,9 @@ def gradient(
 ) -> Gradient:
     """Run a spec, and return the exact derivatives of measures of the run with respect to parameters of its model.
 
-    Every step of the method is differentiated with the run (forward sensitivities of the discrete solution), so that
-    the result is the derivative of the computed numbers for any step size. The dependence of the initial state on the
-    parameters is included, also that due to assembly.
+    The run differentiates every step of the method (forward sensitivities of the discrete solution), so that the result
+    is the derivative of the computed numbers for any step size. It includes the dependence of the initial state on the
+    parameters, also the dependence due to assembly.
 
     Parameters
     ----------
@@ -218,7 +218,7 @@ def require_derivatives(expressions: Mapping[str, MeasureExpression]) -> None:
 
 
 def gradients_json(spec: RunSpec) -> str:
-    """Return the gradients requested by a spec as the attribute of an archive, or the reason why there are none."""
+    """Return the gradients requested by a spec, or the reason why there are none, as the attribute of an archive."""
     try:
         with one_thread_of_linear_algebra():
             definitions = definitions_of(spec, list(spec.measures))
@@ -280,7 +280,7 @@ class _Reference:
 
     def values(self, spec: RunSpec) -> Sequence[float]:
         """Return the measures of a run in SI units; nan if no method reaches the end of the run."""
-        interval = _recorded_interval(spec)  # `at` is defined by interpolation between recorded states
+        interval = _recorded_interval(spec)  # `at` may interpolate between recorded states
         others = other_methods(spec, self._method, build(spec)[0], REFERENCE_STEPS, interval)
         for place in range(len(others)) if self._chosen is None else [self._chosen]:
             found = measured_in(others[place], self._expressions)

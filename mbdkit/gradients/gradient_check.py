@@ -27,15 +27,18 @@ ROUND_OFF = 1e-13
 NATURAL = np.finfo(float).eps / ROUND_OFF
 """Smallest size of a measure, relative to the natural size for its unit.
 
-Smaller measures differ from zero by rounding errors of the coordinates only, such as the height of a rod that lies
-still, and have no digits to compare.
+Smaller measures, such as the height of a rod that lies still, differ from zero only by rounding errors of the
+coordinates and have no digits to compare.
 """
 
 ALLOWED = 10.0
 """Largest accepted deviation of the derivative from the differences, as a multiple of their estimated error."""
 
 SMALLEST = 1e-7
-"""Deviations below this share of the sum of the terms of the derivative are always accepted."""
+"""Deviations below this share of the sum of the terms of the derivative are always accepted.
+
+There is one term for each parameter; the sum is that of absolute values.
+"""
 
 REFERENCE_STEP = 5e-4
 """Relative change of the parameters in the runs by another method, whose measures are less exact."""
@@ -83,7 +86,7 @@ class GradientCheck:
     error
         (M,) estimated error of the extrapolated differences.
     reference
-        (M,) the derivatives by differences of runs of another method with small errors; nan if no such run ended.
+        (M,) the derivatives by differences of runs of another method with small errors; nan if no such run is complete.
     agrees
         (M,) whether the derivative agrees with the differences within their estimated error and some tolerance, and
         with those of the other method within 1 %; true for measures without a derivative.
@@ -183,7 +186,7 @@ def check_gradient(
     jacobian: np.ndarray,
     reference: Measured | None = None,
 ) -> GradientCheck:
-    """Check a gradient by four runs with the same steps, and two of another method.
+    """Check a gradient by four runs with the same steps, and two or three runs by another method.
 
     Parameters
     ----------
@@ -217,7 +220,10 @@ def check_gradient(
 
 
 def _correction(of_smallest: np.ndarray) -> np.ndarray:
-    """Return the correction (M,) of the other method's differences, from that of the differences at `STEPS[0]`."""
+    """Return the correction (M,) of differences at the distance `REFERENCE_STEP`.
+
+    It follows from the correction `of_smallest` (M,) of differences at the distance `STEPS[0]`.
+    """
     return np.asarray((REFERENCE_STEP / STEPS[0]) ** 2 * of_smallest)
 
 
@@ -230,6 +236,8 @@ def discretization_doubts(
     check: GradientCheck, sizes: Mapping[str, float], jacobian: np.ndarray, smooth: Sequence[bool]
 ) -> list[str]:
     """Return a warning for each measure whose derivative differs from that of the exact motion by more than `NOTED`.
+
+    Measures whose derivative disagrees with the differences at `STEPS` get no such warning.
 
     Parameters
     ----------

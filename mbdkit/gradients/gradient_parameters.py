@@ -1,4 +1,4 @@
-"""The parameters by which a run is differentiated: named parameters and numbers of the model."""
+"""The parameters with respect to which a run is differentiated: named parameters and numbers of the model."""
 
 from __future__ import annotations
 

@@ -1,10 +1,11 @@
 """Discontinuities of force laws and their derivatives (*corners*), and mechanisms whose laws use one side of each
 corner.
 
-A law that is a SymPy expression, or its derivative, is discontinuous where a condition of a ``Piecewise`` changes, such
-as at the beginning of contact. Each condition compares a function g of length, rate and parameters with zero. In a
-mechanism with sides, the conditions are replaced by additional parameters of the law, the *sides*: 1 where g > 0,
-otherwise -1. During a step, the law is then smooth in the states of all stages; steps end where g is zero.
+A law that is a SymPy expression, or the derivative of such a law, may be discontinuous where a condition of a
+``Piecewise`` changes, such as at the beginning of contact. Each condition compares a function g of length, rate and
+parameters with zero. In a mechanism with sides, additional parameters of the law, the *sides*, replace the conditions:
+a side is 1 where g > 0, and otherwise -1. The sides are constant during a step, so that the law is smooth in the states
+of all stages; steps end where g is zero.
 """
 
 from __future__ import annotations
@@ -31,12 +32,12 @@ SIDE = "mbdkit_side_{}"
 
 @dataclass(frozen=True)
 class SidedLaw:
-    """A law with its conditions as parameters.
+    """A law in which sides, which are parameters, replace the conditions.
 
     Attributes
     ----------
     law
-        The law.
+        The law with sides.
     conditions
         Functions that return g and its derivatives with respect to all of their arguments. These are length, rate and
         the parameters of the original law, in the order of the law.
@@ -206,7 +207,7 @@ def _sided(law: Any, names: tuple[str, ...]) -> SidedLaw | None:
     replaced: dict[Any, Any] = {}
     for relation in sorted(force.atoms(sp.core.relational.Relational), key=str):
         if not isinstance(relation, sp.Gt | sp.Ge | sp.Lt | sp.Le) or not relation.free_symbols & set(variables[:2]):
-            continue  # the value of a condition on time or parameters is constant along the motion
+            continue  # only conditions on length or rate get sides
         g = sp.expand(relation.gts - relation.lts)
         if g.free_symbols - set(variables):
             continue

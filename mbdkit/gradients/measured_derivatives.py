@@ -1,11 +1,11 @@
 """Measures of a run with their derivatives with respect to parameters: the expressions are evaluated on values with
 derivatives.
 
-Reductions over time are evaluated on the recorded rows, on the stages of the steps, or on the continuous motion, as in
-runs. The points at which an integrand changes its form, and the time of an extremum, depend on the parameters. The
-contributions of these points cancel where the integrand is continuous. At a smooth extremum, the value does not depend
-on the time to first order. At other extrema, the derivative of the time is ``-g_p / g_t`` for the scalar g that changes
-sign there.
+Reductions over time are evaluated on the recorded states (*rows*), on the stages of the steps, or on the continuous
+motion, as in runs. The points at which an integrand changes its form, and the time of an extremum, depend on the
+parameters. The contributions of these points cancel where the integrand is continuous. At a smooth extremum, the value
+does not depend on the time to first order. At other extrema, the derivative of the time is ``-g_p / g_t`` for the
+scalar g that changes sign there, where g_p is its derivative with respect to the parameter and g_t its rate.
 """
 
 from __future__ import annotations
@@ -52,8 +52,9 @@ def needs_of(expression: MeasureExpression) -> Needs:
 
 @dataclass(frozen=True)
 class _Limit:
-    """One-sided limits, at one time, of a quantity and of the scalar (switch) that changes sign there, with their
-    rates.
+    """The limits from one side, at one time, of a quantity and of the scalar that changes sign at this time (*switch*).
+
+    The rates are the limits of the rates of both.
     """
 
     value: Value
@@ -75,7 +76,8 @@ class MeasureOfRun:
     doubts
         Warnings about derivatives that do not exist, for the measure evaluated last.
     size
-        Largest absolute value to which functions over time of this measure were applied, in the unit of the measure.
+        Largest absolute value to which the measure evaluated last applied functions over time, in the unit of the
+        measure.
     """
 
     def __init__(self, run: DifferentiatedRun):
@@ -165,8 +167,9 @@ class _Evaluation:
         return execute(self.expression.program[begin:end], step)
 
     def _reduction(self, index: int, name: str, number: int, operands: Sequence[Value]) -> Value:
-        """Return the value of the reduction over time at this index of the program; its operands are evaluated on the
-        rows.
+        """Return the value of the reduction over time at this index of the program.
+
+        `operands` are the values of its operands in the rows.
         """
         rows = operands[0]
         functional = self.expression.functionals[number - 1] if number else None
@@ -251,7 +254,7 @@ class _Evaluation:
             self._note_rest(switches, nodes.time)
             weights = np.column_stack([nodes.weight, np.zeros((len(nodes.weight), self.count))])
             piece = _weighted(values, weights)
-            # the integrand may be discontinuous there, at a time that depends on the parameters
+            # the integrand may be discontinuous where the part begins, at a time that depends on the parameters
             if part.corner is not None:
                 moved = np.concatenate([_corner_of(motion, number).slope for motion in self.run.motions])
                 sides = self._of_operand(index, self._at_corner(number), square=square).value
@@ -364,8 +367,9 @@ class _Evaluation:
     def _at(self, functional: Functional | None, index: int, time: Value, operand: Value) -> Value:
         """Return an operand at a time.
 
-        It is the value in the row with this time or, if there is none, that of the motion between the ends of steps. At
-        a discontinuity of a force law or a load, the limit from the left is used.
+        It is the value in the row with this time. If there is no such row, it is the value of the motion between the
+        ends of steps or, if this motion is not stored, a linear interpolation between rows. At a discontinuity of a
+        force law or a load, the limit from the left is used.
         """
         rows, at = self.run.rows.time, float(time.value.reshape(-1)[0])
         if not rows[0] <= at <= rows[-1]:
@@ -428,7 +432,7 @@ class _Evaluation:
         return Value.number(one.time, one.slope)
 
     def _extremum(self, name: str, rows: Value) -> Value:
-        """Return the largest or smallest value; add a warning if it is not unique."""
+        """Return the largest or smallest value in the rows; add a warning if it is not unique."""
         values = rows.value if name == "max" else -rows.value
         index = int(np.argmax(values))
         spread = float(np.max(values) - np.min(values))
@@ -488,7 +492,7 @@ class _Evaluation:
     def _note_equal_elements(self, operation: str, rows: Value) -> None:
         """Add a warning if several elements of a beam have the extreme value, but different derivatives.
 
-        The extremum is taken over time, or at the end of the run.
+        Two times are examined: that of the extremum over time, and the end of the run.
         """
         values = rows.value if operation == "along_max" else -rows.value
         for row in {int(np.argmax(np.max(values, axis=0))), values.shape[1] - 1}:
@@ -529,8 +533,8 @@ def _corner_of(motion: DifferentiatedMotion, number: int) -> Corner:
 def _switch_of(operation: str, operands: Sequence[Value]) -> Value | None:
     """Return the scalar whose sign determines the form of an operation; None if the form is fixed.
 
-    See `mbdkit.measures.reductions.Functional.values_and_switches`. A vector is compared with its value at the first
-    time.
+    See `mbdkit.measures.reductions.Functional.values_and_switches`. For the norm of a vector, the scalar is the product
+    of the vector with its value at the first time.
     """
     kind = OPERATIONS[operation].switch if operation in OPERATIONS else ""
     if kind:

@@ -26,7 +26,7 @@ from mbdkit.stepping.dual_run import Seeds
 Arrays = Mapping[str, np.ndarray]
 
 WIDEST = 0.05
-"""Largest change of a parameter, relative to its size."""
+"""Largest change of a parameter on both sides, relative to its size; a change on only one side is up to twice this."""
 SMALLEST_SIZE = 0.1
 """Smallest size that is assumed for a parameter, such as an angle of 1e-9 rad.
 
@@ -38,13 +38,14 @@ FACTOR, MOST_ATTEMPTS = 4.0, 4
 ACCURATE = 1e-13
 """Largest difference between the derivatives of order 8 and 6 for which they count as accurate.
 
-It is relative to the largest derivative, or to the array divided by the size of the parameter.
+It is relative to the largest derivative, or to the largest value of the array divided by the size of the parameter,
+whichever is larger.
 """
 LINEAR = 64.0
 """Largest deviation from a line that counts as rounding, in units of round-off of the array."""
 CENTRAL, FORWARD = (-4, -3, -2, -1, 1, 2, 3, 4), (1, 2, 3, 4, 5, 6, 7, 8)
 BACKWARD = tuple(-place for place in FORWARD)
-"""Positions of the points, in units of a quarter of the largest change."""
+"""Positions of the points, in a unit that is at most a quarter of `WIDEST` times the size of the parameter."""
 FEW = {CENTRAL: (-4, 1, 4), FORWARD: (2, 4, 8), BACKWARD: (-8, -4, -2)}
 """Positions of the points that are used to test for linear dependence."""
 
@@ -52,7 +53,8 @@ FEW = {CENTRAL: (-4, 1, 4), FORWARD: (2, 4, 8), BACKWARD: (-8, -4, -2)}
 LEFT_OUT = ("length", "row_units", "spare_axes", "weight")
 """Arrays that are not differentiated.
 
-The motion does not depend on units and choices. The derivatives of inverse masses follow from those of the masses.
+The motion does not depend on the first three, which are units and choices. The derivatives of the last one, the inverse
+masses, follow from those of the masses.
 """
 
 
@@ -92,7 +94,7 @@ class Preparation(ABC):
     mechanism: CompiledMechanism
     base: Arrays
     ROUNDED: tuple[str, ...] = ()
-    """Names of arrays whose values change by rounding errors of lengths and angles."""
+    """Names of arrays that have rounding errors of lengths and angles, even if their values are small."""
 
     @abstractmethod
     def at(self, parameter: Parameter, value: float) -> Arrays:
@@ -133,7 +135,9 @@ class Preparation(ABC):
         return {name: x for name, x in fields.items() if x.dtype.kind == "f" and name not in LEFT_OUT}
 
     def require_same_structure(self, mechanism: CompiledMechanism, parameter: Parameter, value: float) -> None:
-        """Raise SpecError if a mechanism differs from that of the spec in more than its numbers."""
+        """Raise SpecError if a mechanism differs from that of the spec in more than its numbers, or in the times at
+        which controllers take samples.
+        """
         for name, x in self.mechanism.topology._asdict().items():
             other = getattr(mechanism.topology, name)
             if x.shape != other.shape or (x.dtype.kind == "i" and not np.array_equal(x, other)):
@@ -150,7 +154,10 @@ class Preparation(ABC):
                 )
 
     def require_same_form(self, arrays: Arrays, parameter: Parameter) -> None:
-        """Raise SpecError if expressions contain other numbers than those of the spec; see `numbers_of`."""
+        """Raise SpecError if expressions do not have as many instructions as those of the spec.
+
+        `arrays` has the numbers in the instructions; see `numbers_of`.
+        """
         if any(x.shape != self.base[name].shape for name, x in arrays.items()):
             raise SpecError(
                 f"the form of an expression depends on '{parameter.name}', for example because it is an exponent; "
@@ -234,7 +241,7 @@ class Preparation(ABC):
 
 @dataclass(frozen=True)
 class _Derivatives:
-    """The derivatives of all arrays with respect to one parameter that are not zero; see `PreparedDerivatives`."""
+    """The derivatives of arrays, except zeros, with respect to one parameter; see `PreparedDerivatives`."""
 
     slopes: dict[str, np.ndarray]
     error: float

@@ -1,11 +1,11 @@
 """Differentiated runs whose steps end where a force law or its derivative is discontinuous (at a *corner*).
 
-The result of a step across a corner is not a smooth function of the parameters. However small the step, its derivative
-lacks the effect of the change of the time at which the corner is reached. Steps therefore end at corners, and each part
-of a step uses one side only (`mbdkit.gradients.law_corners`). If the force is discontinuous, the derivatives of the
-velocities change by the difference of the accelerations before and after the corner, times the derivative of the time
-of the corner (P. C. Mueller, Calculation of Lyapunov exponents for dynamic systems with discontinuities, Chaos,
-Solitons & Fractals 5 (1995) 1671-1681).
+The result of a step across a corner is not a smooth function of the parameters. However small such a step is, the
+derivative of its result lacks the effect of the change of the time at which the corner is reached. Steps therefore end
+at corners, and every step uses only one side of each corner (`mbdkit.gradients.law_corners`). If the force is
+discontinuous, the derivatives of the velocities change by the difference of the accelerations before and after the
+corner, times the derivative of the time of the corner (P. C. Mueller, Calculation of Lyapunov exponents for dynamic
+systems with discontinuities, Chaos, Solitons & Fractals 5 (1995) 1671-1681).
 """
 
 from __future__ import annotations
@@ -32,11 +32,11 @@ from mbdkit.stepping.run_state import MODIFIED
 PLACES = (0.25, 0.5, 0.75, 1.0)
 """Shares of a step at which conditions are evaluated."""
 SAME = 1e-9
-"""A corner counts as being at the start or at the end of a step if its distance from this end, as a share of the step,
-is below this.
+"""A corner counts as being at the start or at the end of a step if its distance from there, as a share of the step, is
+below this.
 """
 AHEAD = 1e-6
-"""Distance behind a corner, as a share of the step, at which the new sides of force laws are determined."""
+"""Time after a corner, as a share of the step, at which the new sides of force laws are determined."""
 MOST_AT_ONCE = 8
 """Largest number of corners at the same time; if there are more, the run fails."""
 
@@ -48,9 +48,10 @@ class Sides:
     Attributes
     ----------
     rows, nodes
-        Number of recorded states before that state, without the first one, and number of nodes before it.
+        Number of recorded states before that state, not counting the initial one, and number of nodes of integrals
+        before it.
     sides
-        (C,) the sides.
+        (C,) the sides of the C conditions.
     """
 
     rows: int
@@ -183,8 +184,8 @@ class SidedStepper(DifferentiatedStepper):
         return min(found) if found else None
 
     def _root(self, step: StepTaken, wrong: np.ndarray, number: int) -> tuple[float, int] | None:
-        """Return the share of the step at which a condition changes; None if steps of the method show that it does not
-        change.
+        """Return the share of the step at which a condition changes; None if states computed by steps of the method do
+        not confirm the change.
         """
         side = float(self.sides[number])
 
@@ -248,7 +249,7 @@ class SidedStepper(DifferentiatedStepper):
         return np.where(later >= 0.0, 1.0, -1.0)
 
     def _pass(self, number: int) -> None:
-        """Apply a corner: change the sides, and the derivatives of velocities and energies."""
+        """Pass a corner: change the sides, and the derivatives of velocities, first-order states and energies."""
         assert self.steps is not None
         before = self._here()
         _, slope, rate = self._conditions(before)

@@ -1,4 +1,4 @@
-"""Doubts about gradients with respect to initial values that assembly changes."""
+"""Warnings (*doubts*) about gradients with respect to initial values that assembly changes."""
 
 from __future__ import annotations
 
@@ -12,17 +12,17 @@ from mbdkit.gradients.parameter_differences import PreparedDerivatives
 from mbdkit.spec import RunSpec
 
 COORDINATES = {"position": ("q", 0), "angle": ("q", 2), "velocity": ("v", 0), "angular_velocity": ("v", 2)}
-"""Array of the initial state, and place of the first number in the three numbers of a body, by key of the body."""
+"""For each key of a body: array of the initial state, and index of the first number among the three of the body."""
 
 KEPT = 0.01
-"""Largest deviation from 1, of the derivative of an initial value after assembly by the given value, without a doubt.
+"""Largest accepted deviation from 1 of the derivative of an assembled initial value with respect to the given one.
 
-Other derivatives mean that the joints determine the initial value together with values of other bodies.
+A larger deviation means that the joints determine the initial value together with values of other bodies.
 """
 
 
 def start_doubts(spec: RunSpec, parameters: Sequence[Parameter], prepared: PreparedDerivatives) -> Iterator[str]:
-    """Yield a doubt for each parameter that is an initial coordinate or velocity of a body which assembly changes.
+    """Yield a warning for each initial coordinate or velocity of a body that is a parameter and that assembly changes.
 
     Parameters
     ----------
@@ -48,7 +48,10 @@ def start_doubts(spec: RunSpec, parameters: Sequence[Parameter], prepared: Prepa
 
 
 def _initial_values(spec: RunSpec, parameter: Parameter) -> list[Path]:
-    """Return the paths of the initial coordinates and velocities of bodies that are equal to a parameter."""
+    """Return the paths of the initial coordinates and velocities of bodies that a parameter sets directly.
+
+    Such a value is the parameter itself, or is given as the name of the parameter alone.
+    """
     paths = [parameter.path, *(path for path, text in spec.written.items() if text.strip() == parameter.name)]
     bodies = spec.mechanism().bodies
     return [

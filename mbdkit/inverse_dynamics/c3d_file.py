@@ -34,7 +34,7 @@ class Columns(NamedTuple):
     ----------
     headings
         ``time``, ``LABEL.x`` and so on for each marker, and ``plate1.force.x``, ``plate1.point.x``, ``plate1.torque.x``
-        and so on for each force plate; empty for markers without a label.
+        and so on for each force plate. The headings of markers without a label are empty.
     values
         (T, columns); nan where a marker was not seen, or where a plate has no point of application.
     unit
@@ -53,7 +53,7 @@ def read_c3d(path: Path, most_cells: int) -> Columns | None:
     """Read the points and force plates of a C3D file; None if they have more cells than `most_cells`.
 
     Forces and torques of plates are those in the file, in the frame of the laboratory. They are given at the times of
-    the camera frames, and set to zero if the force is below `UNLOADED`.
+    the camera frames, and set to zero where the plate is unloaded; see `UNLOADED`.
 
     Raises
     ------
@@ -185,8 +185,10 @@ def _in_order_of_intel(content: bytes, first: int) -> bytes:
 
 
 _HEADER = (("5h", 2), ("f", 12), ("2h", 16), ("f", 20))
-"""Numbers in the header and their positions: points, analog samples, frames and gap; scale; start of data, samples;
-rate.
+"""Formats of the numbers in the header, and their positions in bytes.
+
+The numbers are those of points and analog samples, first and last frame and largest gap; the scale; the first block of
+data and the number of analog samples per frame; the frame rate.
 """
 
 

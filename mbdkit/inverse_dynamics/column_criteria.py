@@ -33,14 +33,16 @@ of an acceleration exceeds `FAST` times gravity.
 """
 
 UNEVEN = 0.01
-"""The times of the rows are examined if the relative variation of their intervals is at least this."""
+"""The times of the rows are examined if the longest and the shortest interval differ by more than this share of the
+mean interval.
+"""
 
 EVEN, CERTAIN = 0.5, 6.0
 """Limits for implausible times.
 
-The columns are compared with the given times and with evenly spaced ones. The result is a share: 0 if the given times
-are right, 1 if the evenly spaced ones are. The given times are implausible if the share exceeds both `EVEN` and
-`CERTAIN` times the standard deviation of the share due to noise.
+A share tells whether the columns fit the given times or evenly spaced times better. Apart from noise, it is 0 if the
+given times are right, and 1 if the evenly spaced times are right. The given times are implausible if the share exceeds
+both `EVEN` and `CERTAIN` times the standard deviation of the share due to noise.
 """
 
 CERTAIN_OF_GRID = 3.0
@@ -68,8 +70,8 @@ ROUND_OFF = 1e-9
 """Change of a fitted quantity below which it counts as constant [m or rad]."""
 
 MOVING = 5.0
-"""A column counts as moving in some rows if its range there is at least this many times the smallest change between
-rows.
+"""A column counts as changing in a sequence of rows if its range in these rows is more than this many times the
+smallest change of the column between two rows.
 """
 
 TURN = 1.2
@@ -78,8 +80,8 @@ the number is wrong.
 """
 
 TURNS, TURNING = 4 * np.pi, 0.8
-"""An angle without a unit looks like degrees if its magnitude exceeds `TURNS` [rad]. The exception are angles that turn
-in one direction, such as that of a crank: their net change is at least `TURNING` times their total variation.
+"""An angle without a unit looks like degrees if its magnitude exceeds `TURNS` [rad]. Angles that turn mostly in one
+direction, such as that of a crank, are exceptions: their net change is at least `TURNING` times their total variation.
 """
 
 SMALL_RANGES = (0.3, 3.0)
@@ -107,8 +109,8 @@ SUDDEN, LEAST_SUDDEN = 10.0, 0.01
 """
 
 BEYOND_NOISE = 10.0
-"""The stated noise is implausible if the root mean square difference of data and smoothed motion is this many times
-larger.
+"""The stated noise is implausible if the root mean square difference of data and smoothed motion is more than this many
+times as large.
 
 A low cutoff alone gives ratios of up to 5.
 """
@@ -141,8 +143,9 @@ def column_doubts(result: Inverse) -> Iterator[Doubt]:
 
 
 def suspicious_columns(measured: Measured, length: float) -> list[str]:
-    """Return sentences without full stops about columns that may be why no pose fits: outliers, units, or the largest
-    range.
+    """Return sentences, without full stops, about columns that may be the reason why no pose fits.
+
+    These are columns with outliers or wrong units or, if there are none, the column with a very large range, if any.
 
     Parameters
     ----------
@@ -194,7 +197,9 @@ def _of_times(measured: Measured) -> Iterator[Doubt]:
 
 
 def _unit_of_time(result: Inverse) -> Iterator[Doubt]:
-    """Yield a doubt if accelerations are so small or large beside gravity that the times seem to have another unit."""
+    """Yield a doubt if accelerations, compared with gravity, are so small or large that the times seem to have another
+    unit.
+    """
     motion, length = result.motion, result.problem.fitter.manifold.length
     if len(motion.time) < 3 or not length > 0:
         return
@@ -279,8 +284,8 @@ def _outliers(measured: Measured, index: int, name: str) -> Iterator[Doubt]:
 
 
 def _constants(result: Inverse) -> Iterator[Doubt]:
-    """Yield doubts about columns that are constant while others move, unless the joints keep these quantities
-    constant.
+    """Yield doubts about columns that are constant for some time while other columns change, unless the joints keep
+    these quantities constant.
     """
     measured, fitted = result.fitted.measured, result.fitted.values
     has_more = len(measured.names) > result.problem.fitter.manifold.freedoms

@@ -48,7 +48,7 @@ class InverseProblem:
     prepared
         The mechanism, assembled for the time of the motion.
     fitter
-        Fits the mechanism to data; contains its constraint manifold.
+        Fits the mechanism to data; contains the constraint manifold of the mechanism.
     names
         Quantities of the mechanism by name.
     measured
@@ -82,7 +82,7 @@ class InverseProblem:
         Raises
         ------
         SpecError
-            If the data, or names in the spec, are wrong. The error has file and line, or the key.
+            If the data, or names in the spec, are wrong. The error contains the file and line, or the key of the spec.
         """
         names = QuantityNames(spec.mechanism())
         try:
@@ -105,7 +105,7 @@ class Fitted:
     Attributes
     ----------
     measured
-        The measured motion; angles continue from the number of turns of the first pose.
+        The measured motion, with angles shifted by full turns so that they agree with the pose in the first frame.
     q
         (T, n) poses that satisfy the constraints.
     """
@@ -129,8 +129,8 @@ class Fitted:
 class Inverse:
     """The result of inverse dynamics in T frames.
 
-    `dynamics` has the forces without muscles. `recruited` is None without `recruitment`, and the independent
-    coordinates are None if derivatives were given.
+    `dynamics` contains the forces that produce the motion without muscles. `recruited` is None if the spec has no
+    `recruitment`. `independent` is None if the data contain derivatives.
     """
 
     problem: InverseProblem
@@ -143,7 +143,7 @@ class Inverse:
 
     @property
     def lam(self) -> np.ndarray:
-        """(T, m) multipliers of the independent rows, with the forces of recruited muscles."""
+        """(T, m) multipliers of the independent constraint rows, with the forces of recruited muscles if any."""
         return self.dynamics.lam if self.recruited is None else self.recruited.lam
 
     @property
@@ -220,7 +220,7 @@ def _first_pose(problem: InverseProblem) -> tuple[np.ndarray, np.ndarray]:
 
 
 def check(problem: InverseProblem) -> None:
-    """Raise the errors of `compute` that the first frame shows, without computing the others."""
+    """Raise those errors of `compute` that can be found from the pose in the first frame alone."""
     try:
         first, _ = _first_pose(problem)
         if problem.spec.unbalanced == "refuse":
@@ -235,7 +235,7 @@ def compute(problem: InverseProblem) -> Inverse:
     Raises
     ------
     SpecError
-        If the input is wrong. The error has file and line of the key.
+        If the input is wrong. The error contains the file and line of the key in the spec.
     RunError
         If no pose fits the data, or the mechanism passes a singular position.
     """
@@ -264,7 +264,7 @@ def motion_of(problem: InverseProblem, fitted: Fitted) -> tuple[Independent | No
 def forces_of(
     problem: InverseProblem, fitted: Fitted, independent: Independent | None, motion: Motion, *, strict: bool = True
 ) -> Inverse:
-    """Return the result whose forces produce a motion.
+    """Return the result of inverse dynamics for a motion.
 
     See `compute` for errors, and `Recruiter.recruited` for `strict`.
     """
@@ -277,7 +277,13 @@ def forces_of(
 
 
 def recorded_states(result: Inverse) -> States:
-    """Return the states of the motion with accelerations, reactions, forces and energies."""
+    """Return the states of the motion with accelerations, reactions, forces and energies.
+
+    Raises
+    ------
+    RunError
+        If the states are not unique at a singular position.
+    """
     motion, dynamics = result.motion, result.dynamics
     workspace, manifold = result.problem.prepared.workspace, result.problem.fitter.manifold
     count = len(motion.time)
@@ -318,6 +324,6 @@ def _muscles(result: Inverse) -> Muscles | None:
 
 
 def reaction_forces_without_muscles(result: Inverse) -> np.ndarray:
-    """Return the reaction forces (T, J, 2) [N] that would occur if actuators produced the motion without muscles."""
+    """Return the reaction forces (T, J, 2) [N] for the same motion without muscles, produced by the actuators alone."""
     without = replace(result, recruited=None)
     return recorded_states(without).reactions[:, :, :2]

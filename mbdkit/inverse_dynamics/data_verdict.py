@@ -18,8 +18,14 @@ from mbdkit.trust.criteria import Evidence, Judgement, judge
 
 
 class DataDoubts(NamedTuple):
-    """Doubts about data, as sentences that begin with the name of the criterion: doubts that the spec does not accept,
-    and doubts that it accepts.
+    """Doubts about the data and the model, as sentences that begin with the name of the criterion.
+
+    Attributes
+    ----------
+    open
+        Doubts that the spec does not accept.
+    accepted
+        Doubts that the spec accepts.
     """
 
     open: tuple[str, ...] = ()
@@ -35,14 +41,14 @@ def doubts_about_data(result: Inverse, bars: ErrorBars | None) -> DataDoubts:
 
 
 def verdict_on_data(result: Inverse, misalignment: np.ndarray, doubts: DataDoubts) -> Judgement:
-    """Return the verdict: ``unknown`` at best, since error bars do not include wrong data, masses and lengths.
+    """Return the verdict, which is ``unknown`` at best: error bars do not cover wrong data, masses and lengths.
 
     Parameters
     ----------
     misalignment
         (J,) largest misalignment of each joint [m].
     doubts
-        The doubts about the data; the verdict also mentions the accepted ones.
+        The doubts about data and model. Only open doubts lower the level; the accepted ones are added to the reasons.
     """
     joints = result.problem.prepared.workspace.mechanism.joints
     worst = int(np.argmax(misalignment)) if misalignment.size else 0

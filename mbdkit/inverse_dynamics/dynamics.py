@@ -2,9 +2,11 @@
 
     M a + Phi_q^T lambda = Q + Q_loads + B u
 
-The unknowns are the values u of the actuators and the multipliers lambda. The projection on the free directions N of
-the mechanism gives ``N^T B u = N^T (M a - Q - Q_loads)``; then lambda balances the remaining forces. Nothing is divided
-by masses, so that bodies with little mass cause no large errors.
+M contains the masses, a the accelerations, Phi_q is the Jacobian of the constraints, Q contains the applied forces of
+the model, Q_loads the measured loads, and B the generalized forces of unit actuators. The unknowns are the values u of
+the actuators and the multipliers lambda. The projection on the free directions N of the mechanism gives
+``N^T B u = N^T (M a - Q - Q_loads)``; then lambda balances the remaining forces. Nothing is divided by masses, so that
+bodies with little mass cause no large errors.
 """
 
 from __future__ import annotations
@@ -38,7 +40,7 @@ class Dynamics:
     value, power
         (T, U) values [N, N m] and powers [W] of the actuators.
     lam
-        (T, m) multipliers of the independent rows.
+        (T, m) multipliers of the independent constraint rows.
     unbalanced
         (T, n) generalized forces that the actuators leave unbalanced.
     surplus
@@ -92,7 +94,7 @@ class Balance:
     actuators
         The U actuators.
     directions
-        Free directions of the motion.
+        Free directions of the mechanism in each frame.
 
     Attributes
     ----------
@@ -123,7 +125,7 @@ class Balance:
         inverse, effect = self._inverted(), self.effect
         right = (self._free @ needed[..., None])[..., 0]
         scaled = (inverse @ right[..., None])[..., 0]
-        # removes rounding errors
+        # One step of iterative refinement reduces rounding errors.
         scaled += (inverse @ (right - (effect @ scaled[..., None])[..., 0])[..., None])[..., 0]
         value = scaled / self._weight
         pushed = (self.columns @ value[..., None])[..., 0]
@@ -159,7 +161,7 @@ def columns_of(q: np.ndarray, actuators: Sequence[NamedActuator]) -> np.ndarray:
 
 
 def weights_of(manifold: Manifold, actuators: Sequence[NamedActuator]) -> np.ndarray:
-    """Return the weights (U,) of actuators; those of torques are divided by the characteristic length."""
+    """Return the weights (U,) of actuators; the weights of torques are divided by the characteristic length."""
     return np.array([actuator.weight / (manifold.length if actuator.unit == "N m" else 1.0) for actuator in actuators])
 
 
@@ -173,7 +175,10 @@ def _require_regular(directions: Directions, motion: Motion) -> None:
 
 
 def _rank(fitter: Fitter, directions: Directions, effect: np.ndarray, time: np.ndarray, report: bool) -> int:
-    """Return the number of free directions that the actuators drive in all frames."""
+    """Return the smallest number of free directions that the actuators drive in a frame.
+
+    Raise SpecError if the actuators do not drive all free directions, unless `report` is True.
+    """
     freedoms = directions.free.shape[2]
     if not freedoms:
         return 0

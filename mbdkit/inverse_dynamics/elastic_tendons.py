@@ -6,10 +6,12 @@ which they exert the tension is
 
     a(F) = (F / (max_force cos(alpha)) - f_passive(l)) / (f_active(l) f_velocity(v))
 
+where alpha is the pennation angle, v the velocity of the fibres, and the functions f are the curves of the muscle.
+
 In each frame, the cost of the activations a(F) is minimised over the tensions F. The minimum is found by a sequence of
-convex programmes in which F is linear in a; the slope is that at the activations found by the previous programme. Once
+convex programmes in which F is linear in a, with the slope at the activations found by the previous programme. Once
 two programmes find the same activations, the optimality conditions of the programme are those of the original problem.
-In the first frame, tendons have constant lengths.
+In the first frame, the velocity of the fibres is computed with tendons of constant length.
 """
 
 from __future__ import annotations
@@ -30,9 +32,7 @@ SETTLED = 1e-12
 FARTHEST = 0.2
 """Largest change of a tension from one programme to the next, relative to `max_force`."""
 LEAST = 1e-9
-"""Smallest tension, relative to `max_force`; it is also assumed for muscles whose fibres are too short to exert a
-force.
-"""
+"""Smallest tension, relative to `max_force`. Muscles whose fibres cannot exert an active force have this tension."""
 WEAK = 1e-6
 """Fibres whose active force at full activation, relative to `max_force`, is below this count as unable to exert a
 force.
@@ -40,7 +40,9 @@ force.
 SMALLEST = 0.05
 """Smallest share of a change of the tensions that is applied."""
 SLOWEST, STRONGEST = 0.05, 1.5
-"""Smallest factor of the force-velocity curve, and largest activation, that programmes use."""
+"""Tensions are reduced if their factor of the force-velocity curve is below the first value, or their activation above
+the second.
+"""
 
 
 @dataclass(frozen=True)
@@ -69,7 +71,7 @@ class Equilibrium:
 
     @property
     def offset(self) -> np.ndarray:
-        """Tensions at zero activation of the linear functions that approximate the tensions [N]."""
+        """Values at zero activation of the linear approximations of the tensions [N]."""
         return np.asarray(self.tension - self.stiffness * self.activation)
 
 
@@ -93,7 +95,7 @@ class ElasticMuscles:
         self._speed = self._optimal * np.array([one.max_velocity for one in self._muscles])
 
     def _curve(self, name: str, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return the values and slopes of a curve of the muscles, each at its own argument."""
+        """Return the values and slopes (M,) of a curve, of each muscle at its component of the arguments x (M,)."""
         value, slope = np.empty_like(x), np.empty_like(x)
         for kind in dict.fromkeys(one.curves for one in self._muscles):
             own = np.array([one.curves == kind for one in self._muscles])
@@ -108,9 +110,11 @@ class ElasticMuscles:
         Parameters
         ----------
         path, rate
-            Lengths of the paths and their rates.
-        before, step
-            Lengths of the fibres in the previous frame, and the time since then; None in the first frame.
+            Lengths of the paths [m] and their rates [m/s].
+        before
+            Lengths of the fibres in the previous frame [m]; None in the first frame.
+        step
+            Time since the previous frame [s]; not used in the first frame.
         """
         share = tension / self.max_force
         stretch, compliance = self._curve("stretch", share)
@@ -147,8 +151,8 @@ class ElasticMuscles:
         step: float,
         rate: np.ndarray,
     ) -> Equilibrium:
-        """Return the equilibrium with these tensions; if fibres cannot exert them, with tensions nearer to `start`. See
-        `at`.
+        """Return the equilibrium with given tensions (M,), or with tensions nearer to `start` (M,) for muscles whose
+        fibres cannot exert the given ones; see `at` for the parameters.
         """
         found = self.at(tension, path, before, step, rate)
         for _ in range(60):
@@ -160,7 +164,7 @@ class ElasticMuscles:
         return found
 
     def require_room(self, time: np.ndarray, path: np.ndarray) -> None:
-        """Raise RunError for the first muscle whose tendon is longer than its path (T, M)."""
+        """Raise RunError if the tendon of a muscle is at least as long as its path (T, M) [m] in some frame."""
         for index, name in enumerate(self.names):
             frame = int(np.argmin(path[:, index]))
             if path[frame, index] <= self._tendon[index]:
@@ -171,9 +175,9 @@ class ElasticMuscles:
 
 
 def _relaxation(size: float, last: np.ndarray, change: np.ndarray) -> float:
-    """Return the share of a change that is applied, by Aitken's method, from the share of the last change.
+    """Return the share of a change that is applied, by Aitken's method; `size` is the share of the `last` change.
 
-    Force-velocity curves bend sharply where fibres begin to lengthen, so that full changes would alternate.
+    Force-velocity curves bend sharply where fibres begin to lengthen, so that full changes could oscillate.
     """
     bend = last - change
     if not np.any(last) or not np.any(bend):
@@ -184,7 +188,8 @@ def _relaxation(size: float, last: np.ndarray, change: np.ndarray) -> float:
 Share = Callable[[int, np.ndarray, np.ndarray], np.ndarray]
 """Function that returns the activations (M,) of a frame; nan if there is no solution.
 
-Tensions are linear in the activations. The arguments are the frame, the slopes, and the tensions at zero activation.
+Tensions are linear in the activations. The arguments are the number of the frame, the slopes (M,) of the tensions, and
+the tensions (M,) at zero activation.
 """
 
 
@@ -196,12 +201,14 @@ def in_equilibrium(
     Parameters
     ----------
     path, rate
-        (T, M) lengths of the paths and their rates.
+        (T, M) lengths of the paths [m] and their rates [m/s].
+    share
+        Solves the programme of a frame. In frames without a solution, the last tensions are returned.
 
     Raises
     ------
     RunError
-        If a tendon is longer than its path, or the programmes of a frame do not converge.
+        If a tendon is at least as long as its path, or if the programmes of a frame do not converge.
     """
     elastic.require_room(time, path)
     found: list[Equilibrium] = []

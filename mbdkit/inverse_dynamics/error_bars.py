@@ -2,12 +2,14 @@
 
 Noise is assumed to be Gaussian and independent from sample to sample. Samples of noise, passed through the linearised
 fit and the smoothing, give the covariance of coordinates, rates and accelerations in each frame. Derivatives of the
-dynamics by central differences then give the covariance of the forces. Loads are not smoothed, so that their noise is
-added to this covariance unchanged. The effect of the cutoff is added by root sum of squares: the mean of the squared
-changes of the result with a lower and a higher cutoff, minus the mean square change caused by noise alone. The effect
-of the choice of independent coordinates is added in the same way, unless these are the measured quantities: the squared
-change of the result if other coordinates are smoothed, minus the mean square of this change due to noise. Uncertain
-properties of muscles are drawn at random, and the mean squares of the changes are added.
+dynamics by central differences then give the covariance of the forces. The noise of loads is added to this covariance
+without smoothing, because loads are not smoothed.
+
+Other effects are added by root sum of squares. The square of the effect of the cutoff is the mean of the squared
+changes of the result with a lower and with a higher cutoff, minus the mean square of these changes due to noise. If the
+independent coordinates are not the measured quantities, the square of the effect of their choice is the squared change
+of the result if other coordinates are smoothed, minus the mean square of this change due to noise. Uncertain properties
+of muscles are drawn at random, and the mean squares of the resulting changes are added.
 """
 
 from __future__ import annotations
@@ -35,7 +37,7 @@ LEVEL = 0.95
 """Probability that an error is smaller than its bar."""
 
 CUTOFFS = (0.8, 1.25)
-"""Factors of the cutoffs with which the result is compared."""
+"""The result is compared with results whose cutoff is multiplied by these factors."""
 
 
 LOAD_UNITS = {"force": "N", "point": "m", "torque": "N m"}
@@ -163,8 +165,8 @@ def _covariances(
 ) -> list[np.ndarray]:
     """Return covariances (T, 3 U, 3 U), due to noise, of the coordinates, their rates and accelerations in each frame.
 
-    The first one belongs to the coordinates of the result. The others belong to the changes of these coordinates with
-    each of the smoothings `others`.
+    The first covariances are those of the result. Each of the following ones belongs to the differences between the
+    coordinates with one of the smoothings `others` and the coordinates of the result.
     """
     totals: list[np.ndarray | float] = [0.0] * (1 + len(others))
     for noise in path.samples(deviation, asked.samples, random):
@@ -176,7 +178,9 @@ def _covariances(
 
 def _sensitivity(response: _Response, series: Smoothed, covariance: np.ndarray) -> list[np.ndarray]:
     """Return the derivatives (3 U, ...) of each quantity of the outcome with respect to coordinates, rates and
-    accelerations, by central differences whose steps are the typical standard deviations of these.
+    accelerations.
+
+    Differences are central. The step of each variable is the typical standard deviation of its noise.
     """
     parts = (series.value, series.rate, series.acceleration)
     count = series.value.shape[1]
@@ -199,7 +203,7 @@ def _with_loads(
 ) -> tuple[list[np.ndarray], np.ndarray]:
     """Return derivatives and covariance with C further variables: the components of loads that are noisy.
 
-    They are independent of each other and of the motion.
+    The noise of each component is independent of all other noise.
 
     Parameters
     ----------
@@ -300,7 +304,7 @@ class _Other:
     Attributes
     ----------
     name
-        The difference from the result, for the description.
+        What differs from the result, for the description of the method.
     noise
         Function from noise (T, K, S) of the data to the changes (T, U, S) of the coordinates of the result.
     change

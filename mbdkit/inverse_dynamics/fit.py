@@ -15,19 +15,26 @@ from mbdkit.mechanism.mechanism_quantities import Quantities
 
 MOST_ITERATIONS = 200
 ROUND_OFF = 1e-13
-"""Scaled step below which an iteration has converged."""
+"""Scaled step up to which an iteration has converged.
+
+A scaled step is the largest change of a coordinate, divided by the scale of the coordinate (`Manifold.scale`).
+"""
 
 STAGNANT = 1e-8
-"""Scaled step below which an iteration may end if its steps no longer decrease."""
+"""Scaled step below which an iteration also ends if the step is at least half as large as the previous one."""
 
 SETTLED = 0.03
 """Scaled step below which the pose of a key frame is accurate enough to start the fit of other frames."""
 
 LONGEST = 0.5
-"""Largest scaled step of an iteration, and largest change of the pose between key frames."""
+"""Largest scaled step of an iteration, and largest scaled change of the pose between key frames that are not
+consecutive frames.
+"""
 
 KEYS = 50
-"""Smallest number of key frames, which are fitted one after the other; there are more if the pose changes much."""
+"""Smallest number of key frames, if there are as many frames. Key frames are fitted one after the other; there are more
+of them if the pose changes much.
+"""
 
 UNSEEN = 1e-7
 """A direction counts as not observed if its effect on the data, relative to the effect of the best observed direction,
@@ -35,7 +42,7 @@ is below this.
 """
 
 MOVES = 1e-3
-"""A coordinate is named in messages if its component is at least this share of the largest one."""
+"""A coordinate is named in messages if its component is larger than this share of the largest component."""
 
 
 @dataclass(frozen=True)
@@ -72,15 +79,15 @@ class Fitter:
     manifold
         The constraints of the mechanism.
     bodies
-        Names of its bodies.
+        Names of the bodies of the mechanism.
     """
 
     def __init__(self, manifold: Manifold, bodies: tuple[str, ...]):
         self.manifold, self.bodies = manifold, bodies
 
     def first_pose(self, target: Target, start: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return the pose (n,) of the first frame, and the values (K,) there, with angles shifted to the same number of
-        turns.
+        """Return the pose (n,) of the first frame, and the target values (K,) in this frame, with angles shifted by
+        full turns so that they are nearest to those of the pose.
 
         Parameters
         ----------
@@ -159,7 +166,7 @@ class Fitter:
         )
 
     def _step(self, target: Target, q: np.ndarray) -> np.ndarray:
-        """Return the Gauss-Newton step (T, n), shortened to `LONGEST`."""
+        """Return the Gauss-Newton step (T, n), shortened to a scaled size of at most `LONGEST`."""
         frames = self.manifold.frames(target.time, q)
         directions = self.manifold.directions(frames.jacobian)
         observed = target.quantities.jacobian(q) * target.root_weight[:, None]
@@ -225,10 +232,12 @@ class Fitter:
 
 
 PLACINGS = 4
-"""Number of Gauss-Newton steps from the fitted poses, which are close to the solution."""
+"""Largest number of Gauss-Newton steps that place the bodies freely. Few suffice, because they start from the fitted
+poses, which are close to the solution.
+"""
 
 PLACED = 1e-14
-"""Positions count as exact to round-off if the scaled step is below this."""
+"""The steps end if a scaled step is below this; the positions are then exact to round-off."""
 
 NEGLIGIBLE = 1e-9
 """A direction counts as not observed if its singular value, relative to the largest one of the Jacobian, is below
@@ -236,16 +245,16 @@ this.
 """
 
 BLIND = 1e-6
-"""The residual of a constraint row counts as undetermined if the data do not observe more than this share of the
-row.
+"""The residual of a constraint row counts as undetermined if the part of the row that the data do not observe exceeds
+this share of the row.
 """
 
 
 def raw_misalignment(manifold: Manifold, mechanism: CompiledMechanism, target: Target, q: np.ndarray) -> np.ndarray:
-    """Return the misalignment of each joint (T, J) [m] for bodies placed by the data alone.
+    """Return the misalignment of each joint (T, J) [m] for bodies placed by the data alone, without constraints.
 
     All bodies are moved freely from the fitted poses, by the smallest displacement that minimises the sum of the
-    weighted squared residuals. Where the data do not determine the misalignment of a joint, the result is nan.
+    weighted squared residuals. Where the data do not determine the misalignment of a joint, it is nan.
 
     Parameters
     ----------

@@ -7,7 +7,8 @@ motion are exact: differentiation of ``M a + Phi_q^T lam = Q + Q_loads + B u`` w
 
     B u_p - Phi_q^T lam_p = (M a + Phi_q^T lam - Q - Q_loads - B u)_p,   the right side at constant u and lam,
 
-which has the same matrix as the equations of each frame. Muscles are added by
+where the subscript p denotes the derivative, and the other symbols are those of `mbdkit.inverse_dynamics.dynamics`.
+These equations have the same matrix as the equations of each frame. Muscles are added by
 `mbdkit.inverse_dynamics.recruitment_gradient`.
 """
 
@@ -56,7 +57,7 @@ from mbdkit.stepping.differentiated_stepper import dual_laws
 from mbdkit.stepping.dual_run import Seeds, constants, dual_states, new_dual_run
 
 WITHOUT_BARS: Settings = [(("motion", "errors"), "none")]  # type: ignore[list-item]
-"""Settings that leave out error bars, which measures do not need, and which take ten times as long as the rest."""
+"""Settings that leave out the error bars. Measures do not need them, and they take ten times as long as the rest."""
 
 
 def inverse_gradient(
@@ -147,9 +148,9 @@ def _measured(spec: InverseSpec, definitions: Definitions) -> list[float]:
 
 
 def _require_unique_forces(result: Inverse, parameters: Sequence[Parameter], prepared: PreparedDerivatives) -> None:
-    """Raise SpecError if the motion does not determine the actuators and also depends on a parameter.
+    """Raise SpecError if the motion does not determine the values of the actuators, and depends on a parameter.
 
-    The share of each actuator would then change with the directions in which the actuators act.
+    A change of the parameter would then change the directions in which the actuators act, and thus their shares.
     """
     problem = result.problem
     if not result.dynamics.surplus and len(problem.actuators) == problem.fitter.manifold.freedoms:
@@ -217,7 +218,9 @@ class _Frames:
         )
 
     def _of_pairs(self, lam: np.ndarray) -> np.ndarray:
-        """Return the multipliers (T, P, 2) of all rows from those (T, m) of the independent rows."""
+        """Return the multipliers (T, P, 2) of all P pairs of constraint rows from the multipliers (T, m) of the
+        independent rows.
+        """
         motion = self.result.motion
         found: np.ndarray = self.result.problem.fitter.manifold.reactions(motion.time, motion.q, motion.v, lam).lam
         return found
@@ -259,7 +262,7 @@ class _Frames:
         return np.zeros((*shape, self.seeds.count)) if found is None else found
 
     def _described(self, lam: np.ndarray, slope: np.ndarray | None) -> DualStates:
-        """Return the states with multipliers (T, P, 2) of all rows, and their derivatives (T, P, 2, K)."""
+        """Return the states for multipliers `lam` (T, P, 2) of all rows, with derivatives `slope` (T, P, 2, K)."""
         motion = self.result.motion
         q, v, a = (
             constants(

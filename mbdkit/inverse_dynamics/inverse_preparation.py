@@ -1,4 +1,4 @@
-"""The preparation of inverse dynamics, including motion and muscles, for other values of a parameter."""
+"""Preparation of inverse dynamics for other values of a parameter: the arrays of mechanism, motion and muscles."""
 
 from __future__ import annotations
 
@@ -19,8 +19,8 @@ from mbdkit.spec.varied_specs import varied_inverse
 MOTION = ("motion.q", "motion.v", "motion.a", "motion.columns", "motion.loads", "motion.weights")
 """Names of the arrays of a motion.
 
-Positions, velocities and accelerations (T, n), generalized forces of unit actuators (T, n, U) and of the loads (T, n),
-and weights of the actuators (U,).
+In this order: positions, velocities and accelerations, (T, n) each, generalized forces of unit actuators (T, n, U),
+generalized forces of the loads (T, n), and weights of the actuators (U,).
 """
 
 
@@ -77,8 +77,8 @@ class InversePreparation(Preparation):
         return motion
 
     def _moves_alike(self, other: InverseProblem) -> bool:
-        """Return whether a mechanism has the same motion, because its joints, observed quantities and actuators are the
-        same.
+        """Return whether the mechanism of another problem has the same motion as that of the result, because its
+        joints, observed quantities and actuators are the same.
         """
         own = self.result.problem
         a, b = (one.prepared.workspace.mechanism for one in (own, other))

@@ -1,6 +1,6 @@
 """`inverse`: computes the inverse dynamics of a spec, and returns or writes them as an archive.
 
-The archive has the groups of a run, and those of motion, actuators and loads.
+The archive has the groups of a forward run, and additional groups of the motion, actuators, muscles and loads.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ def inverse(
         A file, a mapping, or an InverseSpec. Names of data files are relative to the folder of the spec, or to the
         current folder.
     archive
-        File to which the result is written; by default, it stays in memory.
+        File to which the result is written; by default, the result stays in memory.
     overwrite
         Whether an existing archive may be replaced.
     **sections
@@ -100,7 +100,7 @@ def compute_run(spec: InverseSpec, *, path: Path | None = None, overwrite: bool 
     if path is not None:
         check_target(path, overwrite=overwrite)
     problem = InverseProblem.of(spec)
-    check_measures(spec)  # the error bars of joints depend on those of the actuators, which are written first
+    check_measures(spec)  # before the computation, so that wrong expressions are found early
     setup, wall, cpu = time.perf_counter() - begin, time.perf_counter(), time.process_time()
     with one_thread_of_linear_algebra():
         try:

@@ -14,38 +14,41 @@ from mbdkit.mechanism.mechanism_quantities import Coordinate, MarkerCoordinate, 
 from mbdkit.spec.named_actuators import free_roots
 
 OUTSIDE = 0.25
-"""A point of application is implausible if its distance from the outline of its body exceeds this share of the body's
-extent.
+"""A point of application is implausible if its distance from the outline of the body on which the load acts exceeds
+this share of the extent of the body.
 """
 
 OFTEN = 0.1
 """Share of the force, summed over time, that must act outside the outline to cause a doubt."""
 
 ROD = np.sqrt(3.0)
-"""Half the length of a uniform rod, divided by its radius of gyration: smallest extent of a body around its centre of
-mass.
+"""Each body is assumed to extend from its centre of mass by at least this multiple of its radius of gyration.
+
+The value is that of a uniform rod: half its length, divided by its radius of gyration.
 """
 
 UNLOADED, LEAST_OFFSET = 0.1, 0.005
 """Limits for the offset of a plate.
 
-The plate counts as unloaded in rows in which its force is below `UNLOADED` times its peak, if this holds for at least
-this share of all rows. The plate has an offset if the median of the force in these rows exceeds both `LEAST_OFFSET`
-times the peak and five times the scatter of the force.
+The plate is unloaded in the rows in which its force is below `UNLOADED` times its peak. Its offset is examined if at
+least eight rows, and at least a share of `UNLOADED` of all rows, are unloaded. The plate has an offset if the median of
+a component of the force in these rows exceeds both `LEAST_OFFSET` times the peak and five times the scatter of this
+median.
 """
 
 FORCE, MOMENT = 0.05, 0.02
 """Residual forces and moments from which the balance is doubtful.
 
-They are relative to the largest load, and to that load times the height of the mechanism. J. L. Hicks et al. (Journal
-of Biomechanical Engineering 137, 2015, 020905) recommend at most 0.05 for peak forces, and 0.01 for the root mean
-square of moments.
+Forces are given as a share of the largest load, moments as a share of that load times the height of the mechanism.
+J. L. Hicks et al. (Journal of Biomechanical Engineering 137, 2015, 020905) recommend at most 0.05 for peak forces, and
+0.01 for the root mean square of moments.
 """
 
 NOISY = 0.8
-"""Noise does not explain a residual if its root mean square exceeds this share of that of its error bar.
+"""Noise does not explain a residual if the root mean square of the residual exceeds this share of the root mean square
+of its error bar.
 
-Noise alone gives a ratio of 0.5.
+Noise alone gives a share of 0.5.
 """
 
 EXPLAINS = 0.3
@@ -53,7 +56,7 @@ EXPLAINS = 0.3
 share."""
 
 LATEST = 0.1
-"""Largest delay of a load that is considered [s]."""
+"""Largest time by which loads are shifted, both forward and backward, in the search for a cause [s]."""
 
 
 def load_doubts(result: Inverse, bars: ErrorBars | None) -> Iterator[Doubt]:
@@ -69,7 +72,10 @@ def load_doubts(result: Inverse, bars: ErrorBars | None) -> Iterator[Doubt]:
 
 
 def _outlines(result: Inverse) -> np.ndarray:
-    """Return the smallest and largest x and y, (B, 2, 2), of the known points of each body in the frame of the body."""
+    """Return the smallest and the largest x and y of each body in the frame of the body, (B, 2, 2).
+
+    An outline contains the joint points and markers of the body, and a square around the centre of mass; see `ROD`.
+    """
     mechanism = result.problem.names.mechanism
     points: dict[str, list[tuple[float, float]]] = {name: [] for name in mechanism.bodies}
     for joint in mechanism.joints.values():
@@ -152,7 +158,7 @@ def _offset(result: Inverse, index: int, name: str) -> Iterator[Doubt]:
 
 
 def _balance(result: Inverse, bars: ErrorBars | None) -> Iterator[Doubt]:
-    """Yield a doubt if measured loads and the motion of a free mechanism contradict Newton's second law."""
+    """Yield a doubt if the loads and the motion of a mechanism with one free root contradict Newton's second law."""
     mechanism = result.problem.names.mechanism
     roots = free_roots(mechanism)
     load = result.loads.force.sum(axis=1)
@@ -179,7 +185,10 @@ def _balance(result: Inverse, bars: ErrorBars | None) -> Iterator[Doubt]:
 
 
 def _residual_wrench(result: Inverse, root: str, bars: ErrorBars | None) -> tuple[np.ndarray, np.ndarray]:
-    """Return the forces x, y and the moment of the residual actuators of a root, (T, 3), and their error bars."""
+    """Return the forces x, y and the moment of the residual actuators of a root, and their error bars, (T, 3) each.
+
+    Error bars that are not known are zero.
+    """
     body = list(result.problem.names.mechanism.bodies).index(root)
     values, noise = np.zeros((2, len(result.motion.time), 3))
     for place, actuator in enumerate(result.problem.actuators):
@@ -201,7 +210,7 @@ def _cause(result: Inverse, residual: np.ndarray, height: float, inside: slice) 
     residual
         (T, 3) residual forces, and residual moment about the root divided by the height of the mechanism.
     inside
-        The rows except those at the ends.
+        The rows without those at the start and the end of the motion.
     """
     time, loads = result.motion.time, result.loads
     root = result.problem.names.body(free_roots(result.problem.names.mechanism)[0], "model")

@@ -37,7 +37,7 @@ class LoadSeries:
     force
         (R, 2) force in the global frame [N].
     point
-        (R, 2) point of application in the frame of `frame` [m]; None for the body's centre of mass.
+        (R, 2) point of application in the frame of the body `frame` [m]; None for the centre of mass of `body`.
     frame
         Index of the body in whose frame the point is given, `GROUND` for the global frame.
     torque
@@ -100,7 +100,7 @@ class Loads:
     names, bodies
         Names of the loads, and of the bodies on which they act.
     force, point, torque
-        (T, L, 2) [N], (T, L, 2) in the global frame [m], (T, L) [N m].
+        (T, L, 2) forces [N], (T, L, 2) points of application in the global frame [m], and (T, L) free torques [N m].
     generalized
         (T, n) sum of the generalized forces.
     power
@@ -127,7 +127,8 @@ def read_loads(spec: InverseSpec, names: QuantityNames, of_motion: Table | None)
     Raises
     ------
     SpecError
-        If a table lacks a column, or has a gap.
+        If a load has no table, if the table lacks a column or has a gap where a value is needed, or if a name or unit
+        is wrong.
     """
     return {name: _series(spec, names, f"loads.{quoted(name)}", load, of_motion) for name, load in spec.loads.items()}
 
@@ -176,8 +177,8 @@ def _required(
     Parameters
     ----------
     needed
-        (R,) rows in which the value is needed. Other rows may lack it, such as the point of application where the force
-        is zero.
+        (R,) rows in which the value is needed; all by default. A point of application, for example, is not needed where
+        the force is zero. Missing values in other rows are interpolated.
     """
     if isinstance(column, float):
         return np.full(len(table), column)

@@ -1,14 +1,15 @@
 """Recruitment of muscles whose activations change no faster than activation dynamics allow.
 
 The programmes of all frames then form a single convex programme. Activations follow first-order dynamics with time
-constants of rise and fall, and excitations are between 0 and 1. From one frame to the next, after the time h, this
-allows
+constants `rise` and `fall`, and excitations are between 0 and 1. An activation a in one frame, and a_next in the next
+frame after the time h, therefore satisfy
 
     a_next >= a exp(-h / fall),    1 - a_next >= (1 - a) exp(-h / rise).
 
-These inequalities are linear, as those for derivatives in F. De Groote et al., Computer Methods in Biomechanics and
-Biomedical Engineering 12:563-574, 2009. A primal-dual interior-point method with Mehrotra's corrector determines which
-inequalities hold with equality; Newton's method with these as equations then removes its error.
+These inequalities are linear, like the inequalities for derivatives of activations by F. De Groote et al., Computer
+Methods in Biomechanics and Biomedical Engineering 12:563-574, 2009. A primal-dual interior-point method with Mehrotra's
+corrector determines which inequalities hold with equality. Newton's method, with these inequalities as equations, then
+removes the error of the interior-point method.
 """
 
 from __future__ import annotations
@@ -26,7 +27,7 @@ from mbdkit.inverse_dynamics.shared_loads import SOLVED, Programme, Shared
 ITERATIONS = 80
 """Largest number of iterations of the interior-point method; 15 to 25 are usual."""
 GAP = 1e-13
-"""Mean product of slacks and multipliers at which the interior-point method ends."""
+"""Mean product of slacks and multipliers below which the interior-point method ends, if its residuals are small too."""
 POLISHED = 6
 """Number of Newton iterations in which active inequalities are equations."""
 REGULAR = 1e-11
@@ -185,8 +186,9 @@ class _Iterate:
         return _System(stiff, self.whole.equal)
 
     def step(self, product: np.ndarray) -> _Iterate:
-        """Return Newton's change for the residual; `product` takes the place of the products slack * z, to be reduced
-        to zero.
+        """Return the change by one Newton step, which reduces the residuals and `product` to zero to first order.
+
+        `product` replaces the products slack * z of the optimality conditions.
         """
         (dual, equal, less), matrix = self._residuals, self.whole.less
         dx, dy = self._system.solved(-dual - matrix.T @ ((self.z * less - product) / self.slack), -equal)
@@ -251,8 +253,9 @@ def _polished(whole: _Whole, x: np.ndarray, y: np.ndarray, z: np.ndarray) -> tup
 def _certificate(whole: _Whole, x: np.ndarray, y: np.ndarray, z: np.ndarray, frames: int) -> np.ndarray:
     """Return the largest violation (T,) of the optimality conditions.
 
-    Derivatives of the Lagrangian are relative to the largest derivative of the cost, and equations relative to their
-    size. The violation of an inequality counts or, if it has a multiplier, its slack.
+    Derivatives of the Lagrangian are relative to its largest term, and equations relative to their size. An inequality
+    with a multiplier should hold with equality, so that its slack counts as violation too. The largest violation of all
+    inequalities counts in every frame.
     """
     parts = whole.slope(x), whole.equal.T @ y, whole.less.T @ z
     size = max(float(np.max(np.abs(part), initial=0.0)) for part in parts) or 1.0
@@ -264,9 +267,10 @@ def _certificate(whole: _Whole, x: np.ndarray, y: np.ndarray, z: np.ndarray, fra
 
 
 def smallest_supplement_over_time(programme: Programme, dynamics: ActivationDynamics) -> np.ndarray:
-    """Return the smallest supplement (T, K) to the right sides for which the programme of all frames has a solution.
+    """Return the smallest terms (T, K) that, added to the left sides ``matrix x``, give the programme of all frames a
+    solution.
 
-    The sum of its components, relative to the sizes of the equations, is minimised.
+    The sum of their magnitudes, relative to the sizes of the equations, is minimised.
     """
     whole = _whole(programme, 2.0, dynamics)
     rows, unknowns = whole.equal.shape

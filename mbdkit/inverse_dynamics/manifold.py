@@ -13,11 +13,13 @@ from mbdkit.engine.kernels.frames import Frames, Reactions, evaluate_frames, rea
 from mbdkit.mechanics.source import AssembledMechanism
 
 SAFE = 1000.0
-"""A matrix counts as having full rank if its pivots exceed the threshold for zero by this factor."""
+"""A matrix counts as having full rank if all its pivots are larger than this multiple of the threshold below which
+singular values count as zero.
+"""
 
 DEPENDENT = 1e-9
-"""Constraint rows count as dependent (a singular position) if their independent part, relative to the largest, is below
-this.
+"""The position is singular if the smallest pivot of the QR decomposition of the constraint rows is at most this share
+of the largest one. The constraint rows then count as linearly dependent.
 """
 
 
@@ -33,9 +35,17 @@ class Manifold:
     ----------
     n, m
         Number of coordinates and of independent constraint rows.
+    mass : (n,) array
+        Mass or moment of inertia of each coordinate; 0 for the angles of point masses.
+    length
+        Characteristic length of the mechanism [m].
     scale : (n,) array
         Scale of each coordinate: the characteristic length [m], or 1 rad; 0 for the angles of point masses, which have
         no meaning.
+    held
+        Number of angles of point masses.
+    freedoms
+        Number of degrees of freedom.
     """
 
     def __init__(self, prepared: AssembledMechanism):
@@ -70,7 +80,7 @@ class Manifold:
         return out
 
     def directions(self, jacobian: np.ndarray) -> Directions:
-        """Return the constrained and the free directions of positions with this Jacobian Phi_q (T, m, n)."""
+        """Return the constrained and the free directions, given the Jacobian Phi_q (T, m, n) of the constraints."""
         scaled = np.swapaxes(jacobian * self.scale, 1, 2)
         if not self.held:
             q, r = np.linalg.qr(scaled, mode="complete")
@@ -134,7 +144,12 @@ class Directions:
         rows
             (T, m) right side of the constraints.
         observed, values
-            (T, k, n) and (T, k); x has no component along free directions that do not affect `observed`.
+            (T, k, n) and (T, k).
+
+        Returns
+        -------
+        ndarray
+            The solution, with no component along free directions that do not affect ``observed x``.
         """
         x = self.displacement(rows)
         if self.free.shape[2]:
@@ -146,7 +161,7 @@ class Directions:
 
 
 def least_norm(matrix: np.ndarray, values: np.ndarray, negligible: float) -> np.ndarray:
-    """Return the x (T, f) that minimises the norm of ``matrix x - values``; if there are several, that of least norm.
+    """Return the x (T, f) that minimises the norm of ``matrix x - values``; if there are several, the smallest x.
 
     If all matrices have full rank, a QR decomposition is used, which is several times as fast as the singular value
     decomposition that is needed otherwise.

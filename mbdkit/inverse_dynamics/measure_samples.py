@@ -53,7 +53,7 @@ class SampledMeasures:
     muscles: np.ndarray
 
     def minus(self, other: SampledMeasures) -> SampledMeasures:
-        """Return the differences between two results, each for the same noise and cutoffs."""
+        """Return the differences between two results, sample by sample, for the same noise, cutoffs and muscles."""
         return SampledMeasures(
             self.value - other.value,
             self.noisy - other.noisy,
@@ -64,9 +64,10 @@ class SampledMeasures:
     def bounds(self) -> np.ndarray:
         """Return the bounds (..., K) of the errors, which hold with the probability `LEVEL`; nan if they are unknown.
 
-        The bounds are root sums of squares of the effects of noise, muscles and cutoffs. Noise and muscles enter by the
-        mean square of their effect, which includes the bias of extrema; cutoffs enter by their mean square change.
-        Samples that muscles cannot produce are ignored; if they are more than half of the samples, the bounds are nan.
+        The bounds are root sums of squares of the effects of noise, muscles and cutoffs. The square of the effect of
+        noise is `FACTOR` times the mean square change of the measure, which includes the bias of extrema; likewise for
+        muscles. For cutoffs, it is the mean square change itself. Samples that are nan, because the muscles cannot
+        produce the motion, are ignored. The bounds are nan if these are more than half of the samples.
         """
         square = np.zeros_like(self.value)
         for factor, samples in ((FACTOR, self.noisy), (FACTOR, self.muscles), (1.0, self.cutoffs)):
@@ -76,7 +77,9 @@ class SampledMeasures:
 
 
 def errors_of_measures(result: Inverse) -> dict[str, float]:
-    """Return the bounds of the errors of all measures of a result by name, in their units; empty if unknown."""
+    """Return the bounds of the errors of all measures of a result by name, in the units of the measures; empty if the
+    bounds are unknown.
+    """
     names = [measure.name for measure in result.problem.spec.defined_measures()]
     found = samples_of(result, names) if names else None
     return {} if found is None else dict(zip(names, found.bounds().tolist(), strict=True))

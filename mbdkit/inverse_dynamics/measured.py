@@ -1,4 +1,4 @@
-"""The measured motion of a spec: reads its table, converts units, and checks times, gaps and columns."""
+"""The measured motion of a spec: reading of the table, conversion of units, and checks of times, gaps and columns."""
 
 from __future__ import annotations
 
@@ -23,8 +23,8 @@ from mbdkit.spec import InverseSpec
 from mbdkit.spec.inverse_sections import ColumnOfTable, Gaps, Load, MeasuredMotion, ObservedColumn, TimeColumn
 
 RATE_SAMPLES = 5
-"""Number of intervals next to a gap from which the rate of an angle is computed; fewer would be more affected by
-noise.
+"""Largest number of intervals next to a gap from which the rate of an angle is computed; with fewer intervals, noise
+would have a greater effect.
 """
 
 LARGEST = 1e30
@@ -51,7 +51,7 @@ class Measured:
     raw
         (T, K) values as measured, with angles unwrapped over full turns; gaps are nan.
     values
-        (T, K) the same, with gaps bridged.
+        (T, K) values of `raw`, with gaps bridged.
     weight
         (K,) weights of the squared residuals.
     derivatives
@@ -84,8 +84,8 @@ class Measured:
         return Target(self.time, self.quantities, self.values, np.sqrt(self.weight))
 
     def turned(self, first: np.ndarray) -> Measured:
-        """Return the motion with multiples of full turns added to angles, so that it begins with the values `first`
-        (K,).
+        """Return the motion shifted by constants, so that it begins with the values `first` (K,), which differ from
+        those of this motion by full turns of angles.
         """
         by = first - self.values[0]
         return replace(self, raw=self.raw + by, values=self.values + by)
@@ -282,7 +282,10 @@ def _continued(time: np.ndarray, values: np.ndarray, period: float, where: tuple
 
 
 def _rate_beside(time: np.ndarray, change: np.ndarray, gap: np.ndarray, place: int, step: int) -> float | None:
-    """Return the mean rate of a column before (`step` -1) or after a gap, from samples up to the next gap."""
+    """Return the mean rate of a column before (`step` -1) or after (`step` 1) a gap; None if it is not known.
+
+    At most `RATE_SAMPLES` intervals are used, none of which lies beyond another gap.
+    """
     last = place
     while abs(last - place) < RATE_SAMPLES and 0 <= last + step < len(change) and not gap[last + step]:
         last += step
@@ -329,9 +332,9 @@ def _bridged(
 
 
 def _of_run(spec: InverseSpec, names: QuantityNames, path: Path) -> Measured:
-    """Return the motion in the archive of a run: that of all bodies, or the quantities named as columns.
+    """Return the motion in the archive of a run: the coordinates of all bodies or, if given, the columns of the spec.
 
-    Rates and accelerations are those of the run, unless the motion is to be smoothed.
+    Rates and accelerations are those of the run; they are left out if the motion is to be smoothed.
     """
     motion = spec.motion
     if not path.is_file():

@@ -16,20 +16,21 @@ from mbdkit.mechanism.improbable_values import improbable_inertias
 from mbdkit.spec.named_actuators import RESERVE
 
 RESERVE_SHARE = 0.1
-"""Peak of a reserve, as a share of the peak of the moment to which it contributes, from which it is doubtful.
+"""A reserve is doubtful if its peak exceeds this share of the peak of the moment to which the reserve contributes.
 
 OpenSim's user guide recommends peaks of reserves below 10 % of the peak joint moment.
 """
 
 WEAK = 0.01
-"""A muscle is too weak if it can exert at most this share of the peak of every moment on which it acts.
+"""A muscle is too weak if it can exert less than this share of the peak of every moment to which it contributes.
 
-The muscles of the packaged examples can exert 0.8 times the peak or more; a force in kN is too small by 1000.
+The muscles of the packaged examples can exert 0.8 times the peak or more. A `max_force` given in kN instead of N is too
+small by a factor of 1000.
 """
 
 LEAST_ARM = 0.02
-"""Smallest moment arm that is assumed for this, as a share of the longest link, because muscles that act mainly out of
-the plane may have small moment arms.
+"""Smallest moment arm that is assumed in the search for weak muscles, as a share of the longest link. Muscles that act
+mainly out of the plane may have smaller moment arms, although they are not weak.
 """
 
 AT_REST = 1e-9
@@ -62,7 +63,7 @@ def _fibers(result: Inverse, recruited: Recruited) -> Iterator[Doubt]:
 
 
 def _reserves(result: Inverse, recruited: Recruited) -> Iterator[Doubt]:
-    """Yield a doubt for each reserve that carries a large share of its moment."""
+    """Yield a doubt for each reserve that supplies a large share of the moment to which it contributes."""
     problem = result.problem
     names = [actuator.name for actuator in problem.actuators]
     reserves = [actuator.name for actuator in problem.recorded_actuators[len(names) :]]

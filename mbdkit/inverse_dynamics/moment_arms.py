@@ -14,7 +14,7 @@ from mbdkit.muscles.muscle_path import MusclePath
 from mbdkit.spec import InverseSpec
 
 DEPENDENT = 1e-6
-"""Smallest share of a quantity that must be independent of the quantities chosen before it."""
+"""A quantity is chosen if more than this share of its gradient is independent of the gradients chosen before it."""
 
 
 def moment_arms(run: Run, muscle: str, coordinate: str) -> np.ndarray:
@@ -39,8 +39,12 @@ def moment_arms(run: Run, muscle: str, coordinate: str) -> np.ndarray:
 
 
 def _independent(rates: np.ndarray) -> list[int]:
-    """Return the indices of the first quantities that determine the motion; `rates` (K, f) are along its free
-    directions.
+    """Return the indices of the first quantities that determine the motion.
+
+    Parameters
+    ----------
+    rates
+        (K, f) rates of the quantities along the free directions of the mechanism.
     """
     rows: list[int] = []
     basis = np.zeros((0, rates.shape[1]))

@@ -41,9 +41,10 @@ def _drawn(recruiter: Recruiter, deviations: MuscleDeviations, random: np.random
 
 
 def forces_with(problem: InverseProblem, result: Inverse) -> Inverse | None:
-    """Return the result for the same motion with other muscles; None if their tendons are longer than their paths.
+    """Return the result for the same motion with other muscles; None if it cannot be computed, for example because a
+    tendon is longer than its path.
 
-    Tensions are nan in frames that the muscles cannot produce.
+    Tensions are nan in frames whose motion the muscles cannot produce.
     """
     try:
         return forces_of(problem, result.fitted, result.independent, result.motion, strict=False)
@@ -52,7 +53,7 @@ def forces_with(problem: InverseProblem, result: Inverse) -> Inverse | None:
 
 
 def known_mean(samples: np.ndarray) -> np.ndarray:
-    """Return the mean (...) over samples (S, ...) without nan; nan where more than half of the samples are nan."""
+    """Return the mean (...) over the finite samples of (S, ...); nan where more than half of them are not finite."""
     known = np.isfinite(samples)
     number = np.sum(known, axis=0)
     total = np.sum(np.where(known, samples, 0.0), axis=0)

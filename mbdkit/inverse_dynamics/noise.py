@@ -1,6 +1,6 @@
 """Noise of measured data: its propagation through fit and smoothing to first order, and its estimation from residuals.
 
-The fit is linearised at the fitted poses; smoothing with given parameters is linear in the data.
+The fit is linearised at the fitted poses; smoothing with fixed parameters is linear in the data.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ class NoisePath:
     independent
         Independent coordinates of the result.
     how
-        Smoothing of each coordinate, with given parameters.
+        Smoothing of each coordinate, with fixed parameters.
     """
 
     def __init__(self, result: Inverse, independent: Independent, how: Sequence[Smoothing]):

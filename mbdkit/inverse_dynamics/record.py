@@ -1,4 +1,4 @@
-"""Archives of inverse dynamics: the groups of a run, and those of motion, actuators, muscles and loads."""
+"""Archives of inverse dynamics: the groups of a forward run, and groups of motion, actuators, muscles and loads."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ def archive_of(
     timings: Mapping[str, float],
     errors: Mapping[str, float] | None = None,
 ) -> h5py.File | None:
-    """Write the result to an archive, and return its file if it is in memory (`path` is None).
+    """Write the result to an archive. Return the file of the archive if it is in memory (`path` is None), else None.
 
     Parameters
     ----------
@@ -101,7 +101,7 @@ def archive_of(
 
 
 def _intervals(time: np.ndarray) -> dict[str, np.ndarray]:
-    """Return the rows of ``/steps``, which are zero except for the times, because nothing is integrated."""
+    """Return the arrays of the group ``/steps``. All but the times are zero, because nothing is integrated."""
     none = np.zeros(len(time) - 1, dtype=np.int64)
     counted = dict.fromkeys(("steps", "iterations", "iterations_max", "rejected"), none)
     return {"time": time[1:], "size": np.zeros(len(time) - 1), **counted}

@@ -20,7 +20,7 @@ class Contraction:
     fiber_length, fiber_rate
         Lengths of the fibres [m] and their rates [m/s]; nan where they are not needed.
     capacity, passive
-        Active tension per activation, and tension without activation [N].
+        Increase of the tension per unit of activation, and tension at zero activation [N].
     pull
         (T, n, M) generalized forces of unit tensions.
     """
@@ -43,7 +43,7 @@ class Sharing:
     arms
         (T, U, M) values of the actuators that have the same effect as unit tensions.
     driven
-        (U,) whether muscles act on an actuator.
+        (U,) whether muscles act on an actuator that is not residual, so that muscles and reserves replace it.
     programme
         The convex programmes. The unknowns are the activations of the M muscles and the shares of the reserves; the
         equations are those of the driven actuators.
@@ -69,10 +69,10 @@ class Recruited:
     reserve, reserve_power
         (T, R) values of the reserves [N, N m] and their powers [W].
     actuator, actuator_power
-        (T, U) values of the actuators and their powers. Actuators of joints on which muscles act are replaced by
-        muscles and reserves; the others act in addition.
+        (T, U) values of the actuators [N, N m] and their powers [W]. For driven actuators (see `Sharing`), these are
+        the net values that muscles and reserves produce together; the other actuators act in addition to the muscles.
     lam
-        (T, m) multipliers of the independent rows, with the forces of the muscles.
+        (T, m) multipliers of the independent constraint rows, with the forces of the muscles.
     """
 
     contraction: Contraction

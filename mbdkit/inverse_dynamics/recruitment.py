@@ -1,12 +1,13 @@
 """Recruitment: the muscle forces that produce the moments of inverse dynamics and are optimal in each frame.
 
-Actuators represent the net moments of the muscles about the joints. With tensions F of the muscles, their moment arms R
-about these coordinates, and reserves r,
+Actuators represent the net moments of the muscles about the joints. With the tensions F of the muscles, the moment arms
+R of the muscles about the coordinates of the actuators, and reserves r,
 
     R F + r = u,    F = capacity a + passive,
 
-where u are the values of the actuators. Activations a between a minimum and 1 minimise the sum of ``(a / weight)^p``
-and of ``(r / optimal force)^p``.
+where u are the values of the actuators. The activations a, between a minimum and 1, and the reserves r minimise the sum
+of all ``(a / weight)^p`` and ``|r / optimal force|^p``, where p is the exponent of the section `recruitment`; for an
+infinite exponent, they minimise the largest ``a / weight`` or ``|r / optimal force|``.
 """
 
 from __future__ import annotations
@@ -39,7 +40,7 @@ from mbdkit.spec.inverse_sections import Recruitment
 from mbdkit.spec.named_actuators import NamedActuator, reserves_of
 
 NO_ARM = 1e-9
-"""A muscle does not act on a coordinate if its moment arm [m, or 1 for lengths] is below this."""
+"""A muscle does not act on a coordinate if its moment arm is at most this [m for angles, 1 for lengths]."""
 
 TIMES_NAMED = 6
 
@@ -108,7 +109,7 @@ class Recruiter:
 
     @property
     def is_elastic(self) -> bool:
-        """Whether muscles have elastic tendons."""
+        """Whether there are muscles with elastic tendons, and recruitment uses their fibres."""
         return bool(self._is_elastic.any())
 
     @property
@@ -130,7 +131,7 @@ class Recruiter:
     def recruited(
         self, motion: Motion, dynamics: Dynamics, balance: Balance, needed: np.ndarray, *, strict: bool = True
     ) -> Recruited:
-        """Return the muscles that produce a motion.
+        """Return the forces of muscles and reserves that produce a motion.
 
         Parameters
         ----------
@@ -144,9 +145,11 @@ class Recruiter:
 
         Raises
         ------
+        SpecError
+            If there is not one actuator for each degree of freedom, or if no muscle acts on an actuator.
         RunError
-            If a path is not possible, or if muscles and reserves cannot produce the motion. In the latter case, the
-            message states the smallest reserves that suffice.
+            If a path is not possible, if tendons have no equilibrium, or if muscles and reserves cannot produce the
+            motion. In the last case, the message states the smallest reserves that suffice.
         """
         if balance.effect.shape[1] != balance.effect.shape[2] or dynamics.surplus:
             raise SpecError(

@@ -9,6 +9,10 @@ frames, even if they are badly scaled. Other coordinates would pass the errors o
 quantities, often enlarged. If there are not enough, coordinates are chosen that determine the motion well in all
 frames. If no choice does, as for the cyclic motion of a linkage in which no link rotates fully, different coordinates
 are used in different intervals of the motion.
+
+The independence of coordinates in a frame is a number that is zero where they do not determine the motion. The gradient
+of each coordinate along the free directions of the mechanism is scaled, and reduced to its part perpendicular to the
+gradients of the coordinates chosen before. The independence is the smallest norm of these parts.
 """
 
 from __future__ import annotations
@@ -25,8 +29,8 @@ from mbdkit.inverse_dynamics.smoothing import Smoothed
 from mbdkit.mechanism.mechanism_quantities import Quantities, Quantity
 
 PREFERRED = 0.2
-"""If the observed quantities alone do not suffice, those of them with at least this independence are preferred to other
-quantities, even if these are more independent.
+"""If the observed quantities alone do not suffice, an observed quantity with at least this independence is preferred to
+a quantity that is not observed, even if the latter is more independent.
 """
 
 FOLD = 0.05
@@ -37,9 +41,10 @@ At a fold, such as the dead centre of a measured rocker, these quantities do not
 """
 
 LEAST = 1e-4
-"""Observed quantities count as dependent below this independence, even if it is constant during the motion.
+"""Observed quantities do not determine the motion if their independence is below this, even without a fold.
 
-Many bodies in series have small values, such as 1 / 580 for the relative angles of 100 links.
+The limit is low because quantities of many bodies in series have a small independence, such as 1 / 580 for the relative
+angles of 100 links.
 """
 
 ENOUGH = 0.05
@@ -57,7 +62,8 @@ class Motion:
     q, v, a
         (T, n) positions, velocities and accelerations that satisfy the constraints.
     coordinates
-        Names of the independent coordinates of each interval, with its first frame; empty if derivatives were given.
+        For each interval, its first frame and the names of its independent coordinates; empty if derivatives were
+        given.
     """
 
     time: np.ndarray
@@ -84,7 +90,7 @@ class Independent:
     quantities
         The coordinates.
     intervals
-        First frame, frame after the last one, and indices of the coordinates of each interval.
+        For each interval, its first frame, the frame after its last one, and the indices of its coordinates.
     """
 
     names: tuple[str, ...]
@@ -145,7 +151,9 @@ def other_coordinates(
 
 
 def _rates(manifold: Manifold, time: np.ndarray, q: np.ndarray, quantities: Quantities) -> np.ndarray:
-    """Return the rates (T, K, f) of quantities along the free directions, relative to the size of the rates."""
+    """Return the rates (T, K, f) of quantities along the free directions, scaled by the characteristic length (lengths)
+    or 1 rad (angles).
+    """
     directions = manifold.directions(manifold.frames(time, q).jacobian)
     size = np.where(quantities.is_angle, 1.0, manifold.length) * quantities.scale
     rows: np.ndarray = (quantities.jacobian(q) * manifold.scale) @ directions.free / size[:, None]

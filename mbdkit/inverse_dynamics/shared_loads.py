@@ -1,16 +1,16 @@
 """How muscles share loads: the convex programme of recruitment, solved for all frames at once.
 
 In each frame, ``sum of |x / weight|^p`` is minimised subject to ``matrix x = right`` and bounds of x. For p > 1, the
-dual problem is solved, whose unknowns are the multipliers y of the K equations, which are few. Each x follows
-separately from ``g = matrix^T y``, clipped to its bounds, so that ``matrix x(y) = right`` is a system of K equations
-for y. The Jacobian, ``matrix diag(dx/dg) matrix^T``, is symmetric. Newton's method with a line search on the concave
-dual function solves the system to rounding errors; for p = 2 the system is piecewise linear, and the iteration ends
-once the right bounds are active. A proximal term keeps the Jacobian regular (method of multipliers). It is reduced from
-problem to problem, and each problem starts from the multipliers of the previous one.
+dual problem is solved. Its unknowns are the multipliers y of the K equations; K is small. Each component of x follows
+from the same component of ``g = matrix^T y`` and is clipped to its bounds, so that ``matrix x(y) = right`` is a system
+of K equations for y. The Jacobian, ``matrix diag(dx/dg) matrix^T``, is symmetric. Newton's method with a line search on
+the concave dual function solves the system to rounding errors. For p = 2 the system is piecewise linear, and the
+iteration ends once the right bounds are active. A proximal term keeps the Jacobian regular (method of multipliers). The
+term is reduced from problem to problem, and each problem starts from the multipliers of the previous one.
 
-p = 1 and the minimum of the largest share are linear programmes, which HiGHS solves. If there are several solutions,
-the one with the smallest sum of squares is chosen. The multipliers of one solution determine the set of all solutions:
-unknowns whose reduced costs do not vanish are at the same bounds in all of them.
+For p = 1, and for p = infinity, where the largest ``|x / weight|`` is minimised, HiGHS solves linear programmes. If
+there are several solutions, the one with the smallest sum of squares is chosen. The multipliers of one solution
+determine the set of all solutions: unknowns whose reduced costs do not vanish are at the same bounds in all of them.
 """
 
 from __future__ import annotations
@@ -33,16 +33,19 @@ ROUNDING = 1e-14
 REACHED = 1e-13
 """Residual of the equations, relative to their size, at which the iteration ends."""
 SOLVED = 1e-9
-"""A frame counts as solved if its residual is below this; larger residuals mean that the programme has no solution."""
+"""A frame counts as solved if its certificate (see `Shared`) is at most this; otherwise, it counts as a frame without
+solution.
+"""
 REDUCED_COST = 1e-7
-"""Unknowns remain at their bounds if their reduced costs exceed this share of the largest cost."""
+"""Unknowns are at the same bound in all solutions of a linear programme if the magnitude of their reduced cost exceeds
+this; the costs in the programme are 1.
+"""
 TIGHT = {"primal_feasibility_tolerance": 1e-10, "dual_feasibility_tolerance": 1e-10}
 """Options of HiGHS."""
 LEAST_SLOPE = 1e-12
-"""Lower bound of the derivatives dx/dg, relative to the largest one; for p > 2, smaller values are raised to this
-bound.
+"""Lower bound of the derivatives dx/dg for p > 2, relative to the largest one; smaller values are raised to this bound.
 
-At x = 0, where the derivative is infinite, it is computed as 0.
+At x = 0, where the derivative is infinite, it is computed as 0, and then raised to the bound.
 """
 
 
@@ -53,7 +56,7 @@ class Programme:
     Attributes
     ----------
     matrix, right
-        (T, K, N) and (T, K).
+        Coefficients (T, K, N) and right sides (T, K) of the equations.
     low, high
         (T, N) bounds; may be infinite.
     weight
@@ -68,8 +71,8 @@ class Programme:
 
     @property
     def size(self) -> np.ndarray:
-        """Size (T, K) of each equation, from its right side and from the contributions possible within the bounds of
-        the unknowns.
+        """Size (T, K) of each equation: magnitude of its right side, and sum of the magnitudes of its terms with all
+        unknowns at their finite upper bounds.
         """
         largest = np.where(np.isfinite(self.high), np.abs(self.high), 0.0)
         size: np.ndarray = np.abs(self.right) + np.sum(np.abs(self.matrix) * largest[:, None], axis=2)
@@ -108,10 +111,10 @@ def share_loads(programme: Programme, exponent: float) -> Shared:
     Parameters
     ----------
     exponent
-        p: 1, 2, 3, ..., or infinity, which minimises the largest share.
+        p: 1, 2, 3, ..., or infinity, for which the largest ``|x / weight|`` is minimised.
     """
-    # The programme is scaled such that all weights are 1, and that equations have size 1 and multipliers of the size of
-    # the cost.
+    # The programme is scaled such that all weights are 1, all equations have size 1, and the multipliers are about as
+    # large as the cost.
     size, weight = programme.size, programme.weight
     scaled = Programme(
         programme.matrix * weight / size[..., None],
@@ -286,9 +289,9 @@ def _optimal_face(
 
 
 def smallest_supplement(programme: Programme) -> np.ndarray:
-    """Return the smallest supplement (T, K) to the right sides for which the programmes have solutions.
+    """Return the smallest terms (T, K) that, added to the left sides ``matrix x``, give the programmes solutions.
 
-    The sum of its components, relative to the sizes of the equations, is minimised.
+    The sum of their magnitudes, relative to the sizes of the equations, is minimised.
     """
     found = np.zeros_like(programme.right)
     size = programme.size

@@ -1,9 +1,10 @@
 """Derivatives of the solution of recruitment with respect to parameters of its programmes.
 
-The implicit function theorem is applied to the optimality conditions. Unknowns at their bounds stay there. The other
-unknowns x and the multipliers y of the equations satisfy
+The implicit function theorem is applied to the optimality conditions. Unknowns at their bounds stay there. For the cost
+f, the matrix A and the right sides b of the equations, the other unknowns x and the multipliers y of the equations
+satisfy
 
-    f'(x) = A^T y,    A x = b,
+    f'(x) = A^T y,    A x = b.
 
 Their changes are therefore the solution of
 

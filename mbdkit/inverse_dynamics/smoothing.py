@@ -27,7 +27,9 @@ UNEVEN = 1e-3
 KEY = "motion.smooth"
 
 SLOW = 0.1
-"""Interval between samples [s] from which the refusal of a cutoff names a wrong unit of time as a possible cause."""
+"""If the interval between samples is longer than this [s], the error message on a cutoff that is too high names a wrong
+unit of time as a possible cause.
+"""
 
 FEWEST = 6
 """Smallest number of samples for a quintic spline."""
@@ -57,13 +59,13 @@ def smoothed(time: np.ndarray, series: np.ndarray, how: Smoothing) -> Smoothed:
     series
         (T, K) the series.
     how
-        The smoothing, described by its class.
+        The method of smoothing with its parameters.
 
     Raises
     ------
     SpecError
-        If there are too few samples, if they are not evenly spaced although the filter requires this, or if the cutoff
-        is too high.
+        If there are too few samples, if they are not evenly spaced although the filter requires this, if the cutoff is
+        too high, or if cross-validation finds no parameter of the spline.
     """
     if len(time) < FEWEST:
         raise SpecError(f"derivatives need at least {FEWEST} samples, but the motion has {len(time)}", key="motion")
@@ -82,9 +84,10 @@ def smoothed(time: np.ndarray, series: np.ndarray, how: Smoothing) -> Smoothed:
 
 
 def fixed(time: np.ndarray, series: np.ndarray, how: Smoothing) -> list[Smoothing]:
-    """Return the smoothing of each series with fixed parameters, those chosen by cross-validation.
+    """Return the smoothing of each series with fixed parameters.
 
-    With fixed parameters, the smoothing is linear in the data.
+    If cross-validation chooses the parameters, the result contains those that it chooses for `series`. With fixed
+    parameters, the smoothing is linear in the data.
     """
     if not isinstance(how, SmoothingSpline) or how.parameter is not None:
         return [how] * series.shape[1]
@@ -99,9 +102,10 @@ def fixed(time: np.ndarray, series: np.ndarray, how: Smoothing) -> list[Smoothin
 
 
 def with_cutoff(how: Smoothing, factor: float) -> Smoothing | None:
-    """Return a smoothing with its cutoff multiplied by a factor; None if it has no cutoff.
+    """Return a smoothing with its cutoff multiplied by a factor; None if it has no fixed cutoff.
 
-    The cutoff of a smoothing spline, where it halves the amplitude, is proportional to parameter^(-1/4).
+    The cutoff of a smoothing spline is the frequency at which the spline halves the amplitude. It is proportional to
+    parameter^(-1/4).
     """
     if isinstance(how, Butterworth | OpenSimFilter):
         return how.model_copy(update={"cutoff": how.cutoff * factor})
@@ -135,9 +139,11 @@ def _of_spline(spline: BSpline, time: np.ndarray) -> Smoothed:
 
 
 def local_derivatives(time: np.ndarray, series: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return both derivatives of the fourth-degree polynomial through each sample and its four nearest neighbours.
+    """Return the first and second derivatives of local polynomials of degree four at each sample.
 
-    For evenly spaced samples, these are the central differences of fourth order, and one-sided ones at the ends.
+    Each polynomial passes through the sample, two samples before it and two after it; near the ends, through the first
+    or last five samples. For evenly spaced samples, the derivatives are the central differences of fourth order, and
+    one-sided differences at the ends.
     """
     count = len(time)
     begin = np.clip(np.arange(count) - 2, 0, count - 5)
@@ -154,11 +160,12 @@ def local_derivatives(time: np.ndarray, series: np.ndarray) -> tuple[np.ndarray,
 
 
 def _smoothing_spline(time: np.ndarray, series: np.ndarray, parameter: float) -> Smoothed:
-    """Return the smoothing splines of all series (T, K), by one factorization of a banded matrix.
+    """Return the smoothing splines of all series x (T, K), by one factorization of a banded matrix.
 
-    The second derivatives c at the inner samples, interpolated linearly in between, satisfy ``(R + parameter Q^T Q) c =
-    Q^T x``, and the smoothed series is ``x - parameter Q c`` (Reinsch, Smoothing by spline functions, Numerische
-    Mathematik 10, 1967, 177-183).
+    The second derivative of the spline is linear between the samples. Its values c at the inner samples satisfy
+    ``(R + parameter Q^T Q) c = Q^T x``, where R contains the integrals of products of hat functions, and Q^T x are the
+    changes of the slope between consecutive samples. The smoothed series is ``x - parameter Q c`` (Reinsch, Smoothing
+    by spline functions, Numerische Mathematik 10, 1967, 177-183).
     """
     unit = float((time[-1] - time[0]) / (len(time) - 1))  # intervals of about 1 keep the matrix well scaled
     step, weight = np.diff(time) / unit, parameter / unit**3
@@ -215,8 +222,16 @@ def _interval(time: np.ndarray) -> float:
 
 
 def _check_cutoff(given: float, once: float, interval: float) -> None:
-    """Raise SpecError if the cutoff is too high for the sampling rate; `once` is that of a single pass, for the cutoff
-    `given`.
+    """Raise SpecError if the cutoff is too high for the sampling rate.
+
+    Parameters
+    ----------
+    given
+        Cutoff given in the spec [Hz].
+    once
+        Cutoff of a single pass of the filter, for which the passes together have the cutoff `given` [Hz].
+    interval
+        Interval between samples [s].
     """
     highest = 0.5 / interval * given / once
     if given >= highest:
@@ -230,7 +245,7 @@ def _check_cutoff(given: float, once: float, interval: float) -> None:
 
 def _butterworth(time: np.ndarray, series: np.ndarray, how: Butterworth) -> np.ndarray:
     interval = _interval(time)
-    # Each of the two passes has an attenuation of 1.5 dB at the cutoff.
+    # Each of the two passes has an attenuation of 1.5 dB at the given cutoff, so that both have 3 dB.
     once = how.cutoff / (2**0.5 - 1) ** (0.5 / how.order)
     _check_cutoff(how.cutoff, once, interval)
     b, a = butter(how.order, once, fs=1.0 / interval)

@@ -41,7 +41,7 @@ class Table:
     cells
         Rows of cells, each a text or a number; None is a gap.
     lines
-        Line of each row in the file; empty if rows have no lines.
+        Number of the line of each row in the file; empty if the format has no lines.
     length_unit
         Unit of lengths that the file states, such as mm; by default m.
     in_degrees
@@ -196,7 +196,7 @@ def read_table(path: Path, key: str) -> Table:
     Raises
     ------
     SpecError
-        If the file does not exist, or is not a table in this format.
+        If the file does not exist, is too large, or is not a table in one of these formats.
     ResourceError
         If the system refuses to read the file.
     """

@@ -18,8 +18,8 @@ class ExponentialOptions(StrictModel):
     """Options of `exponential`: the force ``scale * (exp(growth * x) - 1)`` of the stretch x.
 
     The stiffness is ``growth * (force + scale)``: it grows linearly with the force, as that of soft tissue does (Y. C.
-    Fung, American Journal of Physiology 213:1532, 1967). There is no force below the free length (``acts: tension``),
-    or above it (``acts: compression``), and the damper never reverses the force.
+    Fung, American Journal of Physiology 213:1532, 1967). With ``acts: tension``, there is no force below the free
+    length; with ``acts: compression``, there is no force above it. The damper never reverses the force.
     """
 
     scale: NotNegative
@@ -35,7 +35,11 @@ class ExponentialOptions(StrictModel):
 
 
 def force() -> sympy.Expr:
-    """Return ``side (a (exp(b x) - 1) + c x')``, ``x = side (s - s_0)``; zero if x or the bracket is not positive."""
+    """Return the force ``side (a (exp(b x) - 1) + c x')``; zero if x or the outer bracket is not positive.
+
+    The stretch is ``x = side (s - s_0)``, with the length s, free length s_0, scale a, growth b and damping c;
+    `side` is 1 for tension and -1 for compression.
+    """
     from sympy import And, Piecewise, exp, symbols
 
     length, rate, scale, growth, damping, free_length, side = symbols(
@@ -47,7 +51,7 @@ def force() -> sympy.Expr:
 
 
 def potential() -> sympy.Expr:
-    """Return the potential ``a ((exp(b x) - 1) / b - x)`` for ``x = side (s - s_0) > 0``, otherwise zero."""
+    """Return the potential ``a ((exp(b x) - 1) / b - x)`` if the stretch x is positive, otherwise zero; see `force`."""
     from sympy import Piecewise, exp, symbols
 
     length, scale, growth, free_length, side = symbols("length scale growth free_length side", real=True)

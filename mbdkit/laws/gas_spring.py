@@ -38,12 +38,14 @@ class GasSpringOptions(StrictModel):
     exponent: Annotated[float, Field(ge=1, allow_inf_nan=False)] = 1.0
     """Polytropic exponent: 1 for slow motion at constant temperature, up to 1.4 for fast motion of nitrogen."""
     damping: NotNegative = 0.0
-    """Damping of its oil and seals [N s/m or N m s/rad]."""
+    """Damping by the oil and the seals [N s/m or N m s/rad]."""
 
 
 def force() -> sympy.Expr:
-    """Return the force ``c s' - F_1 v^-n`` for the relative volume ``v = 1 - q (s_1 - s)``; linear beyond full
-    stroke.
+    """Return the force ``c s' - F_1 v^-n`` for the length s, with the relative volume ``v = 1 - q (s_1 - s)``.
+
+    c is the damping, F_1 the preload, n the exponent, q the shrinkage (see `parameters`), and s_1 the extended length.
+    Beyond full stroke, the force is continued linearly.
     """
     from sympy import symbols
 
@@ -53,7 +55,7 @@ def force() -> sympy.Expr:
 
 
 def potential() -> sympy.Expr:
-    """Return the work that compresses the gas from the extended length."""
+    """Return the potential: the work done on the gas from the extended length to the current length."""
     from sympy import log, symbols
 
     preload, shrinkage, exponent, isothermal, divisor, slope = symbols(
@@ -66,7 +68,9 @@ def potential() -> sympy.Expr:
 
 
 def _gas() -> tuple[sympy.Expr, sympy.Expr, sympy.Expr]:
-    """Return push and relative volume of the gas, up to full stroke, and the length beyond full stroke (negative)."""
+    """Return the push and the relative volume of the gas, both constant beyond full stroke, and the length minus that
+    at full stroke, which is zero up to full stroke and negative beyond it.
+    """
     from sympy import Piecewise, symbols
 
     length, preload, shrinkage, extended, exponent, shortest = symbols(
@@ -80,9 +84,9 @@ def _gas() -> tuple[sympy.Expr, sympy.Expr, sympy.Expr]:
 def parameters(options: GasSpringOptions) -> dict[str, float]:
     """Return the parameters of the law.
 
-    `shrinkage` is the decrease of the volume per compression, relative to the volume. `shortest` and `slope` are the
-    length at full stroke and the stiffness there. The potential of an isothermal gas is a logarithm; `divisor` avoids a
-    division by zero in the formula for other gases.
+    `shrinkage` is the decrease of the volume per compression, relative to the volume at the extended length. `shortest`
+    is the length at full stroke, and `slope` the stiffness there. The potential of an isothermal gas is a logarithm.
+    The formula for other gases is evaluated as well, with a `divisor` that is not zero.
     """
     isothermal = options.exponent == 1.0
     volume = options.progression ** (-1.0 / options.exponent)

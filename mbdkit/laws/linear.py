@@ -34,7 +34,7 @@ def force() -> sympy.Expr:
 
 
 def potential() -> sympy.Expr:
-    """Return the potential ``k (s - s_0)^2 / 2``."""
+    """Return the potential ``k (s - s_0)^2 / 2``; for the symbols, see `force`."""
     from sympy import symbols
 
     length, stiffness, free_length = symbols("length stiffness free_length", real=True)

@@ -21,11 +21,12 @@ class OneSidedOptions(StrictModel):
     """Options of `one-sided`: a linear spring and damper that acts on one side of its free length only.
 
     With ``acts: tension`` there is no force below the free length, and the element never pushes. With
-    ``acts: compression`` there is no force above the free length, and the element never pulls. This includes the
-    damper: if the sum of spring and damper force has the wrong sign, the force is zero.
+    ``acts: compression`` there is no force above the free length, and the element never pulls. If the sum of spring
+    force and damper force has the wrong sign, the force is zero.
 
-    With `engages_at`, the spring is out of contact until its length has passed this value beyond the free length; the
-    force then jumps from zero to ``stiffness * (engages_at - free_length)``, like that of a preloaded spring.
+    With `engages_at`, the element exerts no force until its length passes this value, which lies beyond the free
+    length. The force of the spring then jumps from zero to ``stiffness * (engages_at - free_length)``, like that of a
+    preloaded spring.
     """
 
     stiffness: NotNegative
@@ -33,7 +34,7 @@ class OneSidedOptions(StrictModel):
     damping: NotNegative = 0.0
     """Damping while in contact [N s/m or N m s/rad]; it makes the force discontinuous at the beginning of contact."""
     free_length: Number = 0.0
-    """Length, angle or coordinate at which the spring exerts no force, and contact begins [m or rad]."""
+    """Length, angle or coordinate at which the spring exerts no force [m or rad]; contact begins there by default."""
     engages_at: Number | None = None
     """Length, angle or coordinate at which contact begins [m or rad]; the free length by default."""
     acts: Literal["tension", "compression"]
@@ -56,8 +57,10 @@ def _side(options: OneSidedOptions) -> float:
 
 
 def force() -> sympy.Expr:
-    """Return ``side * (k x + c x')`` with ``x = side * (s - s_0)``; zero if x <= x_1, or if the bracket is not
-    positive.
+    """Return the force ``side * (k x + c x')``; zero if x <= x_1, or if the bracket is not positive.
+
+    The stretch is ``x = side * (s - s_0)``, with the length s, free length s_0, stiffness k and damping c;
+    `side` is 1 for tension and -1 for compression. Contact begins at the stretch x_1.
     """
     from sympy import And, Piecewise, symbols
 
@@ -70,7 +73,7 @@ def force() -> sympy.Expr:
 
 
 def potential() -> sympy.Expr:
-    """Return the potential ``k (x^2 - x_1^2) / 2`` for ``x = side * (s - s_0) > x_1``, otherwise zero."""
+    """Return the potential ``k (x^2 - x_1^2) / 2`` if x > x_1, otherwise zero; for the symbols, see `force`."""
     from sympy import Piecewise, symbols
 
     length, stiffness, free_length, begin, side = symbols("length stiffness free_length begin side", real=True)

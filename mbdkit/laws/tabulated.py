@@ -26,7 +26,7 @@ class TableOptions(StrictModel):
     """Options of `table`: a spring whose force over its length is given by points, and a linear damper.
 
     The force is the cubic spline through the points, with the not-a-knot condition at both ends (a parabola for three
-    points, a straight line for two). Beyond its ends, the table is extrapolated linearly with the slope at the end. A
+    points, a straight line for two). Beyond each end of the table, the force is extrapolated linearly. A
     run that leaves the table is judged doubtful.
     """
 
@@ -42,11 +42,11 @@ class TableOptions(StrictModel):
 
 
 def law(length: float, rate: float, time: float, parameters: Any) -> tuple[float, float, float, float]:
-    """Return force, its derivatives with respect to length and rate, and the potential, which is zero at the first
-    table length.
+    """Return the force, its derivatives with respect to length and rate, and the potential.
 
-    `parameters` holds the damping, the number n of pieces, the n + 1 lengths, and five numbers for each piece: its
-    coefficients in ascending powers of the length from the beginning of the piece, and the potential there.
+    The potential is zero at the first length of the table. `parameters` contains the damping, the number n of pieces,
+    the n + 1 lengths, and five numbers for each piece: its coefficients in ascending powers of the length from the
+    beginning of the piece, and the potential there.
     """
     damping, pieces = parameters[0], int(parameters[1])
     low, high = 0, pieces
@@ -57,9 +57,8 @@ def law(length: float, rate: float, time: float, parameters: Any) -> tuple[float
         else:
             high = middle
     begin, end = parameters[2 + low], parameters[3 + low]
-    inside = min(
-        max(length, begin), end
-    )  # the length within the table; `beyond` is the remainder, which is extrapolated linearly
+    # The length within the table; `beyond` is the remainder, over which the force is extrapolated linearly.
+    inside = min(max(length, begin), end)
     x, beyond = inside - begin, length - inside
     row = 3 + pieces + 5 * low
     c0, c1, c2, c3, stored = (

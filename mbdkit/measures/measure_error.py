@@ -1,8 +1,8 @@
 """Estimates the error of a measure from its values in comparison runs.
 
-The criteria are those of `mbdkit.runs.accuracy.error_estimate`, applied to a single number. The error is known if the
-differences between the run and two runs of increasing accuracy decrease, or if a run of another method confirms the
-most accurate run.
+The criteria are those of `mbdkit.runs.accuracy.error_estimate`, applied to a single number. The error is known if a run
+of another method confirms the most accurate run, if the differences between the run and two runs of increasing accuracy
+decrease and the run of the other method does not contradict them, or if all values are almost equal.
 """
 
 from __future__ import annotations
@@ -13,19 +13,19 @@ from collections.abc import Sequence
 LARGEST_RATIO = 0.6
 """Largest ratio of two differences that count as decreasing: a little above 0.5, the value of a method of order 1."""
 CONFIRMED = 0.25
-"""Limit for confirmation by the run of another method. That run confirms the most accurate run if the difference of
-these two is at most this share of the difference between that run and the run itself.
+"""The run of another method confirms the most accurate run if the difference of these two is at most this share of the
+difference between the run of the other method and the run whose error is estimated.
 """
 GUARD_RATIO = 3.0
-"""If the differences decrease, the run of another method may differ from the most accurate run by up to this multiple
-of the estimate.
+"""If the differences decrease, the error is known only if the run of another method differs from the most accurate run
+by at most this multiple of the estimate.
 """
 AGREED = 1e-5
 """Differences below this share of the value need not decrease, because rounding errors of chaotic motions do not."""
 ZERO = 1e-12
 """Differences below this share of the natural size for the unit need not decrease either.
 
-Such values differ from zero by rounding errors only.
+They occur for measures that differ from zero by rounding errors only.
 """
 ROUND_OFF = 1e-15
 """Smallest estimate, as a share of the value."""

@@ -57,7 +57,9 @@ BEYOND = 1e-6
 """A remark is issued if a recorded row exceeds an extremum by more than this share of the range of the quantity."""
 
 ALONG: Mapping[str, str] = {"max": "along_max", "min": "along_min"}
-"""Functions of a quantity along a beam that return its largest or smallest value at each time."""
+"""Functions that return the largest or smallest value of a quantity along a beam at each time, by the reductions that
+apply them first.
+"""
 _OF_VECTORS = ("mean", "final", "integral", "at")
 """Reductions that apply to each component of a vector."""
 
@@ -213,7 +215,8 @@ class MeasureExpression:
         Parameters
         ----------
         compared
-            Function called with the name, value and rows of each extremum of the continuous motion.
+            Function called for each extremum of the continuous motion with ``max`` or ``min``, the extremum, and the
+            values in the recorded rows.
         """
         series = Series(run.time, lambda one: recorded(one, run))
 
@@ -338,13 +341,19 @@ class _MeasureCompiler(RunCompiler):
         return super().compile(node, nesting)
 
     def of(self, kind: str, name: str, attribute: str, node: ast.expr) -> Code:
-        """Return the program of a quantity of an element."""
+        """Return the program of a quantity of a body, joint or other element of the run."""
         if kind == "actuators" and not self.known[kind]:
             self.refuse("only inverse dynamics has actuators; the torque of a driver is joints.NAME.torque", node)
         return super().of(kind, name, attribute, node)
 
     def get(self, quantity: Quantity) -> Code:
-        """Return the program that pushes a checked quantity."""
+        """Return the program that pushes a quantity, which is known to exist.
+
+        Raises
+        ------
+        SpecError
+            If the runs do not record the quantity.
+        """
         if quantity.kind in QUANTITIES and quantity.kind not in self.spec.recorded:
             raise SpecError(
                 f"this expression needs {quantity.kind}, which the runs do not record; add '{quantity.kind}' to "

@@ -15,7 +15,8 @@ from mbdkit.base.units import Unit
 def natural_scales(length: float, mass: float, gravity: Sequence[float], duration: float) -> tuple[float, float, float]:
     """Return length [m], mass [kg] and time [s] of a mechanism.
 
-    The time is about that of a free fall by the length, or the duration of the run [s] if that is shorter.
+    The time is about that of a free fall by the length, or the duration of the run [s] if that is shorter; 1 s if there
+    is no gravity and no duration.
     """
     pull = math.hypot(*gravity)
     fall = math.sqrt(length / pull) if pull > 0.0 else math.inf

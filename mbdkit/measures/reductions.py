@@ -46,8 +46,8 @@ REDUCTIONS: Mapping[str, Callable[[np.ndarray, np.ndarray], np.ndarray]] = {
 }
 """Reductions: functions of times (T,) and values (..., T) that return one value for all rows, (...).
 
-``mean``, ``rms`` and ``integral`` use the trapezoidal rule on the recorded rows. In measures of a run, their integrals
-are computed during the run instead, as are the extrema of its continuous motion; see `Functional`.
+``mean``, ``rms`` and ``integral`` use the trapezoidal rule on the recorded rows. Where possible, measures use integrals
+and extrema of the continuous motion instead, which are computed during the run; see `Functional`.
 """
 OF_FUNCTIONAL: Mapping[str, Callable[[np.ndarray, float], np.ndarray]] = {
     "mean": lambda integral, duration: integral / duration,
@@ -111,18 +111,16 @@ class Functional:
 
     @cached_property
     def is_nested(self) -> bool:
-        """Whether it contains other functionals or times of events, and can therefore be computed only at the end of a
-        run.
-        """
+        """Whether it depends on other functionals or on events, so that it can be computed only at the end of a run."""
         return any(operation.startswith(REDUCE) or operation == "get" for operation, _ in self.when) or any(
             operation.startswith(REDUCE) for operation, _ in self.program
         )
 
     @cached_property
     def has_switches(self) -> bool:
-        """Whether an operation changes its form inside steps.
+        """Whether an operation, such as ``abs`` or ``max``, may change its form inside steps.
 
-        The quantity or its derivative may then be discontinuous there.
+        Where the form changes, the quantity or its derivative may be discontinuous.
         """
         return not any(one.recorded.array.is_of_steps for one in self.read) and any(
             operation in OF_PARTS or (operation in OPERATIONS and OPERATIONS[operation].switch != "")
@@ -131,7 +129,10 @@ class Functional:
 
     @property
     def is_of_stages(self) -> bool:
-        """Whether it is computed as a sum over the stages of the steps, whose weights assume a smooth integrand."""
+        """Whether it is an integral computed as a weighted sum over the stages of the steps.
+
+        The weights assume a smooth integrand.
+        """
         return not self.is_extremum and not self.is_value and not self.has_switches
 
     @property

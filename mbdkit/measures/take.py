@@ -52,7 +52,7 @@ def is_taken(measure: DefinedMeasure, spec: RunSpec | InverseSpec) -> bool:
 
 
 def check_measures(spec: RunSpec | InverseSpec) -> None:
-    """Raise SpecError, with the key below ``measures``, if an expression of a run spec is not valid."""
+    """Raise SpecError, with the key below ``measures``, if the expression of a measure is not valid for the spec."""
     for measure in spec.defined_measures():
         try:
             describe(measure, spec)
@@ -61,7 +61,7 @@ def check_measures(spec: RunSpec | InverseSpec) -> None:
 
 
 def take(measure: DefinedMeasure, run: Run, spec: RunSpec | InverseSpec) -> float:
-    """Return the value of a measure for a run; nan if the measure is defined by another base of a study.
+    """Return the value of a measure for a run; nan if only another base spec of the study defines the measure.
 
     Parameters
     ----------
@@ -106,8 +106,8 @@ def error_of(measure: DefinedMeasure, value: float, run: Run, spec: RunSpec | In
 def _contacts_are_undecided(run: Run, spec: RunSpec | InverseSpec) -> bool:
     """Return whether the errors of a run with rigid contacts are unknown at its end.
 
-    The order of impacts may then be undecided, and the comparison runs may share the choice of the run, so that their
-    measures differ by less than the errors.
+    The order of impacts may then be undecided. The comparison runs may choose the same order as the run, so that the
+    differences of their measures are smaller than the errors.
     """
     accuracy = run.accuracy
     return isinstance(spec, RunSpec) and spec.has_rigid_contacts and accuracy is not None and not accuracy.is_complete

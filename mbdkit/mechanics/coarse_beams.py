@@ -1,4 +1,4 @@
-"""Beams at rest whose elements are too coarse for the curvature of the beam."""
+"""Warnings about beams at rest whose elements are too coarse for the curvature of the beam."""
 
 from __future__ import annotations
 
@@ -10,15 +10,17 @@ import numpy as np
 from mbdkit.mechanism.beams import Beam
 
 TURN = 0.75
-"""Largest angle [rad] by which bending may turn a node against its neighbour.
+"""Largest angle [rad] by which bending may turn a node relative to its neighbour without a warning.
 
 Measured at clamped cantilevers with a force across their tip: the moment at the clamp has errors of 1 % (elements of
 two nodes) and 1.5 % (three nodes) at this angle, and of 2 % and 4 % at 1 rad.
 """
 
 SPACING = 0.7
-"""Recommended distance of nodes, as a share of the length ``sqrt(EI / F)`` within which a beam bends under a force F; a
-clamped cantilever then turns by `TURN` between two nodes.
+"""Recommended distance between nodes, relative to ``sqrt(EI / F)`` for a bending stiffness EI and a force F.
+
+A force F bends a beam within about this length. At this distance, a clamped cantilever turns by `TURN` between two
+nodes.
 """
 
 

@@ -49,25 +49,31 @@ LONGEST = 0.5
 """Largest step of a coordinate, relative to the size of the mechanism or to 1 rad."""
 
 BALANCED = 1e-13
-"""An imbalance below this fraction of the balancing forces counts as zero and ends the search."""
+"""The search ends if the imbalance is below this fraction of the forces that balance each other.
+
+The imbalance is the norm of the accelerations from rest in the mass metric. The size of the forces is the attribute
+`force` of the search.
+"""
 
 STALLED = 1e-8
-"""A search that no longer makes progress is accepted if the imbalance, relative to the balancing forces, is below
-this.
+"""The result of a search that no longer makes progress is accepted if the imbalance is below this fraction of the
+forces.
 """
 
 NEAR = 1e-2
-"""If the imbalance is below this fraction of the balancing forces, a step with the true stiffness is tried first."""
+"""If the imbalance is below this fraction of the forces, a step with the true stiffness is tried first."""
 
 PATIENCE = 8
 """A search counts as stagnant after this many consecutive steps that do not halve the imbalance."""
 
 MUCH = 1e3
-"""A stagnant search is accepted if the imbalance is at most this multiple of its estimated rounding error."""
+"""The result of a stagnant search is also accepted if the imbalance is at most this multiple of its estimated rounding
+error.
+"""
 
 PLACES = 1e-6
-"""Weight of a translation by the size of the mechanism, relative to that of a rotation by 1 rad, in the corrections
-that close joints."""
+"""Weight of a translation by the size of the mechanism, relative to the weight of a rotation by 1 rad, in the norm
+that corrections of open joints minimise."""
 
 MOST_CLOSINGS = 20
 """Largest number of Newton steps for closing the joints."""
@@ -122,11 +128,13 @@ class Equilibrium(HtmlView):
         freedom).
     iterations
         Number of Newton steps tried.
-    states, state
-        Names of the first-order states, and their values (Z,).
+    states
+        Names of the first-order states.
+    state : (Z,) array
+        Values of the first-order states.
     beams
-        Internal forces of each beam by name: (E + 2, 4) distance from its end a [m], axial force, shear force [N] and
-        moment [N m], at end a, in the middle of its elements, and at end b.
+        Internal forces of each beam, by name: an (E + 2, 4) array with the distance along the beam from end a [m],
+        axial force, shear force [N] and moment [N m]; at end a, in the middle of each of the E elements, and at end b.
     displacement : (B, 3) array
         `position` minus the consistent initial position [m, rad].
     mechanism
@@ -167,10 +175,20 @@ class Equilibrium(HtmlView):
 
 @dataclass(frozen=True)
 class Rest:
-    """Result of a search.
+    """Result of a search for an equilibrium.
 
-    Position (n,), multipliers (m,), remaining accelerations (n,), number of attempted steps, and first-order states
-    (Z,).
+    Attributes
+    ----------
+    q : (n,) array
+        Position [m, rad].
+    lam : (m,) array
+        Multipliers of the constraints.
+    left : (n,) array
+        Remaining accelerations [m/s^2, rad/s^2].
+    iterations
+        Number of attempted steps.
+    z : (Z,) array
+        First-order states.
     """
 
     q: np.ndarray
@@ -183,11 +201,12 @@ class Rest:
 def equilibrium(source: RunSource, **sections: Unpack[Sections]) -> Equilibrium:
     """Find the static equilibrium of a mechanism from its start.
 
-    Solves ``Phi_q^T lam = Q(t, q, 0)``, ``Phi(t, q) = 0`` by Newton's method. Each step is damped in the mass metric
-    (Levenberg-Marquardt) until the forces do positive work along it. A search that ends on a saddle of the potential is
-    continued beside it. The result is therefore stable unless the start itself is an unstable equilibrium; see
-    `Equilibrium.stability`. Drivers and loads are evaluated at the start time, ``time={"start": ...}``, and velocities
-    are zero.
+    Solves ``Phi_q^T lam = Q(t, q, 0)``, ``Phi(t, q) = 0`` by Newton's method, for the constraints Phi with the
+    multipliers lam and the applied forces Q. Each step is damped in the mass metric (Levenberg-Marquardt) until the
+    forces do positive work along it. If a search ends on a saddle of the potential and the mechanism has at most 500
+    bodies, the search is continued beside the saddle. The result is therefore usually stable, unless the start itself
+    is an unstable equilibrium; see `Equilibrium.stability`. Drivers and loads are evaluated at the start time,
+    ``time={"start": ...}``, and velocities are zero.
 
     Parameters
     ----------
@@ -342,14 +361,17 @@ class _Search:
         self.q = self.p.q0.copy()
         self.tried = 0
         self.force = 0.0
-        """Largest norm so far of all applied and constraint forces together, in the metric of the inverse mass."""
+        """Largest sum so far of the norms of applied and constraint forces, in the metric of the inverse mass."""
         self.x, self.lam, self.imbalance = self.balance(self.q)
         stiffest = stiffness_scale(prepared, at_rest(prepared, self.q, self.lam)) if prepared.freedoms else 0.0
         self.blur = float(np.finfo(float).eps) * stiffest * self.extent * float(np.sqrt(np.sum(self.p.mass)))
-        """Imbalance that rounding errors of the positions cause through the stiffest spring."""
+        """Imbalance that rounding errors of the positions can cause, by the largest stiffness of a coordinate."""
 
     def balance(self, q: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
-        """Return the accelerations from rest (n,), the multipliers (m,) and the mass norm of the accelerations."""
+        """Return the accelerations from rest (n,), the multipliers (m,), and the imbalance.
+
+        The imbalance is the norm of these accelerations in the mass metric.
+        """
         p = self.p
         applied = p.forces(p.t0, q, self.none)
         x, lam = p.solve(p.t0, q, applied, self.no_rows)
@@ -386,13 +408,13 @@ class _Search:
 
     @property
     def has_moved(self) -> bool:
-        """Whether the position differs from that at the start."""
+        """Whether the position differs from the position at the start."""
         return bool(np.any(self.q != self.p.q0))
 
     def leave(self, way: np.ndarray | None) -> bool:
-        """Leave a saddle along `way` (n,) or in the opposite direction, as long as the forces do work.
+        """Leave a saddle along `way` (n,) or in the opposite direction, if the forces do positive work along it.
 
-        Returns whether the saddle was left.
+        Returns whether the saddle was left; False if `way` is None.
         """
         if way is None:
             return False
@@ -411,11 +433,12 @@ class _Search:
         return False
 
     def step(self, damping: float) -> bool:
-        """Try a step with ``damping * M`` added to the stiffness, damping in 1/s^2; return whether it was taken.
+        """Try a step with ``damping * M`` added to the stiffness; return whether it was taken.
 
-        Compressed elements make diagonal entries of the stiffness negative, so that a Newton step can point against the
-        forces. A second step is therefore tried, in which twice the magnitude of these entries is added to them, so
-        that they are positive. Far from equilibrium, this second step is tried first.
+        M is the mass matrix, and `damping` is in 1/s^2. Compressed elements make diagonal entries of the stiffness
+        negative, so that a Newton step can point against the forces. If there are such entries, another step is tried
+        as well, for which twice the magnitude of these entries is added to them, so that they are positive. Far from
+        equilibrium, this other step is tried first.
         """
         p = self.p
         at = p.t0, self.q, self.none, self.none, self.lam
@@ -436,7 +459,7 @@ class _Search:
 
     @property
     def is_balanced(self) -> bool:
-        """Whether the remaining imbalance can be explained by rounding errors."""
+        """Whether the imbalance is small enough for the result of the search to be accepted."""
         return self.imbalance <= max(STALLED * self.force, MUCH * self.blur)
 
     def take(self, s: np.ndarray) -> bool:
@@ -446,14 +469,14 @@ class _Search:
             return False
         s = s / max(1.0, self.size(s) / LONGEST)
         # The imbalance does not measure progress, because it also vanishes at a maximum of the potential. Instead, the
-        # forces must do at least a tenth of the work that they predict at the beginning of the step.
+        # work of the forces must be at least a tenth of the work that follows from their values at the beginning.
         promised = float(np.sum(p.mass * self.x * s))
         if not promised > 0:
             return False
         half, end = (self.closed(self.q + part * s) for part in (0.5, 1.0))
         work = self.work(self.q, half, end)
         there = self.balance(end)
-        # so close to equilibrium, the work is smaller than its rounding error
+        # Close to equilibrium, the work is smaller than its rounding error; half the imbalance is then sufficient.
         near = self.is_balanced and there[2] < 0.5 * before
         if not (work >= 0.1 * promised or near):
             return False
@@ -510,8 +533,8 @@ def joint_reactions(
 def spec_at(prepared: PreparedMechanism, found: Equilibrium) -> dict[str, Any]:
     """Return the spec as a plain mapping in which the mechanism is given in the equilibrium, at rest.
 
-    The numbers of the mechanism are values, not expressions. Of the parameters, only those are kept that events and
-    measures use; changes of others would have no effect.
+    The numbers of the mechanism are values, not expressions. Parameters that expressions outside the model do not use
+    are left out, because changing them would have no effect.
     """
     spec = prepared.spec
     kept = parameters_in_use(spec.parameters, spec.expressions_outside_model)

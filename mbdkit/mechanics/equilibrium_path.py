@@ -22,10 +22,12 @@ from mbdkit.spec.loading import RunSource, Sections
 Kind = Literal["limit point", "bifurcation"]
 
 LONGEST, FINEST = 0.05, 1e-6
-"""Largest and smallest step along a path, as a share of the size of the mechanism, of 1 rad, and of the time span."""
+"""Largest and smallest length of a step along a path; lengths are relative to the size of the mechanism, to 1 rad, and
+to the time span.
+"""
 
 STRAIGHT = 0.98
-"""If the cosine of the angle between the tangents at both ends of a step is below this, the step is halved."""
+"""A step is halved if the cosine of the angle between the tangents at its beginning and its end is below this."""
 
 MOST_POINTS = 5000
 """Largest number of points of a path."""
@@ -35,8 +37,8 @@ MOST_CORRECTIONS, EASY = 8, 4
 """
 
 CONVERGED = 1e-7
-"""Newton's method ends after the first correction below this; the next correction would be about the square of this
-one."""
+"""Newton's method ends after the first correction that is smaller than this, because the next correction would be
+about its square."""
 
 LOAD_STEP = 1e-5
 """Step of the central differences by which loads are differentiated with respect to time, as a share of the time span.
@@ -46,7 +48,7 @@ LOCATED = 1e-12
 """Tolerance of the position of a critical point on the path, relative to a step along it."""
 
 APART = 1e-6
-"""Critical points count as one if their distance, relative to a step along the path, is below this."""
+"""Two critical points are not distinguished if their distance, relative to a step along the path, is below this."""
 
 
 @dataclass(frozen=True)
@@ -63,7 +65,7 @@ class CriticalPoint:
     position : (B, 3) array
         x, y [m] and angle [rad] of each body.
     body
-        The body that moves most when the mechanism leaves the path.
+        The body whose centre of mass moves most when the mechanism leaves the path.
     """
 
     kind: Kind
@@ -161,7 +163,7 @@ def equilibrium_path(source: RunSource, **sections: Unpack[Sections]) -> Equilib
 
 @dataclass(frozen=True)
 class _Point:
-    """A point of the path: time, position, multipliers, tangent, and number of unstable motions."""
+    """A point of the path: time t, position q, multipliers lam, tangent, and number of unstable motions."""
 
     t: float
     q: np.ndarray
@@ -173,8 +175,10 @@ class _Point:
 class _Follower:
     """Follows the path of a mechanism in steps along its tangents.
 
-    The unknowns are q, lambda and the time. The length of a step is the root of a sum of squares: those of the changes
-    of the coordinates, averaged over the bodies, and that of the change of the time. Multipliers are not included.
+    The unknowns are the coordinates, the multipliers and the time. The square of the length of a step has two terms:
+    the sum of the squared changes of the coordinates, divided by the number of bodies, and the squared change of the
+    time. These changes are relative to the size of the mechanism, 1 rad, or the time span. Multipliers are not
+    included.
     """
 
     def __init__(self, prepared: PreparedMechanism):
@@ -187,7 +191,7 @@ class _Follower:
         self.weight = np.concatenate([1 / (bodies * size**2), np.zeros(p.m), [1 / self.span**2]])
         self.none = np.zeros(p.n)
         self.meaningless = diags_array(prepared.held.astype(float))
-        """Artificial stiffness of the angles of point masses, which keeps the matrix regular."""
+        """Artificial stiffness of the angles of point masses, without which the matrix would be singular."""
 
     def path(self) -> EquilibriumPath:
         found = rest(self.prepared)
@@ -225,7 +229,7 @@ class _Follower:
                 )
 
     def _at(self, here: _Point, step: float) -> tuple[_Point, int]:
-        """Return the point at a distance along the tangent, and the number of its Newton corrections."""
+        """Return the point of the path at a distance `step` along the tangent, and the number of Newton corrections."""
         y, corrections = self._corrected(_unknowns(here) + step * here.tangent, here.tangent)
         return self._point(y, here.tangent), corrections
 
@@ -308,7 +312,7 @@ class _Follower:
         return [*self._bifurcations(here, 0.0, before), limit, *self._bifurcations(here, after, step)]
 
     def _bifurcations(self, here: _Point, low: float, high: float) -> list[CriticalPoint]:
-        """Return the bifurcations between two distances from a point.
+        """Return the bifurcations between two distances along the tangent from a point.
 
         The interval is halved until it contains only one bifurcation.
         """

@@ -16,16 +16,18 @@ from mbdkit.mechanics.source import PreparedMechanism
 from mbdkit.spec.loading import RunSource, Sections
 
 ASIDE = 0.1
-"""A step is halved if the position deviates from its extrapolation by more than this fraction of the displacement."""
+"""A step is halved if the new position deviates from the extrapolated one by more than this fraction of the
+displacement.
+"""
 
 SMALL = 1e-6
 """Deviations below this, relative to the size of the mechanism or to 1 rad, never cause a step to be halved."""
 
 FINEST = 2.0**-12
-"""Smallest step that is tried, as a fraction of the interval between two recorded times."""
+"""Smallest step that is tried, relative to the interval between two recorded times."""
 
 STILL = 1e-6
-"""A coordinate counts as driven if its component in all free motions is below this."""
+"""A coordinate counts as driven if its component in the mass-orthonormal basis of the free motions is below this."""
 
 COLUMNS = ("x", "y", "angle", "vx", "vy", "rate", "ax", "ay", "angular_acceleration")
 
@@ -179,7 +181,7 @@ class _Path:
         return True
 
     def arrive(self, t: float, q: np.ndarray) -> None:
-        """Store a position with closed joints, and compute its velocities and accelerations."""
+        """Store a position in which the joints are closed, and compute the velocities and accelerations there."""
         p = self.p
         v = p.project_velocities(t, q, np.zeros(p.n))
         a, _ = p.solve(t, q, np.zeros(p.n), p.gamma(t, q, v))

@@ -29,7 +29,7 @@ STABILITY = {
 
 
 def equilibrium_text(found: Equilibrium) -> str:
-    """Return an equilibrium as text: accuracy, positions of the bodies, reactions in the joints."""
+    """Return an equilibrium as text: accuracy, positions, reactions in joints, forces in beams, first-order states."""
     lines = [f"{label:<12} {fact}" for label, fact in equilibrium_facts(found)]
     ends = beam_ends(found)
     places = [
@@ -61,7 +61,7 @@ def equilibrium_text(found: Equilibrium) -> str:
 
 
 def beam_ends(found: Equilibrium) -> list[tuple[str, list[float], list[float]]]:
-    """Return name, position and displacement from the start for the first and the last node of each beam."""
+    """Return name, position and displacement from the start, for the first and the last node of each beam."""
     nodes = {name: [k for k, body in enumerate(found.bodies) if beam_of(body) == name] for name in found.beams}
     places = [place for own in nodes.values() for place in (own[0], own[-1])]
     return [(found.bodies[k], clean(found.position[k]), clean(found.displacement[k])) for k in places]
@@ -229,7 +229,7 @@ def remark(value: complex) -> str:
 
 
 def moves_most(found: Modes, k: int) -> str:
-    """Return the body whose coordinates change most in a mode."""
+    """Return the name of the body with the coordinate that changes most in a mode [m or rad]."""
     size = np.abs(found.shapes[k]).max(axis=1)
     return found.bodies[int(np.argmax(size))]
 
@@ -239,13 +239,13 @@ def _by_name(names: tuple[str, ...], rows: np.ndarray) -> dict[str, list[float]]
 
 
 def _some(rows: list[tuple[str, ...]]) -> list[tuple[str, ...]]:
-    """Return the heading and the first `SHOWN` rows, followed by the number of rows left out."""
+    """Return the heading and the first `SHOWN` rows, followed by the number of rows left out, if any."""
     more = len(rows) - 1 - SHOWN
     return rows if more <= 0 else [*rows[: SHOWN + 1], (f"and {more} more", *[""] * (len(rows[0]) - 1))]
 
 
 def clean(values: np.ndarray) -> list[float]:
-    """Return the numbers, with values that are rounding errors of quantities of size 1 set to zero."""
+    """Return the numbers as a list, with zero in place of magnitudes below 1e-12, which are rounding errors."""
     return [0.0 if abs(x) < 1e-12 else x for x in values.tolist()]
 
 

@@ -22,8 +22,8 @@ NOISE = 64 * float(np.finfo(float).eps)
 """Rounding error of an eigenvalue per degree of freedom, relative to the largest eigenvalue."""
 
 SPREAD = 1e6
-"""The smaller eigenvalues are computed from the inverse matrix if the ratio of the largest to the smallest exceeds
-this.
+"""If the ratio of the largest to the smallest eigenvalue exceeds this, the smaller ones are computed from the inverse
+matrix.
 """
 
 FEW = 10
@@ -88,7 +88,7 @@ class Modes(HtmlView):
     bodies
         Names of the bodies.
     position, velocity, acceleration : (B, 3) arrays
-        The state: x, y [m] and angle [rad] of each body, their rates, and the accelerations there.
+        The state: x, y [m] and angle [rad] of each body, and their first and second time derivatives.
     eigenvalues : (K,) complex array
         Eigenvalues [1/s] in ascending order of their absolute value.
     shapes : (K, B, 3) complex array
@@ -146,9 +146,9 @@ class Modes(HtmlView):
 def linearize(source: RunSource, *, at: Where = "equilibrium", **sections: Unpack[Sections]) -> Linearization:
     """Linearise the equations of motion about a state, on the constraint manifold.
 
-    Drivers keep their prescribed motion, and loads their current value. If the state moves or is not an equilibrium,
-    the equations describe the deviation between neighbouring motions at this instant only. The deviation is measured in
-    a basis that moves with the mechanism without rotating within the tangent space (see
+    Drivers keep their prescribed motion, and loads the values that they have at this time. If the state moves or is not
+    an equilibrium, the equations describe the deviation between neighbouring motions at this instant only. The
+    deviation is measured in a basis that moves with the mechanism without rotating within the tangent space (see
     `mbdkit.mechanics.reduced.reduce`); the stiffness then includes the centrifugal and driving terms.
 
     Parameters
@@ -317,7 +317,9 @@ def oscillations(stiffness: np.ndarray, damping: np.ndarray) -> tuple[np.ndarray
 
 
 def _undamped(stiffness: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return the eigenvalues (f,) and eigenvectors (f, f) of a symmetric stiffness; zero where only round-off is left.
+    """Return the eigenvalues (f,) and eigenvectors (f, f) of a symmetric stiffness.
+
+    An eigenvalue is zero if only round-off is left of it.
 
     The lowest eigenvalues of slender beams are lost in the rounding errors of the largest one. They are recomputed by
     Rayleigh's quotient, whose error is the round-off of its terms plus the square of the error of the eigenvector.
@@ -356,12 +358,13 @@ def _first_order(stiffness: np.ndarray, damping: np.ndarray, loose: np.ndarray) 
 def _with_small_ones(
     squares: np.ndarray, damping: np.ndarray, values: np.ndarray, vectors: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return eigenvalues and vectors of the first-order form, with accurate small eigenvalues; the stiffness is
-    ``squares``.
+    """Return eigenvalues and vectors of the first-order form, with accurate small eigenvalues.
 
-    Rounding errors of eigenvalues are relative to the largest one. In beams with damped material, this is so large that
-    the lowest eigenvalues are lost. Rounding errors of the eigenvalues of the inverse matrix are relative to the
-    smallest eigenvalue, so the smaller eigenvalues are computed from the inverse. As in
+    The stiffness is a diagonal matrix with the diagonal `squares`.
+
+    Rounding errors of eigenvalues are relative to the largest eigenvalue. In beams with damped material, it is so large
+    that the lowest eigenvalues are lost. The inverse matrix has the reciprocal eigenvalues: those of the small
+    eigenvalues are its largest, and therefore accurate. As in
     `mbdkit.mechanics.reduced.lowest`, a shift keeps the inverse regular.
     """
     f = len(squares)
@@ -371,7 +374,7 @@ def _with_small_ones(
     matrix = np.diag(squares + shift**2) + shift * damping  # matrix of the equation for the positions
     scale = 1 / np.sqrt(np.diag(matrix))
     inverse = scale[:, None] * np.linalg.inv(scale[:, None] * matrix * scale) * scale
-    by_position = (inverse * squares - np.eye(f)) / shift  # -(damping + shift) / matrix
+    by_position = (inverse * squares - np.eye(f)) / shift  # -inverse (damping + shift)
     whole = np.block([[by_position, -inverse], [np.eye(f) + shift * by_position, -shift * inverse]])
     inverted, others = eig(whole)
     found = shift + 1 / inverted
@@ -407,7 +410,7 @@ def _normalised(shapes: np.ndarray, mass: np.ndarray) -> np.ndarray:
     phase = np.take_along_axis(shapes, largest[None], axis=0)
     shapes = shapes * (np.abs(phase) / np.where(phase == 0.0, 1.0, phase))
     norm = np.sqrt(np.sum(mass[:, None] * np.abs(shapes) ** 2, axis=0))
-    norm = np.where(norm == 0.0, 1.0, norm)  # a motion of first-order states alone has no such norm
+    norm = np.where(norm == 0.0, 1.0, norm)  # the shape is zero if only first-order states change
     normalised: np.ndarray = shapes / norm
     return normalised
 

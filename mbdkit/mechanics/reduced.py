@@ -23,7 +23,7 @@ DENSE = 1500
 """Largest number of coordinates for which the equations are reduced with a dense basis."""
 
 NEGATIVE = 1e-6
-"""Tolerance of the search for a negative stiffness, relative to the eigenvalue closest to zero."""
+"""Tolerance of the search for a negative stiffness, relative to the inverse of the eigenvalue closest to zero."""
 
 BLURRED = 1e-10
 """An eigenvalue of a dense matrix below this share of the largest one may have a relative rounding error above one per
@@ -34,7 +34,7 @@ SYMMETRIC = 1e-15
 """A skew part of a matrix below this share of the largest entry is attributed to rounding."""
 
 PILOTS = 3
-"""Number of inverse iterations used to estimate the lowest frequency."""
+"""Number of inverse iterations by which `_pilot` estimates the lowest frequency."""
 
 
 @dataclass(frozen=True)
@@ -59,7 +59,7 @@ class Reduced:
     stiffness, damping : (f, f) arrays
         Stiffness and damping in this basis [1/s^2, 1/s].
     turning : (n, f) array
-        Derivative of the basis with respect to time.
+        Time derivative of the basis; zero at rest.
     """
 
     basis: np.ndarray
@@ -71,6 +71,12 @@ class Reduced:
 def in_statics(prepared: PreparedMechanism) -> PreparedMechanism:
     """Return a mechanism for statics, in which the first-order states, if there are any, are functions of the
     position.
+
+    Raises
+    ------
+    SpecError
+        If contacts are rigid, or if there are first-order states that this analysis does not support, such as those of
+        muscles.
     """
     mechanism = prepared.workspace.mechanism
     if mechanism.contact_treatment.is_rigid:
@@ -97,8 +103,9 @@ def coupled_states(prepared: PreparedMechanism, at: State, small: Reduced, z: np
 def reduce(prepared: PreparedMechanism, at: State, z: np.ndarray | None = None) -> Reduced:
     """Linearise the equations about a state, along the degrees of freedom; `z` (Z,) are its first-order states.
 
-    A deviation ``Z(t) y`` stays tangent to the constraint manifold. The basis Z moves with the mechanism and does not
-    rotate within the tangent space, ``Z^T M Z' = 0``. Its derivative ``P = Z'`` is therefore the solution of
+    M is the mass matrix, Phi are the constraints with the multipliers lam, and Q are the applied forces. A deviation
+    ``Z(t) y`` stays tangent to the constraint manifold. The basis Z moves with the mechanism and does not rotate within
+    the tangent space, ``Z^T M Z' = 0``. The time derivative ``P = Z'`` is therefore the solution of
     ``Phi_q P = -d(Phi_q v + Phi_t)/dq Z`` with the smallest norm in the mass metric. The stiffness is
     ``Z^T (K Z + C P) - P^T M P`` and the damping ``Z^T C Z``, with ``K = d(Phi_q^T lam - Q)/dq`` and ``C = -dQ/dv``. In
     a state at rest P is zero.
@@ -130,7 +137,7 @@ def least_stiffness(prepared: PreparedMechanism, at: State) -> float:
     """Return the lowest eigenvalue of the stiffness along the degrees of freedom, at rest [1/s^2].
 
     Nodes of slender beams have so little inertia that the largest eigenvalues can be 1e15 times the lowest one. The
-    lowest one is then lost in their rounding errors, and is recovered by inverse iteration.
+    rounding errors of the large eigenvalues then hide the lowest one, which is found by inverse iteration instead.
     """
     if prepared.equations.n <= DENSE:
         values = _eigenvalues(reduce(prepared, at).stiffness)
@@ -169,7 +176,7 @@ def softest_scale(prepared: PreparedMechanism, at: State) -> float:
     """Return the sum of the magnitudes of the terms of the lowest stiffness at rest, for unit mass [1/s^2].
 
     Rounding errors of the lowest stiffness are proportional to this sum. For mechanisms that are too large to be
-    reduced, the result is the largest stiffness of a single coordinate instead.
+    reduced, the result is the largest stiffness of a single coordinate; see `stiffness_scale`.
     """
     p = prepared.equations
     if p.n > DENSE:
@@ -198,7 +205,10 @@ def lowest(prepared: PreparedMechanism, at: State, count: int) -> tuple[np.ndarr
     no_rows = np.zeros(p.m)
 
     def inverse(x: np.ndarray) -> np.ndarray:
-        """Solve ``dv - shift dq = f``, ``-K dq - C dv - shift M dv = M g`` for (dq, dv) within the free motions."""
+        """Solve ``dv - shift dq = f``, ``-K dq - C dv - shift M dv = M g`` for (dq, dv) within the free motions.
+
+        K, C and M are the matrices of stiffness, damping and mass; `x` contains f and g.
+        """
         f, g = x[:n], x[n:]
         right = -p.mass * (g + shift * f) - tangents.damping @ f
         dq, _ = matrix.solve(right, no_rows)
@@ -214,8 +224,9 @@ def lowest(prepared: PreparedMechanism, at: State, count: int) -> tuple[np.ndarr
 def _pilot(prepared: PreparedMechanism, at: State) -> tuple[float, np.ndarray]:
     """Return an estimate of the square of the lowest frequency [1/s^2] and of its mode shape (n,).
 
-    The estimate is the Rayleigh quotient after `PILOTS` inverse iterations from a random vector. The shift, and a lower
-    bound of 1e-9 relative to the quotient of the start vector, keep the matrix regular if a motion has no stiffness.
+    The estimate is the Rayleigh quotient after `PILOTS` inverse iterations from a random vector. A motion without
+    stiffness would make the matrix singular; a shift of 1e-9 times the quotient of the start vector prevents this. The
+    shift is also the lower bound of the estimate.
     """
     p = prepared.equations
     state, no_rows = (at.t, at.q, at.v, at.a, at.lam), np.zeros(p.m)
@@ -237,8 +248,8 @@ def _least_by_inverse_iteration(prepared: PreparedMechanism, at: State) -> float
 
     ARPACK first finds the eigenvalue of the inverse matrix with the largest absolute value. If it is positive, a second
     search looks for the lowest eigenvalue of the inverse. Most eigenvalues of the inverse are close to zero, where a
-    relative tolerance would require more accuracy than is needed. The second search therefore adds the first eigenvalue
-    as a shift, so that the tolerance `NEGATIVE` is relative to this eigenvalue.
+    relative tolerance would require more accuracy than is needed. The second search therefore shifts all eigenvalues by
+    the first one, so that the tolerance `NEGATIVE` is relative to the first one.
     """
     from scipy.sparse.linalg import LinearOperator, eigsh
 
@@ -287,8 +298,8 @@ def unstable_motions(prepared: PreparedMechanism, at: State) -> int:
 
 
 def static_matrix(prepared: PreparedMechanism, at: State) -> tuple[csc_array, np.ndarray]:
-    """Return the matrix of statics (n + m, n + m), scaled so that the largest entries are near 1, and its column
-    factors.
+    """Return the matrix of statics (n + m, n + m), whose rows and columns are scaled so that their largest entries are
+    near 1, and the scale factors.
 
     The angles of point masses, which have no stiffness, are given an artificial stiffness.
     """
@@ -306,7 +317,9 @@ def static_matrix(prepared: PreparedMechanism, at: State) -> tuple[csc_array, np
 
 
 def singular_motion(prepared: PreparedMechanism, at: State) -> np.ndarray:
-    """Return the motion (n + m,) that solves the homogeneous equations of statics, near a singular state."""
+    """Return the motion and the multipliers (n + m,) that solve the homogeneous equations of statics near a singular
+    state.
+    """
     matrix, factors = static_matrix(prepared, at)
     lu = splu(matrix + 1e-14 * diags_array(np.ones(matrix.shape[0]), format="csc"))
     x = np.random.default_rng(0).standard_normal(matrix.shape[0])
@@ -326,7 +339,7 @@ def distance_to_singular(prepared: PreparedMechanism, at: State, border: np.ndar
     Parameters
     ----------
     border
-        The solution of the homogeneous equations in a singular state nearby; see `singular_motion`.
+        Solution of the homogeneous equations near the singular state; see `singular_motion`.
     """
     matrix, factors = static_matrix(prepared, at)
     row = border / factors

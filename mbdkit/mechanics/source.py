@@ -20,7 +20,7 @@ from mbdkit.spec import InverseSpec, RunSpec, load_spec
 from mbdkit.spec.model_spec import ModelSpec
 
 UNUSED = {"integrator": {"name": "rk4"}, "time": {"end": 1.0, "step": 1.0}}
-"""Sections that a spec requires but these analyses do not use; they are added for a bare `Mechanism`."""
+"""Sections that a run spec requires, for a `Mechanism` without a spec; most of these analyses do not use them."""
 
 
 @dataclass(frozen=True)
@@ -38,7 +38,8 @@ class AssembledMechanism:
         Raises
         ------
         SpecError
-            If a motion of the model does not cover these times, or the joints cannot be closed.
+            If a motion of the model does not cover these times, the joints cannot be closed, or the mechanism has
+            first-order states.
         """
         mechanism = spec.mechanism()
         try:
@@ -51,14 +52,14 @@ class AssembledMechanism:
 
     @property
     def held(self) -> np.ndarray:
-        """Mask (n,) of the coordinates without meaning, which are the angles of point masses."""
+        """Mask (n,) of the angles of point masses, which have no meaning."""
         bodies = self.spec.mechanism().bodies.values()
         return np.array([(False, False, body.inertia is None) for body in bodies], dtype=bool).ravel()
 
     @property
     def extent(self) -> float:
-        """Extent of the centres of mass in the initial state, at least the characteristic length of the mechanism
-        [m].
+        """Largest extent of the centres of mass along x or y in the initial state, or the characteristic length of the
+        mechanism if it is larger [m].
         """
         centres = self.equations.q0.reshape(-1, 3)[:, :2]
         return max(float(np.max(np.ptp(centres, axis=0))), self.workspace.mechanism.length)

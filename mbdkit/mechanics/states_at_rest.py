@@ -1,11 +1,12 @@
 """First-order states in statics and in small motions: their values at rest, and their derivatives.
 
-At rest, the states z satisfy ``g(t, q, 0, z) = 0``, which is solved for every position q that a search for an
-equilibrium tries. The forces are then a function of q alone, with the stiffness
+The states z have the rates ``z' = g(t, q, v, z)``. At rest, they satisfy ``g(t, q, 0, z) = 0``, which is solved for
+every position q that a search for an equilibrium tries. The applied forces Q are then a function of q alone, with the
+stiffness
 
     K = -dQ/dq + Q_z g_z^-1 g_q
 
-The derivatives of Q with respect to z, and those of g, are computed by differences of order 8.
+Subscripts denote partial derivatives. Q_z and the derivatives of g are computed by differences of order 8.
 """
 
 from __future__ import annotations
@@ -33,10 +34,12 @@ at most `NEGLIGIBLE`, and at least `STALLED` times the previous change, so that 
 """
 
 LEAST = 1e-6
-"""In relative changes, the size assumed for each state is at least this share of the largest state."""
+"""Changes of a state are relative to its magnitude, or to this share of the largest state if that is larger."""
 
 DISTANCE = 2.0**-10
-"""Distance between the points of differences, as a share of 1 rad, of the size of the mechanism, or of a state."""
+"""Distance between the points of differences, as a share of 1 rad, of the size of the mechanism, or of the magnitude of
+a state (at least 1).
+"""
 
 PLACES = (-4, -3, -2, -1, 1, 2, 3, 4)
 WEIGHTS = (1 / 280, -4 / 105, 1 / 5, -4 / 5, 4 / 5, -1 / 5, 4 / 105, -1 / 280)
@@ -52,6 +55,11 @@ class StatesAtRest:
         The mechanism at its start.
     equations
         The equations of motion of the mechanism.
+
+    Raises
+    ------
+    SpecError
+        If the mechanism has sampled controllers.
     """
 
     def __init__(self, workspace: Workspace, equations: EquationsOfMotion):
@@ -129,8 +137,8 @@ class StatesAtRest:
         return both[:n], both[n:]
 
     def rates_by_motion(self, t: float, q: np.ndarray, v: np.ndarray, z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return the derivatives (Z, n) of the rates with respect to the positions, and those with respect to the
-        velocities.
+        """Return the derivatives of the rates with respect to the positions, and with respect to the velocities, both
+        (Z, n).
         """
         length = self._workspace.mechanism.length
         size = DISTANCE * np.tile([length, length, 1.0], len(q) // 3)
@@ -139,7 +147,7 @@ class StatesAtRest:
 
     @staticmethod
     def _differences(function: Callable[[np.ndarray], np.ndarray], x: np.ndarray, distance: np.ndarray) -> np.ndarray:
-        """Return the derivatives (..., len(x)) of a function by each entry of `x`."""
+        """Return the derivatives (..., len(x)) of a function with respect to each entry of `x`."""
         columns = []
         for k, unit in enumerate(distance):
             total: np.ndarray | float = 0.0
@@ -186,7 +194,7 @@ class CoupledStates:
 
 
 class StaticEquations(EquationsOfMotion):
-    """Equations of motion at rest, in which first-order states have their values at rest for each position."""
+    """Equations of motion at rest; the position determines the first-order states, see `StatesAtRest.solve`."""
 
     def __init__(self, workspace: Workspace):
         super().__init__(workspace)

@@ -1,4 +1,4 @@
-"""Functions of a relative angle that move the center of a joint: numbers, expressions of `angle`, and tables."""
+"""Functions of the relative angle of a joint that displace its center: numbers, expressions, and tables."""
 
 from __future__ import annotations
 
@@ -95,8 +95,8 @@ class Center(StrictModel):
         return x, y
 
     def outside(self, angle: float) -> tuple[str, AngleTable] | None:
-        """Return the key and the table of the first component whose table does not cover a relative angle [rad]; None
-        if all do.
+        """Return key and table of the first component that is given by a table which does not cover a relative angle
+        [rad]; None if there is none. Periodic tables cover all angles.
         """
         for key, function in self.functions:
             if isinstance(function, AngleTable) and not function.period:
@@ -118,9 +118,10 @@ def value_at(function: AngleFunction, angles: np.ndarray) -> np.ndarray:
 
 @lru_cache(maxsize=1024)
 def expression_of(text: str) -> Expression:
-    """Return an expression of `angle`, in whose program `t` is the angle.
+    """Return an expression of `angle`; the instruction ``t`` of its program pushes the angle.
 
-    Raises SpecError with the position of an error.
+    Raises SpecError if the text is not valid, if a derivative of an operation is discontinuous, or if the expression is
+    nested too deeply.
     """
     program = tuple(AngleCompiler(text).program())
     if kinks := sorted({name for name, _ in program if name in OPERATIONS and OPERATIONS[name].switch}):

@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 QUADRATURE = 16
-"""Number of points of the Gauss quadrature of the arc length between two given points."""
+"""Number of Gauss points for computing the arc length of a curve between two neighbouring given points."""
 
 NEWTON_STEPS = 8
 """Number of Newton steps for the position of a node on a curve; the initial guess is close to the solution."""
@@ -24,10 +24,16 @@ class Place(NamedTuple):
 
 
 class IntegrationPoint(NamedTuple):
-    """Shape functions of the nodes of an element, and their derivatives, at an integration point; and the weight of the
-    point.
+    """An integration point of an element.
 
-    Derivatives are with respect to the coordinate from 0 to 1 along the element. The weights of an element add up to 1.
+    Attributes
+    ----------
+    shape
+        Values of the shape functions of the nodes at this point.
+    slope
+        Their derivatives with respect to a coordinate that goes from 0 to 1 along the element.
+    weight
+        Weight of the point; the weights of an element add up to 1.
     """
 
     shape: tuple[float, ...]
@@ -36,7 +42,7 @@ class IntegrationPoint(NamedTuple):
 
 
 def _quadratic(x: float) -> IntegrationPoint:
-    """Return the integration point of a quadratic element at `x`, from -1 to 1."""
+    """Return the integration point at `x` of a quadratic element, along which `x` goes from -1 to 1."""
     return IntegrationPoint(
         (x * (x - 1.0) / 2.0, 1.0 - x * x, x * (x + 1.0) / 2.0), (2.0 * x - 1.0, -4.0 * x, 2.0 * x + 1.0), 0.5
     )
@@ -55,14 +61,14 @@ being too stiff in bending (shear locking).
 NODE_SHARES = {2: (0.5, 0.5), 3: (1.0 / 6.0, 2.0 / 3.0, 1.0 / 6.0)}
 """Shares of the mass and load of an element that are assigned to its nodes, by the number of nodes.
 
-They are those of the trapezoidal rule and of Simpson's rule.
+Elements with two nodes follow the trapezoidal rule, elements with three nodes Simpson's rule.
 """
 
 END_CORRECTIONS = (-1.0 / 8.0, 1.0 / 6.0, -1.0 / 24.0)
-"""Corrections of the trapezoidal rule at the first and last three nodes, as shares of an element.
+"""Corrections of the trapezoidal rule at the first three nodes, and in reverse order at the last three nodes.
 
-They are those of Gregory's rule with second differences, which integrates cubic functions exactly. With two and three
-elements, it is Simpson's rule and the 3/8 rule.
+They are given as shares of the length of an element. The corrected rule is Gregory's rule with second differences,
+which integrates cubic functions exactly. For two elements it equals Simpson's rule, and for three the 3/8 rule.
 """
 
 
@@ -112,9 +118,11 @@ def curved(points: Sequence[Sequence[float]], count: int) -> tuple[list[Place], 
 def with_ends(forces: np.ndarray, length: float, nodes: int) -> np.ndarray:
     """Return internal forces in the middle of the elements of a beam, and at both of its ends.
 
-    Axial and shear forces are extrapolated by the parabola through three elements, or linearly from two. The moment at
-    an end is computed from that in the middle of the element by equilibrium, m' = -r' x n. With any number of elements,
-    the moment at the clamp of a cantilever under its own weight then agrees with beam theory.
+    Axial and shear forces at an end are extrapolated by the parabola through the values of the three nearest elements,
+    linearly from two elements, or as a constant from a single element. The moment at an end follows by equilibrium from
+    the moment in the middle of the outermost element: m' = -r' x n, where m is the moment, n the force, and r' the
+    derivative of the position with respect to the arc length. With any number of elements, the moment at the clamp of a
+    cantilever under its own weight then agrees with beam theory.
 
     Parameters
     ----------
@@ -137,9 +145,9 @@ def with_ends(forces: np.ndarray, length: float, nodes: int) -> np.ndarray:
         if forces.shape[-2] > 2:
             third = forces[..., second + (second - first), :]
             end += 0.375 * (change - (forces[..., second, :] - third))
-        # The moment of an element of three nodes is the mean of two Gauss points, which differs from the moment in the
-        # middle by w h^2 / 24 under a distributed load w. The mean shear force of half an element is that at a quarter
-        # of the length.
+        # The moment of an element with three nodes is the mean of its values at two Gauss points. Under a distributed
+        # load w, this mean differs from the moment in the middle by w h^2 / 24, where h is the length of the element.
+        # The mean shear force between the middle and the end is the shear force at a quarter of the length.
         shear = middle[..., 1] + ((1 / 4 - 1 / 12) * change[..., 1] if nodes == 3 else 0.0)
         end[..., 2] = middle[..., 2] + sign * 0.5 * length * shear
         ends.append(end[..., None, :])

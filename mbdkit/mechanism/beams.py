@@ -19,8 +19,8 @@ from mbdkit.mechanism.forces import PointForce
 from mbdkit.mechanism.values import Motion, MotionPair, NotNegative, Number, Point, Positive, Table, sequence
 
 SHEAR_SHARE = 1e-6
-"""Share of the deflection of a cantilever with a force at its end that is due to shear, for a beam with ``shear:
-none``.
+"""In a beam with ``shear: none``, shear causes this share of the deflection of a cantilever that carries a force at
+its end.
 """
 
 MOST_ELEMENTS = 20_000
@@ -38,8 +38,9 @@ class BeamStiffness(StrictModel):
     axial: Positive | None = None
     """Axial stiffness [N], ``E A`` by default."""
     shear: Positive | Literal["none"] | None = None
-    """Shear stiffness [N], ``shear_factor G A`` by default; or `none` for a beam that hardly shears: a stiffness with
-    which shear causes 1e-6 of the deflection of a cantilever with a force at its end, ``3e6 bending / length^2``."""
+    """Shear stiffness [N], ``shear_factor G A`` by default; or `none` for a beam with hardly any shear: the
+    stiffness is then ``3e6 bending / length^2``, so that shear causes 1e-6 of the deflection of a cantilever that
+    carries a force at its end."""
     bending: Positive | None = None
     """Bending stiffness [N m^2], ``E I`` by default."""
 
@@ -61,8 +62,10 @@ class BeamSection(NamedTuple):
         Number of the element in its beam.
     nodes
         Names of the nodes of the element.
-    shape, slope
-        Values of the shape functions of the nodes, and their derivatives with respect to the arc length [1/m].
+    shape
+        Values of the shape functions of these nodes at the cross-section.
+    slope
+        Derivatives of the shape functions with respect to the arc length [1/m].
     length
         Length of the part of the beam that the cross-section represents [m].
     reference
@@ -80,8 +83,9 @@ class BeamSection(NamedTuple):
 class Beam(StrictModel):
     """A flexible beam: a geometrically exact (Reissner) beam with axial, shear and bending strain.
 
-    Its nodes are bodies, ``NAME.0``, ``NAME.1``, ... from one end to the other, which joints and forces refer to like
-    to any other body. The angle of a node is that of the tangent, from a to b.
+    Its nodes are the bodies ``NAME.0``, ``NAME.1``, ..., numbered from one end to the other. Joints and forces refer to
+    them as to any other body. In the stress-free shape, the angle of a node is the angle of the tangent to the beam, in
+    the direction from a to b or along the points.
     """
 
     # `nu` is not in the list because it may be 0; an empty value counts as absent.
@@ -104,9 +108,9 @@ class Beam(StrictModel):
     """Nodes of an element: 2 (n + 1 nodes, errors of order 2 in the length of an element), or 3 (2 n + 1 nodes, order
     4)."""
     corrected: bool = False
-    """Whether two-node elements are corrected, at no cost: masses and loads at the nodes by Gregory's rule, and bending
-    inside elements by their shear flexibility. Errors in bending are then about as small as with three nodes; forces in
-    the two elements at each end are less accurate."""
+    """Whether elements with two nodes are corrected, which costs no computing time: masses and loads are assigned to
+    the nodes by Gregory's rule, and an additional shear flexibility represents the bending inside each element. Errors
+    in bending are then about as small as with three nodes; forces in the two elements at each end are less accurate."""
     E: Positive | None = None
     """Young's modulus [Pa]."""
     G: Positive | None = None
@@ -128,8 +132,8 @@ class Beam(StrictModel):
     rotary_inertia: Positive | None = None
     """Moment of inertia per length [kg m]; ``density I`` by default, or else mass_per_length bending / axial."""
     damping: NotNegative = 0.0
-    """Retardation time [s] of the material (Kelvin-Voigt): a strain e causes the stress of the strain e + damping
-    de/dt."""
+    """Retardation time [s] of the material (Kelvin-Voigt): a strain e with the rate de/dt causes the stress that the
+    strain e + damping de/dt would cause without damping."""
     velocity: Point = (0.0, 0.0)
     """Initial velocity (x, y) [m/s] of the first node."""
     angular_velocity: Number = 0.0
@@ -217,10 +221,10 @@ class Beam(StrictModel):
     def element_stiffness(self) -> SectionStiffness:
         """Stiffness with which elements are computed; if they are corrected, the shear stiffness is smaller.
 
-        One cross-section per element leaves out that a linear bending moment bends the element. The residual bending
-        flexibility ``h^2 / (12 bending)`` adds this deflection to that of shear, so that a straight beam with forces at
-        its nodes has the exact small deflections. R. H. MacNeal, A simple quadrilateral shell element, Computers &
-        Structures 8 (1978).
+        An element of length h that is integrated at a single cross-section does not bend under a bending moment that
+        varies linearly along it. The residual bending flexibility ``h^2 / (12 bending)`` adds this deflection to the
+        deflection by shear. The small deflections of a straight beam with forces at its nodes are then exact. R. H.
+        MacNeal, A simple quadrilateral shell element, Computers & Structures 8 (1978).
         """
         section = self.section_stiffness
         if not self.corrected:
@@ -250,7 +254,8 @@ class Beam(StrictModel):
         stiffness = np.zeros((3 * self.nodes, 3 * self.nodes))
         for point in INTEGRATION[self.nodes]:
             shape, slope, none = np.array(point.shape), np.array(point.slope) / length, np.zeros(self.nodes)
-            strains = (slope, none, none), (none, slope, -shape), (none, none, slope)  # by x, y and angle of the nodes
+            # Derivatives of axial strain, shear strain and curvature with respect to x, y and angle of the nodes.
+            strains = (slope, none, none), (none, slope, -shape), (none, none, slope)
             for modulus, strain in zip(self.element_stiffness, strains, strict=True):
                 row = np.column_stack(strain).ravel()
                 stiffness += point.weight * length * modulus * np.outer(row, row)
@@ -276,7 +281,7 @@ class Beam(StrictModel):
 
     @property
     def places(self) -> list[Place]:
-        """Position of every node of the stress-free beam."""
+        """Position and angle of every node of the stress-free beam."""
         return self._shape[0]
 
     @property
@@ -295,7 +300,7 @@ class Beam(StrictModel):
 
     @property
     def node_lengths(self) -> list[float]:
-        """Length of the part of the beam whose mass and load are assigned to each node [m]."""
+        """For each node, the length of the part of the beam whose mass and load are assigned to this node [m]."""
         lengths = [0.0] * self.node_count
         for element in range(self.elements):
             for i, share in enumerate(NODE_SHARES[self.nodes]):
@@ -335,7 +340,7 @@ class Beam(StrictModel):
             ) from None
 
     def loads(self, name: str) -> dict[str, PointForce]:
-        """Return the forces on the nodes that replace the distributed load of the beam `name`, by name of the force."""
+        """Return the forces on the nodes, by name, that replace the distributed load of the beam `name`."""
         if self.load is None:
             return {}
         return {
@@ -363,12 +368,12 @@ LAST = ".last"
 
 
 def last_nodes(beams: Mapping[str, Beam]) -> dict[str, str]:
-    """Return the names of the last nodes of beams, by the names that end with `LAST`."""
+    """Return the name of the last node of each beam, such as ``tube.16``, by its other name, such as ``tube.last``."""
     return {f"{name}{LAST}": beam.node_names(name)[-1] for name, beam in beams.items()}
 
 
 def with_body(element: Any, path: Path, body: str) -> Any:
-    """Return an element with another body at a key path within it."""
+    """Return a copy of an element in which the name at a key path within the element is replaced by `body`."""
     if not path:
         return body
     head, *rest = path
@@ -379,7 +384,10 @@ def with_body(element: Any, path: Path, body: str) -> Any:
 
 
 def beam_of(node: str) -> str:
-    """Return the name of the beam to which a node such as ``tube.0`` belongs; an empty text if it belongs to none."""
+    """Return the name of the beam in the name of a node such as ``tube.0``; empty if the name does not end in a number.
+
+    Whether such a beam exists is not checked.
+    """
     beam, _, number = node.rpartition(".")
     return beam if number.isdecimal() else ""
 

@@ -21,8 +21,8 @@ from mbdkit.mechanism.values import BodyPair, Motion, Number, Point, Points, Pos
 GROUND = "ground"
 
 ON_POINT_MASS = 1e-9
-"""Distance from a point mass, relative to the largest coordinate, within which a global point counts as its
-position.
+"""A global point counts as the position of a point mass if their distance, relative to the largest of their
+coordinates (at least 1 mm), does not exceed this.
 """
 
 Attachment = tuple[str, str, tuple[float, float]]
@@ -69,7 +69,10 @@ class Body(StrictModel):
 
 
 class Element(StrictModel):
-    """Base class of joints, pathways and force elements: lists the bodies, points, angles and motions that they use."""
+    """Base class of joints, forces, pathways, markers, muscles and contacts.
+
+    Its methods list the bodies, points, angles, motions and expressions that an element uses.
+    """
 
     def places(self) -> list[tuple[str, str]]:
         """Return (key, body name) of each body that the element refers to."""
@@ -93,7 +96,9 @@ class Element(StrictModel):
 
     @classmethod
     def unit_along(cls, data: Mapping[str, Any]) -> str:
-        """Return the unit, m or rad, that applies where the description of a key lists two, as in ``[N/m or N m/rad]``.
+        """Return the unit of the length or coordinate of an element, m or rad.
+
+        It selects one of the two units in the description of a key, as in ``[N/m or N m/rad]``.
 
         Parameters
         ----------
@@ -114,8 +119,8 @@ class Element(StrictModel):
         Raises
         ------
         SpecError
-            If an element is attached to a point mass at another point than its position. The error has a key path below
-            `key`.
+            If the element is attached to a point mass at a point other than the position of the mass. The key path of
+            the error begins with `key`.
         """
         return self
 
@@ -157,7 +162,7 @@ class AtPoint(Element):
 
     @property
     def held(self) -> tuple[float, float]:
-        """The point in the frame of the body [m]."""
+        """The point in the frame of the body [m], of an element that was placed."""
         assert self.point is not None, "the element is not placed"
         return self.point
 
@@ -251,7 +256,7 @@ class BetweenPoints(Between):
         return ()
 
     def _once_placed(self) -> dict[str, Any]:
-        """Return the new values of the fields that change when points in the global frame are converted."""
+        """Return new values of the fields with points in the global frame, after these points were converted."""
         return {}
 
 

@@ -1,4 +1,4 @@
-"""Checks that involve several elements of a mechanism: names, referenced bodies, ineffective springs, table ranges."""
+"""Checks that involve several elements of a mechanism: names, references, springs without effect, ranges of tables."""
 
 from __future__ import annotations
 
@@ -18,10 +18,14 @@ from mbdkit.mechanism.pathways import JointAngles
 from mbdkit.mechanism.values import Motion, Table
 
 ROUNDING = 1e-9
-"""Relative tolerance for a run that extends beyond a table; the end of a run is a sum of rounded steps."""
+"""A run may extend beyond a table by this share of the longer of both spans, because the end of a run is a sum of
+rounded steps.
+"""
 
 COINCIDENT = 1e-12
-"""Two points closer than this [m] coincide; with coordinates above 1 m, the distance is relative to the largest one."""
+"""Two points coincide if their distance [m] is at most this; if a coordinate exceeds 1 m, the tolerance is this times
+the largest coordinate.
+"""
 
 
 def check_mechanism(
@@ -31,8 +35,12 @@ def check_mechanism(
     joints: Mapping[str, Joint],
     assembly: Assembly,
 ) -> None:
-    """Raise SpecError with the key path of the first error; `elements` has all elements by kind and name, including
-    `joints`.
+    """Raise SpecError, with the key path, for the first error in a mechanism.
+
+    Parameters
+    ----------
+    elements
+        All elements by kind and name; its entry ``joints`` is the same mapping as `joints`.
     """
     parts = parts_of(beams)
     own = {kind: [name for name in named if name not in parts] for kind, named in elements.items()}
@@ -55,7 +63,10 @@ def check_mechanism(
 
 
 def check_names(bodies: Iterable[str], beams: Collection[str], elements: Mapping[str, Iterable[str]]) -> None:
-    """Raise SpecError if there are neither bodies nor beams, or for the first name that is not valid."""
+    """Raise SpecError if there are neither bodies nor beams, or for the first name that is not valid.
+
+    A body must not have a name that could be the name of a node of a beam.
+    """
     if not (bodies or beams):
         raise SpecError(NO_BODY, key="model.bodies")
     for kind, names in {"bodies": bodies, "beams": beams, **elements}.items():
@@ -105,7 +116,9 @@ def check_centers(joints: Mapping[str, Joint], placed: Callable[[str], Body]) ->
 
 
 def check_springs(forces: Mapping[str, Force], placed: Callable[[str], Body]) -> None:
-    """Raise a SpecError for the first spring whose ends coincide at the start, which leaves its direction undefined.
+    """Raise a SpecError for the first force along a line whose ends coincide at the start.
+
+    The direction of such a force is undefined. Spring-dampers whose stiffness or free length is zero are allowed.
 
     Parameters
     ----------
@@ -158,12 +171,12 @@ def check_known(name: object, bodies: Iterable[str], key: str) -> None:
 
 
 def _line(force: Element) -> SpringDamper | Law | None:
-    """Return the force element if it acts along the line between two points."""
+    """Return the element if it is a force along the line between two points, otherwise None."""
     return force if isinstance(force, SpringDamper | Law) and force.pathway.is_line else None
 
 
 def _ends(element: Joint | SpringDamper | Law) -> frozenset[tuple[str, tuple[float, float]]]:
-    """Return both ends of an element as (body, point in its frame)."""
+    """Return the two ends of an element as (body, point in the frame of this body), in any order."""
     return frozenset((name, point) for _, name, point in element.attachments())
 
 

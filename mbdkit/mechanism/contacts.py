@@ -1,4 +1,4 @@
-"""Contacts between bodies: shapes in the frames of two bodies, friction, and the law of the compliant treatment."""
+"""Contacts between bodies: their shapes, friction, and the normal force of compliant contacts."""
 
 from __future__ import annotations
 
@@ -20,13 +20,16 @@ from mbdkit.mechanism.values import BodyPair, NotNegative, Point, Positive, sequ
 Pair = tuple[float, float]
 
 OPEN, STICK, SLIP = range(3)
-"""Modes of a contact."""
+"""Modes of a contact: open, sticking (closed without slip) and slipping."""
 
 MOST_CORNERS = 16
-"""Largest number of corners of a polygon; all corners are parameters of the program of each force."""
+"""Largest number of corners of a polygon; each force of a contact has all corners among its parameters."""
 
 RELEASED = 1e300
-"""Rate of the indentation [m/s] at which a law without dissipation would stop pushing; practically never reached."""
+"""Speed of separation [m/s] at which the law smooth-sphere-half-space without dissipation stops pushing.
+
+It is so large that it is never reached.
+"""
 
 
 class LineShape(StrictModel):
@@ -60,7 +63,7 @@ class CircleShape(StrictModel):
 
 
 class HoleShape(CircleShape):
-    """A round hole in a body, which holds circles and points of other bodies."""
+    """A round hole in a body, inside which circles and points of other bodies move."""
 
 
 Corners = Annotated[tuple[Point, ...], BeforeValidator(sequence)]
@@ -154,7 +157,7 @@ class Treatment(NamedTuple):
 
     @property
     def is_rigid(self) -> bool:
-        """Whether bodies do not overlap."""
+        """Whether bodies in contact are rigid, so that no compliance lets them overlap."""
         return self.kind != "compliant"
 
 
@@ -165,9 +168,9 @@ class Friction(StrictModel):
     """Coefficients of Coulomb's friction."""
 
     static: NotNegative
-    """Largest friction force over normal force while the contact sticks."""
+    """Ratio of the largest friction force to the normal force while the contact sticks."""
     kinetic: NotNegative
-    """Friction force over normal force while it slips."""
+    """Ratio of the friction force to the normal force while the contact slips."""
 
     @model_validator(mode="after")
     def _in_order(self) -> Friction:
@@ -179,7 +182,10 @@ class Friction(StrictModel):
 
 
 class Compliance(StrictModel):
-    """The normal force of the compliant treatment as a function of the indentation d = -gap and its rate."""
+    """The normal force of the compliant treatment as a function of the indentation d and its rate d'.
+
+    The indentation is the depth by which the two shapes overlap.
+    """
 
     ABSENT_BY_DEFAULT: ClassVar[tuple[str, ...]] = ("dissipation", "impact_speed")
 
@@ -192,8 +198,8 @@ class Compliance(StrictModel):
     stiffness: Positive
     """Stiffness k [N/m^1.5]; of `linear` [N/m]; of `smooth-sphere-half-space` [N/m^2]."""
     dissipation: NotNegative | None = None
-    """Dissipation c [s/m]; of `linear` [N s/m]. By default, `hunt-crossley` computes it from `restitution` and
-    `impact_speed`, and the others have none."""
+    """Dissipation c [s/m]; of `linear` [N s/m]. `flores` and `lankarani-nikravesh` always compute it from `restitution`
+    and `impact_speed`, and `hunt-crossley` does so if `impact_speed` is given. Otherwise, the default is 0."""
     impact_speed: Positive | None = None
     """Speed of approach [m/s] at which an impact has the `restitution` of the contact."""
     transition_speed: Positive = 0.01
@@ -216,7 +222,8 @@ class ContactPair(NamedTuple):
     Attributes
     ----------
     name
-        Name of the row: that of the contact, followed by the number of the corner for a polygon.
+        Name of the row: the name of the contact, followed by the names of both bodies if the contact has a group of
+        bodies (`among`), and by the number of a corner if there is a polygon.
     key
         Key of the contact in a spec.
     bodies
@@ -257,8 +264,8 @@ class Contact(Element):
     bodies: BodyPair | None = None
     """Names of the two bodies [a, b]; `ground` is the fixed global frame."""
     among: Annotated[tuple[str, ...], BeforeValidator(sequence)] | None = None
-    """Names of bodies that may touch each other, as an alternative to `bodies`. All pairs of them are included, except
-    those that a joint connects."""
+    """Names of a group of bodies that may touch each other, as an alternative to `bodies`. All pairs of them are
+    included, except pairs that a joint connects."""
     shapes: Annotated[tuple[Shape, ...], BeforeValidator(sequence)] | dict[str, Shape]
     """One shape for each of the two `bodies`; with `among`, a mapping from the body to its shape."""
     restitution: Annotated[float, Field(ge=0, le=1)] = 0.0
@@ -331,7 +338,7 @@ class Contact(Element):
 
     @property
     def by_body(self) -> list[tuple[str, str, str, Shape]]:
-        """Keys of the name and of the shape, name and shape of each body."""
+        """For each body: the key of its name, the key of its shape, its name, and its shape."""
         if self.bodies is not None:
             names = [(f"bodies[{i}]", f"shapes[{i}]", name) for i, name in enumerate(self.bodies)]
         else:
@@ -366,8 +373,12 @@ class Contact(Element):
         return factor / (1.5 * own.impact_speed)
 
     def law_numbers(self, radius: float) -> dict[str, float]:
-        """Return the parameters of the laws of normal force and friction by name; `radius` is that of the circle
-        [m].
+        """Return the parameters of the laws of normal force and friction by name.
+
+        Parameters
+        ----------
+        radius
+            Radius of the circle [m]; 0 for a point.
         """
         own = self.compliance
         assert own is not None
@@ -384,7 +395,10 @@ class Contact(Element):
         }
 
     def pairs(self, name: str, joints: Mapping[str, Joint]) -> Iterator[ContactPair]:
-        """Yield the rows of the contact; for `among`, pairs of bodies that a joint connects are left out."""
+        """Yield the rows (possible contact points) of the contact.
+
+        In a group of bodies (`among`), pairs of bodies that a joint connects are left out.
+        """
         held = {frozenset(joint.bodies) for joint in joints.values() if not joint.is_driver}
         key = f"model.contacts.{quoted(name)}"
         for (_, _, a, first), (_, _, b, second) in combinations(self.by_body, 2):
@@ -394,10 +408,9 @@ class Contact(Element):
                 yield from _rows(f"{name}.{a}.{b}", key, (a, b), first, second)
 
     def check_joints(self, key: str, joints: Mapping[str, Joint]) -> None:
-        """Raise SpecError if a weld connects the two bodies, or a pin connects two moving bodies, which overlap around
-        the pin.
+        """Raise SpecError if a weld, or a pin between two moving bodies, holds the bodies of the contact together.
 
-        Bodies that are pinned to the ground may touch other parts of the ground.
+        Two bodies overlap around their pin. A body that is pinned to the ground may touch other parts of the ground.
         """
         if self.bodies is None:
             return
@@ -455,7 +468,7 @@ def _check_hole(first: Shape, second: Shape, key: str) -> None:
 
 
 def _rows(name: str, key: str, bodies: tuple[str, str], first: Shape, second: Shape) -> Iterator[ContactPair]:
-    """Yield the rows of two shapes; the circle may be the first or the second."""
+    """Yield the rows of two shapes, which may be given in either order."""
     order = {"line": 0, "polygon": 1, "hole": 2, "circle": 3, "point": 4}
     swapped = order[first.kind] > order[second.kind]
     if swapped:
@@ -492,7 +505,7 @@ def _rows(name: str, key: str, bodies: tuple[str, str], first: Shape, second: Sh
 
 
 def _edges(corners: tuple[Pair, ...]) -> tuple[float, ...]:
-    """Return a point and the unit outward normal of each edge."""
+    """Return (x, y) of a point and of the unit outward normal of each edge, one edge after the other."""
     found: list[float] = []
     for (ax, ay), (bx, by) in zip(corners, corners[1:] + corners[:1], strict=True):
         size = math.hypot(bx - ax, by - ay)
@@ -506,6 +519,6 @@ def feet(pairs: Iterable[Sequence[str]]) -> list[str]:
 
 
 def check_contacts(contacts: Mapping[str, Contact], joints: Mapping[str, Joint]) -> None:
-    """Raise SpecError for the first contact that contradicts a joint, or that lies between two shapes of the ground."""
+    """Raise SpecError for the first contact that contradicts a joint; see `Contact.check_joints`."""
     for name, contact in contacts.items():
         contact.check_joints(f"model.contacts.{quoted(name)}", joints)

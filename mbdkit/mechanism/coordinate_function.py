@@ -1,4 +1,4 @@
-"""Functions of named coordinates of a mechanism, along which path points of muscles move."""
+"""Functions of named coordinates of a mechanism: the coordinates of path points that move in the frames of bodies."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ _COORDINATE = "coordinate:"
 
 
 class CoordinateExpressionError(ExpressionError):
-    """An expression with a name that is not that of a coordinate."""
+    """A function with a name that is not the name of a coordinate, or with a coordinate where it must be constant."""
 
 
 class CoordinateCompiler(Compiler):
@@ -31,7 +31,7 @@ class CoordinateCompiler(Compiler):
     variable = ""
 
     def operand(self, node: ast.expr) -> Code:
-        """Return the program of a coordinate."""
+        """Return the program of a coordinate; the base class rejects all other operands."""
         if isinstance(node, ast.Name) and node.id not in FUNCTIONS:
             return [(_COORDINATE + node.id, 0.0)]
         return super().operand(node)
@@ -48,7 +48,7 @@ def _columns(value: Any, key: str = "") -> Any:
 
 
 class _Points(Table):
-    """Points of a table of a coordinate."""
+    """The points and options of a `CoordinateTable`, without the name of the coordinate."""
 
     COLUMNS: ClassVar[str] = "[[coordinate, ...], [value, ...]]"
 
@@ -86,7 +86,7 @@ def _function(value: Any) -> Any:
 WANTED = "a number, an expression of coordinates, or {table: [[coordinate, ...], [value, ...]], of: COORDINATE}"
 
 CoordinateFunction = Annotated[Number | str | CoordinateTable, BeforeValidator(_function)]
-"""A number, an expression of named coordinates, or a table of one."""
+"""A number, an expression of named coordinates, or a table of one named coordinate."""
 
 
 def names_of(function: CoordinateFunction) -> list[str]:
@@ -105,7 +105,9 @@ def names_of(function: CoordinateFunction) -> list[str]:
 def value_and_slopes(
     function: CoordinateFunction, coordinates: Mapping[str, np.ndarray], frames: int
 ) -> tuple[np.ndarray, dict[str, np.ndarray]]:
-    """Return a function in T frames, (T,), and its derivatives with respect to the coordinates that it contains.
+    """Return the values (T,) of a function in T frames, and its derivatives (T,), by name of the coordinate.
+
+    The derivatives are with respect to those coordinates that the function contains.
 
     Parameters
     ----------

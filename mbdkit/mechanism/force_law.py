@@ -2,8 +2,8 @@
 
 A law defines the scalar force ``F(s, s', t)`` along a pathway of length ``s``; a positive force pulls the two bodies
 together. It also defines ``dF/ds``, ``dF/ds'`` and, optionally, a potential ``V(s)`` with ``dV/ds = F(s, 0)``. The
-bodies supply the power ``F s'`` to the element, which stores ``dV/ds s'`` of it. If the law is passive, the remainder
-is dissipated; otherwise it counts as negative work of the element.
+bodies supply the power ``F s'`` to the element, which stores the part ``dV/ds s'``. If the law is passive, the element
+dissipates the remainder; otherwise the remainder counts as negative work of the element.
 """
 
 from __future__ import annotations
@@ -43,9 +43,9 @@ class ExpressionLaw:
         Function from an instance of the law's options to the values of the parameters by name; by default, the
         parameters are the numeric options themselves.
     rates
-        First-order states of an element with this law, by name. Each state has a time derivative, which is an
-        expression like `force` or a function that returns it, and a unit. A parameter of the same name gives the
-        initial value. All expressions may contain the state by its name. A law with states has no potential, so its
+        First-order states of an element with this law: for each name, the time derivative (an expression like `force`,
+        or a function that returns it) and the unit of the state. A parameter of the same name gives the initial value.
+        All expressions may contain the state by its name. A law with states has no potential, so its
         power counts as work, or as dissipated if the law is passive.
     valid_range
         Range in which the law holds, such as ``{"length": (0.0, 0.3), "rate": (-1.0, 1.0)}`` [SI units, radians], or a
@@ -77,8 +77,8 @@ class LawState:
     Parameters
     ----------
     name
-        Name of the state, and of the parameter of the law that represents it; the value of the parameter is the initial
-        value.
+        Name of the state. The law has a parameter of this name: its value is the initial value of the state, and its
+        symbol in the law stands for the state.
     rate
         Time derivative of the state, in the form of a law with the same parameters.
     unit
@@ -124,14 +124,14 @@ class FunctionLaw:
 class TracedLaw:
     """A force law, or the rate of a state, as a Python function without branches that is traced to a program.
 
-    In contrast to an expression, intermediate results are computed once, so that a law may contain a fixed number of
-    iterations.
+    Unlike an `ExpressionLaw`, such a function computes intermediate results only once, so that a law may contain a
+    fixed number of iterations.
 
     Parameters
     ----------
     function
-        Function of length, rate, time and a mapping with the parameters by name, which returns the force. It may use
-        numbers, operators, functions of NumPy and ``numpy.where``.
+        Function of length, rate, time and a mapping with the parameters by name, which returns the force, or the
+        rate of a state. It may use numbers, operators, functions of NumPy and ``numpy.where``.
     parameters
         Function from an instance of the law's options to the values of the parameters by name.
     states

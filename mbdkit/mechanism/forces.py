@@ -31,8 +31,10 @@ class AppliedLoad(NamedTuple):
     ----------
     kind
         Torque, point force in the global frame, or point force in the frame of the body.
-    body, reaction_body
-        The loaded body, and the body that the opposite load acts on.
+    body
+        The body that the load acts on.
+    reaction_body
+        The body that the opposite load acts on; the ground if no other body is given.
     values
         The torque [N m], or the two components of the force [N].
     point

@@ -12,16 +12,16 @@ from mbdkit.mechanism.mechanism import Mechanism
 from mbdkit.mechanism.size import mechanism_size
 
 FAR_MASS = 10.0
-"""An inertia is improbable if the mass of the heaviest body would have it only at a distance of more than this many
-sizes of the mechanism.
+"""An inertia is improbable if it exceeds the mass of the heaviest body times the square of this many sizes of the
+mechanism.
 
-Inertias in kg mm^2 are too large by 1e6, which is a factor of 1000 in the distance, and those in kg cm^2 by 1e4. The
-heaviest body is compared, because bodies of little mass may stand for gears and rotors. In all packaged examples, the
-distance is at most 5 sizes.
+Inertias that are given in kg mm^2 are too large by a factor of 1e6, and those in kg cm^2 by 1e4. The mass is that of
+the heaviest body, because bodies of little mass may stand for gears and rotors. In all packaged examples, 5 sizes
+would be enough.
 """
 
 ROUGHEST = 5.0
-"""Coefficient of friction above which it is improbable. Rubber on rough ground reaches about 1, racing tyres about 2,
+"""A coefficient of friction above this is improbable. Rubber on rough ground reaches about 1, racing tyres about 2,
 and percentages are usually larger.
 """
 
@@ -32,7 +32,8 @@ def improbable_inertias(mechanism: Mechanism) -> Iterator[str]:
     if not rigid:
         return
     heaviest = max(body.mass for body in mechanism.bodies.values())
-    # Centres of mass are among the points that determine the size, which takes longer to compute than their distances.
+    # The size takes longer to compute, and is at least the extent of the centres of mass. If no inertia is too large
+    # for this extent, none is too large for the size.
     extent = max(max(x) - min(x) for x in zip(*(body.position for body in mechanism.bodies.values()), strict=True))
     if max(body.inertia or 0.0 for body in rigid.values()) <= heaviest * (FAR_MASS * extent) ** 2:
         return

@@ -13,17 +13,17 @@ from mbdkit.mechanism.values import NotNegative, Positive
 
 
 def regularised_friction(normal: Any, slip: Any, numbers: Sequence[Any], choose: Callable[[Any, Any, Any], Any]) -> Any:
-    """Return Coulomb's friction force against the slip, regularised as in Simbody.
+    """Return Coulomb's friction force, which opposes the slip velocity, regularised as in Simbody.
 
-    The force is largest, `static` times the normal force, at the slip `transition`. At larger slip it approaches
-    `kinetic` times the normal force.
+    The magnitude of the force is largest, `static` times the normal force, at the slip velocity `transition`. At larger
+    slip velocities it approaches `kinetic` times the normal force.
 
     Parameters
     ----------
     normal, slip
-        Normal force [N] and slip [m/s]: numbers, or symbols of any kind with the operators of numbers.
+        Normal force [N] and slip velocity [m/s]: numbers, or symbols of any kind with the operators of numbers.
     numbers
-        `static`, `kinetic` and `transition` [m/s].
+        The coefficients `static` and `kinetic`, and the slip velocity `transition` [m/s].
     choose
         Function ``choose(x, a, b)`` that returns a where x > 0, else b.
     """
@@ -89,5 +89,6 @@ class SlideFriction(JointFriction):
     ABSENT_BY_DEFAULT: ClassVar[tuple[str, ...]] = (*JointFriction.ABSENT_BY_DEFAULT, "length")
 
     length: Positive | None = None
-    """Length of the slide [m], with its middle at the second body's point. The moment of the joint divided by it is a
-    pair of normal forces at the ends. By default, the moment causes no friction."""
+    """Length of the slide [m]; its middle is the second body's point. The moment of the joint acts as two opposite
+    normal forces at the ends of the slide, each of them the moment divided by the length. By default, the moment causes
+    no friction."""

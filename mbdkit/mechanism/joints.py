@@ -1,5 +1,7 @@
 """Joints and drivers: each type is a class with its fields, constraints, row names, misalignment and plot symbol.
 
+A row is one scalar constraint equation. The bodies a and b are the first and the second body of a joint.
+
 To add a joint made of existing constraints, write its class here and add it to `Joint`. To add a new kind of
 constraint, define it in ``mbdkit/symbolic/definitions.py``.
 """
@@ -28,14 +30,14 @@ Mark = Literal["pin", "slide", "weld", "bar", "none"]
 
 @dataclass(frozen=True)
 class Constraint:
-    """One kinematic constraint of a joint, with one or two rows of the same unit.
+    """One kinematic constraint of a joint: one or two scalar equations (rows) of the same unit.
 
     Attributes
     ----------
     kind
-        Name of its symbolic definition, such as ``revolute`` or ``fixed_angle``.
+        Name of the symbolic definition of the constraint, such as ``revolute`` or ``fixed_angle``.
     first_row
-        Index of its first row among the rows of the joint.
+        Index of the first row of the constraint among the rows of the joint.
     rows
         Number of rows.
     points
@@ -58,7 +60,7 @@ class Constraint:
 
 
 Travel = tuple[float, float, float, float, float, float]
-"""The line of a slide: a's point in a's frame, b's point in b's frame, unit vector in a's frame, each (x, y) [m]."""
+"""The line of a slide: a's point in a's frame and b's point in b's frame [m], unit vector in a's frame; each (x, y)."""
 
 
 class JointBase(Between):
@@ -70,7 +72,7 @@ class JointBase(Between):
 
     @property
     def point_moves_on_first(self) -> bool:
-        """Whether the second body's point moves in the first body's frame; the reaction then acts at this point."""
+        """Whether b's point can move in a's frame; the reaction on a then acts at b's point."""
         return False
 
     @property
@@ -127,10 +129,11 @@ class PointJoint(JointBase, BetweenPoints):
 class Revolute(PointJoint, At):
     """A pin: both points coincide, ``p_b - p_a = 0`` in the global frame.
 
-    With `center`, the first body's point moves in that body's frame while the second body turns, as the centre of a
-    knee or of a rolling wheel does: ``p_b - p_a - R_a c(angle_b - angle_a) = 0``. The joint does no work, because a
-    torque ``-F . R_a c'`` on the second body, recorded as reaction torque, balances the component of its force F
-    tangential to the path of the centre.
+    Here, p_a and p_b are the global positions of the points of the two bodies. With `center`, the first body's point
+    moves in that body's frame while the second body turns, as the centre of a knee or of a rolling wheel does:
+    ``p_b - p_a - R_a c(angle_b - angle_a) = 0``, with the rotation matrix R_a of the first body. The joint does no
+    work: besides its force F, it exerts the torque ``-F . R_a c'`` on the second body. The work of this torque, which
+    is recorded as the reaction torque, cancels the work of F along the path of the centre.
     """
 
     ABSENT_BY_DEFAULT: ClassVar[tuple[str, ...]] = (*At.ABSENT_BY_DEFAULT, "center", "friction")
@@ -162,7 +165,7 @@ class Revolute(PointJoint, At):
 
     @property
     def point_moves_on_first(self) -> bool:
-        """Whether the second body's point moves in the first body's frame; the reaction then acts at this point."""
+        """Whether b's point can move in a's frame; the reaction on a then acts at b's point."""
         return self.center is not None
 
     def angles(self) -> list[tuple[str, str]]:
@@ -175,8 +178,9 @@ class Revolute(PointJoint, At):
         return [Constraint(kind, 0, 2, self.flat_points, center=self.center)]
 
     def placed(self, bodies: Mapping[str, Body], key: str) -> Self:
-        """Return the joint with its points in the frames of the bodies; `at` is the position of the point after
-        displacement.
+        """Return the joint with its points in the frames of the bodies.
+
+        With `center`, `at` is the position of the displaced point.
         """
         joint = super().placed(bodies, key)
         if self.at is None or self.center is None:
@@ -206,7 +210,7 @@ def _not_zero(value: Any) -> Any:
 
 
 class Distance(PointJoint, FromTo):
-    """A massless link: ``|p_b - p_a| - length = 0``."""
+    """A massless link: ``|p_b - p_a| - length = 0`` for the global positions p_a and p_b of its points."""
 
     ABSENT_BY_DEFAULT: ClassVar[tuple[str, ...]] = (*FromTo.ABSENT_BY_DEFAULT, "length")
 
@@ -237,7 +241,10 @@ class Distance(PointJoint, FromTo):
         return self.length
 
     def placed(self, bodies: Mapping[str, Body], key: str) -> Self:
-        """Return the joint with its points in the frames of the bodies, and with its length."""
+        """Return the joint with its points in the frames of the bodies, and with its length.
+
+        Raises SpecError if `from` and `to` coincide; see also `Element.placed`.
+        """
         joint = super().placed(bodies, key)
         if self.length is not None or self.from_ is None or self.to is None:
             return joint
@@ -265,7 +272,7 @@ class SlidingJoint(PointJoint, At):
 
     @property
     def point_moves_on_first(self) -> bool:
-        """Whether the second body's point moves in the first body's frame; the reaction then acts at this point."""
+        """Whether b's point can move in a's frame; the reaction on a then acts at b's point."""
         return True
 
     @model_validator(mode="after")
@@ -289,7 +296,7 @@ class SlidingJoint(PointJoint, At):
         return (*self.flat_points, *self.direction)
 
     def on_line(self) -> Constraint:
-        """Return the constraint that keeps the point on the line, the first row of the joint."""
+        """Return the constraint that keeps b's point on the line; it is the first row of the joint."""
         return Constraint("point_on_line", 0, 1, self.flat_points, self.direction)
 
     def gap(self, separation: np.ndarray, angles: np.ndarray) -> np.ndarray:
@@ -377,8 +384,8 @@ class Weld(PointJoint, At):
 class Driver(JointBase):
     """A prescribed motion of b relative to a: ``coordinate - motion(t) = 0``.
 
-    `angle` drives ``angle_b - angle_a`` (absolute, not relative to the start); `x` and `y` drive this coordinate of b's
-    point in a's frame, measured from a's origin.
+    `angle` drives ``angle_b - angle_a`` (absolute, not relative to the start). `x` and `y` drive the x or y coordinate
+    of b's point in a's frame, measured from a's origin.
     """
 
     type: Literal["driver"] = "driver"
@@ -393,7 +400,7 @@ class Driver(JointBase):
 
     @property
     def point_moves_on_first(self) -> bool:
-        """Whether the second body's point moves in the first body's frame; the reaction then acts at this point."""
+        """Whether b's point can move in a's frame; the reaction on a then acts at b's point."""
         return True
 
     @model_validator(mode="before")

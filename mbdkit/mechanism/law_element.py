@@ -19,7 +19,7 @@ OptionsClass = type[BaseModel]
 
 
 class Law(Element):
-    """A force along a pathway given by a force law; the law's options are further keys of the element.
+    """A force along a pathway, computed by a force law; the law's options are further keys of the element.
 
     The law computes the tension from the length of the pathway, its rate and the time. ``mbdkit plugins list`` shows
     the installed laws.
@@ -94,12 +94,26 @@ class PluginLookup(Protocol):
         """
 
     def selected_options(self, metadata: Sequence[Any], item: str | int) -> type[BaseModel] | None:
-        """Return the options of the item that a field selects by name; None if `metadata` belongs to another kind of
-        field.
+        """Return the model of the options of a plugin item, such as a force law, that a field selects by name.
+
+        Parameters
+        ----------
+        metadata
+            Metadata of the annotation of the field.
+        item
+            Full id of the item.
+
+        Returns
+        -------
+        type of BaseModel or None
+            The model; None if fields with these metadata do not select an item.
         """
 
     def owners_of(self, key: str, options: type[BaseModel]) -> str:
-        """Return a phrase that names the other items of the same kind with an option `key`; empty if there are none."""
+        """Return a phrase that names the items with an option `key`, of the same kind as the item with these `options`.
+
+        The phrase is empty if there are none.
+        """
 
 
 def _plugin_lookup(context: Any) -> PluginLookup:

@@ -23,6 +23,8 @@ def law_parameters(law: ForceLaw, options: Any, name: str) -> tuple[tuple[str, .
     ------
     PluginError
         If the law fails to compute its parameters, or if they are not usable.
+    SpecError
+        If the law itself raises it for these options.
     """
     with blaming(f"force law {name} failed to compute its parameters"):
         names, values = _parameters(law, options)
@@ -42,8 +44,9 @@ def law_parameters(law: ForceLaw, options: Any, name: str) -> tuple[tuple[str, .
 
 
 def law_range(law: ForceLaw, options: Any, name: str) -> dict[str, tuple[float, float]]:
-    """Return the lowest and the highest value of each argument for which a law holds; infinite for arguments without a
-    bound.
+    """Return the lowest and the highest value of each argument (length, rate, time) for which a law holds.
+
+    The values are infinite for arguments without a bound.
 
     Parameters
     ----------
@@ -54,6 +57,8 @@ def law_range(law: ForceLaw, options: Any, name: str) -> dict[str, tuple[float, 
     ------
     PluginError
         If the law fails to compute its range, or if the result is not a range.
+    SpecError
+        If the law itself raises it for these options.
     """
     with blaming(f"force law {name} failed to compute its valid range"):
         given: Any = law.valid_range(options) if callable(law.valid_range) else law.valid_range

@@ -43,7 +43,7 @@ _POINT: TypeAdapter[tuple[float, float]] = TypeAdapter(Point)
 
 
 def gravity_text(gravity: Sequence[float]) -> str:
-    """Return an acceleration of gravity as text."""
+    """Return a gravitational acceleration (x, y) [m/s^2] as text; ``none`` if it is zero."""
     x, y = gravity
     return f"({x:g}, {y:g}) m/s^2" if x or y else "none"
 
@@ -67,7 +67,8 @@ class Mechanism(HtmlView):
     bodies, joints, forces, markers, muscles, contacts : dict
         The elements by name, in the order in which they were added.
     beams : dict
-        The beams by name. Their nodes are among the bodies, and the parts of their loads among the forces.
+        The beams by name. Their nodes are among `bodies`, and the forces that replace their distributed loads are among
+        `forces`.
     assembly : Assembly
         Settings for making the initial state consistent.
     coordinates : dict
@@ -77,8 +78,8 @@ class Mechanism(HtmlView):
     controllers : dict
         Sampled controllers by name.
     muscles_act : bool
-        Whether muscles are force elements, as in runs. In inverse dynamics, the moments of actuators are distributed to
-        them instead.
+        Whether muscles are force elements, as in runs. In inverse dynamics they are not; the moments of actuators are
+        distributed to the muscles instead.
     contact_treatment : Treatment
         How contacts act in a run.
     warnings : tuple of str
@@ -563,7 +564,7 @@ class Mechanism(HtmlView):
         name, body
             Name of the force element, and of the body that the torque acts on.
         value
-            Torque [N m]: number, expression of t, or table.
+            Torque [N m]: number, expression of t or of the state, or table.
         reaction_body
             Name of the body that the opposite torque acts on, if any.
 
@@ -592,7 +593,7 @@ class Mechanism(HtmlView):
         name, body
             Name of the force element, and of the body that the force acts on.
         value
-            Force (x, y) [N]: numbers, expressions of t, or tables.
+            Force (x, y) [N]: numbers, expressions of t or of the state, or tables.
         at
             Point of application (x, y) [m] in the global frame at the initial position.
         point
@@ -693,8 +694,8 @@ class Mechanism(HtmlView):
             The two bodies; the normal points from `a` to `b`.
         shapes
             The shapes of a and b in their frames: ``{"line": {"point": (x, y), "normal": (x, y)}}``,
-            ``{"point": (x, y)}``, ``{"circle": {"center": (x, y), "radius": r}}`` or ``{"polygon": [(x, y), ...]}``.
-            With `among`, a mapping from the body to its shape.
+            ``{"point": (x, y)}``, ``{"circle": {"center": (x, y), "radius": r}}``, ``{"hole": {...}}`` with the keys of
+            a circle, or ``{"polygon": [(x, y), ...]}``. With `among`, a mapping from the body to its shape.
         among
             Bodies that may touch each other, as an alternative to `a` and `b`. All pairs of them are included, except
             those that a joint connects.
@@ -724,7 +725,7 @@ class Mechanism(HtmlView):
     def coordinate(
         self, name: str, of: str, *, relative_to: str | None = None, scale: float = 1.0, offset: float = 0.0
     ) -> None:
-        """Define a named coordinate: a quantity with its own sign and zero, for example as in measured files.
+        """Define a named coordinate: a quantity with its own name, sign and zero, for example those of a measured file.
 
         Parameters
         ----------
@@ -734,7 +735,7 @@ class Mechanism(HtmlView):
             ``JOINT.angle`` (relative angle, or travel of a slide), ``BODY.x``, ``BODY.y``, ``BODY.angle``, ``MARKER.x``
             or ``MARKER.y`` [rad or m].
         relative_to
-            Body whose angle is subtracted from `of`, the angle of another body.
+            Body whose angle is subtracted; only if `of` is the angle of another body.
         scale, offset
             The coordinate is ``scale * of + offset``.
 
@@ -849,7 +850,7 @@ class Mechanism(HtmlView):
         ]
 
     def state_names(self) -> list[str]:
-        """Return the names of all first-order states; those of force elements and muscles are named
+        """Return the names of all first-order states; states of force elements and muscles are named
         ``element.state``.
         """
         of_elements = [
@@ -862,11 +863,14 @@ class Mechanism(HtmlView):
         return [*of_elements, *of_muscles, *self.states]
 
     def held_names(self) -> list[str]:
-        """Return the names ``controller.output`` of all outputs and states of controllers."""
+        """Return the names of all outputs and states of controllers, ``controller.output`` or ``controller.state``."""
         return [f"{name}.{value}" for name, one in self.controllers.items() for value in (*one.outputs, *one.states)]
 
     def contact_names(self) -> list[str]:
-        """Return the names of all contacts; a polygon has one for each corner, ``contact.corner``."""
+        """Return the names of all possible contact points: ``contact``, or ``contact.a.b`` for two bodies of a group.
+
+        If a shape is a polygon, there is one name for each corner, which ends with the number of the corner.
+        """
         return [pair.name for name, one in self.contacts.items() for pair in one.pairs(name, self.joints)]
 
     def feet(self) -> list[str]:
@@ -937,11 +941,11 @@ class Mechanism(HtmlView):
         return of_elements + of_states + sampled
 
     def motions(self) -> list[tuple[str, Motion]]:
-        """Return (key path, motion) of every driver, load and excitation of a muscle."""
+        """Return (key path, motion) of every driver, load and excitation that is a function of time."""
         return self._of_elements(lambda one: one.motions())
 
     def check_span(self, start: float, end: float) -> None:
-        """Check that every table covers the times from `start` to `end` [s].
+        """Check that every table of a function of time covers the times from `start` to `end` [s], or is periodic.
 
         Raises
         ------
@@ -1055,12 +1059,14 @@ class Mechanism(HtmlView):
         ----------
         numbers
             If True, insert the values of masses, lengths, stiffnesses and other parameters. If False, keep them as
-            symbols and give their values in ``parameters``. Expressions of t are inserted as written in both cases.
+            symbols, whose values are in `SymbolicSystem.parameters`. Expressions of t are inserted as written in both
+            cases.
 
         Raises
         ------
         SpecError
-            For the first error, or for a force that has no symbolic form. The error contains the key path.
+            For the first error of the mechanism, or for a force that has no symbolic form. The error contains the key
+            path.
         """
         system: SymbolicSystem = higher_layers.symbolic_system(self, numbers=numbers)
         return system
@@ -1068,7 +1074,7 @@ class Mechanism(HtmlView):
     # ---- private -------------------------------------------------------------------------------------------------
 
     def _of_elements(self, values: Callable[[Element], list[tuple[str, AnyValue]]]) -> list[tuple[str, AnyValue]]:
-        """Return (key path, value) of all `values` of elements, which are given as (key, value)."""
+        """Return (key path, value) for each pair (key, value) that the function `values` returns for an element."""
         return [
             (f"model.{kind}.{quoted(name)}.{key}", value)
             for kind, elements in self.elements.items()
@@ -1084,7 +1090,7 @@ class Mechanism(HtmlView):
         return key
 
     def _add_beam(self, name: str, beam: Beam) -> None:
-        """Add a beam with its nodes and the parts of its load."""
+        """Add a beam with its nodes and with the forces that replace its load."""
         self.beams[name] = beam
         self.bodies |= beam.bodies(name)
         self.forces |= beam.loads(name)
@@ -1102,7 +1108,8 @@ class Mechanism(HtmlView):
         """Return an element with its points in the frames of its bodies, which must exist."""
         last = last_nodes(self.beams)
         for place, body in element.places():
-            if body in last and not place.startswith("among"):  # the shapes of a group have the names of its bodies
+            # ``BEAM.last`` is not accepted in `among`, because its shapes are a mapping by names of bodies.
+            if body in last and not place.startswith("among"):
                 element = with_body(element, parse_path(place), last[body])
                 continue
             self._known(body, f"{key}.{place}")
@@ -1122,7 +1129,7 @@ def _make(cls: type[AnyElement], key: str, /, **values: Any) -> AnyElement:
         return cls.model_validate(values)
     except ValidationError:
         opened = _opened(values)
-    try:  # the rejected values may be numbers with units, such as "2 N/mm"
+    try:  # rejected values may be numbers with units, such as "2 N/mm"
         made, _ = with_expressions(lambda data: cls.model_validate(_closed(data)), opened, cls, {}, prefix=key)
     except SpecError as error:
         raise error if error.key.startswith(key) else error.located(prefix=key) from None

@@ -26,7 +26,7 @@ OF_JOINT, OF_BODY, OF_MARKER = ("angle",), ("x", "y", "angle"), ("x", "y")
 class NamedCoordinate(StrictModel):
     """A quantity with a name of its own: ``scale * of + offset``, or ``scale * (of - angle of a body) + offset``.
 
-    The generalized force of the coordinate is the force or torque of the quantity, divided by `scale`.
+    The generalized force of the coordinate is the force or torque along the quantity, divided by `scale`.
     """
 
     ABSENT_BY_DEFAULT: ClassVar[tuple[str, ...]] = ("relative_to", "scale", "offset")
@@ -35,7 +35,7 @@ class NamedCoordinate(StrictModel):
     """The quantity: `JOINT.angle` (the relative angle [rad], or the travel of a slide [m]), `BODY.x`, `BODY.y` [m] of
     the centre of mass, `BODY.angle` [rad], `MARKER.x` or `MARKER.y` [m]."""
     relative_to: str | None = None
-    """Body whose angle is subtracted from that of another body: for relative angles where there is no joint."""
+    """Body whose angle is subtracted from `of`, the angle of another body, for relative angles without a joint."""
     scale: Number = 1.0
     """Change of the coordinate per change of the quantity; not zero."""
     offset: Number = 0.0
@@ -56,7 +56,7 @@ def check_coordinates(
     bodies: Container[str],
     markers: Container[str],
 ) -> None:
-    """Raise a SpecError for the first coordinate whose quantity does not exist."""
+    """Raise a SpecError for the first coordinate with a wrong name, scale, quantity or `relative_to`."""
 
     def offered_by(owner: str) -> list[str]:
         return [
@@ -98,8 +98,8 @@ def _check_relative(one: NamedCoordinate, bodies: Container[str], key: str) -> N
 
 
 ELEMENTS = ("joints", "forces", "markers", "muscles", "contacts")
-"""Kinds of elements on bodies: keys of the model, and attributes of `Mechanism`; all but the first two are omitted if
-there are none.
+"""Kinds of elements: keys of the model, and attributes of `Mechanism`. A canonical spec always has the first two keys,
+and the others only if they have elements.
 """
 
 NO_BODY = "a mechanism needs at least one body or beam"
@@ -111,11 +111,12 @@ class Assembly(StrictModel):
     fix: Annotated[tuple[str, ...], BeforeValidator(sequence)] = ()
     """Names of the bodies that assembly does not move."""
     tolerance: Positive = 1.0e-12
-    """Largest constraint residual of a consistent initial state [m, rad, m/s, rad/s]; assembly keeps such a state."""
+    """Largest constraint residual of a consistent initial state [m, rad, m/s, rad/s]; assembly does not change such a
+    state."""
 
 
 class MechanismData(StrictModel):
-    """Data of the model `mechanism`: gravity, named bodies, beams, joints, forces, markers, muscles, and assembly."""
+    """Data of the model `mechanism`: gravity, bodies, beams, elements, coordinates, states, controllers, assembly."""
 
     ABSENT_BY_DEFAULT: ClassVar[tuple[str, ...]] = ("beams", *ELEMENTS[2:], "coordinates", "states", "controllers")
 

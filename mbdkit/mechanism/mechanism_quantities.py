@@ -1,8 +1,7 @@
-"""Quantities of a mechanism that are linear in its coordinates or follow a point: values, Jacobians, second
-derivatives.
+"""Quantities h(q) of a mechanism as functions of its coordinates q: values, gradients and second derivatives.
 
-Observed quantities, independent coordinates and actuators are all such quantities h(q). Arrays of states are (T, n)
-with n = 3 B coordinates x, y, angle of the bodies, without ground.
+Observed quantities, independent coordinates and actuators are such quantities. Arrays of coordinates q and velocities v
+at T times are (T, n), with the n = 3 B coordinates x, y, angle of the B bodies, without ground.
 """
 
 from __future__ import annotations
@@ -15,7 +14,7 @@ from typing import Literal
 import numpy as np
 
 GROUND = -1
-"""Index that stands for the ground in place of the index of a body."""
+"""Value that stands for the ground where the index of a body is expected."""
 
 AXES = ("x", "y", "angle")
 
@@ -66,7 +65,7 @@ class Quantity(ABC):
 
     @property
     def scale(self) -> float:
-        """Change of the quantity per change of the angle or length on which it is based, as a magnitude."""
+        """Magnitude of the change of the quantity per change of the angle or length on which it is based."""
         return 1.0
 
     @abstractmethod
@@ -78,7 +77,10 @@ class Quantity(ABC):
         """Add the gradient of h to `out` (T, n)."""
 
     def curvature(self, q: np.ndarray, v: np.ndarray) -> np.ndarray:
-        """Return the second time derivative that h has if the accelerations of the coordinates are zero, (T,)."""
+        """Return the second time derivative (T,) that h has if the accelerations of the coordinates are zero.
+
+        The default, zero, is correct for quantities that are linear in the coordinates.
+        """
         return np.zeros(len(q))
 
 
@@ -136,7 +138,7 @@ class MarkerCoordinate(Quantity):
         return self.point.position(q)[self.axis]
 
     def add_gradient(self, q: np.ndarray, out: np.ndarray) -> None:
-        """Add the gradient: that of a unit force at the point."""
+        """Add the gradient, which is the generalized force of a unit force at the point along the axis."""
         one = np.ones(len(q))
         self.point.add_force(q, one * (self.axis == 0), one * (self.axis == 1), out)
 
@@ -168,7 +170,7 @@ class Travel(Quantity):
         return travel
 
     def add_gradient(self, q: np.ndarray, out: np.ndarray) -> None:
-        """Add the gradient: the effects of unit forces at the two points, and that of the rotation of the direction."""
+        """Add the gradient: the effects of unit forces at the two points, and of the rotation of the direction."""
         (ex, ey), (ux, uy) = self._along(q), self._between(q)
         self.second.add_force(q, ex, ey, out)
         self.first.add_force(q, -ex, -ey, out)
@@ -188,7 +190,10 @@ class Travel(Quantity):
 
 @dataclass(frozen=True)
 class Shortening(Quantity):
-    """The negative distance between two points; its generalized force is a tension that pulls the points together."""
+    """The negative distance between two points; its generalized force is a tension that pulls the points together.
+
+    Only the value and the gradient are implemented; `curvature` returns zeros.
+    """
 
     first: Point
     second: Point
@@ -206,7 +211,7 @@ class Shortening(Quantity):
         return length
 
     def add_gradient(self, q: np.ndarray, out: np.ndarray) -> None:
-        """Add the generalized force of a unit tension."""
+        """Add the gradient, which is the generalized force of a unit tension."""
         ex, ey, _ = self._apart(q)
         self.first.add_force(q, ex, ey, out)
         self.second.add_force(q, -ex, -ey, out)

@@ -2,7 +2,8 @@
 
 *Knots* are the points of a table, at which the third derivative of a cubic spline, the fifth derivative of a quintic
 spline, or the rate of a linear table is discontinuous. The knots of a periodic table repeat. *Corners* are the times at
-which ``abs``, ``min`` or ``max`` switch between their operands, and the discontinuities of ``atan2``.
+which ``abs``, ``min`` or ``max`` switch between their operands, and the discontinuities of ``atan2``. The class
+`Corner` represents both.
 
 The arguments of these functions are sampled over the span of the run, at `SAMPLES` times and at all corners of nested
 functions. Changes of sign between two samples are located by bisection. If two samples have equal signs, but the rates
@@ -35,16 +36,17 @@ BISECTIONS = 80
 """Number of bisections; sufficient to reduce any interval to adjacent floating-point numbers."""
 
 JUMP, JUMP_OF_LARGEST = 1e-9, 1e-13
-"""Differences that count as rounding errors rather than discontinuities.
+"""Differences between the two sides of a time that count as rounding errors rather than as discontinuities.
 
-The first is relative to the larger of the two sides, the second to the largest value over the run.
+The tolerance is `JUMP` times the larger magnitude of the two sides, plus `JUMP_OF_LARGEST` times the largest magnitude
+over the run.
 """
 
 MOST_KNOTS = 100_000
 """Largest number of knots of a periodic table that are examined; further ones repeat them."""
 
 WIDEST_MARGIN = 1e-10
-"""Largest rounding error of the time of a corner that is included in its margin, as a share of the span."""
+"""Rounding errors of the time of a corner up to this share of the span of the run are included in its margin."""
 
 
 MOST_CACHED = 64
@@ -63,13 +65,14 @@ class Corner:
     time
         The time [s].
     margin
-        Uncertainty of `time` due to rounding [s]. A time that is farther away is certainly on its side of the corner.
+        Uncertainty of `time` due to rounding [s]. Only within this distance of `time` is it uncertain whether
+        another time is before or after the corner.
     is_knot
         Whether the corner is a point of a table.
     before, after
-        Value, rate and acceleration on both sides.
+        Value, rate and acceleration of the motion before and after `time`.
     jumps
-        Which of these three are discontinuous.
+        Whether the value, the rate and the acceleration are discontinuous.
     """
 
     time: float
@@ -86,7 +89,7 @@ class Corner:
 
 
 def jet_of(motion: Motion, times: np.ndarray) -> Jet:
-    """Return a motion at `times` (T,)."""
+    """Return a motion and its derivatives at `times` (T,)."""
     if isinstance(motion, str):
         return jet_and_switches(Expression.parse(motion).program, times)[0]
     none = np.zeros(len(times))
@@ -122,7 +125,8 @@ def corners_of(motion: Motion, start: float, end: float, samples: int = SAMPLES)
     if not switches:
         return ()
     roots = _switching_times(program, start, end, max(1000, min(samples, MOST_OPERATIONS // len(program))))
-    # The noise is larger at a corner where several derivatives agree, because both sides are equal within the noise.
+    # A noise above `widest` occurs where the argument crosses zero slowly, as in abs(t**3). Several derivatives then
+    # agree on both sides, so the exact time does not matter.
     found = [(t, rounding + (noise if noise <= widest else 0.0)) for t, noise in roots]
     corners = _described(motion, found, start, end, is_knot=False)
     # Not every switch is a corner: atan2 is smooth at y = 0 if x > 0, and sin(atan2(y, x)) is smooth everywhere.
@@ -165,7 +169,7 @@ def _has_curve(table: Table) -> bool:
 def _described(
     motion: Motion, found: Iterable[tuple[float, float]], start: float, end: float, *, is_knot: bool
 ) -> tuple[Corner, ...]:
-    """Return the corners at the given times with margins, each with the motion on both sides."""
+    """Return the corners at the `found` pairs of time and margin, each with the motion on both sides."""
     places = sorted(found)
     if not places:
         return ()
@@ -174,7 +178,8 @@ def _described(
     with np.errstate(all="ignore"):
         over = np.abs(jet_of(motion, np.linspace(start, end, 201)).derivatives)
         largest = np.max(np.where(np.isfinite(over), over, 0.0), axis=0)
-        difference = after - before  # the next derivative explains a part of the difference
+        difference = after - before
+        # The next derivative explains the part of the difference that arises over the two margins.
         difference[:, :2] -= margins[:, None] * (before + after)[:, 1:]
         floor = JUMP * np.maximum(np.abs(before), np.abs(after)) + JUMP_OF_LARGEST * largest
         jumps = ~(np.abs(difference) <= floor)
@@ -220,7 +225,8 @@ def _changes(argument: Callable[[np.ndarray], Jet], times: np.ndarray, sampled: 
     zeros, others = sign == 0.0, np.flatnonzero(sign != 0.0)
     left, right = others[:-1], others[1:]
     opposite = sign[left] != sign[right]
-    # An argument that is zero over several samples switches at the corners of nested functions.
+    # An argument that is zero at several samples in a row begins and ceases to be zero at corners of nested functions,
+    # which are found as such.
     isolated = right - left <= 2
     brackets = [(times[left[opposite & isolated]], times[right[opposite & isolated]])]
     adjacent = right - left == 1
@@ -248,7 +254,7 @@ def _changes(argument: Callable[[np.ndarray], Jet], times: np.ndarray, sampled: 
 
 
 def _bisected(function: Callable[[np.ndarray], np.ndarray], low: np.ndarray, high: np.ndarray) -> np.ndarray:
-    """Return where `function` changes its sign between `low` and `high` (K,), to adjacent numbers."""
+    """Return where `function` changes its sign between `low` and `high` (K,), up to adjacent floating-point numbers."""
     a, b = low.copy(), high.copy()
     if not len(a):
         return a

@@ -54,8 +54,8 @@ class WrapCircle(StrictModel):
     radius: Positive
     """Radius [m]."""
     side: Literal["left", "right"]
-    """Side of the center on which the path passes, seen along the path: on the left, it turns clockwise around the
-    circle."""
+    """Side of the center on which the path passes, seen along the path. If it passes on the left, the path turns
+    clockwise around the circle."""
 
 
 class PathItem(StrictModel):
@@ -119,7 +119,7 @@ class PathItem(StrictModel):
 
 
 class Activation(StrictModel):
-    """First-order dynamics from excitation to activation, in runs."""
+    """First-order dynamics of the activation, which follows the excitation in runs."""
 
     rise: Positive = 0.01
     """Time constant of rising activation [s]."""
@@ -141,7 +141,7 @@ class Metabolics(StrictModel):
     aerobic_factor: Positive = 1.5
     """Factor of all heat: 1.5 for aerobic, 1.0 for anaerobic conditions."""
     specific_tension: Positive = 250000.0
-    """Isometric force per cross-section [Pa], from which the mass follows."""
+    """Isometric force per area of the cross-section [Pa], from which the default of `mass` follows."""
     density: Positive = 1059.7
     """Density of the muscle [kg/m^3]."""
     mass: Positive | None = None
@@ -153,7 +153,7 @@ def _as_metabolics(value: Any) -> Any:
 
 
 class Muscle(Element):
-    """A muscle of Hill type along a path: a fibre, pennate to a tendon in series with it.
+    """A muscle of Hill type along a path: a fibre in series with a tendon, at the pennation angle to it.
 
     Its tension pulls the ends of its path together. The angle between fibre and tendon changes such that the thickness
     of the muscle, ``optimal_length * sin(pennation)``, is constant.
@@ -162,7 +162,7 @@ class Muscle(Element):
     ABSENT_BY_DEFAULT: ClassVar[tuple[str, ...]] = ("excitation", "metabolics")
 
     path: Annotated[list[PathItem], Field(min_length=2)]
-    """Points and circles from origin to insertion; the first and the last item are points that are always there."""
+    """Points and circles from origin to insertion; the first and the last item are points without `when`."""
     max_force: Positive
     """Isometric force of the fibres at optimal length and full activation [N]."""
     optimal_length: Positive
@@ -177,7 +177,7 @@ class Muscle(Element):
     tendon: Literal["rigid", "elastic"] = "rigid"
     """Whether the tendon has a constant length, or is elastic."""
     damping: NotNegative = 0.1
-    """Damping of the fibres: share of `max_force` at the velocity `max_velocity`."""
+    """Damping of the fibres: the damping force at the velocity `max_velocity`, as a share of `max_force`."""
     activation: Activation = Activation()
     """Time constants of the activation, and its initial value."""
     excitation: Value | None = None
@@ -232,7 +232,7 @@ class Muscle(Element):
 
     @property
     def states(self) -> tuple[str, ...]:
-        """Names of its first-order states in a run."""
+        """Names of the first-order states of the muscle in a run."""
         return ("activation",) if self.tendon == "rigid" else ("activation", "fiber_length")
 
     def places(self) -> list[tuple[str, str]]:
@@ -266,7 +266,7 @@ class Muscle(Element):
 
 
 def check_moving_points(muscles: Mapping[str, Muscle], coordinates: Collection[str], prefix: str = "") -> None:
-    """Raise SpecError for the first moving point that is a function of anything else than named coordinates.
+    """Raise SpecError for the first point with an unknown name, or whose offset z depends on a coordinate.
 
     Parameters
     ----------

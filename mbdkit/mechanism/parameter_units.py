@@ -11,7 +11,10 @@ from mbdkit.base.units import PLAIN, Unit
 
 
 def unit_of_expression(text: str, units: Mapping[str, Unit]) -> Unit | None:
-    """Return the unit of an expression; None if it contains a parameter without unit, or no parameter.
+    """Return the unit of an expression; None if it cannot be derived.
+
+    It cannot be derived if no parameter has a unit, and usually not from functions, from powers that are not whole
+    numbers, or if other parameters have no unit.
 
     Parameters
     ----------
@@ -21,7 +24,7 @@ def unit_of_expression(text: str, units: Mapping[str, Unit]) -> Unit | None:
     Raises
     ------
     SpecError
-        If terms of different kinds are added.
+        If quantities of different kinds are added or subtracted.
     """
     try:
         tree = ast.parse(text.strip(), mode="eval").body
@@ -59,7 +62,9 @@ def _unit(node: ast.expr, units: Mapping[str, Unit]) -> Unit | None:
 
 
 def _of_sum(node: ast.BinOp, left: Unit | None, right: Unit | None, units: Mapping[str, Unit]) -> Unit | None:
-    """Return the unit of a sum or difference; a term without parameters takes the unit of the other term."""
+    """Return the unit of a sum or difference; a term in which no parameter has a unit takes the unit of the
+    other term.
+    """
     if not _has_units(node.left, units):
         return right
     if not _has_units(node.right, units):

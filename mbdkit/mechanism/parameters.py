@@ -2,9 +2,9 @@
 
 An expression consists of numbers, names of parameters, ``pi``, ``+ - * / **``, parentheses and the functions of
 motions; ``degrees(45)`` is an angle in radians. A number with a unit, ``2 N/mm``, is replaced by its value in SI units
-if the unit agrees with the one in the description of the key. Where a model requires a number is determined by
-validation: it rejects expressions as text, and is repeated with their values. In functions of time, the names of
-parameters are replaced by their values.
+if the unit agrees with the one in the description of the key. Validation shows where a model requires a number: there,
+it rejects the text of an expression. It is then repeated with the value of the expression. In functions of time, of the
+state, of an angle and of coordinates, the names of parameters are replaced by their values.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ Values = Mapping[str, float]
 
 
 class ParameterValues(dict[str, float]):
-    """Values of named parameters in SI units, and the units of those that have one."""
+    """Values of named parameters in SI units; the attribute `units` has the units of parameters that have one."""
 
     def __init__(self, values: Mapping[str, float] = {}, units: Mapping[str, Unit] = {}) -> None:
         super().__init__(values)
@@ -72,7 +72,7 @@ RESERVED = frozenset({"t", "pi", *FUNCTIONS})
 _NUMBER = re.compile(r"\s*[-+]?(\d+(\.\d*)?|\.\d+)(,\d+)?([eE][-+]?\d+)?\s*")
 _NAME = re.compile(r"(?<![\w.])[A-Za-z_]\w*")
 _NAME_ALONE = re.compile(r"\"[^\"]*\"|'[^']*'|(?<![\w.])[A-Za-z_]\w*(?![\w]|\s*[.\[])")
-"""A name that is not part of a quantity. Quoted names match as well, and are not changed."""
+"""A name that is not part of a quantity such as ``bodies.leg.angle``. Quoted names match, too, but are not changed."""
 
 
 def parameter_values(given: Any) -> ParameterValues:
@@ -140,7 +140,7 @@ def evaluate(text: str, values: Values, known: list[str] | None = None) -> float
     Parameters
     ----------
     known
-        Names suggested for a misspelled name; by default those in `values`.
+        Names that an error message may suggest in place of a misspelled one; by default those in `values`.
 
     Raises
     ------
@@ -189,7 +189,7 @@ def with_expressions(
     values
         Values of the parameters by name.
     section
-        Key path of the part that may contain expressions.
+        Key path of the part that may contain expressions; numbers with units may be anywhere.
     prefix
         Key path of the data in a spec; empty if the data are a whole spec.
     plugins
@@ -200,7 +200,7 @@ def with_expressions(
     Validated
         The result of `validate`.
     Written
-        The expressions that were replaced, without numbers with units.
+        The expressions that were replaced, by key path; numbers with units are not included.
 
     Raises
     ------
@@ -229,7 +229,10 @@ def with_expressions(
 
 
 def insert(data: Any, written: Written) -> Any:
-    """Return plain data with the expressions in place of their values, at those key paths that exist in the data."""
+    """Replace values in plain data by the expressions at the same key paths, and return the data.
+
+    Key paths that do not exist in the data are ignored.
+    """
     for path, text in written.items():
         try:
             holder = _at(data, path[:-1])
@@ -297,7 +300,8 @@ def _replacements(
 ) -> Iterator[tuple[Path, str | float, Kind]]:
     """Yield the key path of each rejected text, its replacement, and the expected kind of value.
 
-    The replacement is the expression, or the value of a number with a unit.
+    The replacement of a number with a unit is its value in SI units. The replacement of an expression is its text,
+    which the caller evaluates.
     """
     known = {"t", "pi", *values}
     for details in error.errors(include_url=False):
@@ -307,7 +311,7 @@ def _replacements(
         ):
             continue  # checked before the path is searched, which would be slow for many thousands of errors
         path, _ = walk(details["loc"], root, plugins)
-        if isinstance(inner, TextForNumberError):  # raised for the first number in a list
+        if isinstance(inner, TextForNumberError):  # raised only for the first text in a list of numbers
             path = value_path(path, parse_path(inner.key))
             if read_quantity(text := _at(data, path), known):
                 message = f"should be a number without a unit, since tables are in SI units, not '{text}'"
@@ -401,9 +405,10 @@ def _field(owner: type[BaseModel], key: str | int) -> str:
 
 
 def _is_expression(text: Any, values: Values) -> bool:
-    """Return whether a text is intended as an expression: it contains an operator or the name of a value.
+    """Return whether a text is intended as an expression.
 
-    Quoted numbers are not expressions.
+    It then contains an operator or a parenthesis, or it is the name of one of the `values`, or ``pi``. Quoted numbers
+    are not expressions.
     """
     if not isinstance(text, str) or _NUMBER.fullmatch(text):
         return False
@@ -411,8 +416,8 @@ def _is_expression(text: Any, values: Values) -> bool:
 
 
 def _value(text: str, kind: Kind, values: Values, path: Path) -> float | int | str:
-    """Return the value of an expression; for a function of time or of an angle, the text with values in place of
-    parameters.
+    """Return the value of an expression; for a function of time, of the state, of an angle or of coordinates, the text
+    with values in place of parameters.
     """
     try:
         if kind not in _COMPILERS:

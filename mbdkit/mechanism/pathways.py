@@ -19,7 +19,7 @@ class Segment(NamedTuple):
     Attributes
     ----------
     kind
-        Name of the symbolic definition of the length.
+        Name of the symbolic definition of the length of the segment.
     bodies
         Names of the first and the second body.
     points
@@ -78,7 +78,7 @@ class Coordinate(Between):
 
     type: Literal["coordinate"]
     coordinate: Literal["x", "y"]
-    """The coordinate that is the length of the pathway."""
+    """The coordinate, which is used as the length of the pathway."""
     points: Points | None = None
     """``[[0, 0], b's point in b's frame]`` [m]; by default, b's origin."""
     is_line: ClassVar[bool] = False
@@ -152,7 +152,9 @@ class JointAngles(Element):
 
 
 def path_ends(segments: tuple[Segment, ...]) -> tuple[str, str]:
-    """Return the first body of the first segment and the second body of the last one."""
+    """Return the bodies at the two ends of a pathway: the first body of the first segment, and the second body of the
+    last segment.
+    """
     return segments[0].bodies[0], segments[-1].bodies[1]
 
 

@@ -1,4 +1,4 @@
-"""Names of quantities of a mechanism: JOINT.angle, BODY.x, BODY.y, BODY.angle, MARKER.x, MARKER.y, and coordinates."""
+"""Names of quantities: JOINT.angle, BODY.x, BODY.y, BODY.angle, MARKER.x, MARKER.y, and named coordinates."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ class QuantityNames:
         Raises
         ------
         SpecError
-            If there is no such joint, or if the joint itself keeps its coordinate constant.
+            If there is no such joint.
         """
         joints = self.mechanism.joints
         if name not in joints:
@@ -139,14 +139,15 @@ class QuantityNames:
         return None
 
     def knows(self, name: str) -> bool:
-        """Return whether a name denotes exactly one quantity."""
+        """Return whether a name is that of a named coordinate, or denotes exactly one other quantity."""
         if name in self.mechanism.coordinates:
             return True
         return len(self._matches(name)) == 1
 
     def candidates(self) -> dict[str, Quantity]:
-        """Return quantities that may serve as independent coordinates: named ones, then those of joints, then those of
-        bodies.
+        """Return quantities that may serve as independent coordinates, by name.
+
+        Named coordinates of the mechanism come first, then the coordinates of joints, then those of bodies.
         """
         found: dict[str, Quantity] = {name: self.coordinate(name) for name in self.mechanism.coordinates}
         for name, joint in self.mechanism.joints.items():

@@ -1,4 +1,4 @@
-"""Size of a mechanism: the reference length for its misalignments."""
+"""Size of a mechanism: the reference length for the misalignments of its joints."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ if TYPE_CHECKING:
 
 
 def mechanism_size(mechanism: Mechanism, position: np.ndarray) -> float:
-    """Return the longer side of the axis-parallel bounding box of all joint points and centres of mass [m].
+    """Return the longer side of the bounding box, parallel to the axes, of all joint points and centres of mass [m].
 
     Parameters
     ----------
@@ -28,13 +28,13 @@ def mechanism_sizes(mechanisms: Sequence[Mechanism], positions: np.ndarray) -> n
     Parameters
     ----------
     positions
-        (R, B, 3).
+        (R, B, 3) array: the positions of the bodies of each mechanism.
     """
     held = [_joint_points(mechanism) for mechanism in mechanisms]
     bodies = held[0][0]
     if any(other != bodies for other, _ in held):
         return np.array([mechanism_size(*one) for one in zip(mechanisms, positions, strict=True)])
-    poses = np.concatenate([positions, np.zeros((len(positions), 1, 3))], axis=1)  # of ground
+    poses = np.concatenate([positions, np.zeros((len(positions), 1, 3))], axis=1)  # ground is the last body
     points = np.array([own for _, own in held]).reshape(len(held), -1, 2)
     at, x, y = poses[:, bodies], points[..., 0], points[..., 1]
     c, s = np.cos(at[..., 2]), np.sin(at[..., 2])

@@ -19,7 +19,7 @@ _QUANTITY = re.compile(r"[A-Za-z_\]]\w*\s*\.\s*[A-Za-z_]|\[\s*[\"']")
 
 
 class StateExpressionError(ExpressionError):
-    """An error in an expression of the state, whose names may be those of parameters."""
+    """An expression of the state that is not valid; an unknown name in it may be the name of a parameter."""
 
 
 class StateSyntax(Compiler):
@@ -39,7 +39,7 @@ class StateSyntax(Compiler):
 
 
 def is_of_state(value: Any) -> bool:
-    """Return whether a value is the text of an expression that contains quantities of a run."""
+    """Return whether a value is a text that contains a quantity of a run, such as ``bodies.leg.angle``."""
     return isinstance(value, str) and _QUANTITY.search(value) is not None
 
 
@@ -89,18 +89,19 @@ class ControllerState(StrictModel):
     initial: Number = 0.0
     """Value of the state before the first sample."""
     next: Expression
-    """Value of the state after a sample: an expression of the state of the run at the sample."""
+    """Value of this state after a sample: an expression of the state of the run at the sample."""
 
 
 class Controller(StrictModel):
-    """A sampled controller: outputs that are held between samples, as a digital controller gives them."""
+    """A sampled controller: its outputs are constant between samples, as those of a digital controller."""
 
     ABSENT_BY_DEFAULT: ClassVar[tuple[str, ...]] = ("delay", "states")
 
     period: Positive
     """Time between two samples [s]; the first one is at the start of the run."""
     delay: NotNegative = 0.0
-    """Time from a sample until the outputs have the values that follow from it [s]; they are 0 before."""
+    """Time [s] from a sample until the outputs computed from it apply; outputs are 0 until those of the first sample
+    apply."""
     states: dict[str, ControllerState] = Field(default_factory=dict)
     """States by name, such as ``sum: {next: "controllers.pid.sum + 0.01*bodies.leg.angle"}``."""
     outputs: dict[str, Expression] = Field(min_length=1)

@@ -37,7 +37,7 @@ class SymbolicSystem:
     mass_matrix : (n, n) matrix
         M.
     constraints : (m, 1) matrix
-        Phi(q, t), [m] or [rad].
+        Phi(q, t), the constraint residuals [m] or [rad]; subscripts of Phi denote partial derivatives.
     constraint_jacobian : (m, n) matrix
         Phi_q.
     gamma : (m, 1) matrix

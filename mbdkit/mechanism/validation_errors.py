@@ -59,7 +59,7 @@ ELEMENTS = {
     "rod": ("bodies", ""),
     "point": ("markers", ""),
 }
-"""Sections of a mechanism and types of elements, by words in the singular that users may write as keys."""
+"""Section of a mechanism and type of element that a user probably means by a wrong key (without its plural s)."""
 EXPLAINED = 12
 """Largest number of problems that a message explains; further ones are only counted."""
 PYDANTIC_KINDS = frozenset(get_args(ErrorType))
@@ -98,14 +98,13 @@ def spec_error(
     for details in error.errors(include_url=False):
         path, owner = walk(details["loc"], root, lookup)
         problems.setdefault(_place(details, path), []).append((details, path, owner))
-    # An error inside a value is more specific than the error that no type of a union accepts the value.
+    # If no alternative of a union accepts a value, there may also be an error inside the value, which is more specific.
     above = {path[:length] for path in problems for length in range(len(path))}
     # Unknown keys come first, because a mistyped key explains why another key is missing.
     paths = sorted((path for path in problems if path not in above), key=lambda path: not _is_unknown(*problems[path]))
     sentences = []
-    for path in paths[
-        :EXPLAINED
-    ]:  # limited, because each explanation takes time, and there may be thousands of problems
+    # The number is limited, because each explanation takes time, and there may be thousands of problems.
+    for path in paths[:EXPLAINED]:
         value = f" (the value of '{written[path]}')" if written and path in written else ""
         told = dict.fromkeys(_complaint(*problem, lookup) + value for problem in problems[path])
         sentences.append((path_text((*parse_path(prefix), *path)), _either(list(told))))
@@ -136,7 +135,7 @@ def _is_unknown(first: tuple[ErrorDetails, Path, type[BaseModel] | None], *other
 
 
 def _as_law(tag: str, plugins: PluginLookup) -> str:
-    """Return how to write a force element whose type was given as the name of a law; empty if there is no such law."""
+    """Return a hint if the unknown type `tag` of a force element is the name of a force law; otherwise empty."""
     try:
         plugins.law_element(tag)
     except SpecError:
@@ -182,8 +181,9 @@ def _complaint(details: ErrorDetails, path: Path, owner: type[BaseModel] | None,
 
 
 def value_path(path: Path, key: Path) -> Path:
-    """Return the path of an error raised inside a validator; the key of the error may be relative to `path` or
-    absolute.
+    """Return the key path of an error that the validator of the value at `path` raised.
+
+    The `key` of the error may be relative to `path`, or absolute.
     """
     return key if path and key[: len(path)] == path else path + key
 
@@ -294,8 +294,8 @@ def walk(location: Sequence[str | int], root: Any, plugins: PluginLookup) -> tup
 
 
 def _member(members: list[Any], label: str | int, below: Path, metadata: tuple[Any, ...]) -> Any:
-    """Return the alternative of a union that pydantic's label denotes: by tag, by class name, or by the keys below
-    it.
+    """Return the alternative of a union that a label of pydantic denotes, which is a tag, or the name of a class or
+    validator; failing that, the first alternative that can contain the keys `below`.
     """
     tag = next(
         (extra.discriminator for extra in metadata if isinstance(extra, FieldInfo) and extra.discriminator), None

@@ -17,7 +17,7 @@ from mbdkit.expressions.parser import Expression
 
 
 class TextForNumberError(SpecError):
-    """Text in place of a number, which may be an expression of parameters."""
+    """There is a text in place of a number; it may be an expression of parameters."""
 
 
 def _shown(value: Any) -> str:
@@ -58,7 +58,7 @@ def motion(value: Any) -> Any:
 
 
 def number_or_table(value: Any, kind: type[Table], wanted: str) -> Any:
-    """Accept finite numbers and tables of the class `kind`, and convert mappings to tables.
+    """Accept finite numbers and tables of the class `kind`, and convert mappings to such tables.
 
     `wanted` describes the expected value in error messages.
     """
@@ -167,10 +167,10 @@ Columns = Annotated[tuple[tuple[Number, ...], tuple[Number, ...]], BeforeValidat
 class Table(StrictModel):
     """A function of time given by points and interpolated by a cubic or quintic spline, or by lines.
 
-    A cubic spline has two continuous derivatives, and a quintic one four. With the default ends, three points of a
-    cubic spline give a parabola and two a line, and a quintic one needs six points. Steps end at points with a
-    discontinuous derivative that affects the method. The table must cover the time span of the run, unless it is
-    periodic.
+    A cubic spline has two continuous derivatives, and a quintic spline four. With the default ends, a cubic spline
+    through three points is a parabola, and through two points a line; a quintic spline needs six points. Steps end at
+    points with a discontinuous derivative that affects the method. The table must cover the time span of the run,
+    unless it is periodic.
     """
 
     ABSENT_BY_DEFAULT: ClassVar[tuple[str, ...]] = ("interpolation", "ends")
@@ -208,8 +208,8 @@ QUINTIC_ENDS = {
     "natural": ([(3, 0.0), (4, 0.0)], [(3, 0.0), (4, 0.0)]),
     "clamped": ([(1, 0.0), (2, 0.0)], [(1, 0.0), (2, 0.0)]),
 }
-"""Derivatives that vanish at the two ends of a quintic spline, by the name of the condition; SciPy has the other
-conditions.
+"""Orders and values of the derivatives that are prescribed at the two ends of a quintic spline, by the name of the
+condition. SciPy knows the other conditions by name.
 """
 
 
@@ -217,8 +217,8 @@ conditions.
 def curve_of(table: Table) -> Any:
     """Return the curve of a table as ``scipy.interpolate.PPoly``.
 
-    It is extrapolated by its outer pieces, or periodically. Raises ValueError or LinAlgError if the curve cannot be
-    computed in double precision.
+    Beyond the table, it continues its outer pieces or, if it is periodic, repeats. Raises ValueError or LinAlgError if
+    the curve cannot be computed in double precision.
     """
     from scipy.interpolate import CubicSpline, PPoly, make_interp_spline
 

@@ -3,7 +3,8 @@ step size.
 
 If the motion is slow compared with Baumgarte's terms, a constraint error e satisfies this linear equation, whose
 eigenvalues are -alpha +- sqrt(alpha^2 - beta^2). In a step of size h, a Runge-Kutta method multiplies the error by its
-stability function R(z) = 1 + z b^T (1 - z A)^-1 1 at z = h times an eigenvalue.
+stability function R(z) = 1 + z b^T (1 - z A)^-1 1 at z = h times an eigenvalue, where A and b are the coefficients of
+the method.
 """
 
 from __future__ import annotations

@@ -227,7 +227,7 @@ _D: tuple[dict[int, float], ...] = (
         15: -149.7268362579856258142212528,
     },
 )
-"""Rows of the last four parts of dense output."""
+"""Weights of the stages, by index, in the last four parts of dense output; see `nested_polynomials`."""
 
 
 def _matrix(rows: tuple[dict[int, float], ...], columns: int) -> np.ndarray:

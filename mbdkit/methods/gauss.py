@@ -1,8 +1,8 @@
 """Gauss-Legendre collocation, s stages, order 2 s: symmetric and symplectic.
 
-With s = 2 and 3 these are the s2IRK and s3IRK of the source paper (``guide/paper.md``). Table 4 of that paper misprints
-three coefficients of s = 3 (a_12 = 2/9 + sqrt15/15, a_13 = 5/36 + sqrt15/30, b_2 = 4/19); the check of row sums refuses
-the printed tableau.
+The source paper (``guide/paper.md``) calls the methods with s = 2 and 3 s2IRK and s3IRK. Its table 4 misprints three
+coefficients of s = 3 (a_12 = 2/9 + sqrt15/15, a_13 = 5/36 + sqrt15/30, b_2 = 4/19); the check of row sums refuses the
+printed tableau.
 """
 
 from __future__ import annotations

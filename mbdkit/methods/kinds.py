@@ -33,8 +33,8 @@ class Tolerances:
     max_step
         Largest step [s]; None for no limit.
     by_size
-        Whether `atol` has its default value. For lengths, the default is multiplied by the mechanism's characteristic
-        length if that is below 1 m; see `mbdkit.stepping.step_control.unit_of_length`.
+        Whether `atol` has its default value. For lengths and velocities, the default is multiplied by the mechanism's
+        characteristic length if that is below 1 m; see `mbdkit.stepping.step_control.unit_of_length`.
     """
 
     rtol: float
@@ -70,7 +70,8 @@ class Traits:
     is_explicit
         Whether a step evaluates accelerations at known states only. False if this is not known.
     suits_stiff
-        Whether the method is intended for stiff mechanisms, in which only implicit methods can verify it.
+        Whether the method is intended for stiff mechanisms. Its runs are then compared with runs of further implicit
+        methods.
     iterates_without_tangents
         Whether stages are solved by fixed-point iteration.
     own_multipliers
@@ -267,7 +268,9 @@ class ImplicitRungeKutta(Method):
 
 @dataclass(frozen=True)
 class LobattoPair(Method):
-    """A partitioned Lobatto IIIA-IIIB pair with fixed steps; Phi = 0 and its derivative hold at the end of every step.
+    """A partitioned Lobatto IIIA-IIIB pair with fixed steps.
+
+    Positions and velocities satisfy the constraints at the end of every step.
 
     Parameters
     ----------
@@ -390,8 +393,8 @@ class StepMethod(Method):
     Attributes
     ----------
     carries_multipliers
-        Whether every state returned by `step` has `multipliers`. They are recorded as ``method_multiplier``; the row of
-        the start contains the index-1 multipliers.
+        Whether every state returned by `step` has `multipliers`. They are recorded as ``method_multiplier``; the
+        index-1 multipliers are recorded for the initial state.
     hint
         Advice to the user, added to the message when a step fails.
 

@@ -1,6 +1,7 @@
 """Definitions that several methods share: base classes of options, claims, and references.
 
-Options are the fields that a spec can have under ``integrator:``. Definitions of one method only are in its own file.
+Options are the fields that a spec can have under ``integrator:``. A definition that only one method uses is in the file
+of this method.
 """
 
 from __future__ import annotations

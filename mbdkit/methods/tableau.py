@@ -128,9 +128,9 @@ class ButcherTableau:
     Raises
     ------
     TableauError
-        If sizes are inconsistent, the order is not a positive integer, a coefficient is not a finite real number, the
-        sum of a row differs from its node, or an order condition fails. In the last two cases, the message contains the
-        defect.
+        If sizes are inconsistent, the order is not a positive integer, a coefficient cannot be read or is not a finite
+        real number, the sum of a row differs from its node, or an order condition fails. In the last two cases, the
+        message contains the defect.
 
     Notes
     -----
@@ -218,7 +218,7 @@ class ButcherTableau:
 
     @property
     def is_first_same_as_last(self) -> bool:
-        """Whether the last stage is the first stage of the next step: the last row of ``a`` is ``b``, its node 1."""
+        """Whether the last stage is the first stage of the next step: its row of ``a`` equals ``b``, its node is 1."""
         a, b, c = self._numbers
         return bool(self.stages > 1 and c[-1] == 1 and a[-1] == b)
 

@@ -1,9 +1,9 @@
 """Taylor series of any order for trees of pins in joint coordinates.
 
-The coefficients follow from recurrences instead of differences of stages; see `mbdkit.engine.kernels.tree_series`. A
-higher order costs little, so that the order follows the tolerance: with the radius of convergence rho, steps of
-``rho rtol^(1/p)`` are cheapest at ``p = -ln(rtol) / 2`` if their cost is proportional to p^2 (Jorba and Zou 2005). Here
-most of it is proportional to p, which favours higher orders.
+The coefficients follow from recurrences, not from stages; see `mbdkit.engine.kernels.tree_series`. A higher order costs
+little, so that the order is chosen by the tolerance. With the radius of convergence rho, a series of order p allows
+steps of ``rho rtol^(1/p)``. If the cost of a step is proportional to p^2, ``p = -ln(rtol) / 2`` is cheapest (Jorba and
+Zou 2005). Here most of the cost is proportional to p, so that a higher order is cheapest.
 """
 
 from __future__ import annotations
@@ -26,8 +26,9 @@ JORBA_ZOU = """@article{jorba2005,
 FIXED_ORDER = 8
 """Order of fixed steps by default."""
 LEAST, PER_DIGIT = 4.0, 0.75
-"""Order of adaptive steps at ``rtol = 1``, and its increase per -ln(rtol); close to the fastest for the double
-pendulum.
+"""Order of adaptive steps at ``rtol = 1``, and its increase per -ln(rtol).
+
+For the double pendulum, this order is close to the fastest one.
 """
 
 

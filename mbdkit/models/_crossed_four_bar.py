@@ -71,7 +71,7 @@ class CrossedFourBar:
             )
 
     def pose(self, flexion: float) -> Pose:
-        """Return the pose at a `flexion` [rad], on the branch of the straight leg.
+        """Return the pose at a `flexion` [rad] that the linkage reaches from the straight leg.
 
         Raises
         ------
@@ -105,8 +105,8 @@ class CrossedFourBar:
 
     @cached_property
     def _branch(self) -> int:
-        """Sign of the closure of the linkage, 1 or -1, for crossed rods and the femur on top; 0 if there is no such
-        closure.
+        """Which intersection of circles (1 or -1, see `_solve`) gives crossed rods and a femoral link above the tibial
+        link in the straight leg; 0 if neither does.
         """
         for branch in (1, -1):
             pose = self._solve(0.0, branch)
@@ -133,7 +133,11 @@ class CrossedFourBar:
         return pose is not None and pose.crossed
 
     def _solve(self, flexion: float, branch: int) -> Pose | None:
-        """Return the pose: C is an intersection of circles about B (radius acl) and A - (D - C) (radius pcl)."""
+        """Return the pose at a flexion; None if the linkage cannot be assembled.
+
+        Joint C is an intersection of the circles about B (radius acl) and about A - (D - C) (radius pcl); `branch`, 1
+        or -1, selects one of the two intersections.
+        """
         b = cmath.rect(self.tibial, -self.tibial_pitch)
         femur = cmath.rect(self.femoral, flexion - self.femoral_pitch)
         line = -femur - b

@@ -69,7 +69,9 @@ class Knee:
     ends
         Half of the length of each rod [m]: the distance of its joints from its centre.
     femoral
-        Joints C and D in the thigh frame [m]; `tibial` has joints A and B in the shank frame [m].
+        Joints C and D in the thigh frame [m].
+    tibial
+        Joints A and B in the shank frame [m].
     shank
         Frame of the shank, whose origin is the knee of the straight leg.
     """

@@ -1,4 +1,4 @@
-"""One leg on a given hip, with a pinned knee or a four-bar knee; its copy with other names is the second leg."""
+"""One leg on a given hip, with a pinned knee or a four-bar knee. A second leg is built alike and has other names."""
 
 from __future__ import annotations
 
@@ -44,8 +44,14 @@ class LegPose(StrictModel):
 class Hip(NamedTuple):
     """The hip of a leg.
 
-    The frame of the trunk with its origin at the hip, the name of the body that carries the leg, and the position of
-    the hip in the frame of this body [m].
+    Attributes
+    ----------
+    frame
+        Frame of the trunk, with its origin at the hip.
+    body
+        Name of the body that carries the leg.
+    point
+        Position of the hip in the frame of this body [m].
     """
 
     frame: Frame
@@ -153,7 +159,15 @@ def _leg(person: Person, pose: LegPose, hip: Hip, thigh: Frame, shank: Frame) ->
 
 
 def second_leg(first: LegParts, same: LegParts) -> LegParts:
-    """Return the elements of a second leg: those of the first one with the names of the second leg."""
+    """Return the elements of a second leg.
+
+    Parameters
+    ----------
+    first
+        The first leg, whose names get the suffix `SUFFIX`.
+    same
+        A leg with the same names, in the pose of the second leg.
+    """
     of_second = _Names({name for kind in first for name in kind})
     return LegParts(
         {of_second.of(name): body for name, body in same.bodies.items()},

@@ -133,7 +133,10 @@ class LegFourBarOptions(LegOptions):
 
 
 def build(options: LegOptions) -> Mechanism:
-    """Return the leg: bodies `thigh`, `shank`, `foot` and joints `hip`, `knee`, `ankle`, perhaps a body `trunk`.
+    """Return one or two legs.
+
+    A leg has the bodies `thigh`, `shank` and `foot`, and the joints `hip`, `knee` and `ankle`. With ``root: trunk``,
+    there is also a body `trunk`.
 
     Raises
     ------
@@ -146,7 +149,7 @@ def build(options: LegOptions) -> Mechanism:
 
 
 def build_four_bar(options: LegFourBarOptions) -> Mechanism:
-    """Return the leg with bodies `acl` and `pcl`, and joints `A`, `B`, `C` and `D` in place of `knee`.
+    """Return one or two legs as `build`, but with bodies `acl` and `pcl`, and joints `A` to `D` in place of `knee`.
 
     Raises
     ------

@@ -61,7 +61,7 @@ class MuscleForce:
 
     @property
     def numbers(self) -> list[float]:
-        """Parameters of an excitation that is a function of time, by name."""
+        """Numbers in an excitation that is a function of time, in the order of `excitation_of`; empty for others."""
         return self._excitation[1]
 
     @cached_property
@@ -175,7 +175,7 @@ def _fixed(item: PathItem) -> tuple[float, float]:
 
 
 def acting_muscles(mechanism: Mechanism) -> dict[str, MuscleForce]:
-    """Return the muscles that act in runs of a mechanism, by name; none if its muscles do not act."""
+    """Return the muscles that act in runs of a mechanism, by name; empty if its muscles do not act."""
     if not mechanism.muscles_act:
         return {}
     return {name: MuscleForce(name, muscle) for name, muscle in mechanism.muscles.items()}

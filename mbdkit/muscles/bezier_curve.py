@@ -21,7 +21,8 @@ GRID = np.linspace(0.0, 1.0, 129)
 
 
 HALLEY = 4
-"""Number of Halley iterations that determine the parameter of each curve of Millard within 1e-12 from a linear start.
+"""Number of Halley iterations after which the parameter of each of Millard's curves is accurate to 1e-12. The initial
+value is the parameter on a straight line between the ends of the segment.
 
 A step of Newton's method follows.
 """
@@ -30,7 +31,7 @@ MORE_HALLEY = 6
 """Number of Halley iterations for weighted sums of the two coordinates of a curve."""
 
 Points = Sequence[Any]
-"""First control point of a segment, and the differences from it to the following ones."""
+"""First distinct control point of a segment, and the differences between consecutive distinct control points."""
 
 
 class Corner(NamedTuple):
@@ -52,7 +53,7 @@ class BezierCurve:
     x, y
         (S, 4) distinct control points of each segment; the two inner ones count twice.
     slopes
-        Slopes of the straight lines.
+        Slopes of the straight lines on the left and on the right.
     """
 
     x: np.ndarray
@@ -114,8 +115,8 @@ class BezierCurve:
     def x_where(self, p: Any, q: Any, r: Any) -> Any:
         """Return the x at which ``p y + q x = r``, computed by a fixed sequence of operations that can be traced.
 
-        The left side is a Bezier curve with the same parameter. It must increase and reach r; p must not be negative,
-        and q must be positive.
+        Each segment of the left side is a Bezier curve with the same parameter as x and y. The left side must increase
+        with x and reach r; p must not be negative, and q must be positive.
         """
         first, last = (q * x + p * y for x, y in ((self.x[0, 0], self.y[0, 0]), (self.x[-1, -1], self.y[-1, -1])))
         begins = [q * x + p * y for x, y in zip(self.x[1:, 0].tolist(), self.y[1:, 0].tolist(), strict=True)]
@@ -185,8 +186,8 @@ def _bezier_of(points: Points, u: Any) -> tuple[Any, Any, Any]:
 def _reached(points: Points, goal: Any, iterations: int) -> Any:
     """Return the parameter at which a segment reaches a value.
 
-    Derivatives are computed in the last step only, in which the parameter is already known; they are those of the
-    inverse function.
+    Only the last step, by Newton's method, computes derivatives with respect to traced variables. The parameter is
+    known before this step, so that the derivatives are those of the inverse function.
     """
     plain = without_slopes(goal)
     start, a, b, c = points

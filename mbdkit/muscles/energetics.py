@@ -7,13 +7,14 @@ The model adds the following powers per mass of the muscle:
     lengthening   S A 0.3 * 100 u_slow,                                times f if l > 1       u_fast = v / v_max
     work          F v / m in shortening, none in lengthening
 
-Here S is the factor for aerobic conditions, slow and fast are the shares of slow and fast fibres, f is their isometric
-force at the length l in optimal lengths, and v their speed. A is the excitation if it exceeds the activation, and
-otherwise the mean of both. The sum of the first three powers is at least 1 W/kg.
+Here S is the factor for aerobic conditions, slow and fast are the shares of slow and fast fibres, l is the length of
+the fibres in optimal lengths, f their isometric force at this length relative to `max_force`, v their speed, v_max the
+largest speed of the muscle, F the active force of the fibres, and m the mass of the muscle. A is the excitation if it
+exceeds the activation, and otherwise the mean of both. The sum of the first three powers is at least 1 W/kg.
 
 B. R. Umberger, K. G. M. Gerritsen, P. E. Martin, A model of human muscle energy expenditure, Computer Methods in
 Biomechanics and Biomedical Engineering 6:99-111, 2003; B. R. Umberger, Stance and swing phase costs in human walking,
-Journal of the Royal Society Interface 7:1329-1340, 2010, for 0.3 and for work in lengthening.
+Journal of the Royal Society Interface 7:1329-1340, 2010, for the factor 0.3 and for no work in lengthening.
 """
 
 from __future__ import annotations
@@ -35,11 +36,11 @@ FAST_OVER_SLOW = 2.5
 The largest velocity of a muscle is that of its fast fibres.
 """
 LENGTHENING = 0.3
-"""Ratio of the rate of heat during lengthening to that of slow fibres during shortening."""
+"""Ratio of the rate of heat during lengthening to the rate of heat of slow fibres that shorten at the same speed."""
 
 
 def fiber_power(muscle: Muscle, tension: np.ndarray, length: np.ndarray, rate: np.ndarray) -> np.ndarray:
-    """Return the power (...) [W] that the fibres of a muscle supply.
+    """Return the power (...) [W] that the fibres of a muscle supply; nan where they are perpendicular to the tendon.
 
     Parameters
     ----------

@@ -1,7 +1,8 @@
 """Fibres of a muscle whose tendon is rigid, and the forces along the tendon that they can exert.
 
 The fibres are pennate. The thickness of the muscle, ``w = optimal_length sin(pennation)``, is constant, so that the
-fibres of a muscle of length L have the length ``sqrt((L - tendon_length)^2 + w^2)``. The force along the tendon is
+fibres of a muscle with a path of length L have the length ``l = sqrt((L - tendon_length)^2 + w^2)``. With the
+activation a, the velocity v of the fibres and the curves f of the muscle, the force along the tendon is
 
     F = max_force (a f_active(l) f_velocity(v) + f_passive(l)) cos(alpha),   cos(alpha) = (L - tendon_length) / l
 """
@@ -55,7 +56,7 @@ def fibers_on_rigid_tendon(name: str, muscle: Muscle, time: np.ndarray, length: 
     Raises
     ------
     RunError
-        If the tendon is longer than the path. The error states the time.
+        If the tendon is at least as long as the path. The error states the time.
     """
     along = length - muscle.tendon_length
     if np.any(along <= 0):

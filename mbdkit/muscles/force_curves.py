@@ -184,7 +184,7 @@ def _tendon() -> BezierCurve:
     stiff = 1.375 / strain
     x_toe = (toe - 1.0) / stiff + 1.0 + strain
     foot = 1.0 + 0.1 * (x_toe - 1.0)
-    run = x_toe - 0.5 * toe / stiff - foot  # from the foot to the line at half the force of the toe
+    run = x_toe - 0.5 * toe / stiff - foot  # from the foot to where the straight line has half of the force `toe`
     slope = 0.5 * toe / run
     return BezierCurve.through(
         [Corner(1.0, 0.0, 0.0), Corner(foot + 0.5 * run, 0.25 * toe, slope), Corner(x_toe, toe, stiff)],

@@ -1,7 +1,8 @@
 """Forces of muscles in runs: laws of the length of the path and its rate, with activation and fibre length as states.
 
-With the length L of the path, fibres of length l at the angle alpha to the tendon, thickness ``w = l sin(alpha)``, and
-the normalised velocity v of the fibres (negative: shortening), the tension is
+With the length L of the path, the activation a, fibres of length l at the angle alpha to the tendon, the thickness
+``w = l sin(alpha)``, the normalised velocity v of the fibres (negative: shortening), and the curves f of
+`mbdkit.muscles.force_curves`, the tension is
 
     F = max_force (a f_active(l) f_velocity(v) + f_passive(l) + damping v) cos(alpha)
 
@@ -38,7 +39,7 @@ from mbdkit.mechanism.muscles import Activation, Muscle
 from mbdkit.muscles.force_curves import CURVES, DeGrooteFregly, ForceCurves, Millard
 
 STEEPNESS = 10.0
-"""Steepness b of the transition between rising and falling activation.
+"""Steepness of the transition between rising and falling activation.
 
 With 0.1, which is also in use, the two time constants would hardly differ; 10 is the default of SymPy
 (`sympy.physics.biomechanics`).
@@ -150,8 +151,9 @@ class TableForm(NamedTuple):
 
 
 Form = Program | TableForm
-"""Form of an excitation that is a function of time, without its numbers, which are parameters; empty for other
-excitations.
+"""Form of an excitation that is a function of time; empty for other excitations.
+
+The form does not contain the numbers in the excitation, which are parameters of the law.
 """
 
 MOST_NUMBERS: Mapping[str, int] = {"de-groote-fregly": 440, "millard": 360}

@@ -1,11 +1,11 @@
 """Lengths of the paths of muscles and their derivatives with respect to the coordinates of the bodies, in many frames
 at once.
 
-Between two points a and b, the path is the shortest curve that passes each circle on its side. It consists of tangents
-and arcs. With centers c_i, signed radii r_i (positive on the left side; 0 for a point) and d = c_j - c_i, a tangent has
-the direction ``angle(d) - asin((r_i - r_j) / |d|)`` and the length ``sqrt(|d|^2 - (r_i - r_j)^2)``. Circles are
-cylinders perpendicular to the plane, which can be unrolled: with the planar length s and the difference h of the
-offsets of a and b, the path has the length ``sqrt(s^2 + h^2)``.
+Between two points a and b, the path is the shortest curve that passes each circle on the side chosen in the spec. It
+consists of tangents and arcs. With centers c_i, signed radii r_i (positive if the path passes the center on the left; 0
+for a point) and d = c_j - c_i, a tangent has the direction ``angle(d) - asin((r_i - r_j) / |d|)`` and the length
+``sqrt(|d|^2 - (r_i - r_j)^2)``. Circles are cylinders perpendicular to the plane, which can be unrolled: with the
+planar length s and the difference h of the offsets of a and b, the path has the length ``sqrt(s^2 + h^2)``.
 
 The length is stationary with respect to the points of contact, so that only the centers contribute to its change:
 ``ds = sum over tangents of e . (dc_j - dc_i)``, where e are the unit vectors of the tangents. A tension F therefore
@@ -31,11 +31,11 @@ BEHIND = np.pi / 6
 """Lower limit of the angle that a path sweeps about the center of a circle, from the point before to the point after.
 
 The angle is counted from minus `BEHIND` to 2 pi minus `BEHIND`. It is negative for straight paths that pass the circle
-at a distance on its other side, and close to 2 pi for paths that turn by almost 2 pi around the circle.
+at a distance on the side that is not its `side`, and close to 2 pi for paths that turn by almost 2 pi around it.
 """
 
 WIDEST = np.pi
-"""If the angle changes by more than this between two frames, it has passed an end of the interval defined by
+"""If the angle changes by more than this between two frames, it has jumped from one end of its range to the other; see
 `BEHIND`.
 """
 
@@ -145,8 +145,8 @@ class MusclePath:
         Raises
         ------
         RunError
-            If a point is inside a circle, or the path would have to pass a circle on its other side. The error states
-            the time.
+            If a point is inside a circle next to it, if circles overlap, if the path would have to pass a circle on the
+            wrong side, or if it switches the side between two frames. The error states the time.
         """
         length, gradient = np.empty(len(q)), np.zeros_like(q)
         there = np.array([place.is_there(q) for place in self._places])  # (P, T)
@@ -177,7 +177,7 @@ class MusclePath:
         """Return the planar length (T,) between two points, and its derivatives (T, 2) with respect to the position of
         each place.
 
-        Circles that the path does not touch are found by trying all selections of touched circles, small ones first.
+        The circles that the path touches are found by trying all selections of circles, those with few circles first.
         """
         centers = [one.position for one in span]
         radii = [one.place.radius for one in span]
@@ -205,7 +205,11 @@ class MusclePath:
     def _require_outside(
         self, time: np.ndarray, centers: Sequence[np.ndarray], radii: Sequence[float], index: int
     ) -> None:
-        """Raise RunError for the first frame in which a place next to a circle is inside it."""
+        """Raise RunError for the first frame in which a point or circle next to a circle is too close to it.
+
+        A point is too close inside the circle, a circle with the same side if one contains the other, and a circle with
+        the other side if both overlap.
+        """
         for other in (index - 1, index + 1):
             apart = np.hypot(*(centers[other] - centers[index]).T)
             inside = apart < abs(radii[index] - radii[other])

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from mbdkit.archive.run import Run
 
 _NUMBERS = 150_000
-"""Largest number of pose values in the output of a cell, which takes about one megabyte."""
+"""Approximate number of pose values in the output of a cell; they take about one megabyte."""
 _IN_DARK_THEMES = (
     ".mbdkit-player { color-scheme: light; } "
     ':is([data-jp-theme-light="false"], .vscode-dark) .mbdkit-player { color-scheme: dark; }'

@@ -132,7 +132,7 @@ def _(run: Run) -> View:
     title = f"Run: {caption(run).title}"
     answers = [text for _, text in answer_lines(run)]
     sentences += answers
-    lines = [line for line in lines if line[0] != "run" and line[1] not in answers]  # the title of the view
+    lines = [line for line in lines if line[0] != "run" and line[1] not in answers]  # the title names the run
     if not len(run.time):
         return View(title, tuple(sentences), tone, tuple(lines))
     pose = take(run.dataset("trajectory/position"), np.array([0], dtype=np.intp))[0]
@@ -192,7 +192,7 @@ def _(found: Equilibrium) -> View:
 
 
 def _posed(mechanism: Mechanism | None, position: Array, time: float) -> Illustration | None:
-    """Return the drawing of a mechanism in a position (B, 3)."""
+    """Return the drawing of a mechanism in a position (B, 3) at a time [s]; None without a mechanism."""
     if mechanism is None:
         return None
     return drawing(NamedPose.of(mechanism, list(mechanism.bodies), position, np.array([time])))

@@ -1,4 +1,6 @@
-"""The plot `beams`: bending moment, shear force and axial force along beams at some times, and over time."""
+"""The plot `beams`: bending moment, shear force and axial force along beams at some times, and their largest magnitude
+over time.
+"""
 
 from __future__ import annotations
 
@@ -45,7 +47,7 @@ class BeamPeak:
     place
         Distance of the value from end a along the beam [m].
     row
-        Index of the recorded row.
+        Index of the recorded row with this value.
     """
 
     value: float
@@ -64,7 +66,7 @@ def beam_peak(run: Run, beam: str, component: BeamForce) -> BeamPeak:
 
 
 def panels(run: Run) -> list[Panel]:
-    """Return panels of each internal force, along the beams and over time."""
+    """Return panels of each internal force: along the beam with the largest value, and over time."""
     if not run.beams:
         return [Panel(_draw_nothing)]
     along = [Panel(partial(_draw, chart=_along(run, which)), over_time=False) for which in get_args(BeamForce)]
@@ -72,7 +74,9 @@ def panels(run: Run) -> list[Panel]:
 
 
 def charts(run: Run) -> list[Figure]:
-    """Return the charts of each internal force, along the beams and over time; none if the run has no beams."""
+    """Return the charts of each internal force: along the beam with the largest value, and over time; empty if the run
+    did not record internal forces of beams.
+    """
     if not has_beams(run):
         return []
     return [draw(run, which) for draw in (_along, _over_time) for which in get_args(BeamForce)]
@@ -86,12 +90,13 @@ def chart(
     times: float | Sequence[float] | None = None,
     most: int = MOST,
 ) -> Figure:
-    """Return the chart of an internal force of beams: along the beams at the given `times`; by default, over time.
+    """Return the chart of an internal force of beams: along the beams at the given `times` or, by default, the largest
+    magnitude in each beam over time.
 
     Parameters
     ----------
     beams
-        Names of beams; by default those with the largest values.
+        Names of beams; by default at most `most` beams, those with the largest values.
     components
         ``moment``, ``shear`` or ``axial``.
     times
@@ -135,7 +140,9 @@ def _axis(component: BeamForce) -> Axis:
 
 
 def _along(run: Run, component: BeamForce, names: Sequence[str] | None = None, times: Array | None = None) -> Figure:
-    """Return the chart of curves along beams; by default of the beam with the largest value, at five times."""
+    """Return the chart of an internal force along beams; by default along the beam with the largest value, at up to
+    five times.
+    """
     if names is None:
         names = _picked(run, None, component, 1)
     rows = _rows(run, names[0], component) if times is None else _rows_at(run, times)
@@ -157,7 +164,7 @@ def _along(run: Run, component: BeamForce, names: Sequence[str] | None = None, t
 
 
 def _rows(run: Run, name: str, component: BeamForce) -> list[int]:
-    """Return five rows spread over the run, one of which has the largest value of a beam."""
+    """Return up to five rows spread over the run; in one of them the internal force of a beam is largest."""
     spread = nearest_rows(run.time, np.linspace(run.time[0], run.time[-1], _TIMES)).tolist()
     peak = beam_peak(run, name, component).row
     spread[min(range(len(spread)), key=lambda k: abs(spread[k] - peak))] = peak
@@ -173,7 +180,7 @@ def _rows_at(run: Run, times: Array) -> list[int]:
 
 
 def _over_time(run: Run, component: BeamForce, names: Sequence[str] | None = None) -> Figure:
-    """Return the chart of the largest magnitude in a beam over time, for several beams."""
+    """Return the chart of the largest magnitude in each of several beams over time."""
     chosen = _picked(run, None, component, MOST) if names is None else names
     time = np.asarray(run.time)
     largest = np.stack([np.max(np.abs(run.beams[name].along(component)), axis=1) for name in chosen], axis=1)

@@ -50,8 +50,8 @@ def caption(run: Run) -> Caption:
 
 
 def method(spec: Mapping[str, Any]) -> str:
-    """Return the integrator of a spec with its main options, such as ``gauss, 2 stages``, or a text that says there is
-    none.
+    """Return the integrator of a spec with its main options, such as ``gauss, 2 stages``. For inverse dynamics, return
+    the smoothing instead.
     """
     if is_inverse(spec):
         smooth = spec["motion"].get("smooth", {})

@@ -28,7 +28,7 @@ _MARKERS = ("o", "s", "D", "^", "P", "X")
 _FORMATS = (".png", ".svg")
 
 Look = dict[str, Any]
-"""Arguments of `Axes.plot` for a line."""
+"""Keyword arguments of Matplotlib for a line or a text."""
 
 
 @dataclass(frozen=True)
@@ -73,7 +73,7 @@ def write_chart_images(charts: Iterable[Figure], folder: Path) -> list[Path]:
         for file in image_files([chart], folder):
             save(picture, file)
             written.append(file)
-            picture.set_layout_engine("none")  # reused for SVG, because the layout takes longer than the drawing
+            picture.set_layout_engine("none")  # SVG reuses the layout, which takes long to compute
     return written
 
 
@@ -102,7 +102,7 @@ def draw_chart(axes: Axes, chart: Figure, title: str = "") -> None:
 
 
 def draw_panel(axes: Axes, chart: Figure, title: str) -> list[Line2D]:
-    """Draw a chart over time in a low panel, without a legend, and return its lines."""
+    """Draw a chart over time in a panel of small height, without a legend, and return its lines."""
     dress(axes)
     lines = _draw(axes, chart, _house_looks(chart), {"size": 9, "color": INK}, {"size": 7, "color": FAINT})
     axes.margins(x=0.01)
@@ -180,8 +180,10 @@ def _draw(axes: Axes, chart: Figure, looks: Sequence[Look], labels: Look, notes:
 
     Parameters
     ----------
-    labels, notes
-        Look of the labels of axes, and of marks.
+    labels
+        Look of the labels of the axes.
+    notes
+        Look of the marks and of the texts at the marks.
     """
     axes.set_xlabel(chart.x.title, parse_math=False, **labels)
     axes.set_ylabel(chart.y.title, parse_math=False, **labels)
@@ -237,6 +239,6 @@ def _note(
     beside: tuple[float, float],
     **look: Any,
 ) -> None:
-    """Write a text below a place, at the offset `beside` (x, y) [points]; it is not interpreted as mathematics."""
+    """Write a text below a point, shifted by `beside` (x, y) [points]. The text is not interpreted as mathematics."""
     note = axes.annotate(text, place, xycoords=coordinates, xytext=beside, textcoords="offset points", va="top", **look)
     note.set_parse_math(False)

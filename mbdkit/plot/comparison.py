@@ -58,8 +58,9 @@ def compare(
     ax
         Axes to draw on; by default those of a new figure.
     labels
-        Names of the runs in the legend. By default, they show the differences: integrator, formulation, stabilization,
-        step, other keys of the spec, or else title and file.
+        Names of the runs in the legend. By default, they show up to three differences: integrator, formulation,
+        stabilization, step or other keys of the spec. Otherwise they are titles, names of files, identifiers or numbers
+        of the runs.
     **options
         Options of the method of `Run.plot` of this kind, such as ``joints`` and ``components``. Unless elements are
         named, the few with the largest values in any of the runs are drawn.
@@ -72,7 +73,8 @@ def compare(
     Raises
     ------
     SpecError
-        If the kind, a name or an option is unknown, there is no run, or one has no rows.
+        If the kind, a name or an option is unknown, there is no run, one has no rows, or there are not as many labels
+        as runs.
     TypeError
         If an argument is neither a kind nor axes, or one is given twice.
     NotRecordedError
@@ -131,7 +133,7 @@ def comparison(
         size[_group(line)] = max(size[_group(line)], float(np.max(np.nan_to_num(np.abs(line.y)), initial=0.0)))
     largest = sorted(size, key=lambda group: -size[group])[:few] if "joints" not in options else list(size)
     groups = [group for group in size if group in largest]
-    first = next((one for one in charts if one.y.log), charts[0])  # the axis of a run without errors is linear
+    first = next((one for one in charts if one.y.log), charts[0])  # if all values of a run are zero, its axis is linear
     lines = [
         _labelled(line, name, alone=len(groups) == 1)
         for name, chart in zip(names, charts, strict=True)
@@ -143,8 +145,10 @@ def comparison(
 
 
 def differences(runs: Sequence[Run]) -> list[str]:
-    """Return for each run the settings that distinguish it from the others or, if settings are equal, title and
-    file.
+    """Return a label for each run: the settings that distinguish it from the others.
+
+    If no settings differ, more than three do, or the labels would not be unique, return the titles of the runs; if
+    these are not unique either, the names of the files, the identifiers of the runs, or numbers.
     """
     settings = [_settings(run) for run in runs]
     keys = [key for key in dict.fromkeys(key for setting in settings for key in setting) if _differs(key, settings)]
@@ -181,10 +185,9 @@ def _group(line: Line) -> str:
 
 
 def _labelled(line: Line, name: str, *, alone: bool) -> Line:
-    """Return a line whose label contains the name of its run.
+    """Return a line whose label contains `name`, the name of its run.
 
-    If all lines belong to one element (`alone`), the label is the name of the run; otherwise the label of the line is
-    added.
+    The label also contains the name of the element, unless all lines belong to the same element (`alone`).
     """
     if not alone:
         return replace(line, label=f"{line.label}, {name}")
@@ -193,7 +196,7 @@ def _labelled(line: Line, name: str, *, alone: bool) -> Line:
 
 
 class _Setting(NamedTuple):
-    """A setting of a run in words, and its key if it is a number, which may have a unit."""
+    """A setting of a run in words. If the setting is a number, `path` is its key in the spec, which gives the unit."""
 
     text: str
     path: SpecPath = ()
@@ -203,7 +206,9 @@ _NONE = _Setting("")
 
 
 def _settings(run: Run) -> dict[str, _Setting]:
-    """Return the settings of a spec by key: first those that have names, then all other keys."""
+    """Return the settings of a run by key: first the method and the step in words, then all other keys of the spec
+    except the title, the output, the limits and the check.
+    """
     spec = run.spec
     step = spec.get("time", {}).get("step")
     found = {

@@ -93,6 +93,8 @@ def _remark(quantity: ElementQuantity) -> str:
 
 
 def _without_zeros(quantity: ElementQuantity) -> ElementQuantity:
-    """Return the quantity without joints to which it does not apply, for which zeros are recorded."""
+    """Return the quantity without the joints whose values are all zero, such as joints that do not constrain an angle;
+    unchanged if this applies to all joints.
+    """
     columns = quantity.nonzero_columns
     return quantity.only(columns) if columns else quantity

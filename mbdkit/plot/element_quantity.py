@@ -26,7 +26,7 @@ SMALLEST = 1e-18
 """Lowest value of a logarithmic axis; the round-off of a length of 1 m is about a hundred times larger."""
 
 MOST = len(PALETTE)
-"""Number of elements in a chart if no elements are named."""
+"""Largest number of elements in a chart if no elements are named."""
 
 
 @dataclass(frozen=True)
@@ -90,10 +90,10 @@ def has_elements(run: Run) -> bool:
 
 
 def element_values(run: Run, unit: str, name: str) -> ElementQuantity:
-    """Return the values of the force elements and actuators with the unit ``N`` or ``N m``; there may be no such
+    """Return the values of the force elements and actuators whose `unit` is ``N`` or ``N m``; the result may have no
     elements.
 
-    The forces on nodes that represent the distributed loads of beams are left out.
+    Force elements that represent the distributed loads of beams are left out.
 
     Raises
     ------
@@ -121,7 +121,7 @@ def element_values(run: Run, unit: str, name: str) -> ElementQuantity:
 def joint_quantity(
     run: Run, name: str, path: str, unit: str, values: Callable[[Array], Array] = np.asarray
 ) -> ElementQuantity:
-    """Read an array of the archive group /joints.
+    """Return a quantity of all joints, read from an array of the archive group /joints.
 
     Parameters
     ----------
@@ -182,8 +182,8 @@ def with_errors(
 
 
 def picked(quantity: ElementQuantity, wanted: Names, what: str, most: int = MOST) -> list[int]:
-    """Return the indices of the wanted elements or, if None, of at most `most` non-zero elements with the largest
-    values.
+    """Return the indices of the wanted elements or, if None, of at most `most` elements with the largest values.
+    Elements whose values are all zero are then left out, except a single one if there are no others.
 
     Parameters
     ----------
@@ -208,7 +208,8 @@ def picked(quantity: ElementQuantity, wanted: Names, what: str, most: int = MOST
 def element_lines(quantity: ElementQuantity, groups: Sequence[str] = ()) -> tuple[Line, ...]:
     """Return a line of a chart for each element.
 
-    For long runs, the line shows the largest values, or both extremes if signs differ.
+    A long run is divided into bands of consecutive rows. Its lines show the largest value of each band or, if any value
+    is negative, the smallest and the largest value.
 
     Parameters
     ----------
@@ -225,7 +226,7 @@ def element_lines(quantity: ElementQuantity, groups: Sequence[str] = ()) -> tupl
 
 
 def element_chart(name: str, title: str, caption: str, axis: Axis, quantity: ElementQuantity, **look: Any) -> Figure:
-    """Return a chart of a quantity of some elements over time, with the time until which its errors are known.
+    """Return a chart of a quantity of some elements over time, with a mark at the time until which errors are known.
 
     Parameters
     ----------
@@ -291,8 +292,8 @@ def draw_elements(axes: Axes, quantity: ElementQuantity, what: str, *, log: bool
 
 
 def _known_to(quantity: ElementQuantity, column: int) -> str:
-    """Return the estimated error of the largest value of an element, such as `` ± 0.3 N``; empty if it was not
-    estimated.
+    """Return the estimated error of the largest value of an element as text, such as `` ± 0.3 N`` or ``, error
+    unknown``; empty if no errors were estimated.
     """
     if quantity.errors is None:
         return ""
@@ -308,7 +309,7 @@ def value_text(value: float, unit: str) -> str:
 
 
 def _floor(values: Array) -> float:
-    """Return a power of ten below 99.5 % of the non-zero values."""
+    """Return the largest power of ten below 99.5 % of the positive values, but at least `SMALLEST`."""
     positive = values[values > 0]
     if not positive.size:
         return SMALLEST
@@ -316,7 +317,7 @@ def _floor(values: Array) -> float:
 
 
 def _show_floor(axes: Axes, floor: float, values: Array, unit: str) -> None:
-    """Set the lower limit of a logarithmic axis; if smaller values are drawn at this limit, add a note."""
+    """Set the limits of a logarithmic axis. If values below `floor` are drawn at `floor`, add a note that says so."""
     top = float(np.nanmax(values, initial=0.0))
     axes.set_ylim(floor * 0.8, max(top * 2.0, floor * 10.0))
     if np.any(values < floor):

@@ -87,8 +87,8 @@ def chart(run: Run, *, terms: Names = None, most: int = len(TERMS)) -> Figure:
     Parameters
     ----------
     terms
-        Some of ``kinetic``, ``potential``, ``total``, ``dissipated``, ``work`` and ``balance``; by default all except
-        the balance and those that are zero.
+        Some of ``kinetic``, ``potential``, ``total``, ``dissipated``, ``work`` and ``balance``. By default, the
+        balance is left out, as are dissipated energy and work if they are zero.
 
     Raises
     ------
@@ -117,10 +117,10 @@ def _read(run: Run, *names: str) -> dict[str, Array]:
 
 
 def _relative(values: dict[str, Array]) -> tuple[dict[str, Array], float]:
-    """Return the energies to draw, and the potential energy at the start, relative to which potential and total are
-    drawn.
+    """Return the energies to draw, and the potential energy at the start, which is subtracted from the potential and
+    the total energy.
 
-    Dissipated energy and work are left out if they are zero.
+    The balance is left out, as are dissipated energy and work if they are zero.
     """
     base = float(values["potential"][0]) if len(values["potential"]) else 0.0
     found = {}

@@ -1,4 +1,4 @@
-"""A run as a video, GIF or MP4. The background is drawn once, the mechanism in every frame."""
+"""A run as an animated GIF or MP4 video. The background is drawn once, the mechanism in every frame."""
 
 from __future__ import annotations
 
@@ -42,6 +42,8 @@ class Film:
     ----------
     run
         The run, for the heading.
+    shown
+        Poses, paths and times of the frames.
     """
 
     def __init__(self, run: Run, shown: Scene):
@@ -109,8 +111,8 @@ def write_gif(run: Run, target: Path) -> None:
 
 
 def _palette(samples: list[NDArray[np.uint8]], shades: Sequence[str]) -> Image.Image:
-    """Return the colours of the lines and the most frequent other colours of some frames; these colours are then
-    exact.
+    """Return an image whose palette contains the colours of the lines and the most frequent other colours of some
+    frames. The GIF shows these colours exactly.
     """
     own = np.array([list(bytes.fromhex(color[1:])) for color in (PAPER, INK, SPRING, ALARM, *PALETTE, *shades)])
     pixels = np.concatenate([sample.reshape(-1, 3) for sample in samples])

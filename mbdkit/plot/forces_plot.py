@@ -1,4 +1,6 @@
-"""The plot `forces`: forces of springs, dampers, laws and loads over time; their torques are in the plot `torques`."""
+"""The plot `forces`: forces of springs, dampers, force laws, loads and actuators over time. The plot `torques` shows
+the elements that exert a torque.
+"""
 
 from __future__ import annotations
 
@@ -34,7 +36,7 @@ def chart(run: Run, *, elements: Names = None, most: int = MOST) -> Figure:
     Parameters
     ----------
     elements
-        Names of force elements; by default those with the largest forces.
+        Names of force elements and actuators; by default those with the largest forces.
 
     Raises
     ------

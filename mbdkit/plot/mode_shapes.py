@@ -18,14 +18,14 @@ MOST = 6
 """Largest number of modes in a picture."""
 
 AMPLITUDE = 0.12
-"""Largest displacement of a point, as a share of the mechanism's size."""
+"""Largest displacement of a point in a picture, as a share of the mechanism's size."""
 
 STEEPEST = 0.8
-"""Largest rotation of a body [rad]."""
+"""Largest rotation of a body in a picture [rad]."""
 
 
 def modes_figure(found: Modes, mechanism: Mechanism, title: str) -> Figure:
-    """Return a figure of up to six of the slowest modes."""
+    """Return a figure of the modes with the smallest absolute eigenvalues, at most six."""
     drawing = draw_mechanism(mechanism)
     count = min(MOST, len(found.eigenvalues))
     rest = drawing.world(found.position)

@@ -1,4 +1,4 @@
-"""The plot `reactions`: forces in the joints over time, as magnitudes or components, and their torques in a panel."""
+"""The plot `reactions`: forces in the joints over time, as magnitudes or components, and torques in a second panel."""
 
 from __future__ import annotations
 
@@ -36,14 +36,14 @@ COMPONENTS: dict[str, tuple[str, ...]] = {
     "axial": ("axial",),
     "shear": ("shear",),
 }
-"""Components to draw, by the value of the option `components`."""
+"""Components to draw, by the value of the option `components`; none for the magnitude."""
 
 _AXIS = {"x": "joint force, x component", "y": "joint force, y component"}
 _AXIS |= {"axial": "axial joint force", "shear": "shear joint force"}
 
 
 def panels(run: Run) -> list[Panel]:
-    """Return the panel of the forces and, if there are torques, a panel of the joints that transmit them.
+    """Return the panel of the forces and, if joints transmit torques, a panel of the torques of these joints.
 
     Drivers that exert only a torque, such as motors, are left out of the panel of the forces.
     """
@@ -77,7 +77,7 @@ def chart(run: Run, *, joints: Names = None, components: Components | str = "mag
     Raises
     ------
     SpecError
-        If there are no such components, or no joint.
+        If there are no such components, or the mechanism has no joints.
     UnknownNameError
         If there is no such joint.
     """
@@ -106,7 +106,7 @@ def chart(run: Run, *, joints: Names = None, components: Components | str = "mag
 
 
 def _components(run: Run, columns: list[int], shown: tuple[str, ...]) -> ElementQuantity:
-    """Return components of the forces in some joints: all components of the first joint, then those of the next."""
+    """Return components of the forces in some joints: first all components in the first joint, and so on."""
     values, labels = [], []
     for column in columns:
         name = run.joint_names[column]

@@ -95,7 +95,7 @@ def plot(
         File to write. Its suffix, .png, .svg or .pdf, selects the format.
     size
         Width and height [mm] of a figure for a paper, which has no heading. Several runs are always drawn as a figure
-        for a paper, by default of a standard size.
+        for a paper, by default 183 mm wide.
     x_limits, y_limits
         Limits of the axes, in their units; for plots over time, `x_limits` is a time window [s]. By default, all values
         are shown.
@@ -176,7 +176,7 @@ STYLE: dict[Any, Any] = {
     "figure.facecolor": PAPER,
     "axes.facecolor": PAPER,
 }
-"""Settings of Matplotlib for figures of this size."""
+"""Settings of Matplotlib for figures in papers."""
 
 
 def size_in_mm(text: str) -> tuple[float, float]:
@@ -199,14 +199,14 @@ def size_in_mm(text: str) -> tuple[float, float]:
 
 
 def paper_figure(runs: Sequence[Run], kind: str, size: tuple[float, float] | None = None, **options: Any) -> Figure:
-    """Return a chart of one or several runs as a figure with the legend above it.
+    """Return a chart of one or several runs as a figure for a paper, with the legend above the axes.
 
     Parameters
     ----------
     kind, **options
         See `mbdkit.plot.compare`.
     size
-        Width and height [mm].
+        Width and height [mm]; by default `WIDTH` and 0.66 times `WIDTH`.
     """
     chart, heading = comparison(runs, kind, **options)
     width, height = size or (WIDTH, _SHAPE * WIDTH)
@@ -234,12 +234,16 @@ def _legend_above(figure: Figure, width: float, title: str) -> None:
 
 
 def _columns(lengths: Sequence[int], room: float) -> int:
-    """Return the number of columns of a legend that fit into a width in units of the font size.
+    """Return the largest number of columns of a legend that fit into a width; at least 1.
+
+    A letter is about 0.6 font sizes wide, and the line before a label about 4 font sizes.
 
     Parameters
     ----------
     lengths
-        Numbers of letters in the labels; a letter is about 0.6 font sizes wide, and the line before a label 4.
+        Numbers of letters in the labels.
+    room
+        Width, in units of the font size.
     """
     for rows in range(1, len(lengths)):
         columns = [lengths[start : start + rows] for start in range(0, len(lengths), rows)]

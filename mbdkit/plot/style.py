@@ -91,7 +91,7 @@ def dress(axes: Axes, xlabel: str = "", ylabel: str = "") -> Axes:
 
 
 def powers_of_ten(axes: Axes) -> None:
-    """Factor a power of ten out of the y ticks of `axes` if they are large or small."""
+    """Factor a power of ten out of the y tick labels of `axes` if the values are large or small."""
     formatter = ScalarFormatter(useOffset=False, useMathText=True)
     formatter.set_powerlimits((-3, 4))
     axes.yaxis.set_major_formatter(formatter)

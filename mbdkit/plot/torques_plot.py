@@ -1,4 +1,4 @@
-"""The plot `torques`: torques of joints, drivers and force elements over time."""
+"""The plot `torques`: torques of joints, drivers, force elements and actuators over time."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 
 
 def panels(run: Run) -> list[Panel]:
-    """Return the panel of the torques of joints, drivers and force elements."""
+    """Return the panel of the torques of joints, drivers, force elements and actuators."""
     return [Panel(partial(draw_elements, quantity=_carried_by_any(run), what="torques"), height=2.7)]
 
 
@@ -46,8 +46,11 @@ def chart(run: Run, *, joints: Names = None, elements: Names = None, most: int =
 
     Parameters
     ----------
-    joints, elements
-        Names of joints and drivers, and of force elements; by default those with the largest torques.
+    joints
+        Names of joints and drivers.
+    elements
+        Names of force elements and actuators. If neither `joints` nor `elements` are given, those with the largest
+        torques are drawn.
 
     Raises
     ------
@@ -78,7 +81,7 @@ def chart(run: Run, *, joints: Names = None, elements: Names = None, most: int =
 
 
 def carried_torque(run: Run, force: ElementQuantity) -> ElementQuantity | None:
-    """Return the torques of the joints that transmit any; None if there are only rounding errors."""
+    """Return the torques of the joints that transmit any; None if all torques are rounding errors."""
     torque = reaction_torque(run)
     largest = np.nan_to_num(torque.data.peaks)
     size = float(np.max(largest, initial=0.0))
@@ -88,7 +91,7 @@ def carried_torque(run: Run, force: ElementQuantity) -> ElementQuantity | None:
 
 
 def _carried_by_any(run: Run) -> ElementQuantity:
-    """Return the torques of the joints that transmit any, and of force elements."""
+    """Return the torques of the joints that transmit any, and of all force elements and actuators that exert one."""
     of_joints = carried_torque(run, reaction_force(run))
     of_elements = element_values(run, "N m", "torque") if has_elements(run) else None
     parts = [part for part in (of_joints, of_elements) if part is not None]

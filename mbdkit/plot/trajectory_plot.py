@@ -55,7 +55,7 @@ def chart(run: Run, *, points: Names = None, most: int = 6) -> Figure:
     ----------
     points
         Names of markers, of bodies (their centres of mass), of joints that move, and of free ends such as ``rod2 end``;
-        by default all markers or, if the run has none, free ends and moving joints.
+        by default the first `most` markers on bodies or, if there are none, free ends and moving joints.
 
     Raises
     ------
@@ -144,7 +144,8 @@ def _lines(label: str, path: Array, error: Array | None) -> list[Line]:
 def _errors(run: Run, drawing: Drawing, traces: tuple[Trace, ...], rows: int) -> Array | None:
     """Return the estimated errors of the points of the paths [m], (R, K); nan where unknown, None if not estimated.
 
-    The error of the angle of a body is multiplied by the distance of the point from the centre of mass.
+    The error of a point is that of the centre of mass of its body, plus the error of the angle times the distance of
+    the point from the centre of mass.
     """
     accuracy = run.accuracy
     if accuracy is None:

@@ -51,7 +51,8 @@ class Array:
     dtype
         ``<f8``, ``<i8`` or ``utf-8`` (variable-length strings).
     row_units
-        If `units` is ``mixed``, the array in the same group that holds the units of each row.
+        If `units` is ``mixed``, name of the array in the same group that contains the unit of each entry along the last
+        axis.
     optional
         Whether an archive may lack the array.
     since
@@ -65,8 +66,8 @@ class Array:
     texts
         Function that returns the values of an array of names or units.
     label
-        Attribute of the history of an object that holds its text from this array; the texts of two arrays with the same
-        label are combined to a pair.
+        Name of the attribute of an object's history that contains the text of the object in this array. The texts of
+        two arrays with the same label are combined to a pair.
     """
 
     path: str
@@ -123,9 +124,9 @@ class Recorded(Array):
         Function that returns the values in T states, with the axes of the array. If the arrays of the states have an
         additional last axis of derivatives, so has the result.
     vector
-        Name in expressions of the first two components together; empty for scalars.
+        Name, in expressions, of the vector of the first two components; empty for scalars.
     has_norm
-        Whether expressions of events may contain the name of the vector, too, where it denotes the norm.
+        Whether expressions of events may also contain the name of the vector, which there denotes its norm.
     is_not_negative
         Whether the values are never negative, so that they cannot cross zero.
     accumulates

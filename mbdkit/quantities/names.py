@@ -52,7 +52,7 @@ class ArchiveNames:
     loads, load_bodies
         Names of the measured loads, and the body of each.
     members
-        Names and bodies of the elements of each other kind; see `CompiledMechanism.members`.
+        Names and bodies of the elements of each further kind, such as contacts; see `CompiledMechanism.members`.
     """
 
     bodies: Sequence[str]
@@ -94,7 +94,7 @@ class ArchiveNames:
         return feet(bodies for _, bodies in dict(self.members).get("contacts", ()))
 
     def bodies_of(self, kind: str, place: int) -> list[str]:
-        """Return the first body (`place` 0) or another body of each of the `members` of a kind."""
+        """Return the first (`place` 0), second (1) or a further body of each of the `members` of a kind."""
         return [bodies[place] for _, bodies in dict(self.members).get(kind, ())]
 
 

@@ -20,7 +20,7 @@ class Quantity:
     Parameters
     ----------
     kind
-        Word of its kind in the table of quantities.
+        Word of the kind of object in the table of quantities, such as ``joints``.
     name
         Name of the body, joint, ...; empty for ``energy``.
     attribute
@@ -59,7 +59,7 @@ class Quantity:
 
     @property
     def is_sum(self) -> bool:
-        """Whether the value is the sum over all elements of the object."""
+        """Whether the value is the sum over all elements of a beam."""
         return bool(self.of.owner) and self.recorded.array.of_whole and self.element is None
 
     @property

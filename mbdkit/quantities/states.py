@@ -87,7 +87,7 @@ class States:
     elapsed
         (T,) wall time since the first step [s]; empty if not known.
     multipliers
-        (T, m) multipliers computed by the method; None if there are none, as at the start.
+        (T, m) multipliers computed by the method; None if the method has computed none, as at the start.
     z
         (T, Z) first-order states; empty if they are not known.
     """
@@ -168,7 +168,7 @@ class States:
     def of_contacts(self, name: str, *, of_ground: bool = False) -> np.ndarray:
         """Return a quantity (T, C) of the contacts, or (T, F) or (T, F, 2) of the bodies that may touch the ground.
 
-        Empty if there are no contacts. The table of quantities refuses derivatives of the values.
+        Empty if there are no contacts. The values do not contain derivatives, and the table of quantities refuses them.
         """
         if not self.mechanism.contacts:
             return NONE
@@ -180,7 +180,7 @@ class States:
         Raises
         ------
         SpecError
-            If the states have derivatives, and those of the array are not known.
+            If the states have derivatives, but the derivatives of this array are not known.
         """
         if name in ENERGETICS and (self.muscles is not None or self.mechanism.muscles):
             return self._energetics(name)

@@ -32,9 +32,9 @@ UNITS_OF_ELEMENT: Mapping[str, Mapping[str, str]] = {
     "value_row_units": MULTIPLIER_UNITS,
     "multiplier_row_units": MULTIPLIER_UNITS,
 }
-"""Units of quantities, by the array with the units of elements, and by the element's unit of length or angle.
+"""Units of quantities, by the name of the array of units, and by the unit of the length or angle of the element.
 
-For other arrays, the unit is that of the element.
+In arrays of units that are not listed, each unit is that of the element itself.
 """
 
 _T = ("time",)

@@ -61,8 +61,9 @@ class Report:
     """Result of loading an entry point or one of its items, for ``mbdkit plugins list`` and ``doctor``.
 
     `status` is ``ok``, ``clash`` (two distributions use the short name; the full id is still valid), ``error``, or
-    ``disabled`` (an environment variable excludes the distribution, which was not imported). `kind` is None for an
-    entry point that returned no items. `seconds` is the loading time of the entry point.
+    ``disabled`` (an environment variable excludes the distribution, which was not imported). `kind` is None if the
+    report concerns an entry point as a whole, which is disabled or failed. `seconds` is the loading time of the entry
+    point.
     """
 
     id: str
@@ -81,7 +82,7 @@ class Registry:
     items
         Loaded items; ids are unique within a kind.
     reports
-        One report for each item and for each failure.
+        One report for each item, for each failure, and for each disabled entry point.
     """
 
     def __init__(self, items: Iterable[Registered], reports: Iterable[Report] = ()):
@@ -90,7 +91,7 @@ class Registry:
 
     @property
     def reports(self) -> tuple[Report, ...]:
-        """Reports on items and failures, with clashes of short names marked."""
+        """Reports on items, failures and disabled entry points, with clashes of short names marked."""
         return tuple(self._with_clash(report) for report in self._reports)
 
     @property
@@ -100,7 +101,7 @@ class Registry:
 
     @property
     def distributions(self) -> set[str]:
-        """Names of all distributions with an entry point, loaded or not."""
+        """Names of all distributions with an entry point, whether it was loaded or not."""
         return {report.origin.distribution for report in self._reports}
 
     def has_distribution(self, name: str) -> bool:
@@ -160,8 +161,9 @@ class Registry:
         raise SpecError(message + self.advice(name), key=key)
 
     def advice(self, name: str) -> str:
-        """Return the reason why the distribution in a full id is not loaded, as the end of an error message; otherwise
-        empty.
+        """Return the reason why the distribution in a full id is not loaded, as the end of an error message.
+
+        The result is empty if `name` is not a full id, or if the distribution is installed and not excluded.
         """
         distribution, colon, _ = name.partition(":")
         here = [report for report in self._reports if report.origin.distribution == distribution]
@@ -189,8 +191,9 @@ class Registry:
 
 @functools.cache
 def named_options(item: Registered) -> type[BaseModel]:
-    """Return the class of the item's options, including its name; strict and frozen even if the class of the plugin is
-    not.
+    """Return the class of the item's options with the additional field for the name of the item.
+
+    The class is strict and frozen even if the class of the plugin is not.
     """
     options: type[BaseModel] = create_model(
         class_name(f"{item.name} {item.kind}"),

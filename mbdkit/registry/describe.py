@@ -21,12 +21,12 @@ DEEPEST = 6  # largest number of levels of nested options, because the options o
 
 
 def listing(installed: Registry) -> dict[str, Any]:
-    """Return ``{"plugins": [...]}`` with id, kind, distribution, version, status and error of each item and failure."""
+    """Return ``{"plugins": [...]}`` with id, kind, distribution, version, status and error of each report."""
     return {"plugins": [_entry(report) for report in installed.reports]}
 
 
 def listing_text(installed: Registry) -> str:
-    """Return the listing as a table, with the summaries of the items and the errors of the failures."""
+    """Return the listing as a table; the last column is the error or, without an error, the summary of the item."""
     summaries = {(item.kind, item.id): item.plugin.summary for item in installed.items}
     rows = [("ID", "KIND", "VERSION", "STATUS", "")]
     for report in installed.reports:
@@ -36,14 +36,14 @@ def listing_text(installed: Registry) -> str:
 
 
 def find(name: str, installed: Registry | None = None) -> list[Registered]:
-    """Return the items with a name or id; several if they have the same name.
+    """Return the items with a short name or full id; several items may have the same short name.
 
     Raises
     ------
     SpecError
-        If there is none.
+        If there is no such item.
     PluginError
-        If the item could not be loaded.
+        If there is a report that the item with this id could not be loaded.
     """
     installed = installed or registry()
     for report in installed.failures:
@@ -106,7 +106,7 @@ def diagnosis(installed: Registry) -> dict[str, Any]:
 
 
 def diagnosis_text(installed: Registry) -> str:
-    """Return the diagnosis as text: a line for each entry point and one for each error."""
+    """Return the diagnosis as text: a line for each entry point and for each of its items with an error or a clash."""
     reports = installed.reports
     lines = []
     for origin in dict.fromkeys(report.origin for report in reports):
@@ -171,7 +171,7 @@ def options_in(schema: Schema, deepest: int = DEEPEST) -> Iterator[tuple[str, st
     schema
         The schema of a mapping, with its definitions.
     deepest
-        Levels of nested options; 0 for none.
+        Largest number of levels of nested options that are included; 0 for none.
     """
     yield from _options(schema, schema.get("$defs", {}), "", deepest)
 
@@ -195,7 +195,7 @@ def _inside(info: Schema, definitions: Schema) -> list[tuple[str, Schema]]:
         target = definitions[info["$ref"].rpartition("/")[2]]
         return [("", target)] if "properties" in target else []
     given = [one for one in info.get("anyOf", ()) if one != {"type": "null"}]
-    members = [] if any(_kind(one) == "number" for one in given) else given  # a text is a short form
+    members = [] if any(_kind(one) == "number" for one in given) else given  # a text beside a mapping is its short form
     if found := [one for member in members for one in _inside(member, definitions)]:
         return found
     choice = info.get("discriminator", {})
@@ -219,7 +219,7 @@ def _without(schema: Schema, key: str) -> Schema:
 
 
 def _kind(info: Schema) -> Any:
-    """Return the type in a schema; the type of a number that may have a unit is that of a number."""
+    """Return the type in a schema; for a number that may also be a text with a unit, the type of the number."""
     kind = info.get("type")
     return kind[0] if isinstance(kind, list) else kind
 

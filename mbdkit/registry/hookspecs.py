@@ -56,8 +56,8 @@ def mbdkit_force_laws() -> list[ForceLawPlugin]:  # type: ignore[empty-body]
 
     A law written in SymPy, from which its derivatives are computed::
 
-        length, rate, k, k3, c = sympy.symbols("length rate stiffness cubic damping") law =
-        mbdkit.ExpressionLaw(k*length + k3*length**3 + c*rate, k*length**2/2 + k3*length**4/4, passive=True)
+        length, rate, k, k3, c = sympy.symbols("length rate stiffness cubic damping")
+        law = mbdkit.ExpressionLaw(k*length + k3*length**3 + c*rate, k*length**2/2 + k3*length**4/4, passive=True)
         mbdkit.ForceLawPlugin("duffing", "A spring that hardens", DuffingOptions, law)
 
     and a law that Numba compiles::
@@ -79,13 +79,13 @@ def mbdkit_force_laws() -> list[ForceLawPlugin]:  # type: ignore[empty-body]
 def mbdkit_studies() -> list[StudyPlugin]:  # type: ignore[empty-body]
     """Return the packaged studies of this plugin, which run by name: ``mbdkit study NAME``.
 
-    The spec is a file of the package, and the verdict a function of the study::
+    The study spec is a file of the package, and a function of the study returns the verdict::
 
         def verdict(study):
             from mbdkit.analysis.verdict import Verdict
 
-            worst = max(point.values["misalignment_max"] for point in study.points) return Verdict("swings", "Swings",
-            f"The joints come apart by {worst:.1e} m at most.")
+            worst = max(point.values["misalignment_max"] for point in study.points)
+            return Verdict("swings", "Swings", f"The joints come apart by {worst:.1e} m at most.")
 
         mbdkit.StudyPlugin("swings", "Steps of a swing", Path(__file__).parent / "swings.yaml", verdict)
 

@@ -1,4 +1,4 @@
-"""Classes of the items that a plugin can offer, one for each kind of plugin, and the claims of integrators."""
+"""Classes of the items (models, integrators, ...) that plugins offer, one for each kind, and claims of integrators."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ class Claims:
         The levels among ``position`` and ``velocity`` at which the constraints hold to round-off after every step, on
         the first of `formulations`.
     needs
-        What the method evaluates of the equations of motion besides accelerations, such as ``"tangents"``.
+        What the method evaluates of the equations of motion, such as ``"accelerations"`` or ``"tangents"``.
     formulations
         Formulations of the equations that the method supports.
     stabilizations
@@ -110,7 +110,7 @@ class Plugin:
     key: ClassVar[str]
     """Key in a spec whose value names such an item; error messages mention it."""
     name_key: ClassVar[str] = "name"
-    """Key in a spec that gives the name of the item, beside the item's options."""
+    """Key in a spec that gives the name of the item; the options of the item are further keys beside it."""
 
     if (
         TYPE_CHECKING
@@ -241,7 +241,7 @@ class IntegratorPlugin(Plugin):
         self._check_callable("create", "claims")
 
     def claimed(self) -> Mapping[str, Any]:
-        """Return the claims with default options, by name; empty if an option has no default."""
+        """Return the claims with default options, by name; empty if an option has no default, or if `claims` fails."""
         try:
             claims: Any = self.claims(self.options())
         except (Exception, SystemExit):  # an option has no default, or the plugin fails in any way

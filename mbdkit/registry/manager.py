@@ -57,7 +57,8 @@ def registry() -> Registry:
     Raises
     ------
     PluginError
-        If a plugin could not be loaded and the environment variable `MBDKIT_STRICT_PLUGINS` is set.
+        If the environment variable `MBDKIT_STRICT_PLUGINS` is set, and a plugin could not be loaded, or another
+        variable names a distribution for which no plugin is installed.
     """
     loaded, policy = load_installed(), Policy.of()
     if policy.strict and loaded.failures:
@@ -69,7 +70,7 @@ def registry() -> Registry:
 
 
 def load_installed() -> Registry:
-    """Load all installed plugins again. Those that cannot be loaded are skipped without an error."""
+    """Load all installed plugins again; those that cannot be loaded cause a warning, not an error."""
     return load_registry(importlib.metadata.entry_points(group=GROUP), Policy.of())
 
 

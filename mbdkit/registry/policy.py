@@ -54,7 +54,8 @@ class Policy:
     disabled
         Distributions whose plugins are not loaded.
     strict
-        Whether it is an error if a plugin cannot be loaded, or if an allowed distribution has no plugin installed.
+        Whether it is an error if a plugin cannot be loaded, or if no plugin is installed for a distribution in
+        `allowed` or `disabled`.
     """
 
     allowed: frozenset[str] | None = None

@@ -1,5 +1,5 @@
-"""The section on the answer of a run: the largest forces in joints, force elements and beams, with their times and
-errors.
+"""The section on the answer of a run: the largest forces in joints, force elements and beams, with their times. Those
+in joints also have estimated errors.
 """
 
 from __future__ import annotations
@@ -24,7 +24,9 @@ if TYPE_CHECKING:
     from mbdkit.mechanism.mechanism import Mechanism
 
 ROWS = 50
-"""Largest number of joints, force elements or beams in a table, which lists those with the largest forces."""
+"""Largest number of rows in a table. Of more joints or force elements, those with the largest values are listed; of
+more beams, the first ones.
+"""
 
 
 @dataclass(frozen=True)
@@ -49,7 +51,7 @@ class Peaks:
         value, when = np.full(array.shape[1], -1.0), np.full(array.shape[1], np.nan)
         for block in blocks(len(time), int(np.prod(array.shape[1:]))):
             part = magnitude(np.asarray(array[block], dtype=np.float64))
-            part = np.where(part < BEYOND, part, -1.0)  # also true for nan
+            part = np.where(part < BEYOND, part, -1.0)  # a comparison with nan is false
             row = np.argmax(part, axis=0)
             largest = part[row, np.arange(part.shape[1])]
             better = largest > value
@@ -70,7 +72,8 @@ class _Quantity:
     error
         (J,) estimated errors of `known`.
     known_until
-        Time of the last row whose errors are known [s]; infinite if all are known.
+        Time of the last row whose errors are known [s]: inf if all errors are known, -inf if none are, nan if errors
+        were not estimated.
     """
 
     name: str
@@ -95,7 +98,7 @@ class _Quantity:
         return columns
 
     def cells(self, joint: int, floor: float) -> list[Cell]:
-        """Return the cells of a joint; they are empty if its largest value is not above `floor`."""
+        """Return the cells of a joint; they are empty if its largest value is at most `floor`, a rounding error."""
         value, time = float(self.peaks.value[joint]), float(self.peaks.time[joint])
         if value <= floor:
             return [None] * len(self.columns())
@@ -116,7 +119,7 @@ class _Quantity:
 
 
 def answer_section(run: Run) -> Section | None:
-    """Return the section on the forces and torques of a run that has rows; None if the run recorded none of them."""
+    """Return the section on the forces and torques of a run that has rows; None if there are none to show."""
     tables: list[Table] = []
     sentences: list[str] = []
     if run.joint_names and run.records("joints/reaction_force"):
@@ -165,8 +168,8 @@ def _quantity(run: Run, name: str, unit: str, path: str, magnitude: Callable[[Ar
 
 
 def _table(run: Run, name: str, title: str, columns: Sequence[int], found: Sequence[_Quantity], floor: float) -> Table:
-    """Return the table of the joints in `columns`, at most `ROWS`, which are those with the largest forces; for
-    drivers, it also shows the largest power.
+    """Return the table of the joints with the indices `columns`; of more than `ROWS` joints, those with the largest
+    forces or torques. The table of drivers also shows their largest power, if it was recorded.
     """
     most = np.nan_to_num(np.max(np.stack([one.peaks.value for one in found]), axis=0), nan=np.inf)
     chosen = sorted(sorted(columns, key=lambda column: -most[column])[:ROWS])
@@ -195,7 +198,9 @@ def _table(run: Run, name: str, title: str, columns: Sequence[int], found: Seque
 
 
 def _of_forces(run: Run) -> Table:
-    """Return the table of the largest force or torque, and of the largest power, of each force element."""
+    """Return the table of the largest force or torque, and of the largest power, of each force element. Distributed
+    loads of beams are left out.
+    """
     time, loads = np.asarray(run.time), distributed_loads(run)
     value, power = (Peaks.of(time, run.dataset(f"forces/{name}")) for name in ("value", "power"))
     forces = list(run.forces.values())
@@ -221,7 +226,7 @@ def _of_forces(run: Run) -> Table:
 
 
 def beam_section(run: Run, mechanism: Mechanism | None) -> Section | None:
-    """Return the section on the beams of a run that has rows; None if the run has no recorded beams.
+    """Return the section on the beams of a run that has rows; None if the run recorded no internal forces of beams.
 
     Parameters
     ----------
@@ -242,7 +247,9 @@ def beam_section(run: Run, mechanism: Mechanism | None) -> Section | None:
 
 
 def _bent(run: Run, mechanism: Mechanism | None, row: int) -> Illustration | None:
-    """Return the drawing of the mechanism at a row, with beams coloured by their bending moments."""
+    """Return the drawing of the mechanism at a recorded row, with beams coloured by their bending moments; None if the
+    moments are unknown.
+    """
     pose = take(run.dataset("trajectory/position"), np.array([row], dtype=np.intp))[0]
     named = NamedPose.of(mechanism, list(run.bodies), pose, np.asarray(run.time)[row : row + 1])
     moments = bending_moments(run, named.drawing.beams)

@@ -1,5 +1,5 @@
-"""Charts in the report of a design: loads before and after, Pareto fronts, and goals along the variables around the
-best point.
+"""Charts in the report of a design: loads at the start and at the best point, Pareto fronts, and the goals as functions
+of each variable near the best point.
 """
 
 from __future__ import annotations
@@ -26,19 +26,19 @@ if TYPE_CHECKING:
     from mbdkit.designs.design import Design
 
 POINT_WORDS = {"start": "at the start", "best": "at the best point"}
-"""Phrases for the points of a design whose runs are stored in archives."""
+"""Phrases for the two points of a design whose runs are stored in archives."""
 _POINTS = 1_000
 _TIME = Axis("time", "s")
 _JOINT_ERRORS = {"torque": "torque_error"} | dict.fromkeys(("force", "force_x", "force_y"), "reaction_error")
-"""Names of the arrays with the estimated errors of the quantities of joints."""
+"""Attribute of `Accuracy` that contains the estimated errors, by attribute of a joint."""
 
 Pair = dict[str, "Run"]
 """The runs of one scenario, at the ``start`` and at the ``best`` point."""
 
 
 def load_charts(design: Design, pairs: Mapping[str, Pair]) -> Iterator[Figure]:
-    """Yield a chart over time, at the start and at the best point, of each quantity that the goals and limits
-    contain.
+    """Yield a chart over time for each scenario and each quantity in its goals and limits. Each chart has one curve for
+    the start and one for the best point.
     """
     for number, (scenario, pair) in enumerate(pairs.items()):
         spec = design.spec.specs[scenario]
@@ -126,13 +126,13 @@ def front_charts(design: Design, units: Mapping[str, str]) -> Iterator[Figure]:
 
 
 def landscape_charts(design: Design, around: Mapping[str, Sequence[Cut]], units: Mapping[str, str]) -> Iterator[Figure]:
-    """Yield a chart of the goals along each variable.
+    """Yield for each variable a chart of the goals as functions of this variable.
 
     Parameters
     ----------
     around
-        Cuts along the variables by name of the settings of the runs. The empty name stands for the design's own
-        settings.
+        Values of the goals along each variable, by name of the settings of the runs. The empty name stands for the
+        design's own settings.
     units
         Units of the goals by name.
     """

@@ -1,5 +1,5 @@
-"""The report of a design: the mechanism at the start and at the best point, its loads, and the certification of the
-gain.
+"""The report of a design: the mechanism at the start and at the best point, its loads, and whether the gain exceeds the
+errors.
 """
 
 from __future__ import annotations
@@ -40,15 +40,15 @@ if TYPE_CHECKING:
     from mbdkit.designs.point import DesignPoint
 
 _NUMBERS = 60_000
-"""Largest number of pose values in each animation."""
+"""Approximate number of pose values in each animation."""
 COSTS = 2
-"""Largest number of loads in the headline; they are loads that the design increases."""
+"""Largest number of loads in the headline. Only loads that the design increases are shown."""
 
 
 @contextmanager
 def design_report(path: Path, workers: int = 1) -> Iterator[ReportPage]:
-    """Provide the report of a design that has a result, as a context in which its archives are open. Points around the
-    best point are evaluated for it.
+    """Context manager that provides the report of a design with a result. The archives of its runs are open within the
+    context. The report includes points around the best point, which are evaluated first.
 
     Parameters
     ----------
@@ -115,8 +115,8 @@ def _page(
 
 
 def _devices(design: Design, pairs: Mapping[str, Pair]) -> Iterator[Section]:
-    """Yield the sections that show the mechanism at the start and at the best point, and its forces in each
-    scenario.
+    """Yield sections with drawings: the mechanism at the start and at the best point, both in the first scenario, and
+    the forces at the best point in each scenario.
     """
     name, pair = next(iter(pairs.items()))
     for which, run in pair.items():

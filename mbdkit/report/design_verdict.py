@@ -21,8 +21,8 @@ if TYPE_CHECKING:
     from mbdkit.designs.design import Design
 
 SAME = 1e-3
-"""Largest difference at which two optima count as equal: of goals relative to the start, of variables relative to the
-distance of their bounds.
+"""Largest difference at which two optima count as equal. Differences of variables are relative to the distance between
+their bounds; differences of goals are relative to the goal at the start or at the best point, whichever is larger.
 """
 
 
@@ -101,7 +101,9 @@ def _compared(design: Design, one: Comparison) -> Claim:
 
 
 def _tables(design: Design) -> Iterator[Table]:
-    """Yield the tables of variables, of goals and limits in each scenario, of comparisons, and of the Pareto front."""
+    """Yield the tables of variables, of goals and limits in each scenario and, if there are any, of searches with other
+    settings of the runs and of points of the Pareto front.
+    """
     start, best = design.start.variables, design.best.variables
     rows: list[tuple[Cell, ...]] = [
         (key_words(name), variable.bounds[0], start[name], best[name], variable.bounds[1],
@@ -149,7 +151,8 @@ def costs_table(costs: Sequence[Cost]) -> Table:
 
 
 def robustness_table(design: Design, deviations: Sequence[Deviation]) -> Table:
-    """Return the table of the goals at the best point when one number of the model deviates from its value."""
+    """Return the table of the goals at the best point if one number of the model is smaller or larger than specified.
+    """
     units = goal_units(design.spec)
     columns = [Column("number"), Column("off by")]
     for name in design.best.goals:
@@ -167,7 +170,7 @@ def robustness_table(design: Design, deviations: Sequence[Deviation]) -> Table:
 
 
 def _comparison_table(design: Design) -> Table:
-    """Return the table of the best points found by searches with other settings of the runs."""
+    """Return the table of the best points of this design and of the searches with other settings of the runs."""
     (goal,) = design.best.goals
     best = design.best
     rows: list[tuple[Cell, ...]] = [("this design", *best.variables.values(), best.goals[goal], best.goals[goal],

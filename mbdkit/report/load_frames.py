@@ -22,9 +22,9 @@ if TYPE_CHECKING:
     from mbdkit.archive.run import Run
 
 FRAMES, FRAMES_NARROW = 6, 3
-"""Number of frames in a row on a wide page and on a narrow one."""
+"""Number of frames side by side on a wide page and on a narrow one."""
 ARROW = 0.45
-"""Length of the longest arrow, as a share of the height of the mechanism."""
+"""Length of the longest arrow, as a share of the height or width of the mechanism, whichever is larger."""
 CONTACT = 0.05
 """A contact begins where a load exceeds this share of its largest value."""
 KEY = 0.15
@@ -37,7 +37,7 @@ _PLACES = {
     "load": "measured loads, from their point of application",
     "spring": "force elements, at both ends",
 }
-"""Points of application of the arrows of each kind."""
+"""Phrases for the caption: what the arrows of each kind show, and where they are drawn."""
 
 Arrow = tuple[str, Array, Array]
 
@@ -66,10 +66,10 @@ def with_arrows(run: Run, mechanism: Mechanism | None, film: dict[str, Any]) -> 
     Returns
     -------
     dict
-        The data `film`. If there are forces, the key ``arrows`` is added: ``kinds`` (A,) of the arrows, the ``texts``
-        of the kinds, the ``scale`` [m/N], the ``longest`` force [N], and ``values``, the position x, y [m] and the
-        force x, y [N] of each arrow, frame by frame. The ``view`` is then enlarged about its centre until it contains
-        the arrows.
+        The data `film`. If arrows can be drawn and not all forces are zero, the key ``arrows`` is added: ``kinds`` (A,)
+        of the A arrows, the ``texts`` of the kinds, the ``scale`` [m/N], the ``longest`` force [N], and ``values``, the
+        position x, y [m] and the force x, y [N] of each arrow, frame by frame. The ``view`` is enlarged about its
+        centre so that it contains the arrows.
     """
     if not _has_arrows(run, mechanism):
         return film
@@ -107,12 +107,14 @@ def _widened(view: list[float], points: Array) -> list[float]:
 
 
 def _has_arrows(run: Run, mechanism: Mechanism | None) -> bool:
-    """Return whether the model is available and has at most `CROWD` bodies, which arrows do not hide."""
+    """Return whether arrows can be drawn: the model is available, and its bodies are so few (at most `CROWD`) that
+    arrows do not hide them.
+    """
     return mechanism is not None and list(mechanism.bodies) == list(run.bodies) and len(run.bodies) <= CROWD
 
 
 def _box(frame: NamedPose) -> Array:
-    """Return the points (P, 2) [m] of the drawn bodies in a frame."""
+    """Return the drawn points (P, 2) [m] of the moving bodies in a frame."""
     return np.asarray(frame.drawing.world(frame.pose)[frame.drawing.owner >= 0])
 
 
@@ -143,8 +145,8 @@ def _svg(run: Run, mechanism: Mechanism, count: int, width: float) -> Markup:
 
 
 def _moments(run: Run, count: int) -> Array:
-    """Return the times [s] of the frames: the middles of equal parts of the first cycle or, without a cycle, equal
-    distances over the motion.
+    """Return the times [s] of the frames: the middles of equal parts of the first cycle or, without a cycle, equally
+    spaced times from the first to the last row.
     """
     cycle = _cycle(run)
     if cycle is None:
@@ -154,8 +156,8 @@ def _moments(run: Run, count: int) -> Array:
 
 
 def _cycle(run: Run) -> tuple[float, float] | None:
-    """Return begin and end [s] of the first cycle, which are the first two beginnings of contact of one load; None if
-    no load has two.
+    """Return begin and end [s] of the first cycle: the first two times at which the contact of a load begins. The first
+    load with two such times is used; None if there is no such load.
     """
     for load in run.loads.values():
         size = np.linalg.norm(load.force, axis=1)
@@ -166,8 +168,8 @@ def _cycle(run: Run) -> tuple[float, float] | None:
 
 
 def _covered(boxes: list[Array], arrows: list[list[Arrow]], shifts: list[Array], scale: float) -> Array:
-    """Return the points (P, 2) [m] that the drawing must contain: the bodies and the ends of the arrows of all frames
-    side by side, and a point above them, which leaves space for the legend.
+    """Return the points (P, 2) [m] that the drawing must contain: the bodies and the tips of the arrows in all frames,
+    which are side by side, and a point above all of these, so that there is space for the legend.
     """
     points = [box + shift for box, shift in zip(boxes, shifts, strict=True)]
     for arrow, shift in zip(arrows, shifts, strict=True):

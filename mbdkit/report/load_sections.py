@@ -23,7 +23,9 @@ if TYPE_CHECKING:
     from mbdkit.archive.run import Run
 
 BARS = 24
-"""Largest number of bars for each unit; the largest peaks are shown."""
+"""Largest number of bars for each unit. Of more elements, those with the largest peaks are shown; residuals are left
+out first.
+"""
 _POINTS = 1_000
 _TIME = Axis("time", "s")
 
@@ -42,8 +44,10 @@ def inverse_sections(run: Run, mechanism: Mechanism | None) -> tuple[Section, ..
 
 
 def inverse_charts(run: Run) -> list[Figure]:
-    """Return charts of the residuals of the data, one for each unit, of the joint forces with muscles, and of the
-    misalignment of the data.
+    """Return the charts of a run of inverse dynamics; empty for other runs.
+
+    They show the residuals of the data (one chart for each unit), the joint forces with and without muscles, and the
+    misalignment of the joints in the data. Charts without data are left out.
     """
     if run.kind != "inverse":
         return []

@@ -46,7 +46,7 @@ def methods(specs: Iterable[Mapping[str, Any]], sources: Iterable[str] = ()) -> 
     Parameters
     ----------
     specs
-        Run specs as plain mappings, each with the names of model and integrator.
+        Specs of runs or of inverse dynamics, as plain mappings.
     sources
         Further BibTeX entries, such as those of a packaged study.
     """
@@ -68,7 +68,9 @@ def methods(specs: Iterable[Mapping[str, Any]], sources: Iterable[str] = ()) -> 
 
 
 def _used(specs: Iterable[Mapping[str, Any]], kind: str) -> dict[str, list[dict[str, Any]]]:
-    """Return each name that a section of the specs contains, with the distinct options used with it."""
+    """Return the distinct options of each model or integrator (`kind`) in the specs, by its name. The options of models
+    are left out.
+    """
     found: dict[str, dict[str, dict[str, Any]]] = {}
     for spec in specs:
         if kind not in spec:  # inverse dynamics has no integrator
@@ -86,7 +88,7 @@ def _find(kind: Kind, name: str) -> Registered | None:
 
 
 def _paragraph(item: Registered, used: list[dict[str, Any]]) -> str:
-    """Return a paragraph on a model or integrator: its summary, its claims, and for each setting all values used."""
+    """Return a paragraph on a model or integrator: its summary, all values of each setting, and its claims."""
     values: dict[str, dict[str, None]] = {}
     for options in used:
         for key, value in options.items():
@@ -107,8 +109,8 @@ def _paragraph(item: Registered, used: list[dict[str, Any]]) -> str:
 
 
 def _claims(plugin: IntegratorPlugin, options: Mapping[str, Any], *, alone: bool) -> str:
-    """Return the claims of an integrator with these options. The order is included only if all runs have the same
-    options.
+    """Return the claims of an integrator with these options, as text; empty if they are not available. The order is
+    included only if it applies to all runs, because they have the same options (`alone`).
     """
     try:
         claims = plugin.claims(plugin.options.model_validate_json(json.dumps(options)))

@@ -1,4 +1,4 @@
-"""The section on the model: a drawing with names, and tables of bodies, joints, force elements, markers and
+"""The section on the model: a drawing with names, and tables of bodies, beams, joints, force elements, markers and
 parameters.
 """
 
@@ -25,8 +25,8 @@ if TYPE_CHECKING:
     from mbdkit.mechanism.mechanism import Mechanism
 
 ROWS = 200
-"""Largest number of bodies, joints or force elements in a table."""
-_TIMES = 400  # recorded times at which loads are evaluated for the drawing
+"""Largest number of rows in a table."""
+_TIMES = 400  # number of recorded times at which the drawing evaluates loads; up to twice as many may be used
 _PLACE = {"type", "bodies", "body", "reaction_body", "points", "point", "at", "from_", "to", "pathway", "law", "value"}
 _PLACE |= {"motion", "frame"}
 """Keys of elements that are not listed as options, because they give positions or are described elsewhere."""
@@ -54,8 +54,8 @@ def model_section(run: Run, mechanism: Mechanism | None) -> Section:
 
 
 def element_tables(shown: NamedPose) -> list[Table]:
-    """Return tables of the bodies, beams, joints, force elements and markers of a mechanism; empty tables are left
-    out.
+    """Return tables of the bodies, beams, joints, force elements and markers of a mechanism; only of the bodies if its
+    model is not available. Empty tables are left out.
     """
     tables = [_bodies(shown)]
     if shown.mechanism is not None:
@@ -80,7 +80,7 @@ def composition(mechanism: Mechanism) -> str:
 
 
 def drawing(shown: NamedPose) -> Illustration:
-    """Return the drawing of a mechanism, labelled with the names of its elements."""
+    """Return the drawing of a mechanism. The names of its elements are shown unless there are too many."""
     elements = shown.mechanism
     names = list(shown.drawing.links)
     if elements is not None:
@@ -229,7 +229,9 @@ def _force_details(force: Any, shown: NamedPose) -> str:
 
 
 def _options(force: Any) -> list[str]:
-    """Return the options of a spring, damper or force law that are not zero, with their units where known, as text."""
+    """Return the options of a spring, damper or force law as texts, with their units where known. Options that are zero
+    or that describe the position are left out.
+    """
     told = []
     for name in type(force).model_fields:
         value = getattr(force, name)

@@ -59,8 +59,9 @@ def write_report(
     Raises
     ------
     SpecError
-        If `path` does not exist, if `output` does not end in .html, .htm or .md, or if the page or a chart cannot be
-        written. All files are checked before the first one is written.
+        If `path` does not exist, or is a folder without a study or design; if a run has no rows; if `output` does not
+        end in .html, .htm or .md; or if the page or a chart cannot be written, for example because it exists and
+        `overwrite` is false. The paths are checked before the first file is written.
     """
     source = Path(path)
     is_folder = os.path.isdir(source)
@@ -82,8 +83,8 @@ def write_report(
         with replacing(target, overwrite=overwrite, source=source) as temporary:
             temporary.write_bytes(page.encode())
         drawn = document.verdict.figures
+        # Drawing the images is slow. It is skipped if the page is unchanged and all images exist.
         if folder is not None and not (stands and all(file.exists() for file in image_files(drawn, folder))):
-            # slow, and therefore skipped if the page is unchanged and all images exist
             write_chart_images(drawn, folder)
     return target, document.verdict
 
@@ -108,7 +109,7 @@ def _document(source: Path, workers: int) -> Iterator[ReportPage]:
 
 
 def _check_figures(folder: Path | None, overwrite: bool) -> None:
-    """Raise SpecError if the charts cannot be written."""
+    """Raise SpecError if the charts cannot be written to `folder`."""
     if folder is None:
         return
     if not os.path.lexists(folder):

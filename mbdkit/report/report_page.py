@@ -26,10 +26,22 @@ class ReportPage:
 
     Parameters
     ----------
-    title, settings, alarm
-        Heading, a line with the main settings, and a warning (empty if there is none).
+    title
+        Heading.
+    settings
+        Line with the main settings.
     verdict
         The verdict with its charts and tables.
+    methods
+        Paragraphs on the methods, with references.
+    environment
+        Table of the provenance: versions and machine.
+    reproduce, commands
+        How to reproduce the results: a sentence, and commands for a terminal.
+    spec, spec_file
+        Text of the spec, and the name of the file in which readers save it.
+    alarm
+        Warning at the top; empty if there is none.
     headline
         Labels and texts of the main results of the run, study or design, which are shown first.
     tone
@@ -38,10 +50,9 @@ class ReportPage:
         Data of the animations, as returned by `film_data`.
     failures
         Table of the failed runs with the reasons.
-    reproduce, commands, spec, spec_file
-        Instructions for reproducing the results: a sentence, commands, the spec, and the name of its file.
     sections
-        Sections above the verdict: the model, and the largest forces.
+        Further sections. Those that show results, such as the largest forces, are above the verdict; those that show
+        the input, such as the model, are below it.
     beside_verdict
         Names of the tables and charts that are shown below the claims of the verdict instead of among the others.
     """
@@ -96,7 +107,7 @@ class ReportPage:
 
     @property
     def summaries(self) -> dict[str, Table]:
-        """Tables by name of the chart, each of which is the text alternative of that chart."""
+        """The text alternative of each chart, as a table, by name of the chart."""
         return {figure.name: _summary(figure) for figure in self.verdict.figures}
 
     def html(self) -> str:
@@ -138,8 +149,8 @@ FILTERS: dict[str, Callable[..., Any]] = {
 
 
 def _summary(figure: Figure) -> Table:
-    """Return a table of the points of a chart. For charts with many points it has the ends and extremes of each
-    curve.
+    """Return a table of the points of a chart. If they are many, the table contains instead the first, last, smallest
+    and largest value of each curve.
     """
     x, y = figure.x.title, figure.y.title
     seen = [(line, figure.visible(line)) for line in figure.lines]
@@ -176,7 +187,7 @@ def charts_data(charts: Iterable[Figure]) -> dict[str, Any]:
     """Return the JSON data of charts: ``figures`` by name, and ``columns``, the arrays of numbers that the lines refer
     to by index.
 
-    Lines with the same times share a column.
+    Equal arrays, such as the times of several lines, are a single column.
     """
     columns: dict[tuple[float | None, ...], int] = {}
 

@@ -1,5 +1,5 @@
-"""Charts in the report of a run: those of forces first, those of drift last, with marks at events. Each body and joint
-has the same colour in all charts.
+"""Charts in the report of a run, with marks at events. Charts of forces come first, charts of misalignment and energy
+balance last. A joint has the same colour in all charts if there are no more joints than colours.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ DRIFT = ("misalignment", "velocity-misalignment", "angle-misalignment", "balance
 _TIME = Axis("time", "s")
 _FIRST = ("reactions", "torques", "forces", "beams")
 _OF_MOTION = ("m", "rad", "m/s", "rad/s")
-"""Units of quantities whose charts follow the trajectory."""
+"""Units of the recorded arrays whose charts come after the chart of the trajectory."""
 _OF_JOINTS = (
     "reactions",
     "torques",
@@ -97,7 +97,8 @@ def _marks(run: Run) -> tuple[Mark, ...]:
 
 
 LINES = len(PALETTE)
-"""Largest number of curves in a chart; those with the largest values are shown."""
+"""Largest number of curves in the chart of a recorded array. Of more curves, those with the largest values are drawn.
+"""
 COMPONENTS = 4
 """Largest number of joints whose force components are shown: the joints with the largest forces."""
 _POINTS = 1_000
@@ -105,7 +106,9 @@ _SIDES = (("first", "joints/reaction_force_first"), ("second", "joints/reaction_
 
 
 def component_charts(run: Run) -> list[Figure]:
-    """Return for each joint with large forces a chart of the force components in the frames of both bodies."""
+    """Return charts of the force components of the `COMPONENTS` joints with the largest forces, in the frames of both
+    bodies of each joint; empty if these components were not recorded.
+    """
     if not all(run.records(path) for _, path in _SIDES):
         return []
     time, data = np.asarray(run.time), run.dataset("joints/reaction_force")
@@ -131,8 +134,8 @@ def _components(run: Run, joint: Any, colors: dict[str, str]) -> Figure:
 
 
 def recorded_charts(run: Run, path: str) -> list[Figure]:
-    """Return the charts of a recorded array, one for each group of its columns. Charts whose values are all zero are
-    left out.
+    """Return the charts of a recorded array; empty if the run did not record it. Columns with different units have
+    different charts. Charts whose values are all zero are left out.
     """
     array = RECORDED[path]
     if not array.charts or not run.records(path):
@@ -151,8 +154,8 @@ def recorded_charts(run: Run, path: str) -> list[Figure]:
 
 
 def _lines(run: Run, path: str, names: Any, chosen: Any) -> tuple[Line, ...]:
-    """Return lines of the `chosen` columns of an array; if these are many, only those with the largest values. The
-    result is empty if all values are zero.
+    """Return lines of the `chosen` columns of an array, at most `LINES`: those with the largest values. Columns whose
+    values are all zero are left out.
     """
     columns = list(chosen)
     time, data = np.asarray(run.time), run.dataset(path)

@@ -26,8 +26,8 @@ if TYPE_CHECKING:
     from mbdkit.mechanism.mechanism import Mechanism
 
 TONES = {"good": "good", "doubtful": "warn", "bad": "alarm"}
-"""Colours of verdicts."""
-_NUMBERS = 240_000  # pose values, about 1.5 megabytes
+"""Name of the colour of the first headline (`ReportPage.tone`) for each verdict."""
+_NUMBERS = 240_000  # approximate number of pose values of the animation; they take about 1.5 megabytes
 
 
 def run_report(run: Run) -> ReportPage:
@@ -85,7 +85,7 @@ def _alarm(run: Run, ending: str) -> str:
     empty if there is none.
     """
     questioned = f"VERDICT: {run.verdict.upper()}" if run.verdict in ("doubtful", "bad") else ""
-    return ending.partition(": ")[0] or questioned  # the verdict contains the reason
+    return ending.partition(": ")[0] or questioned  # without the reason, which the section "Verdict" gives
 
 
 def environment(provenance: Mapping[str, Any], first: Mapping[str, str]) -> Table:

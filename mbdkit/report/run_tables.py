@@ -1,5 +1,5 @@
-"""Tables in the report of a run, except those of the model and of the largest forces: misalignment, contacts, errors,
-events and cost.
+"""Tables in the report of a run, except those of the model and of the largest forces: misalignment, contacts, impulses
+of the joints at impacts, errors, events and cost.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 BODIES = 50
 """Largest number of bodies in the table of errors."""
 JOINTS = 50
-"""Largest number of joints in the table."""
+"""Largest number of rows in a table of joints or contacts."""
 EVENTS = 50
 """Largest number of event crossings in the table."""
 _QUANTITIES = (
@@ -31,7 +31,7 @@ _QUANTITIES = (
 
 
 def run_tables(run: Run) -> tuple[Table, ...]:
-    """Return the tables of a run. Those of its misalignment and errors come first."""
+    """Return the tables of a run. The tables of events and of the cost come last."""
     tables = [_joints(run)] if run.joint_names else []
     if len(run.contacts):
         tables.append(_contacts(run))
@@ -45,7 +45,7 @@ def run_tables(run: Run) -> tuple[Table, ...]:
 
 
 def _events(run: Run) -> Table:
-    """Return the table of event crossings, at most the first `EVENTS`."""
+    """Return the table of the first `EVENTS` event crossings, followed by the events that never occurred."""
     specs = run.spec["events"]
     columns = columns_of("event; zero crossing of; direction; time [s]")
     rows: list[tuple[Cell, ...]] = [
@@ -85,8 +85,8 @@ def _joints(run: Run) -> Table:
 
 
 def _contacts(run: Run) -> Table:
-    """Return the table of the contacts: overlap and creep, which would be zero in exact contacts, and the largest
-    forces and impulses.
+    """Return the table of the contacts: their largest overlap and creep (slip while they stick), which would be zero in
+    exact contacts, and their largest forces and impulses.
     """
     columns = columns_of(
         "contact; between; largest overlap [m]; largest creep [m/s]; largest normal force [N]; impacts; "
@@ -145,8 +145,8 @@ def _errors(run: Run, accuracy: Accuracy) -> Table:
 
 
 def _one_node_of_each_beam(run: Run, size: np.ndarray) -> np.ndarray:
-    """Return indices of bodies in an array (B,). Of the nodes of each beam, it contains only the one with the largest
-    `size` (B,).
+    """Return the indices of the bodies. Of the nodes of each beam, only the node with the largest `size` (B,) is
+    included.
     """
     beams = run.beams.values() if has_beams(run) else ()
     names, shown = list(run.bodies), np.ones(len(size), dtype=bool)

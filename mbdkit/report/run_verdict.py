@@ -1,4 +1,4 @@
-"""The verdict on one run and its reasons: completion, misalignment of the joints, and energy balance."""
+"""The verdict on one run and its claims: trust, estimated errors, completion, misalignment, and energy balance."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ _LAWS = {
 }
 
 MOST_LAWS = 3
-"""Number of laws of growth from which on the data do not tell them apart."""
+"""The growth is not described if this many laws of growth, or more, fit the data."""
 
 
 def run_verdict(run: Run) -> Verdict:
@@ -158,7 +158,7 @@ def _growth_words(quantity: ElementQuantity, column: int) -> list[str]:
     except ValueError:  # too few rows, or not finite
         return []
     laws = [_LAWS[law] for law in growth.candidates if law in _LAWS]
-    if not 0 < len(laws) < MOST_LAWS:  # several laws say nothing
+    if not 0 < len(laws) < MOST_LAWS:  # no law fits, or too many do
         return []
     return ["and " + " or ".join([laws[0], *(law.removeprefix("it ") for law in laws[1:])])]
 
@@ -197,13 +197,13 @@ def _energy(run: Run) -> Claim:
 
 
 def _largest_energy(run: Run) -> float:
-    """Return the largest absolute value of the recorded energies [J]."""
+    """Return the largest absolute value of the potential energy, the work and the dissipated energy [J]."""
     names = ("potential", "work", "dissipated")
     return max(float(np.max(np.abs(run.dataset(f"energy/{name}")[:]), initial=0.0)) for name in names)
 
 
 def mechanism_size(run: Run) -> float:
-    """Return the size of the mechanism at the start [m]."""
+    """Return the size of the mechanism at the start [m]: the width or height of its drawing, whichever is larger."""
     drawing = draw_spec(run.spec, tuple(run.bodies))
     pose = take(run.dataset("trajectory/position"), np.array([0], dtype=np.intp))
     return float(np.max(np.ptp(drawing.world(pose)[0], axis=0), initial=0.0))

@@ -88,8 +88,8 @@ class _Measured:
 def sample_figures(study: Study) -> tuple[Figure, ...]:
     """Return the charts of a study with a sample.
 
-    There are, for each measure, a histogram, charts over the variables, and charts of the convergence of the Sobol
-    indices; and quantiles over time of the quantities in the measures, if the study stores these.
+    For each measure, they are a histogram, charts of the convergence of the Sobol indices, and charts against the
+    variables. Charts of quantiles over time follow, for the quantities in the measures that the study stores.
     """
     figures: list[Figure] = []
     for measure in _measures(study):
@@ -140,8 +140,8 @@ def sample_tables(study: Study) -> tuple[Table, ...]:
 
 
 def _measures(study: Study) -> Iterator[_Measured]:
-    """Yield the measures whose values differ between the runs of a sample. Measures that the study defines come
-    first.
+    """Yield the measures of each sample whose values differ between the runs and are known for at least `_FEWEST` runs.
+    Measures that the study defines come first.
     """
     defined = {measure.name for measure in study.spec.defined_measures()}
     quantities = sorted(asked_measures(study), key=lambda one: one.columns[0] not in defined)
@@ -174,7 +174,7 @@ def _histogram(one: _Measured) -> Figure:
 
 
 def _scatters(one: _Measured) -> Iterator[Figure]:
-    """Yield charts of a measure over the most influential variables, one point per run."""
+    """Yield charts of a measure against each of the most influential variables, with one point per run."""
     table = one.study.grid(one.group.family).table
     known = np.flatnonzero(np.isfinite(one.values))
     keys = [key for key, column in table.items() if column.dtype.kind in "fi" and np.ptp(column[known]) > 0]
@@ -231,7 +231,7 @@ def _convergence(one: _Measured) -> list[Figure]:
 
 
 def _bands(study: Study, group: SampleGroup) -> Iterator[Figure]:
-    """Yield charts over time of quantiles of the quantities in the measures."""
+    """Yield for each quantity in the measures a chart of its quantiles over time."""
     one = _Measured(study, group, Quantity(("time",), "", Axis("")), np.empty(0))
     for text in _quantities(study):
         try:
@@ -254,8 +254,8 @@ def _bands(study: Study, group: SampleGroup) -> Iterator[Figure]:
 
 
 def _quantities(study: Study) -> list[str]:
-    """Return the quantities that the measures of a study reduce to numbers; if there are none, the angle of the last
-    body.
+    """Return the quantities over time from which the measures of a study are computed; if there are none, the angle of
+    the last body.
     """
     found: dict[str, None] = {}
     for measure in study.spec.defined_measures():

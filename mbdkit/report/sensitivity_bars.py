@@ -48,8 +48,8 @@ def _name(one: Sensitivity) -> str:
 
 
 def _both(one: Sensitivity, name: str) -> str:
-    """Return the changes for an increase and a decrease of a variable, which differ at a corner of the measure, as
-    text.
+    """Return the changes of a measure for an increase and for a decrease of a variable, as text. Both are needed where
+    the slope of the measure is discontinuous.
     """
     down, up = one.corners[name]
     return f"{up:+.3g} if increased, {down:+.3g} if decreased"

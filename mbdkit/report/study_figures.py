@@ -29,7 +29,21 @@ _SPREAD = f"{TIMED} Bands reach to the upper quartile."
 
 @dataclass(frozen=True)
 class Quantity:
-    """A value of each run that is drawn: its title, its axis, and the columns with the bounds of its spread."""
+    """A number of each run that charts show.
+
+    Parameters
+    ----------
+    columns
+        Columns of the study's index; their sum is the value of the quantity.
+    title
+        Words for the titles of charts.
+    axis
+        Axis of the quantity.
+    spread
+        Columns of the index with lower and upper bounds of the values; None if there are none.
+    caption
+        Explanation below charts.
+    """
 
     columns: tuple[str, ...]
     title: str
@@ -39,7 +53,7 @@ class Quantity:
 
     @property
     def is_error(self) -> bool:
-        """Whether smaller values of the quantity cost more computing time, as errors do."""
+        """Whether the quantity is an error: smaller values cost more computing time."""
         return any(word in self.columns[0] for word in _ERRORS)
 
     def of(self, points: Sequence[StudyPoint]) -> np.ndarray:
@@ -66,8 +80,8 @@ _USUAL = ("misalignment_max", "end_error")
 
 
 def study_figures(study: Study) -> tuple[Figure, ...]:
-    """Return charts for every family of a study, of each requested measure against the numeric axes and against the
-    cost.
+    """Return the charts of every family of a study: each requested measure and the cost against the numeric axes, and
+    each measure of an error against the cost.
     """
     figures: list[Figure] = []
     for name, title in study.families.items():
@@ -93,7 +107,9 @@ def measure_columns(study: Study) -> list[tuple[Column, str]]:
 
 
 def asked_measures(study: Study) -> Iterator[Quantity]:
-    """Yield the measures that the study requests; if it requests all, the most relevant ones."""
+    """Yield the measures that the study defines, then the others that it requests. If it neither names nor defines
+    measures, yield the most relevant ones.
+    """
     asked: Any = study.spec.measures
     usual = _USUAL[:1] if study.spec.in_blocks else _USUAL  # runs in blocks have no reference run
     defined = [measure.name for measure in study.spec.defined_measures()]
@@ -135,7 +151,9 @@ def is_wide(values: np.ndarray) -> bool:
 
 
 def _against_axis(quantity: Quantity, key: str, points: Sequence[StudyPoint], family: str, title: str) -> list[Figure]:
-    """Return the chart of a quantity over an axis of the study; empty if its values are not numbers."""
+    """Return the chart of a quantity over an axis of the study; empty if the labels of the axis are not numbers, or are
+    all equal.
+    """
     labels = [point.axes[key] for point in points]
     if not all(isinstance(label, int | float) for label in labels) or len(set(labels)) < 2:
         return []
@@ -196,8 +214,8 @@ def _band(one: tuple[np.ndarray, np.ndarray], other: tuple[np.ndarray, np.ndarra
 
 
 def _lines(points: Sequence[StudyPoint], along: str) -> list[tuple[str, str, list[StudyPoint]]]:
-    """Return label, method and points of each group of runs that differ along the axis `along` only, in the order of
-    that axis.
+    """Divide runs into groups whose runs differ along the axis `along` only. Return label, method and points of each
+    group; the points are in the order of the axis.
     """
     found: dict[tuple[str, str], list[StudyPoint]] = {}
     for point in points:
@@ -224,12 +242,12 @@ _BELOW = 2.5
 
 
 def with_slope_guides(figure: Figure) -> Figure:
-    """Return a chart with a guide line for each whole order of convergence that its curves have.
+    """Return a chart with a guide line for each whole order of convergence that one of its curves has.
 
     Parameters
     ----------
     figure
-        Any chart. Guides are added only if the label of the x axis is ``step``.
+        Any chart. Guides are added only if both axes are logarithmic and the label of the x axis is ``step``.
     """
     if not (figure.x.log and figure.y.log and figure.x.label == "step"):
         return figure

@@ -39,8 +39,10 @@ _FILMS = 6
 _LISTED = 500
 """Largest number of runs of a study with a sample that the page lists."""
 _READ = 20
-"""Number of runs of a study with a sample whose specs and provenance the page shows."""
-_NUMBERS = 40_000  # pose values of each film
+"""Number of runs, evenly spaced over a study with a sample, whose specs and provenance the page shows. The first run of
+each sample is added.
+"""
+_NUMBERS = 40_000  # approximate number of pose values of each animation
 _COLUMNS = (
     (Column("largest misalignment", "m"), "misalignment_max"),
     (Column("energy balance", "J"), "energy_balance_max"),
@@ -87,7 +89,7 @@ def study_report(study: Study) -> ReportPage:
 
 
 def _again(study: Study) -> str:
-    """Return how a run is read or repeated, by its number on the page."""
+    """Return sentences that say how to read or repeat a run, given its number on the page."""
     if not study.spec.in_blocks:
         return (
             'The study\'s folder contains an archive of every run, with its spec; the command "mbdkit rerun" repeats a '
@@ -112,8 +114,8 @@ def settings(study: Study) -> str:
 
 
 def _verdict(study: Study) -> Verdict:
-    """Return the verdict of the study, with the table of all runs, and with the general charts if it has no charts of
-    its own.
+    """Return the verdict of the study with the table of its runs. A study with a sample also has the charts and tables
+    of the sample. Other studies have general charts if the verdict has no charts.
     """
     verdict = judge(study)
     figures = tuple(with_slope_guides(figure) for figure in verdict.figures)
@@ -140,7 +142,9 @@ def _read(study: Study) -> Sequence[StudyPoint]:
 
 
 def runs_table(study: Study) -> Table:
-    """Return the table of all runs of a study: their values on the axes, status, verdict, measures and cost."""
+    """Return the table of the runs of a study: their values on the axes, status, verdict, measures and cost. Of a study
+    with a sample, only the first runs are listed.
+    """
     points = _listed(study)
     units = None
     if study.spec.has_table:
@@ -192,7 +196,9 @@ def _failures(study: Study) -> Table:
 
 
 def _films(study: Study) -> Iterable[dict[str, Any]]:
-    """Yield one animation for each family: that of the run with the largest misalignment among those not rated bad."""
+    """Yield one animation for each of the first families: of the run with the largest misalignment that is not rated
+    bad or, if all are rated bad, of the run with the smallest. Studies with a sample have no animations.
+    """
     if study.spec.has_table:
         return
     for name in list(study.families)[:_FILMS]:
@@ -214,7 +220,7 @@ def _specs(study: Study) -> list[dict[str, Any]]:
 
 
 def _spec_of(point: StudyPoint) -> dict[str, Any]:
-    """Return the canonical spec of a run; if a plugin is not installed, it is read from the archive."""
+    """Return the canonical spec of a run. If a plugin is not installed, the spec is read from the archive."""
     try:
         return dict(json.loads(point.spec.canonical_json()))
     except SpecError:
@@ -225,7 +231,9 @@ def _spec_of(point: StudyPoint) -> dict[str, Any]:
 
 
 def _environment(study: Study) -> Table:
-    """Return the table of the provenance of all runs; each entry lists all distinct values."""
+    """Return the table of the provenance of the runs that `_read` selects. Each entry lists its distinct values;
+    entries that always differ between runs are left out.
+    """
     said: dict[str, dict[str, None]] = {}
     for point in (*_read(study), *study.references):
         run = study.run(point)

@@ -20,7 +20,7 @@ def render(template: str, values: Mapping[str, Any], filters: Mapping[str, Calla
     ----------
     values
         Values that the template uses. Texts among them are escaped for HTML. Control characters are escaped on the
-        whole page, which does not change the meaning of JSON.
+        whole page; this does not change the meaning of JSON.
     """
     environment = _environment()
     environment.filters.update(filters or {})

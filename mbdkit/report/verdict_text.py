@@ -43,8 +43,8 @@ def json_values(verdict: Verdict) -> dict[str, Any]:
 
 
 def markdown_text(document: ReportPage) -> str:
-    """Return a report as Markdown: its first sections, the verdict, the claims, and the headline tables. Without
-    headline tables all tables are included.
+    """Return a report as Markdown: its heading and sections, the verdict with its claims and notes, and the headline
+    tables. Without headline tables all tables of the verdict are included.
     """
     verdict = document.verdict
     parts = [f"# {markdown(document.title)}", markdown(document.settings), markdown(document.alarm)]

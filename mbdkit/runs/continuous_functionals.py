@@ -32,8 +32,9 @@ BESIDE = NODES_WITHOUT_ACCELERATIONS // 2
 
 @dataclass
 class _Ends:
-    """Ends of consecutive steps (N,): times, positions, velocities and first-order states; and the times of the
-    discontinuities before and after them.
+    """States at the ends of N consecutive steps: times, positions, velocities and first-order states.
+
+    `begin` and `end` are just after the discontinuity before these steps, and just before the one after them.
     """
 
     time: list[float] = field(default_factory=list)
@@ -52,7 +53,7 @@ class _Ends:
             own.append(np.array(given))
 
     def drop(self, count: int) -> None:
-        """Discard the first ends, which are not needed any more."""
+        """Discard the first `count` ends, which are not needed any more."""
         del self.time[:count], self.q[:count], self.v[:count], self.z[:count]
         self.done -= count
 
@@ -65,7 +66,8 @@ class ContinuousFunctionals:
     workspace
         The mechanism at its start. Accelerations and reactions are computed with pivots that the stepper does not use.
     functionals
-        The integrals, extrema and values to compute.
+        The integrals, extrema and values to compute. A functional is nested if its integrand contains others, as in
+        ``rms(x - mean(x))``.
     timetable
         The times of the run.
     uses_accelerations
@@ -264,9 +266,9 @@ def value_at(part: MotionPart, one: Functional, known: Integrals, duration: floa
 
 
 def peak_with(part: MotionPart, one: Functional, known: Integrals, duration: float, before: Peak) -> Peak:
-    """Return the extremum over a part of the motion and the motion before it; `before` is the extremum of the latter.
+    """Return the extremum over a part of the motion and all motion before it.
 
-    The time of `before` is nan if nothing precedes the part.
+    `before` is the extremum over the motion before the part; its time is nan if there is none.
     """
     sign = -1.0 if one.reduction == "min" else 1.0
     begins = math.isnan(before.time)

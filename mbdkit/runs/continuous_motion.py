@@ -25,8 +25,9 @@ from mbdkit.quantities.states import States
 from mbdkit.runs.step_interpolation import StepEnds
 
 POINTS = 8
-"""Number of nodes of Gauss-Legendre quadrature between two points of a step. Its order, 16, suffices for steps of a
-quarter of a period.
+"""Number of nodes of Gauss-Legendre quadrature in a step, or in each piece of a step that such points divide.
+
+The order of this quadrature, 16, suffices for steps of a quarter of a period.
 """
 _NODES, _WEIGHTS = (0.5 * x for x in (1.0 + leggauss(POINTS)[0], leggauss(POINTS)[1]))
 _PLACES = np.array([0.0, *_NODES, 1.0])
@@ -34,7 +35,7 @@ _PLACES = np.array([0.0, *_NODES, 1.0])
 _INNER = slice(1, -1)
 
 AT_ROOT = 1e-14
-"""Accuracy, as a share of the step, with which the points are located at which an operation changes its form."""
+"""Accuracy, as a share of the step, to which a point at which an operation changes its form is located."""
 MOST_ITERATIONS = 60
 """Largest number of iterations of this search; regula falsi with bisection needs about ten."""
 
@@ -102,8 +103,8 @@ class MotionPart:
     names
         Names of the elements.
     ends
-        The ends of these steps, with further ends on both sides if available (N,). In the columns, positions are
-        followed by first-order states, and velocities by the rates of these states.
+        The ends of these steps, with further ends on both sides if available (N,). If first-order states are
+        interpolated, their columns follow those of the positions, and their rates follow the velocities.
     steps
         The steps, as indices of their starts in `ends`.
     sides
@@ -258,7 +259,7 @@ class Sampled:
         return peaks
 
     def _refined(self, sign: float, begin: float, end: float, step: float) -> tuple[float, float] | None:
-        """Return time and value of the largest value of ``sign * x`` between two times."""
+        """Return time and value of the largest ``sign * x`` between two times; None if these are too close together."""
         if not end - begin > 2.0 * PEAK * step:
             return None
         from scipy.optimize import minimize_scalar  # takes a quarter of a second to load
@@ -319,7 +320,7 @@ def steps_of_extremum(
 ) -> tuple[np.ndarray, float]:
     """Return the indices of the steps in which an extremum may lie, and the largest value known so far.
 
-    The latter is the maximum of `best` and of the values at the ends of all steps.
+    This largest value is the maximum of `best` and of the values at the ends of all steps.
 
     Parameters
     ----------
@@ -355,10 +356,11 @@ def _beside(share: np.ndarray) -> np.ndarray:
 
 
 def _brackets(values: np.ndarray, at: _At) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Return brackets of the roots of a scalar with samples (G, P).
+    """Return brackets of the roots of a scalar with samples (G, P), one row for each step.
 
-    They are the index of the row, the shares before and after the root, and the values at these shares. If three
-    samples approach zero without a change of sign, the vertex of the parabola through them is sampled as well.
+    For each root, these are the index of the row, the shares before and after the root, and the values at these
+    shares. If three samples approach zero without a change of sign, the vertex of the parabola through them is sampled
+    as well.
     """
     a, b, c = values[:, :-2], values[:, 1:-1], values[:, 2:]
     dips = (a * b > 0.0) & (b * c > 0.0) & (np.abs(b) <= np.abs(a)) & (np.abs(b) <= np.abs(c)) & (a != c)

@@ -19,11 +19,12 @@ if TYPE_CHECKING:
     from mbdkit.spec import RunSpec
 
 MOST_STOPS = 5000
-"""Largest number of times at which steps end because of one motion: points of its table, or discontinuities."""
+"""If a motion has more points or discontinuities than this, steps do not end there, except at impacts of drivers."""
 
 ON_GRID = 1e-4
-"""A point of a table with continuous acceleration is no stop if its distance from the end of a fixed step is below this
-share of the step.
+"""A point of a table with continuous acceleration is not a stop if it is close to the end of a fixed step.
+
+Its distance from this end may be at most this share of the step.
 """
 
 QUINTIC_ORDER = 4
@@ -39,8 +40,8 @@ range.
 class Stops:
     """Times [s] at which steps end.
 
-    `margins` [s] are the uncertainties of `times`. `impacts` has the names of the drivers whose velocities are
-    discontinuous, by the time at which they are, and `samples` the times at which an output of a controller changes.
+    `margins` [s] are the uncertainties of `times`. `impacts` maps each time at which velocities of drivers are
+    discontinuous to the names of these drivers. `samples` are the times at which an output of a controller changes.
     """
 
     times: tuple[float, ...] = ()
@@ -50,10 +51,11 @@ class Stops:
 
 
 def stops_of(spec: RunSpec, *, all_knots: bool = False) -> Stops:
-    """Return the times at which the steps of a run end, apart from the fixed grid.
+    """Return the times at which steps of a run have to end, apart from the grid of fixed steps.
 
-    With `all_knots`, points of tables close to the grid are stops as well; this is needed for a run of the same
-    mechanism without this grid. Raises the errors of `RunSpec.mechanism`.
+    With `all_knots`, points of tables are stops even if they are close to this grid; this is needed for another run of
+    the mechanism, with other steps. Raises the errors of `RunSpec.mechanism`, and SpecError if a controller would be
+    sampled more often than ``limits.max_steps``.
     """
     start, end = spec.time.start, spec.time.final
     places = [(time, margin, True, "") for time, margin in _samples(spec)]
@@ -71,7 +73,7 @@ def stops_of(spec: RunSpec, *, all_knots: bool = False) -> Stops:
     for time, margin, is_sample, struck in sorted(places, key=lambda item: item[0]):
         if _is_at_end(time, margin, start, end):
             continue
-        if times and time - times[-1] <= 2.0 * (margin + margins[-1]):  # both change at the same time
+        if times and time - times[-1] <= 2.0 * (margin + margins[-1]):  # count as simultaneous
             margins[-1] = max(margins[-1], time + margin - times[-1])
         else:
             times.append(time)
@@ -101,8 +103,9 @@ def _samples(spec: RunSpec) -> Iterator[tuple[float, float]]:
 
 
 def knots_of(spec: RunSpec) -> tuple[float, ...]:
-    """Return the times of all points of tables and all discontinuities of motions and loads, including start and end of
-    the run [s].
+    """Return the times of all points of tables and all discontinuities of motions and loads in a run [s].
+
+    Those at the start and at the end of the run are included.
     """
     start, end = spec.time.start, spec.time.final
     return tuple(

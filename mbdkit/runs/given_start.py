@@ -27,8 +27,8 @@ The given values are approached in small steps, so that closed loops stay in the
 """
 MOST_ITERATIONS = 30
 MET = 1e-12
-"""Residuals of given values and joints [m, rad, m/s, rad/s] below this count as zero, relative to the largest
-coordinate or velocity.
+"""Residuals of given values and joints [m, rad, m/s, rad/s] up to this share of the largest coordinate or velocity,
+or of 1 if it is smaller, count as zero.
 """
 
 
@@ -49,7 +49,8 @@ def spec_started_at(spec: RunSpec, values: Mapping[str, float | str], starts: St
     Raises
     ------
     SpecError
-        If there is no such quantity, or if the values and the joints are inconsistent.
+        If there is no such quantity, if a value is not valid, if the values and the joints are inconsistent, if the
+        mechanism has beams, or if joints would move with the start.
     """
     mechanism = spec.mechanism()
     q, v = _GivenStart(mechanism, spec, starts).state(values)
@@ -87,7 +88,7 @@ class _GivenStart:
         self.light = free / np.sqrt(self.search.mass)
 
     def state(self, values: Mapping[str, float | str]) -> tuple[np.ndarray, np.ndarray]:
-        """Return positions and velocities (n,)."""
+        """Return positions and velocities (n,) at which joints are closed and quantities have the given `values`."""
         held: dict[str, tuple[Quantity, float]] = {}
         moving: dict[str, tuple[Quantity, float]] = {}
         for name, given in values.items():
@@ -147,7 +148,9 @@ class _GivenStart:
         return v
 
     def _rows(self, q: np.ndarray, quantities: list[Quantity]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return the dense Jacobian of joints and quantities (m + K, n), Phi (m,) and Phi_t (m,)."""
+        """Return the dense Jacobian of joints and quantities (m + K, n), the constraint functions Phi (m,), and their
+        partial derivatives with respect to time Phi_t (m,).
+        """
         phi, (row, column, value), phi_t = self.search.evaluate(q)
         rows = np.zeros((len(phi) + len(quantities), self.n))
         np.add.at(rows, (row, column), value)

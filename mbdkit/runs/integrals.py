@@ -44,7 +44,7 @@ def expressions_of(spec: RunSpec, expressions: Iterable[str] = ()) -> tuple[str,
 
 
 def functionals_of(spec: RunSpec, expressions: Iterable[str] = ()) -> tuple[Functional, ...]:
-    """Return the integrals and extrema that the measures of a run need.
+    """Return the integrals, extrema and values at given times that the measures of a run need.
 
     Parameters
     ----------
@@ -61,14 +61,14 @@ def functionals_of(spec: RunSpec, expressions: Iterable[str] = ()) -> tuple[Func
 
 
 class RunIntegrals:
-    """Integrals over time and extrema of quantities of one run.
+    """Integrals over time, extrema, and values at given times of quantities of one run.
 
     Parameters
     ----------
     workspace
         The mechanism at its start. Accelerations and reactions are computed with pivots that the stepper does not use.
     functionals
-        The integrals and extrema.
+        The integrals, extrema and values to compute.
     timetable
         The times of the run.
     suits_stiff
@@ -83,7 +83,7 @@ class RunIntegrals:
         # First-order states at the stages are not stored; if there are any, integrals use the ends of steps instead.
         has_states = bool(workspace.mechanism.states)
         others = [one for one in functionals if has_states or not one.is_of_stages]
-        #: Integrals and extrema of the motion between the ends of steps; None if there are none.
+        #: Functionals that are computed from the motion between the ends of steps; None if there are none.
         self.continuous: ContinuousFunctionals | None = None
         if others:
             self.continuous = ContinuousFunctionals(workspace, others, timetable, uses_accelerations=not suits_stiff)

@@ -53,7 +53,7 @@ from mbdkit.trust.energy_record import EnergyRecord
 _LOG = logger_of(__name__)
 
 MOST_GROUPS = 8
-"""Number of loops, each for one mechanism and method, that are stored for later batches."""
+"""Largest number of loops that are stored for later batches; each loop is for one mechanism and method."""
 
 
 @dataclass(eq=False)
@@ -263,7 +263,7 @@ class LaneRuns:
 
 
 def _with_functionals(run: FinishedRun, member: LaneMember, measures: Sequence[str]) -> FinishedRun:
-    """Return a run with the extrema and values that its measures need.
+    """Return a run to which the extrema and values that its measures need have been added.
 
     They are computed from the rows of the run, which are the ends of all steps.
     """
@@ -318,7 +318,7 @@ def _by_cost(members: Sequence[LaneMember], places: Sequence[int]) -> list[int]:
 
 
 def _stepper(first: LaneMember, workspace: Workspace) -> LaneStepper:
-    """Return the loop for runs like `first`."""
+    """Return the loop that advances runs with the mechanism and method of `first`."""
     method: Any = first.method  # a method with a loop for lanes
     if first.method.traits.tolerances:
         return ControlledLaneStepper(method, workspace)
@@ -380,9 +380,8 @@ class _Group:
             warnings = center_warnings(member.spec.mechanism(), reached[lane])
             warnings = (*member.warnings, *warnings, *(() if ranges is None else ranges.warnings()))
             counters = vars(results.counters[lane]).copy()
-            counters["factorizations"] += int(
-                member.pivots is not None
-            )  # the mechanism for which the pivots were chosen
+            # The mechanism was factorized once more when the pivots of the stage matrix were chosen.
+            counters["factorizations"] += int(member.pivots is not None)
             finished.append(self._run(member, own, recorded[lane], warnings, results.evidence[lane], counters))
         return finished
 
@@ -412,9 +411,8 @@ class _Group:
         """
         largest = np.abs(results.observed.phi).max(axis=(1, 2, 3), initial=0.0)
         smallest = np.array([min(limit.misalignment, limit.angle_misalignment) for limit in limits])
-        return np.asarray(
-            ~(largest <= smallest / 4)
-        )  # the residual of a joint with three rows is below 4 times its largest row
+        # The residual of a joint, which has at most three rows, is below 4 times that of its largest row.
+        return np.asarray(~(largest <= smallest / 4))
 
     def _recorded(
         self, members: Sequence[LaneMember], results: LaneResults, states: States

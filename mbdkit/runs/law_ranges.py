@@ -30,13 +30,14 @@ if TYPE_CHECKING:
     from mbdkit.spec import RunSpec
 
 ROUNDING = 1e-9
-"""An argument may exceed a bound by this share of the larger bound of its range."""
+"""An argument may exceed a bound by this share of the bound with the larger magnitude."""
 
 BULGE = 0.02
-"""An extreme within a step counts as outside of a bound only if its distance from the bound exceeds this share of its
-difference from the closer of the values at both ends of the step.
+"""Limit for extremes of a length or rate within a step, which are found by interpolation.
 
-A smaller distance may be an error of the cubic interpolation, which is of order 4 in the step.
+An extreme counts as outside of a bound only if it exceeds the bound by more than this share of its difference from the
+values at the ends of the step, of which the closer value counts. A smaller excess may be an error of the cubic
+interpolation, which is of order 4 in the step.
 """
 
 UNBOUNDED = ((-math.inf, math.inf),) * len(ARGUMENTS)
@@ -155,9 +156,8 @@ class LawRanges:
         if self._observer is None or not len(nodes.time):
             return
         observed = self._observer.arrays(len(nodes.time))
-        z = np.tile(
-            self._observer.workspace.mechanism.initial_states, (len(nodes.time), 1)
-        )  # lengths do not depend on first-order states
+        # The initial first-order states are sufficient, because lengths and rates do not depend on these states.
+        z = np.tile(self._observer.workspace.mechanism.initial_states, (len(nodes.time), 1))
         singular = self._observer.observe(
             np.ascontiguousarray(nodes.time),
             np.ascontiguousarray(nodes.q),
@@ -290,9 +290,10 @@ def _turning_points(cubics: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _entry(times: np.ndarray, cubics: np.ndarray, bound: float, seen: float) -> float:
-    """Return the time at which a value passes a bound, within the first step after which it is beyond the bound.
+    """Return the time at which a value first passes a bound; `seen` is a time at which it is beyond the bound.
 
-    `cubics` are the coefficients (4, N) of the values in each step.
+    Only the step that contains `seen` is searched. `times` and `cubics` are the coefficients (4, N) of time and value
+    in each step.
     """
     step = int(np.searchsorted(times[0], seen)) - 1
     if step < 0:

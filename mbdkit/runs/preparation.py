@@ -99,10 +99,17 @@ def build(spec: RunSpec, starts: Starts | None = None) -> tuple[Workspace, Assem
 
 
 def check_disk_space(spec: RunSpec, mechanism: CompiledMechanism, path: Path | None) -> None:
-    """Raise SpecError if the archive will not fit on its disk or in memory.
+    """Check that the archive will fit on its disk or in memory.
 
     The check is skipped if the number of rows is not known in advance, because wall time is limited, or because an
     adaptive method records its steps.
+
+    Raises
+    ------
+    SpecError
+        If the archive is larger than the whole disk or memory.
+    ResourceError
+        If the archive is larger than the space that is free now.
     """
     rows = rows_expected(spec)
     if rows is None or spec.limits.wall_time is not None:
@@ -125,7 +132,15 @@ def rows_expected(spec: RunSpec) -> int | None:
 
 
 def make_method(spec: RunSpec) -> Method:
-    """Create the method of a spec; raise PluginError if the plugin fails to do so."""
+    """Create the method of a spec.
+
+    Raises
+    ------
+    PluginError
+        If the plugin fails to create a method that matches its claims.
+    SpecError
+        If the method or other settings do not suit rigid contacts of the spec.
+    """
     try:
         with blaming(f"integrator {spec.integrator_item.id} failed to start"):
             method: Method = spec.integrator_plugin.create(spec.integrator)
@@ -149,7 +164,7 @@ NEEDS_TIME_STEPPING = "the treatment time-stepping needs the integrator moreau-j
 
 
 def _check_treatment(spec: RunSpec, method: Method) -> None:
-    """Raise SpecError if a method cannot integrate the rigid contacts of a spec."""
+    """Raise SpecError if the method or other settings of a spec do not suit its rigid contacts."""
     treatment, traits = spec.contact.treatment, method.traits
     if not spec.has_rigid_contacts:
         return
@@ -206,7 +221,9 @@ def timetable(
 ) -> Timetable:
     """Return the timetable of a run: start, end, steps, stops (see `stops_of`), recorded states, nodes and limits.
 
-    If the ends of all steps are needed (`ends`), the run returns after each step, unless it records all steps.
+    With `all_knots`, points of tables close to the grid are stops as well. With `nodes`, states at the stages of steps
+    are stored. With `ends`, the stepper returns after each step unless all steps are recorded, so that the states at
+    the ends of all steps are available.
     """
     stops = stops_of(spec, all_knots=all_knots)
     table = Timetable(

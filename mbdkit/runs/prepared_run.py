@@ -22,10 +22,10 @@ from mbdkit.spec.loading import RunSource, Sections
 from mbdkit.spec.varied_specs import VariedSpecs
 
 LONG = 15_000
-"""Single runs with fewer evaluations times bodies than this are computed by the vectorized loop.
+"""Runs are computed by the vectorized loop until one takes more evaluations times bodies than this.
 
-With only one lane in use, its steps take up to twice as long as those of the ordinary loop, but its preparation takes 1
-to 2 ms less.
+With a single run in the vectorized loop, the steps take up to twice as long as those of the ordinary loop, but the
+preparation takes 1 to 2 ms less.
 """
 
 

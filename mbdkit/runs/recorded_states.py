@@ -94,5 +94,5 @@ class ObservedRows:
 
     @classmethod
     def joined(cls, parts: Sequence[ObservedRows]) -> ObservedRows:
-        """Return consecutive rows as one."""
+        """Return the rows of consecutive parts as one object."""
         return cls(*(np.concatenate([getattr(part, field.name) for part in parts]) for field in fields(cls)))

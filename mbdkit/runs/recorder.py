@@ -188,7 +188,7 @@ class Recorder:
         """Return the failure of a redundant joint that is misaligned by `gap`; it names the joints that contradict this
         joint.
 
-        Joints count as redundant only if they are consistent at the start and in its neighborhood. They are then
+        Joints count as redundant only if they are consistent at the start and in positions near it. They are then
         consistent in all positions on the branch (the continuous set of positions that contains the start), unless
         drivers move them.
         """
@@ -249,9 +249,8 @@ class Recorder:
             self._start_energy = float(observed.kinetic[0] + observed.potential[0])
         states = recorded_states(self.mechanism, stretch, observed, self._start_energy, elapsed)
         self.largest = np.maximum(self.largest, states.misalignment.max(axis=0, initial=0.0))
-        peaks = np.abs(observed.phi).max(
-            axis=0, keepdims=True
-        )  # limits are given for pairs of rows; a joint has at most one pair with an angle
+        # The largest residual of each row suffices here, because a joint has at most one row with an angle.
+        peaks = np.abs(observed.phi).max(axis=0, keepdims=True)
         self.largest_angle = np.maximum(self.largest_angle, self._joints.angle_misalignment(peaks)[0])
         if len(observed.joints):
             coordinates = observed.joints[:, :, 0]
@@ -376,7 +375,7 @@ class Recorder:
         Parameters
         ----------
         worst_pairs
-            (P,) largest squared norm of each pair's Phi over the steps.
+            (P,) largest squared norm of the constraint functions Phi of each pair of rows over the steps.
         """
         if self._refused:
             return self.largest

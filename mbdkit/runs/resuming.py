@@ -80,7 +80,7 @@ def resume(part: str | Path, *, overwrite: bool = False, progress: Progress | No
         If the run cannot be continued: a file is damaged, there is no checkpoint, or another version of mbdkit or of a
         plugin wrote it. The files remain as they are.
     ResourceError
-        If the run is still in progress.
+        If the run is still in progress, or a file cannot be read, written or renamed.
     """
     with progress_bar(Path(part).stem, quiet=progress is not None or not in_notebook()) as bar:
         result = continue_run(Path(part), overwrite=overwrite, progress=progress or bar)
@@ -124,7 +124,10 @@ def final_path(part: Path) -> Path:
 
 @contextlib.contextmanager
 def _held(part: Path) -> Iterator[BinaryIO]:
-    """Lock a ``.part`` against runs that would replace it; the context variable is its bytes."""
+    """Lock a ``.part`` against runs that would replace it, and yield it as an open file.
+
+    Raises ResourceError if it cannot be read, or if a run is still writing it.
+    """
     try:
         stream = part.open("rb")
     except OSError as error:
@@ -148,7 +151,7 @@ def _replacement(part: Path) -> Path:
 
 
 def _finish_replacement(part: Path) -> None:
-    """Complete the renaming of the new file of a resumed run that was killed after renaming its checkpoint only."""
+    """Rename the new file of a resumed run if the run was killed when only the checkpoint had been renamed."""
     new = _replacement(part)
     if not new.is_file():
         return
@@ -167,7 +170,15 @@ def _refused(part: Path, why: str, *, hint: str = _ANEW) -> SpecError:
 
 
 def _renamed(part: Path, path: Path, overwrite: bool) -> Run:
-    """If a run had ended when it was killed, rename its archive to the final name; otherwise raise SpecError."""
+    """Rename the archive of a run that was killed after its end, and return the run.
+
+    Raises
+    ------
+    SpecError
+        If the run had not ended, or its archive is damaged.
+    ResourceError
+        If the archive cannot be renamed.
+    """
     with load(part) as run:
         if run.status == "running":
             spec = _same_spec(part, run.spec_json, run.run_id, run.provenance)
@@ -211,14 +222,15 @@ def _same_spec(part: Path, spec_json: str, run_id: str, then: Mapping[str, Any])
 
 
 class _Unfinished:
-    """The run that a checkpoint was written for.
+    """An unfinished run that is continued from its checkpoint.
 
     Parameters
     ----------
     path
         Final name of the archive.
     stream
-        The open file `part`, which is used to detect whether another file has replaced it in the meantime.
+        The open ``.part``, from which the rows are read. It also shows whether another file has replaced the ``.part``
+        in the meantime.
     """
 
     def __init__(self, part: Path, checkpoint: Checkpoint, path: Path, overwrite: bool, stream: BinaryIO):

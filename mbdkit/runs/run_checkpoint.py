@@ -110,7 +110,8 @@ class Continuation:
     state
         The state of the run.
     rows
-        Function that returns states and reactions of the rows before the checkpoint, for the estimate of their errors.
+        Function that returns states and reactions of the rows before the checkpoint, needed to estimate the errors of
+        the run.
     restored
         Function that is called when the state has been restored.
     """
@@ -130,7 +131,7 @@ class Continuation:
 
 
 def why_without(spec: RunSpec, method: Method) -> str:
-    """Return the reason why a run writes no checkpoints, as a clause; empty if it writes checkpoints."""
+    """Return the reason why a run cannot write checkpoints, as a clause; empty if it can."""
     if spec.is_to_be_chosen:
         return "its method or step is chosen by pilot runs, whose results are not stored"
     if method.traits.why_no_checkpoint:
@@ -166,7 +167,7 @@ class Checkpoints:
 
 
 def _kept(bundle: Any) -> dict[str, np.ndarray]:
-    """Return the working arrays of a run or method that a checkpoint contains."""
+    """Return those working arrays of a stepper or method that a checkpoint contains; `bundle` is a tuple of arrays."""
     return kept(bundle, STATE, RECORD)
 
 

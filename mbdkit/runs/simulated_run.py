@@ -123,7 +123,7 @@ class SimulatedRun:
     choice
         The method and step chosen for the requested accuracy, if any.
     functionals
-        Integrals over time and extrema that measures need.
+        Integrals over time, extrema and values at given times that measures need.
     """
 
     def __init__(
@@ -190,7 +190,7 @@ class SimulatedRun:
             "wall_s": time.perf_counter() - wall,
             "cpu_s": time.process_time() - cpu,
         }
-        if isinstance(self.stepper, Replay):  # the steps have been computed already
+        if isinstance(self.stepper, Replay):  # the steps have been computed by the pilot, before this run
             self.timings["wall_s"] += self.stepper.wall
             self.timings["cpu_s"] += self.stepper.cpu
         self.check_accuracy(told)
@@ -229,7 +229,7 @@ class SimulatedRun:
         self.failure = self.recorder.record(first, (0.0, 0.0), start=True)
 
     def start(self) -> None:
-        """Create the stepper of the method."""
+        """Create the stepper of the method, or note why this fails in `failure`."""
         final = self.choice.final if self.choice is not None else None
         if final is not None and final.is_run and not (self.table.nodes or self.table.single):
             self.stepper = Replay(final)
@@ -254,8 +254,7 @@ class SimulatedRun:
         return integrals or (ranges is not None and ranges.needs_nodes)
 
     def take_steps(self, stepper: Advancing, stretch: Stretch) -> None:
-        """Pass the states of the steps since the last call, at their ends and within them, to integrals and range
-        checks.
+        """Pass the states of the latest steps, at their ends and within them, to integrals and range checks.
         """
         steps = [] if self.watch is None else self.watch.taken_steps()
         continuous = None if self.integrals is None else self.integrals.continuous
@@ -278,7 +277,10 @@ class SimulatedRun:
 
     @contextmanager
     def _blaming_the_plugin(self) -> Iterator[None]:
-        """Convert any exception of a third-party integrator, including errors of mbdkit, into a failure of the run."""
+        """Convert any exception of a third-party integrator, including errors of mbdkit, into a failure of the run.
+
+        Exceptions of other integrators are passed on.
+        """
         try:
             yield
         except BaseException as error:
@@ -419,7 +421,7 @@ class SimulatedRun:
         self.recorder.record_impacts(() if contacts is None else contacts.impacts, of_drivers, drivers)
         mechanism = self.spec.mechanism()
         ranges = self.recorder.ranges
-        # if the run stops there, the reason of failure says so
+        # if a run stops where a law leaves its range, the reason of its failure says so
         left = () if ranges is None or ranges.stops else ranges.warnings()
         self.warnings = (*self.warnings, *center_warnings(mechanism, self.recorder.reached), *left)
         questions = doubts(self.spec, self.warnings)

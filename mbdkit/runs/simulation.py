@@ -1,4 +1,4 @@
-"""Runs a spec: builds the mechanism, integrates it in stretches of steps, and writes the archive."""
+"""Runs a spec: builds the mechanism, integrates it in stretches (some steps per call), and writes the archive."""
 
 from __future__ import annotations
 
@@ -90,8 +90,11 @@ def run(
     ------
     SpecError
         If the input is wrong or the joints cannot be assembled; no file is left behind.
+    ResourceError
+        If the archive does not fit into the free space of its disk or of memory, or cannot be written.
     PluginError
-        If a plugin fails.
+        If a plugin fails. If a third-party integrator fails in its steps, the run instead ends with the status
+        ``failed``.
 
     Examples
     --------
@@ -125,7 +128,7 @@ def simulate(
     Parameters
     ----------
     path
-        Final name of the archive; None for an archive in memory.
+        Final name of the archive; None to store the results in memory.
     overwrite
         Whether an existing archive may be replaced.
     progress
@@ -260,8 +263,8 @@ def _ended(spec: RunSpec, preparation: _Preparation, progress: Progress | None) 
 
 
 def _with_accuracy(spec: RunSpec, preparation: _Preparation, progress: Progress | None) -> SimulatedRun:
-    """Choose method and step for the requested accuracy of a spec, and run it with ever smaller steps until it is
-    reached.
+    """Choose method and step for the requested accuracy of a spec, and repeat the run with smaller steps or tolerances
+    until it reaches the accuracy.
 
     If no attempt reaches the accuracy, the best one is returned, and its verdict says so.
     """
@@ -291,7 +294,7 @@ def _with_accuracy(spec: RunSpec, preparation: _Preparation, progress: Progress 
 
 
 def _following(spec: RunSpec, workspace: Workspace, simulation: SimulatedRun, attempts: int) -> Choice | None:
-    """Return the choice for the next attempt after one that missed the accuracy; None if there is none."""
+    """Return the choice for the next attempt after one that missed the accuracy; None for no further attempt."""
     choice = simulation.choice
     assert spec.accuracy is not None
     assert choice is not None
@@ -341,7 +344,10 @@ def _log(warnings: Iterable[str]) -> None:
 
 
 def _not_noted(note: Callable[[], None]) -> AbstractContextManager[None]:
-    """Return an empty context: Ctrl-C raises KeyboardInterrupt if the rows of an interrupted run are not used."""
+    """Return a context that does nothing, for runs whose rows are useless if Ctrl-C interrupts the run.
+
+    Ctrl-C then raises KeyboardInterrupt.
+    """
     return nullcontext()
 
 

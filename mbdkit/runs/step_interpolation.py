@@ -31,7 +31,7 @@ digit is right.
 
 @dataclass(frozen=True, eq=False)
 class StepEnds:
-    """The ends of all steps of a run, or of a part between two discontinuities of motions.
+    """States at the ends of all steps of a run, or of a part of it between two discontinuities of motions.
 
     Parameters
     ----------
@@ -173,7 +173,7 @@ class StepStates:
         self.parts: list[StepEnds] = []
         for begin, end in pairwise(borders):
             part = slice(begin, end + 1)
-            seen = time[part].copy()  # accelerations are discontinuous at the stop
+            seen = time[part].copy()  # accelerations may be discontinuous at stops, so they are evaluated beside them
             seen[0], seen[-1] = cuts[begin][1] if begin in cuts else seen[0], cuts[end][0] if end in cuts else seen[-1]
             out = observer.arrays(len(seen))
             ends = np.ascontiguousarray(q[part]), np.ascontiguousarray(v[part])
@@ -187,7 +187,7 @@ class StepStates:
                 break
 
     def at(self, times: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return positions and velocities at times (T,) [s], in order; nan where there are none."""
+        """Return positions and velocities at times (T,) [s], in order; nan at times for which no states are known."""
         q, v = np.full((2, len(times), self.width), np.nan)
         begin = 0
         for part in self.parts:

@@ -185,7 +185,7 @@ def angles_in_degrees(spec: RunSpec) -> Iterator[str]:
 
 
 def _angles(value: object, path: Path, *, is_angle: bool = False) -> Iterator[tuple[Path, float | str]]:
-    """Return the key path and the number or text of each option of a model that is an angle in radians."""
+    """Yield the key path and the number or text of each option of a model that is an angle in radians."""
     if isinstance(value, int | float | str):  # compared first, because tests for abstract classes are slow
         if is_angle:
             yield path, value
@@ -206,7 +206,7 @@ def _angles(value: object, path: Path, *, is_angle: bool = False) -> Iterator[tu
 
 
 def _is_flat(values: Sequence[object]) -> bool:
-    """Return whether a sequence consists of numbers."""
+    """Return whether a sequence consists of floats."""
     return all(type(value) is float for value in values)
 
 

@@ -1,6 +1,7 @@
 """Specs of runs, studies and designs: reading from YAML, TOML, JSON, a dict or a Mechanism, and strict validation.
 
-A module is imported when one of its names is first used: a run needs no model of a study or of a design.
+A module is imported when one of its names is first used, so that a run does not import the specs of studies and
+designs.
 """
 
 from typing import TYPE_CHECKING

@@ -1,7 +1,6 @@
-"""The parts of specs that depend on plugins: models and integrators by `name`, and a class of elements for each force
-law.
+"""The parts of specs that depend on plugins: models, integrators, and a class of elements for each force law.
 
-A model or integrator is a discriminated union of the options of the installed plugins.
+The field of a model or integrator is the union of the options of all installed plugins, discriminated by `name`.
 """
 
 from __future__ import annotations

@@ -20,7 +20,7 @@ from mbdkit.spec.study_loading import base_source, document_of
 
 
 def load_design_spec(source: Any, assignments: Iterable[str] = (), **sections: Any) -> DesignSpec:
-    """Load and validate a design spec and the specs of its scenarios, and return it.
+    """Load and validate a design spec and the specs of its scenarios, and return the design spec.
 
     Parameters
     ----------

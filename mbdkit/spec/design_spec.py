@@ -36,7 +36,10 @@ GOAL = "goal"
 
 
 class _WithUnit(Section):
-    """Base class of sections whose numbers may have units that fit each other; specs of runs check them by key."""
+    """Base class of sections whose numbers may have units, which must fit each other.
+
+    Whether a unit fits the key that a number sets is checked by the spec of the run.
+    """
 
     _unit: Unit | None = PrivateAttr(default=None)
 
@@ -147,8 +150,8 @@ class Scenario(Section):
     """One of several situations in which a design is used, such as walking and standing up."""
 
     base: Base | None = None
-    """The spec of its run, or of inverse dynamics: the name of a packaged example, a file, or a mapping; by default,
-    the `base` at the top level of the design."""
+    """The spec of a run or of inverse dynamics for this situation: the name of a packaged example, a file, or a
+    mapping; by default, the `base` at the top level of the design."""
     overrides: Overrides = Field(default_factory=dict)
     """Dotted keys to set in the base."""
     weight: Positive = 1.0
@@ -193,7 +196,7 @@ class EvolutionStrategy(Section):
     population: Annotated[int, Field(ge=3)] | None = None
     """Population size (number of members of a generation); by default 4 + 3 log(n) for n variables."""
     spread: Annotated[float, Field(gt=0, le=1)] = 0.25
-    """Standard deviation of the first generation around the start, as a share of the bounds."""
+    """Standard deviation of the first generation around the start, as a share of the distance between the bounds."""
     seed: Annotated[int, Field(ge=0)] = 0
     """Seed of its random numbers."""
     tolerance: Positive = 1e-9
@@ -277,8 +280,8 @@ class DesignSpec(StrictSpec):
     second goal and of the third one; the first goal is minimised for all combinations of these limits."""
     compare: dict[str, Annotated[Overrides, AfterValidator(_check_comparison)]] = Field(default_factory=dict)
     """Other settings of the runs, each under a name of your choice, with which the optimisation is repeated, such as
-    another integrator or step: `{coarse: {time.step: 0.1}}`. Their best points are then evaluated with the settings of
-    the design."""
+    another integrator or step: `{coarse: {time.step: 0.1}}`. The best point for each of these settings is then
+    evaluated with the settings of the design."""
 
     _specs: dict[str, RunSpec | InverseSpec] = PrivateAttr(default_factory=dict)
     _compared_specs: dict[str, dict[str, RunSpec | InverseSpec]] = PrivateAttr(default_factory=dict)

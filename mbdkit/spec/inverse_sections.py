@@ -1,4 +1,4 @@
-"""Sections of a spec of inverse dynamics: the measured motion, its smoothing, loads, actuators and the time."""
+"""Sections of a spec of inverse dynamics: measured motion and its smoothing, loads, actuators, muscles and time."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ class ColumnOfTable(Section):
     unit: str | None = None
     """Unit of the numbers, such as deg or mm; SI units (m, rad, N, N m) by default."""
     scale: Annotated[float, Field(allow_inf_nan=False)] = 1.0
-    """Factor of the numbers, such as -1 for an angle that is counted in the other direction."""
+    """Factor by which the numbers are multiplied, such as -1 for an angle that is counted in the other direction."""
     deviation: Positive | None = None
     """Standard deviation of the noise, in the unit of the column. By default, the noise of columns of the motion is
     estimated from the residuals, and columns of loads count as exact."""
@@ -157,7 +157,7 @@ Smoothing = Annotated[
 
 
 class Gaps(Section):
-    """How gaps in columns, cells that are empty or NaN, are bridged."""
+    """How gaps in columns (cells that are empty or NaN) are bridged."""
 
     longest: Positive
     """Longest time between the samples on both sides of a gap [s]; a longer gap is refused."""
@@ -206,7 +206,7 @@ def _one_source(section: Any, *, required: bool) -> None:
 
 
 class MeasuredMotion(Section):
-    """The measured motion: a table, and which of its columns are which quantities of the mechanism.
+    """The measured motion: a table, and the quantities of the mechanism that its columns contain.
 
     Quantities are JOINT.angle (relative angle, or travel of a slide), BODY.x, BODY.y, BODY.angle, MARKER.x and
     MARKER.y; where a name is not unique, joints.NAME.angle, bodies.NAME.angle and so on. Coordinates that the model
@@ -225,11 +225,11 @@ class MeasuredMotion(Section):
     columns: dict[str, Observed] | None = None
     """The column of each observed quantity; by default, all columns whose headings are such quantities."""
     smooth: Smoothing = NoSmoothing()
-    """Smoothing of the independent coordinates, and the derivatives; a name, or a name and its options."""
+    """How the independent coordinates are smoothed and differentiated: a name, or a name and its options."""
     gaps: Gaps | None = None
     """How gaps are bridged; by default, they are refused."""
     errors: ErrorBars | Literal["none"] = ErrorBars()
-    """How the errors of the results are estimated; `none` leaves them unknown and saves the time."""
+    """How the errors of the results are estimated; `none` leaves them unknown and saves the time of the estimate."""
 
     @model_validator(mode="after")
     def _complete(self) -> MeasuredMotion:
@@ -255,11 +255,11 @@ class Load(Section):
     data: Data | None = None
     """Columns by heading, as an alternative to `file`."""
     time: Times | None = None
-    """Column with the times. By default, it is that of the motion if both use the same table, and otherwise `time`."""
+    """Column with the times; by default, that of the motion if the load is in the same table, otherwise `time`."""
     force: tuple[Column, Column] | None = None
     """Columns of the force (x, y) on the body, in the global frame; a number is a constant component [N]."""
     point: tuple[Column, Column] | None = None
-    """Columns of its point of application, or numbers [m]; by default, the body's centre of mass."""
+    """Columns of the point at which the force acts, or numbers [m]; by default, the body's centre of mass."""
     point_frame: Named = GROUND
     """Body in whose frame the point is given; by default, the global frame."""
     torque: Column | None = None
@@ -295,7 +295,8 @@ class Actuator(Section):
     ABSENT_BY_DEFAULT: ClassVar[tuple[str, ...]] = ("joint", "bodies", "points", "body", "coordinate")
 
     joint: Named | None = None
-    """Joint on whose relative angle or travel the actuator acts, with a torque or force on the second body."""
+    """Joint on whose relative angle or travel the actuator acts. Its value is the torque or force on the second
+    body."""
     bodies: BodyPair | None = None
     """The two bodies between which the actuator acts, as an alternative to `joint`. With `points`, the value of the
     actuator is a tension that pulls the points together. Otherwise, it is a torque on the second body, positive
@@ -307,8 +308,8 @@ class Actuator(Section):
     coordinate: Literal["x", "y", "angle"] | None = None
     """Coordinate of `body`: a force at its centre of mass along a global axis, or a torque."""
     weight: Positive = 1.0
-    """Where there are more actuators than degrees of freedom, the sum of (weight * value)^2 is minimised; torques are
-    divided by the characteristic length of the mechanism."""
+    """Weight of the value of the actuator. If there are more actuators than degrees of freedom, the sum of
+    (weight * value)^2 is minimised; torques are divided by the characteristic length of the mechanism."""
 
     @model_validator(mode="after")
     def _complete(self) -> Actuator:
@@ -326,10 +327,10 @@ class Actuator(Section):
 
 
 class MuscleDeviations(Section):
-    """How well properties of the muscles are known: standard deviations of their logarithms.
+    """How well properties of the muscles are known.
 
-    These are about the relative standard deviations of the properties. Each property of each muscle varies
-    independently.
+    The numbers are standard deviations of the logarithms of the properties, which are about the relative standard
+    deviations of the properties. Each property of each muscle varies independently.
     """
 
     max_force: Annotated[float, Field(ge=0, le=1)] = 0.0
@@ -353,9 +354,9 @@ class MuscleDeviations(Section):
 class Recruitment(Section):
     """How muscles share the moments of actuators.
 
-    In each frame, the sum of ``(activation / weight)^exponent`` over the muscles, and of ``(reserve / its optimal
-    force)^exponent``, is minimised. Muscles and reserves together exert the moment of each actuator that a muscle acts
-    on.
+    In each frame, the sum of ``(activation / weight)^exponent`` over the muscles and of ``(reserve / its optimal
+    force)^exponent`` over the reserves is minimised. Muscles and reserves together exert the moment of each actuator
+    that a muscle acts on.
     """
 
     ABSENT_BY_DEFAULT: ClassVar[tuple[str, ...]] = ("deviations",)

@@ -59,14 +59,15 @@ class InverseSpec(ModelSpec):
     """Measured loads by name, such as the force of the ground on a foot."""
     actuators: Annotated[dict[str, Actuator], AfterValidator(_named)] = Field(default_factory=dict)
     """Actuators by name; by default, one for each observed relative angle or travel. Bodies that no joint connects to
-    the ground have residual actuators in addition: root.x, root.y and root.angle, or those of the model's names."""
+    the ground have residual actuators in addition: root.x, root.y and root.angle, or actuators with the names that the
+    model gives to these coordinates."""
     recruitment: Recruitment | None = None
     """How the muscles of the model share the moments of the actuators; without it, muscles exert no force."""
     unbalanced: Literal["refuse", "report"] = "refuse"
-    """Whether actuators that cannot produce the motion are refused, or chosen by least squares of the generalized
-    forces that they leave unbalanced, which are reported."""
+    """What happens if the actuators cannot produce the motion: `refuse` makes this an error; `report` chooses their
+    values so that the sum of squares of the unbalanced generalized forces is smallest, and reports these forces."""
     accept: list[Criterion] = Field(default_factory=list)
-    """Criteria of the verdict on the data that are not applied, because what they find is known and intended."""
+    """Criteria that the verdict on the data does not apply, because what they find is known and intended."""
     time: Span = Span()
     """The part of the motion that is used."""
     measures: RunMeasures = Field(default_factory=dict)
@@ -113,7 +114,7 @@ class InverseSpec(ModelSpec):
 
     @property
     def folder(self) -> Path:
-        """Folder to which names of files are relative: that of the spec, or else the current folder."""
+        """Folder to which names of files are relative: the folder of the spec, or else the current folder."""
         return Path() if self._document is None else self._document.folder
 
     def defined_measures(self) -> tuple[DefinedMeasure, ...]:

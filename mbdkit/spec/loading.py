@@ -1,4 +1,7 @@
-"""Loads specs of runs and of inverse dynamics from files, examples, mappings and mechanisms; defines their types."""
+"""Loads specs of runs and of inverse dynamics from files, examples, mappings and mechanisms.
+
+This module also defines the types of these sources.
+"""
 
 from __future__ import annotations
 
@@ -157,7 +160,8 @@ def read_source(source: Any) -> Document:
         fields, omitted = type(source).model_fields, source.ABSENT_BY_DEFAULT
         default = {name: info.get_default(call_default_factory=True) for name, info in fields.items()}
         values = source.sections()
-        # Keys that a copy omits by default: `check: false` in a copy is not a choice of the user, unlike in a file.
+        # A copy omits keys that may be absent and have their default values: unlike in a file, `check: false` in a copy
+        # is not a choice of the user.
         kept = {name: value for name, value in values.items() if name not in omitted or value != default[name]}
         return Document(kept, folder=Path() if source._document is None else source._document.folder)
     if isinstance(source, Mapping):

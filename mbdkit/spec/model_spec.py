@@ -102,7 +102,7 @@ class StrictSpec(Section):
         """Return the spec as canonical JSON: with defaults, sorted option keys and the shortest form of each number.
 
         Expressions in place of numbers are not evaluated. Names given by the user (bodies, joints, forces) are not
-        sorted, because their order is that of the archive's arrays.
+        sorted, because the arrays of the archive have their order.
         """
         text: str = self._private["_canonical"]
         if not text:  # cached, because the model is frozen
@@ -137,8 +137,8 @@ class ModelSpec(StrictSpec):
     title: Annotated[str, Field(max_length=LONGEST_TITLE)] = ""
     """Title of the run, free text."""
     parameters: dict[str, float | str] = Field(default_factory=dict)
-    """Named numbers. Any number of the model may be an expression of them, such as `0.5*crank`, and so may motions,
-    events and, in any order, other parameters. Angles may be written as `degrees(45)`."""
+    """Named numbers. Expressions of them, such as `0.5*crank`, may replace any number of the model; motions, events and
+    other parameters, in any order, may contain them too. Angles may be written as `degrees(45)`."""
     model: Annotated[BaseModel, Choice("model")]
     """The model: its name and its parameters."""
 
@@ -194,7 +194,8 @@ class ModelSpec(StrictSpec):
         Raises
         ------
         SpecError
-            If the parameters do not define a valid mechanism, or if an event refers to an unknown quantity.
+            If the parameters do not define a valid mechanism, or if another section does not fit the mechanism, such as
+            an event that refers to an unknown quantity.
         PluginError
             If the model plugin fails.
         """

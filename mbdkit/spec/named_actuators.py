@@ -1,5 +1,7 @@
-"""The actuators of a spec: those it lists, by default one for each observed joint, and residual actuators of free
-roots.
+"""The actuators of a spec of inverse dynamics: those it lists, by default one for each observed joint, and residuals.
+
+Residual actuators act on *free roots*: the first body of each part of the mechanism that no joint connects to the
+ground.
 """
 
 from __future__ import annotations
@@ -89,7 +91,7 @@ def reserves_of(asked: Recruitment, actuators: Sequence[NamedActuator]) -> list[
     Raises
     ------
     SpecError
-        If a reserve is given for an actuator that does not exist.
+        If a reserve is given for an actuator that does not exist, or for a residual actuator.
     """
     own = {one.name: index for index, one in enumerate(actuators) if not one.is_residual}
     optimal = asked.reserves if isinstance(asked.reserves, dict) else dict.fromkeys(own, asked.reserves)
@@ -184,7 +186,8 @@ def _coordinate_of_actuator(name: str, names: QuantityNames) -> Quantity:
 def _residuals(names: QuantityNames) -> list[NamedActuator]:
     """Return residual actuators for the first body of each part of the mechanism that no joint connects to the ground.
 
-    They act on the coordinates that the model defines for this body, or else on those of its centre of mass.
+    They act on the coordinates that the model defines for this body or, unless it defines all of them, on the
+    coordinates of the centre of mass.
     """
     mechanism = names.mechanism
     roots = free_roots(mechanism)

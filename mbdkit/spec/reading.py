@@ -103,15 +103,16 @@ def read_file(path: FilePath) -> Document:
 
 
 def _content(path: FilePath) -> bytes:
-    """Return the content of a file or pipe, such as that of ``<(command)`` in a shell; at most the largest allowed
-    size.
+    """Return the content of a file, or of a pipe such as that of ``<(command)`` in a shell.
+
+    Content that exceeds the largest allowed size is cut just behind this size.
     """
     first = b""
     waits_not = getattr(os, "O_NONBLOCK", 0)
     with open(path, "rb", opener=lambda name, flags: os.open(name, flags | waits_not)) as stream:
         if stat.S_ISFIFO(os.fstat(stream.fileno()).st_mode):
             select.select([stream], [], [], PATIENCE)
-            # a program has opened the pipe, but has not written anything so far
+            # BlockingIOError: a program has opened the pipe, but has not written anything so far
             with contextlib.suppress(BlockingIOError):
                 first = os.read(stream.fileno(), 1)
                 if not first:
@@ -161,7 +162,10 @@ def read_text(text: str, file: str, suffix: str = ".yaml") -> Document:
 
 
 _SEPARATORS = {".json": ",:[{", ".toml": ",=[{."}
-"""Characters of which at least one occurs per value in a document; in YAML, in ordinary documents."""
+"""Characters by which the values of a document are counted: there is at least one of them for each value.
+
+In YAML, the characters are commas and line breaks, and this is true for ordinary documents only.
+"""
 
 
 def _check_size(text: str, suffix: str, file: str) -> None:

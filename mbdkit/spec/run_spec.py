@@ -128,24 +128,25 @@ class RunSpec(ModelSpec):
     measures: RunMeasures = Field(default_factory=dict)
     """Measures by name: numbers that expressions, such as `max(abs(joints.B.force))`, or plugins take from the run."""
     gradients: list[str] = Field(default_factory=list, max_length=50)
-    """Parameters by which all measures are differentiated at the end of the run: names of `parameters`, or key paths of
-    numbers such as `model.bodies.rod.mass`."""
+    """Parameters with respect to which all measures are differentiated at the end of the run: names of `parameters`, or
+    key paths of numbers such as `model.bodies.rod.mass`."""
     limits: Limits = Limits()
     """Limits that stop the run early."""
     check: bool = False
     """Estimate the errors of the recorded results by comparison runs, which take about ten times as long as the run."""
     accuracy: Annotated[float, Field(ge=SMALLEST_ACCURACY, le=LARGEST_ACCURACY)] | None = None
-    """Accuracy of positions over the whole run, as a share of the mechanism's size. Pilot runs choose the method, or
-    the step or tolerance of the given integrator, and an estimate of the errors confirms it: from the pilot runs if
-    they suffice, otherwise, and with `check`, from comparison runs."""
+    """Accuracy of positions over the whole run, as a share of the mechanism's size. Trial runs (pilot runs) choose the
+    method, or only the step or tolerance of the given integrator. An estimate of the errors then confirms the choice:
+    from the pilot runs if they suffice and `check` is false, otherwise from comparison runs."""
     choose: Literal["method", "step", "nothing"] | None = None
-    """What is chosen for `accuracy`: `method` and step (the default if `integrator` is omitted); only the `step` or the
-    tolerance of `integrator`, starting from a given one (the default otherwise); or `nothing`: the spec is run
-    unchanged, and the verdict says whether the accuracy is reached. The spec in an archive contains the method and step
-    that were chosen, with `choose: nothing`."""
+    """What is chosen for `accuracy`. `method`: the method and its step (the default if `integrator` is omitted).
+    `step`: only the step or the tolerance of `integrator`, starting from a given one (the default otherwise).
+    `nothing`: the spec is run unchanged, and the verdict says whether the accuracy is reached. The spec in an archive
+    contains the method and step that were chosen, with `choose: nothing`."""
     impacts: Literal["refuse", "allow"] = "refuse"
-    """Whether the velocity of a driver may be discontinuous: `refuse` reports it as an error of the motion; `allow`
-    changes velocities there by the smallest impulse that satisfies the constraints, whose work is recorded."""
+    """Whether the velocity of a driver may be discontinuous: `refuse` reports a discontinuity as an error of the
+    motion; `allow` changes velocities at a discontinuity by the smallest impulse that satisfies the constraints, and
+    records the work of the impulse."""
     contact: ContactTreatment = ContactTreatment()
     """How contacts act."""
 
@@ -231,7 +232,7 @@ class RunSpec(ModelSpec):
 
     @property
     def estimates_errors(self) -> bool:
-        """Whether the errors of the recorded rows are estimated."""
+        """Whether the errors of the recorded states are estimated."""
         return self.check or self.accuracy is not None
 
     @property

@@ -25,7 +25,7 @@ _NORMAL = {"mean": "loc", "std": "scale"}
 """Parameters of `normal`, which scipy.stats calls norm."""
 _LOCATION = ("loc", "scale")
 _SLOW = ("ksone", "kstwo")
-"""Distributions whose quantiles take milliseconds each, although scipy.stats implements them by formulas."""
+"""Distributions that samples cannot have, because each quantile takes milliseconds in spite of a formula for it."""
 
 
 def check_distribution(given: Any) -> Any:
@@ -120,7 +120,8 @@ def _in_si(values: Mapping[str, Any]) -> tuple[dict[str, Any], Unit | None]:
     Raises
     ------
     SpecError
-        If only one of location and scale has a unit, or if their units are of different kinds.
+        If only one of location and scale (or of two limits) has a unit, if their units are of different kinds, or if a
+        shape parameter has a unit.
     """
     numbers, units = dict(values), {}  # type: dict[str, Any], dict[str, Unit]
     for key, value in values.items():
@@ -137,7 +138,7 @@ def _in_si(values: Mapping[str, Any]) -> tuple[dict[str, Any], Unit | None]:
 
 
 def typical_values(given: Any) -> list[float]:
-    """Return the finite ones of lower limit, mean and upper limit of a valid distribution."""
+    """Return lower limit, mean and upper limit of a valid distribution, without those that are not finite."""
     distribution = frozen(given)
     with np.errstate(all="ignore"):
         low, high = distribution.support()
@@ -255,7 +256,7 @@ class Sample(Section):
     """
 
     n: Annotated[int, BeforeValidator(whole), Field(ge=1, le=1_000_000)]
-    """Number of members of the sample. The Sobol sequence is balanced if it is a power of 2."""
+    """Number of members of the sample. The Sobol sequence is balanced if this number is a power of 2."""
     method: Literal["sobol", "halton", "latin-hypercube", "random"] = "sobol"
     """How the members are chosen: the scrambled Sobol or Halton sequence, Latin hypercube, or random numbers. Except
     with `latin-hypercube`, a larger `n` adds members and keeps the others."""

@@ -90,8 +90,8 @@ def _allow_expressions(schema: dict[str, Any]) -> None:
 
 
 def allow_units(schema: dict[str, Any], *sections: str) -> dict[str, Any]:
-    """Allow units for numbers of keys whose descriptions name a unit, and for some `sections`; allow % for all other
-    numbers.
+    """Allow units for numbers of keys whose descriptions name a unit, and for all numbers of the classes of sections
+    with the names `sections`; allow % for all other numbers.
     """
     for name, part in [("", schema), *schema.get("$defs", {}).items()]:
         for info in part.get("properties", {}).values():

@@ -1,4 +1,4 @@
-"""Sections of a run spec that do not depend on plugins: time, output, events, limits and stabilization."""
+"""Sections of a run spec that do not depend on plugins: contact, time, output, events, limits and stabilization."""
 
 from __future__ import annotations
 
@@ -43,10 +43,10 @@ class ContactTreatment(Section):
     """How contacts of the mechanism act in the run."""
 
     treatment: Literal["compliant", "event-driven", "time-stepping"] = "compliant"
-    """`compliant`: the bodies overlap by a little, and `compliance` of a contact determines the force; by every method.
-    `event-driven`: rigid bodies, whose impacts and changes between sticking, slipping and separation are located; by
-    explicit methods with fixed steps. `time-stepping`: rigid bodies, whose velocities may jump in every step; by
-    `moreau-jean` or `nonsmooth-generalized-alpha`."""
+    """`compliant`: the bodies overlap by a little, and `compliance` of a contact determines the force; for every
+    method. `event-driven`: rigid bodies, whose impacts and changes between sticking, slipping and separation are
+    located; for explicit methods with fixed steps. `time-stepping`: rigid bodies, whose velocities may jump in every
+    step; for `moreau-jean` and `nonsmooth-generalized-alpha`."""
     impact_law: Literal["newton", "poisson"] = "newton"
     """Law of impacts with `event-driven`: `restitution` of a contact is a ratio of velocities (`newton`) or of impulses
     (`poisson`)."""
@@ -66,7 +66,7 @@ class Time(Section):
     start: float = 0.0
     """Start time [s]."""
     end: float | None = None
-    """End time [s]; the last step ends exactly here."""
+    """End time [s]; the last step ends exactly at this time."""
     steps: Count | None = None
     """Number of steps of length `step`, instead of `end`."""
     step: Positive | None = None
@@ -239,7 +239,9 @@ class Baumgarte(Section):
 
 
 class Projection(Section):
-    """Projection of positions and velocities onto the constraints after a step, closest in the mass norm."""
+    """Projection of positions and velocities after a step to the closest ones, in the mass norm, that satisfy the
+    constraints.
+    """
 
     name: Literal["projection"]
     every: Count = 1

@@ -25,7 +25,7 @@ StudySource: TypeAlias = str | FilePath | Mapping[str, object] | StudySpec
 
 
 def load_study_spec(source: Any, assignments: Iterable[str] = ()) -> StudySpec:
-    """Load and validate a study spec; each base becomes a mapping.
+    """Load and validate a study spec; the name or file of each base is replaced by the content, a mapping.
 
     Parameters
     ----------
@@ -78,8 +78,9 @@ def load_study_spec(source: Any, assignments: Iterable[str] = ()) -> StudySpec:
 
 
 def _override(document: Document, assignment: str) -> None:
-    """Set a key of the sample, or a key of the base of every run; the latter in the overrides of the study and its
-    families.
+    """Set a key of the sample, or a key of the base of every run.
+
+    A key of the bases is set in the `overrides` of the study, and in those of each family that has any.
     """
     path, value = read_assignment(assignment)
     if path[0] == "sample":  # not a key of runs

@@ -22,12 +22,16 @@ from mbdkit.registry.catalogue import Registered, named_options
 from mbdkit.registry.manager import registry
 
 REFERENCE, SECOND_RUN = "reference", "second run"
-"""What a built-in measure may need in addition to the run; measures with a second run are computed only if listed."""
+"""What a built-in measure may need in addition to the run.
+
+Measures that need a second run are computed only if a study lists them.
+"""
 
 
 def built_in_measures() -> Mapping[str, str]:
-    """Return the names of the built-in measures, each with what it needs in addition to the run; an empty text for
-    most.
+    """Return what each built-in measure needs in addition to the run, by its name.
+
+    The values are `REFERENCE`, `SECOND_RUN`, or an empty text for measures that need nothing else.
     """
     known: Mapping[str, str] = higher_layers.built_in_measures()
     return known

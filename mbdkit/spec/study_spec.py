@@ -65,7 +65,7 @@ def _check_axis(axis: dict[str, Any]) -> dict[str, Any]:
 
 
 def _check_axes(axes: tuple[dict[str, Any], ...]) -> tuple[dict[str, Any], ...]:
-    taken: dict[Path, tuple[str, int]] = {}  # keys, with the sections that contain them
+    taken: dict[Path, tuple[str, int]] = {}  # key and axis by the path of the key, and by that of each section above it
     names: dict[str, int] = {}
     for number, axis in enumerate(axes):
         for name, values in axis.items():
@@ -132,7 +132,8 @@ class Family(Section):
     reference: Reference | None = None
     """Dotted keys to set in the spec of a run to obtain its reference run; `none` for no reference."""
     repeats: Repeats | None = None
-    """Number of timings of each run. If there are several, runs are timed one after another when all have been made."""
+    """Number of times that each run is timed. If it is above 1, the runs are timed one after another after all of them
+    have been made."""
 
 
 class Members(Section):
@@ -181,7 +182,8 @@ class StudySpec(StrictSpec):
     reference: Reference = "none"
     """Dotted keys to set in the spec of a run to obtain its reference run; `none` for no reference."""
     repeats: Repeats = 1
-    """Number of timings of each run. If there are several, runs are timed one after another when all have been made."""
+    """Number of times that each run is timed. If it is above 1, the runs are timed one after another after all of them
+    have been made."""
     measures: Measures = "all"
     """Measures to compute for each run, in addition to counters and times. `all` selects the built-in measures that are
     computed from the archive, but not the reversibility defects and the velocity misalignment over every step, which
@@ -249,7 +251,9 @@ class StudySpec(StrictSpec):
         return self
 
     def _check_sample(self) -> None:
-        """Check that no axis sets a variable of the sample, or a part of such a variable."""
+        """Raise SpecError if the table of members does not have a row for each run of the sample, or if an axis sets a
+        variable of the sample or a part of it.
+        """
         if self.sample is None:
             return
         if self.members is not None and self.members.runs != self.sample.runs:
@@ -261,7 +265,7 @@ class StudySpec(StrictSpec):
 
     @property
     def has_table(self) -> bool:
-        """Whether the values that distinguish the runs are in a table, that of `members` or that of a sample."""
+        """Whether the values that distinguish the runs are in a table, because of `members` or `sample`."""
         return self.members is not None or self.sample is not None
 
     @property
@@ -271,7 +275,7 @@ class StudySpec(StrictSpec):
 
     @property
     def needs_files(self) -> str:
-        """Names of the keys that require a file for each run, as text; empty if none is set."""
+        """A phrase that names a key or measure for which each run needs a file; empty if there is none."""
         families = self.families.values()
         if any(
             reference not in ("none", None)
@@ -287,7 +291,7 @@ class StudySpec(StrictSpec):
         return self if store == self.store else self._changed("store", store)
 
     def with_members(self, members: Members | None) -> StudySpec:
-        """Return this spec with another table of members, which will be read from its folder."""
+        """Return this spec with another table of members, which is read from the folder of the study when needed."""
         spec = self._changed("members", members)
         spec._columns = None
         return spec
@@ -318,7 +322,7 @@ class StudySpec(StrictSpec):
         Raises
         ------
         SpecError
-            If a measure of a base is not valid, or has the name of another measure.
+            If a measure of a base is not valid, or has the name of a measure with another definition.
         """
         found = {measure.name: measure for measure in defined(self.measures, ("measures",))}
         for measure in self._measures_of_bases():

@@ -29,7 +29,7 @@ LABELLED = ("label", "value", "set", "if_installed")
 """Keys of a value with a label; either `value` or `set` is required."""
 FORMS = "a list of values, {geomspace: [first, last, number]} or {linspace: [first, last, number]}"
 
-#: Significant digits of spaced numbers; rounding makes them identical on all machines.
+#: Significant digits to which spaced numbers are rounded, so that they are identical on all machines.
 DIGITS = 12
 _DISTRIBUTION = re.compile(r"[A-Za-z0-9](?:[A-Za-z0-9._-]*[A-Za-z0-9])?")
 LONGEST_LABEL = 60

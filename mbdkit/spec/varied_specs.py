@@ -16,9 +16,9 @@ from mbdkit.spec.run_spec import RunSpec
 class VariedSpecs:
     """Makes run specs from a base by setting values in it.
 
-    If the values are parameters of the model, only the model is validated again, because no other section of a valid
-    spec depends on them. For other values, and if the model refuses a value, the whole spec is validated, and the
-    errors of this validation are raised.
+    If the values are options of the model, only the model is validated again, because no other section of a valid spec
+    depends on them. The whole spec is validated for other values, if the model refuses a value, and if the spec has
+    `parameters`, expressions or `accuracy`. Errors are raised by the validation of the whole spec.
 
     Parameters
     ----------

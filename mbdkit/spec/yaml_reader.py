@@ -263,7 +263,7 @@ def _depth(data: Any) -> int:
 
 
 def resolved(text: str) -> Any:
-    """Return the value of a scalar without quotes and tag."""
+    """Return the value of a scalar that has neither quotes nor a tag."""
     if text in CONSTANTS:
         return CONSTANTS[text]
     if text[0] not in "+-.0123456789":

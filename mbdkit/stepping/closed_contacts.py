@@ -9,7 +9,11 @@ from mbdkit.stepping.rigid_contacts import RigidContacts
 
 
 class ClosedSystem:
-    """Joints and closed contacts as one system of constraints; see `mbdkit.engine.nearest_state.ConstrainedSystem`."""
+    """Joints and closed contacts as one system of constraints; see `mbdkit.engine.nearest_state.ConstrainedSystem`.
+
+    The positions satisfy one constraint for each closed contact: its gap is zero. The velocities satisfy another one
+    for each contact that sticks: its slip is zero.
+    """
 
     def __init__(self, contacts: RigidContacts, modes: np.ndarray):
         self.contacts, self.p = contacts, contacts.p

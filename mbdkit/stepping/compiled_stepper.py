@@ -1,4 +1,4 @@
-"""Runs compiled methods from Python: calls the step loop, collects rows, chooses new pivots, and handles failures."""
+"""Runs compiled methods: calls the step loop, collects recorded states, chooses new pivots, and handles failures."""
 
 from __future__ import annotations
 
@@ -141,7 +141,7 @@ class CompiledStepper:
         self.inserted: list[float] = []
         self.sampler = Sampler(workspace)
         self._samples = frozenset(timetable.samples)
-        # the start has these states already, but the sampler needs the delayed outputs
+        # The initial states include the first sample already; this call stores its outputs, which may be delayed.
         if workspace.mechanism.controllers:
             self.sampler.passed(workspace.t0, workspace.q0, workspace.v0, workspace.mechanism.initial_states)
         self.last_step: StepTaken | None = None
@@ -151,7 +151,7 @@ class CompiledStepper:
         self._drive(self._plan, 0)  # compiles or loads the step loop before the first step is timed
 
     def _drive(self, plan: PinnedBundle, budget: int) -> tuple[int, int]:
-        """Attempt up to `budget` steps of a plan in compiled code; return (status, rows)."""
+        """Attempt up to `budget` steps of a plan in compiled code; return the status and the number of rows written."""
         method = self.method
         status, rows = step_loop.drive(
             self._pinned_state.address, method.pinned.address, method.attempt.address, self._dense, plan.address, budget
@@ -159,7 +159,7 @@ class CompiledStepper:
         return int(status), int(rows)
 
     def _drive_extended(self) -> tuple[int, int]:
-        """Attempt one step with an increased limit of iterations, and restore the limit afterwards."""
+        """Attempt one step with an increased limit of iterations; restore the limit if the step is accepted."""
         accepted = self._accepted
         status, rows = self._drive(self._plan, 1)
         if self._accepted > accepted or self._is_pending:
@@ -368,7 +368,7 @@ class CompiledStepper:
         interval.values[:] = next(then for now, then in before if now is interval.values)
         progress.pending[0] = 0
         progress.time[0] = step.time(theta)
-        # the last row lies inside the step; its interval has been written
+        # A row recorded earlier in the step contains all counts so far, so that a new interval begins.
         if np.any(self._row_times < step.time(theta)):
             interval.values[:] = 0.0
         if theta > 0.0:
@@ -379,7 +379,7 @@ class CompiledStepper:
         return self.last_state()
 
     def stop_at(self, t: float) -> None:
-        """End a step at a time [s] that lies after the last stop passed."""
+        """Let a step end at time `t` [s], which must be later than the last stop that the run has passed."""
         table, margin = self.timetable, margin_of_stops(self.timetable)
         place = bisect(table.stops, t)
         self.inserted.append(t)
@@ -431,7 +431,11 @@ class CompiledStepper:
         return float(self.run_state.progress.tried_size[0])
 
     def _handle(self, status: int) -> None:
-        """React to a failed step: choose new pivots once per step, try a smaller step, or set `failure`."""
+        """React to a failed step: prepare another attempt, or set `failure`.
+
+        The next attempt uses new pivots, a more robust solution of the stages, more iterations, or a smaller step, as
+        far as the method supports it.
+        """
         if status in (FELL_APART, ENERGY_JUMP):
             known = self.run_state.guards, self.worst_pairs
             limits = self.timetable.guards.energy_jump, self.plan.limits
@@ -480,7 +484,7 @@ class CompiledStepper:
         first, and the next call of the step loop repeats the attempt. Also, the pivots may belong to a stage matrix of
         the method rather than to the workspace.
 
-        Raises SingularSystemError.
+        Raises SingularSystemError if a matrix is singular.
         """
         if status == step_loop.TOO_SMALL:
             return False
@@ -515,7 +519,7 @@ class CompiledStepper:
 
     def _stiffness(self) -> str:
         """Return a clause that names muscle fibres too stiff for large steps of explicit methods; empty if there are
-        none.
+        none, or the method is implicit.
         """
         name = self.workspace.mechanism.stiffest_muscle
         if not name or self.method.carries_stages:

@@ -1,4 +1,4 @@
-"""Linear complementarity problems by Lemke's method, and those of planar Coulomb friction."""
+"""Linear complementarity problems, solved by Lemke's method, and forces of contacts with planar Coulomb friction."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ def complementary(matrix: np.ndarray, right: np.ndarray) -> tuple[np.ndarray, np
     -------
     z, is_basic
         (n,) solution, and (n,) whether z_i, rather than w_i, is in the basis. None is returned in place of both if the
-        method ends on a ray without a solution.
+        method ends on a ray without a solution, or takes too many steps.
     """
     n = len(right)
     if n == 0 or np.min(right) >= 0.0:
@@ -80,8 +80,11 @@ class Pushed(NamedTuple):
     ----------
     normal, tangent
         (k,) forces.
-    is_closed, is_slipping
-        (k,) whether the normal force is a basic variable of the solution, and whether friction is at its limit.
+    is_closed
+        (k,) whether the contact is closed: its normal force is a basic variable of the solution by Lemke's method, or
+        positive after sweeps.
+    is_slipping
+        (k,) whether friction is at its limit.
     residual
         Error of the velocities of the contacts, relative to the largest velocity without these forces.
     """
@@ -204,8 +207,8 @@ def coupled_by_bodies(bodies: np.ndarray, gradients: np.ndarray, lightness: np.n
 SWEEPS = 500
 """Largest number of sweeps over the contacts."""
 PRECISION, ACCEPTED = 1e-8, 1e-2
-"""Limits of the relative change of velocities in a sweep. Sweeps end at `PRECISION`; if their number is used up before,
-the result is accepted up to `ACCEPTED`.
+"""Limits of the relative change of velocities in a sweep. Sweeps end at `PRECISION`; if they do not reach it, the
+result is accepted if the last change is at most `ACCEPTED`.
 
 Changes are relative to the largest velocity without impulses. If more contacts are closed than are needed, sweeps move
 forces between them ever more slowly.
@@ -255,6 +258,10 @@ def stronge(response: np.ndarray, before: np.ndarray, friction: float, e: float)
         (2, 2) matrix that maps impulses to velocities, normal component first.
     before
         (2,) normal and tangential velocity before the impact; the normal one is negative.
+    friction
+        Coefficient of friction.
+    e
+        Coefficient of restitution.
     """
     v, p, tangential, work, goal = before.astype(float), 0.0, 0.0, 0.0, np.inf
     for _ in range(8):  # slip ends at most once, and so does compression

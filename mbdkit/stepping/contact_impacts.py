@@ -1,4 +1,4 @@
-"""Impacts of rigid contacts: impulses by the laws of Newton, Poisson and Stronge, and of Coulomb."""
+"""Impacts of rigid contacts: impulses by the laws of Newton, Poisson or Stronge, with Coulomb friction."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ from mbdkit.stepping.complementarity import coulomb, stronge
 from mbdkit.stepping.rigid_contacts import RigidContacts
 
 SMALL_RESTITUTION = 1e-3
-"""Coefficient of restitution below which an impact of several contacts is computed without restitution if it would
-otherwise gain energy.
+"""If an impact would gain energy, the coefficients of restitution are reduced in steps of 10 %; values up to this are
+set to 0.
 """
 
 
@@ -45,6 +45,11 @@ def struck(
         (C,) coefficients of restitution.
     law
         ``newton`` or ``poisson``.
+
+    Raises
+    ------
+    StepError
+        ``contact-solver`` if no impulses satisfy the law.
     """
     some, rows = np.flatnonzero(touching), contacts.kinematics.rows(q, v)
     response, both = contacts.response(t, q, rows, some)

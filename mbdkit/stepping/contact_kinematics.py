@@ -187,7 +187,7 @@ class ContactKinematics:
     def gaps(self, q: np.ndarray, within: float = 0.0) -> np.ndarray:
         """Return the gaps (C,) of all contacts at a position [m].
 
-        Gaps above both `within` and `reach` may be replaced by lower bounds that are above them, too.
+        For a gap above both `within` and `reach`, the result may be a lower bound that is above both, too.
         """
         if len(self._first) <= FEW:
             return self.rows(q, 0.0 * q).gap

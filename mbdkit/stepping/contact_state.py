@@ -13,7 +13,7 @@ from mbdkit.engine.compiled_mechanism import CompiledMechanism
 from mbdkit.engine.contact_forces import HELD, held_coordinates
 
 SOLVED = 1e-6
-"""Relative error of the velocities of contacts up to which the solution is not remarked upon."""
+"""`ContactState.remarks` mentions relative errors of the velocities of contacts that are larger than this."""
 
 
 class ContactImpact(NamedTuple):
@@ -45,11 +45,12 @@ class ContactState:
         All impacts so far.
     energy
         Largest kinetic energy so far [J].
-    cut, changed
-        Names of contacts whose infinite sequence of impacts was cut short, and of those at which a law of impact other
-        than the chosen one was used.
+    cut
+        Names of contacts whose infinite sequence of impacts was cut short.
+    changed
+        Names of contacts at which a law of impact other than the chosen one was used.
     cut_time
-        Time at which the first of these sequences was cut short [s].
+        Time at which a sequence of impacts was first cut short [s].
     time
         Time at which the step ended [s]; before its planned end if there was an event.
     event
@@ -95,8 +96,8 @@ class ContactState:
         return replace(self, modes=np.zeros(0, dtype=int), accelerations=())
 
     def remarks(self) -> tuple[str, ...]:
-        """Return sentences about sequences of impacts that were cut short, and about impacts computed with another law
-        than the chosen one.
+        """Return sentences about sequences of impacts that were cut short, about impacts computed with another law than
+        the chosen one, and about inaccurate velocities of contacts.
         """
         found = []
         if self.cut:

@@ -1,6 +1,6 @@
 """Diagonally implicit Runge-Kutta methods on the index-1 equations: stages are solved one after the other.
 
-Stage i, in second-order form, with A the lower triangular matrix of the tableau:
+With the step size h, the lower triangular matrix A and the nodes c of the tableau, stage i in second-order form is
 
     v_i = v_n + h sum_{j<=i} A_ij a_j,        q_i = q_n + h c_i v_n + h^2 sum_{j<=i} (A A)_ij a_j,
     a_i = f(t_i, q_i, v_i)
@@ -11,7 +11,8 @@ system for the changes of ``a_i`` and of the multipliers,
     [ M + h g C + h^2 g^2 K                               Phi_q^T ] [ da   ]     [ M a + Phi_q^T lambda - Q ]
     [ Phi_q - h g gamma_v + h^2 g^2 (Phi_q a - gamma)_q   0       ] [ dlam ] = - [ Phi_q a - gamma          ]
 
-where the derivatives are those at the current iterate. An explicit stage, g = 0, takes one evaluation. This scheme is
+where M is the mass matrix, C, K and gamma_v are the tangents of `mbdkit.engine.equations_of_motion.Tangents`, and all
+derivatives are those at the current iterate. An explicit stage, g = 0, takes one evaluation. This scheme is
 needed for tableaus whose matrix cannot be diagonalised, such as that of a singly diagonally implicit method, which has
 only one eigenvalue and one eigenvector; see Hairer and Wanner (1996), IV.6.
 """
@@ -85,9 +86,9 @@ class DiagonallyImplicit(StepMethod):
     def _solved(self, equations: EquationsOfMotion, t: float, q: np.ndarray, v: np.ndarray, rate: float) -> Solved:
         """Return acceleration and multipliers of a stage whose state is ``q + rate^2 a``, ``v + rate a``.
 
-        The iteration starts from free flight: the acceleration of an earlier stage under a stiff force can lead to
-        another solution of the stage equations, far beyond the step. The iteration ends when the change is within the
-        tolerance, is round-off, or no longer decreases.
+        The iteration starts from zero acceleration. With a stiff force, it could converge from the acceleration of an
+        earlier stage to another solution of the stage equations, which is far from the motion. The iteration ends when
+        the change is within the tolerance, is round-off, or no longer decreases.
         """
         a, lam = np.zeros(equations.n), np.zeros(equations.m)
         before = np.inf

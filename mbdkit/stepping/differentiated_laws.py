@@ -27,7 +27,8 @@ class DifferentiatedLaws:
     mechanism
         The mechanism.
     values
-        (N, 1 + K) parameters of all laws, with their derivatives, as stored by the last evaluation.
+        (N, 1 + K) parameters of all laws, with their derivatives with respect to K parameters of the model, as stored
+        by the last evaluation.
 
     Raises
     ------

@@ -205,7 +205,19 @@ class DifferentiatedSteps:
 
 
 class DifferentiatedStepper(CompiledStepper):
-    """Runs a compiled method with fixed or controlled step size, and differentiates every step."""
+    """Runs a compiled method with fixed or controlled step size, and differentiates every step.
+
+    Parameters
+    ----------
+    method, workspace, timetable, control
+        See `CompiledStepper`.
+    seeds
+        Derivatives of mechanism and start with respect to parameters.
+    with_nodes
+        Whether stages are stored as quadrature nodes.
+    sizes
+        Sizes of the steps [s], if given; the error estimate then rejects no step. Ignored without step-size control.
+    """
 
     def __init__(
         self,

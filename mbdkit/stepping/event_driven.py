@@ -30,7 +30,7 @@ from mbdkit.stepping.rigid_contacts import Forced, KnownContacts, RigidContacts
 MOST_EVENTS = 1000
 """The run stops after this many consecutive events without a complete step."""
 SAMPLES = 8
-"""Number of states in a step at which the event functions are evaluated."""
+"""Number of states after the start of a step, the last one at its end, at which event functions are evaluated."""
 SAME_INSTANT = 4e-16
 """Times that differ by less than this, in seconds or relative to their size, are equal."""
 SAME = 1e-10
@@ -69,7 +69,7 @@ class EventDriven(StepMethod):
     tableau
         The method between events.
     treatment
-        Settings of the run.
+        Treatment of contacts in the run.
     """
 
     def __init__(self, tableau: ButcherTableau, treatment: Treatment):
@@ -98,7 +98,15 @@ class EventDriven(StepMethod):
 
 
 def with_contact_forces(workspace: Workspace) -> Workspace:
-    """Return a workspace that starts with the contact forces and modes of the initial state."""
+    """Return a workspace that starts with the contact forces and modes of the initial state.
+
+    Raises
+    ------
+    SpecError
+        If the mechanism has first-order states that do not belong to contacts.
+    StepError
+        If no modes or forces of the contacts are possible.
+    """
     mechanism = workspace.mechanism
     top, held = mechanism.topology, HeldForces(mechanism)
     if others := held.others(mechanism):
@@ -165,7 +173,7 @@ class _Step:
         self.state = replace(self.state, energy=max(self.state.energy, now))
 
     def _modes_at_rest(self) -> np.ndarray:
-        """Return the modes at the start; contacts that are closed and approach each other have an impact first."""
+        """Return the modes at the start or after a stop; if touching shapes approach each other, they collide first."""
         rows = self.contacts.kinematics.rows(self.now.q, self.now.v)
         touching = rows.gap <= SAME * self.length
         if np.any(touching & (rows.normal @ self.now.v < -SAME * self.speed)):
@@ -271,8 +279,8 @@ class _Step:
     def _values(self, at: _Point) -> np.ndarray:
         """Return three event functions of each contact (3, C), which are negative after an event.
 
-        They belong to the normal direction (gap or force), to friction (slip or remaining friction force), and to the
-        place on the edge of a polygon.
+        They belong to the normal direction (gap or force), to friction (slip, or how far the friction force is from its
+        limit), and to the place on the edge of a polygon.
         """
         forced = self._forced(at)
         is_open, slips = self.modes == OPEN, np.abs(self.modes) == SLIP
@@ -313,7 +321,7 @@ class _Step:
                 and self.modes[contact] == STICK
                 and np.array_equal(self._decided(there, self.modes != OPEN), self.modes)
             ):
-                continue  # contact stays closed with another distribution of the forces of redundant contacts
+                continue  # no event: redundant contacts can share the forces differently, and all modes persist
             own = values[:, kind, contact]
             after = 1 + int(np.argmax(own[1:] < -small[kind, contact]))
             before = int(np.argmax(own[:after]))
@@ -455,7 +463,7 @@ class _Step:
         again. The sequence may belong to one contact or to several in turn, as for a rocking block.
 
         Returns the ends of these sequences, as impacts without impulses; their times are infinite for contacts that did
-        not approach.
+        not approach or have no restitution.
         """
         forced, contacts, now = self._forced(self.now), self.contacts, self.now
         rows = forced.rows
@@ -476,9 +484,9 @@ class _Step:
     def _tail_change(self, rests: np.ndarray, slips: np.ndarray) -> np.ndarray:
         """Return the change of the velocities (n,) by which contacts at rest replace a sequence of impacts.
 
-        Until the sequence ends, a contact at rest exerts the normal impulse of the sequence and in addition that which
-        stops the separation. The change removes the latter, with its friction: without this, the slip after the
-        sequence would have an error of the first order in the velocity of separation.
+        Until the sequence ends, a contact at rest exerts the normal impulse of the sequence and, in addition, the
+        impulse that stops the separation. The change removes the additional impulse, with its friction: otherwise the
+        slip after the sequence would have an error of the first order in the velocity of separation.
 
         Parameters
         ----------

@@ -1,9 +1,9 @@
 """The nonsmooth generalized-alpha method: order 2 without contacts, and contacts as in the method of Moreau and Jean.
 
-A step first ignores contacts: the generalized-alpha method of Chung and Hulbert gives positions q and velocities v~ at
-its end from accelerations that satisfy the equations of motion there,
+A step first ignores contacts: the generalized-alpha method of Chung and Hulbert gives positions q~ and velocities v~
+at its end from accelerations that satisfy the equations of motion there,
 
-    (1 - alpha_m) a_1 + alpha_m a_0 = (1 - alpha_f) w_1 + alpha_f w_0,    w_1 the accelerations at (t_1, q_1, v~_1)
+    (1 - alpha_m) a_1 + alpha_m a_0 = (1 - alpha_f) w_1 + alpha_f w_0,    w_1 the accelerations at (t_1, q~_1, v~_1)
     v~_1 = v_0 + h ((1 - gamma) a_0 + gamma a_1)
     q~_1 = q_0 + h v_0 + h^2 ((1/2 - beta) a_0 + beta a_1)
 
@@ -59,7 +59,7 @@ class GeneralizedAlphaSteps(TimeStepping):
         q0, v0 = state.q, state.v
         w, multipliers = p.accelerations(t, q0, v0)
         a0, w0 = accelerations or (w, w)
-        # derivatives of a_0 and a_1 with respect to w_1, and of velocities and positions
+        # derivatives with respect to w_1: of a_0 (begin), of a_1 (end), of the velocities and positions at the end
         begin, end = 0.0, (1.0 - self.alpha_f) / (1.0 - self.alpha_m)
         if not accelerations:
             begin, end = self.ahead, 1.0 + self.ahead

@@ -66,8 +66,8 @@ class LaneResults:
     worst: np.ndarray
     """(W, P) largest squared misalignments."""
     iterations: np.ndarray
-    """(W, T, 2) iterations since the previous recorded state, and the largest number of iterations in one of these
-    steps.
+    """(W, T, 2) iterations since the previous recorded state, and the largest number of iterations in one of the
+    steps since then.
     """
     rows: np.ndarray
     """(W,) number of recorded states of each run."""
@@ -99,7 +99,7 @@ class AtStart(Protocol):
 
 
 def topology_of(mechanism: CompiledMechanism) -> tuple[object, ...]:
-    """Return a key that is equal for mechanisms that differ only in numbers.
+    """Return a key that is equal for mechanisms with the same names that differ only in floating-point numbers.
 
     Runs of mechanisms with equal keys can be advanced together in lanes.
     """
@@ -139,7 +139,10 @@ method.
 
 
 class LaneStepper:
-    """Advances up to `WIDTH` runs with fixed steps, whose topology and method are those of the first run."""
+    """Advances up to `WIDTH` runs with fixed steps and the same method.
+
+    `topology_of` must be equal for the mechanisms of all runs.
+    """
 
     def __init__(
         self,
@@ -314,7 +317,10 @@ def _rows_by_interval(table: Timetable) -> int:
 
 
 class ControlledLaneStepper(LaneStepper):
-    """Advances up to `WIDTH` runs with controlled step size, whose topology and method are those of the first run."""
+    """Advances up to `WIDTH` runs with controlled step size and the same method.
+
+    `topology_of` must be equal for the mechanisms of all runs.
+    """
 
     def __init__(self, method: ExplicitRungeKutta, workspace: Workspace):
         super().__init__(method, workspace, FEW_ROWS)

@@ -31,7 +31,7 @@ POLYGONS = ("inside", "edge")
 
 
 class Feature(NamedTuple):
-    """One feature, as a contact of a smooth kind; see `ContactPair` for the arguments."""
+    """One feature, as a contact of a smooth kind; see `ContactPair` for the attributes."""
 
     kind: tuple[str, int]
     bodies: tuple[int, int]
@@ -114,7 +114,7 @@ class _Outlines:
 
 
 class _Seen(NamedTuple):
-    """The frames of k bodies in those of others: turns (k, 2, 2), transposed, and origins (k, 1, 2)."""
+    """Frames of k bodies relative to frames of k others: transposed rotations (k, 2, 2), and origins (k, 1, 2)."""
 
     turns: np.ndarray
     origins: np.ndarray
@@ -184,7 +184,7 @@ class RoundsAndPolygons:
         return _distances(seen.points(self.centers[:, None])[:, 0], centers) - radii - self.radii
 
     def margin(self, states: np.ndarray, pair: int, row: int, feature: int) -> float:
-        """Return the distance of a contact, a row of a pair, from the end of a feature [m]; negative beyond it."""
+        """Return the distance [m] of contact `row` of a pair from the nearer end of its feature; negative beyond it."""
         which = np.array([pair])
         along = self._places(states, which)[1][0]
         left = self.outlines.lengths[pair] - along
@@ -247,7 +247,7 @@ class TwoPolygons:
         return _distances(seen.points(second[:, None])[:, 0], first) - radii - others
 
     def margin(self, states: np.ndarray, pair: int, row: int, feature: int) -> float:
-        """Return the distance of a contact, a row of a pair, from the end of a feature [m]; negative beyond it."""
+        """Return the distance [m] of contact `row` of a pair from the nearer end of its feature; negative beyond it."""
         one, other, corner, which = self.first, self.second, row, np.array([pair])
         if row >= other.corners.shape[1]:
             one, other, corner = other, one, row - other.corners.shape[1]
@@ -262,8 +262,9 @@ ShapePairs = RoundsAndPolygons | TwoPolygons
 
 
 def shape_pairs(contacts: Sequence[ActingContact], exact: float) -> list[ShapePairs]:
-    """Return the pairs of shapes that include a polygon, those with equal numbers of corners together; lengths below
-    `exact` count as zero [m].
+    """Return the pairs of shapes that include a polygon; pairs with equal numbers of corners are in one object.
+
+    A corner still acts up to a distance `exact` [m] beyond the end of an edge.
     """
     alike: dict[tuple[str, int, int], list[list[int]]] = {}
     polygons = [i for i, one in enumerate(contacts) if one.pair.kind[0] in POLYGONS]

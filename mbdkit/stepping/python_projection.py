@@ -28,8 +28,9 @@ Vector = np.ndarray | float
 class Taken:
     """A step with its projection.
 
-    The state from which the step of the method starts, the state in which it ends (both before projection), and the
-    state after projection. `correction` (4,) is a row of ``Stretch.corrections`` (`mbdkit.stepping.interface.Stretch`).
+    The state from which the step of the method starts (displaced if the projection is symmetric), the state in which
+    this step ends, and the state after projection. `correction` (4,) is a row of ``Stretch.corrections``
+    (`mbdkit.stepping.interface.Stretch`).
     """
 
     begin: StepState

@@ -42,8 +42,10 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class Interval:
-    """Statistics since the last recorded row: number of steps, size of the last step [s], iterations, and corrections
-    (4,) as in `Stretch`.
+    """Statistics since the last recorded row.
+
+    Number of steps, size of the last step [s], number of iterations, largest number of iterations in a step, and
+    corrections (4,) as in `Stretch`.
     """
 
     steps: int = 0
@@ -375,7 +377,8 @@ class PythonStepper:
     def _own_step(self, t: float, state: StepState, h: float) -> StepState:
         """Take a step of the method, check its result, and return the result with copies of its arrays.
 
-        Raises StepError. Other exceptions, except exits and errors of mbdkit, are reported as errors of the method.
+        StepError and ordinary exceptions of the method are passed on. Other errors of mbdkit, and exits, become
+        RuntimeError. An invalid result raises TypeError or ValueError; multipliers that overflow raise StepError.
         """
         name, equations = type(self.method).__name__, self.equations
         protect(state)

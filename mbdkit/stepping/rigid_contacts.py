@@ -149,6 +149,11 @@ class RigidContacts:
             (2, k) impulses that may be close to the result, normal ones first.
         precision
             See `mbdkit.stepping.complementarity.swept`.
+
+        Raises
+        ------
+        StepError
+            ``contact-solver`` if no solution is found.
         """
         normal, tangent = rows.rates(free)
         normal = normal + more

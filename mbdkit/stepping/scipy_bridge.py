@@ -104,7 +104,7 @@ class SciPyStepper:
         self.y = y0
         workspace.clamp_motions(*timetable.sides(0))
         self._start_solver(timetable.start)
-        self._since = np.zeros(6)  # steps, -, -, iterations, most iterations, rejected since the last row
+        self._since = np.zeros(6)  # since the last row: steps, -, last size, iterations, most iterations, rejected
         self._stabilized = workspace.stabilization.kind == "baumgarte"
         self._pull = 0.0  # largest Baumgarte term since the last row
         self._next = 1
@@ -175,7 +175,7 @@ class SciPyStepper:
         return self.failure is None
 
     def rates(self, t: float, y: np.ndarray) -> np.ndarray:
-        """Return dy/dt; raises `_StoppedError` if the mechanism is singular."""
+        """Return dy/dt, nan if it is not finite; raises `_StoppedError` if the mechanism is singular."""
         self.counters.rhs_evaluations += 1
         self.counters.factorizations += 1
         self._times.append(t)
@@ -468,9 +468,8 @@ class SciPyStepper:
             return rows
         dense = None
         begins_at_impact = self._passed > 0 and table.stops[self._passed - 1] in table.impacts
-        earliest = (
-            table.sides(self._passed)[0] if begins_at_impact else -math.inf
-        )  # the row at a stop shows the right-hand limit
+        # A row at a stop with an impact shows the right-hand limit.
+        earliest = table.sides(self._passed)[0] if begins_at_impact else -math.inf
         inner = math.ceil((table.end - table.start) / table.interval - 1e-9)  # the end is always recorded
         while self._next < inner and (at := table.start + self._next * table.interval) <= self.time:
             if dense is None:

@@ -33,7 +33,7 @@ COMPILED: dict[str, Callable[[Any, Workspace, Control | None], CompiledMethod]] 
     "partitioned": lambda method, workspace, control: CompiledLobattoPair(method, workspace),
     "taylor": lambda method, workspace, control: CompiledTaylor(method, workspace),
 }
-"""For each family, the compiled method; all have the same stepper."""
+"""For each family of compiled methods, the function that prepares a method; `CompiledStepper` runs all of them."""
 
 IN_PYTHON: dict[str, Callable[[Any, Workspace, Timetable], Stepper]] = {
     "diagonally-implicit": lambda method, *run: PythonStepper(DiagonallyImplicit(method), *run),
@@ -44,7 +44,7 @@ IN_PYTHON: dict[str, Callable[[Any, Workspace, Timetable], Stepper]] = {
         GeneralizedAlphaSteps(method.spectral_radius), *run
     ),
 }
-"""For each family whose steps are taken in Python, the stepper."""
+"""For each family whose steps are taken in Python, the function that creates the stepper."""
 
 
 class NoDerivativeError(MbdkitError, ValueError):
@@ -102,6 +102,8 @@ def start_method(method: Method, workspace: Workspace, timetable: Timetable) -> 
         If the equations of the first step are singular.
     mbdkit.methods.tableau.TableauError
         If a tableau cannot be used with the formulation of the workspace.
+    mbdkit.base.errors.UnsupportedMechanismError
+        If the method does not support the mechanism.
     """
     family = method.traits.family
     treatment = workspace.mechanism.contact_treatment

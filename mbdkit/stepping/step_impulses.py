@@ -108,12 +108,13 @@ class StepImpulses:
         return after, memory, -0.5 * h * float(np.sum(forces * rows.rates(self.v + after)))
 
     def _still_pressed(self, gaps: np.ndarray, some: np.ndarray) -> np.ndarray:
-        """Return the indices of contacts that were pressed in the last step and are at rest, by the gaps (C,) at the
-        end of the step without impulses, of which those of the contacts `some` close.
+        """Return the indices of contacts that were pressed in the last step and are at rest.
 
-        Bodies that lie on each other fall together in this step, so that tiny gaps between them stay open. Without
-        impulses there, the upper bodies would fall onto the lower ones, which the floor stops, and a pile would never
-        come to rest. With them, these gaps may close at the end of the step.
+        Both arguments refer to the end of the step without impulses: `gaps` (C,) of all contacts, and the indices
+        `some` of contacts that are closed then. Bodies that lie on each other fall together in this step, so that tiny
+        gaps between them stay open. Without impulses at these gaps, the upper bodies would fall onto the lower ones,
+        which the floor stops, and a pile would never come to rest. With them, these gaps may close at the end of the
+        step.
         """
         rows = self.contacts.kinematics.rows(self.smooth.middle, self.v, some)
         fallen = self.h * float(np.max(self._gained(rows)))
@@ -135,7 +136,7 @@ class StepImpulses:
             friction = np.where(sticks, contacts.static[some], contacts.kinetic[some])
             solved = _Impact(contacts, rows, some, friction, v, smooth.v, smooth.solve, guess, closing[some]).solved()
             after, found, _ = solved
-            # with more contacts, the order of impacts has larger effects, and this search takes long
+            # With many contacts, the following search takes long, and the order of impacts has larger effects anyway.
             if len(some) > MANY:
                 return some, rows, solved
             more = self._pressed(after, some)
@@ -188,7 +189,7 @@ class StepImpulses:
 
 
 _Solved = tuple[np.ndarray, Pushed, list[str]]
-"""Velocities after impulses, the impulses, and the names of contacts with another law of impact."""
+"""Velocities after impulses, the impulses, and the names of contacts at which another law of impact was used."""
 
 
 @dataclass(frozen=True)
@@ -198,7 +199,7 @@ class _Impact:
     Attributes
     ----------
     contacts, rows, some
-        All contacts, and the rows and indices of those that would overlap.
+        All contacts, and the rows and indices of the k contacts with impulses.
     friction
         (k,) coefficients of friction.
     v, free
@@ -220,9 +221,9 @@ class _Impact:
     closing: np.ndarray
 
     def solved(self) -> _Solved:
-        """Return velocities after the impulses, the impulses, and the names of contacts with another law of impact.
+        """Return velocities after the impulses, the impulses, and the contacts at which another law of impact was used.
 
-        As in `RigidContacts.struck`, no impact gains energy.
+        As in `mbdkit.stepping.contact_impacts.struck`, no impact gains energy.
         """
         contacts, some = self.contacts, self.some
         e = contacts.restitution[some]

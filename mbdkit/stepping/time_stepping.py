@@ -55,7 +55,7 @@ class TimeStepping(StepMethod):
         """
 
     def step(self, equations: EquationsOfMotion, t: float, state: StepState, h: float) -> StepState:
-        """See `StepMethod.step`. If the positions of a step cannot be projected, it is taken as two half steps."""
+        """See `StepMethod.step`. If an iteration in a step does not converge, the step is taken as two half steps."""
         return self._taken(equations, t, state, h, MOST_HALVINGS)
 
     def _taken(self, p: EquationsOfMotion, t: float, state: StepState, h: float, halvings: int) -> StepState:
@@ -95,8 +95,9 @@ class TimeStepping(StepMethod):
     ) -> tuple[float, float]:
         """Return the work of drivers and loads due to the contacts of a step, and the energy that the contacts add [J].
 
-        The contacts take energy from the mean velocities of the step, but move the bodies farther than these do, mainly
-        where overlapping shapes are moved apart. They thereby add energy, for example by lifting a body.
+        The energy that contacts take is computed from the mean velocities of the step. Contacts displace the bodies
+        farther than these velocities do, mainly where overlapping shapes are moved apart, and thereby add energy, for
+        example by lifting a body.
 
         Parameters
         ----------
@@ -120,7 +121,10 @@ class TimeStepping(StepMethod):
 
     @staticmethod
     def _closed(contacts: RigidContacts, t: float, q: np.ndarray) -> np.ndarray:
-        """Return the nearest positions in which the joints are closed and no shapes overlap."""
+        """Return the nearest positions in which the joints are closed and no shapes overlap.
+
+        If more than `MANY` contacts overlap, some overlap may remain.
+        """
         p, given, before, is_last = contacts.p, q, np.inf, False
         is_closed = p.m == 0
         touched = np.zeros(len(contacts.names), dtype=bool)
@@ -187,5 +191,5 @@ class MoreauJeanSteps(TimeStepping):
 
 
 def answer(p: EquationsOfMotion, t: float, q: np.ndarray, impulse: np.ndarray) -> np.ndarray:
-    """Return the change of the velocities (n,) by an impulse (n,) at a position, with consistent joint velocities."""
+    """Return the change of the velocities (n,) by an impulse (n,) at a position; it is consistent with the joints."""
     return p.solve(t, q, impulse, np.zeros(p.m))[0]

@@ -55,12 +55,15 @@ class ArchiveRows:
 
     @property
     def columns(self) -> tuple[str, ...]:
-        """Names of the numeric columns that are computed from archives."""
+        """Names of the numeric columns that are computed from every archive; checked runs have further columns."""
         return *self.measures, *(measure.name for measure in self.defined), *COUNTERS, *TIMINGS
 
     @property
     def use_plugins(self) -> bool:
-        """Whether a plugin computes one of the measures; the plugin may have changed since the study was indexed."""
+        """Whether a plugin computes one of the defined measures.
+
+        Rows of the previous index are not reused in this case, because the plugin may have changed.
+        """
         return any(measure.item is not None for measure in self.defined)
 
     def left_out(self, distribution: str) -> Row:
@@ -73,8 +76,7 @@ class ArchiveRows:
         return Row(run_id, outcome.status, outcome.reason, values=dict.fromkeys(self.columns, math.nan))
 
     def row(self, archive: Path, reference: Path | None, spec: RunSpec) -> Row:
-        """Return the row of a run, with values computed from its archive and, if it has a reference run, from that
-        archive too.
+        """Return the row of a run, with values computed from its archive and from that of its reference run, if any.
 
         Raises
         ------
@@ -110,8 +112,9 @@ class ArchiveRows:
     def with_second_run(self, row: Row, made: Outcome | None, before: Row | None) -> Row:
         """Return a row to which the measures that need a second run are added.
 
-        They are taken from the outcome `made` if this call has computed the second run, otherwise from `before`, the
-        row of the run in the previous index.
+        The measures are taken from `made`, the outcome of the second run in this call. If this call has made no second
+        run, or if the second run failed for an external reason, they are taken from `before`, the row of the run in the
+        previous index.
         """
         if not self.again:
             return replace(row, second_run="")

@@ -104,18 +104,19 @@ def study(
     shard
         Part of the study to compute; by default all of it.
     progress
-        Called with (tasks done, total number of tasks, failed runs) after each task. By default, notebooks show a
-        progress bar.
+        Called with three numbers after each task: the number of computations that are done, their total number, and the
+        number of failed runs. A run, a second run and a set of repeated timings count as one computation each. By
+        default, notebooks show a progress bar.
     notify
-        Called with a message before an operation that takes long.
+        Called with messages for the user, such as warnings.
     assignments
         Assignments such as ``"time.end=5"`` that are set in the base of every run.
     overwrite
-        Whether to replace an earlier study in the folder: its study.yaml, index, archives of runs and report are
-        removed once the new study has been validated. Other files remain.
+        Whether to replace an earlier study in the folder: its study.yaml, index, table of values, archives of runs,
+        report and charts are removed once the new study has been validated. Other files remain.
     store
-        What is stored of each run; replaces `store` of the study spec: ``files``, ``all``, ``histories``, ``summary``
-        or ``hashes``.
+        What is stored of each run, in place of `store` in the study spec: an archive for each run (``files``) or, in
+        files of many runs, ``all`` arrays, ``histories``, a ``summary`` or ``hashes``.
 
     Returns
     -------
@@ -126,8 +127,9 @@ def study(
     Raises
     ------
     SpecError
-        If the study or one of its runs is invalid, or the folder belongs to another study. Nothing is written in this
-        case.
+        If an argument, the study or one of its runs is invalid, or if the folder belongs to another study or contains
+        other files. Nothing is written in this case. If runs are stored in files of many runs, an invalid run counts as
+        a failed run, unless all of the few runs that are checked beforehand are invalid.
     ResourceError
         If the folder cannot be written to, is in use by another call, or no process can be started.
 
@@ -271,7 +273,7 @@ def _spec_of(source: RunSource, columns: dict[str, np.ndarray], store: Store, ke
 
 
 def _complete(base: dict[str, Any], whole: Mapping[str, Any], key: str) -> None:
-    """Add the mapping or list that contains a key, with its defaults, to a spec that lacks it."""
+    """Make sure that a spec has the mapping or list in which a key is set; add it with its default values if not."""
     there: Any = base
     default: Any = whole
     for part in parse_key(key)[:-1]:

@@ -36,7 +36,7 @@ from mbdkit.studies.study_plan import StudyPlan
 from mbdkit.studies.tasks import mark_of
 
 MISALIGNMENT = "misalignment_max"
-"""The measure that has its own column in blocks."""
+"""The measure that blocks store in a column apart from the other measures."""
 
 PATIENCE = 10.0
 """Time to wait for another process that computes the same block, such as one whose parent was killed [s]."""
@@ -74,11 +74,11 @@ class BlockMeasures:
 
     @property
     def is_checked(self) -> bool:
-        """Whether errors of runs are estimated."""
+        """Whether the spec of the first run requests error estimates."""
         return any(point.spec.estimates_errors for point in self.plan.samples[:1] if not point.lacking)
 
     def of(self, results: Sequence[tuple[FinishedRun, RunSpec]]) -> list[dict[str, float] | Refused]:
-        """Return the measures of runs by name, or the reason why they could not be computed."""
+        """Return, for each run, its measures by name or the reason why they could not be computed."""
         runs = [Run(ArrayContents(finished, Heading(spec))) for finished, spec in results]
         taken: list[dict[str, float] | Refused] = [Refused("", "")] * len(runs)
         for places in places_by_group([finished for finished, _ in results]):
@@ -103,7 +103,19 @@ class BlockMeasures:
 
 @dataclass(frozen=True)
 class _Member:
-    """A run of a block: its point, base and values, and its spec, or the reason why it has no spec."""
+    """A run of a block.
+
+    Parameters
+    ----------
+    point
+        Point of the study.
+    base
+        Spec that all points of the family share, as JSON.
+    values
+        Values that the point sets in the base, by key.
+    spec
+        Spec of the run, or the reason why the run is not computed.
+    """
 
     point: PlannedPoint
     base: str
@@ -126,9 +138,9 @@ def compute_block(
     block
         Number of the block, from 0.
     skip
-        Reasons for which runs are recorded as failed without being computed, by their number.
+        Reasons for which runs are recorded as failed without being computed, by number of the run.
     notify
-        Called with the warnings of runs.
+        Called with each warning of a run.
 
     Returns
     -------
@@ -176,13 +188,13 @@ def _member(point: PlannedPoint, varied: Mapping[str, VariedSpecs], skip: Mappin
         return _Member(point, base, values, Refused("left-out", reason))
     if point.number in skip:
         return _Member(point, base, values, Refused("failed", skip[point.number]))
-    mark.note(point.number)  # written first, because a model of a plugin may end the process
+    mark.note(point.number)  # before the mechanism is built, because a model of a plugin may end the process
     try:
         spec = varied[base].spec([(setting.path, setting.value) for setting in point.settings])
         spec.mechanism()
     except SpecError:
         try:
-            # building the spec raises an error with its location in the study
+            # `point.spec` raises the error again, with the location in the study that causes it
             return _Member(point, base, values, point.spec)
         except SpecError as error:  # stored without the file name, which depends on the folder
             text = f"{error.key}: {error.message}" if error.key else error.message

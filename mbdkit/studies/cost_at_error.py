@@ -24,7 +24,8 @@ ERROR = "end_error"
 FAVOURITES = (1e-6, 1e-3, 1e-9, 1e-12)
 """Errors [m] in the table, the most relevant first.
 
-If none is in the range of the runs' errors, the table has the power of ten closest to the middle of this range.
+If none is in the range of the runs' errors, the table has the power of ten closest to the middle of this range, on a
+logarithmic scale, if this power is in the range.
 """
 
 MOST = 3
@@ -46,15 +47,16 @@ def wall_time(point: StudyPoint) -> float:
 
 
 def is_timed(points: Iterable[StudyPoint]) -> bool:
-    """Return whether runs were timed repeatedly, without others running at the same time."""
+    """Return whether any run was timed repeatedly; repeated timings are made while no other run is computed."""
     return any(not math.isnan(value(point, "wall_min_s")) for point in points)
 
 
 def cost_at_error(study: Study) -> Table | None:
-    """Return the cost at some errors of each sequence of runs that differ only in their last numeric axis.
+    """Return a table of the cost at which each sequence of runs reaches some errors.
 
-    The cheapest sequence comes first. The result is None without a reference, if fewer than two sequences have two
-    different errors, or if there is no power of ten in the range of the errors.
+    The runs of a sequence differ only in the value on their last numeric axis. The sequence that reaches the first
+    error with the fewest operations comes first. The result is None if the study has no reference, if fewer than two
+    sequences have two different errors, or if there is no power of ten in the range of the errors.
     """
     groups = _groups(study)
     if len(groups) < 2:
@@ -86,10 +88,10 @@ def cost_at_error(study: Study) -> Table | None:
 
 
 def error_headlines(study: Study) -> list[tuple[str, str]]:
-    """Describe the errors against the reference in words.
+    """Return pairs of a name and a text about the errors against the reference; empty if no error is known.
 
-    The text gives the range of the errors, the number of runs that stay near the reference, and the series of runs that
-    need the fewest operations for a given error.
+    The first pair gives the range of the errors and the number of runs that stay near the reference. The second pair
+    names the sequences of runs that need the fewest operations for a given error (see `cost_at_error`).
     """
     if not study.references:
         return []
@@ -118,7 +120,8 @@ def error_headlines(study: Study) -> list[tuple[str, str]]:
 def _groups(study: Study) -> dict[str, list[StudyPoint]]:
     """Return sequences of complete runs that differ only in their last numeric axis, such as the step.
 
-    Keys are the labels of their other values. Sequences in which all errors are equal are left out.
+    The keys are the families and the values on the other axes, in words. Sequences in which all errors are equal are
+    left out.
     """
     found: dict[str, list[StudyPoint]] = {}
     for point in study.points:

@@ -17,8 +17,8 @@ from mbdkit.studies.run_files import RunFiles
 from mbdkit.studies.run_store import RunStore
 from mbdkit.studies.study_folder import StudyFolder
 
-#: Called with (tasks done, total number of tasks, failed runs). A run is one task, and so is its set of repeated
-#: timings.
+#: Function called with the number of computations that are done, their total number, and the number of failed runs. A
+#: run, a second run and a set of repeated timings count as one computation each.
 Progress = Callable[[int, int, int], None]
 
 
@@ -33,7 +33,7 @@ class Options:
     progress
         Called after each task; None for no calls.
     notify
-        Called with a message before an operation that takes long.
+        Called with messages for the user, such as warnings.
     overwrite
         Whether to remove the study that the folder contains; not allowed with a shard.
 
@@ -99,10 +99,10 @@ class Execution:
 
     def _compute(self, engine: Engine, total: int) -> None:
         """Compute the missing results."""
-        ended = 0  # number of runs in this round and the rounds before
+        ended = 0  # number of runs that were planned for this round and the rounds before
         for some in self.store.rounds():
             ended += some.planned
-            done = ended - sum(task.runs for task in some.tasks)  # dropped tasks count as done
+            done = ended - sum(task.runs for task in some.tasks)  # planned runs without a task count as done
             with (Engine() if some.one_by_one else engine).pool(self.options.notify) as pool:
                 for task, outcome in pool.work(some.tasks):
                     noted = self.store.note(task, outcome)

@@ -49,7 +49,7 @@ class Engine:
         Parameters
         ----------
         notify
-            Called once with each distinct message of the workers.
+            Called with each message of the workers, unless it differs from an earlier one only in numbers.
         """
         local: Pool = Pool(self.workers, notify, self.program)
         return local if self.executor is None else ExecutorPool(self.executor, local)
@@ -76,7 +76,7 @@ class ExecutorPool:
     """Tasks that an executor computes, with the methods of `Pool`.
 
     Workers receive texts, numbers and paths of files; all workers must have access to these files. A worker writes the
-    archive or the block of its task; a task whose worker is lost is submitted once more.
+    archive or the block of its task. A task whose worker is lost is submitted again (see `Task.after_death`).
 
     Parameters
     ----------
@@ -135,7 +135,7 @@ class ExecutorPool:
                     yield task, self._outcome(task, answer)
 
     def _next_ended(self) -> Future[list[dict[str, Any]]]:
-        """Wait for a future that has ended; raise an error if none will end.
+        """Return a future that has ended, after waiting for it; raise _SchedulerLostError if none will end.
 
         The futures of a Dask client that lost its scheduler, and was therefore closed, never end.
         """
@@ -186,7 +186,7 @@ class ExecutorPool:
             yield from pool.work(left)
 
     def _outcome(self, task: Task, answer: dict[str, Any]) -> Outcome:
-        """Return the outcome reported by a worker, after checking that this process can see the file as well."""
+        """Return the outcome reported by a worker; ``missing`` if this process cannot see the file of the worker."""
         for note in answer.pop("notes"):
             self.local.say(note)
         outcome = Outcome.of(answer)
@@ -205,7 +205,7 @@ class ExecutorPool:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         for future in self._begun:
-            future.cancel()  # has no effect on running tasks, which end without help
+            future.cancel()  # running tasks are not cancelled; they end by themselves
 
 
 class _SchedulerLostError(Exception):
@@ -222,7 +222,8 @@ class _Batch:
     def divided(self) -> tuple[list[Task], list[Task]]:
         """Return the tasks that may have killed a lost worker, and the remaining tasks.
 
-        Tasks are computed in order, so the worker died during the first task whose file it has not written.
+        Tasks are computed in order. If all of them write files, the worker died during the first task whose file it has
+        not written, or after the last one. If some tasks write no files, every task may have killed the worker.
         """
         if not all(task.writes for task in self.tasks):
             return self.tasks, []

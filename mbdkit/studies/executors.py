@@ -21,7 +21,7 @@ from mbdkit.base.text import counted, one_line, shown
 from mbdkit.studies.owned_folder import JOBS
 
 MOST_JOBS = 100
-"""Largest number of jobs into which the tasks of a study are divided."""
+"""Default of the largest number of jobs into which the tasks of a study are divided."""
 
 INTERVAL = 0.5
 """Interval at which the jobs are checked [s]."""
@@ -103,7 +103,10 @@ class SubmititExecutor(Executor):
         return True
 
     def shutdown(self, wait: bool = True, *, cancel_futures: bool = False) -> None:
-        """Wait for the jobs if `wait`, or cancel them; see `concurrent.futures.Executor.shutdown`."""
+        """Cancel the jobs if `cancel_futures`, and wait until they end if `wait`.
+
+        Cancelled jobs are awaited for at most `PATIENCE`. See `concurrent.futures.Executor.shutdown`.
+        """
         for future in list(self._jobs) if cancel_futures else ():
             future.cancel()
         while wait and self._jobs:
@@ -132,7 +135,8 @@ class Asked:
     Parameters
     ----------
     scheduler
-        Address or file of the Dask scheduler, by default one on this machine; for submitit ``slurm`` or ``local``.
+        Address or file of the Dask scheduler, by default a new one on this machine. For submitit, ``slurm`` (the
+        default) or ``local``.
     slurm
         Options of sbatch, each as ``key=value``.
     workers
@@ -160,19 +164,20 @@ class Asked:
 
 @contextlib.contextmanager
 def opened(asked: Asked, folder: Path, notify: Callable[[str], None]) -> Iterator[Executor | None]:
-    """Yield the requested executor, None for processes on this machine, and close it at the end.
+    """Yield the requested executor, or None for processes on this machine, and close the executor at the end.
 
     Parameters
     ----------
     folder
         Folder of the study.
     notify
-        Called with a message before the study waits for workers, and with the location of the logs of lost jobs.
+        Called with messages, such as one before the study waits for workers, and the location of the logs of lost jobs.
 
     Raises
     ------
     SpecError
-        If options are inconsistent, a package is not installed, or no scheduler answers.
+        If options are inconsistent, a package is not installed, no Dask scheduler answers, or there is no Slurm on this
+        machine.
     """
     asked.check()
     match asked.name:
@@ -217,7 +222,7 @@ def _dask(asked: Asked, notify: Callable[[str], None]) -> Iterator[Executor]:
                 f"no Dask scheduler answers at {shown(scheduler)} ({one_line(error)}); start one by `dask scheduler`"
             ) from error
         stack.enter_context(_without_logs("distributed", "tornado", "asyncio"))
-        stack.enter_context(client)  # the client is closed first
+        stack.enter_context(client)  # entered last, so that it is closed before the logs are enabled again
         if not client.scheduler_info()["workers"]:
             notify("the Dask cluster has no workers yet; the study waits for them (`dask worker ADDRESS`)")
         yield client.get_executor(pure=False)

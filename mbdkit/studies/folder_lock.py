@@ -1,4 +1,4 @@
-"""Parts of a study, and the locks that keep concurrent calls in one folder apart; each call has a lock file."""
+"""Parts (shards) of a study, and the locks that prevent conflicts of calls in one folder; each call has a lock file."""
 
 from __future__ import annotations
 
@@ -29,7 +29,8 @@ class Shard:
     Parameters
     ----------
     number, count
-        Number of the part, from 1, and number of parts. The runs in the list of all runs are assigned to parts in turn.
+        Number of the part, from 1, and number of parts. The runs of the study, or its blocks of runs, are assigned to
+        the parts in turn.
     """
 
     number: int
@@ -50,11 +51,11 @@ class Shard:
         return cls(int(match[1]), int(match[2]))
 
     def has(self, place: int) -> bool:
-        """Return whether the run with this index, from 0, belongs to the part."""
+        """Return whether the run or block with this index, from 0, belongs to the part."""
         return place % self.count == self.number - 1
 
     def overlaps(self, other: Shard) -> bool:
-        """Return whether a run may belong to both parts, for some number of runs."""
+        """Return whether some index, however large, belongs to both parts."""
         return (self.number - other.number) % math.gcd(self.count, other.count) == 0
 
 
@@ -176,7 +177,7 @@ def locked(folder: Path, mutex: Path, shard: Shard = WHOLE, command: str = "stud
         with _alone(mutex):
             for path in sorted(folder.glob(f"{LOCK}*")):
                 name = _NAME.fullmatch(path.name)
-                if name is None:  # left by a call that was killed in this block
+                if name is None:  # a temporary file of a call that was killed while it created its lock
                     path.unlink(missing_ok=True)
                 elif shard.overlaps(Shard(int(name[1]), int(name[2]))):
                     _remove_stale(path, command)
@@ -211,7 +212,7 @@ def _write(lock: Path, owner: Owner) -> IO[str]:
 
 
 def _is_held(lock: Path) -> bool:
-    """Return whether a process, in any container, holds the kernel's lock on a lock file."""
+    """Return whether a process, in any container, has locked a lock file by `flock`."""
     import fcntl
 
     try:
@@ -249,7 +250,10 @@ def _remove_stale(lock: Path, command: str) -> None:
 
 @contextlib.contextmanager
 def _alone(path: Path) -> Iterator[None]:
-    """Hold an exclusive lock on an open file, after waiting for others, if the file system supports locks."""
+    """Open a file and hold an exclusive `flock` on it, after waiting until other processes release it.
+
+    The file is not locked if the file system does not support locks.
+    """
     import fcntl
 
     with path.open("rb") as handle:

@@ -1,4 +1,4 @@
-"""General verdict for studies without a verdict function: extremes of misalignment, and observed orders."""
+"""General verdict for studies without a verdict function: extremes of misalignment, costs, and observed orders."""
 
 from __future__ import annotations
 
@@ -25,7 +25,12 @@ _ROUNDINGS = 4.0
 
 
 def general_verdict(study: Study) -> Verdict:
-    """Return the general verdict: extremes of misalignment, and observed orders if the step is varied."""
+    """Return the general verdict.
+
+    It has the number of complete runs, the extremes of misalignment, the cost at given errors if the study has a
+    reference, and observed orders if the step is varied. The verdict on a study with a sample or a table of members has
+    only the number of complete runs and the largest misalignment.
+    """
     if study.spec.has_table:
         return _verdict_of_sample(study)
     complete = [point for point in study.points if point.status == "complete"]
@@ -80,7 +85,7 @@ def _size(point: StudyPoint) -> float:
 
 
 def _orders(study: Study) -> Table:
-    """Return the observed orders of each sequence of points that differ only in the step."""
+    """Return a table of the observed orders of each sequence of points that differ only in the step."""
     lines: dict[str, list[StudyPoint]] = {}
     for point in study.points:
         if STEP in point.axes:

@@ -20,7 +20,8 @@ if TYPE_CHECKING:
 def judge(study: Study) -> Verdict:
     """Return the verdict on a study.
 
-    It is that of the packaged study that the spec names or, if the spec names none, the general verdict.
+    If the spec of the study names a packaged study as its ``verdict``, the verdict function of that study is called.
+    Otherwise, the general verdict is returned.
 
     Parameters
     ----------
@@ -30,7 +31,8 @@ def judge(study: Study) -> Verdict:
     Raises
     ------
     SpecError
-        If there is no verdict with that name, or if it requires other families and axes than those of the study.
+        If there is no verdict with the name in the spec, or several distributions have one, or if the verdict function
+        requires other families and axes than those of the study.
     PluginError
         If the verdict function of another distribution fails or returns no Verdict.
     """
@@ -83,7 +85,13 @@ def check_verdict(spec: StudySpec) -> None:
 
 
 def find_verdict(spec: StudySpec) -> tuple[Registered, Callable[[Any], Any]]:
-    """Return the packaged study that a spec names as its verdict, and its verdict function."""
+    """Return the packaged study that a spec names as its verdict, and the verdict function of that study.
+
+    Raises
+    ------
+    SpecError
+        If there is no such verdict, or several distributions have one.
+    """
     installed = registry()
     named = {item: item.plugin.verdict for item in installed.of_kind("study") if isinstance(item.plugin, StudyPlugin)}
     judges = {item: function for item, function in named.items() if function is not None}

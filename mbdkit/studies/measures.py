@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
 
 class RunGroup:
-    """R runs of mechanisms with the same names, which recorded the same arrays at the same T times.
+    """R runs with the same names of bodies, joints and so on, which recorded the same arrays at the same T times.
 
     Parameters
     ----------
@@ -60,11 +60,11 @@ class RunGroup:
         return np.array([run.status == "complete" for run in self.runs])
 
     def records(self, path: str) -> bool:
-        """Return whether the runs recorded an array of the layout."""
+        """Return whether the runs recorded the array with this path in the layout of archives."""
         return self.first.records(path)
 
     def array(self, path: str) -> np.ndarray:
-        """Return an array (T, ...) of all runs, (R, T, ...)."""
+        """Return the array with this path, stacked for all runs, (R, T, ...)."""
         if path not in self._arrays:
             key = BY_PATH[path].key
             if self._recorded and key in self._recorded[0]:
@@ -80,7 +80,7 @@ class RunGroup:
 
 
 def places_by_group(runs: Sequence[FinishedRun]) -> Iterator[list[int]]:
-    """Yield the indices of runs that can form a `RunGroup`."""
+    """Yield lists of the indices of runs; the runs of each list can form a `RunGroup`."""
     groups: dict[bytes, list[list[int]]] = {}
     for index, run in enumerate(runs):
         alike = groups.setdefault(run.arrays["time"].tobytes(), [])
@@ -126,7 +126,7 @@ class Measure:
 
 
 def _one_by_one(take: Callable[[Run, Run | None], float]) -> Callable[[RunGroup], np.ndarray]:
-    """Return a function that applies `take` to each run of a group, and to its reference or None."""
+    """Return a function for `Measure.take` that calls `take` with each run of a group and its reference run or None."""
     return lambda group: np.array([take(run, group.reference) for run in group.runs])
 
 
@@ -155,7 +155,10 @@ def _reaction(group: RunGroup) -> np.ndarray:
 
 
 def _largest_value(units: str) -> Callable[[RunGroup], np.ndarray]:
-    """Return the measure of the largest value of the force elements with these `units`; 0 if there are none."""
+    """Return a function for `Measure.take`: the largest absolute value of the force elements whose unit is `units`.
+
+    The value is 0 if there are no such force elements.
+    """
 
     def take(group: RunGroup) -> np.ndarray:
         try:
@@ -175,14 +178,17 @@ def _end_balance(group: RunGroup) -> np.ndarray:
 
 
 def _error(part: slice, rows: slice) -> Callable[[RunGroup], np.ndarray]:
-    """Return the measure of the largest error of any body against the reference, over `rows` of the run."""
+    """Return a function for `Measure.take`: the largest error of the coordinates `part` of any body.
+
+    The error is the difference from the reference run, in `rows` of the run.
+    """
 
     def take(run: Run, reference: Run | None) -> float:
         if reference is None or not run.status == reference.status == "complete":
             return math.nan
         if (
             run.status_reason or reference.status_reason
-        ):  # an event ended one of the two runs early, so that their end times differ
+        ):  # an event ended one of the two runs early, so that their end times may differ
             return math.nan
         difference = offsets(run, reference, rows)[..., part]
         return float(np.max(np.linalg.norm(difference, axis=-1), initial=0.0))
@@ -191,7 +197,7 @@ def _error(part: slice, rows: slice) -> Callable[[RunGroup], np.ndarray]:
 
 
 def _rate_error(part: slice) -> Callable[[RunGroup], np.ndarray]:
-    """Return a measure: the largest error of the velocity components `part` of any body.
+    """Return a function for `Measure.take`: the largest error of the velocity components `part` of any body.
 
     The error is the difference from the reference run, at the times that both runs recorded, without the start.
     """
@@ -229,7 +235,10 @@ def _trends_of(group: RunGroup) -> list[Trend]:
 
 
 def _trend(value: Callable[[Trend], float]) -> Callable[[RunGroup], np.ndarray]:
-    """Return a measure based on the trend of the energy balance; nan if the run failed or has too few rows."""
+    """Return a function for `Measure.take`: a value that is based on the trend of the energy balance.
+
+    The value is nan for runs that are not complete or have too few rows.
+    """
 
     def take(group: RunGroup) -> np.ndarray:
         if not group.complete.any() or not group.records("energy/balance"):

@@ -33,9 +33,10 @@ class OwnedFolder(ABC, Generic[Spec]):
     Attributes
     ----------
     KIND
-        ``study`` or ``design``: name of the command, and of the spec in the folder.
+        ``study`` or ``design``: name of the command, and of the spec in the folder (without ``.yaml``).
     files
-        Names of the other files that are written into the folder, in addition to the spec and the report.
+        Paths of the files that are written into the folder in addition to the spec, the report, and the results that
+        `remove_results` removes.
     """
 
     KIND: ClassVar[str]
@@ -52,11 +53,11 @@ class OwnedFolder(ABC, Generic[Spec]):
 
     @abstractmethod
     def plain_spec(self, spec: Spec) -> dict[str, Any]:
-        """Return the text of the spec in the folder."""
+        """Return the plain data that are written as the spec in the folder."""
 
     @abstractmethod
     def remove_results(self) -> None:
-        """Remove all results that are not listed in `files`; the spec and the report remain."""
+        """Remove all results except those in `files`; the spec and the report remain."""
 
     def check(self, spec: Spec, *, overwrite: bool = False) -> None:
         """Check that the folder can be used for this study or design, without changing anything.
@@ -69,7 +70,8 @@ class OwnedFolder(ABC, Generic[Spec]):
         Raises
         ------
         SpecError
-            If the folder belongs to another study or design, contains other files but no spec, or cannot be created.
+            If the path is not a folder, or the folder cannot be created, belongs to another study or design, contains
+            other files but no spec, or contains a folder with the name of one of `files`.
         ResourceError
             If writing into it is not permitted.
         """
@@ -82,7 +84,8 @@ class OwnedFolder(ABC, Generic[Spec]):
             raise SpecError(f"this is not a folder; name a folder for the {kind} with -o", file=path)
         check_writable(path, path)
         has_others = not all(entry.name.startswith((self._begun, LOCK, JOBS)) for entry in path.iterdir())
-        if self.spec.is_file():  # checked last, because another call may be creating the spec before any other file
+        # looked up after the listing of other files, because another call creates the spec before any other file
+        if self.spec.is_file():
             if overwrite:
                 self._check_own()
             else:
@@ -105,7 +108,7 @@ class OwnedFolder(ABC, Generic[Spec]):
             )
 
     def _check_own(self) -> None:
-        """Raise SpecError if the spec is not that of a study or design; the other files must then not be removed."""
+        """Raise SpecError if the file of the spec is not a spec of this kind; no file must be removed in this case."""
         if f"mbdkit_{self.KIND}" not in read_file(self.spec).data:
             message = f"this is not the spec of a {self.KIND}, so its folder is not overwritten"
             raise SpecError(message, file=self.spec)
@@ -117,6 +120,8 @@ class OwnedFolder(ABC, Generic[Spec]):
 
         Raises
         ------
+        SpecError
+            If the file of the spec is not a spec of this kind.
         ResourceError
             If another call uses the folder, or the system refuses to remove a file.
         """
@@ -154,7 +159,7 @@ class OwnedFolder(ABC, Generic[Spec]):
                 begun = self.path / f"{self._begun}{secrets.token_hex(4)}"
                 try:
                     begun.write_text(write_yaml(self.plain_spec(spec)), encoding="utf-8")
-                    # another call has created or removed it first
+                    # another call has created the spec, or has removed the temporary file, in the meantime
                     with contextlib.suppress(FileExistsError, FileNotFoundError):
                         rename_new(begun, self.spec)
                 finally:
@@ -165,16 +170,17 @@ class OwnedFolder(ABC, Generic[Spec]):
             raise file_error(error.errno, f"cannot be created: {error.strerror or error}", file=self.path) from error
 
     def create_more(self, spec: Spec) -> None:
-        """Create the other files and folders besides the spec."""
+        """Create the files and folders that are needed in addition to the spec."""
 
     @contextlib.contextmanager
     def locked(self, shard: Shard | None = None) -> Iterator[None]:
-        """Lock the folder against other calls, and remove files left behind by killed calls.
+        """Lock the folder against other calls.
 
         Parameters
         ----------
         shard
-            The part of a study that is computed; calls for parts without common runs may run at the same time.
+            The part of a study that is computed; calls for parts without common runs may run at the same time. None for
+            the whole study or design; files that killed calls have left are removed in this case.
 
         Raises
         ------

@@ -44,7 +44,18 @@ class Setting:
 
 @dataclass(frozen=True)
 class Grid:
-    """A family of a study, completed with the defaults from the top level of the study."""
+    """A family of a study, completed with the defaults from the top level of the study.
+
+    Parameters
+    ----------
+    axes
+        The keys of each axis, each with its values.
+    reference
+        Settings of the reference runs, in addition to those of the points; None without references.
+    table
+        (N,) values by dotted key that distinguish the N runs for each combination of axis values: the values of a
+        sample, or a table of members. Empty in other studies.
+    """
 
     name: str
     base: Mapping[str, Any]
@@ -70,8 +81,8 @@ class Grid:
         return json.dumps(plain(data), separators=(",", ":"), ensure_ascii=False)
 
     def with_units(self) -> list[Setting]:
-        """Return, for each key and each unit in which its values are written, one of these values as text with its
-        unit.
+        """Return settings that check units: for each key and each unit of its values, one of these values as text with
+        the unit.
         """
         settings: dict[tuple[str, str], Setting] = {}
         for number, axis in enumerate(self.axes):
@@ -94,7 +105,7 @@ class Grid:
 
     @property
     def rows(self) -> int:
-        """Number of rows of the table, which are the points for each combination of the axes; 1 without a table."""
+        """Number of rows of the table, and of points for each combination of axis values; 1 without a table."""
         return len(next(iter(self.table.values()))) if self.table else 1
 
     @property
@@ -103,9 +114,9 @@ class Grid:
         return tuple(len(axis[0][1]) for axis in self.axes)
 
     def point(self, index: int) -> tuple[dict[str, Label], list[Setting], str]:
-        """Return labels, settings and missing distribution of the point with this index, from 0.
+        """Return the labels and settings of the point with this index, from 0, and the name of a missing distribution.
 
-        The row of the table varies fastest, then the last axis.
+        The name is empty if no distribution is missing. The row of the table varies fastest, then the last axis.
         """
         labels: dict[str, Label] = {}
         settings: list[Setting] = []
@@ -142,7 +153,7 @@ class Grid:
 
 
 def _choices(combination: Any, shape: tuple[int, ...]) -> list[Any]:
-    """Return the index on each axis of a combination, or of an array of combinations, given by number.
+    """Return the index of the value on each axis, for the number of a combination or for an array of such numbers.
 
     The last axis varies fastest. (`numpy.unravel_index` allows only 64 axes.)
     """
@@ -164,7 +175,7 @@ def grids(spec: StudySpec) -> tuple[Grid, ...]:
     Raises
     ------
     SpecError
-        If there are too many points.
+        If there are too many points, if the axes list too many values, or if the table of values is invalid.
     """
     _check_size(spec)
     made = [_grid(spec, name, family, ("families", name)) for name, family in spec.families.items()]
@@ -181,7 +192,7 @@ def number_of_points(spec: StudySpec) -> int:
 
 
 def _check_size(spec: StudySpec) -> None:
-    """Check the number of points before any of them is created."""
+    """Check the number of points and the number of values on the axes, before any point is created."""
     runs = number_of_points(spec)
     key = "sample" if spec.sample is not None else "families" if spec.families else "axes"
     if runs > LARGEST_TABLE or (runs > LARGEST_STUDY and (spec.store == "files" or spec.needs_files)):
@@ -267,7 +278,8 @@ class PlannedPoint:
         Raises
         ------
         SpecError
-            If the spec is invalid; the error names the location in the study that causes it.
+            If the spec is invalid, covers another time than the run, or has other bodies; the error names the location
+            in the study that causes it.
         """
         if self.grid.reference is None:
             return None
@@ -326,7 +338,10 @@ class PlannedPoint:
 
 
 def _origin(path: Path, settings: tuple[Setting, ...], grid: Grid) -> tuple[Path, bool]:
-    """Return the location in the study at which a run spec key is set, and whether it identifies the key."""
+    """Return the location in the study at which a key of the run spec is set.
+
+    Also return whether this is the location of the key itself; otherwise, it is that of a key below.
+    """
     above = [setting for setting in settings if path[: len(setting.path)] == setting.path]
     if above:
         last = max(enumerate(above), key=lambda item: (len(item[1].path), item[0]))[1]
@@ -421,7 +436,8 @@ def plan_points(spec: StudySpec) -> PlannedPoints:
     Raises
     ------
     SpecError
-        If there are more than `LARGEST_STUDY` points, or if their axes set more than `MOST_SETTINGS` values.
+        If there are more than `LARGEST_STUDY` points, if their axes set more than `MOST_SETTINGS` values, or if the
+        unit of a value does not suit its key.
     """
     points = PlannedPoints(spec, kept=True)
     settings = sum(grid.count * sum(map(len, grid.axes)) for grid in points.grids)
@@ -435,7 +451,7 @@ def plan_points(spec: StudySpec) -> PlannedPoints:
 
 
 def distinct_runs(points: Iterable[PlannedPoint]) -> Iterator[tuple[str, RunSpec]]:
-    """Yield the spec of each different run of a study, references included, with a name for error messages."""
+    """Yield a name for error messages, and the spec, of each distinct run of a study, including reference runs."""
     seen: set[str] = set()
     for point in points:
         if point.lacking:

@@ -1,9 +1,10 @@
-"""A pool of worker processes. If a process dies, another process tries its task once more.
+"""A pool of worker processes. If a process dies, another process tries its task again (see `Task.after_death`).
 
-`concurrent.futures.ProcessPoolExecutor` and loky do not suffice for studies. When a process dies, all pending tasks
-fail, and neither reports which task killed the process and what the process printed last (loky names the signal). Their
-workers survive a parent process that is killed. Workers of `ProcessPoolExecutor` also import the script of the user
-again, and receive the Ctrl-C that is meant for the parent process.
+`concurrent.futures.ProcessPoolExecutor` and loky do not suffice for studies. When a process dies in one of these pools,
+all pending tasks fail, and the error tells neither which task killed the process nor what the process printed last
+(loky names the signal). If the parent process is killed, the workers of these pools continue to run. Workers of
+`ProcessPoolExecutor` also import the script of the user again, and receive the Ctrl-C that is meant for the parent
+process.
 """
 
 from __future__ import annotations
@@ -30,20 +31,20 @@ from mbdkit.studies.tasks import Outcome, Task, died
 PROGRAM = "mbdkit.studies.worker"
 """Module that carries out the tasks of studies."""
 
-#: Variables for the number of threads of linear algebra libraries. Several threads do not help with small matrices, and
-#: the workers would compete for the cores.
+#: Environment variables for the number of threads of linear algebra libraries. Several threads do not help with small
+#: matrices, and the workers would compete for the cores.
 ONE_THREAD = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "VECLIB_MAXIMUM_THREADS")
 
 
 class Pool:
-    """Worker processes with one linear algebra thread each, for use in a `with` block, which ends them.
+    """Worker processes with one thread of linear algebra each. The pool is used in a `with` block, which ends them.
 
     Parameters
     ----------
     size
         Maximum number of processes.
     notify
-        Called once with each distinct message of the workers.
+        Called with each message of the workers, unless it differs from an earlier one only in numbers.
     program
         Module whose `main` carries out the tasks.
     """
@@ -115,7 +116,7 @@ class Pool:
         return worker
 
     def say(self, text: str) -> None:
-        """Pass a message to the user, unless it equals an earlier one except for numbers, as in sampled runs."""
+        """Pass a message to the user, unless it differs from an earlier one only in numbers."""
         kind = without_numbers(text)
         if kind not in self._said:
             self._said.add(kind)
@@ -166,7 +167,7 @@ class _Worker:
         lines.put((self, ""))
 
     def give(self, task: Task) -> None:
-        """Send a task to the process; if the process is dead, the end of its output reports that."""
+        """Send a task to the process; if the process is dead, `_listen` reports the end of its output."""
         self.task = task
         assert self.process.stdin is not None
         with contextlib.suppress(BrokenPipeError):

@@ -74,7 +74,7 @@ def quantiles(
     probabilities = np.atleast_1d(np.asarray(q, float))
     if probabilities.ndim != 1 or not len(probabilities) or not np.all((probabilities >= 0) & (probabilities <= 1)):
         raise MbdkitError(f"the probabilities should be numbers from 0 to 1, such as [0.05, 0.5, 0.95], not {q!r}")
-    # Runs of one sample have one distribution. The runs of a study without a sample are combined.
+    # Quantiles are those of one sample. In a study without a sample, all selected runs are combined.
     groups = [one_group(study, where)] if study.spec.has_table else groups_where(study, where)
     places = {place for group in groups for place in group.places}
     grid = _Grid.of(study, places) if times is None else _Grid(_given(times), has_rows=False)
@@ -156,10 +156,10 @@ class _Grid:
 
 
 def _quantiles(values: np.ndarray, q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return the quantiles of the columns of `values` (N, K), (Q, K), and the number of values in each column that are
-    not nan.
+    """Return the quantiles (Q, K) of the columns of `values` (N, K), and the number (K,) of values that are not nan.
 
-    Quantiles are interpolated linearly; nan values are ignored. `numpy.nanquantile` takes a hundred times longer.
+    Quantiles are interpolated linearly; nan values are ignored. `values` is sorted in place. `numpy.nanquantile` takes
+    a hundred times longer.
     """
     values.sort(axis=0)
     count = np.sum(~np.isnan(values), axis=0)

@@ -45,7 +45,7 @@ CHANGED = 2
 class RunBlocks(RunStore[int]):
     """Blocks of many runs, which are assigned to shards (parts of the study) in turn.
 
-    A block is complete if its file is sound and no run in it failed for a reason outside the study. If its file has
+    A block is complete if its file is sound and all of its runs are final (see `Outcome.is_final`). If its file has
     changed since it was indexed, the block is read again and its hashes are verified. A change is detected by the time
     (ctime) that the system records whenever the content, the modification time or the name of a file changes; programs
     cannot set it.
@@ -75,8 +75,8 @@ class RunBlocks(RunStore[int]):
         return Task(block, content, self.folder.block(block), len(self.plan.blocks.places(block)))
 
     def _why_alone(self) -> str:
-        """Return the reason why the sampled runs of the study, and probably all, are not vectorized; empty if any is
-        vectorized.
+        """Return the reason why the samples of the plan, and probably all runs, are not vectorized; empty if any sample
+        is vectorized.
         """
         reasons = []
         for point in self.plan.samples:

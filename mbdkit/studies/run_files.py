@@ -64,7 +64,7 @@ class RunFiles(RunStore[str]):
         return [run_id for run_id in wanted if self._run_twice(run_id) is None]
 
     def _missing_repeats(self) -> dict[str, int]:
-        """Return for each run that lacks timings the number of timings to make."""
+        """Return the number of timings to make, by run, for the runs that lack timings."""
         wanted: dict[str, int] = {}
         for point in self.plan.points:
             count = point.grid.repeats
@@ -147,7 +147,7 @@ class RunFiles(RunStore[str]):
         return row is not None and bool(row.file_sha256) and row.file_sha256 == self._file_sha256(run_id)
 
     def _file_sha256(self, run_id: str) -> str:
-        """Return the SHA-256 of the bytes of the archive of a run; empty if it cannot be read."""
+        """Return the SHA-256 of the bytes of the archive of a run; empty if it is missing, sparse or unreadable."""
         if run_id not in self._hashes:
             path = self.folder.archive(run_id)
             try:

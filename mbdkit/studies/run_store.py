@@ -46,7 +46,7 @@ class Round:
 
 @dataclass(frozen=True)
 class Noted:
-    """The change of the numbers reported by a study that results from the outcome of a task.
+    """What the outcome of a task adds to the numbers and reasons that a study reports.
 
     Parameters
     ----------
@@ -73,7 +73,7 @@ class RunStore(ABC, Generic[Key]):
     Attributes
     ----------
     count
-        Number of different runs of the study.
+        Number of distinct runs of the study, including reference runs; for a study in blocks, number of its points.
     plan
         The plan of the study.
     """
@@ -115,7 +115,7 @@ class RunStore(ABC, Generic[Key]):
 
     @abstractmethod
     def read(self, key: Key) -> Outcome:
-        """Return the outcome stored in a file; ``missing`` if the file is damaged, or its runs have not ended.
+        """Return the outcome stored in a file; ``missing`` if there is no sound file, or if its runs have not ended.
 
         Raises
         ------

@@ -1,6 +1,4 @@
-"""The parts of a study in which its sample, or its table of members, is repeated: one for each combination of the
-axes.
-"""
+"""The groups of runs of a study with a sample or a table of members: one group for each combination of axis values."""
 
 from __future__ import annotations
 
@@ -54,7 +52,7 @@ class SampleGroup:
     family
         Name of the family; empty in a study without families.
     axes
-        Labels on the axes by dotted key, except on those of the variables; empty in a study without axes.
+        Labels on the axes by dotted key, without the values of the sampled variables; empty in a study without axes.
     places
         Indices of the runs of the group among the points of the study, from 0.
     """
@@ -65,7 +63,7 @@ class SampleGroup:
 
     @property
     def words(self) -> str:
-        """Family and labels as one line; empty if the study has only one group."""
+        """Family and labels as one line; empty in a study without families and axes."""
         told = [f"{key} {label}" for key, label in self.axes.items()]
         return ", ".join(filter(None, [self.family, *told]))
 
@@ -89,7 +87,7 @@ def groups_where(study: SampledStudy, where: Mapping[str, Any] | None) -> list[S
     Parameters
     ----------
     where
-        Labels on axes by dotted key, and the name of the family by ``family``; all groups by default.
+        Labels on axes by dotted key, and the name of the family under the key ``family``; None for all groups.
 
     Raises
     ------

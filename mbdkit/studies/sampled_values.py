@@ -28,7 +28,7 @@ def sampled_values(sample: Sample) -> dict[str, np.ndarray]:
     Raises
     ------
     SpecError
-        If a value is not finite. The error has the key below the section.
+        If a value is not finite. The key of the error is relative to the section ``sample``.
     """
     d = len(sample.variables)
     if sample.design == "plain":

@@ -71,7 +71,8 @@ def velocity_misalignment(spec: RunSpec) -> tuple[float, str]:
 LOOKS = 16
 """Number of states along the run at which the mechanism is tested for reversibility."""
 SAME = 1e-9
-"""Relative tolerance for equal accelerations. Also for joint positions, relative to the largest coordinate."""
+"""Tolerance for equal accelerations, relative to the largest one, and for equal values of the constraints, relative to
+the largest coordinate."""
 
 
 @dataclass(frozen=True)
@@ -81,7 +82,8 @@ class Reversal:
     Parameters
     ----------
     defect
-        Distance from the start position [m]: sqrt(dq^T M dq / total mass); nan if the test was not possible.
+        Distance from the start position [m]: sqrt(dq^T M dq / total mass), with the difference dq of the coordinates
+        and the mass matrix M; nan if the test was not possible.
     velocity_defect
         The same measure for the velocities [m/s]; the exact final velocities are the negated velocities of the start.
     note

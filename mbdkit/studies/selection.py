@@ -1,7 +1,7 @@
 """Conditions on the columns of a study, such as ``misalignment_max < 1e-6 and integrator == 'gauss'``.
 
-Conditions may come from untrusted sources. They are parsed, never evaluated as Python, and only the operations listed
-in this module are allowed.
+Conditions may come from untrusted sources. They are parsed, never evaluated as Python, and only the operations that
+`select_rows` lists are allowed.
 """
 
 from __future__ import annotations
@@ -38,7 +38,9 @@ MOST_COMPARED = 1000
 
 
 def select_rows(condition: str, columns: Mapping[str, np.ndarray]) -> np.ndarray:
-    """Return which rows of a table satisfy a condition, (N,) bool; nan satisfies none but ``!=`` and ``isnan``.
+    """Return which rows of a table satisfy a condition, (N,) bool.
+
+    Comparisons with nan are false, except for ``!=`` and ``not in``, as in NumPy.
 
     Parameters
     ----------

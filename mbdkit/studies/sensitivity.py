@@ -29,8 +29,7 @@ class Sensitivity:
     variables
         The d variables, as dotted keys of the run spec.
     indices
-        Indices of the variables with confidence intervals. Their attributes, `first`, `total` and so on, are also
-        attributes of this object.
+        Indices of the variables with confidence intervals. `first` and `total` are also attributes of this object.
     confidence
         Probability of the intervals.
     members
@@ -38,8 +37,8 @@ class Sensitivity:
     left_out
         Number of members that are not used, because one of their runs failed or has no value.
     reason
-        Why the indices are nan, as a sentence; empty if they are known. An index whose interval covers 0 to 1 is nan as
-        well.
+        Sentence that says why all indices are nan; empty otherwise. A single index is also nan if its interval covers 0
+        to 1.
     """
 
     measure: str

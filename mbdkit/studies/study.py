@@ -41,7 +41,7 @@ if TYPE_CHECKING:
 
 
 _NOT_SHOWN = ("family", "data_sha256", "file_sha256")
-"""Columns of texts that the tables of a study show in another form, or not at all."""
+"""Columns of texts in the index that the tables of a study have at another place, or not at all."""
 
 
 class Study(HtmlView):
@@ -50,16 +50,16 @@ class Study(HtmlView):
     Parameters
     ----------
     computed
-        Number of runs that were computed before the study was opened in the same call.
+        Number of runs that were computed by the call that returns this object.
     unfinished
-        External reasons why runs or timings were not finished in the same call; the next call tries again.
+        External reasons why that call did not finish runs or timings; the next call tries again.
     keep
         An object that deletes the folder when it is deleted itself, if the folder is temporary.
 
     Raises
     ------
     SpecError
-        If the folder contains no study with an index.
+        If the folder contains no study with an index, or the index does not match the study.
     """
 
     def __init__(
@@ -109,9 +109,9 @@ class Study(HtmlView):
 
     @property
     def status(self) -> str:
-        """``complete`` if every run was computed, including failed ones; ``partial`` if some are missing.
+        """``complete`` if no run or reference run is missing; ``partial`` otherwise.
 
-        Runs that are left out because a distribution is not installed do not count as missing.
+        Failed runs, and runs that are left out because a distribution is not installed, do not count as missing.
         """
         return (
             "partial"
@@ -129,7 +129,7 @@ class Study(HtmlView):
 
     @property
     def failures(self) -> Sequence[StudyPoint]:
-        """The points and references whose runs failed."""
+        """The points whose runs failed, and the reference runs that failed."""
         places = np.flatnonzero(self._index.runs["status"] == "failed").tolist()
         if self.spec.in_blocks:
             return self._all.at(places)
@@ -199,8 +199,8 @@ class Study(HtmlView):
         Raises
         ------
         SpecError
-            If the file contains another run (also if that belongs to another study), or other data than the index
-            states.
+            If the file contains another run, of this or of another study, or if its data differ from those in the
+            index.
         MbdkitError
             If there is no such run, or not exactly one of `point` and `number` is given.
         """
@@ -223,7 +223,7 @@ class Study(HtmlView):
         return run
 
     def _add_measures(self, run: Run, point: StudyPoint) -> None:
-        """Add the measures that the study itself defines, which the spec of the run does not have."""
+        """Add to a run the measures that the study defines and that the spec of the run does not define."""
         known, values = run.measures, point.values
         own = [one.name for one in self.spec.defined_measures() if not one.of_base and one.name in values]
         if own:
@@ -236,7 +236,7 @@ class Study(HtmlView):
             )
 
     def _path(self, point: StudyPoint) -> Path | None:
-        """Return the file of a run; None if the run has no file of its own."""
+        """Return the file that contains a run: its archive, or a block; None if the archive does not exist."""
         return self._files.block(self._blocks.block_of(point.number - 1)) if self.spec.in_blocks else point.path
 
     @cached_property
@@ -336,7 +336,10 @@ class Study(HtmlView):
         return next((self.run(other) for other in self.references if other.run_id == point.reference_id), None)
 
     def runs(self, family: str | None = None) -> Iterator[tuple[StudyPoint, Run | None]]:
-        """Yield each point of one family, or of the whole study, with its open archive."""
+        """Yield each point of one family, or of the whole study, with its run, or None if it has no results.
+
+        Close each run, or use it in a `with` block.
+        """
         for point in self.points if family is None else self.family(family):
             yield point, self.run(point)
 
@@ -396,8 +399,8 @@ class Study(HtmlView):
         measure
             Name of a numeric column, such as a measure or a counter.
         where
-            Labels on the axes by dotted key, and the name of the family by ``family``, if the sample is repeated for
-            several of these.
+            Labels on the axes by dotted key, and the name of the family under the key ``family``. They select one
+            sample, if the sample is repeated for several labels or families.
         confidence
             Probability of the intervals.
         members
@@ -410,7 +413,8 @@ class Study(HtmlView):
         SpecError
             If the study has no sample with ``design: saltelli``.
         MbdkitError
-            If there is no such measure, or too few members have a value of it.
+            If there is no such measure, if too few members have a value of it, if one sample must be selected by
+            `where`, or if another argument is not valid.
 
         References
         ----------
@@ -435,11 +439,11 @@ class Study(HtmlView):
         q
             Probabilities.
         where
-            Labels on the axes by dotted key, and the name of the family by ``family``; only runs with these labels are
-            used. Required if the sample is repeated for several labels or families.
+            Labels on the axes by dotted key, and the name of the family under the key ``family``; only runs with these
+            labels are used. Required if the sample is repeated for several labels or families.
         times
-            (K,) times [s], between which rows are interpolated linearly. By default the recorded times if they are the
-            same in all runs, at most 501 of them, otherwise 201 equally spaced ones.
+            (K,) times [s], at which recorded rows are interpolated linearly. By default, at most 501 of the recorded
+            times if they are the same in all runs, otherwise 201 equally spaced times.
 
         Returns
         -------
@@ -451,15 +455,16 @@ class Study(HtmlView):
         SpecError
             If the expression is not valid.
         MbdkitError
-            If the study does not store the quantity.
+            If a probability, a time or a label is not valid, if one sample must be selected by `where`, if no run has
+            results, or if the study does not store the quantity.
         """
         return quantiles(self, quantity, q, where=where, times=times)
 
     def rows_of_runs(self) -> Iterator[tuple[Run, Sequence[int], np.ndarray]]:
-        """Yield runs that contain all rows of one or more runs of the study, with their numbers and their numbers of
-        rows.
+        """Yield runs that join the rows of one or more runs of the study.
 
-        A run in which the rows of several runs are joined has their histories, but the spec and the name of the first.
+        Each item is a joined run, the numbers of its runs in the study, and the number of rows of each of its runs. A
+        joined run has the histories of all of its runs, but only the spec and the name of the first one.
         """
         if not self.spec.in_blocks:
             for point, run in self.runs():
@@ -488,8 +493,10 @@ class Study(HtmlView):
         return {name: column[places] for name, column in where.items()} | labels | self._columns(places)
 
     def to_xarray(self, family: str | None = None) -> xarray.Dataset:
-        """Return the grid of one family as a dataset with one dimension per axis, and a dimension `row` for the runs of
-        a sample.
+        """Return the points of one family as a dataset with one dimension per axis.
+
+        In a study with a sample or a table of members, the runs for each combination of axis values have the dimension
+        `row`.
 
         Parameters
         ----------

@@ -23,7 +23,7 @@ MOST_FILES = 500
 """Number of runs above which studies are stored in blocks, unless files are requested."""
 
 RUNS = 1000
-"""Number of runs in a block."""
+"""Default of the largest number of runs in a block."""
 
 BYTES = 1 << 26
 """Largest size of the arrays of a block [bytes], which must fit in memory; blocks of large runs have fewer runs."""
@@ -33,9 +33,11 @@ ROWS = 1000
 
 
 def with_store(spec: StudySpec, folder: StudyFolder, *, overwrite: bool = False) -> StudySpec:
-    """Return a study in which `store` is set.
+    """Return a study whose `store` is set if its runs are to be stored in blocks.
 
-    If the study does not set it, the value is that of the study in the folder, or the default for its size.
+    If the study does not set `store`, the value is that of the same study in the folder. Without such a study, the
+    value is ``all`` for a sample, a table of members, or a large study. `store` remains unset for other studies, which
+    store an archive for each run.
     """
     if spec.store is not None:
         return spec
@@ -78,7 +80,8 @@ class StudyBlocks:
     def of(cls, spec: StudySpec, points: PlannedPoints) -> StudyBlocks:
         """Return the blocks of a study.
 
-        Their size depends on the first run whose spec is valid, so that all processes that work on the study agree.
+        Unless the spec sets the size of the blocks, the size depends on the first valid spec among those of the first
+        ten runs, so that all processes that compute the study use the same blocks.
         """
         if spec.block is not None:
             return cls(len(points), min(spec.block, LARGEST_TABLE))
@@ -102,7 +105,7 @@ class StudyBlocks:
         return range(block * self.size, min(self.runs, (block + 1) * self.size))
 
     def block_of(self, place: int) -> int:
-        """Return the block that contains the run with an index."""
+        """Return the number of the block that contains the run with this index; both are counted from 0."""
         return place // self.size
 
     def open(self, path: Path, study_sha256: str) -> Block:

@@ -71,14 +71,17 @@ class StudyFolder(OwnedFolder[StudySpec]):
             self.figures.rmdir()
 
     def create_more(self, spec: StudySpec) -> None:
-        """Create the table of values of an ensemble, and the subfolder for runs."""
+        """Create the table of members, if the study has one, and the subfolder for runs."""
         if spec.members is not None and not (self.path / member_table.FILE).exists():
             member_table.write_members(spec, self.path)
         self.runs.mkdir(exist_ok=True)
 
     @contextlib.contextmanager
     def indexing(self) -> Iterator[None]:
-        """Hold an exclusive lock on the index, after waiting for other calls that write it."""
+        """Hold an exclusive lock for writing the index, after waiting for other calls that write it.
+
+        There is no lock on Windows.
+        """
         if sys.platform == "win32":
             yield
             return

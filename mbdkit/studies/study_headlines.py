@@ -23,10 +23,11 @@ MOST = 5
 """Largest number of measures, and of samples of a study, in the headlines."""
 
 LEAST_SHARE = 0.05
-"""Smallest share of a variance, and of interactions in it, that a headline mentions."""
+"""Headlines mention a variable if it explains at least this share of the variance of a measure, and interactions if
+they do."""
 
 WIDEST = 0.5
-"""Largest width of the confidence interval of a Sobol index that a headline mentions."""
+"""Headlines do not mention Sobol indices whose confidence intervals are wider than this."""
 
 MOST_CAUSES = 3
 """Largest number of variables in a headline."""
@@ -36,9 +37,10 @@ ROUND_OFF = 1e-12
 
 
 def headlines(study: Study) -> list[tuple[str, str]]:
-    """Return sentences on the values of each measure that the study or its base defines, by name of the measure.
+    """Return pairs of a name and a text about the values of each measure that the study or its base defines.
 
-    In studies with a reference, the first entries are the errors of the runs, and their cost.
+    At most `MOST` measures are included. In studies with a reference, the first pairs are about the errors of the runs,
+    and the cost of runs at a given error.
     """
     names = [measure.name for measure in study.spec.defined_measures()][:MOST]
     of_errors = [] if study.spec.has_table else error_headlines(study)
@@ -74,7 +76,10 @@ def _told(study: Study, group: SampleGroup, name: str) -> str:
 
 
 def _explained(study: Study, group: SampleGroup, name: str, values: np.ndarray) -> str:
-    """Return which variables explain the variance: by Sobol indices, if available, otherwise by a linear model."""
+    """Describe which variables explain the variance: by Sobol indices in a Saltelli design, otherwise by a linear fit.
+
+    The text is empty if no variable explains a sufficient share, or if this is unknown.
+    """
     sample = study.spec.sample
     where = ({"family": group.family} if group.family else {}) | dict(group.axes)
     if sample is not None and sample.design == "saltelli":
@@ -95,7 +100,10 @@ def _explained(study: Study, group: SampleGroup, name: str, values: np.ndarray) 
 
 
 def _sobol_words(sobol: Sensitivity) -> str:
-    """Describe the variables with the largest total indices; nothing, with the reason, if one of these is unknown."""
+    """Describe the variables with the largest total indices.
+
+    The text is empty if all indices are unknown, and says that the sample is too small if any total index is uncertain.
+    """
     if sobol.reason:
         return ""
     indices = sobol.indices

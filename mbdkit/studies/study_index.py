@@ -58,7 +58,7 @@ TEXTS = {
     "file_sha256": "hash of the bytes of the archive",
 }
 
-#: Numeric columns; each exists if any run of the study has a value.
+#: Numeric columns that the index of any study may have, in addition to measures that the study defines.
 NUMBERS = (*MEASURES, *OF_CHECKED_RUNS, *SECOND, *COUNTERS, *TIMINGS, *QUARTILES)
 
 HASHES = ("run_id", "data_sha256")
@@ -87,7 +87,7 @@ class Row:
     values
         Measures, counters and timings by column.
     repeats
-        Wall times of the serial timings, s.
+        Wall times of the repeated timings, which are made one after another [s].
     file_sha256
         Hash of the bytes of the archive; empty without an archive.
     second_run
@@ -162,7 +162,7 @@ class Index:
         return len(self.runs["status"])
 
     def rows(self) -> list[Row]:
-        """Return the rows of all reference runs and runs; see `row`."""
+        """Return the rows of all reference runs, then those of all runs; see `row`."""
         rows = [self.row(place, of_references=True) for place in range(len(self.references.get("status", ())))]
         return rows + [self.row(place) for place in range(len(self))]
 
@@ -251,7 +251,7 @@ def _write_states(file: h5py.File, states: np.ndarray) -> None:
 
 @dataclass(frozen=True)
 class _Table:
-    """A group of the index with columns along one axis."""
+    """Writes a group of the index, whose columns have one value for each run or reference run."""
 
     file: h5py.File
     group: str

@@ -34,7 +34,7 @@ The specs of all other runs are validated when the runs are computed.
 
 
 class StudyPlan:
-    """The plan of a study.
+    """The plan of a study: its points, its distinct runs, and its measures.
 
     Parameters
     ----------
@@ -113,7 +113,8 @@ class StudyPlan:
     def warnings_of_sample(self) -> list[str]:
         """Return warnings about distributions of angles that are probably meant in degrees.
 
-        Drawn values have too many decimals for this warning, so that limits and means are checked.
+        The warning recognizes angles with few decimals. Values that are drawn from distributions have many decimals, so
+        that limits and means of the distributions are checked instead.
         """
         specs = (spec for _, spec in self._valid_samples()) if self.spec.in_blocks else iter(self.runs.values())
         if self.spec.sample is None or (spec := next(specs, None)) is None:
@@ -123,7 +124,7 @@ class StudyPlan:
         known = {without_numbers(warning) for warning in angles_in_degrees(spec)}
         for key, distribution in self.spec.sample.variables.items():
             for value in typical_values(distribution):
-                with suppress(SpecError):  # a limit may be invalid although no drawn value is
+                with suppress(SpecError):  # a limit may be invalid although all drawn values are valid
                     for warning in angles_in_degrees(varied.spec([(parse_key(key), value)])):
                         if without_numbers(warning) not in known:
                             place = path_text(("sample", "variables", key))
@@ -152,7 +153,7 @@ def plan_study(spec: StudySpec) -> StudyPlan:
 
 
 def describe_measures(spec: StudySpec, runs: Iterable[tuple[str, RunSpec]]) -> dict[str, Description]:
-    """Check the measures that a study defines for all of its runs, and return units and descriptions of their columns.
+    """Check the measures that a study defines with all runs, and return units and descriptions of their columns.
 
     Parameters
     ----------
@@ -162,7 +163,7 @@ def describe_measures(spec: StudySpec, runs: Iterable[tuple[str, RunSpec]]) -> d
     Raises
     ------
     SpecError
-        If an expression is not valid for a run, or has different units in two runs.
+        If an expression is not valid for a run, or if its values have different units in two runs.
     """
     measures = spec.defined_measures()
     described: dict[str, Description] = {}
@@ -209,12 +210,13 @@ _OF_TABLES = {"number"}
 
 
 def check_column_names(spec: StudySpec) -> None:
-    """Check the names of axes and families, and the labels of values.
+    """Check the names of measures, axes, variables and families, and the labels of values.
 
     Raises
     ------
     SpecError
-        If a name cannot be stored, or two columns would have the same name.
+        If a name or label cannot be stored, if two columns would have the same name, or if an axis or variable sets a
+        measure.
     """
     try:
         measures = {measure.name: measure.place for measure in spec.defined_measures()}

@@ -102,6 +102,8 @@ class Points(Sequence[StudyPoint]):
 
     Parameters
     ----------
+    planned, index, folder
+        Planned points, index and folder of the whole study.
     places
         Indices of the points among those of the study; all by default.
     """
@@ -144,7 +146,8 @@ def point_words(point: StudyPoint, units: Mapping[str, str] | None = None) -> st
     Parameters
     ----------
     units
-        Units of all keys, if these are known to be the same for all points; by default the spec of the point is read.
+        Unit of each key, if the units are the same for all points; by default, the units are read from the spec of the
+        point.
     """
     return ", ".join(value_words(key, point, None if units is None else units[key]) for key in point.axes)
 
@@ -166,5 +169,5 @@ def axis_unit(key: str, points: Iterable[StudyPoint]) -> str:
 
 def _valid_specs(points: Iterable[StudyPoint]) -> Iterator[RunSpec]:
     for point in points:
-        with suppress(MbdkitError):  # the plugin of the spec is not installed
+        with suppress(MbdkitError):  # for example, a plugin that the spec needs is not installed
             yield point.spec

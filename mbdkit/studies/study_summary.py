@@ -25,7 +25,7 @@ FAILURES_SHOWN = 20
 
 
 def summary(study: Study) -> str:
-    """Return a plain text summary of a study: counts of runs, failures with their reasons, and folder."""
+    """Return a plain text summary of a study: counts of runs, main results, folder, and failures with their reasons."""
     counts = Counter(study.statuses())
     runs = ", ".join(f"{counts[status]} {status.replace('-', ' ')}" for status in STATUSES if counts[status])
     beside = f"; reference runs: {len(study.references)}" if study.references else ""
@@ -55,8 +55,8 @@ def summary(study: Study) -> str:
 def plan_summary(plan: StudyPlan) -> str:
     """Return a plain text summary of a study before it runs: its runs, its axes, and the measures that it defines.
 
-    For a study in blocks, only the specs of the samples of the plan are validated now; all others when they are
-    computed.
+    For a study in blocks, only the specs of the samples of the plan (`StudyPlan.samples`) are validated by this
+    function. Other specs are validated when their runs are computed.
 
     Raises
     ------

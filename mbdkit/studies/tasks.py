@@ -29,7 +29,7 @@ class Task:
     Parameters
     ----------
     key
-        Identifies what the task computes: a run id, the number of a block, or jobs of a design.
+        What the task computes: a run id, the number of a block, or the jobs of a design.
     content
         The message from which a worker can carry out the task, except for `path` and `skip`, which `message` adds.
     path
@@ -43,7 +43,7 @@ class Task:
         Number of processes that died while they computed a run of a block, by number of the run. The key 0 counts
         processes that died at other times or in other tasks.
     skip
-        Reasons for which runs of a block are recorded as failed without being computed, by their number.
+        Reasons for which runs of a block are recorded as failed without being computed, by number of the run.
     """
 
     key: Any
@@ -120,7 +120,7 @@ class Outcome:
 
     @property
     def is_final(self) -> bool:
-        """Whether a second attempt would have the same result."""
+        """Whether the task is not to be tried again, because a second attempt would have the same result."""
         return self.status in ("complete", "left-out") or (
             self.status == "failed" and not self.reason.startswith(TRIED_AGAIN)
         )

@@ -24,7 +24,9 @@ KEYS = (("position", 0), ("position", 1), ("angle",), ("velocity", 0), ("velocit
 
 
 def start_warnings_of_study(specs: Iterable[RunSpec]) -> list[str]:
-    """Return a warning if runs vary initial values of bodies, but their starts after assembly do not follow them.
+    """Return a list with a warning if starts after assembly do not follow the initial values that runs vary.
+
+    Otherwise, the list is empty.
 
     Parameters
     ----------
@@ -39,7 +41,7 @@ def start_warnings_of_study(specs: Iterable[RunSpec]) -> list[str]:
         return []
     starts, changes, kept = Starts(), [], []
     for spec, values in zip(free, given, strict=True):
-        with suppress(SpecError):  # reported by the run itself
+        with suppress(SpecError):  # the run reports this error itself
             _, start = build(spec, starts)
             now = np.hstack([start.q.reshape(-1, 3), start.v.reshape(-1, 3)])
             changes.append(now - values)

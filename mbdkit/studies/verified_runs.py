@@ -20,7 +20,7 @@ from mbdkit.studies.study_point import StudyPoint
 
 
 def check_stored(run: Run, point: StudyPoint, path: Path) -> None:
-    """Check that a stored run is the one that the study plans and has indexed.
+    """Check that a stored run is the one that the study plans, and that its data are those in the index.
 
     Parameters
     ----------

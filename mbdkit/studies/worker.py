@@ -33,7 +33,7 @@ Its second argument is a function that passes notes to the user.
 
 
 def main(carry: Carry | None = None) -> None:
-    """Process tasks, by default those of studies, until standard input is closed."""
+    """Carry out tasks by `carry`, by default those of studies, until standard input is closed."""
     carry = carry or _work
     answers = os.fdopen(os.dup(1), "w", encoding="utf-8")
     os.dup2(2, 1)  # keep the output of plugins apart from the results
@@ -78,7 +78,8 @@ def compute(tasks: Sequence[dict[str, Any]], of_version: str, carry: Carry | Non
     Returns
     -------
     list
-        Answers in the form of those of the worker process, each with the notes and the name of this machine.
+        Answer to each task, in the form that worker processes use, with the notes of the task and the name of this
+        machine.
     """
     with _ONE_AT_A_TIME, one_thread_of_linear_algebra():
         return [_answered(task, of_version, carry or _work) for task in tasks]

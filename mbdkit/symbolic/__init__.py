@@ -2,5 +2,5 @@
 
 ``python -m mbdkit.symbolic`` generates ``engine/kernels/element_kernels.py``; ``python -m mbdkit.symbolic --check``
 checks that the file in the repository is current. `Mechanism.to_sympy` assembles the equations of a whole mechanism
-from the same definitions. During a simulation this package is imported only if a force law must be compiled.
+from the same definitions. A simulation imports this package only for force laws and contacts.
 """

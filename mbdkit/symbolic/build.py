@@ -235,14 +235,17 @@ class _Builder:
         self.add(place.T * value, load.reaction_body, load.body, held)
 
     def add_spring(self, name: str, force: SpringDamper | TorsionSpring) -> None:
-        """Add a linear spring and damper, of tension F = k (s - s_0) + c s', on a pathway: Q = -F s_q."""
+        """Add a linear spring and damper along a pathway of length s.
+
+        The tension F = k (s - s_0) + c s' gives the generalized forces Q = -F s_q.
+        """
         letter, tex = ("l", r"\ell") if force.length_unit == "m" else ("phi", r"\varphi")
         free = self.parameter(force.linear.free, letter, name, tex=tex)
         stiffness, damping = self.parameter(force.stiffness, "k", name), self.parameter(force.damping, "c", name)
         self.add_tension(name, force, lambda length, rate: stiffness * (length - free) + damping * rate)
 
     def add_law(self, name: str, force: Law) -> None:
-        """Add the force F of a law along its pathway, Q = -F s_q.
+        """Add the generalized forces Q = -F s_q of a law that gives the force F along its pathway of length s.
 
         F is an expression if the law is an `ExpressionLaw`; for other laws it is an undefined function of length, rate
         and time.
@@ -270,8 +273,9 @@ class _Builder:
         pathway: Pathway | SpringDamper | TorsionSpring,
         tension: Callable[[sp.Expr, sp.Expr], sp.Expr],
     ) -> None:
-        """Add the forces -F s_q of a tension F to the bodies of every segment of a pathway; F is a function of length
-        and rate.
+        """Add the generalized forces -F s_q of a tension F on the bodies of every segment of a pathway of length s.
+
+        F is a function of the length of the whole pathway and of the rate of this length.
         """
         parts = [(one, self.segment_parameters(name, one)) for one in pathway.segments(self.mechanism.joints)]
         whole = [self.segment_length(*part) for part in parts]
@@ -324,8 +328,10 @@ class _Builder:
         self.spread([_shortest(x).xreplace(here) for x in terms], first, second, self.forces)
 
     def add_beam(self, name: str, beam: Beam) -> None:
-        """Add the forces of a beam on its nodes. Each cross-section contributes the force conjugate to its state,
-        distributed to the nodes by the shape functions.
+        """Add the forces of a beam on its nodes.
+
+        Each cross-section contributes the force conjugate to its state, which the shape functions distribute to the
+        nodes.
         """
         held = dict(zip(d.SECTION_STIFFNESS, self.section_parameters(name, beam.element_stiffness), strict=True))
         retardation = self.parameter(beam.damping, "tau", name, tex=r"\tau")

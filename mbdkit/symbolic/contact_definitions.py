@@ -146,7 +146,7 @@ def _of_edge(ux: sp.Expr, uy: sp.Expr, numbers: Sequence[sp.Symbol], step: Steps
         outside = choose(-along, at_corner, choose(along - size, at_end, at_edge))
         return step(choose(deepest, outside, inside))
 
-    # positive on both sides of the edge, so that only the nearest edge can overlap
+    # positive also behind the edge, so that a circle outside another edge does not overlap with this one
     far = choose(height, height, -height)
     distance = where_it_is(to_corner, to_end, far, choose(deepest - height, -height, height))
     mx, my = where_it_is(dx, tx, ty, ty), where_it_is(dy, ty, -tx, -tx)

@@ -106,7 +106,7 @@ _DERIVATIVES[length] = {
 _DERIVATIVES[straight] = {
     q: (gx * _DERIVATIVES[gx].get(q, 0) + gy * _DERIVATIVES[gy].get(q, 0)) / straight for q in BODY_COORDINATES
 }
-_turning = {  # rates of the direction of the tangent
+_turning = {  # derivatives of the angle of the tangent
     q: (tangent_x * _DERIVATIVES[gy].get(q, 0) - tangent_y * _DERIVATIVES[gx].get(q, 0)) / straight
     for q in BODY_COORDINATES
 }
@@ -147,7 +147,7 @@ class ConstraintKind:
 
 _ARM = (xb + bx - xa, yb + by - ya)
 _IN_A = (ca * _ARM[0] + sa * _ARM[1], ca * _ARM[1] - sa * _ARM[0])
-"""Position of the second body's point in the frame of the first body, relative to its centre of mass."""
+"""Position of the second body's point relative to the first body's centre of mass, in the frame of the first body."""
 
 CONSTRAINTS = (
     ConstraintKind("revolute", (gx, gy), "Phi = p_b - p_a of two points that coincide"),

@@ -1,8 +1,9 @@
 """Generate ``mbdkit/engine/kernels/element_kernels.py`` from the definitions.
 
-The generated module contains one kernel for each element kind and level (position, acceleration, tangent), with common
-subexpressions eliminated, and for each level a loop that calls the kernel of the right kind for every pair of
-constraint rows. Cross-sections of beams have a kernel for their forces and one for the tangents.
+The generated module contains one kernel for each kind of constraint and each level (position, acceleration, tangent),
+and for each level a loop that calls the kernel of the right kind for every pair of constraint rows. Each kind of
+pathway has a kernel for its length and gradient and, unless they are zero, one for the second derivatives.
+Cross-sections of beams have a kernel for their forces and one for the tangents. Common subexpressions are eliminated.
 """
 
 from __future__ import annotations

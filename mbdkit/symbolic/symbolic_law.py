@@ -17,8 +17,9 @@ from mbdkit.mechanism.force_law import ARGUMENTS, ExpressionLaw
 LENGTH, RATE, T = (sp.Symbol(name, real=True) for name in ARGUMENTS)
 
 SIDE = "mbdkit_side_"
-"""Prefix of parameters that select one side of each discontinuity of a law (`mbdkit.gradients.law_corners`). On the
-other side, the potential is not that of the force.
+"""Prefix of parameters that select one side of each discontinuity of a law (`mbdkit.gradients.law_corners`).
+
+The potential of a law with such parameters is not checked, because it belongs to the force on the selected side only.
 """
 
 _CORNERED = (sp.Abs, sp.Min, sp.Max, sp.Heaviside, sp.sign)
@@ -109,10 +110,10 @@ def _without_corners(expression: sp.Expr) -> sp.Expr:
 
 
 def _check_potential(force: sp.Expr, potential: sp.Expr, example: Mapping[str, float]) -> None:
-    """Raise PluginError unless dV/ds equals the force at rate zero.
+    """Raise PluginError unless the derivative of the potential with respect to length equals the force at rate zero.
 
-    The two are compared at 40 random lengths for each of several scales, which are 1 and the absolute value of each
-    parameter. The random numbers are the same in every call.
+    The two expressions are compared at 40 random lengths for each of several scales, which are 1 and the absolute value
+    of each parameter. The random numbers are the same in every call.
     """
     at_rest = force.subs(RATE, 0)
     if at_rest.has(T):

@@ -1,4 +1,7 @@
-"""A named check: a function whose docstring states the requirement. Exceptions of a plugin are caught."""
+"""Named checks of plugins: functions whose docstrings state the requirements.
+
+An exception that a plugin raises in a check is caught and reported as the result of the check.
+"""
 
 from __future__ import annotations
 
@@ -35,7 +38,7 @@ class Check(Generic[UnderTest]):
     name
         ``group.check``.
     function
-        Function of the plugin under test that returns a `Result` or raises `Skip`; any other exception is a failure.
+        Function of the plugin under test. It returns a `Result`, or raises `Skip` if the check does not apply.
     slow
         Whether a quick verification omits the check, because it takes more than a second or two.
     """
@@ -50,7 +53,11 @@ class Check(Generic[UnderTest]):
         return " ".join((self.function.__doc__ or "").partition("\n\n")[0].split())
 
     def run(self, under_test: UnderTest) -> Result:
-        """Run the check; an exception raised by the plugin is a failure."""
+        """Run the check and return its result; an exception raised by the plugin is a failure.
+
+        Two exceptions are not failures: KeyboardInterrupt is raised again, and UnsupportedMechanismError skips the
+        check if the plugin claims to support some mechanisms only.
+        """
         begin = time.perf_counter()
         try:
             with _time_limit(TIME_LIMIT):
@@ -75,7 +82,7 @@ def _supported_mechanisms(under_test: Any) -> str:
 
 
 def check(name: str, *, slow: bool = False) -> Callable[[Callable[[Any], Result]], Check[Any]]:
-    """Turn a function into a check of this name."""
+    """Return a decorator that turns a function into a check with this name."""
 
     def named(function: Callable[[Any], Result]) -> Check[Any]:
         return Check(name, function, slow)
@@ -85,7 +92,10 @@ def check(name: str, *, slow: bool = False) -> Callable[[Callable[[Any], Result]
 
 @contextmanager
 def _time_limit(seconds: float) -> Iterator[None]:
-    """Return a decorator that turns a function into a check with this name."""
+    """Raise `_TimeLimitError` in the body of the `with` statement if the body takes longer than this many seconds.
+
+    There is no limit outside the main thread, on systems without interval timers, or if another timer is running.
+    """
     usable = hasattr(signal, "setitimer") and threading.current_thread() is threading.main_thread()
     if not usable or signal.getitimer(signal.ITIMER_REAL)[0] > 0:
         yield

@@ -26,8 +26,8 @@ REQUIRED_GROUP: dict[Kind, str] = {
 class Result:
     """Result of a check.
 
-    A check function returns the first three fields, by `passed`, `failed`, `warned`, `unclaimed` or `skipped`;
-    `Check.run` adds the others.
+    A check function creates a result with `passed`, `failed`, `warned`, `unclaimed` or `skipped`, and may add `limits`
+    with `within`. `Check.run` adds `name`, `what` and `seconds`.
 
     Parameters
     ----------
@@ -99,6 +99,8 @@ class Report:
     ----------
     id, kind, version
         Long id and kind of the plugin, and version of its distribution.
+    options
+        Options of the plugin.
     claims
         Claims of the plugin with these options.
     results
@@ -127,7 +129,7 @@ class Report:
 
     @property
     def missing(self) -> str:
-        """The required group, if all checks of it were skipped; otherwise empty."""
+        """The group of checks that `REQUIRED_GROUP` names, if none of its checks was run; otherwise empty."""
         group = REQUIRED_GROUP[self.kind]
         done = any(result.group == group and result.outcome != "skip" for result in self.results)
         return "" if done else group
@@ -180,7 +182,7 @@ class Report:
         return names
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the report as JSON values; numbers that are not finite become None."""
+        """Return the report as JSON values; measured values that are not finite become None."""
         results = [asdict(result) for result in self.results]
         for result in results:
             result["figures"] = {key: _plain(value) for key, value in result["figures"].items()}
@@ -203,10 +205,11 @@ class Report:
 
 
 def _told(result: Result, first: str) -> str:
-    """Return cause and measured values of a result, or the earlier check with the same cause; and the criterion.
+    """Return the text of a result in the report: its cause, its measured values, and sometimes its requirement.
 
-    The criterion is included if the meaning of the values is otherwise unclear: for results without limits, and for
-    properties that are not claimed.
+    The requirement is included for results without limits that passed or are not claimed, because the meaning of their
+    values is otherwise unclear. If `first` is the name of an earlier check that failed for the same reason, the text
+    only refers to that check.
     """
     if first:
         return f"for the same reason as {first}"

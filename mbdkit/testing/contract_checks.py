@@ -23,7 +23,7 @@ STEPS = 23
 START_TIMES = 0.0, 3.0, 1000.0, -8.0
 """Start times for which runs should give the same results [s]."""
 SAME, SAME_ADAPTIVE = 1e-9, 1e-4
-"""Largest change of the final state with the start time that counts as rounding.
+"""Largest change of the final state that counts as rounding if only the start time changes.
 
 The first is for fixed steps, the second for adaptive methods, whose step sizes depend on rounding.
 """
@@ -87,10 +87,10 @@ _PARTS = ("q", "v", "multipliers", "memory")
 
 
 class _Watched(StepMethod):
-    """A method that records which parts a step modifies: of the state passed to it, and of the state it returned
-    before.
+    """A wrapper of a method that records which parts of states are modified by a step.
 
-    The arrays passed to the method are writable, so that all modifications are detected.
+    It compares the state passed to the step, and the state that the previous step returned. The arrays passed to the
+    method are writable, so that all modifications are detected.
     """
 
     def __init__(self, method: StepMethod):
@@ -208,7 +208,9 @@ def formulations(integrator: IntegratorUnderTest) -> Result:
 
 @check("contract.other-options")
 def other_options(integrator: IntegratorUnderTest) -> Result:
-    """With other values of each option within its bounds, its method has consistent claims, and it runs."""
+    """With other values of each option within its bounds, the integrator's claims are consistent, and a short run does
+    not end with an error in the plugin.
+    """
     tried = 0
     for name, chosen in variants(integrator.item, integrator.options):
         other = IntegratorUnderTest(integrator.item, chosen, integrator.installed)

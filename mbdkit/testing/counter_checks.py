@@ -1,4 +1,4 @@
-"""Checks that the counters of a run are correct, and the cost of a step, which has no limit."""
+"""Checks that the counters of a run are correct, and measures the cost of a step, which has no limit."""
 
 from __future__ import annotations
 
@@ -158,7 +158,9 @@ def needs(integrator: IntegratorUnderTest) -> Result:
 
 @check("honesty.projections")
 def projections(integrator: IntegratorUnderTest) -> Result:
-    """The method does not project the state onto the constraints in every step: the spec chooses stabilization."""
+    """The method does not project the state onto the constraints in every step, unless the formulation solves for
+    multipliers: otherwise, the spec chooses the stabilization.
+    """
     if integrator.method().traits.family != "python":
         return skipped("it is not a class with `step`, so it cannot project")
     with integrator.run(FORCED_PENDULUM, {"end": 0.2, "step": 0.01}) as run:

@@ -18,16 +18,17 @@ from mbdkit.testing.order_checks import BELOW, BELOW_HIGH, HIGH
 from mbdkit.testing.trial_models import DRIVEN_PENDULUM, SWINGING, Model
 
 EXACT = 1e-11
-"""Misalignment [m, m/s] that counts as zero because of rounding and the tolerance of iterations."""
+"""Misalignment [m, m/s] below which the constraints count as satisfied; rounding and iterations may leave this much."""
 HELD = {name: one.holds for name, one in FORMULATIONS.items() if one.solves_multipliers} | {
     name: ("position", "velocity") for name, one in FORMULATIONS.items() if one.coordinates == "joint"
 }
-"""Levels at which the states of trial models without closed loops satisfy the constraints exactly: position,
-velocity.
+"""Levels, ``position`` and ``velocity``, at which each formulation satisfies the constraints to round-off.
+
+This is true for the models of these checks, which have no closed loops.
 """
 ROUNDING = 1e-15
 COARSE = 0.1
-"""Misalignment [m, m/s] above which it no longer follows a power of the step: a tenth of the mechanism's size."""
+"""Misalignments [m, m/s] above this limit, a tenth of the mechanism's size, do not follow a power of the step size."""
 REFINEMENTS, FINEST = 24, 120
 """Largest number of refinements of the step, and largest ratio of the coarsest to the finest step."""
 FEWEST = 5
@@ -118,7 +119,7 @@ def growth(integrator: IntegratorUnderTest) -> Result:
 
 @check("drift.formulations")
 def formulations(integrator: IntegratorUnderTest) -> Result:
-    """With each other formulation that the method claims, the constraints that the formulation enforces hold."""
+    """With each further formulation that the method claims, the constraints hold at the levels that it enforces."""
     others = [name for name in integrator.claims.formulations if name != integrator.formulation and name in HELD]
     if not others:
         raise Skip("it claims no further formulation that enforces constraints")

@@ -35,7 +35,7 @@ def _fault(run: Run, *, allowed: tuple[str, ...] = TYPED) -> str:
 
 @check("failure.not-a-number")
 def not_a_number(integrator: IntegratorUnderTest) -> Result:
-    """A torque that becomes NaN ends the run as failed, with a status code and the motion before it."""
+    """A run with a torque that becomes NaN fails with a status code, and keeps the motion before the failure."""
     _refuse_to_step(integrator)
     with integrator.run(NO_NUMBER, {"end": 1.0, "step": 0.01}) as run:
         if run.status == "complete":
@@ -71,7 +71,9 @@ class _NoStepError(MbdkitError):
 
 @check("failure.singular")
 def singular(integrator: IntegratorUnderTest) -> Result:
-    """A driver that pulls two rods beyond their reach ends the run with a status code or finite values."""
+    """A run with a driver that pulls two rods beyond their reach records only finite values, and if it fails, it ends
+    with a status code.
+    """
     with integrator.run(OUT_OF_REACH, {"end": 1.5, "step": 0.01}, limits={"wall_time": 10, "max_steps": 20000}) as run:
         if fault := _fault(run):
             return failed(fault)
@@ -100,7 +102,9 @@ def inconsistent_start(integrator: IntegratorUnderTest) -> Result:
 
 @check("failure.impossible-tolerance")
 def impossible_tolerance(integrator: IntegratorUnderTest) -> Result:
-    """A tolerance that cannot be met is an error, or ends the run with a status code or a finite result."""
+    """A tolerance that cannot be met is refused, or the run records only finite values, and if it fails, it ends with a
+    status code.
+    """
     fields = [name for name in ("tolerance", "rtol") if name in integrator.plugin.options.model_fields]
     if not fields:
         return skipped("it has no option `tolerance` or `rtol`")
@@ -126,7 +130,7 @@ def impossible_tolerance(integrator: IntegratorUnderTest) -> Result:
 
 @check("failure.step-limit")
 def step_limit(integrator: IntegratorUnderTest) -> Result:
-    """The method stops after limits.max_steps and keeps all steps before."""
+    """A run stops after limits.max_steps and keeps all steps up to then."""
     with integrator.run(FORCED_PENDULUM, {"end": 5.0, "step": 0.01}, limits={"max_steps": 7}) as run:
         code = run.status_reason.partition(":")[0]
         if run.status != "failed" or code != "max-steps":
@@ -140,7 +144,7 @@ def step_limit(integrator: IntegratorUnderTest) -> Result:
 
 @check("failure.interrupt")
 def interrupt(integrator: IntegratorUnderTest) -> Result:
-    """Ctrl-C ends the run as interrupted, with the motion up to then."""
+    """Ctrl-C ends the run as interrupted; the motion up to the interrupt is kept."""
     if threading.current_thread() is not threading.main_thread():
         raise Skip("only the main thread receives signals")
     rung: list[float] = []

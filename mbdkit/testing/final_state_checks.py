@@ -1,4 +1,4 @@
-"""Final states of runs: of free fall, after a shorter last step, and from rest where derivatives vanish."""
+"""Checks of final states: of free fall, after a shorter last step, and from starts at which derivatives vanish."""
 
 from __future__ import annotations
 
@@ -11,31 +11,32 @@ from mbdkit.testing.order_checks import ENDS, HIGH, NEAR_ROUNDING, PROBLEMS, err
 from mbdkit.testing.trial_models import COASTING_BODY, FORCED_PENDULUM, RESTING
 
 FALL, FALL_ADAPTIVE, FALL_STEPS = 1e-10, 1e-3, 100
-"""Largest errors of free fall [m, rad, per s], and number of steps before the last one.
+"""Largest error of free fall [m, rad, m/s] with fixed and with adaptive steps, and number of steps before the last.
 
-The first error counts as rounding; the second is for adaptive methods, which may begin with order 1.
+The first error counts as rounding; the second is larger, because adaptive methods may begin with order 1.
 """
 LAST_STEPS = (0.97, 0.6, 0.3, 0.04, 1e-3, 1e-6)
 """Sizes of a shorter last step, relative to the other steps."""
 LAST_COUNT, LAST_TIMES = 24, 10.0
-"""Number of the other steps, and largest factor by which a shorter last step may increase the error."""
+"""Number of steps before the shorter last one, and largest factor by which the last step may increase the error."""
 RESTING_TOLERANCES, RESTING_TIMES = (1e-4, 1e-7), 1e3
 """Tolerances of adaptive methods in runs from rest, and largest error as a multiple of the tolerance."""
 FINER_RESTING = (1, 2, 4, 8, 16)
-"""Factors by which the number of steps is multiplied; the last two are used only if smaller ones do not show the
+"""Factors by which the number of steps is multiplied; the last two are used only if the first three do not show the
 order.
 """
 FIRST_RESTING, STARTS_OF_FIXED = 24, 3
 """For methods with fixed steps: smallest number of steps, and number of starts at rest that are tried.
 
-Only some of the starts are tried, because these methods have no error control.
+Methods of high order begin with half this number of steps. Only some of the starts are tried, because methods with
+fixed steps have no error estimate that could vanish by accident.
 """
 
 
 @check("state.free-fall")
 def free_fall(integrator: IntegratorUnderTest) -> Result:
-    """A free body in free fall has the exact velocity and angle, and at order 2 the exact position, at the end of a run
-    whose last step is shorter.
+    """The final velocity and angle of a body in free fall are exact, also after a shorter last step; its position is
+    exact unless the claimed order is below 2.
     """
     worst, limit = 0.0, FALL_ADAPTIVE if integrator.claims.adaptive else FALL
     for share in LAST_STEPS:
@@ -84,8 +85,8 @@ def last_step(integrator: IntegratorUnderTest) -> Result:
 
 @check("state.resting-starts")
 def resting_starts(integrator: IntegratorUnderTest) -> Result:
-    """From starts at rest at which derivatives of the motion vanish, it converges with the claimed order, or its errors
-    with the tolerance.
+    """From starts at rest at which derivatives of the motion vanish, the errors of the method decrease with the claimed
+    order or, for an adaptive method, with the tolerance.
     """
     worst, count = 0.0, len(RESTING) if integrator.claims.adaptive else STARTS_OF_FIXED
     for name in list(RESTING)[:count]:

@@ -34,7 +34,9 @@ RANDOM = 8000
 RANDOM_OF_VARIANTS = 2000
 """Number of random samples for each other value of an option."""
 DECADES = 7.0
-"""Distances of samples from these places are between 1 and ``10**-DECADES`` times the range."""
+"""Samples close to an end of the range, zero, or a parameter are at distances from it between 1 and ``10**-DECADES``
+times the range.
+"""
 FINE = 4000
 """Number of intervals of the length over which the change of the potential is compared with the force."""
 CLIMBERS, ROUNDS = 16, 40
@@ -49,7 +51,7 @@ Rounding may dominate smaller derivatives.
 STEPS = 1e-6, 1e-7, 1e-8, 1e-9, 1e-10
 """Steps of the finite differences, as shares of the range of the argument."""
 ROUNDING = 1e-9
-"""Power, as a share of the force, that counts as rounding in the test of passivity."""
+"""Relative change of a force or state, or share of a force that adds energy, that counts as rounding."""
 ARGUMENTS = ("length", "rate", "time")
 
 
@@ -97,7 +99,10 @@ class ForceLawUnderTest:
 
     @cached_property
     def span(self) -> np.ndarray:
-        """(3, 2) lowest and highest length, rate and time of the tests: the valid range of the law."""
+        """(3, 2) lowest and highest length, rate and time of the tests.
+
+        They are the valid range of the law; where it has no bound, it is limited by means of `FAR`.
+        """
         found = []
         for argument, (low, high) in law_range(self.plugin.law, self.element, self.item.id).items():
             first = 0.0 if argument == "time" else -FAR
@@ -221,7 +226,8 @@ def _defects(
     """Return the relative differences (N,) between given derivatives and the closest of several finite differences.
 
     Where the slope is discontinuous, the derivative of either side is correct, so that central, forward and backward
-    differences are used. Where they disagree, smaller steps are tried, because the slope may change quickly.
+    differences are used. Where none of them agrees with the given derivative, smaller steps are tried, because the
+    slope may change quickly.
 
     Parameters
     ----------
@@ -271,7 +277,7 @@ def _slopes(
 
 @check("law.potential")
 def potential(law: ForceLawUnderTest) -> Result:
-    """The derivative of the law's potential is the force at rate zero, which does not depend on time."""
+    """The derivative of the law's potential is the force at rate zero, and this force does not depend on time."""
     if not law.claims["potential"]:
         raise Skip("it claims no potential")
     if not law.is_finite:
@@ -298,7 +304,7 @@ def potential(law: ForceLawUnderTest) -> Result:
 
 
 def _jump(law: ForceLawUnderTest) -> float | None:
-    """Return a length at which the potential changes by more than the force allows, so that it is discontinuous."""
+    """Return a length near which the potential is discontinuous: it changes by more than the force allows; or None."""
     low, high = law.span[0].tolist()
     lengths = np.linspace(low, high, 2 * FINE + 1)[1:-1]
     places = np.column_stack([lengths, np.zeros(len(lengths)), np.full(len(lengths), law.span[2, 0])])
@@ -313,14 +319,16 @@ def _jump(law: ForceLawUnderTest) -> float | None:
 
 @check("law.passivity")
 def passivity(law: ForceLawUnderTest) -> Result:
-    """The force without potential never adds energy, neither at samples nor at places that a random search finds."""
+    """The part of the force without a potential never adds energy, neither at samples nor at places that a random
+    search finds.
+    """
     if not law.claims["passive"]:
         raise Skip("it does not claim to be passive")
     if not law.is_finite:
         raise Skip("it does not give finite numbers")
 
     def supplied(places: np.ndarray) -> np.ndarray:
-        """Return the power supplied by the rate, as a share of the force, (N,)."""
+        """Return the power that the law supplies per size of the rate, as a share of the force (N,)."""
         at_rest = places * [1.0, 0.0, 1.0]
         force, stored = law(places)[:, 0], law(at_rest)[:, 0] if law.claims["potential"] else np.zeros(len(places))
         share = (stored - force) * np.sign(places[:, 1]) / np.maximum(np.abs(force) + np.abs(stored), 1e-300)
@@ -333,8 +341,9 @@ def passivity(law: ForceLawUnderTest) -> Result:
 
 
 def _climb(merit: Callable[[np.ndarray], np.ndarray], places: np.ndarray, span: np.ndarray) -> tuple[float, np.ndarray]:
-    """Return the largest value of a function and its place, from samples (N, 3) and random steps starting at the best
-    ones.
+    """Return the largest value of a function that a random search finds, and its place.
+
+    The search starts from some of the best samples among `places` (N, 3) and does not leave `span` (3, 2).
     """
     values = merit(places)
     best = np.argsort(-values)[:: max(1, len(values) // (8 * CLIMBERS))][:CLIMBERS]
@@ -382,7 +391,7 @@ STATE_STEPS = 0.01, 0.005, 0.0025
 
 
 def _mass_on(law: ForceLawUnderTest, step: float) -> RunSpec:
-    """Return the run of a mass to which a force with this law is applied."""
+    """Return the spec of a run of a mass to which a force with this law is applied."""
     (low, high), (slowest, fastest), (start, _) = law.span.tolist()
     length = 0.8 if low < 0.8 - 0.1 * (high - low) and 0.8 + 0.1 * (high - low) < high else 0.5 * (low + high)
     speed = 0.9 if slowest < -0.9 and fastest > 0.9 else 0.3 * max(abs(slowest), abs(fastest))
@@ -404,7 +413,7 @@ def _mass_on(law: ForceLawUnderTest, step: float) -> RunSpec:
 
 @check("law.energy")
 def energy(law: ForceLawUnderTest) -> Result:
-    """The energy balance of a mass on the law converges to zero with the step."""
+    """The energy balance of a mass under a force with this law converges to zero with the step."""
     found = []
     for step in (0.02, 0.01, 0.005, 0.0025):
         with simulate(_mass_on(law, step)) as run:

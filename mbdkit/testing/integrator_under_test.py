@@ -1,4 +1,4 @@
-"""An integrator with given options under test: its claims, and methods that run it on a model or a workspace."""
+"""An integrator under test, with given options: its claims, and methods that run it on a model or a workspace."""
 
 from __future__ import annotations
 
@@ -36,8 +36,12 @@ class IntegratorUnderTest:
 
     Parameters
     ----------
+    item
+        The integrator in the registry.
     options
-        Its options, as in a spec.
+        Options of the integrator, as in a spec.
+    installed
+        The registry of installed plugins.
     """
 
     item: Registered
@@ -67,7 +71,7 @@ class IntegratorUnderTest:
 
     @property
     def formulation(self) -> str:
-        """The formulation used by the checks: the first one that it claims."""
+        """The formulation used by most checks: the first one that the integrator claims."""
         return self.claims.formulations[0]
 
     @property
@@ -86,7 +90,7 @@ class IntegratorUnderTest:
         return tableau
 
     def method(self, **changes: Any) -> Method:
-        """Return a new method, with `changes` of the options."""
+        """Return a new method; `changes` are values of options that replace those of this integrator."""
         options = validated(self.plugin.options, {**self.options, **changes})
         method: Method = self.plugin.create(options)
         return method
@@ -145,7 +149,7 @@ class IntegratorUnderTest:
         steps
             Number of steps of a method with fixed steps; an adaptive method chooses its own.
         every
-            Number of steps between recorded rows.
+            Number of steps between recorded states.
         method
             The method; by default a new one.
         single
@@ -191,7 +195,7 @@ def drive(stepper: Stepper, before: Callable[[], None] = lambda: None) -> tuple[
 
 
 def final_state(run: Run) -> np.ndarray:
-    """Return positions and velocities of the last row in one vector; NaN if the run is not complete."""
+    """Return the last recorded positions and velocities in one vector; NaN if the run is not complete."""
     state = np.concatenate(
         [np.asarray(run.array(f"trajectory/{name}")[-1]).ravel() for name in ("position", "velocity")]
     )

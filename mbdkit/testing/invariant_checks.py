@@ -65,7 +65,9 @@ def _distance(state: tuple[np.ndarray, np.ndarray], workspace: Workspace) -> flo
 
 @check("geometry.quadratic-invariants")
 def quadratic_invariants(integrator: IntegratorUnderTest) -> Result:
-    """In large steps, a method that claims it conserves angular momentum and the energy of a linear spring."""
+    """A method that claims to conserve quadratic invariants conserves angular momentum and the energy of a linear
+    spring, also in large steps.
+    """
     step = 2 * coarse_step(integrator)
     time = {"end": 40.0} if integrator.claims.adaptive else {"steps": 400, "step": step}
     with integrator.run(ORBIT, time) as run:
@@ -93,7 +95,9 @@ def quadratic_invariants(integrator: IntegratorUnderTest) -> Result:
 
 @check("geometry.symplectic-form")
 def symplectic_form(integrator: IntegratorUnderTest) -> Result:
-    """If it is symplectic, the derivative J of some steps of a mass in a central field satisfies J^T S J = S."""
+    """If the method claims to be symplectic, the Jacobian J of a few steps of a mass in a central field satisfies
+    J^T S J = S, where S is the matrix of the symplectic form.
+    """
     if integrator.claims.adaptive:
         return skipped("it is adaptive: the step size depends on the state")
     step, steps, small = 4 * coarse_step(integrator), 3, 1e-5
@@ -122,7 +126,9 @@ def symplectic_form(integrator: IntegratorUnderTest) -> Result:
 
 @check("geometry.energy")
 def energy(integrator: IntegratorUnderTest) -> Result:
-    """If it is symplectic or symmetric, the energy of a mass in a central field has no long-term trend."""
+    """If the method claims to be symplectic or symmetric, the energy of a mass in a central field has no long-term
+    trend.
+    """
     found, duration = energy_trend(integrator, ORBIT)
     change = found.slope * duration
     figures = {"trend_J_per_s": found.slope, "error_J_per_s": found.error, "largest_J": found.largest}
@@ -135,13 +141,17 @@ def energy(integrator: IntegratorUnderTest) -> Result:
 
 @check("geometry.energy-jointed", slow=True)
 def energy_jointed(integrator: IntegratorUnderTest) -> Result:
-    """Trend of the energy of a conservative double pendulum, with its drift; reported without a limit."""
+    """Trend of the energy of a conservative double pendulum, including effects of drift; reported without a limit."""
     found, _ = energy_trend(integrator, SWINGING)
     return passed(trend_J_per_s=found.slope, error_J_per_s=found.error, largest_J=found.largest)
 
 
 def energy_trend(integrator: IntegratorUnderTest, model: Model) -> tuple[Trend, float]:
-    """Return the trend of the energy balance over 1000 steps of half the size `coarse_step`, and their duration [s]."""
+    """Return the trend of the energy balance in a run, and the duration of the run [s].
+
+    The run takes 1000 steps of half the size `coarse_step`; an adaptive method takes its own steps over the same
+    duration.
+    """
     step = coarse_step(integrator) / 2
     duration = 1000 * step
     time = {"end": duration} if integrator.claims.adaptive else {"steps": 1000, "step": step}

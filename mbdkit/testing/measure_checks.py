@@ -18,7 +18,7 @@ from mbdkit.testing.check_result import Result, failed, passed, warned
 from mbdkit.testing.options_under_test import options_result, validated
 
 EXAMPLES = ("double-pendulum", "knee", "slider-crank")
-"""Packaged examples to whose runs, of a few steps, a measure is applied."""
+"""Packaged examples; a measure is applied to a short run of each of them."""
 
 
 @dataclass
@@ -28,7 +28,7 @@ class MeasureUnderTest:
     Parameters
     ----------
     options
-        Its options, as in a study spec.
+        Options of the measure, as in a study spec.
     """
 
     item: Registered
@@ -50,7 +50,7 @@ class MeasureUnderTest:
                 yield name, run
 
     def take(self, run: Run) -> Any:
-        """Return the value for a run."""
+        """Return the value of the measure for a run."""
         return self.plugin.take(run, validated(named_options(self.item), {"name": self.item.id, **self.options}))
 
 
@@ -62,7 +62,7 @@ def options(measure: MeasureUnderTest) -> Result:
 
 @check("measure.value")
 def value(measure: MeasureUnderTest) -> Result:
-    """For a run of a suitable packaged example, it returns a number, and the same number again."""
+    """For a run of a suitable packaged example, it returns a number, and the same number when called again."""
     values: dict[str, float] = {}
     refused = ""
     for name, run in measure.runs():

@@ -36,7 +36,7 @@ class ModelUnderTest:
     Parameters
     ----------
     options
-        Its parameters, as in a spec.
+        Parameters of the model, as in a spec.
     """
 
     item: Registered
@@ -77,7 +77,7 @@ def options(model: ModelUnderTest) -> Result:
 
 @check("model.repeatable")
 def repeatable(model: ModelUnderTest) -> Result:
-    """Equal parameters give equal mechanisms, are not modified, and the mechanism round-trips through a spec."""
+    """Equal parameters give equal mechanisms and are not modified, and the mechanism round-trips through a spec."""
     plugin: Any = model.item.plugin
     given = validated(plugin.options, model.options)
     before = given.model_dump_json()
@@ -151,7 +151,7 @@ def _share(found: np.ndarray, exact: np.ndarray) -> float:
 
 @check("model.drivers")
 def drivers(model: ModelUnderTest) -> Result:
-    """Rate and acceleration of each driver's motion are the derivatives of its value and rate."""
+    """The rate of each driver's motion is the derivative of the motion, and the acceleration that of the rate."""
     compiled = build(model.spec(0.01))[0].mechanism
     driven = {name for name, joint in model.mechanism().joints.items() if isinstance(joint, Driver)}
     if not driven:

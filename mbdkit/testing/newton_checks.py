@@ -1,4 +1,4 @@
-"""Convergence of the iteration of a step: stopping early costs accuracy."""
+"""Check that the iteration of a step does not stop so early that results become less accurate."""
 
 from __future__ import annotations
 

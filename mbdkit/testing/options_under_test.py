@@ -86,8 +86,8 @@ def plain_options(item: Registered, given: Mapping[str, Any]) -> dict[str, Any]:
 def variants(item: Registered, chosen: Mapping[str, Any]) -> Iterator[tuple[str, dict[str, Any]]]:
     """Yield valid options of an item in which one option has another value, with a name such as ``damping = -1``.
 
-    The values depend only on type, bounds and present value: smaller and larger numbers, of both signs if the bounds
-    allow it; the other truth value; and the other choices.
+    The values depend only on the type, the bounds and the present value of the option. They are smaller and larger
+    numbers, of both signs if the bounds allow it; the other truth value; or at most `MOST_CHOICES` other choices.
     """
     model: type[BaseModel] = item.plugin.options
     if not model.model_fields:
@@ -118,7 +118,7 @@ def _others(schema: Mapping[str, Any], now: Any) -> list[Any]:
     size = abs(now) if isinstance(now, int | float) and now else 1
     if (
         limits["type"] == "number"
-    ):  # the bounds themselves, such as a tolerance of 0, are excluded because they may be special cases
+    ):  # the bounds themselves are not tried, because they may be special cases, such as a tolerance of 0
         found = [-size, size / 2, 2 * size]
     else:
         found = [-size, size - 1, size + 1, *(limits[key] for key in ("minimum", "maximum") if key in limits)]
@@ -132,7 +132,7 @@ def _is_within(value: float, limits: Mapping[str, Any]) -> bool:
 
 
 def validated(model: type[Options], options: Mapping[str, Any]) -> Options:
-    """Return the options with these values, read as JSON like a spec."""
+    """Return a validated `model` with these values, which are read as JSON, as the values of a spec are."""
     return model.model_validate_json(json.dumps(options))
 
 

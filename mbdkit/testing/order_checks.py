@@ -1,6 +1,6 @@
-"""Convergence with the step and the tolerance.
+"""Checks of convergence as the step size or the tolerance decreases.
 
-The checks are exactness on polynomials, observed orders on nonlinear non-autonomous problems, and errors of adaptive
+They test exactness on polynomials, observed orders on nonlinear non-autonomous problems, and errors of adaptive
 methods.
 """
 
@@ -34,7 +34,7 @@ PROBLEMS: dict[str, Model] = {
     **{f"resting: {name}": model for name, model in RESTING.items()},
 }
 USUAL = tuple(name for name in PROBLEMS if not name.startswith("resting"))
-"""The problems that have their own check."""
+"""Names of the problems each of which has a check of its own; the other problems are starts at rest."""
 ENDS = dict.fromkeys(PROBLEMS, 1.0) | {"driven-pendulum": 3.0}
 """Duration of each problem [s]; long enough that errors follow a power of the step before they reach rounding."""
 BELOW, ABOVE = 0.2, 0.5
@@ -46,7 +46,7 @@ HIGH = 8
 BELOW_HIGH = 0.5
 """Replaces `BELOW` for high orders, for which few step sizes are neither too coarse nor dominated by round-off.
 
-An observed order between both limits is inconclusive.
+An observed order between the two limits is inconclusive.
 """
 TOLERANCES = (1e-4, 1e-6, 1e-8, 1e-10)
 OBEYS = 10.0
@@ -55,15 +55,15 @@ POLYNOMIAL = 1e-13
 NEAR_ROUNDING = 1e-11
 """Errors below this count as rounding, for which the order need not hold."""
 FINEST = 3
-"""Number of finest refinements over which the order is measured."""
+"""Number of refinements over which the order at the finest steps is measured."""
 
 
 @cache
 def reference(problem: str) -> tuple[np.ndarray, np.ndarray, float]:
     """Return the reference state and multipliers at the end, and the rounding error of the state.
 
-    They are computed by Gauss collocation with 6 stages in 60 steps per second; the rounding error is the difference to
-    75 steps per second.
+    State and multipliers are computed by Gauss collocation with 6 stages in 60 steps per second. The rounding error is
+    estimated by the difference between the states with 60 and 75 steps per second.
     """
     from mbdkit.runs.simulation import run
 
@@ -89,9 +89,9 @@ class Convergence:
     Attributes
     ----------
     steps
-        (K,) step sizes [s], coarsest first.
+        (K,) step sizes [s] of the K runs, coarsest first.
     position_errors, velocity_errors, multiplier_errors
-        (K,) largest error at the end; NaN if the run failed.
+        (K,) largest error at the end of each run, for multipliers relative to the largest one; NaN if the run failed.
     floor
         Rounding error of the reference.
     """
@@ -144,7 +144,10 @@ class Convergence:
 
 
 def numbers_of_steps(integrator: IntegratorUnderTest, order: float) -> Iterator[int]:
-    """Yield numbers of steps, refined such that the error of a method of this order falls fourfold each time."""
+    """Yield increasing numbers of steps; from one to the next, the error of a method of this order falls fourfold.
+
+    Step sizes are at most halved each time, so that the error of a method of an order below 2 falls less.
+    """
     ratio = min(2.0, max(4.0 ** (1 / order), 1.05))
     most = MOST_PYTHON_STEPS if integrator.method().traits.family == "python" else MOST_STEPS
     exact = float(FIRST_STEPS)
@@ -259,7 +262,7 @@ def finest(integrator: IntegratorUnderTest) -> Result:
 
 
 def error_at_tolerance(integrator: IntegratorUnderTest, problem: str, rtol: float, state: np.ndarray) -> float:
-    """Return the largest error at the end of a problem with the final `state`, at a tolerance."""
+    """Return the largest error of a run with the tolerance `rtol` at its end, where the reference is `state`."""
     options = {"rtol": rtol, **({"atol": rtol} if "atol" in integrator.plugin.options.model_fields else {})}
     time = {"end": ENDS[problem]}
     with integrator.run(PROBLEMS[problem], time, options=options, output={"every": 10**9}) as run:
@@ -268,7 +271,9 @@ def error_at_tolerance(integrator: IntegratorUnderTest, problem: str, rtol: floa
 
 @check("order.polynomials")
 def polynomials(integrator: IntegratorUnderTest) -> Result:
-    """A method of order p integrates a mass whose velocity is a polynomial of degree p exactly in one step."""
+    """One step of a method of order p gives the exact velocity and position of a mass if they are polynomials of a
+    degree of at most p in time.
+    """
     order = int(integrator.order)
     worst, first = 0.0, None
     for power in range(order):

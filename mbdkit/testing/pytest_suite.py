@@ -1,4 +1,4 @@
-"""The checks as pytest tests of a plugin."""
+"""The checks of a plugin as pytest tests."""
 
 from __future__ import annotations
 

@@ -41,7 +41,7 @@ def stretches(integrator: IntegratorUnderTest) -> Result:
 
 @check("restart.state")
 def state(integrator: IntegratorUnderTest) -> Result:
-    """A method with `step` continues from a pickled state in a new object with the same bits."""
+    """If a new object of a method with `step` continues from a pickled state, its results are bitwise the same."""
     if integrator.method().traits.family != "python":
         return skipped("it is not a class with `step`")
     whole, parts = (_moved(integrator, restart) for restart in (False, True))

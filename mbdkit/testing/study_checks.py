@@ -46,7 +46,9 @@ class StudyUnderTest:
 
 @check("study.spec")
 def spec(subject: StudyUnderTest) -> Result:
-    """The study spec is valid, and so is the first run of each family that needs no further distribution."""
+    """The study spec is valid, and so is the first run of each family among the runs that need no further
+    distributions.
+    """
     points = plan_points(subject.spec)
     first = {point.family: point for point in reversed(points) if not point.lacking}
     for point in first.values():

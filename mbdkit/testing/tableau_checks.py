@@ -1,4 +1,4 @@
-"""Properties of a Runge-Kutta method that follow from its coefficients, to 60 digits."""
+"""Checks of the coefficients of a Runge-Kutta method: order conditions, symmetry, symplecticity and stability."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from mbdkit.testing.integrator_under_test import IntegratorUnderTest
 
 @check("tableau.row-sums")
 def row_sums(integrator: IntegratorUnderTest) -> Result:
-    """Each row of its matrix sums to its node."""
+    """Each row of the method's matrix sums to the node of this row."""
     a, _, c = integrator.tableau.floats()
     defect = float(np.max(np.abs(a.sum(axis=1) - c)))
     if defect > 1e-12:

@@ -217,7 +217,7 @@ RESTING: dict[str, Model] = {
 }
 """Starts at rest at which derivatives of the motion vanish, by symmetry or in equilibrium.
 
-An error estimate may vanish by accident there.
+At such a start, an error estimate may vanish by accident.
 """
 RESTING["a horizontal rod"]["joints"] = {"J1": SWINGING["joints"]["J1"]}
 

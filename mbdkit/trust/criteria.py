@@ -1,8 +1,8 @@
 """The verdict on a run, computed from a few numbers with the limits defined here.
 
-A verdict is one of four levels. ``good`` needs an estimate of the error. Without one the best level is ``unknown``: a
-run with small misalignments and a good energy balance can still be wrong, like that of a chaotic double pendulum after
-a few seconds.
+A verdict is one of four levels. ``good`` needs an estimate of the error. Without an estimate the best level is
+``unknown``, because a run with small misalignments and a good energy balance can still be wrong. An example is a
+chaotic double pendulum after a few seconds.
 """
 
 from __future__ import annotations
@@ -18,20 +18,18 @@ LEVELS: tuple[Level, ...] = ("good", "unknown", "doubtful", "bad")
 """All levels, from the best to the worst."""
 
 NOTHING_SUSPICIOUS = "nothing suspicious seen; error not estimated"
-"""Reason shown with the level ``unknown`` if there are no others."""
+"""Reason shown with the level ``unknown`` if the verdict has no other reason."""
 
 
 @dataclass(frozen=True)
 class Limits:
-    """The values of a quantity above which a run is doubtful and above which it is bad."""
+    """Two limits of a quantity: a run is doubtful above the first and bad above the second."""
 
     doubtful: float
     bad: float
 
     def level(self, value: float) -> Level | None:
-        """Return the level of a value; None if the value is not above either limit. Values that are not finite are
-        bad.
-        """
+        """Return the level of a value; None if the value is above neither limit. Values that are not finite are bad."""
         if not value <= self.bad:  # also true for nan
             return "bad"
         return "doubtful" if value > self.doubtful else None
@@ -45,15 +43,15 @@ MISALIGNMENT = Limits(1e-4, 1e-3)
 
 Measured in 246 runs of 2 to 3 s (eight mechanisms, seven methods, five steps) against Gauss with five stages. A joint
 force was wrong by more than 5 % of its peak in 64 % of the bad runs, in 11 % of the doubtful runs, in 7 % of the runs
-with values between a tenth of the first limit and the first limit, and in none with smaller values.
+with misalignments of 1e-5 to 1e-4, and in no run with smaller misalignments.
 """
 
 ENERGY = Limits(1e-3, 0.05)
 """Limits of the largest absolute energy balance, as a share of the largest kinetic energy.
 
-In the same runs, a joint force was wrong by more than 5 % of its peak in 97 % of the bad runs, in 35 % of the doubtful
-runs, in 3 % of the runs with values between a tenth of the first limit and the first limit, and in none with smaller
-values.
+In the 246 runs measured for `MISALIGNMENT`, a joint force was wrong by more than 5 % of its peak in 97 % of the bad
+runs, in 35 % of the doubtful runs, in 3 % of the runs with energy balances of 1e-4 to 1e-3, and in no run with smaller
+ones.
 """
 
 ENERGY_JUMP = 0.05
@@ -64,14 +62,17 @@ All of 61 runs in which an implicit step had accepted a spurious solution of its
 """
 
 BRANCH_ANGLE, BRANCH_RATIO = 0.25, 4.0
-"""A run is suspected of having left its branch of the motion near a minimum of the distance to singularity. The
-criterion uses the shortest path around the minimum that has at least 2 % of the mechanism's characteristic length. On
-this path the line of the velocity must turn by at least the first value [rad], and by at least the second value times
-the length of the path. The threshold is an angle because another branch of the motion starts in a different direction.
+"""Limits of a turn of the motion near a minimum of the distance to singularity. From these limits on, a run has
+probably left its branch of the motion.
+
+The turn is measured on the shortest path around the minimum that is at least 2 % of the mechanism's characteristic
+length long. The run is bad if the line of the velocity turns on this path by at least `BRANCH_ANGLE` [rad], and by at
+least `BRANCH_RATIO` times the length of the path as a share of the characteristic length. The criterion is an angle
+because another branch of the motion starts in a different direction.
 """
 
 ROUNDING = 1e4
-"""Energies below this multiple of the round-off of the largest energy count as zero. This matters for mechanisms at
+"""Energy errors up to this multiple of `EPS` times the largest energy count as zero. This matters for mechanisms at
 rest.
 """
 
@@ -118,7 +119,7 @@ class EstimatedErrors:
     reaction
         Largest error of a joint's force, as a share of the largest force in that joint.
     known_until
-        Time up to which the errors are known [s]; nan if none is.
+        Time up to which the errors are known [s]; nan if no error is known.
     asked, reached
         Requested accuracy of positions and largest estimated error of positions, both as shares of the mechanism's
         size.
@@ -160,17 +161,17 @@ class Evidence:
     kinetic
         Largest kinetic energy [J].
     energy
-        Largest absolute value of any energy: kinetic, potential, work or dissipated [J]. Its rounding error is that of
-        the energy balance.
+        Largest absolute value of any energy: kinetic, potential, work or dissipated [J]. It determines the round-off
+        of the energy balance.
     balance
         Largest absolute energy balance [J].
     energy_jump, energy_jump_time
-        Largest change of the energy balance in one step [J], not counting the changes made by stabilization, and its
-        time [s].
+        Largest change of the energy balance in one step [J], without the changes that stabilization makes, and the
+        time of this change [s].
     branch
         Sharp turns near singular positions.
     warnings
-        Warnings about the spec or the run that question its result, as sentences.
+        Warnings about the spec or the run that cast doubt on the result, as sentences.
     """
 
     status: str = "complete"
@@ -245,8 +246,8 @@ def _joints(evidence: Evidence) -> Found:
 
 
 def rounding(largest: float) -> float:
-    """Return the energy [J] below which an energy error counts as round-off, for the largest energy `largest` [J] of a
-    run.
+    """Return the energy [J] up to which an energy error counts as round-off, if `largest` [J] is the largest energy of
+    the run.
     """
     return ROUNDING * EPS * largest
 

@@ -20,7 +20,7 @@ class EnergyRecord:
         self.kinetic = self.energy = self.balance = 0.0
 
     def add(self, kinetic: np.ndarray, others: np.ndarray, balance: np.ndarray) -> None:
-        """Add rows.
+        """Update the largest values with further rows.
 
         Parameters
         ----------

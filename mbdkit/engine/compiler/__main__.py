@@ -1,11 +1,13 @@
 """``python -m mbdkit.engine.compiler``: build the machine code of the kernels.
 
 build
-    Build the stored libraries of this platform, or of ``--platform linux-aarch64`` and the like; with ``--only SYMBOL``
-    one library for the folder ``built``.
+    Build the stored libraries of this platform, or of another one, such as ``--platform linux-aarch64``. With
+    ``--only SYMBOL``, build the library of one symbol in the folder ``built``.
 check
-    Build the libraries again and compare every byte with the stored ones; with ``--level x86-64-v3``, those of one
-    level.
+    Build the libraries again and compare every byte with the stored ones. With ``--level x86-64-v3``, check only the
+    libraries of this level.
+objects
+    Compile symbols to object files; `build` and `check` start processes that run this command.
 laws
     Generate the kernels of the packaged force laws; with ``--check``, compare them with the file in the repository.
 list

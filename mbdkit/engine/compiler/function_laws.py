@@ -75,10 +75,17 @@ _duals_behind: Any = intrinsic(_duals_behind_typing)
 def compiled_function(function: Callable[..., Any], *, duals: bool) -> Any:
     """Return a law's function as C callback with an attribute ``address``; see `mbdkit.engine.native.calls`.
 
+    Parameters
+    ----------
+    function
+        The law in Python.
+    duals
+        Whether to compile it for dual numbers.
+
     Raises
     ------
     PluginError
-        If it does not return four numbers.
+        If the function does not return four numbers; not checked for dual numbers.
     """
     law: Any = function if is_jitted(function) else njit(function, error_model="numpy", forceinline=True)
     return _for_duals(law) if duals else _for_numbers(law)

@@ -1,8 +1,9 @@
 """Build the stored machine code: object files in several processes, libraries by the linker of Zig, and a manifest.
 
-Single runs, gradients and lanes are separate libraries, so that a run loads only what it uses. Code for lanes is built
-for every level of a platform (set of processor instructions, `mbdkit.engine.native.levels`), since the number of lanes
-depends on it. Other code is not built for levels that share the code of another one.
+Separate libraries contain the code of gradients, of lanes (several runs advanced together by SIMD instructions), of
+collocation methods, and all other code, so that a run loads only what it uses. Code for lanes is built for every level
+of a platform (set of processor instructions, `mbdkit.engine.native.levels`), since the number of lanes depends on the
+level. Other code is not built for levels that use the code of another level.
 """
 
 from __future__ import annotations
@@ -104,7 +105,7 @@ def _manifest(groups: Mapping[str, list[str]], digests: Mapping[str, str]) -> di
 def _objects(
     target: Platform, levels: list[Level], groups: Mapping[str, list[str]], folder: Path
 ) -> dict[tuple[str, str], list[Path]]:
-    """Return the object files of each library; those that are missing in a folder are compiled."""
+    """Return the object files of each library; those that are missing in `folder` are compiled."""
     folder.mkdir(exist_ok=True)
     jobs: list[tuple[list[str], list[str]]] = [([level.name], groups["lanes"]) for level in levels]
     for name in ("gradients", "collocation", "core"):
@@ -121,7 +122,7 @@ def _objects(
 
 
 def object_path(folder: Path, target: Platform, symbol: str, level: str) -> Path:
-    """Return the object file of a symbol in its present form."""
+    """Return the path of the object file of a symbol; it contains the fingerprint of the present sources."""
     return folder / f"{symbol}-{target}-{level}-{sources.fingerprint(module_of(symbol))}.o"
 
 
@@ -139,7 +140,7 @@ def _compile(target: Platform, levels: list[str], names: list[str], folder: Path
 
 
 def _linked(target: Platform, objects: Iterable[Path], path: Path) -> bytes:
-    """Return the library of object files."""
+    """Link object files to a library at `path`; return its content."""
     architecture = target.architecture
     command = [sys.executable, "-m", "ziglang", "cc", "-target", _LINK[target.system].format(architecture), "-shared",
                "-s", "-o", path.name, *map(str, objects), "-lm"]  # fmt: skip

@@ -54,7 +54,7 @@ def {name}(program, length, rate, time, parameters, out):
 
 
 class _Options:
-    """The options of a law as `law_parameters` reads them: its class names the model of the options."""
+    """Stand-in for a force element: attributes are the options of its law, and ``law_options`` is their model."""
 
     law_options: Any
 

@@ -5,7 +5,8 @@ digests of the sources that they were built from. Where these sources are unchan
 differ, a developer's changes are compiled symbol by symbol into the folder ``built``, which is not part of the
 distribution; this needs the extra ``dev``.
 
-A library is decompressed into memory and loaded from there, so that there is no cache to go wrong.
+A library is decompressed into a file in memory and loaded from there; on systems other than Linux, into a temporary
+file. There is no cache, which could be out of date or damaged.
 
 With ``MBDKIT_JIT=1`` the stored code is not used, for comparison. With ``MBDKIT_KERNELS=python`` kernels run as
 functions of Python, about a thousand times slower, to debug them.
@@ -38,16 +39,17 @@ MANIFEST = "manifest.json"
 IN_PYTHON = os.environ.get("MBDKIT_KERNELS") == "python"
 """Whether kernels run as functions of Python."""
 _COMPILE = os.environ.get("MBDKIT_JIT", "") not in ("", "0")
-"""Whether stored code is not used."""
+"""Whether kernels are compiled even if their stored code is up to date."""
 
 
 def address_of(symbol: str) -> int:
-    """Return the address of the machine code with a name, which is loaded or compiled first if necessary.
+    """Return the address of the machine code of a symbol, which is loaded or compiled first if necessary.
 
     Raises
     ------
     MbdkitError
-        If there is no such code for this platform and processor, and it cannot be compiled.
+        If there is no such code for this platform and processor and it cannot be compiled, if the processor lacks
+        instructions that the code needs, or if a stored library is damaged or cannot be loaded.
     """
     level = _usable_level()
     path = None if _COMPILE else stored_file(symbol, level)
@@ -99,7 +101,7 @@ def _load_stored(path: Path) -> ctypes.CDLL:
 
 
 def _unpacked(path: Path, digest: str) -> ctypes.CDLL:
-    """Decompress and load a library."""
+    """Decompress and load a library; raise MbdkitError if its digest is wrong or it cannot be loaded."""
     packed = path.read_bytes()
     if hashlib.sha256(packed).hexdigest() != digest:
         raise MbdkitError(f"the stored machine code {path} is damaged: install mbdkit again")
@@ -113,7 +115,8 @@ def _unpacked(path: Path, digest: str) -> ctypes.CDLL:
 
 
 def _from_memory_file(name: str, content: bytes) -> ctypes.CDLL:
-    # The file stays open: the loader knows libraries by their paths, and another file would get the same number.
+    # The file stays open. If it were closed, the next library could get the same number, hence the same path, and the
+    # loader, which identifies libraries by their paths, would return this one.
     file = os.memfd_create(name)
     with open(file, "wb", closefd=False) as stream:
         stream.write(content)
@@ -142,7 +145,7 @@ def code_id() -> str:
 
 
 def code_report() -> dict[str, Any]:
-    """Return platform, processor level and lanes, and whether stored code for this platform exists."""
+    """Return platform, processor level, number of lanes, whether stored code exists, and the tools that built it."""
     level = chosen_level()
     return {
         "platform": str(this_platform()),
@@ -154,7 +157,7 @@ def code_report() -> dict[str, Any]:
 
 
 def code_text() -> str:
-    """Return a line that names the platform, the level of processors and the number of lanes of the machine code."""
+    """Return a text with platform, level and lanes of the machine code; it begins with "no" if none is stored."""
     level = chosen_level()
     where = f"machine code for {this_platform()}, level {level.name}, {level.lanes} lanes"
     return where if manifest() else f"no {where}"

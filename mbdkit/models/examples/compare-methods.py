@@ -20,7 +20,8 @@ runs = {label: mbdkit.run("double-pendulum", integrator=method, time=TIME) for l
 for label, run in runs.items():
     print(f"{label:8}  misalignment {run.misalignment_max:.1e} m, verdict {run.verdict}")
 
-# %% [markdown] `mbdkit.plot.compare` draws the same quantity of several runs. The legend shows how the runs differ.
+# %% [markdown]
+# `mbdkit.plot.compare` draws the same quantity of several runs. The legend shows how the runs differ.
 
 # %%
 axes = mbdkit.plot.compare(list(runs.values()), kind="drift", joints="J2")

@@ -43,8 +43,9 @@ print(f"largest force in the knee:    {knee_force(run).max():.1f} N")
 print(f"largest force of the spring:  {np.abs(spring.value).max():.1f} N")
 print(f"errors of joint forces:       {run.accuracy.reaction_error.max():.1e} N")
 
-# %% [markdown] `run.plot` has a method for each kind of plot, which takes and returns Matplotlib axes. The force of a
-# spring is positive where it pulls, and negative where it pushes.
+# %% [markdown]
+# `run.plot` has a method for each kind of plot, which takes and returns Matplotlib axes. The force of a spring is
+# positive where it pulls, and negative where it pushes.
 
 # %%
 axes = run.plot.forces(elements="support")

@@ -47,8 +47,9 @@ print(f"rms torque:     {np.sqrt(np.mean(torque**2)):.2f} N m")
 print(f"largest power:  {motor.driver_power.max():.1f} W")
 axes = run.plot.torques(joints="motor")
 
-# %% [markdown] Spring and gravity are conservative, so the work of the motor over two whole turns is zero. The integral
-# of its power confirms it.
+# %% [markdown]
+# Spring and gravity are conservative, so the work of the motor over two whole turns is zero. The integral of its power
+# confirms it.
 
 # %%
 work = trapezoid(motor.driver_power, run.time)

@@ -47,8 +47,8 @@ found = {
 for name, values in found.items():
     print(f"{name} [{study.measures[name].units}]: {values.min():.4g} to {values.max():.4g}")
 
-# %% [markdown] A measure that cannot be written as an expression is a function of a run, such as the time of the
-# largest force.
+# %% [markdown]
+# A measure that cannot be written as an expression is a function of a run, such as the time of the largest force.
 
 
 # %%

@@ -95,10 +95,10 @@ def check_run(
 
 
 def _same_impacts(runs: Sequence[ContactState]) -> tuple[float, str]:
-    """Return the time until which runs have the same impacts in the same order [s], and the reason of later
-    differences.
+    """Return the time until which runs have the same impacts in the same order [s], and a sentence on why not later.
 
-    The reason is a sentence. Time-stepping methods, which do not locate impacts, are left out.
+    If they agree to the end, these are inf and an empty string. Runs by time-stepping methods, which do not locate
+    impacts, are left out.
     """
     undecided = min(one.undecided for one in runs)
     differs = math.inf
@@ -166,7 +166,7 @@ def _guard(
 
 
 def _reached(found: CompanionRows) -> float:
-    """Return the time of the last row [s]."""
+    """Return the time of the last row that a companion reached [s]."""
     rows = np.flatnonzero(np.all(np.isfinite(found.rows.position), axis=(1, 2)))
     return float(found.rows.time[rows[-1]]) if len(rows) else -math.inf
 
@@ -243,7 +243,7 @@ def _cut(errors: ErrorEstimate, times: np.ndarray, until: float) -> ErrorEstimat
 
 
 AS_GIVEN = "The spec gives method and step (`choose: nothing`)."
-"""Reason given if method and step were chosen before."""
+"""Reason that is stored if the spec gives method and step."""
 
 
 def with_asked(accuracy: Accuracy, spec: RunSpec, workspace: Workspace, choice: Choice | None) -> Accuracy:
@@ -279,7 +279,8 @@ def with_asked(accuracy: Accuracy, spec: RunSpec, workspace: Workspace, choice: 
 def missed_because(accuracy: Accuracy, tried: Sequence[Choice], failure: Failure | None = None) -> str:
     """Return the reason why the requested accuracy is not reached, as a clause.
 
-    Empty if it is reached, or if nothing was chosen. `failure` is the reason why the run ended early, or None.
+    Empty if the accuracy is reached, or if nothing was chosen. `failure` says why the run ended early; None if it did
+    not.
     """
     if accuracy.is_reached or not tried:
         return ""

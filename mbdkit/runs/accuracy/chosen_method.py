@@ -137,7 +137,7 @@ class Candidate:
 
         For small mechanisms, the absolute tolerance is a share of their `size` [m].
         """
-        # its default follows rtol and the size of the mechanism
+        # the default of atol follows rtol and the size of the mechanism
         has_default = isinstance(spec.integrator, ControlledOptions)
         if not self.adaptive:
             return spec.with_choice(dict(self.integrator), setting)
@@ -325,8 +325,8 @@ class _Search:
             setting = _setting(candidate, self.next_tolerance(compared, differences, error))
 
     def difference(self, other: RecordedPilot, run: RecordedPilot) -> float:
-        """Return the largest difference between two recorded pilots as a share of the size; inf if one of them
-        failed.
+        """Return the largest difference between two recorded pilots as a share of the size, at the step ends of `run`;
+        inf if a pilot did not reach all of them.
         """
         share = self.measure.share(other.positions(run.time) - run.positions(run.time))
         return float(np.nan_to_num(np.max(share), nan=math.inf))
@@ -394,7 +394,10 @@ class _Search:
         return span / _dividing(steps), 2.0
 
     def of(self, candidate: Candidate, runs: list[PilotRun] | None = None, told: str = "") -> Choice:
-        """Return the setting of a candidate."""
+        """Return the choice of a candidate with a setting predicted from pilots.
+
+        `runs` are the first two pilots; by default, they are run here. `told` is put before the reason for the choice.
+        """
         runs = runs or self.two(candidate)
         _, factor = self.first(candidate)
         differences = [difference(runs[0], runs[1], self.measure)]
@@ -421,7 +424,10 @@ class _Search:
         )
 
     def predicted(self, candidate: Candidate, setting: float, error: float, order: float) -> float:
-        """Return the setting for `MARGIN` times the requested accuracy, if the error at `setting` is `error`."""
+        """Return the setting for `MARGIN` times the requested accuracy, if the error at `setting` is `error`.
+
+        It exceeds `setting` at most by a factor of 10 (tolerances) or 2 (steps).
+        """
         if not error > 0:
             return setting
         factor = math.pow(MARGIN * self.asked / max(min(error, 1.0), 1e-15), 1 / order)
@@ -435,7 +441,7 @@ class _Search:
         return min(max(math.log(e0 / e1) / math.log(x0 / x1), 0.6 * candidate.order), 1.2 * candidate.order)
 
     def why(self, candidate: Candidate, runs: list[PilotRun], differences: list[float]) -> str:
-        """Return the sentence on the pilots."""
+        """Return the sentence on the last two pilots and on what they mean for the choice."""
         unit = "tolerances" if candidate.adaptive else "steps"
         end = "" if candidate.adaptive else " s"
         settings = f"{unit} {runs[-2].setting:.3g} and {runs[-1].setting:.3g}{end}"
@@ -447,7 +453,7 @@ class _Search:
 
 
 def _limited(spec: RunSpec, candidate: Candidate, setting: float) -> tuple[float, str]:
-    """Return a setting rounded within its limits, and a description of the limit that applies."""
+    """Return a setting rounded within its limits, and the reason why it cannot be smaller; empty if it can."""
     if candidate.adaptive:
         if setting <= TIGHTEST:
             return TIGHTEST, ROUNDING
@@ -470,7 +476,7 @@ def _rounded(value: float) -> float:
 
 
 def _shorter(step: float, *, up: bool = False) -> float:
-    """Return a step rounded down to three digits, or `up`."""
+    """Return a step rounded down to three digits; rounded up if `up`."""
     unit = 10.0 ** (math.floor(math.log10(step)) - 2)
     return float(f"{(math.ceil if up else math.floor)(step / unit * (1 + 1e-12)) * unit:.2e}")
 

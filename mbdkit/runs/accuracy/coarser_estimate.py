@@ -91,7 +91,10 @@ def estimate_from_coarser(
 
 
 def error_share(differences: Sequence[float], tolerances: Sequence[float]) -> float:
-    """Return the estimated error of the last of two or three runs, from the differences of the earlier runs from it."""
+    """Return the estimated error of the last of two or three runs, from the differences of the earlier runs from it.
+
+    It is inf if the differences do not decrease with the tolerance, unless the last one is 0.
+    """
     factor, falls = _factor([np.array(x) for x in differences], tolerances)
     if falls:
         return float(differences[-1] * factor)
@@ -115,7 +118,10 @@ def _factor(differences: Sequence[np.ndarray], tolerances: Sequence[float]) -> t
 
 
 class _Quantity:
-    """One quantity of all bodies or joints, (T, B or J, K) in each run, the run itself last; implements `Estimated`."""
+    """One quantity of all bodies or joints in all runs; implements `Estimated`.
+
+    `values` contains an array (T, B or J, K) for each coarser run, and then that of the run itself.
+    """
 
     def __init__(
         self,

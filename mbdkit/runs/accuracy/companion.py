@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from mbdkit.events.watch import Watch
 
 NEVER = 2**53
-"""`Timetable.every` of a companion whose rows are computed within its steps: its own steps are never recorded."""
+"""Value of `Timetable.every` with which no end of a step is recorded, for companions with rows within their steps."""
 
 
 @dataclass(frozen=True)

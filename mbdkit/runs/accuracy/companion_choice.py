@@ -1,4 +1,7 @@
-"""Chooses the companions of a run: two finer runs of its own method, and *guards* with other methods."""
+"""Chooses the companions (comparison runs) of a run: two finer runs, and *guards*, which are runs by other methods.
+
+The finer runs use the method of the run if possible.
+"""
 
 from __future__ import annotations
 
@@ -227,7 +230,7 @@ def _guards(
     dense, longest = within, (within.end - within.start) / LOOKS
     tight = Tolerances(GUARD_TOLERANCE, GUARD_TOLERANCE, longest, by_size=True)
     loose = Tolerances(IMPLICIT_GUARD_TOLERANCE, IMPLICIT_GUARD_TOLERANCE, longest, by_size=True)
-    # rows at stops may then show the state of either side
+    # Rows of `dense` at stops may show the state on either side of the stop; with impacts, these states differ.
     if interval is not None and steps >= LOOKS and not within.impacts:
         dense = replace(within, every=1, interval=interval, single=False, max_steps=_most(GUARD_STEPS, steps))
         tight = replace(tight, max_step=None)
@@ -262,7 +265,7 @@ def _most(limits: tuple[int, int], steps: int) -> int:
 
 
 def _projected(workspace: Workspace) -> Stabilization:
-    """Return projection after every step, if the mechanism has constraints."""
+    """Return projection after every step if the mechanism has constraints, and otherwise no stabilization."""
     return Stabilization("projection") if len(workspace.mechanism.rows) else NONE
 
 

@@ -1,8 +1,8 @@
 """Measures of comparison runs, from which the errors of the measures of a run are estimated.
 
-Unlike the companions of `companion_choice`, which are evaluated only at the recorded times of the run, these are
-complete runs. Each has its own integrals, extrema, events and recorded rows, so that an error in them is not common to
-all runs.
+Unlike companions (the comparison runs of `companion_choice`), which are evaluated only at the recorded times of the
+run, these are complete runs. Each has its own integrals, extrema, events and recorded rows, so that the runs do not
+share an error of these.
 """
 
 from __future__ import annotations
@@ -49,6 +49,8 @@ def compared_measures(
         The run, whose spec gives method and step.
     steps
         Number of steps of the run.
+    expressions, measure
+        The expressions, and the function that evaluates them in a comparison run.
     interrupted
         Function that returns whether the user has asked to stop; the values are then nan.
     """

@@ -1,9 +1,10 @@
 """Estimates errors from the differences of runs of increasing accuracy, by Richardson extrapolation; arrays only.
 
-Three runs of one method with steps h, h/2 and h/4 differ by d01 and d12. If the error is C h^p, then d12 / d01 = 2^-p,
-and the error of the first run is ``|y0 - y2| / (1 - (d12 / d01)^2)`` (Richardson 1911; Hairer, Norsett and Wanner 1993,
-II.4). Nothing is assumed about p, because stabilization, stiffness and dense output change it, and it differs between
-positions and reactions. Instead, p is observed for every body and every joint. The only requirement is that d12 / d01
+Three runs of one method with steps h, h/2 and h/4 have the results y0, y1 and y2, which differ by d01 = ``|y0 - y1|``
+and d12 = ``|y1 - y2|``. If the error is C h^p, then d12 / d01 = 2^-p, and the error of the first
+run is ``|y0 - y2| / (1 - (d12 / d01)^2)`` (Richardson 1911; Hairer, Norsett and Wanner 1993, II.4). Nothing is assumed
+about p, because stabilization, stiffness and dense output change it, and it differs between positions and reactions.
+Instead, p is observed for every body and every joint. The only requirement is that d12 / d01
 is at most `LARGEST_RATIO`. The same holds for adaptive methods, with tolerances instead of steps.
 
 Runs of one method may share an error, such as a pulse between two steps. A run by another method, the guard, must
@@ -157,11 +158,11 @@ def estimate_errors(
 
 
 class Estimated(Protocol):
-    """Estimates for one quantity of U bodies or joints (units) with K components each."""
+    """Estimates for one quantity of U bodies or joints with K components each."""
 
     @property
     def known(self) -> np.ndarray:
-        """(T,) whether the errors of all units are known."""
+        """(T,) whether the errors of all bodies or joints are known."""
         ...
 
     def errors(self) -> np.ndarray:
@@ -259,7 +260,7 @@ class _Quantity:
         tiny = spread <= agreed
         minor = (_largest(d01, d12, d02) <= MINOR * all02) & (common <= LARGEST_RATIO)
         falls, confirmed = ratio <= LARGEST_RATIO, d2g <= CONFIRMED * d0g
-        #: Factor of Richardson's extrapolation (T, U).
+        #: Factor of Richardson's extrapolation (T, U), for each of the U bodies or joints.
         self._factor = 1.0 / (1.0 - np.where(falls, ratio, 0.0) ** 2)
         self._falls = falls
         estimate = np.where(falls, self._factor * d02, np.where(confirmed, np.fmax(d02, d0g), spread))

@@ -26,9 +26,10 @@ from mbdkit.stepping.interface import Advancing, Failure, Nodes, StepEvidence, S
 from mbdkit.stepping.start import start_method
 
 SAMPLES = 16
-"""Number of equal intervals between the positions of a `PilotRun` (samples); fixed steps of pilots divide these
-intervals. More samples are not worth their cost, because dense output takes further evaluations in every adaptive step
-with a sample.
+"""Number of equal intervals between the times at which a `PilotRun` stores positions, called samples.
+
+The number of fixed steps of a pilot is a multiple or a divisor of it. More samples are not worth their cost,
+because dense output takes further evaluations in every adaptive step with a sample.
 """
 
 IMPLICIT_WORK = 2.0
@@ -40,7 +41,7 @@ the same spec always leads to the same choice.
 
 @dataclass(frozen=True)
 class PilotRun:
-    """A pilot run.
+    """The result of a pilot run.
 
     Attributes
     ----------
@@ -69,9 +70,9 @@ def run_pilot(spec: RunSpec, setting: float, workspace: Workspace, most_steps: i
     Parameters
     ----------
     spec
-        The spec with the candidate: `RunSpec.with_choice`.
+        The spec with the method and setting of a candidate; see `RunSpec.with_choice`.
     setting
-        Tolerance or step, for `PilotRun.setting`.
+        Tolerance or step [s] of the candidate, which is stored as `PilotRun.setting`.
     workspace
         Workspace of the run. Its mechanism and start are shared; working arrays are not.
     most_steps
@@ -123,13 +124,14 @@ def work_of(method: Method, evaluations: int) -> float:
 
 
 def difference(a: PilotRun, b: PilotRun, measure: PositionMeasure) -> float:
-    """Return the largest difference between two pilots as a share of the mechanism's size; inf if only one of them
-    failed.
+    """Return the largest difference between two pilots as a share of the mechanism's size.
+
+    It is inf if one pilot failed more than one sample before the other ended, or if they share only the start.
     """
     share = measure.share(a.position - b.position)
     common = np.isfinite(share)
     reached = [np.flatnonzero(np.all(np.isfinite(run.position), axis=(1, 2)))[-1] for run in (a, b)]
-    # Both may fail at an event that would stop the run. If only one fails, its earlier states are wrong.
+    # Both may fail at the same time, at which the run would fail too. If only one fails, its earlier states are wrong.
     if abs(reached[0] - reached[1]) > 1 or not np.any(common[1:]):
         return float("inf")
     return float(np.max(share[common]))
@@ -145,7 +147,7 @@ class RecordedPilot:
     Parameters
     ----------
     spec
-        The spec with the method and its tolerance: `RunSpec.with_choice`.
+        The spec with the method and its tolerance; see `RunSpec.with_choice`.
     setting
         The tolerance.
     workspace

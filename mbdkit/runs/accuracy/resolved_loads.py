@@ -18,8 +18,9 @@ from mbdkit.runs.corners import stops_of
 from mbdkit.spec import RunSpec
 
 NODES = 8
-"""Number of times in a step at which a motion is assumed to be evaluated: the distinct times of the stages of
-DOP853.
+"""Number of times in a step at which a motion is assumed to be evaluated.
+
+DOP853 has this number of distinct stage times.
 """
 
 LOOKS, LOOKS_OF_STEP = 20_000, 16

@@ -90,7 +90,8 @@ CLOSED: dict[str, tuple[Callable[[Run], np.ndarray], Callable[[np.ndarray], np.n
 FRICTION = ("incline", "hold", "belt")
 """Cases in which contacts have friction and no restitution."""
 HOUSNER = (1.0 - 1.5 / 17.0) ** 2
-"""Share of its energy that the rocking block retains in an impact, with sin^2 alpha = 1/17 (G. W. Housner, 1963)."""
+"""Share of its energy that the rocking block retains in an impact: (1 - 1.5 sin^2 alpha)^2. Here, sin^2 alpha = 1/17
+with the angle alpha between the diagonal and the vertical side of the block (G. W. Housner, 1963)."""
 
 
 @dataclass(frozen=True)
@@ -99,8 +100,10 @@ class Touched:
 
     Attributes
     ----------
+    step
+        Step [s]; 0 for compliant runs, whose steps are adaptive.
     error
-        Largest error of the position [m]; in the case `rocking`, error of the ratio of energies.
+        Largest error of the position [m]; in the case `rocking`, error of the share of energy that the impact keeps.
     penetration, creep
         Deepest overlap [m], and largest slip while a contact sticks [m/s].
     steps, seconds
@@ -242,7 +245,7 @@ def _closed(found: Sequence[Touched]) -> Claim:
 
 
 def _softer(found: Sequence[Touched]) -> Claim:
-    """Return whether the stiffest compliant runs with friction have less overlap, creep and error than the softest."""
+    """Return the claim that the stiffest compliant runs with friction have less overlap and error than the softest."""
     answers, told_cases = [], []
     for case in FRICTION:
         own = [one for one in found if one.case == case and not one.step]

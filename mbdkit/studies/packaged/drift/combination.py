@@ -25,12 +25,13 @@ LONG = "-long"
 ROUND_OFF = 1e-12
 """Error level below which round-off makes an order indeterminable.
 
-It is relative to the size of the mechanism, to that per second, or to the largest multiplier.
+It is relative to the size of the mechanism for positions, to this size per second for velocities, and to the largest
+multiplier for multipliers.
 """
 EPSILON = 5e-16
-"""Smallest round-off level of all errors in the same relative units, close to double precision."""
+"""Round-off level of errors is assumed to be at least this, in the same relative units; close to double precision."""
 CLOSE = (0.1, 0.25)
-"""Largest differences between slopes at neighbouring steps for which they agree; the stricter one is tried first."""
+"""Slopes at neighbouring steps agree if they differ by at most this; the stricter tolerance is tried first."""
 NEIGHBOURS = math.log(2.5)
 """Largest logarithm of the ratio of neighbouring steps; a larger one means that a run between them failed."""
 SPENT = 1e-12
@@ -61,7 +62,7 @@ class Combination:
         Slope of the energy balance of the long run and its standard error, relative to the largest kinetic energy
         [1/s]; `none` if the slope cannot be distinguished from oscillation or round-off.
     oscillation
-        Largest distance of the energy balance from that line, relative to the largest kinetic energy.
+        Largest distance of the energy balance from its trend line, relative to the largest kinetic energy.
     reversal
         Distance from the start after the long run and its reversal, relative to the size of the mechanism.
     evaluations, factorizations, microseconds

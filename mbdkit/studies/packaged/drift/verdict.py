@@ -21,7 +21,8 @@ REVERSIBLE = 1e-11
 """Largest reversibility defect, relative to the size, that round-off over about 20,000 steps can explain."""
 NAMES = ("q", "v", "lambda")
 
-#: Orders from the literature: name of the claim, label, orders of q, v and lambda (None if not given), source.
+#: Orders from the literature: name of the claim, label on the axis `method`, orders of positions q, velocities v and
+#: multipliers lambda (None if not given), source.
 EXPECTED: tuple[tuple[str, str, tuple[float | None, ...], str], ...] = (
     ("radau-index-3", "Radau IIA 3, index-3", (5, 3, 2), "Hairer, Lubich, Roche 1989"),
     ("radau-index-2", "Radau IIA 3, index-2", (5, 5, 3), "Hairer, Lubich, Roche 1989"),
@@ -89,7 +90,11 @@ def _by(found: Sequence[Combination], method: str) -> dict[str, Combination]:
 
 
 def order_meets(found: float | Undetermined, expected: float) -> Answer:
-    """Return whether an observed order is the expected one: partly if it is higher, open between both limits."""
+    """Return whether an observed order is the expected one.
+
+    The answer is yes if they differ by at most `NEAR`, and open if they differ by less than `APART` or the observed
+    order is unknown. Otherwise, it is partly for a higher order, and no for a lower one.
+    """
     if isinstance(found, str):
         return Answer.OPEN
     away = found - expected

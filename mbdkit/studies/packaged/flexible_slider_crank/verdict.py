@@ -42,7 +42,7 @@ class CrankRun:
     forces
         (T, J, 2) joint forces [N].
     errors
-        Error of the force of each joint, relative to its root mean square.
+        Error of the force of each joint, relative to the root mean square of the force; empty if unknown.
     state
         Reason why the run is not complete; empty otherwise.
     """
@@ -58,7 +58,7 @@ class CrankRun:
 
     @property
     def error(self) -> float:
-        """Largest error of a joint; nan if the run is not complete."""
+        """Largest error of a joint; nan if the errors are unknown."""
         return max(self.errors, default=math.nan)
 
 

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from mbdkit.studies.study_point import StudyPoint
 
 HELD = 1e-12
-"""Bound on misalignment, and on velocity misalignment per second, relative to the size of the mechanism."""
+"""Bound on misalignment [1] and on velocity misalignment [1/s], both relative to the size of the mechanism."""
 
 COLUMNS = columns_of("mechanism; method; steps; positions; velocities [1/s]; time [s]; projections")
 NOTE = (
@@ -62,7 +62,7 @@ def verdict(study: Study) -> Verdict:
     Raises
     ------
     LookupError
-        If it has no such axis.
+        If the study has no such axis.
     """
     found = [_held(point) for point in study.points]
     rows = [
@@ -107,7 +107,7 @@ def _held(point: StudyPoint) -> Held:
 
 
 def _holds(found: Sequence[Held], name: str, values: Sequence[float], what: str) -> Claim:
-    """Return whether all values lie below the bound: no if any does not, open if any is unknown."""
+    """Return the claim that all values lie below the bound: no if any value does not, open if any is unknown."""
     answers = [exceeds(HELD, each) for each in values]
     worst = max(
         ((each, one.name) for each, one in zip(values, found, strict=True) if math.isfinite(each)), default=None

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 COORDINATES = "coordinates"
 BODIES, JOINTS = "bodies", "joints"
 ROUND_OFF = 1e-12
-"""Misalignment [m] of rods of 20 m that counts as round-off."""
+"""Misalignment [m] of rods of 20 m counts as round-off below this."""
 FAR = 1e3
 """Misalignment gives no indication of the error if the error is more than this many times larger."""
 

@@ -18,12 +18,13 @@ if TYPE_CHECKING:
     from mbdkit.studies.study import Study
 
 SPEED_UP = 10_000.0
-"""Claimed speed-up of one evaluation by compiled elements over substitution, for two bodies."""
+"""Claimed ratio of the time of an evaluation by substitution to that of a compiled evaluation, for two bodies."""
 SYMBOLIC_BODIES = (1, 2, 3)
 SECONDS = "wall_min_s"
 STEEP = 2.0
-"""Exponent of the growth with the number of bodies above which growth counts as steep; 3 for dense matrices, 1 for
-chains.
+"""Growth of time with the number of bodies counts as steep if its exponent is larger than this.
+
+The exponent is 3 if dense matrices are solved, and 1 if the work for a chain is proportional to its length.
 """
 
 

@@ -161,7 +161,7 @@ TARGETS = (1e-6, 1e-8, 1e-10)
 
 
 def _saves_work(ratio: float) -> Answer:
-    """Return whether a ratio of the work of two methods is a clear saving; no if both are nearly equal."""
+    """Return whether a ratio of the work of two methods is a clear saving: well below 1; open if it is unknown."""
     if not math.isfinite(ratio):
         return Answer.OPEN
     return Answer.YES if ratio < 1 / MARGIN else Answer.NO

@@ -68,7 +68,10 @@ def steps_within(steps: np.ndarray, values: np.ndarray, wanted: Range) -> tuple[
 
 
 def _crossing(steps: np.ndarray, values: np.ndarray, inner: int, outer: int, wanted: Range) -> float:
-    """Return the step at which the values leave a range, between a step inside and its neighbour outside."""
+    """Return the step at which the values leave a range, between a step inside and its neighbour outside.
+
+    Without a positive value at the neighbour, the step inside is returned.
+    """
     if not 0 <= outer < len(steps) or not math.isfinite(values[outer]) or values[outer] <= 0:
         return float(steps[inner])
     border = wanted.low if values[outer] < wanted.low else wanted.high
@@ -191,7 +194,7 @@ def _interpolated(steps: np.ndarray, values: np.ndarray, step: float) -> float:
 
 
 PER_SWING = 75
-"""Steps of 0.1 s per swing of the paper's single pendulum, which takes 7.5 s with the assumed parameters."""
+"""Number of steps of 0.1 s in a swing (a period) of the paper's single pendulum: 7.5 s with the assumed parameters."""
 
 
 def swing(study: Study) -> float:

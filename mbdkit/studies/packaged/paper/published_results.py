@@ -154,7 +154,7 @@ def end_point(run: Run) -> np.ndarray:
 
 
 def trajectories(study: Study) -> tuple[Claim, tuple[Figure, ...], tuple[Figure, ...]]:
-    """Return figures of the paths and misalignments, and the claim that the paths depend on the method."""
+    """Return the claim that the paths depend on the method, and the figures of the paths and of the misalignments."""
     paths, drifts = [], []
     apart: dict[str, float] = {}
     for name, model in (("published", "single"), ("published", "double"), ("one-metre", "double")):
@@ -193,7 +193,10 @@ def trajectories(study: Study) -> tuple[Claim, tuple[Figure, ...], tuple[Figure,
 
 
 def _apart(path: dict[str, np.ndarray]) -> float:
-    """Return the largest distance between the paths of two methods at equal times, up to the end of a failed run."""
+    """Return the largest distance between the paths of two methods at equal times, up to the end of a failed run.
+
+    The distance is nan unless there is a path for each of the three methods.
+    """
     paths = list(path.values())
     distances = [0.0]
     for i, one in enumerate(paths):
