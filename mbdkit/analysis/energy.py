@@ -102,6 +102,5 @@ def trends(time: np.ndarray, values: np.ndarray, *, blocks: int = BLOCKS) -> lis
 
 
 def energy_trend(run: Run) -> Trend:
-    """Return the trend of the energy balance of a run, with the slope in W; the balance of the exact solution is zero.
-    """
+    """Return the trend of the energy balance of a run, with the slope in W; for exact solutions, it is zero."""
     return trend(run.time, run.energy.balance)

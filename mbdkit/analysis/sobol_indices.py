@@ -34,8 +34,7 @@ class SobolIndices:
     total_high: np.ndarray
 
     def informative(self) -> SobolIndices:
-        """Return the indices with nan for every index whose interval covers 0 to 1, so that it contains no information.
-        """
+        """Return the indices with nan for those whose intervals cover 0 to 1, and so contain no information."""
         first, total = (
             np.where((low <= 0.0) & (high >= 1.0), np.nan, value)
             for value, low, high in (

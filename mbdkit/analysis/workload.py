@@ -298,8 +298,7 @@ def _with_errors(run: Run, elements: tuple[ElementWorkload, ...]) -> tuple[Eleme
 def _parts(
     run: Run, cycles: Sequence[float] | None, load: str | None, threshold: float
 ) -> tuple[np.ndarray, list[tuple[str, float, float]]]:
-    """Return the times at which cycles start, and a list with the name, start and end of each contact, swing and cycle.
-    """
+    """Return the times at which cycles start, and the name, start and end of each contact, swing and cycle."""
     off = np.zeros(0)
     if load is not None:
         starts, off = contacts(run, load, threshold)

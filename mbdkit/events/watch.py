@@ -277,8 +277,7 @@ class Watch:
         self._latest = float(state["latest"])
 
     def _look(self, stretch: Stretch) -> Stretch:
-        """Find the events of the last step; return its rows, truncated at an event that stops the run or sets states.
-        """
+        """Find the events of the last step; return its rows, up to an event that stops the run or sets states."""
         step = self.stepper.last_step
         if step is None or not self.events:
             return stretch

@@ -101,12 +101,12 @@ def mechanism_svg(shown: NamedPose, width: float) -> Markup:
 
 
 def names_shown(shown: NamedPose) -> bool:
-    """Return whether a mechanism has at most `NAMES` names."""
+    """Return whether a drawing shows names: there are at most `NAMES`, and at most `CROWD` links."""
     elements = shown.mechanism
     count = len(shown.drawing.links)
     if elements is not None:
         count += len(elements.joints) + len(own_forces(elements)) + len(elements.markers)
-    return count <= NAMES
+    return count <= NAMES and len(shown.drawing.links) <= CROWD
 
 
 def own_forces(mechanism: Mechanism) -> dict[str, Any]:

@@ -151,8 +151,7 @@ def costs_table(costs: Sequence[Cost]) -> Table:
 
 
 def robustness_table(design: Design, deviations: Sequence[Deviation]) -> Table:
-    """Return the table of the goals at the best point if one number of the model is smaller or larger than specified.
-    """
+    """Return the table of the goals at the best point if one number of the model differs from its given value."""
     units = goal_units(design.spec)
     columns = [Column("number"), Column("off by")]
     for name in design.best.goals:

@@ -254,8 +254,7 @@ class SimulatedRun:
         return integrals or (ranges is not None and ranges.needs_nodes)
 
     def take_steps(self, stepper: Advancing, stretch: Stretch) -> None:
-        """Pass the states of the latest steps, at their ends and within them, to integrals and range checks.
-        """
+        """Pass the states of the latest steps, at their ends and within them, to integrals and range checks."""
         steps = [] if self.watch is None else self.watch.taken_steps()
         continuous = None if self.integrals is None else self.integrals.continuous
         if continuous is not None and self.watch is not None:

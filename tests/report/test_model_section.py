@@ -27,6 +27,13 @@ def texts(svg):
     return re.findall(r"<text[^>]*>([^<]*)</text>", svg)
 
 
+@pytest.mark.parametrize(("rods", "are_shown"), [(25, True), (45, False)])
+def test_a_drawing_of_many_links_has_no_names_and_says_so(rods: int, are_shown: bool) -> None:
+    shown = start(load_spec("double-pendulum", model={"name": "n-pendulum", "n": rods}).mechanism())
+    assert names_shown(shown) == are_shown
+    assert ("J1" in texts(mechanism_svg(shown, WIDE))) == are_shown
+
+
 @pytest.mark.parametrize("name", sorted(example_names("run")))
 def test_every_element_of_an_example_is_named_once(name):
     mechanism = load_spec(name).mechanism()
