@@ -47,8 +47,7 @@ def design(
     with_report: Annotated[
         bool,
         typer.Option(
-            "--report",
-            help="Also write report.html: the optimised mechanism, its loads, and the goals around the best point.",
+            "--report", help="Also write report.html: the mechanism, its loads, and the goals around the best point."
         ),
     ] = False,
     overwrite: Annotated[

@@ -71,13 +71,12 @@ def design(
     Raises
     ------
     SpecError
-        If an argument or the spec is not valid, the optimiser is not installed, or the folder belongs to another design
-        or contains other files. Nothing is written in this case.
+        If an argument or the spec is not valid, the optimiser is not installed, or the folder has another design.
+        Nothing is written in this case.
     RunError
         If a run fails at the start of the variables, or a worker fails for a reason other than a failed run.
     ResourceError
-        If the folder cannot be written to or is in use by another call, or a resource is not available. The points
-        evaluated so far remain in the folder.
+        If the folder cannot be written to or is in use, or a resource is not available. Points evaluated so far remain.
 
     Examples
     --------
