@@ -190,7 +190,7 @@ class _Terms:
         ):
             for entry in written[kind]:
                 held = self.row_index[members, entry // 6] >= 0
-                if stabilized:  # the entries of the Jacobian are listed above
+                if stabilized:  # the entries of the Jacobian were added above
                     held &= ~is_listed(entry)
                 row, column = self._multiplier(members[held], entry // 6), _coordinate(bodies[held], entry % 6)
                 self.add(offsets[name] + 12 * members[held] + entry, row, column, factor)

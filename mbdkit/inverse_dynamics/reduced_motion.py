@@ -151,8 +151,9 @@ def other_coordinates(
 
 
 def _rates(manifold: Manifold, time: np.ndarray, q: np.ndarray, quantities: Quantities) -> np.ndarray:
-    """Return the rates (T, K, f) of quantities along the free directions, scaled by the characteristic length (lengths)
-    or 1 rad (angles).
+    """Return the derivatives (T, K, f) of K quantities along the f free directions.
+
+    They are divided by the `scale` of the quantity, and by the characteristic length (lengths) or 1 rad (angles).
     """
     directions = manifold.directions(manifold.frames(time, q).jacobian)
     size = np.where(quantities.is_angle, 1.0, manifold.length) * quantities.scale

@@ -94,8 +94,8 @@ class ImplicitOptions(ControlledOptions):
     tolerance: Annotated[float, Field(gt=0, lt=1, allow_inf_nan=False)] | None = None
     """Stop when the relative change of the stage accelerations is below this value; by default, at stagnation."""
     max_iterations: Annotated[int, Field(ge=2, le=10_000)] | None = None
-    """Largest number of iterations in one step, after which the step fails; by default 50, or up to 500 for a fixed
-    step that would fail otherwise, as long as the iteration contracts steadily."""
+    """Largest number of iterations in one step, after which the step fails. By default 50; with fixed steps, the
+    iteration may go on up to 500 while it converges steadily."""
 
     def method(self, tableau: ButcherTableau) -> ImplicitRungeKutta:
         """Return the method with this tableau and these options."""

@@ -187,7 +187,7 @@ def _mechanism(name: str, o: LegOptions, leg: Callable[[Person, LegPose, Hip], L
         muscles = muscles_of_both(muscles, first) if o.symmetric_muscles else muscles
     elif o.left != LegPose() or o.symmetric_muscles:
         key = "symmetric_muscles" if o.left == LegPose() else "left"
-        raise SpecError("belongs to a second leg, which `legs: 2` adds", key=key)
+        raise SpecError("is for a second leg only: add `legs: 2`, or leave this out", key=key)
     joints: dict[str, Joint] = {}
     coordinates: dict[str, NamedCoordinate] = {}
     markers: dict[str, Marker] = {"hip": at_hip}

@@ -174,7 +174,7 @@ def _check_treatment(spec: RunSpec, method: Method) -> None:
         message = "the treatment event-driven needs an explicit Runge-Kutta method with fixed steps, such as dop853"
         raise spec.placed(SpecError(message, key="integrator"))
     if FORMULATIONS[spec.formulation].coordinates == "joint":
-        message = "rigid contacts need the coordinates of the bodies; use index-1, or compliant contacts"
+        message = "rigid contacts are not available in joint coordinates; use index-1, or compliant contacts"
         raise spec.placed(SpecError(message, key="formulation"))
     if spec.stabilized.kind != "none":
         message = "with rigid contacts, every step projects joints and contacts; omit `stabilization`"

@@ -367,9 +367,9 @@ class Recruitment(Section):
     minimum: Annotated[float, Field(ge=0, lt=1)] = 0.01
     """Smallest activation."""
     reserves: Positive | dict[str, Positive] = Field(default_factory=dict)
-    """Reserve actuators, which act in addition to the muscles: one number for all actuators, or a number for each named
-    one; none by default. The number is the force or torque [N or N m] that costs as much as the full activation of a
-    muscle with weight 1. The smaller it is, the less the reserve is used."""
+    """Reserve actuators, which act in addition to the muscles; none by default. Their optimal force or torque
+    [N or N m], one value for all actuators or one by name, costs as much as the full activation of a muscle with
+    weight 1. The smaller it is, the less the reserve is used."""
     capacity: Literal["full", "isometric"] = "full"
     """Largest active tension of a muscle: `full`, max_force times the curves of force by length and velocity times the
     cosine of the pennation; or `isometric`, max_force, which is for rigid tendons."""

@@ -176,7 +176,7 @@ class RunSpec(ModelSpec):
                 key="accuracy",
             )
         if self.time.step is None and not claims.adaptive and not self.is_to_be_chosen:
-            choice = ", or `adaptive: true`" if "adaptive" in type(self.integrator).model_fields else ""
+            choice = ", or its option `adaptive: true`" if "adaptive" in type(self.integrator).model_fields else ""
             raise SpecError(
                 f"is missing: the fixed-step method '{item.name}' needs a step in seconds{choice}", key="time.step"
             )

@@ -93,7 +93,7 @@ class DifferentiatedSampler:
         z[...] = changed
 
     def _evaluate(self, t: float) -> None:
-        """Evaluate the inputs of all expressions with their derivatives."""
+        """Evaluate the quantities that expressions use at time t, with derivatives with respect to the parameters."""
         steps, run = self._steps, self._steps.run
         steps.take_up_solver()
         steps.use_states(np.asarray(run.z))

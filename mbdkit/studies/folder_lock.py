@@ -137,9 +137,8 @@ def _started(pid: int) -> str:
     """Return when a process started, as text; empty if it has ended."""
     if _BOOT.exists():  # Linux
         try:
-            status = (
-                Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
-            )  # the fields follow the name of the program
+            # The fields follow the name of the program in parentheses, which may itself contain spaces and parentheses.
+            status = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
         except OSError:
             return ""
         return "" if status[0] in "ZX" else status[19]  # a dead process that its parent has not waited for, see proc(5)

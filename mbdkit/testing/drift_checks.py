@@ -122,7 +122,7 @@ def formulations(integrator: IntegratorUnderTest) -> Result:
     """With each further formulation that the method claims, the constraints hold at the levels that it enforces."""
     others = [name for name in integrator.claims.formulations if name != integrator.formulation and name in HELD]
     if not others:
-        raise Skip("it claims no further formulation that enforces constraints")
+        raise Skip(f"besides {integrator.formulation}, it claims no formulation that enforces the constraints")
     figures: dict[str, Figure] = {}
     for name in others:
         for level in HELD[name]:

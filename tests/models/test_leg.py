@@ -219,7 +219,7 @@ def test_a_free_leg_falls_with_its_trunk() -> None:
         ),
         ({"forces": {"s": {"type": "torque", "body": "trunk", "value": 1}}}, r"model\.forces\.s.*trunk"),
         ({"height": -1}, r"model\.height"),
-        ({"left": {"hip_flexion": 0.1}}, r"model\.left: belongs to a second leg, which `legs: 2` adds"),
+        ({"left": {"hip_flexion": 0.1}}, r"model\.left: is for a second leg only: add `legs: 2`"),
         ({"legs": 3}, r"model\.legs: .*2"),
         ({"legs": 2, "markers": {"toe_left": {"body": "foot", "point": [0, 0]}}}, r"model\.markers\.toe_left"),
         (
