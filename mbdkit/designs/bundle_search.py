@@ -31,6 +31,10 @@ radius. The cost is that at this end, but at least a tenth of the cost at the st
 JUMP = 0.1
 """Derivatives at neighbouring points that differ by more than this share of the largest derivative indicate a kink."""
 
+LEAST = "no linearization of a nearby point leads to a lower cost"
+STUCK = "no nearby point has the lower cost that the derivatives promise"
+"""Messages at the end of a search: at a local minimum, and where derivatives disagree with the values."""
+
 
 @dataclass(frozen=True)
 class Linearization:
@@ -101,7 +105,8 @@ def bundle_search(
         step, decrease = _model_step(best, near, radius)
         if decrease <= tolerance * abs(best.cost):
             if radius <= NEGLIGIBLE:
-                message, is_least = "no linearization of a nearby point leads to a lower cost", True
+                is_least = _is_least(best, bundle)
+                message = LEAST if is_least else STUCK
                 break
             # a smaller region excludes distant points, which mislead if the cost is not convex
             radius = max(0.1 * radius, NEGLIGIBLE)
@@ -122,6 +127,13 @@ def bundle_search(
         if share > 0.0:
             best = trial
     return OptimizeResult(x=best.point, message=message, success=is_least, is_least=is_least, linearizations=bundle)
+
+
+def _is_least(best: Linearization, bundle: list[Linearization]) -> bool:
+    """Return whether the model does not decrease near the best point, however small the trust region has become."""
+    near = [one for one in bundle if np.max(np.abs(one.point - best.point)) <= 4 * NEGLIGIBLE]
+    _, decrease = _model_step(best, near, NEGLIGIBLE)
+    return decrease <= FLAT * NEGLIGIBLE * max(abs(best.cost), 0.1)
 
 
 def beyond_kink(problem: Problem, ended: OptimizeResult, tolerance: float, most: int) -> OptimizeResult:

@@ -102,3 +102,20 @@ def test_a_search_that_is_cut_short_says_first_that_its_result_may_not_be_an_opt
     assert not found.is_converged
     assert found.summary().startswith("This point may not be an optimum: the search ended early (the bundle method")
     assert not Design.from_dict(found.spec, found.to_dict()).is_converged
+
+
+class OfWrongSign(LargestOf):
+    """A smooth cost whose derivatives have the wrong sign."""
+
+    def cost(self, x: np.ndarray) -> float:
+        return 1.0 + float(x @ x)
+
+    def slope(self, x: np.ndarray) -> np.ndarray:
+        return -2 * x
+
+
+def test_a_search_that_wrong_derivatives_stop_does_not_count_as_a_minimum() -> None:
+    found = bundle_search(cast("Problem", OfWrongSign()), np.array([0.5, 0.5]), tolerance=1e-9, most=100)
+    assert not found.is_least
+    assert not found.success
+    assert found.message == "no nearby point has the lower cost that the derivatives promise"
