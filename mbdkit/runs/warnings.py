@@ -14,7 +14,7 @@ from pydantic import BaseModel
 
 from mbdkit.base.plain_data import Path, path_text, quoted
 from mbdkit.base.strict_model import description
-from mbdkit.base.text import did_you_mean, listed
+from mbdkit.base.text import counted, did_you_mean, listed
 from mbdkit.engine.assembly import AssembledState
 from mbdkit.mechanism.improbable_values import improbable_frictions, improbable_inertias
 from mbdkit.mechanism.joints import Driver, Revolute
@@ -109,7 +109,7 @@ def _changed_velocities(mechanism: Mechanism, start: AssembledState) -> Iterator
                 changes.append((change, name, f"the {what} of {name} from {texts[0]} to {texts[1]} {unit}"))
     if changes:
         _, name, largest = max(changes)
-        others = f", and {len(changes) - 1} other velocities" if len(changes) > 1 else ""
+        others = f", and {counted(len(changes) - 1, 'other velocity', 'other velocities')}" if len(changes) > 1 else ""
         yield (
             f"assembly changes {largest} at the start{others}, because the velocities of the bodies do not satisfy "
             f"the joints; check those at {_key(mechanism, name)} and its neighbours: velocities that are not given "
