@@ -56,6 +56,7 @@ def test_a_wrong_topic_is_answered_with_the_nearest_one() -> None:
     assert not done.stdout
 
 
+@pytest.mark.end_to_end
 @pytest.mark.parametrize("topic", [topic for topic, page in PAGES.items() if fenced_blocks(page.text) and topic != OWN])
 @pytest.mark.filterwarnings("ignore:FigureCanvasAgg is non-interactive")
 def test_the_examples_of_a_page_run_as_printed_and_without_a_doubt(topic: str, in_tmp_path: Path) -> None:

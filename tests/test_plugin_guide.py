@@ -45,6 +45,7 @@ def block(heading: str, language: str) -> str:
     return found[1]
 
 
+@pytest.mark.end_to_end
 @pytest.mark.parametrize("heading", PLUGINS)
 def test_a_plugin_runs_as_printed_and_is_no_longer_than_it_says(heading: str, tmp_path: Path) -> None:
     lines, model, integrator = PLUGINS[heading]
@@ -67,6 +68,7 @@ def test_a_plugin_runs_as_printed_and_is_no_longer_than_it_says(heading: str, tm
         assert verified.returncode == 0, verified.stdout + verified.stderr
 
 
+@pytest.mark.end_to_end
 def test_a_packaged_study_runs_by_name_as_printed_and_is_reported_with_its_verdict(tmp_path: Path) -> None:
     heading = "A packaged study in twenty lines"
     code = block(heading, "python")

@@ -34,6 +34,7 @@ def test_the_guide_lists_every_attack_with_its_number_of_cases() -> None:
     assert sorted(listed) == sorted(attacks())
 
 
+@pytest.mark.end_to_end
 @pytest.mark.usefixtures("processes")
 @pytest.mark.parametrize("name", [pytest.param(name, marks=[pytest.mark.slow] * (name in SLOW)) for name in attacks()])
 def test_attack_is_held(name: str) -> None:

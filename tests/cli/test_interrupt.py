@@ -18,6 +18,8 @@ from mbdkit.base import interrupts
 from mbdkit.base.interrupts import interrupts_noted
 from tests.forked_process import ForkedProcess, forked_command
 
+pytestmark = pytest.mark.end_to_end
+
 LONG = """\
 mbdkit: 1
 model: {name: n-pendulum, n: 20}

@@ -72,6 +72,7 @@ def test_numbers_that_are_not_finite_become_null():
     assert json.loads(json_text(data)) == {"a": None, "b": [None, 1.5], "c": [None, True, "nan"]}
 
 
+@pytest.mark.end_to_end
 @pytest.mark.parametrize("closed", ["1", "0 1 2"])
 def test_a_run_succeeds_with_closed_streams(tmp_path: Path, closed: str) -> None:
     shut = "; ".join(f"exec {number}>&-" for number in closed.split())

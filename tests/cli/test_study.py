@@ -99,6 +99,7 @@ def start(folder: Path, out: str) -> subprocess.Popen:
     )
 
 
+@pytest.mark.end_to_end
 @pytest.mark.parametrize("stop", ["SIGINT", pytest.param("SIGTERM", marks=pytest.mark.slow)])
 def test_ctrl_c_keeps_what_is_finished_and_the_next_call_comes_to_the_same_index(stop, tmp_path):
     (tmp_path / "slow.yaml").write_text(SLOW)
@@ -133,6 +134,7 @@ def test_ctrl_c_keeps_what_is_finished_and_the_next_call_comes_to_the_same_index
     assert hashes[0] == hashes[1]
 
 
+@pytest.mark.end_to_end
 @pytest.mark.skipif(sys.platform == "win32", reason="sends a signal")
 def test_workers_do_not_outlive_a_study_that_is_killed(tmp_path):
     (tmp_path / "slow.yaml").write_text(

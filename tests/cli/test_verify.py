@@ -30,6 +30,7 @@ def test_as_json_it_is_one_object_on_stdout(mbdkit: Any) -> None:
     assert {"name", "what", "outcome", "cause", "figures", "seconds", "limits"} == set(report["checks"][0])
 
 
+@pytest.mark.end_to_end
 def test_as_html_it_is_a_page_that_is_not_replaced_unasked(
     mbdkit: Any, tmp_path: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:

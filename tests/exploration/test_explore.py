@@ -101,6 +101,7 @@ def test_only_this_machine_with_the_token_is_served(knee: Exploration) -> None:
     assert knee.url.replace("&", "&amp;") in knee._repr_html_()
 
 
+@pytest.mark.end_to_end
 @pytest.mark.skipif(BROWSER is None, reason="there is no Chromium")
 def test_motion_and_forces_follow_a_slider_in_two_browsers(knee: Exploration) -> None:
     from axe_playwright_python.sync_playwright import Axe

@@ -78,6 +78,7 @@ def test_the_command_copies_a_notebook_for_jupyter_or_as_a_script(in_tmp_path: P
     assert {path.name for path in in_tmp_path.iterdir()} == {"first-run.ipynb", "mine.py"}
 
 
+@pytest.mark.end_to_end
 def test_a_kernel_shows_results_and_progress(in_tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     nbclient = pytest.importorskip("nbclient", reason=KERNEL)
     nbformat = pytest.importorskip("nbformat", reason=KERNEL)

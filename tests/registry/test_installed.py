@@ -6,7 +6,11 @@ import json
 import subprocess
 from pathlib import Path
 
+import pytest
+
 from tests.installing import install_module, python
+
+pytestmark = pytest.mark.end_to_end
 
 GOOD = """
 import mbdkit

@@ -10,6 +10,8 @@ import pytest
 from mbdkit.archive.reader import load
 from tests.installing import install_module, python
 
+pytestmark = pytest.mark.end_to_end
+
 METHOD = """
 import mbdkit
 from pydantic import BaseModel

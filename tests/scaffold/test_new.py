@@ -20,6 +20,7 @@ def here(tmp_path, monkeypatch):
     return tmp_path
 
 
+@pytest.mark.end_to_end
 @pytest.mark.parametrize(
     "kind", [pytest.param(x, marks=[] if x == "integrator" else [pytest.mark.slow]) for x in KINDS]
 )
