@@ -1,5 +1,5 @@
-"""Criteria of the verdict on the model of inverse dynamics: its inertias, and the muscles and reserves that share the
-moments.
+"""Criteria of the verdict on the model of inverse dynamics: its inertias, the elements of its beams, and the muscles
+and reserves that share the moments.
 """
 
 from __future__ import annotations
@@ -10,9 +10,10 @@ import numpy as np
 
 from mbdkit.archive.run_summary import PULLING
 from mbdkit.inverse_dynamics.column_criteria import Doubt
-from mbdkit.inverse_dynamics.compute import Inverse
+from mbdkit.inverse_dynamics.compute import Inverse, recorded_states
 from mbdkit.inverse_dynamics.recruited import Recruited
 from mbdkit.mechanism.improbable_values import improbable_inertias
+from mbdkit.runs.coarse_beams import CoarseBeams
 from mbdkit.spec.named_actuators import RESERVE
 
 RESERVE_SHARE = 0.1
@@ -38,9 +39,16 @@ AT_REST = 1e-9
 
 
 def model_doubts(result: Inverse) -> Iterator[Doubt]:
-    """Yield doubts about the masses, muscles and reserves of the model."""
+    """Yield doubts about the masses, beams, muscles and reserves of the model."""
     for sentence in improbable_inertias(result.problem.names.mechanism):
         yield Doubt("inertia", f"{sentence}.")
+    workspace = result.problem.prepared.workspace
+    coarse = CoarseBeams.of(result.problem.names.mechanism, workspace.mechanism)
+    if coarse is not None:
+        states = recorded_states(result)
+        coarse.add(states.q, states.observed.beams)
+        for warning in coarse.warnings():
+            yield Doubt("elements", f"{warning}.")
     if result.recruited is not None:
         yield from _fibers(result, result.recruited)
         yield from _reserves(result, result.recruited)

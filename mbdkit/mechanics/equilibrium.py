@@ -22,7 +22,6 @@ from mbdkit.engine.kernels.observe import constraints_at
 from mbdkit.engine.kernels.projection import STAGNANT
 from mbdkit.engine.nearest_state import ROUND_OFF
 from mbdkit.engine.observed_states import StateObserver
-from mbdkit.mechanics.coarse_beams import coarse_beams
 from mbdkit.mechanics.reduced import (
     DENSE,
     State,
@@ -40,6 +39,7 @@ from mbdkit.mechanics.states_at_rest import StaticEquations
 from mbdkit.mechanism.beam_shape import places_with_ends, with_ends
 from mbdkit.mechanism.mechanism import Mechanism
 from mbdkit.mechanism.parameters import parameters_in_use
+from mbdkit.runs.coarse_beams import CoarseBeams
 from mbdkit.spec.loading import RunSource, Sections
 
 MOST_STEPS = 500
@@ -261,11 +261,8 @@ def equilibrium_of(prepared: PreparedMechanism) -> Equilibrium:
         rows = p.recorded_multipliers(p.t0, found.q, found.lam)
         force, torque = joint_reactions(prepared, p.t0, found.q, rows)
         residual = float(np.max(np.abs(p.constraints(p.t0, found.q)), initial=0.0))
-    mechanism, forces = prepared.spec.mechanism(), _internal_forces(prepared, found)
-    turned = dict(zip(p.bodies, found.q[2::3].tolist(), strict=True))
-    angles = {
-        name: np.array([turned[node] for node in beam.node_names(name)]) for name, beam in mechanism.beams.items()
-    }
+    mechanism = prepared.spec.mechanism()
+    forces, warnings = _internal_forces(prepared, found) if mechanism.beams else ({}, ())
     return Equilibrium(
         time=p.t0,
         bodies=p.bodies,
@@ -286,24 +283,26 @@ def equilibrium_of(prepared: PreparedMechanism) -> Equilibrium:
         beams=forces,
         displacement=(found.q - p.q0).reshape(-1, 3),
         mechanism=mechanism,
-        warnings=tuple(coarse_beams(mechanism.beams, angles, forces)),
+        warnings=warnings,
     )
 
 
-def _internal_forces(prepared: PreparedMechanism, found: Rest) -> dict[str, np.ndarray]:
-    """Return the internal forces of the beams at rest by name; see `Equilibrium.beams`."""
+def _internal_forces(prepared: PreparedMechanism, found: Rest) -> tuple[dict[str, np.ndarray], tuple[str, ...]]:
+    """Return the internal forces of the beams at rest by name, see `Equilibrium.beams`, and warnings about beams whose
+    elements are too coarse.
+    """
     mechanism, compiled = prepared.spec.mechanism(), prepared.workspace.mechanism
-    if not mechanism.beams:
-        return {}
     observer = StateObserver(prepared.workspace.with_own_pivots())
     out = observer.arrays(1)
     q = np.append(found.q, np.zeros(3))[None]
     observer.observe(np.array([prepared.equations.t0]), q, np.zeros_like(q), out, z=found.z[None])
+    coarse = CoarseBeams(mechanism, compiled)
+    coarse.add(q, out.beams)
     forces = {}
     for name, beam in mechanism.beams.items():
         within = with_ends(out.beams[0, compiled.beam_elements(name), :3], beam.element_length, beam.nodes)
         forces[name] = np.column_stack([places_with_ends(beam.length, beam.elements), within])
-    return forces
+    return forces, coarse.warnings()
 
 
 def _stability(prepared: PreparedMechanism, at: State) -> tuple[float, str]:

@@ -29,6 +29,7 @@ from mbdkit.quantities.array import FLOAT
 from mbdkit.quantities.names import ArchiveNames, archive_names
 from mbdkit.quantities.states import States
 from mbdkit.quantities.table import RECORDED
+from mbdkit.runs.coarse_beams import CoarseBeams
 from mbdkit.runs.corners import check_jumps
 from mbdkit.runs.evidence import evidence_of_run
 from mbdkit.runs.integrals import RunIntegrals, functionals_of
@@ -379,6 +380,11 @@ class _Group:
                     continue
             warnings = center_warnings(member.spec.mechanism(), reached[lane])
             warnings = (*member.warnings, *warnings, *(() if ranges is None else ranges.warnings()))
+            coarse = CoarseBeams.of(member.spec.mechanism(), member.start.mechanism)
+            if coarse is not None:
+                rows = slice(results.rows[lane])
+                coarse.add(results.q[lane, rows], results.observed.beams[lane, rows])
+                warnings = (*warnings, *coarse.warnings())
             counters = vars(results.counters[lane]).copy()
             # The mechanism was factorized once more when the pivots of the stage matrix were chosen.
             counters["factorizations"] += int(member.pivots is not None)

@@ -20,6 +20,7 @@ from mbdkit.engine.workspace import Workspace
 from mbdkit.measures.measured_quantities import of_event
 from mbdkit.quantities.quantity import Quantity
 from mbdkit.quantities.table import RECORDED
+from mbdkit.runs.coarse_beams import CoarseBeams
 from mbdkit.runs.law_ranges import LawRanges
 from mbdkit.runs.recorded_states import ObservedRows, recorded_states
 from mbdkit.stepping.interface import Failure, Guards, Stretch
@@ -72,6 +73,8 @@ class Recorder:
         Limits of the misalignment of a recorded state.
     ranges
         Checks force laws that declare a range; None if there are none.
+    coarse
+        Checks whether the elements of beams are fine enough; None without beams.
 
     Attributes
     ----------
@@ -88,7 +91,12 @@ class Recorder:
     """
 
     def __init__(
-        self, workspace: Workspace, writer: RunWriter, guards: Guards = NO_GUARDS, ranges: LawRanges | None = None
+        self,
+        workspace: Workspace,
+        writer: RunWriter,
+        guards: Guards = NO_GUARDS,
+        ranges: LawRanges | None = None,
+        coarse: CoarseBeams | None = None,
     ):
         # The number of steps between two calls depends on wall time. If the recorder shared its pivots with the
         # stepper, the rounding errors of steps and of recorded rows would depend on it too.
@@ -104,7 +112,7 @@ class Recorder:
         self.last_time = workspace.t0
         self.event_times: dict[str, list[float]] = {}
         self.kept: list[ObservedRows] | None = None
-        self.ranges = ranges
+        self.ranges, self.coarse = ranges, coarse
 
     @property
     def mechanism(self) -> CompiledMechanism:
@@ -256,6 +264,8 @@ class Recorder:
             coordinates = observed.joints[:, :, 0]
             self.reached[0] = np.minimum(self.reached[0], coordinates.min(axis=0))
             self.reached[1] = np.maximum(self.reached[1], coordinates.max(axis=0))
+        if self.coarse is not None:
+            self.coarse.add(stretch.q, observed.beams)
         others = np.array([observed.potential, stretch.work, stretch.dissipated])
         self.last_time = float(stretch.time[-1])
         self.energies.add(observed.kinetic, others, states.balance)
@@ -349,6 +359,7 @@ class Recorder:
             "solver": stored_solver(self.workspace.solver),
             "pivotings": self.workspace.pivotings,
             "ranges": None if self.ranges is None else self.ranges.stored(),
+            "coarse": None if self.coarse is None else self.coarse.stored(),
         }
 
     def restore(self, state: Mapping[str, Any]) -> None:
@@ -366,6 +377,8 @@ class Recorder:
         self.workspace.pivotings = int(state["pivotings"])
         if self.ranges is not None:
             self.ranges.restore(state["ranges"])
+        if self.coarse is not None:
+            self.coarse.restore(state["coarse"])
 
     def misalignment_max(self, worst_pairs: np.ndarray) -> np.ndarray:
         """Return the largest misalignment of each joint over all steps, recorded or not, (J,) [m].

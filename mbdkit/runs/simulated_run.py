@@ -33,6 +33,7 @@ from mbdkit.runs.accuracy.chosen_method import Choice
 from mbdkit.runs.accuracy.compared_measures import Measure, compared_measures
 from mbdkit.runs.accuracy.pilot_run import Replay
 from mbdkit.runs.accuracy.position_measure import PositionMeasure
+from mbdkit.runs.coarse_beams import CoarseBeams
 from mbdkit.runs.corners import stops_of
 from mbdkit.runs.evidence import estimated_errors, evidence_of_run
 from mbdkit.runs.integrals import RunIntegrals
@@ -151,7 +152,8 @@ class SimulatedRun:
         between = None if steps_are_rows(spec) else workspace
         stops = spec.limits.law_range == "stop"
         ranges = LawRanges.of(spec.mechanism(), workspace.mechanism, between, stops=stops)
-        self.recorder = Recorder(workspace, writer, self.guards, ranges)
+        coarse = CoarseBeams.of(spec.mechanism(), workspace.mechanism)
+        self.recorder = Recorder(workspace, writer, self.guards, ranges, coarse)
         self.table = timetable(spec, self.guards)
         self.integrals: RunIntegrals | None = None
         if functionals:
@@ -422,7 +424,8 @@ class SimulatedRun:
         ranges = self.recorder.ranges
         # if a run stops where a law leaves its range, the reason of its failure says so
         left = () if ranges is None or ranges.stops else ranges.warnings()
-        self.warnings = (*self.warnings, *center_warnings(mechanism, self.recorder.reached), *left)
+        centers, coarse = center_warnings(mechanism, self.recorder.reached), self.recorder.coarse
+        self.warnings = (*self.warnings, *centers, *left, *(() if coarse is None else coarse.warnings()))
         questions = doubts(self.spec, self.warnings)
         # notes about the treatment of contacts, which do not question the result
         self.warnings = (*self.warnings, *notes)

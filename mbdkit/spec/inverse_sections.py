@@ -188,6 +188,7 @@ Criterion = Literal[
     "load-offset",
     "residuals",
     "inertia",
+    "elements",
     "fibers",
     "reserves",
     "max-force",
