@@ -15,7 +15,7 @@ from mbdkit.base.errors import MbdkitError
 from mbdkit.base.html_view import HtmlView
 from mbdkit.base.text import did_you_mean, listed
 from mbdkit.mechanism.beam_shape import places_with_ends, with_ends
-from mbdkit.mechanism.beams import beam_of
+from mbdkit.mechanism.beams import beam_of, named_body
 from mbdkit.quantities.array import COORDINATE_UNITS, MIXED, Array, Kind, Recorded
 from mbdkit.quantities.table import BY_GROUP
 
@@ -622,7 +622,11 @@ class Histories(ReadOnlyDict[str, V]):
 
 
 class BodyHistories(Histories[BodyHistory]):
-    """The bodies of a run by name."""
+    """The bodies of a run by name. The last node of a beam is also called ``BEAM.last``."""
+
+    def __missing__(self, name: str) -> BodyHistory:
+        body = named_body(name, list(self))
+        return self[body] if body != name else super().__missing__(name)
 
 
 class JointHistories(Histories[JointHistory], HtmlView):

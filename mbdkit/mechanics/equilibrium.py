@@ -37,6 +37,7 @@ from mbdkit.mechanics.reduced import (
 from mbdkit.mechanics.source import PreparedMechanism
 from mbdkit.mechanics.states_at_rest import StaticEquations
 from mbdkit.mechanism.beam_shape import places_with_ends, with_ends
+from mbdkit.mechanism.beams import named_body
 from mbdkit.mechanism.mechanism import Mechanism
 from mbdkit.mechanism.parameters import parameters_in_use
 from mbdkit.runs.coarse_beams import CoarseBeams
@@ -166,7 +167,7 @@ class Equilibrium(HtmlView):
 
     def __getitem__(self, body: str) -> np.ndarray:
         """Return x, y [m] and angle [rad] of a body by its name."""
-        found: np.ndarray = self.position[self.bodies.index(body)]
+        found: np.ndarray = self.position[self.bodies.index(named_body(body, self.bodies))]
         return found
 
     def _ipython_key_completions_(self) -> list[str]:

@@ -17,6 +17,7 @@ from mbdkit.base.errors import StepError
 from mbdkit.mechanics.equilibrium import joint_reactions, rest
 from mbdkit.mechanics.reduced import State, distance_to_singular, least_stiffness, singular_motion, unstable_motions
 from mbdkit.mechanics.source import PreparedMechanism
+from mbdkit.mechanism.beams import named_body
 from mbdkit.spec.loading import RunSource, Sections
 
 Kind = Literal["limit point", "bifurcation"]
@@ -110,7 +111,7 @@ class EquilibriumPath:
 
     def __getitem__(self, body: str) -> np.ndarray:
         """Return x, y [m] and angle [rad] of a body along the path, (K, 3)."""
-        found: np.ndarray = self.position[:, self.bodies.index(body)]
+        found: np.ndarray = self.position[:, self.bodies.index(named_body(body, self.bodies))]
         return found
 
 

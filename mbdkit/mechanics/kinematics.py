@@ -13,6 +13,7 @@ from mbdkit.base.errors import RunError, StepError
 from mbdkit.base.text import counted, csv_cell, listed
 from mbdkit.mechanics.reduced import at_rest, reduce
 from mbdkit.mechanics.source import PreparedMechanism
+from mbdkit.mechanism.beams import named_body
 from mbdkit.spec.loading import RunSource, Sections
 
 ASIDE = 0.1
@@ -55,7 +56,7 @@ class Kinematics:
 
     def __getitem__(self, body: str) -> BodyMotion:
         """Return the motion of a body by its name."""
-        at = self.bodies.index(body)
+        at = self.bodies.index(named_body(body, self.bodies))
         return BodyMotion(self.position[:, at], self.velocity[:, at], self.acceleration[:, at])
 
     def _ipython_key_completions_(self) -> list[str]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from functools import cached_property
 from typing import Annotated, Any, ClassVar, Literal, NamedTuple
 
@@ -370,6 +370,16 @@ LAST = ".last"
 def last_nodes(beams: Mapping[str, Beam]) -> dict[str, str]:
     """Return the name of the last node of each beam, such as ``tube.16``, by its other name, such as ``tube.last``."""
     return {f"{name}{LAST}": beam.node_names(name)[-1] for name, beam in beams.items()}
+
+
+def named_body(name: str, bodies: Sequence[str]) -> str:
+    """Return the name of a body of a mechanism: for ``BEAM.last`` that of the last node of the beam, otherwise `name`
+    itself.
+    """
+    beam = name.removesuffix(LAST)
+    if name in bodies or beam == name:
+        return name
+    return next((body for body in reversed(bodies) if beam_of(body) == beam), name)
 
 
 def with_body(element: Any, path: Path, body: str) -> Any:

@@ -7,6 +7,7 @@ from collections.abc import Mapping
 from mbdkit.base.errors import SpecError
 from mbdkit.base.plain_data import quoted
 from mbdkit.base.text import did_you_mean, listed
+from mbdkit.mechanism.beams import last_nodes
 from mbdkit.mechanism.joints import JointBase
 from mbdkit.mechanism.mechanism import Mechanism
 from mbdkit.mechanism.mechanism_quantities import (
@@ -26,7 +27,7 @@ _NAMES_SHOWN = 12
 
 
 class QuantityNames:
-    """Finds quantities of a mechanism by name.
+    """Finds quantities of a mechanism by name. The last node of a beam is also called ``BEAM.last``.
 
     Parameters
     ----------
@@ -37,11 +38,13 @@ class QuantityNames:
     def __init__(self, mechanism: Mechanism):
         self.mechanism = mechanism
         self._number = {name: number for number, name in enumerate(mechanism.bodies)}
+        self._last = last_nodes(mechanism.beams)
 
     def body(self, name: str, key: str, *, may_be_ground: bool = False) -> int:
         """Return the index of a body, `GROUND` for the ground; raise SpecError if there is no body with this name."""
         if may_be_ground and name == self.mechanism.ground:
             return GROUND
+        name = self._last.get(name, name)
         if name not in self._number:
             known = [*self._number, *([self.mechanism.ground] if may_be_ground else [])]
             raise SpecError(f"there is no body '{name}'{_hint(name, known, 'bodies')}", key=key)
@@ -122,6 +125,7 @@ class QuantityNames:
         found: dict[tuple[str, str], Quantity] = {}
         for plural, singular in _PREFIXES.items():
             for one in (element, rest) if kind in (plural, singular) else (element,):
+                one = self._last.get(one, one) if plural == "bodies" else one
                 quantity = self._quantity(plural, one, axis)
                 if quantity is not None:
                     found[plural, one] = quantity

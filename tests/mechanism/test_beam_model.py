@@ -247,3 +247,25 @@ def test_the_last_node_has_a_name_for_any_number_of_elements() -> None:
         assert mechanism.coordinates["height"].of == f"{node}.y"
         run = mbdkit.run(loaded)
         assert run.measures["tip"] == run[node].position[-1, 0]
+
+
+def test_the_last_node_has_the_same_name_in_inverse_dynamics_and_results() -> None:
+    t = np.linspace(0.0, 1.0, 21)
+    data = {"t": t, "x": 1.0 + 0.0 * t, "y": -0.01 * np.sin(t), "angle": -0.02 * np.sin(t)}
+    m = mbdkit.Mechanism(gravity=(0.0, 0.0))
+    stiffness = {"axial": 1e5, "shear": "none", "bending": 1.0}
+    bar = m.beam("bar", a=(0, 0), b=(1, 0), elements=1, stiffness=stiffness, mass_per_length=0.2)
+    m.weld("clamp", m.ground, bar[0], at=(0, 0))
+
+    def inverse(end: str) -> mbdkit.Run:
+        columns = {f"{end}.{name}": name for name in ("x", "y", "angle")}
+        motion = {"data": data, "time": "t", "columns": columns, "smooth": "none"}
+        load = {"body": end, "point_frame": end, "point": [0.0, 0.0], "force": [0.0, -2.0]}
+        return mbdkit.inverse({"mbdkit": 1, "model": m.to_spec(), "motion": motion, "loads": {"weight": load}})
+
+    run, other = inverse("bar.last"), inverse("bar.1")
+    np.testing.assert_array_equal(run.joints["clamp"].reaction_force, other.joints["clamp"].reaction_force)
+    assert run["bar.last"].name == "bar.1"
+    with pytest.raises(KeyError, match=r"no body 'rod\.last'"):
+        run["rod.last"]
+    np.testing.assert_array_equal(mbdkit.equilibrium(m)["bar.last"], mbdkit.equilibrium(m)["bar.1"])
