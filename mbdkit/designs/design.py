@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import numpy as np
 
+from mbdkit.base.errors import SpecError
 from mbdkit.base.text import counted, table
 from mbdkit.designs.compared_settings import Comparison, compare, comparison_table
 from mbdkit.designs.derivatives import derivatives_sentence, unconfirmed
@@ -20,7 +22,8 @@ from mbdkit.designs.problem import Problem
 from mbdkit.designs.search import Search, searches
 from mbdkit.designs.stages import Stages
 from mbdkit.designs.trust import Trust, certified
-from mbdkit.spec import DesignSpec
+from mbdkit.spec import DesignSpec, RunSpec
+from mbdkit.studies.varied_starts import start_warnings_of_study
 
 
 @dataclass(frozen=True)
@@ -55,6 +58,8 @@ class Design:
         combination of these variables is determined, or none if a single variable changes. Empty for a Pareto front.
     compared
         Results of the design with other settings of the runs (`compare` of its spec); empty until they are computed.
+    changed_starts
+        Sentences about variables that set initial values of bodies which assembly changes.
     is_converged
         Whether the best search converged, and did not end because of its largest number of iterations, for example.
     """
@@ -74,6 +79,7 @@ class Design:
     undetermined: tuple[dict[str, float], ...] = ()
     compared: tuple[Comparison, ...] = ()
     is_converged: bool = True
+    changed_starts: tuple[str, ...] = ()
 
     def to_dict(self) -> dict[str, Any]:
         """Return the result as plain data for JSON; unknown numbers are None."""
@@ -92,6 +98,7 @@ class Design:
                 "derivatives": self.derivatives,
                 "unconfirmed": self.unconfirmed,
                 "undetermined": self.undetermined,
+                "changed_starts": self.changed_starts,
                 "compared": [asdict(one) for one in self.compared],
             }
         )
@@ -128,6 +135,7 @@ class Design:
             unconfirmed=tuple(map(str, data["unconfirmed"])),
             undetermined=tuple(numbers(one) for one in data["undetermined"]),
             is_converged=bool(data.get("is_converged", True)),
+            changed_starts=tuple(map(str, data.get("changed_starts", ()))),
             compared=tuple(Comparison.from_dict(spec, one) for one in data["compared"]),
         )
 
@@ -193,7 +201,8 @@ class Design:
             for name, side in sides.items()
             if not side and abs(self.best.variables[name] - self.start.variables[name]) <= self._slack(name)
         ]
-        return [*at_bounds, *held, *map(sentence, self.undetermined), *self.unconfirmed, *self.trust.sentences()]
+        undetermined = map(sentence, self.undetermined)
+        return [*at_bounds, *held, *undetermined, *self.unconfirmed, *self.changed_starts, *self.trust.sentences()]
 
     @property
     def gains(self) -> list[Gain]:
@@ -245,7 +254,22 @@ def solve(evaluator: Evaluator, stages: Stages) -> Design:
         derivatives=derivatives_sentence(evaluator),
         unconfirmed=unconfirmed(evaluator, best.end) if evaluator.gradients and not best.is_least else (),
         undetermined=alone,
+        changed_starts=_changed_starts(evaluator, best.end),
     )
+
+
+def _changed_starts(evaluator: Evaluator, best: np.ndarray) -> tuple[str, ...]:
+    """Return sentences about initial values that variables set and that assembly changes, over the bounds of the
+    variables, their start and the best point (n,).
+    """
+    points, told = (np.zeros_like(best), np.ones_like(best), evaluator.first, best), []
+    for scenario in evaluator.scenarios:
+        specs = []
+        for x in points:
+            with suppress(SpecError):  # some points within the bounds may have no valid spec
+                specs.append(scenario.at(evaluator.settings(x)))
+        told += start_warnings_of_study(spec for spec in specs if isinstance(spec, RunSpec))
+    return tuple(f"{text[0].upper()}{text[1:]}." for text in dict.fromkeys(told))
 
 
 def with_comparisons(evaluator: Evaluator, design: Design, stages: Stages) -> Design:

@@ -194,3 +194,28 @@ def test_limits_that_cannot_be_met_are_told_by_the_exit_status(tmp_path: Path) -
     done = CliRunner().invoke(app, ["design", str(file), "-o", str(tmp_path / "high")], prog_name="mbdkit")
     assert done.exit_code == 3
     assert "No point that satisfies all limits was found" in done.stdout
+
+
+def test_a_design_names_an_initial_velocity_that_assembly_changes(tmp_path: Path) -> None:
+    # expected: two equal bodies that are welded move with the mean of their given velocities
+    m = mbdkit.Mechanism(gravity=(0, 0))
+    one = m.body("one", mass=1.0, inertia=0.1, velocity=(1.0, 0.0))
+    other = m.body("other", mass=1.0, inertia=0.1)
+    m.weld("weld", one, other, at=(0, 0))
+    path = "model.bodies.one.velocity[0]"
+    base = {"mbdkit": 1, "model": m.to_spec(), "integrator": {"name": "rk4"}, "time": {"end": 0.1, "step": 0.05}}
+    spec = {
+        "mbdkit_design": 1,
+        "base": base,
+        "variables": {path: {"bounds": [0.0, 4.0], "start": 1.0}},
+        "minimize": "(final(bodies.one.vx) - 1)**2",
+        "optimizer": {"name": "slsqp"},
+    }
+    found = mbdkit.design(spec, out=tmp_path / "design", optimum_only=True)
+    (warning,) = found.changed_starts
+    assert warning.startswith(f"The runs vary {path} from 0 to 4, but the start after assembly from 0 to 2")
+    assert warning in found.summary()
+    assert warning in mbdkit.load_design(tmp_path / "design").warnings
+    result = CliRunner().invoke(app, ["report", str(tmp_path / "design"), "-o", str(tmp_path / "design.html")])
+    assert result.exit_code == 0, result.output
+    assert "but the start after assembly from 0 to 2" in (tmp_path / "design.html").read_text()
