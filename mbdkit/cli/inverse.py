@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from mbdkit.base.terminal import show, show_json
+from mbdkit.base.terminal import say, show, show_json
 from mbdkit.base.text import counted
 from mbdkit.cli.common_options import (
     Archive,
@@ -115,6 +115,7 @@ def repeated_inverse(before: Run, archive: Path, output: Path | None, *, overwri
 def validate_inverse(source: str | Document, name: str, assignments: list[str]) -> None:
     """Check a spec of inverse dynamics, its data and their first frame, and print what would be computed."""
     from mbdkit.inverse_dynamics.compute import InverseProblem, check
+    from mbdkit.inverse_dynamics.data_verdict import doubts_before_computation
     from mbdkit.measures.take import check_measures
     from mbdkit.mechanism.mechanism import gravity_text
     from mbdkit.spec import load_inverse_spec
@@ -124,6 +125,8 @@ def validate_inverse(source: str | Document, name: str, assignments: list[str]) 
     check_measures(spec)
     check(problem)
     measured, time = problem.measured, problem.measured.time
+    for warning in (*problem.warnings, *doubts_before_computation(problem).open):
+        say(f"warning: {warning}")
     show(f"{name}: this spec of inverse dynamics is valid")
     show(f"model        {spec.model_item.id}: {spec.mechanism().description()}")
     show(f"gravity      {gravity_text(spec.mechanism().gravity)}")
@@ -134,3 +137,4 @@ def validate_inverse(source: str | Document, name: str, assignments: list[str]) 
     show(f"actuators    {', '.join(actuator.name for actuator in problem.recorded_actuators) or 'none'}")
     if problem.recruiter is not None:
         show(f"muscles      {', '.join(problem.recruiter.muscles)}")
+    show("not checked  rows after the first, smoothed motion, loads and results, which `mbdkit inverse` checks")

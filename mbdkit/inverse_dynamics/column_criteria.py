@@ -129,17 +129,26 @@ class Doubt:
 
 def column_doubts(result: Inverse) -> Iterator[Doubt]:
     """Yield doubts about the times and columns of a measured motion."""
-    measured = result.fitted.measured
-    length = result.problem.fitter.manifold.length
-    yield from _of_times(measured)
+    yield from doubts_before_fit(result.fitted.measured, result.problem.fitter.manifold.length)
     yield from _unit_of_time(result)
+    yield from _constants(result)
+    yield from _fit(result)
+    yield from _noise(result)
+
+
+def doubts_before_fit(measured: Measured, length: float) -> Iterator[Doubt]:
+    """Yield those doubts about the times and columns of a measured motion that do not depend on the fitted motion.
+
+    Parameters
+    ----------
+    length
+        Longest link of the mechanism [m].
+    """
+    yield from _of_times(measured)
     yield from _radians(measured)
     for index, name in enumerate(measured.names):
         yield from _outliers(measured, index, name)
         yield from _units(measured, index, name, length)
-    yield from _constants(result)
-    yield from _fit(result)
-    yield from _noise(result)
 
 
 def suspicious_columns(measured: Measured, length: float) -> list[str]:

@@ -75,6 +75,14 @@ class InverseProblem:
         """The actuators, followed by the reserves."""
         return [*self.actuators, *([] if self.recruiter is None else self.recruiter.reserves)]
 
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """Warnings about the model, as sentences."""
+        told = [f"{warning}." for warning in self.names.mechanism.warnings]
+        if self.names.mechanism.muscles and self.recruiter is None:
+            told.append("the model has muscles, which exert no force because the spec has no `recruitment`.")
+        return tuple(told)
+
     @classmethod
     def of(cls, spec: InverseSpec) -> InverseProblem:
         """Read the data of a spec and assemble its mechanism.
@@ -159,7 +167,7 @@ class Inverse:
     def warnings(self) -> tuple[str, ...]:
         """Warnings about the result, as sentences."""
         problem, motion, dynamics = self.problem, self.motion, self.dynamics
-        told = [f"{warning}." for warning in problem.names.mechanism.warnings]
+        told = [*problem.warnings]
         if len(motion.coordinates) > 1:
             when = listed([f"{motion.time[begin]:.6g} s" for begin, _ in motion.coordinates[1:]], "and")
             told.append(
@@ -173,8 +181,6 @@ class Inverse:
                 "unique: the sum of (weight * value)^2 is minimised, with torques divided by the characteristic length "
                 f"({problem.fitter.manifold.length:.4g} m)."
             )
-        if problem.names.mechanism.muscles and problem.recruiter is None:
-            told.append("the model has muscles, which exert no force because the spec has no `recruitment`.")
         if problem.spec.unbalanced == "report" and np.any(dynamics.unbalanced):
             worst = largest_unbalanced(dynamics, problem.fitter.bodies)
             told.append(

@@ -4,16 +4,18 @@ accept.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
 
-from mbdkit.inverse_dynamics.column_criteria import column_doubts
-from mbdkit.inverse_dynamics.compute import Inverse
+from mbdkit.inverse_dynamics.column_criteria import Doubt, column_doubts, doubts_before_fit
+from mbdkit.inverse_dynamics.compute import Inverse, InverseProblem
 from mbdkit.inverse_dynamics.error_bars import ErrorBars
 from mbdkit.inverse_dynamics.load_criteria import load_doubts
-from mbdkit.inverse_dynamics.model_criteria import model_doubts
+from mbdkit.inverse_dynamics.model_criteria import inertia_doubts, model_doubts
+from mbdkit.spec.inverse_sections import Criterion
 from mbdkit.trust.criteria import Evidence, Judgement, judge
 
 
@@ -34,8 +36,18 @@ class DataDoubts(NamedTuple):
 
 def doubts_about_data(result: Inverse, bars: ErrorBars | None) -> DataDoubts:
     """Return the doubts about the data and the model of a result."""
-    accepted = result.problem.spec.accept
     found = [*column_doubts(result), *load_doubts(result, bars), *model_doubts(result)]
+    return _sorted(found, result.problem.spec.accept)
+
+
+def doubts_before_computation(problem: InverseProblem) -> DataDoubts:
+    """Return those doubts about the data and the model that do not depend on the computed motion and forces."""
+    columns = doubts_before_fit(problem.measured, problem.fitter.manifold.length)
+    return _sorted([*columns, *inertia_doubts(problem.names.mechanism)], problem.spec.accept)
+
+
+def _sorted(found: Sequence[Doubt], accepted: Sequence[Criterion]) -> DataDoubts:
+    """Separate open doubts from accepted ones."""
     texts = [(one.criterion in accepted, f"{one.criterion}: {one.sentence}") for one in found]
     return DataDoubts(*(tuple(text for is_accepted, text in texts if is_accepted == side) for side in (False, True)))
 

@@ -13,6 +13,7 @@ from mbdkit.inverse_dynamics.column_criteria import Doubt
 from mbdkit.inverse_dynamics.compute import Inverse, recorded_states
 from mbdkit.inverse_dynamics.recruited import Recruited
 from mbdkit.mechanism.improbable_values import improbable_inertias
+from mbdkit.mechanism.mechanism import Mechanism
 from mbdkit.runs.coarse_beams import CoarseBeams
 from mbdkit.spec.named_actuators import RESERVE
 
@@ -40,8 +41,7 @@ AT_REST = 1e-9
 
 def model_doubts(result: Inverse) -> Iterator[Doubt]:
     """Yield doubts about the masses, beams, muscles and reserves of the model."""
-    for sentence in improbable_inertias(result.problem.names.mechanism):
-        yield Doubt("inertia", f"{sentence}.")
+    yield from inertia_doubts(result.problem.names.mechanism)
     workspace = result.problem.prepared.workspace
     coarse = CoarseBeams.of(result.problem.names.mechanism, workspace.mechanism)
     if coarse is not None:
@@ -53,6 +53,12 @@ def model_doubts(result: Inverse) -> Iterator[Doubt]:
         yield from _fibers(result, result.recruited)
         yield from _reserves(result, result.recruited)
         yield from _weak_muscles(result, result.recruited)
+
+
+def inertia_doubts(mechanism: Mechanism) -> Iterator[Doubt]:
+    """Yield a doubt for each body whose inertia seems to have another unit."""
+    for sentence in improbable_inertias(mechanism):
+        yield Doubt("inertia", f"{sentence}.")
 
 
 def _fibers(result: Inverse, recruited: Recruited) -> Iterator[Doubt]:

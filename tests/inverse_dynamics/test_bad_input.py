@@ -188,6 +188,26 @@ def test_validate_refuses_what_inverse_refuses(tmp_path: Path, wrong: dict[str, 
     assert told in done[0].stderr == done[1].stderr
 
 
+def test_validate_gives_the_warnings_that_need_no_computation(tmp_path: Path) -> None:
+    rows = ["time,hip", *(f"{0.01 * i:.2f},{50 * np.sin(0.1 * i) + 1.5 * (i == 12):.3f}" for i in range(30))]
+    (tmp_path / "t.csv").write_text("\n".join(rows), encoding="utf-8")
+
+    def told(word: str, accept: list[str]) -> list[str]:
+        (tmp_path / "s.yaml").write_text(yaml.safe_dump(pendulum("t.csv") | {"accept": accept}), encoding="utf-8")
+        words = [word, str(tmp_path / "s.yaml"), *(["-o", str(tmp_path / "s.h5")] if word == "inverse" else [])]
+        done = CliRunner().invoke(app, words)
+        assert done.exit_code == 0, done.output
+        return (done.stderr if word == "validate" else done.output).splitlines()
+
+    (units, outlier) = (line.removeprefix("warning: ") for line in sorted(told("validate", []), reverse=True))
+    assert units.startswith("units: column of hip.angle: the values reach")
+    assert outlier.startswith("outliers: column of hip.angle: the value at t = 0.1")
+    of_inverse = "\n".join(told("inverse", []))
+    assert units in of_inverse
+    assert outlier in of_inverse
+    assert told("validate", ["units", "outliers"]) == []
+
+
 def test_commands_compute_check_and_print(tmp_path: Path) -> None:
     (tmp_path / "t.csv").write_text("\n".join(ROWS), encoding="utf-8")
     (tmp_path / "s.yaml").write_text(yaml.safe_dump(pendulum("t.csv")), encoding="utf-8")
