@@ -49,11 +49,12 @@ def text_bytes(values: Iterable[str]) -> bytes:
 
 def line(path: str, dtype: str, shape: tuple[int, ...], digest: str) -> str:
     """Return the line that describes one array in the hash: path, type, shape and SHA-256 of the values."""
-    return f"{_beginning(path, dtype, shape)} {digest}\n"
+    return f"{beginning(path, dtype, shape)} {digest}\n"
 
 
 @lru_cache(maxsize=1024)
-def _beginning(path: str, dtype: str, shape: tuple[int, ...]) -> str:
+def beginning(path: str, dtype: str, shape: tuple[int, ...]) -> str:
+    """Return the beginning of the line of an array, up to its digest."""
     return f"{path} {dtype} {','.join(map(str, shape))}"
 
 

@@ -14,7 +14,7 @@ import numpy as np
 
 from mbdkit.archive import layout
 from mbdkit.archive.accuracy import Accuracy
-from mbdkit.archive.fingerprint import line, text_bytes
+from mbdkit.archive.fingerprint import beginning, text_bytes
 from mbdkit.archive.measured_values import Integrals
 from mbdkit.archive.run_writer import Ending, RunWriter, SharedForces, name_lines
 from mbdkit.archive.writer import ArchiveWriter
@@ -215,6 +215,7 @@ class ArrayHash:
         #: For each hashed array, in the order of their paths: lines of names that precede its line, path, key and type.
         self._arrays: list[tuple[str, str, str, str]] = []
         self._rest = ""
+        self._latest: tuple[tuple[tuple[int, ...], ...] | None, Sequence[tuple[str, str, bool]]] = None, []
         for name, one in sorted(lines, key=lambda item: item[0]):
             if one is None:
                 self._rest += name
@@ -234,14 +235,61 @@ class ArrayHash:
         known
             Known digests of arrays, by key; arrays that several runs share are then hashed only once.
         """
-        lines, digests = [], dict(known)
-        for names, path, key, dtype in self._arrays:
-            values = arrays[key]
-            if key not in digests:
-                text = dtype == TEXT
-                digests[key] = sha256(text_bytes(values)).hexdigest() if text else self.digest(values)
-            lines.append(names + line(path, dtype, values.shape, digests[key]))
-        return sha256("".join([*lines, self._rest]).encode()).hexdigest()
+        digests, parts = dict(known), list[str]()
+        for before, key, is_text in self._lines(tuple([arrays[key].shape for _, _, key, _ in self._arrays])):
+            digest = digests.get(key)
+            if digest is None:
+                digest = sha256(text_bytes(arrays[key])).hexdigest() if is_text else self.digest(arrays[key])
+                digests[key] = digest
+            parts += before, digest
+        return sha256("".join([*parts, "\n" * bool(parts), self._rest]).encode()).hexdigest()
+
+    def _lines(self, shapes: tuple[tuple[int, ...], ...]) -> Sequence[tuple[str, str, bool]]:
+        """Return, for arrays with these shapes, the text between two digests, the key, and whether the array contains
+        texts. The result is cached, because runs often have equal shapes.
+        """
+        latest = self._latest
+        if latest[0] != shapes:
+            lines, end = [], ""
+            for (names, path, key, dtype), shape in zip(self._arrays, shapes, strict=True):
+                lines.append((f"{end}{names}{beginning(path, dtype, shape)} ", key, dtype == TEXT))
+                end = "\n"
+            self._latest = latest = shapes, lines
+        return latest[1]
+
+
+class SharedDigests:
+    """Finds arrays that are equal in many runs, such as the times, and computes their digests only once.
+
+    Parameters
+    ----------
+    hashes
+        Computes the digests.
+    """
+
+    def __init__(self, hashes: ArrayHash):
+        self._hash = hashes
+        self._latest: dict[str, tuple[np.ndarray, str]] | None = None
+
+    def of(self, arrays: Mapping[str, np.ndarray]) -> dict[str, str]:
+        """Return the digests of arrays that are equal in all of several runs.
+
+        Parameters
+        ----------
+        arrays
+            Contiguous numbers (R, ...) of the R runs by `Array.key`, with the same keys in every call. Arrays that
+            differed between runs in the first call are not compared again.
+        """
+        first, self._latest = self._latest is None, self._latest or {}
+        for key in list(arrays if first else self._latest):
+            bits = arrays[key].view(np.int64)  # compared bitwise: nan equals itself, and 0.0 differs from -0.0
+            if key in self._latest and (bits == self._latest[key][0]).all():
+                continue
+            if (first or len(bits) > 1) and (bits == bits[:1]).all():
+                self._latest[key] = bits[0].copy(), self._hash.digest(arrays[key][0])
+            else:
+                self._latest.pop(key, None)
+        return {key: digest for key, (_, digest) in self._latest.items()}
 
 
 @lru_cache(maxsize=16)

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from mbdkit.base.errors import SpecError
-from mbdkit.engine.assembly import AssembledState, assemble, search_for
+from mbdkit.engine.assembly import AssembledState, assemble, consistent_states, search_for
 from mbdkit.engine.compile_mechanism import compile_mechanism, compiled_content
 from mbdkit.engine.compiled_mechanism import CompiledMechanism, with_ground
 from mbdkit.engine.contact_forces import check_start
@@ -137,10 +137,14 @@ MOST_MECHANISMS = 8
 """Largest number of compiled mechanisms in the cache."""
 
 
-@dataclass(frozen=True)
-class _Compiled:
-    """The part of the preparation that mechanisms share if they differ only in their initial state, such as the solver
-    of assembly.
+@dataclass(frozen=True, eq=False)
+class CompiledForStarts:
+    """A compiled mechanism with the solver of assembly, shared by mechanisms that differ only in their initial state.
+
+    Attributes
+    ----------
+    has_loops
+        Whether constraint rows may be redundant.
     """
 
     mechanism: CompiledMechanism
@@ -148,9 +152,55 @@ class _Compiled:
     has_loops: bool
 
     @classmethod
-    def of(cls, mechanism: Mechanism, t0: float) -> _Compiled:
+    def of(cls, mechanism: Mechanism, t0: float) -> CompiledForStarts:
+        """Compile a mechanism for starts at time `t0` [s]."""
         compiled = compile_mechanism(mechanism)
         return cls(compiled, search_for(mechanism, compiled, t0), len(looped_rows(compiled)) > 0)
+
+    def at_start(self, mechanism: Mechanism, end: float) -> MechanismAtStart:
+        """Return a mechanism at its start; see `mechanism_at_start`."""
+        with within_double_precision():
+            return self._checked(mechanism, assemble(mechanism, self.search.t0, self.mechanism, self.search), end)
+
+    def at_starts(self, mechanisms: Sequence[Mechanism], ends: Sequence[float]) -> list[MechanismAtStart | None]:
+        """Return several mechanisms at their starts; None for each for which `at_start` raises an error.
+
+        States that satisfy the constraints without any change are found for all mechanisms at once.
+        """
+        try:
+            with within_double_precision():
+                states = consistent_states(mechanisms, self.search)
+        except SpecError:
+            states = [None] * len(mechanisms)
+        starts: list[MechanismAtStart | None] = []
+        for mechanism, end, state in zip(mechanisms, ends, states, strict=True):
+            try:
+                starts.append(self.at_start(mechanism, end) if state is None else self._checked(mechanism, state, end))
+            except (Exception, SystemExit):
+                starts.append(None)
+        return starts
+
+    def _checked(self, mechanism: Mechanism, start: AssembledState, end: float) -> MechanismAtStart:
+        """Return a mechanism at its start after assembly; raise SpecError for a spring, center or contact that does not
+        allow it.
+        """
+        poses = dict(zip(mechanism.bodies, start.q, strict=True))
+
+        def placed(name: str) -> Body:
+            x, y, angle = map(float, poses[name])
+            return mechanism.bodies[name].model_copy(update={"position": (x, y), "angle": angle})
+
+        compiled, q0, v0 = self.mechanism, with_ground(start.q), with_ground(start.v)
+        check_springs(mechanism.forces, placed)
+        check_centers(mechanism.joints, placed)
+        if compiled.contacts:
+            weight = sum(body.mass for body in mechanism.bodies.values()) * math.hypot(*mechanism.gravity)
+            check_start(compiled.contacts, q0, v0, mechanism.assembly.tolerance, weight)
+        compiled = _with_fibers(mechanism, compiled, start.q, self.search.t0)
+        if self.has_loops:
+            compiled = without_redundancy(compiled, self.search.t0, q0[:-3], v0[:-3], end)
+            compiled.refuse_friction_of_shared_reactions()
+        return MechanismAtStart(compiled, q0, v0, start)
 
 
 class Starts:
@@ -160,39 +210,23 @@ class Starts:
     """
 
     def __init__(self) -> None:
-        self._compiled: dict[tuple[bytes, float], _Compiled] = {}
+        self._compiled: dict[tuple[bytes | None, float], CompiledForStarts] = {}
 
     def at_start(self, mechanism: Mechanism, t0: float = 0.0, end: float | None = None) -> MechanismAtStart:
         """Return a mechanism at its start; see `mechanism_at_start`."""
-        with within_double_precision():
-            found = self._found(mechanism, t0)
-            compiled = found.mechanism
-            start = assemble(mechanism, t0, compiled, found.search)
-            poses = dict(zip(mechanism.bodies, start.q, strict=True))
+        return self.compiled(mechanism, t0).at_start(mechanism, t0 if end is None else end)
 
-            def placed(name: str) -> Body:
-                x, y, angle = map(float, poses[name])
-                return mechanism.bodies[name].model_copy(update={"position": (x, y), "angle": angle})
-
-            check_springs(mechanism.forces, placed)
-            check_centers(mechanism.joints, placed)
-            weight = sum(body.mass for body in mechanism.bodies.values()) * math.hypot(*mechanism.gravity)
-            check_start(
-                compiled.contacts, with_ground(start.q), with_ground(start.v), mechanism.assembly.tolerance, weight
-            )
-            compiled = _with_fibers(mechanism, compiled, start.q, t0)
-            if found.has_loops:
-                q, v = start.q.ravel(), start.v.ravel()
-                compiled = without_redundancy(compiled, t0, q, v, t0 if end is None else end)
-                compiled.refuse_friction_of_shared_reactions()
-        return MechanismAtStart(compiled, with_ground(start.q), with_ground(start.v), start)
-
-    def _found(self, mechanism: Mechanism, t0: float) -> _Compiled:
+    def compiled(self, mechanism: Mechanism, t0: float) -> CompiledForStarts:
+        """Return a mechanism compiled for a start at time `t0` [s]; raise the errors of `mechanism_at_start`."""
         content = compiled_content(mechanism)
-        if content is None:
-            return _Compiled.of(mechanism, t0)
         key = content, t0
-        self._compiled[key] = found = self._compiled.pop(key, None) or _Compiled.of(mechanism, t0)
+        found = None if content is None else self._compiled.pop(key, None)
+        if found is None:
+            with within_double_precision():
+                found = CompiledForStarts.of(mechanism, t0)
+        if content is None:
+            return found
+        self._compiled[key] = found
         if len(self._compiled) > MOST_MECHANISMS:
             self._compiled.pop(next(iter(self._compiled)))
         return found

@@ -43,7 +43,7 @@ class LeastChange:
         self.free = np.flatnonzero(~fixed)
         self.rows = np.array([(row.pair, row.place) for row in compiled.rows], dtype=np.int64).reshape(-1, 2)
 
-    @property
+    @cached_property
     def reach(self) -> float:
         """Largest lever arm of a joint, at least 1 m: the ratio of a joint point's velocity to the angular velocity."""
         return max(1.0, float(np.max(np.abs(self.compiled.topology.pair_parameters[:, :4]), initial=0.0)))
@@ -57,6 +57,27 @@ class LeastChange:
         row, column = self._places
         keep = (column < self.n) & (values != 0)
         return w.phi[pair, place], (row[keep], column[keep], values[keep]), w.phi_t[pair, place]
+
+    def residuals(self, q: np.ndarray, v: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return Phi and ``Phi_q v + Phi_t`` of N states, both (N, m).
+
+        Parameters
+        ----------
+        q, v
+            (N, n + 3) positions and velocities, ground last.
+        """
+        w = self.scratch
+        pair, place = self.rows[:, 0], self.rows[:, 1]
+        phi, phi_t, jacobian = (np.empty((len(q), *x.shape)) for x in (w.phi, w.phi_t, w.jac))
+        for k in range(len(q)):
+            self._constraints(self.t0, q[k], self._at_rest)
+            phi[k], phi_t[k], jacobian[k] = w.phi, w.phi_t, w.jac
+        entries = jacobian.reshape(len(q), -1, 2, 6)[:, pair, place]
+        products = entries * v[:, self._places[1]].reshape(entries.shape)
+        rates = np.zeros(products.shape[:2])
+        for column in range(6):  # in the order of `rates`, so that results are bitwise equal
+            rates += products[..., column]
+        return phi[:, pair, place], phi_t[:, pair, place] + rates
 
     @cached_property
     def _places(self) -> tuple[np.ndarray, np.ndarray]:

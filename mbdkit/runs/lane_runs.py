@@ -8,16 +8,17 @@ from __future__ import annotations
 import logging
 import time
 from collections import defaultdict
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
-from mbdkit.archive.finished_run import ArrayHash, FinishedRun
+from mbdkit.archive.finished_run import ArrayHash, FinishedRun, SharedDigests
 from mbdkit.base.logs import logger_of
 from mbdkit.engine.compiled_mechanism import CompiledMechanism
-from mbdkit.engine.consistent_start import MechanismAtStart, Starts
+from mbdkit.engine.consistent_start import CompiledForStarts, MechanismAtStart, Starts
 from mbdkit.engine.formulation import FORMULATIONS
 from mbdkit.engine.joint_sums import joint_sums
 from mbdkit.engine.kernels.observe import Observed
@@ -84,13 +85,13 @@ class LaneMember:
 
 
 @dataclass(frozen=True)
-class _Started:
-    """A run at its consistent start; whether it can be vectorized is not yet known."""
+class _Compiled:
+    """A run whose settings can be vectorized, and its mechanism, which has not been assembled yet."""
 
     spec: RunSpec
     method: Method
     cautions: tuple[str, ...]
-    start: MechanismAtStart
+    compiled: CompiledForStarts
 
 
 def why_alone(spec: RunSpec, measures: Sequence[str] = ()) -> str:
@@ -127,20 +128,24 @@ def why_alone(spec: RunSpec, measures: Sequence[str] = ()) -> str:
     return ""
 
 
-def _sizes(started: Sequence[_Started | None]) -> list[float]:
-    """Return the sizes of the mechanisms at their starts [m]; 0 for runs without a start."""
-    sizes = [0.0] * len(started)
-    by_bodies: dict[tuple[str, ...], list[int]] = defaultdict(list)
-    for place, one in enumerate(started):
-        if one is not None:
-            by_bodies[one.start.mechanism.bodies].append(place)
-    for places in by_bodies.values():
-        some = [one for place in places if (one := started[place]) is not None]
-        positions = np.stack([one.start.assembled.q for one in some])
-        found = mechanism_sizes([one.spec.mechanism() for one in some], positions).tolist()
-        for place, size in zip(places, found, strict=True):
-            sizes[place] = size
-    return sizes
+def _starts(runs: Sequence[_Compiled | None]) -> Iterator[tuple[int, _Compiled, MechanismAtStart, float]]:
+    """Yield index, mechanism at its start, and its size [m], of all runs with a consistent initial state."""
+    alike: dict[CompiledForStarts, list[tuple[int, _Compiled]]] = defaultdict(list)
+    for place, run in enumerate(runs):
+        if run is not None:
+            alike[run.compiled].append((place, run))
+    for compiled, members in alike.items():
+        mechanisms = [run.spec.mechanism() for _, run in members]
+        starts = compiled.at_starts(mechanisms, [run.spec.time.final for _, run in members])
+        some = [
+            (member, model, start) for member, model, start in zip(members, mechanisms, starts, strict=True) if start
+        ]
+        if some:
+            sizes = mechanism_sizes(
+                [model for _, model, _ in some], np.stack([start.assembled.q for *_, start in some])
+            )
+            for ((place, run), _, start), size in zip(some, sizes.tolist(), strict=True):
+                yield place, run, start, size
 
 
 class LaneRuns:
@@ -167,28 +172,24 @@ class LaneRuns:
         A run is computed alone if it cannot be vectorized, or if its preparation fails.
         """
         begin = time.perf_counter()
-        started = []
+        runs = []
         for spec in specs:
             try:
-                started.append(self._started(spec))
+                runs.append(self._compiled(spec))
             except (Exception, SystemExit):
-                started.append(None)
-        sizes = _sizes(started)
-        members: list[LaneMember | None] = []
-        for one, size in zip(started, sizes, strict=True):
-            try:
-                member = None if one is None else self._member(one, size)
-            except (Exception, SystemExit):
-                member = None
-            members.append(member)
+                runs.append(None)
+        members: list[LaneMember | None] = [None] * len(runs)
+        for place, run, start, size in _starts(runs):
+            with suppress(Exception, SystemExit):
+                members[place] = self._member(run, start, size)
         seconds = (time.perf_counter() - begin) / max(1, len(members))
         for member in members:
             if member is not None:
                 member.seconds = seconds
         return members
 
-    def _started(self, spec: RunSpec) -> _Started | None:
-        """Compute the consistent initial state of a run; None if it cannot be vectorized.
+    def _compiled(self, spec: RunSpec) -> _Compiled | None:
+        """Compile the mechanism of a run; None if it cannot be vectorized.
 
         Raises the same errors as a single run.
         """
@@ -197,8 +198,7 @@ class LaneRuns:
             return None
         check_jumps(spec)
         cautions = caution(spec, method)
-        start = self.starts.at_start(spec.mechanism(), spec.time.start, spec.time.final)
-        return _Started(spec, method, cautions, start)
+        return _Compiled(spec, method, cautions, self.starts.compiled(spec.mechanism(), spec.time.start))
 
     def _method(self, spec: RunSpec) -> Method | None:
         """Return the method of a run; None if a run with these settings cannot be vectorized.
@@ -213,9 +213,9 @@ class LaneRuns:
             self._settings = settings, None if why_alone(spec, self._measures) else make_method(spec)
         return self._settings[1]
 
-    def _member(self, started: _Started, size: float) -> LaneMember | None:
+    def _member(self, run: _Compiled, start: MechanismAtStart, size: float) -> LaneMember | None:
         """Return the `LaneMember` of a run with its initial state; None if it cannot be vectorized."""
-        spec, method, start = started.spec, started.method, started.start
+        spec, method = run.spec, run.method
         size = size or start.mechanism.length
         table = timetable(spec, guards(spec, size))
         # Quantities of muscles and contacts are computed from numbers of the mechanism that all runs in a vector would
@@ -223,7 +223,7 @@ class LaneRuns:
         if start.mechanism.muscles or start.mechanism.contacts or not suits_lanes(method, start.mechanism, table):
             return None
         pivots = self._pivots.of(method, start, table)
-        warnings = (*started.cautions, *start_warnings(spec, start.assembled))
+        warnings = (*run.cautions, *start_warnings(spec, start.assembled))
         return LaneMember(spec, method, start, table, pivots, size, warnings, self._topology_of(start.mechanism))
 
     def _topology_of(self, mechanism: CompiledMechanism) -> tuple[object, ...]:
@@ -347,8 +347,7 @@ class _Group:
         self.row_keys = tuple(dict.fromkeys(one.key for one in self.layout if one.grows and one.dims[0] == "time"))
         self.types = {one.key: np.dtype(one.dtype) for one in self.layout if one.grows}
         self.hash = ArrayHash(self.names, self.layout)
-        self._equal_intervals: tuple[tuple[float | None, ...], dict[str, np.ndarray]] = (), {}
-        self._known_digests: dict[str, str] = {}
+        self._digests = SharedDigests(self.hash)
 
     def finished(self, members: Sequence[LaneMember]) -> list[FinishedRun | None]:
         """Carry out at most `WIDTH` runs of the group together."""
@@ -360,25 +359,26 @@ class _Group:
             return [None] * len(members)
         with np.errstate(all="ignore"):  # values in lanes whose run has failed may overflow
             arrays = {key: self._by_run(RECORDED[key].take(states), key, len(members)) for key in self.row_keys}
+            intervals = self._intervals(tables, results)
             recorded = self._recorded(members, results, states)
             coordinates = results.observed.joints[..., 0]
             reached = np.stack([coordinates.min(axis=1), coordinates.max(axis=1)], axis=1)
+            digests = self._digests.of(arrays | intervals) if results.work is None else {}
         finished: list[FinishedRun | None] = []
-        for lane, member in enumerate(members):
+        for lane, (member, rows) in enumerate(zip(members, results.rows.tolist(), strict=True)):
             if lost[lane]:
                 finished.append(None)
                 continue
-            own = {key: values[lane, : results.rows[lane]] for key, values in arrays.items()}
-            own |= self._intervals(member.table, results, lane)
-            stops = member.spec.limits.law_range == "stop"
-            ranges = LawRanges.of(member.spec.mechanism(), member.start.mechanism, stops=stops)
+            own = {key: values[lane, :rows] for key, values in arrays.items()}
+            own |= {key: values[lane, : rows - 1] for key, values in intervals.items()}
+            stops, mechanism = member.spec.limits.law_range == "stop", member.spec.mechanism()
+            ranges = LawRanges.of(mechanism, member.start.mechanism, stops=stops)
             if ranges is not None:
-                rows = slice(results.rows[lane])
-                left = ranges.add(results.time[lane, rows], results.observed.forces[lane, rows])
+                left = ranges.add(results.time[lane, :rows], results.observed.forces[lane, :rows])
                 if left is not None and ranges.stops:
                     finished.append(None)
                     continue
-            warnings = center_warnings(member.spec.mechanism(), reached[lane])
+            warnings = center_warnings(mechanism, reached[lane])
             warnings = (*member.warnings, *warnings, *(() if ranges is None else ranges.warnings()))
             coarse = CoarseBeams.of(member.spec.mechanism(), member.start.mechanism)
             if coarse is not None:
@@ -388,7 +388,8 @@ class _Group:
             counters = vars(results.counters[lane]).copy()
             # The mechanism was factorized once more when the pivots of the stage matrix were chosen.
             counters["factorizations"] += int(member.pivots is not None)
-            finished.append(self._run(member, own, recorded[lane], warnings, results.evidence[lane], counters))
+            made = self._run(member, own, recorded[lane], warnings, results.evidence[lane], counters, digests)
+            finished.append(made)
         return finished
 
     def _states(self, results: LaneResults) -> States:
@@ -438,39 +439,28 @@ class _Group:
             for lane, (member, last) in enumerate(zip(members, results.time[:, -1].tolist(), strict=True))
         ]
 
-    def _intervals(self, table: Timetable, results: LaneResults, lane: int) -> dict[str, np.ndarray]:
-        """Return the statistics of the intervals between the recorded states of a run."""
-        iterations, ends = results.iterations[lane, 1:], results.time[lane, 1 : results.rows[lane]]
+    def _intervals(self, tables: Sequence[Timetable], results: LaneResults) -> dict[str, np.ndarray]:
+        """Return the statistics (W, T - 1) of the intervals between the recorded states of all runs."""
+        shape = len(results.time), results.time.shape[1] - 1
         if results.work is not None:
-            steps, size, rejected = results.work[lane, 1 : results.rows[lane]].T
-            counted = {"interval": np.arange(1, len(ends) + 1), "steps": steps, "size": size, "rejected": rejected}
-            none = np.zeros(len(ends))
-            counted |= {"time": ends, "iterations": none, "iterations_max": none}
-            return self._typed({f"steps/{name}": array for name, array in counted.items()})
-        sizes = table.step, table.last_step
-        if self._equal_intervals[0] != sizes:
-            equal = self._intervals_of(table)
-            self._equal_intervals = sizes, equal
-            self._known_digests = {key: self.hash.digest(array) for key, array in equal.items()}
-        own = {
-            "steps/time": ends,
-            "steps/iterations": iterations[:, 0],
-            "steps/iterations_max": iterations[:, 1],
+            steps, size, rejected = np.moveaxis(results.work[:, 1:], 2, 0)
+        else:  # the numbers of steps are equal for all runs
+            first = tables[0]
+            ends = np.minimum(first.every * np.arange(1, 1 + shape[1]), first.steps)
+            steps, rejected = np.broadcast_to(np.diff(ends, prepend=0), shape), np.zeros(shape)
+            size = np.repeat([[table.step] for table in tables], shape[1], axis=1)
+            size[:, -1] = [table.last_step for table in tables]
+        values = {
+            "interval": np.broadcast_to(np.arange(1, 1 + shape[1]), shape),
+            "time": results.time[:, 1:],
+            "steps": steps,
+            "size": size,
+            "rejected": rejected,
+            "iterations": results.iterations[:, 1:, 0],
+            "iterations_max": results.iterations[:, 1:, 1],
         }
-        return self._equal_intervals[1] | self._typed(own)
-
-    def _intervals_of(self, table: Timetable) -> dict[str, np.ndarray]:
-        """Return the statistics that are the same for runs with equal steps."""
-        ends = np.minimum(table.every * np.arange(1, 1 + -(-table.steps // table.every)), table.steps)
-        sizes = np.full(len(ends), table.step)
-        sizes[-1] = table.last_step
-        values = {"interval": np.arange(1, 1 + len(ends)), "steps": np.diff(ends, prepend=0), "size": sizes}
-        values["rejected"] = np.zeros(len(ends))
-        return self._typed({f"steps/{name}": array for name, array in values.items()})
-
-    def _typed(self, arrays: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
-        """Return the recorded arrays, contiguous and with the types of the layout."""
-        return {key: np.ascontiguousarray(arrays[key], self.types[key]) for key in arrays if key in self.types}
+        typed = {f"steps/{name}": array for name, array in values.items() if f"steps/{name}" in self.types}
+        return {key: np.ascontiguousarray(array, self.types[key]) for key, array in typed.items()}
 
     def _run(
         self,
@@ -480,8 +470,12 @@ class _Group:
         warnings: tuple[str, ...],
         steps: StepEvidence,
         counters: Mapping[str, int],
+        digests: Mapping[str, str],
     ) -> FinishedRun:
-        """Return a run with its verdict; its `stats` do not yet include the wall time of the steps."""
+        """Return a run with its verdict; its `stats` do not yet include the wall time of the steps.
+
+        `digests` contains those of arrays that are equal for all runs.
+        """
         begin = time.perf_counter()
         worst, extremes = recorded
         ending = "complete", ""
@@ -489,7 +483,7 @@ class _Group:
         judgement = judge(evidence_of_run(extremes, steps, ending, worst, member.size, questions))
         if _LOG.isEnabledFor(logging.INFO):
             _LOG.info("run %s ends: complete, verdict %s", member.spec.run_id(), judgement.level)
-        data_sha256 = self.hash.of(arrays, self._known_digests)
+        data_sha256 = self.hash.of(arrays, digests)
         return FinishedRun(
             self.names, self.layout, arrays, None, *ending,
             {**counters, "setup_s": member.seconds, "finish_s": time.perf_counter() - begin},
