@@ -210,6 +210,8 @@ class BetweenPoints(Between):
     @model_validator(mode="after")
     def _points_once(self) -> Self:
         given = [key for key, point in zip(self.GLOBAL, self._global(), strict=True) if point is not None]
+        if self.points is not None and not given:
+            return self
         names = " and ".join(f"`{key}`" for key in self.GLOBAL)
         if self.points is None and not given:
             raise SpecError(
@@ -236,7 +238,8 @@ class BetweenPoints(Between):
 
     def attachments(self) -> list[Attachment]:
         """Return (key, body name, point in the body's frame [m]) of each body-fixed point of the element."""
-        return [(f"points[{i}]", self.bodies[i], self.ends[i]) for i in range(2)]
+        (a, b), (on_a, on_b) = self.bodies, self.ends
+        return [("points[0]", a, on_a), ("points[1]", b, on_b)]
 
     def placed(self, bodies: Mapping[str, Body], key: str) -> Self:
         """Return the element with its points in the frames of the bodies; see `Element.placed`."""

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
+from functools import cached_property
 from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
 from mbdkit.engine.formulation import Formulation
@@ -145,7 +146,7 @@ class ExplicitRungeKutta(Method):
         if self.tolerances is not None and self.pair is None:
             raise TableauError(f"{self.tableau.name} has no error estimate, which tolerances require")
 
-    @property
+    @cached_property
     def traits(self) -> Traits:
         """See `Method`."""
         local_error = None
@@ -230,7 +231,7 @@ class ImplicitRungeKutta(Method):
         if self.tolerances is not None and not self.tableau.is_collocation:
             raise TableauError(f"{self.tableau.name} is not a collocation method, so its error cannot be estimated")
 
-    @property
+    @cached_property
     def traits(self) -> Traits:
         """See `Method`."""
         tableau, is_controlled = self.tableau, self.tolerances is not None

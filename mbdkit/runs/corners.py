@@ -58,9 +58,12 @@ def stops_of(spec: RunSpec, *, all_knots: bool = False) -> Stops:
     sampled more often than ``limits.max_steps``.
     """
     start, end = spec.time.start, spec.time.final
+    motions = spec.mechanism().motions()
+    if not motions and not spec.mechanism().controllers:
+        return Stops()
     places = [(time, margin, True, "") for time, margin in _samples(spec)]
     drivers = _drivers(spec)
-    for key, motion in spec.mechanism().motions():
+    for key, motion in motions:
         corners = corners_of(motion, start, end)
         for corner in corners:
             struck = drivers.get(key, "") if corner.jumps[1] else ""

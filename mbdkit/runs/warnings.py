@@ -170,6 +170,8 @@ def _improbable(spec: RunSpec) -> Iterator[str]:
 def angles_in_degrees(spec: RunSpec) -> Iterator[str]:
     """Yield a warning for each angle of the model that is given in radians, but probably meant in degrees."""
     for path, angle in _angles(spec.model, ("model",)):
+        if not isinstance(angle, str) and abs(angle) <= 2.0 * math.pi:
+            continue
         written = spec.written.get(path)
         used = [name for name in spec.parameters if name in names_in(written)]
         if "t" in names_in(written) or (not used and (written is not None or isinstance(angle, str))):
@@ -184,16 +186,19 @@ def angles_in_degrees(spec: RunSpec) -> Iterator[str]:
             )
 
 
+_SCALARS = (int, float, str)
+
+
 def _angles(value: object, path: Path, *, is_angle: bool = False) -> Iterator[tuple[Path, float | str]]:
     """Yield the key path and the number or text of each option of a model that is an angle in radians."""
-    if isinstance(value, int | float | str):  # compared first, because tests for abstract classes are slow
+    if isinstance(value, _SCALARS):  # compared first, because tests for abstract classes are slow
         if is_angle:
             yield path, value
     elif isinstance(value, BaseModel):
         is_length = isinstance(value, Driver) and value.coordinate != "angle"
         for name, is_angular in _fields(type(value)):
             item = getattr(value, name)
-            if isinstance(item, str | int | float | None) and not is_angular:
+            if not is_angular and (item is None or isinstance(item, _SCALARS)):
                 continue
             in_radians = is_angular and not is_length
             yield from _angles(item, (*path, name), is_angle=in_radians)

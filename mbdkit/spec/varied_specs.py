@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Sequence
+from itertools import chain
 from typing import Any
 
 from mbdkit.base.plain_data import Path, copied, plain
@@ -29,6 +30,7 @@ class VariedSpecs:
     def __init__(self, base: str):
         self._base: dict[str, Any] = json.loads(base)
         self._pattern: RunSpec | None = None
+        self._template: tuple[tuple[Path, ...], Callable[[Sequence[Any]], str]] | None = None
         self._context = {"plugins": RegistryLookup(lambda: registry_of(RunSpec))}
 
     def spec(self, values: Sequence[tuple[Path, Any]]) -> RunSpec:
@@ -54,13 +56,35 @@ class VariedSpecs:
         return spec
 
     def _with_values(self, pattern: RunSpec, values: Sequence[tuple[Path, Any]]) -> RunSpec:
-        model = self._base["model"]
-        assert isinstance(model, Mapping)
-        data = {"model": copied(model)}
-        for path, value in values:
-            put(data, path, value)
-        text = json.dumps(plain(data["model"]), allow_nan=False)
+        paths = tuple([path for path, _ in values])
+        if self._template is None or self._template[0] != paths:
+            self._template = paths, self._text_with(paths)
+        text = self._template[1]([value for _, value in values])
         return pattern.with_model(type(pattern.model).model_validate_json(text, context=self._context))
+
+    def _text_with(self, paths: tuple[Path, ...]) -> Callable[[Sequence[Any]], str]:
+        """Return a function that returns the JSON of the model with values at these paths.
+
+        Everything but the values is converted to JSON only once.
+        """
+        model = self._base["model"]
+        marks = [f"\0value {number}\0" for number in range(len(paths))]
+        data = {"model": copied(model)}
+        for path, mark in zip(paths, marks, strict=True):
+            put(data, path, mark)  # raises SpecError if another path leads to a part of this value
+        text = json.dumps(plain(data["model"]), allow_nan=False)
+        places = [text.index(json.dumps(mark)) for mark in marks]  # raises ValueError if a path occurs twice
+        order = sorted(range(len(paths)), key=places.__getitem__)
+        fixed = []
+        for number in order:
+            before, _, text = text.partition(json.dumps(marks[number]))
+            fixed.append(before)
+
+        def filled(values: Sequence[Any]) -> str:
+            texts = [json.dumps(plain(values[number], paths[number]), allow_nan=False) for number in order]
+            return "".join([*chain.from_iterable(zip(fixed, texts, strict=True)), text])
+
+        return filled
 
 
 def varied_inverse(spec: InverseSpec, values: Sequence[tuple[Path, Any]]) -> InverseSpec:
