@@ -11,6 +11,7 @@ import itertools
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
+from functools import lru_cache
 from pathlib import Path
 from typing import Any, Literal, get_args
 
@@ -251,15 +252,16 @@ class _Writer:
     def by_run(self) -> None:
         """Write the columns with one row for each run."""
         runs, results = self.runs, [run.result for run in self.runs]
+        worst = [_worst(result) if result else (np.nan, "") for result in results]
         texts = {
             "status": [run.status for run in runs],
             "status_reason": [run.reason for run in runs],
             "verdict": [result.judgement.level if result else "" for result in results],
-            "worst_joint": [_worst_joint(result) if result else "" for result in results],
+            "worst_joint": [joint for _, joint in worst],
             "base": [run.base for run in runs],
             "plugins": [run.plugins for run in runs],
-            "verdict_reasons": [_json(result.judgement.reasons if result else ()) for result in results],
-            "warnings": [_json(result.warnings if result else ()) for result in results],
+            "verdict_reasons": [_json_of(result.judgement.reasons if result else ()) for result in results],
+            "warnings": [_json_of(result.warnings if result else ()) for result in results],
             "assembly": [result.assembly if result else "" for result in results],
         }
         for name, what in {**_BY_RUN, **(_OF_SUMMARY if self.has_summary else {})}.items():
@@ -272,16 +274,22 @@ class _Writer:
         for name, what in _HASHES.items():
             array = Array(f"runs/{name}", ("run",), "1", what)
             write_hashes(self.file, array, hashes[name], compress=self.heading.compress)
-        largest = [_largest(result) if result else np.nan for result in results]
-        self.add("runs/misalignment_max", largest, FLOAT, "m", "largest misalignment of any joint over every step")
+        self.add(
+            "runs/misalignment_max",
+            [largest for largest, _ in worst],
+            FLOAT,
+            "m",
+            "largest misalignment of any joint over every step",
+        )
         structure, place = np.zeros((2, len(runs)), INTEGER)
         for number, rows in enumerate(self.structures.values(), start=1):
             structure[rows], place[rows] = number, np.arange(1, len(rows) + 1)
         self.add("runs/structure", structure, INTEGER, "1", "number of its structure; 0 without results")
         self.add("runs/place", place, INTEGER, "1", "number of the run in the arrays of its structure")
         if self.has_summary:
+            stats: list[Mapping[str, float]] = [result.stats if result else {} for result in results]
             for name in (*COUNTERS, *TIMINGS):
-                numbers = [float(result.stats.get(name, np.nan)) if result else np.nan for result in results]
+                numbers = [one.get(name, np.nan) for one in stats]
                 self.add(f"stats/{name}", numbers, FLOAT, "s" if name in TIMINGS else "1", name.replace("_", " "))
 
     def values(self) -> None:
@@ -326,7 +334,10 @@ class _Writer:
         sizes = sizes_of(first.names)
         texts = name_texts(first.names)
         groups = dict.fromkeys(one.group for one in first.layout if self.has_summary)
-        lengths = {dim: [result.rows(dim) for result in results] for dim, _ in COUNTS}
+        growing = {
+            dim: next((one.key for one in first.layout if one.grows and one.dims[0] == dim), "") for dim in _AXIS
+        }
+        lengths = {dim: [len(one.arrays[key]) if key else 0 for one in results] for dim, key in growing.items()}
         for group in groups:
             self.scale(under, group, "run", numbers, "number of the run in the study, from 1")
             for dim in dict.fromkeys(one.dims[0] for one in first.layout if one.group == group and one.grows):
@@ -388,10 +399,16 @@ def _json(value: Any) -> str:
     return json.dumps(value, ensure_ascii=False, separators=(",", ":"), allow_nan=False)
 
 
-def _worst_joint(result: FinishedRun) -> str:
-    largest = result.misalignment_max
-    return result.names.joints[int(np.argmax(largest))] if len(largest) and np.max(largest) > 0 else ""
+@lru_cache(maxsize=1024)
+def _json_of(texts: tuple[str, ...]) -> str:
+    return _json(texts)
 
 
-def _largest(result: FinishedRun) -> float:
-    return float(np.max(result.misalignment_max, initial=0.0))
+def _worst(result: FinishedRun) -> tuple[float, str]:
+    """Return the largest misalignment of any joint, and the name of this joint; empty if it is 0 or nan."""
+    values = result.misalignment_max
+    if not len(values):
+        return 0.0, ""
+    place = int(values.argmax())
+    largest = float(values[place])
+    return (largest, result.names.joints[place]) if largest > 0.0 else (largest, "")

@@ -194,15 +194,15 @@ def canonical(value: Any) -> Any:
     Keys listed in the model's ``ABSENT_BY_DEFAULT`` are omitted if they are empty or have their default value.
     """
     match value:
-        case str() | float() | int():  # compared first, because tests for abstract classes are slow
+        case str() | float() | int() | None:  # compared first, because tests for abstract classes are slow
             return value
+        case list() | tuple():
+            return [canonical(item) for item in value]
         case BaseModel():
             parts = [(one, getattr(value, one.field)) for one in _written_fields(type(value))]
             return {one.name: canonical(part) for one, part in parts if one.is_written(part)}
         case Mapping():
             return {key: canonical(item) for key, item in value.items()}
-        case list() | tuple():
-            return [canonical(item) for item in value]
         case set() | frozenset():
             return sorted(canonical(item) for item in value)
     return value

@@ -33,8 +33,13 @@ class JointSums:
             np.array([sorted(members)[place] for members in mechanism.joint_pairs if place < len(members)])
             for place in range(longest)
         ]
+        #: Pairs of the first round in the order of the joints; None if some joint has no pair.
+        self._first = None
+        if longest and len(self._rounds[0]) == self._joints:
+            self._first = self._rounds[0]
         self._is_length = np.zeros(pairs, dtype=bool)
         self._is_length[[row.pair for row in mechanism.rows if row.unit == "m"]] = True
+        self._has_angles = not self._is_length.all()
         self._row_pair = np.array([row.pair for row in mechanism.rows], dtype=np.int64)
         self._row_place = np.array([row.place for row in mechanism.rows], dtype=np.int64)
 
@@ -47,17 +52,23 @@ class JointSums:
 
     def misalignment_of_squares(self, squares: np.ndarray) -> np.ndarray:
         """Return the misalignment of joints, (..., J), from the squared norms (..., P) of the residuals of pairs."""
-        return np.sqrt(self.sum(np.where(self._is_length, squares, 0.0)[..., None])[..., 0])
+        lengths = np.where(self._is_length, squares, 0.0) if self._has_angles else squares
+        return np.sqrt(self.sum(lengths[..., None])[..., 0])
 
     def angle_misalignment(self, residual: np.ndarray) -> np.ndarray:
         """Return the angular misalignment of joints, (T, J) [rad], from the residuals (T, P, 2) of their pairs."""
+        if not self._has_angles:
+            return np.zeros((*residual.shape[:-2], self._joints))
         angles = np.where(self._is_length, 0.0, np.abs(residual[..., 0]) + np.abs(residual[..., 1]))
         return self.sum(angles[..., None])[..., 0]
 
     def sum(self, values: np.ndarray) -> np.ndarray:
         """Sum values (..., P, n) of pairs over each joint: (..., J, n)."""
-        out = np.zeros((*values.shape[:-2], self._joints, values.shape[-1]))
-        for pairs in self._rounds:  # a fixed order of the pairs makes sums reproducible bit by bit
+        if self._first is None:
+            out, rounds = np.zeros((*values.shape[:-2], self._joints, values.shape[-1])), self._rounds
+        else:
+            out, rounds = 0.0 + values.take(self._first, axis=-2), self._rounds[1:]
+        for pairs in rounds:  # a fixed order of the pairs makes sums reproducible bit by bit
             out[..., self.joint[pairs], :] += values[..., pairs, :]
         return out
 

@@ -67,16 +67,18 @@ def evidence_of_run(
         Warnings that cast doubt on the result.
     """
     steps = steps or StepEvidence(0.0, 0.0, 0.0)
-    energies, angles = recorder.energies, recorder.largest_angle
+    energies = recorder.energies
+    misalignment, joint = _largest(recorder, misalignment_max)
+    angle_misalignment, angle_joint = _largest(recorder, recorder.largest_angle)
     return Evidence(
         status=ending[0],
         status_reason=ending[1],
         end=recorder.last_time,
         size=size,
-        misalignment=float(np.max(misalignment_max, initial=0.0)),
-        joint=_name_of_largest(recorder, misalignment_max),
-        angle_misalignment=float(np.max(angles, initial=0.0)),
-        angle_joint=_name_of_largest(recorder, angles),
+        misalignment=misalignment,
+        joint=joint,
+        angle_misalignment=angle_misalignment,
+        angle_joint=angle_joint,
         kinetic=max(energies.kinetic, steps.kinetic),
         energy=energies.energy,
         balance=energies.balance,
@@ -115,6 +117,10 @@ def estimated_errors(
     )
 
 
-def _name_of_largest(recorder: Recorded, values: np.ndarray) -> str:
-    """Return the name of the joint with the largest value (J,); empty without joints."""
-    return recorder.mechanism.joints[int(np.argmax(values))] if len(values) else ""
+def _largest(recorder: Recorded, values: np.ndarray) -> tuple[float, str]:
+    """Return the largest of the values (J,) of joints, at least 0, and the name of its joint; nan counts as largest."""
+    if not len(values):
+        return 0.0, ""
+    place = int(values.argmax())
+    largest = float(values[place])
+    return 0.0 if largest <= 0.0 else largest, recorder.mechanism.joints[place]

@@ -361,8 +361,6 @@ class _Group:
             arrays = {key: self._by_run(RECORDED[key].take(states), key, len(members)) for key in self.row_keys}
             intervals = self._intervals(tables, results)
             recorded = self._recorded(members, results, states)
-            coordinates = results.observed.joints[..., 0]
-            reached = np.stack([coordinates.min(axis=1), coordinates.max(axis=1)], axis=1)
             digests = self._digests.of(arrays | intervals) if results.work is None else {}
         finished: list[FinishedRun | None] = []
         for lane, (member, rows) in enumerate(zip(members, results.rows.tolist(), strict=True)):
@@ -378,12 +376,15 @@ class _Group:
                 if left is not None and ranges.stops:
                     finished.append(None)
                     continue
-            warnings = center_warnings(mechanism, reached[lane])
-            warnings = (*member.warnings, *warnings, *(() if ranges is None else ranges.warnings()))
-            coarse = CoarseBeams.of(member.spec.mechanism(), member.start.mechanism)
+            warnings = member.warnings
+            if len(member.start.mechanism.topology.centers):
+                angles = results.observed.joints[lane, :rows, :, 0]
+                reached = np.stack([angles.min(axis=0), angles.max(axis=0)])
+                warnings = (*warnings, *center_warnings(mechanism, reached))
+            warnings = (*warnings, *(() if ranges is None else ranges.warnings()))
+            coarse = CoarseBeams.of(mechanism, member.start.mechanism)
             if coarse is not None:
-                rows = slice(results.rows[lane])
-                coarse.add(results.q[lane, rows], results.observed.beams[lane, rows])
+                coarse.add(results.q[lane, :rows], results.observed.beams[lane, :rows])
                 warnings = (*warnings, *coarse.warnings())
             counters = vars(results.counters[lane]).copy()
             # The mechanism was factorized once more when the pivots of the stage matrix were chosen.

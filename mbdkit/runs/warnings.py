@@ -194,6 +194,10 @@ def _angles(value: object, path: Path, *, is_angle: bool = False) -> Iterator[tu
     if isinstance(value, _SCALARS):  # compared first, because tests for abstract classes are slow
         if is_angle:
             yield path, value
+    elif isinstance(value, list | tuple):
+        if is_angle or not _is_flat(value):
+            for index, item in enumerate(value):
+                yield from _angles(item, (*path, index), is_angle=is_angle)
     elif isinstance(value, BaseModel):
         is_length = isinstance(value, Driver) and value.coordinate != "angle"
         for name, is_angular in _fields(type(value)):
@@ -205,9 +209,6 @@ def _angles(value: object, path: Path, *, is_angle: bool = False) -> Iterator[tu
     elif isinstance(value, Mapping):
         for name, item in value.items():
             yield from _angles(item, (*path, name), is_angle=is_angle)
-    elif isinstance(value, list | tuple) and (is_angle or not _is_flat(value)):
-        for index, item in enumerate(value):
-            yield from _angles(item, (*path, index), is_angle=is_angle)
 
 
 def _is_flat(values: Sequence[object]) -> bool:
