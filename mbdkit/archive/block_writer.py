@@ -8,7 +8,6 @@ structure are those of a run archive, the groups of others are in ``structure-2`
 from __future__ import annotations
 
 import itertools
-import json
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import lru_cache
@@ -26,6 +25,7 @@ from mbdkit.archive.hdf5 import create, set_text
 from mbdkit.archive.layout import COUNTERS, TIMINGS, name_texts
 from mbdkit.archive.part_file import LIBVER, write_image
 from mbdkit.archive.run_writer import utc_now
+from mbdkit.base.plain_data import canonical_text
 from mbdkit.quantities.array import FLOAT, INTEGER, TEXT, Array
 from mbdkit.quantities.table import RECORDED, sizes_of
 
@@ -303,7 +303,7 @@ class _Writer:
             elif kinds <= {int, float}:
                 item = self.add(path, given, FLOAT, "1", what)
             else:
-                texts = ["" if value is _UNSET else _json(value) for value in given]
+                texts = ["" if value is _UNSET else canonical_text(value) for value in given]
                 item = self.add(path, texts, TEXT, "1", f"{what}, JSON")
             set_text(item, "key", key)
 
@@ -384,7 +384,11 @@ class _Writer:
 
 def _structure(result: FinishedRun) -> tuple[str, str, str]:
     shared = None if result.shared is None else asdict(result.shared) | {"length": 0.0}
-    return _json(asdict(result.names)), _json([array.path for array in result.layout]), _json(shared)
+    return (
+        canonical_text(asdict(result.names)),
+        canonical_text([array.path for array in result.layout]),
+        canonical_text(shared),
+    )
 
 
 def _is_alike(one: FinishedRun, other: FinishedRun) -> bool:
@@ -395,13 +399,9 @@ def _is_alike(one: FinishedRun, other: FinishedRun) -> bool:
     return one.names is other.names and one.layout is other.layout and one.shared is other.shared is None
 
 
-def _json(value: Any) -> str:
-    return json.dumps(value, ensure_ascii=False, separators=(",", ":"), allow_nan=False)
-
-
 @lru_cache(maxsize=1024)
 def _json_of(texts: tuple[str, ...]) -> str:
-    return _json(texts)
+    return canonical_text(texts)
 
 
 def _worst(result: FinishedRun) -> tuple[float, str]:

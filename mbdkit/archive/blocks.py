@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from dataclasses import replace
 from functools import cached_property
 from pathlib import Path
@@ -82,16 +82,25 @@ class Block:
         except DAMAGE:
             return False
 
-    def columns(self, group: str) -> dict[str, np.ndarray]:
+    def columns(self, group: str, wanted: Collection[str] | None = None) -> dict[str, np.ndarray]:
         """Return the columns of ``runs``, ``stats``, ``values`` or ``measures`` by name; none if the group does not
         exist.
+
+        Parameters
+        ----------
+        wanted
+            Names of the columns to read; None for all.
         """
         with reading(group, self.path, hint=_HINT):
             members = self.file.get(group, {})
             return {
                 name: read_column(item)
                 for name, item in members.items()
-                if name != "run" and len(item.dims) and len(item.dims[0]) and item.dims[0][0].name.endswith("/run")
+                if name != "run"
+                and (wanted is None or name in wanted)
+                and len(item.dims)
+                and len(item.dims[0])
+                and item.dims[0][0].name.endswith("/run")
             }
 
     def described(self) -> dict[str, tuple[str, str]]:

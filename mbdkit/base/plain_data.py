@@ -210,7 +210,10 @@ def canonical(value: Any) -> Any:
 
 def canonical_text(data: Any) -> str:
     """Return plain data as the JSON that is hashed: without spaces, keys as ordered in the data, shortest numbers."""
-    return json.dumps(data, separators=(",", ":"), ensure_ascii=False, allow_nan=False)
+    return _COMPACT.encode(data)
+
+
+_COMPACT = json.JSONEncoder(separators=(",", ":"), ensure_ascii=False, allow_nan=False)
 
 
 def json_text(data: Any, indent: int | None = None) -> str:

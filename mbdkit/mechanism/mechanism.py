@@ -1077,8 +1077,8 @@ class Mechanism(HtmlView):
         """Return (key path, value) for each pair (key, value) that the function `values` returns for an element."""
         return [
             (f"model.{kind}.{quoted(name)}.{key}", value)
-            for kind, elements in self.elements.items()
-            for name, one in elements.items()
+            for kind in ELEMENTS
+            for name, one in getattr(self, kind).items()
             for key, value in values(one)
         ]
 

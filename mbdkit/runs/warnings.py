@@ -190,12 +190,15 @@ _SCALARS = (int, float, str)
 
 
 def _angles(value: object, path: Path, *, is_angle: bool = False) -> Iterator[tuple[Path, float | str]]:
-    """Yield the key path and the number or text of each option of a model that is an angle in radians."""
+    """Yield the key path and the number or text of each option of a model that is an angle in radians.
+
+    Lists of angles of at most one turn are left out.
+    """
     if isinstance(value, _SCALARS):  # compared first, because tests for abstract classes are slow
         if is_angle:
             yield path, value
     elif isinstance(value, list | tuple):
-        if is_angle or not _is_flat(value):
+        if not _is_flat(value) or (is_angle and any(abs(one) > 2.0 * math.pi for one in value)):
             for index, item in enumerate(value):
                 yield from _angles(item, (*path, index), is_angle=is_angle)
     elif isinstance(value, BaseModel):

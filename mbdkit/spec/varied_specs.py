@@ -75,13 +75,13 @@ class VariedSpecs:
         text = json.dumps(plain(data["model"]), allow_nan=False)
         places = [text.index(json.dumps(mark)) for mark in marks]  # raises ValueError if a path occurs twice
         order = sorted(range(len(paths)), key=places.__getitem__)
-        fixed = []
+        fixed, encode = [], json.JSONEncoder(allow_nan=False).encode
         for number in order:
             before, _, text = text.partition(json.dumps(marks[number]))
             fixed.append(before)
 
         def filled(values: Sequence[Any]) -> str:
-            texts = [json.dumps(plain(values[number], paths[number]), allow_nan=False) for number in order]
+            texts = [encode(plain(values[number], paths[number])) for number in order]
             return "".join([*chain.from_iterable(zip(fixed, texts, strict=True)), text])
 
         return filled

@@ -151,7 +151,8 @@ def _misalignment(group: RunGroup) -> np.ndarray:
 def _reaction(group: RunGroup) -> np.ndarray:
     if not group.records("joints/reaction_force"):
         return group.everywhere(math.nan)
-    return _largest_of(np.linalg.norm(group.array("joints/reaction_force"), axis=-1))
+    force = group.array("joints/reaction_force")
+    return np.asarray(np.sqrt(_largest_of(force[..., 0] * force[..., 0] + force[..., 1] * force[..., 1])))
 
 
 def _largest_value(units: str) -> Callable[[RunGroup], np.ndarray]:

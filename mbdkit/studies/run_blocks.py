@@ -56,6 +56,7 @@ class RunBlocks(RunStore[int]):
         self.plan = plan_study(spec)
         self.count = len(self.plan.points)
         self._sound: dict[int, tuple[int, ...]] = {}  # states of the files that are known to be valid
+        self._read: dict[int, tuple[tuple[int, ...], BlockRows | None]] = {}  # rows of the index, with the file's state
 
     def begin(self, shard: Shard | None, notify: Callable[[str], None]) -> int:
         """See `RunStore.begin`."""
@@ -92,7 +93,8 @@ class RunBlocks(RunStore[int]):
         """See `RunStore.note`."""
         self.note_file(task.key, outcome)
         if outcome.status == "complete":
-            self._sound[task.key] = _state(task.path)
+            self._sound[task.key] = state = _state(task.path)
+            self._read[task.key] = state, self._from_file(task.key)  # while further blocks are computed
         unfinished = [*task.skip.values(), *([] if outcome.status == "complete" else [outcome.reason])]
         return Noted(task.runs, int(outcome.values.get("failed", 0)), unfinished)
 
@@ -154,9 +156,14 @@ class RunBlocks(RunStore[int]):
 
     def _rows(self, block: int) -> BlockRows | None:
         """Return the rows of the index for the runs of a block; None if its file cannot be read."""
-        return self._indexed(block) or BlockRows.read(
-            self.folder.block(block), self.spec.sha256(), len(self.plan.blocks.places(block))
-        )
+        state, rows = self._read.get(block, (UNKNOWN, None))
+        if rows is not None and state == _state(self.folder.block(block)):
+            return rows
+        return self._indexed(block) or self._from_file(block)
+
+    def _from_file(self, block: int) -> BlockRows | None:
+        """Return the rows of the index for the runs of a block, read from its file; None if it cannot be read."""
+        return BlockRows.read(self.folder.block(block), self.spec.sha256(), len(self.plan.blocks.places(block)))
 
     def _states(self) -> np.ndarray:
         """Return (B, 4) the states of those valid files whose changes would be detected; zeros for other files."""
@@ -199,10 +206,11 @@ class BlockRows:
             with Block(path) as block:
                 if block.study_sha256 != study_sha256 or len(block.numbers) != count:
                     return None
-                texts = {name: block.runs[name] for name in OF_BLOCKS if name in block.runs}
+                runs = block.columns("runs", {*OF_BLOCKS, MISALIGNMENT})
+                texts = {name: runs[name] for name in OF_BLOCKS if name in runs}
                 texts["verdict_reasons"] = _joined(texts.get("verdict_reasons"), count)
                 numbers = {
-                    MISALIGNMENT: block.runs[MISALIGNMENT],
+                    MISALIGNMENT: runs[MISALIGNMENT],
                     **block.columns("measures"),
                     **block.columns("stats"),
                 }
