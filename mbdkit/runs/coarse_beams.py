@@ -48,6 +48,11 @@ largest axial force, 1/(4 n^2), and of the elongation, 1/(2 n^2).
 SMALL = 1e-3
 """Tension and bending are only judged if they have more than this share of the strain energy of a beam."""
 
+ROUND_OFF = 1e-12
+"""Axial strains up to this value, and curvatures up to this value divided by the length of an element, are assumed to
+be rounding errors of the coordinates.
+"""
+
 
 class CoarseBeams:
     """How much strains vary between and within the elements of beams, over the recorded states of a run.
@@ -159,8 +164,13 @@ class _WatchedBeam:
             # Corrected elements represent the variation, by a shear flexibility that adds to the effect of the axial
             # force N on a bent beam: the relative error of the moment is N h^2 / (24 EI), h being the element's length.
             errors = errors[0], axial * beam.element_length**2 / (24.0 * section.bending)
+        noise = [
+            beam.elements * stiffness * strain**2
+            for stiffness, strain in ((section.axial, ROUND_OFF), (section.bending, ROUND_OFF / beam.element_length))
+        ]
         judged = [
-            error if energy > SMALL * sum(energies) else 0.0 for error, energy in zip(errors, energies, strict=True)
+            error if energy > max(SMALL * sum(energies), least) else 0.0
+            for error, energy, least in zip(errors, energies, noise, strict=True)
         ]
         what = ("its axial forces or elongations", "its moments or deflections")[int(np.argmax(judged))]
         # the errors are of order 2 in the length of an element
