@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
-
-import numpy as np
+from collections.abc import Iterator, Sequence
 
 from mbdkit.base.plain_data import quoted
+from mbdkit.mechanism.bodies import GROUND
+from mbdkit.mechanism.contacts import Contact
 from mbdkit.mechanism.mechanism import Mechanism
-from mbdkit.mechanism.size import mechanism_size
 
 FAR_MASS = 10.0
 """An inertia is improbable if it exceeds the mass of the heaviest body times the square of this many sizes of the
@@ -34,10 +33,10 @@ def improbable_inertias(mechanism: Mechanism) -> Iterator[str]:
     heaviest = max(body.mass for body in mechanism.bodies.values())
     # The size takes longer to compute, and is at least the extent of the centres of mass. If no inertia is too large
     # for this extent, none is too large for the size.
-    extent = max(max(x) - min(x) for x in zip(*(body.position for body in mechanism.bodies.values()), strict=True))
-    if max(body.inertia or 0.0 for body in rigid.values()) <= heaviest * (FAR_MASS * extent) ** 2:
+    centres = [body.position for body in mechanism.bodies.values()]
+    if max(body.inertia or 0.0 for body in rigid.values()) <= heaviest * (FAR_MASS * _extent(centres)) ** 2:
         return
-    size = mechanism_size(mechanism, np.array([(*body.position, body.angle) for body in mechanism.bodies.values()]))
+    size = _extent([*centres, *_points(mechanism)])
     for name, body in rigid.items():
         inertia = body.inertia or 0.0
         if size > 0 and inertia > heaviest * (FAR_MASS * size) ** 2:
@@ -47,6 +46,31 @@ def improbable_inertias(mechanism: Mechanism) -> Iterator[str]:
                 f"{math.sqrt(inertia / body.mass):.3g} m, but the mechanism has a size of {size:.3g} m; if it is in "
                 f"another unit, write it with the unit, for example `{inertia:g} kg*mm^2`"
             )
+
+
+def _extent(points: Sequence[tuple[float, float]]) -> float:
+    """Return the longer side of the bounding box of points, parallel to the axes [m]."""
+    return max(max(x) - min(x) for x in zip(*points, strict=True))
+
+
+def _points(mechanism: Mechanism) -> Iterator[tuple[float, float]]:
+    """Yield the global positions of the points of all elements at the start.
+
+    They include the corners of squares around the circles of contacts, but not the shapes of the ground, whose extent
+    says nothing about the bodies.
+    """
+    for elements in mechanism.elements.values():
+        for element in elements.values():
+            if not isinstance(element, Contact):
+                for _, name, point in element.attachments():
+                    yield mechanism.to_global(name, point)
+                continue
+            for _, _, name, shape in element.by_body:
+                round_shape = shape.circle or shape.hole
+                radius = 0.0 if round_shape is None else round_shape.radius
+                for _, (x, y) in shape.points() if name != GROUND else ():
+                    for side in (-radius, radius):
+                        yield mechanism.to_global(name, (x + side, y + side))
 
 
 def improbable_frictions(mechanism: Mechanism) -> Iterator[str]:

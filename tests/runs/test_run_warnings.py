@@ -106,6 +106,36 @@ def test_a_value_that_may_be_meant_is_not_told(values: dict[str, Any]) -> None:
     assert warnings_of(**values) == ()
 
 
+TRIANGLE = {"polygon": [[0, 0], [3, 0], [0, 1]]}
+TOUCHING = {"bodies": ["ground", "rod"], "friction": 0.5, "compliance": {"stiffness": 1e5}}
+
+
+@pytest.mark.parametrize(
+    ("element", "size"),
+    [
+        # expected: by hand, in the frame of a body at an angle of 0
+        ({"contacts": {"c": {**TOUCHING, "shapes": [{"line": {"normal": [0, 1]}}, {"circle": {"radius": 0.1}}]}}}, 0.2),
+        ({"contacts": {"c": {**TOUCHING, "shapes": [{"circle": {"radius": 9}}, TRIANGLE]}}}, 3.0),
+        ({"markers": {"m": {"body": "rod", "point": [0.0, 0.3]}}}, 0.3),
+        ({"forces": {"f": {"type": "force", "body": "rod", "point": [0.4, 0.0], "value": [0, 1]}}}, 0.4),
+        (
+            {"forces": {"s": {"type": "spring-damper", "bodies": ["ground", "rod"], "points": [[0, 0], [0.2, 0.0]],
+                              "stiffness": 10.0}}},
+            0.7,
+        ),
+    ],
+)  # fmt: skip
+def test_the_size_of_a_body_without_joints_follows_from_its_points(element: dict[str, Any], size: float) -> None:
+    assert warnings_of(model__joints={}, **{f"model__{kind}": value for kind, value in element.items()}) == ()
+    told = warnings_of(
+        model__joints={},
+        model__bodies__rod__inertia=3920,
+        **{f"model__{kind}": value for kind, value in element.items()},
+    )
+    assert len(told) == 1
+    assert f"the mechanism has a size of {size:g} m" in told[0]
+
+
 def test_no_inertia_or_friction_of_the_packaged_examples_is_improbable() -> None:
     mechanisms = [load_spec(name).mechanism() for name in example_names("run")]
     assert [text for one in mechanisms for text in (*improbable_inertias(one), *improbable_frictions(one))] == []
