@@ -614,17 +614,14 @@ def _elements(run: Run) -> list[str]:
 
 
 def _gradients(run: Run) -> list[tuple[str, str]]:
-    """Return a line for each derivative of a measure, each measure without derivatives, each check that fails, and each
-    reason to doubt the derivatives.
+    """Return a line for each derivative of a measure, each measure without derivatives, and each reason to doubt the
+    derivatives.
     """
     lines: list[tuple[str, str]] = []
     for name, gradient in run.gradients.items():
         texts = [gradient["reason"]] if "reason" in gradient else []
         for parameter, value in gradient.get("derivatives", {}).items():
             texts.append(f"by {parameter}: {'undefined' if value is None else f'{value:.6g}'}")
-        check = gradient.get("check", {"agrees": True})
-        if not check["agrees"]:
-            texts.append(f"the check DISAGREES: {check['derivative']:.6g}, by differences {check['extrapolated']:.6g}")
         lines += [("" if lines or i else "gradients", f"{name} {text}") for i, text in enumerate(texts)]
     doubts = dict.fromkeys(doubt for one in run.gradients.values() for doubt in one.get("doubts", ()))
     return [*lines, *(("", doubt) for doubt in doubts)]

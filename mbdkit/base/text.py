@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import difflib
+import math
 import re
 from collections.abc import Iterable, Sequence
 
@@ -31,6 +32,16 @@ def listed(names: Iterable[str], last: str = "") -> str:
     if not last or len(words) < 2:
         return ", ".join(words)
     return f"{', '.join(words[:-1])} {last} {words[-1]}"
+
+
+def told_apart(first: float, second: float, digits: int = 6) -> tuple[str, str]:
+    """Return two numbers as text, with at least `digits` digits, and with as many as show two digits of their
+    difference.
+    """
+    size, apart = max(abs(first), abs(second)), abs(first - second)
+    if apart > 0.0 and math.isfinite(size) and math.isfinite(apart):
+        digits = min(17, max(digits, 2 + math.ceil(math.log10(size / apart))))
+    return f"{first:.{digits}g}", f"{second:.{digits}g}"
 
 
 def counted(number: int, one: str, many: str = "") -> str:

@@ -12,7 +12,7 @@ import numpy as np
 from mbdkit.base.errors import MbdkitError
 from mbdkit.base.one_thread import one_thread_of_linear_algebra
 from mbdkit.base.plain_data import path_text
-from mbdkit.base.text import counted
+from mbdkit.base.text import counted, told_apart
 from mbdkit.gradients.differentiated_expressions import definitions_of
 from mbdkit.gradients.gradient import Gradient, gradient_of_run_spec
 from mbdkit.gradients.gradient_parameters import resolved
@@ -65,8 +65,8 @@ def unconfirmed(evaluator: Evaluator, x: np.ndarray) -> tuple[str, ...]:
         return ()
     return tuple(
         f"The derivative of {check.names[m]} at the best point is not confirmed by differences, "
-        f"{check.derivative[m]:.4g} "
-        f"and {check.extrapolated[m]:.4g} in a random direction: {check.names[m]} may not be smooth there."
+        f"{' and '.join(told_apart(check.derivative[m], check.extrapolated[m], 4))} in a random direction: "
+        f"{check.names[m]} may not be smooth there."
         for check in checks
         if check is not None
         for m in np.flatnonzero(~check.agrees)

@@ -30,8 +30,8 @@ from mbdkit.gradients.gradient_check import (
     GradientCheck,
     Measured,
     Settings,
+    check_doubts,
     check_gradient,
-    discretization_doubts,
 )
 from mbdkit.gradients.gradient_parameters import Parameter, resolved
 from mbdkit.gradients.measured_derivatives import MeasureOfRun, needs_of
@@ -42,8 +42,10 @@ from mbdkit.measures.measure_expression import MeasureExpression
 from mbdkit.measures.natural_size import natural_scales, natural_size
 from mbdkit.methods.kinds import Method
 from mbdkit.runs.accuracy.compared_measures import other_methods
-from mbdkit.runs.preparation import build, make_method
+from mbdkit.runs.preparation import build, caution, make_method
 from mbdkit.runs.simulation import measured_in
+from mbdkit.runs.warnings import doubts as questions
+from mbdkit.runs.warnings import start_warnings
 from mbdkit.spec import RunSpec, load_spec
 from mbdkit.spec.loading import RunSource
 from mbdkit.spec.varied_specs import VariedSpecs
@@ -71,8 +73,9 @@ class Gradient(HtmlView):
     preparation_error
         (K,) estimated relative errors of the derivatives of the compiled mechanism and its start; 0 where exact.
     doubts
-        Warnings about measures that have no derivative, such as the largest of two equal peaks, and about parameters
-        that are initial values which assembly changes.
+        Warnings of the run that question its results, and warnings about measures that have no derivative, such as the
+        largest of two equal peaks, about parameters that are initial values which assembly changes, and about checks
+        that fail.
     check
         Comparison of the gradient in one direction with differences of runs; None if it was not requested.
     """
@@ -187,7 +190,9 @@ def gradient(
     definitions = definitions_of(spec, measures)
     require_derivatives(expressions_of(spec, definitions))
     with one_thread_of_linear_algebra():
-        return gradient_of_run_spec(spec, definitions, chosen, check=check)
+        found = gradient_of_run_spec(spec, definitions, chosen, check=check)
+    warnings = (*caution(spec), *start_warnings(spec, build(spec)[1]))
+    return replace(found, doubts=(*questions(spec, warnings), *found.doubts))
 
 
 def check_gradients(spec: RunSpec, method: Method) -> None:
@@ -342,7 +347,7 @@ def gradient_of_run(
             all(part.is_of_stages or (part.is_value and not part.has_switches) for part in one.functionals)
             for one in expressions.values()
         ]
-        doubts += discretization_doubts(check, sizes, jacobian, smooth)
+        doubts += check_doubts(check, smooth)
     return Gradient(
         tuple(expressions),
         tuple(expression.unit.text for expression in expressions.values()),

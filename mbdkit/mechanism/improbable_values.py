@@ -50,7 +50,7 @@ def improbable_inertias(mechanism: Mechanism) -> Iterator[str]:
 
 def _extent(points: Sequence[tuple[float, float]]) -> float:
     """Return the longer side of the bounding box of points, parallel to the axes [m]."""
-    return max(max(x) - min(x) for x in zip(*points, strict=True))
+    return float(max(max(x) - min(x) for x in zip(*points, strict=True)))
 
 
 def _points(mechanism: Mechanism) -> Iterator[tuple[float, float]]:

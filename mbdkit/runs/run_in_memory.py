@@ -8,7 +8,6 @@ from mbdkit.archive.finished_run import FinishedRun
 from mbdkit.archive.measured_values import MeasuredValues
 from mbdkit.archive.run import Run
 from mbdkit.archive.run_contents import ArrayContents, Heading
-from mbdkit.base import higher_layers
 from mbdkit.base.logs import logger_of
 from mbdkit.measures.take import take_all
 from mbdkit.runs.provenance import provenance
@@ -17,8 +16,8 @@ from mbdkit.spec import RunSpec
 _LOG = logger_of("mbdkit.runs.simulation")
 
 
-def run_in_memory(finished: FinishedRun, spec: RunSpec, created_utc: str) -> Run:
-    """Return a finished run with its measures and their gradients.
+def run_in_memory(finished: FinishedRun, spec: RunSpec, created_utc: str, gradients: str = "") -> Run:
+    """Return a finished run with its measures.
 
     Parameters
     ----------
@@ -26,13 +25,13 @@ def run_in_memory(finished: FinishedRun, spec: RunSpec, created_utc: str) -> Run
         Spec of the run.
     created_utc
         Time at which the run began, ISO 8601.
+    gradients
+        Gradients of the measures as JSON; empty if there are none.
     """
     contents = partial(ArrayContents, finished, Heading(spec, spec.run_id(), created_utc, provenance(spec)))
     if not spec.measures:
         return Run(contents())
-    measured = measured_values(Run(contents()), spec)
-    gradients = measured_gradients(spec) if finished.status == "complete" else ""
-    return Run(contents(measured=measured, gradients=gradients))
+    return Run(contents(measured=measured_values(Run(contents()), spec), gradients=gradients))
 
 
 def measured_values(run: Run, spec: RunSpec) -> MeasuredValues:
@@ -41,8 +40,3 @@ def measured_values(run: Run, spec: RunSpec) -> MeasuredValues:
     for name, reason in values.reasons.items():
         _LOG.warning("measure %s: %s", name, reason)
     return values
-
-
-def measured_gradients(spec: RunSpec) -> str:
-    """Return the gradients of the measures as JSON; empty if the spec does not request any."""
-    return higher_layers.gradients_json(spec) if spec.gradients else ""

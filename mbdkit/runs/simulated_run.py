@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import logging
 import math
 import time
@@ -21,8 +22,9 @@ from mbdkit.archive.run import Run
 from mbdkit.archive.run_contents import ArchiveContents
 from mbdkit.archive.run_writer import Ending, RunWriter, utc_now
 from mbdkit.archive.writer import ArchiveWriter
+from mbdkit.base import higher_layers
 from mbdkit.base.logs import logger_of
-from mbdkit.base.text import shown
+from mbdkit.base.text import listed, shown
 from mbdkit.engine.counters import Counters
 from mbdkit.engine.elimination_order import SingularSystemError
 from mbdkit.engine.workspace import Workspace
@@ -47,7 +49,7 @@ from mbdkit.runs.preparation import (
 from mbdkit.runs.recorded_states import ObservedRows
 from mbdkit.runs.recorder import Recorder
 from mbdkit.runs.run_checkpoint import TIMES, Checkpoints, Continuation, Parts, why_without
-from mbdkit.runs.run_in_memory import measured_gradients, measured_values, run_in_memory
+from mbdkit.runs.run_in_memory import measured_values, run_in_memory
 from mbdkit.runs.warnings import center_warnings, doubts, step_advice
 from mbdkit.spec import RunSpec
 from mbdkit.stepping.compiled_stepper import CompiledStepper
@@ -170,6 +172,8 @@ class SimulatedRun:
         self.expressions: Sequence[str] = ()
         self.measured_in: Measure | None = None
         self.continuation: Continuation | None = None
+        #: Gradients of the measures as JSON; empty if there are none.
+        self.gradients = ""
         if spec.estimates_errors:
             self.recorder.kept = []
 
@@ -391,9 +395,16 @@ class SimulatedRun:
     def measured(self, file: h5py.File) -> str:
         """Evaluate the measures of a run in a file, store their gradients, and return the attribute of the archive."""
         values = measured_values(Run(file), self.spec)
-        if self.failure is None and not self.interrupted and (gradients := measured_gradients(self.spec)):
-            set_text(file, GRADIENTS, gradients)
+        if self.gradients:
+            set_text(file, GRADIENTS, self.gradients)
         return values.to_json()
+
+    def doubtful_gradients(self) -> Iterator[str]:
+        """Yield a sentence about the measures whose gradients fail their checks, if any."""
+        found = json.loads(self.gradients or "{}")
+        failed = [name for name, one in found.items() if not one.get("check", {"agrees": True})["agrees"]]
+        if failed:
+            yield f"The check of the gradients failed for {listed(failed, 'and')}; `doubts` of the gradients says why."
 
     def finish(self) -> None:
         """Finish the archive with the final status."""
@@ -426,7 +437,9 @@ class SimulatedRun:
         left = () if ranges is None or ranges.stops else ranges.warnings()
         centers, coarse = center_warnings(mechanism, self.recorder.reached), self.recorder.coarse
         self.warnings = (*self.warnings, *centers, *left, *(() if coarse is None else coarse.warnings()))
-        questions = doubts(self.spec, self.warnings)
+        if self.becomes_run and self.spec.gradients and status == "complete" and not self.interrupted:
+            self.gradients = higher_layers.gradients_json(self.spec)
+        questions = (*doubts(self.spec, self.warnings), *self.doubtful_gradients())
         # notes about the treatment of contacts, which do not question the result
         self.warnings = (*self.warnings, *notes)
         evidence = evidence_of_run(self.recorder, steps, ending, misalignment_max, self.size, questions)
@@ -454,7 +467,8 @@ class SimulatedRun:
         self.writer.finish(ended, measured=self.measured if self.spec.measures else None)
         if self.becomes_run and isinstance(self.writer, ArrayWriter):
             assert self.writer.finished is not None
-            self.in_memory = run_in_memory(replace(self.writer.finished, cause=self.cause), self.spec, self.created)
+            finished = replace(self.writer.finished, cause=self.cause)
+            self.in_memory = run_in_memory(finished, self.spec, self.created, self.gradients)
 
     def run(self) -> Run:
         """Return the run, once it is finished."""

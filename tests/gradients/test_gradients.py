@@ -147,6 +147,9 @@ def test_check_reports_a_wrong_gradient_with_numbers() -> None:
         assert found.extrapolated[0] == pytest.approx(2.0 * change)
         assert "square: the derivative in a random direction" in str(found)
         assert "DISAGREES" in str(found)
+        (doubt,) = gradient_check.check_doubts(found, [True])
+        assert "fails its check" in doubt
+        assert "4.8 % of its scale away" in doubt  # 0.1 of 2.1
 
 
 def test_an_error_of_the_discretization_fails_the_check() -> None:
@@ -158,8 +161,56 @@ def test_an_error_of_the_discretization_fails_the_check() -> None:
     found = gradient_check.check_gradient(direction, *given, lambda settings: [settings[0][1] ** 2])
     assert not found.is_passed
     assert found.reference[0] == pytest.approx(2.0, rel=1e-7)
-    (doubt,) = gradient_check.discretization_doubts(found, {"square": 1.0}, np.array([[2.1]]), [True])
-    assert "differs by 5 %" in doubt
+    (doubt,) = gradient_check.check_doubts(found, [True])
+    assert "differs by 4.8 % from that of runs with another method and fails its check" in doubt
+
+
+def test_another_method_whose_differences_scatter_causes_no_doubt() -> None:
+    # the derivative of k^2 at 1 is 2; the first function has an error whose differences depend on the distance, as runs
+    # across discontinuities have, and those of the second one do not
+    spec = mbdkit.RunSpec(**SLIDER_CRANK, **PENDULUM)
+    direction = gradient_check.Direction(resolved(spec, ["k"]), np.array([1.0]), False)
+    given = (lambda settings: [settings[0][1] ** 2]), {"square": 1.0}, np.array([1.0]), np.array([[2.0]])
+    for error, count in ((lambda k: 1e-8 * np.sign(k - 1.0), 0), (lambda k: 2e-5 * (k - 1.0), 1)):
+        found = gradient_check.check_gradient(direction, *given, lambda s, e=error: [s[0][1] ** 2 + e(s[0][1])])
+        assert found.is_passed
+        assert found.reference[0] == pytest.approx(2.00002, rel=1e-9)
+        assert len(gradient_check.check_doubts(found, [True])) == count
+
+
+def test_a_run_whose_gradients_fail_their_check_is_doubtful() -> None:
+    # the steps are longer than the time between two discontinuities of the law
+    pad = {"type": "law", "law": "one-sided", "stiffness": 4e3, "acts": "compression",
+           "pathway": {"type": "coordinate", "bodies": ["ground", "ball"], "coordinate": "y"}}  # fmt: skip
+    spec = {
+        "mbdkit": 1,
+        "parameters": {"height": 0.1},
+        "model": {
+            "name": "mechanism",
+            "bodies": {"ball": {"mass": 1.0, "position": [0, "height"]}},
+            "forces": {"pad": pad},
+        },
+        "integrator": {"name": "rk4"},
+        "time": {"end": 1.0, "step": 0.05},
+        "measures": {"last": "final(ball.y)"},
+        "gradients": ["height"],
+    }
+    run = mbdkit.run(spec)
+    found = mbdkit.gradient(spec, "last", "height")
+    assert found.check is not None
+    assert not found.check.is_passed
+    assert not run.gradients["last"]["check"]["agrees"]
+    assert "differs" in found.doubts[0] or "fails its check" in found.doubts[0]
+    assert run.verdict in ("doubtful", "bad")
+    assert any("The check of the gradients failed for last" in reason for reason in run.verdict_reasons)
+    assert found.doubts[0] in run.summary()
+
+
+def test_warnings_of_the_run_are_doubts_of_its_gradient() -> None:
+    rod = {"mbdkit": 1, "model": {"name": "single-pendulum", "angle": -17.0}}
+    method = {"integrator": {"name": "rk4"}, "time": {"end": 0.1, "step": 0.01}}
+    (doubt,) = mbdkit.gradient(rod | method, "final(rod1.x)", "model.length", check=False).doubts
+    assert "-17 rad at model.angle is more than a full rotation" in doubt
 
 
 def test_the_derivative_of_a_coarse_run_is_said_to_be_inaccurate() -> None:
@@ -383,7 +434,8 @@ def test_a_rate_that_assembly_reduces_is_a_doubtful_parameter(velocity: list[Any
     spec = {"mbdkit": 1, "parameters": {"rate": 2.0}, "model": model, **PENDULUM}
     found = mbdkit.gradient(spec, "final(rod.angular_velocity)", "rate", check=False)
     np.testing.assert_allclose(found.jacobian, [[0.25 if told else 1.0]], rtol=1e-12)
-    assert len(found.doubts) == told
+    assert len(found.doubts) == 2 * told
     if told:
-        assert "changes by 0.25 of a change of model.bodies.rod.angular_velocity" in found.doubts[0]
+        assert "assembly changes the angular velocity of rod" in found.doubts[0]
+        assert "changes by 0.25 of a change of model.bodies.rod.angular_velocity" in found.doubts[1]
         assert "doubts" in found.described(found.measures[0])
