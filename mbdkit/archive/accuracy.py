@@ -35,15 +35,19 @@ class JointAccuracy:
         Largest reaction force up to `Accuracy.known_until` [N]; nan if nothing is known.
     error
         Largest estimated error of the reaction force up to `Accuracy.known_until` [N]; nan if nothing is known.
+    missed
+        By how much the largest force between recorded rows exceeds `peak` [N]; 0 if every step is recorded, nan if it
+        is unknown.
     share
-        `error` divided by `peak_known`, or by the largest `peak_known` of all joints if the force of this joint counts
-        as a rounding error.
+        Sum of `error` and `missed`, divided by the sum of `peak_known` and `missed`, or by the largest such sum of all
+        joints if the force of this joint counts as a rounding error.
     """
 
     name: str
     peak: float
     peak_known: float
     error: float
+    missed: float
     share: float
 
 
@@ -175,7 +179,9 @@ class Accuracy(HtmlView):
         count = self.rows_known
         return float(np.max(self.position_error[:count, :, 2], initial=0.0)) if count else math.nan
 
-    def of_joints(self, names: Sequence[str], force: np.ndarray) -> tuple[JointAccuracy, ...]:
+    def of_joints(
+        self, names: Sequence[str], force: np.ndarray, missed: np.ndarray | None = None
+    ) -> tuple[JointAccuracy, ...]:
         """Return the accuracy of each joint.
 
         Parameters
@@ -184,23 +190,30 @@ class Accuracy(HtmlView):
             Names of the J joints.
         force
             (T, J, 2) reaction forces [N].
+        missed
+            (J,) by how much the largest forces between rows exceed those in the rows [N], nan where unknown; None if
+            every step is recorded.
         """
         count, size = self.rows_known, np.linalg.norm(force, axis=-1)
+        beyond = np.zeros(len(names)) if missed is None else missed
         peaks = np.max(size, axis=0, initial=0.0)
         known = np.max(size[:count], axis=0) if count else np.full(len(names), np.nan)
         errors = np.max(self.reaction_error[:count], axis=0) if count else np.full(len(names), np.nan)
-        most = float(np.max(known, initial=0.0)) if count else math.nan
+        largest = known + np.nan_to_num(beyond)
+        most = float(np.max(largest, initial=0.0)) if count else math.nan
         figures = []
-        for name, peak, reached, error in zip(names, peaks, known, errors, strict=True):
-            over = reached if reached > SMALL_FORCE * most else most
-            share = error / over if over > 0 else 0.0 * error
-            figures.append(JointAccuracy(name, float(peak), float(reached), float(error), float(share)))
+        for index, name in enumerate(names):
+            over = largest[index] if largest[index] > SMALL_FORCE * most else most
+            whole = errors[index] + beyond[index]
+            share = whole / over if over > 0 else 0.0 * whole
+            numbers = peaks[index], known[index], errors[index], beyond[index], share
+            figures.append(JointAccuracy(name, *map(float, numbers)))
         return tuple(figures)
 
-    def figures(self, names: Sequence[str], force: np.ndarray) -> AccuracyFigures:
+    def figures(self, names: Sequence[str], force: np.ndarray, missed: np.ndarray | None = None) -> AccuracyFigures:
         """Return the figures for a verdict; see `of_joints` for the arguments."""
         end = float(self.time[-1]) if len(self.time) else math.nan
-        return AccuracyFigures(self.known_until, end, self.of_joints(names, force))
+        return AccuracyFigures(self.known_until, end, self.of_joints(names, force, missed))
 
     @property
     def size_in_bytes(self) -> int:

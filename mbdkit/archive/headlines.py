@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from mbdkit.archive.peak_errors import errors_of_frames, peak_errors
+from mbdkit.archive.peak_errors import errors_of_frames, missed_between_rows, peak_errors
 
 if TYPE_CHECKING:
     from mbdkit.archive.run import Run
@@ -20,6 +20,10 @@ MOST = 5
 MOST_DIGITS = 6
 """Largest number of significant digits of a headline."""
 
+#: The value between recorded rows is printed if the number misses more than this share of it: with a known error, and
+#: without one.
+MISSED, NEGLIGIBLE = 0.01, 1e-5
+
 #: Numbers are printed without an exponent if the power of ten of their first digit is in this range.
 SMALLEST_PLACE, LARGEST_PLACE = -3, 8
 
@@ -29,17 +33,36 @@ ROUND_OFF = 1e-10
 
 
 class Headline(NamedTuple):
-    """A number of a run with its unit and its estimated error, which is nan if unknown."""
+    """A number of a run with its unit and its estimated error, which is nan if unknown.
+
+    `missed` is by how much the value between recorded rows exceeds the number; nan if rows skip steps and the value
+    between them is unknown.
+    """
 
     label: str
     value: float
     unit: str
     error: float = math.nan
+    missed: float = 0.0
+
+    @property
+    def largest(self) -> float:
+        """The number, or the larger value between rows if it is known."""
+        return self.value if math.isnan(self.missed) else self.value + self.missed
 
     def text(self, sign: str = "+-") -> str:
-        """Return the number with the digits that its error justifies, its error and its unit."""
+        """Return the number with the digits that its error justifies, its error and its unit.
+
+        If the value between recorded rows is clearly larger, the text has both values instead of the error. If it is
+        unknown, the text says that the number is that of the rows.
+        """
+        unit = self.unit.removesuffix("1")
+        if self.missed > (NEGLIGIBLE if math.isnan(self.error) else MISSED) * abs(self.largest):
+            between = f"{self.largest:.{MOST_DIGITS}g} {unit}".rstrip()
+            return f"{self.value:.4g} {unit}".rstrip() + f" in the recorded rows, {between} between them"
         known = f"{self.value:.{MOST_DIGITS}g}" if math.isnan(self.error) else plus_minus(self.value, self.error, sign)
-        return f"{known} {self.unit.removesuffix('1')}".rstrip()
+        of_rows = " in the recorded rows" if math.isnan(self.missed) else ""
+        return f"{known} {unit}".rstrip() + of_rows
 
 
 def plus_minus(value: float, error: float, sign: str = "+-") -> str:
@@ -88,14 +111,18 @@ def largest_loads(run: Run) -> list[Headline]:
     if not run.joint_names or not run.records("joints/reaction_force"):
         return []
     force = np.linalg.norm(run.array("joints/reaction_force"), axis=2)
-    forces = _largest("force in", run.joint_names, force, "N", _errors(run, "reaction_error", force))
+    errors = _errors(run, "reaction_error", force)
+    missed = missed_between_rows(run, "joints.force", run.joint_names, force)
+    forces = _largest("force in", run.joint_names, force, "N", errors, missed)
     if not run.drivers or not run.records("joints/reaction_torque"):
         return forces
     torque = np.abs(run.array("joints/reaction_torque"))
-    torques = _largest("torque of", run.joint_names, torque, "N m", _errors(run, "torque_error", torque))
+    errors = _errors(run, "torque_error", torque)
+    missed = missed_between_rows(run, "joints.torque", run.joint_names, torque)
+    torques = _largest("torque of", run.joint_names, torque, "N m", errors, missed)
     of_drivers = [one for one in torques if one.label.removeprefix("largest torque of ") in run.drivers]
-    floor = ROUND_OFF * max((headline.value for headline in forces), default=0.0)
-    return [*(headline for headline in of_drivers if headline.value > floor), *forces]
+    floor = ROUND_OFF * max((headline.largest for headline in forces), default=0.0)
+    return [*(headline for headline in of_drivers if headline.largest > floor), *forces]
 
 
 def _actuators(run: Run) -> list[Headline]:
@@ -133,20 +160,28 @@ def _errors(run: Run, name: str, size: np.ndarray) -> np.ndarray | None:
 
 
 def _largest(
-    words: str, names: list[str] | tuple[str, ...], size: np.ndarray, unit: str, errors: np.ndarray | None
+    words: str,
+    names: list[str] | tuple[str, ...],
+    size: np.ndarray,
+    unit: str,
+    errors: np.ndarray | None,
+    missed: np.ndarray | None = None,
 ) -> list[Headline]:
     """Return the largest value of each element, from values `size` (T, J), with its error, in descending order.
+
+    `missed` (J,) is by how much the values between rows exceed them, nan where unknown; None if every step is recorded.
 
     Values that count as zero are left out.
     """
     rows = _peak_rows(size)
+    beyond = np.zeros(len(rows)) if missed is None else missed
     headlines = []
     for column, row in enumerate(rows):
         error = math.nan if errors is None else float(errors[column])
         label = f"largest {words} {names[column]}" if words else names[column]
-        headlines.append(Headline(label, float(size[row, column]), unit, error))
-    most = max((headline.value for headline in headlines), default=0.0)
-    return sorted((one for one in headlines if one.value > ROUND_OFF * most), key=lambda one: -one.value)
+        headlines.append(Headline(label, float(size[row, column]), unit, error, float(beyond[column])))
+    most = max((headline.largest for headline in headlines), default=0.0)
+    return sorted((one for one in headlines if one.largest > ROUND_OFF * most), key=lambda one: -one.largest)
 
 
 def _peak_rows(size: np.ndarray) -> np.ndarray:

@@ -1,4 +1,8 @@
-"""Errors of the largest recorded forces and torques: errors of the method, and peaks missed between recorded rows."""
+"""Errors of the largest recorded forces and torques: errors of the method, and peaks missed between recorded rows.
+
+Where every step is recorded, the missed part of a peak is estimated by interpolation. Where rows skip steps, it may be
+arbitrarily large; checked runs then also determine the largest values during the run, as measures do.
+"""
 
 from __future__ import annotations
 
@@ -8,6 +12,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy.interpolate import BarycentricInterpolator, CubicSpline
+
+from mbdkit.archive.measured_values import Integrals
 
 if TYPE_CHECKING:
     from mbdkit.archive.run import Run
@@ -32,8 +38,9 @@ def peak_errors(run: Run, name: str, size: np.ndarray, count: int) -> np.ndarray
     """Return the errors (J,) of the largest values of the joints in the first `count` rows; None without a check.
 
     In a simulated run, the error is the sum of two terms: the largest error of the method in any of these rows, because
-    the true peak may be in another row, and the height by which a peak between rows may exceed the recorded one. For
-    inverse dynamics, whose values belong to the frames of the data, see `errors_of_frames`.
+    the true peak may be in another row, and the height by which a peak between rows may exceed the recorded one. If
+    rows skip steps, this height is known only for all rows, and the errors of fewer rows are nan. For inverse dynamics,
+    whose values belong to the frames of the data, see `errors_of_frames`.
 
     Parameters
     ----------
@@ -52,7 +59,42 @@ def peak_errors(run: Run, name: str, size: np.ndarray, count: int) -> np.ndarray
     size = size[:count]
     if run.kind == "inverse":
         return errors_of_frames(run, _ATTRIBUTES[name], run.joint_names, size, errors)
-    return np.asarray(np.max(errors, axis=0) + excess_between_rows(np.asarray(run.time)[:count], size, jumps(run)))
+    missed = missed_between_rows(run, _ATTRIBUTES[name], run.joint_names, size)
+    if missed is None:
+        missed = excess_between_rows(np.asarray(run.time)[:count], size, jumps(run))
+    elif count < len(run.time):
+        missed = np.full(len(missed), np.nan)
+    return np.asarray(np.max(errors, axis=0) + missed)
+
+
+def expression_of_largest(quantity: str, name: str) -> str:
+    """Return the expression of the largest magnitude of a quantity, such as ``joints.force``, of the element `name`."""
+    kind, attribute = quantity.split(".")
+    return f"max(abs({kind}[{name!r}].{attribute}))"
+
+
+def missed_by_rows(integrals: Integrals, quantity: str, names: Sequence[str], size: np.ndarray) -> np.ndarray:
+    """Return by how much the largest values during a run exceed those in its rows, (E,); nan where unknown.
+
+    Parameters
+    ----------
+    integrals
+        Integrals and extrema of the run, which contain the largest values of checked runs whose rows skip steps.
+    quantity, names
+        Quantity, such as ``joints.force``, and names of the elements.
+    size
+        (T, E) magnitudes in all rows.
+    """
+    largest = [integrals.get(expression_of_largest(quantity, name), np.nan) for name in names]
+    return np.asarray(np.maximum(np.array(largest, dtype=float) - np.max(size, axis=0), 0.0))
+
+
+def missed_between_rows(run: Run, quantity: str, names: Sequence[str], size: np.ndarray) -> np.ndarray | None:
+    """Return the result of `missed_by_rows` for a simulated run; None if every step is recorded."""
+    output = run.spec.get("output") or {}
+    if run.kind == "inverse" or (output.get("interval") is None and (output.get("every") or 1) == 1):
+        return None
+    return missed_by_rows(run.integrals, quantity, names, size)
 
 
 def jumps(run: Run) -> np.ndarray:

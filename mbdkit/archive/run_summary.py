@@ -206,10 +206,10 @@ def accuracy_sentence(run: Run) -> str:
         size = np.linalg.norm(run.array("joints/reaction_force"), axis=2)[: accuracy.rows_known]
         joint = int(np.argmax(np.max(size, axis=0)))
         errors = peak_errors(run, "reaction_error", size, accuracy.rows_known)
-        if (largest := float(np.max(size))) > 0 and errors is not None:
+        if (largest := float(np.max(size))) > 0 and errors is not None and not math.isnan(errors[joint]):
             value = plus_minus(largest, float(errors[joint])).partition(" ")[0]
-            known = f"largest force in {run.joint_names[joint]} {value} N, known to {errors[joint]:.2g} N{until}"
-            return f"{known}; {position}{afterwards}"
+            known = f"largest force in {run.joint_names[joint]}{until} {value} N, known to {errors[joint]:.2g} N"
+            return f"{known}; {position}{until}{afterwards}"
     return f"{position}{until}{afterwards}"
 
 

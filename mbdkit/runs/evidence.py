@@ -9,6 +9,8 @@ from typing import Protocol
 import numpy as np
 
 from mbdkit.archive.accuracy import Accuracy
+from mbdkit.archive.measured_values import Integrals
+from mbdkit.archive.peak_errors import missed_by_rows
 from mbdkit.engine.compiled_mechanism import CompiledMechanism
 from mbdkit.runs.recorded_states import ObservedRows
 from mbdkit.runs.recorder import Recorder
@@ -90,7 +92,11 @@ def evidence_of_run(
 
 
 def estimated_errors(
-    recorder: Recorder, accuracy: Accuracy, position_error: float, missed: str = ""
+    recorder: Recorder,
+    accuracy: Accuracy,
+    position_error: float,
+    missed: str = "",
+    integrals: Integrals | None = None,
 ) -> EstimatedErrors:
     """Return the estimated errors of a checked run in the form used by the verdict.
 
@@ -104,14 +110,25 @@ def estimated_errors(
         Largest estimated error of positions as a share of the mechanism's size; nan if nothing is known.
     missed
         Reason why the requested accuracy is not reached, as a clause.
+    integrals
+        Integrals and extrema of a run whose rows skip steps; None if every step is recorded.
     """
-    rows = ObservedRows.joined(recorder.kept or [])
-    figures = accuracy.figures(recorder.workspace.mechanism.joints, rows.force)
+    rows, joints = ObservedRows.joined(recorder.kept or []), recorder.workspace.mechanism.joints
+    beyond = None
+    if integrals is not None:
+        beyond = missed_by_rows(integrals, "joints.force", joints, np.linalg.norm(rows.force, axis=2))
+    figures = accuracy.figures(joints, rows.force, beyond)
     worst = figures.worst_joint
+    between = ""
+    if worst is not None and worst.missed > worst.error:
+        between = (
+            f"joint '{worst.name}' reaches {worst.peak + worst.missed:.4g} N, in the recorded rows {worst.peak:.4g} N"
+        )
     return EstimatedErrors(
         position=position_error,
         reaction=0.0 if worst is None else worst.share,
         known_until=figures.known_until,
+        between=between,
         **({} if math.isnan(accuracy.asked) else {"asked": accuracy.asked, "reached": accuracy.reached}),
         missed=missed,
     )

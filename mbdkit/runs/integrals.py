@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from mbdkit.archive.measured_values import Integrals
+from mbdkit.archive.peak_errors import expression_of_largest
 from mbdkit.engine.observed_states import StateObserver
 from mbdkit.measures.measure_expression import MeasureExpression
 from mbdkit.measures.reductions import EventTimes, Functional, Series
@@ -24,6 +25,7 @@ from mbdkit.quantities.names import archive_names
 from mbdkit.quantities.quantity import Quantity
 from mbdkit.quantities.states import States
 from mbdkit.runs.continuous_functionals import ContinuousFunctionals, no_events
+from mbdkit.runs.law_ranges import steps_are_rows
 from mbdkit.stepping.interface import Nodes, Timetable
 
 if TYPE_CHECKING:
@@ -41,6 +43,20 @@ def expressions_of(spec: RunSpec, expressions: Iterable[str] = ()) -> tuple[str,
     """Return the expressions of the measures of a run, followed by the given ones."""
     texts = [*(measure.expression for measure in spec.defined_measures() if measure.item is None), *expressions]
     return tuple(dict.fromkeys(texts))
+
+
+def largest_loads_of(spec: RunSpec) -> tuple[str, ...]:
+    """Return expressions of the largest force and torque of each joint, for checked runs whose rows skip steps.
+
+    They determine the part of the peaks that the rows miss; see `mbdkit.archive.peak_errors`.
+    """
+    if not spec.estimates_errors or steps_are_rows(spec):
+        return ()
+    return tuple(
+        expression_of_largest(quantity, name)
+        for quantity in ("joints.force", "joints.torque")
+        for name in spec.mechanism().joints
+    )
 
 
 def functionals_of(spec: RunSpec, expressions: Iterable[str] = ()) -> tuple[Functional, ...]:

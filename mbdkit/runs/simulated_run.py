@@ -443,11 +443,12 @@ class SimulatedRun:
         # notes about the treatment of contacts, which do not question the result
         self.warnings = (*self.warnings, *notes)
         evidence = evidence_of_run(self.recorder, steps, ending, misalignment_max, self.size, questions)
-        errors = None
+        errors, totals = None, {} if self.integrals is None else self.integrals.totals(self.recorder.of_event)
         if self.accuracy is not None:
             missed = missed_because(self.accuracy, self.tried, self.failure)
             position = PositionMeasure.of(self.spec, self.workspace).known(self.accuracy)
-            errors = estimated_errors(self.recorder, self.accuracy, position, missed)
+            between = None if steps_are_rows(self.spec) else totals
+            errors = estimated_errors(self.recorder, self.accuracy, position, missed, between)
         judgement = judge(evidence, errors)
         message = f"{status}: {reason.removeprefix('interrupted: ')}" if reason else status
         level = logging.WARNING if status == "failed" else logging.INFO
@@ -462,7 +463,7 @@ class SimulatedRun:
             judgement,
             self.warnings,
             self.accuracy,
-            {} if self.integrals is None else self.integrals.totals(self.recorder.of_event),
+            totals,
         )
         self.writer.finish(ended, measured=self.measured if self.spec.measures else None)
         if self.becomes_run and isinstance(self.writer, ArrayWriter):

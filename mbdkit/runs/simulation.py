@@ -33,7 +33,7 @@ from mbdkit.methods.kinds import Method
 from mbdkit.quantities.names import archive_names
 from mbdkit.runs.accuracy.chosen_method import MOST_ATTEMPTS, Choice, choose_method, other_method
 from mbdkit.runs.corners import check_jumps
-from mbdkit.runs.integrals import expressions_of, functionals_of
+from mbdkit.runs.integrals import expressions_of, functionals_of, largest_loads_of
 from mbdkit.runs.preparation import (
     build,
     caution,
@@ -229,7 +229,7 @@ class _Preparation:
         if _LOG.isEnabledFor(logging.DEBUG):
             _LOG.debug("mechanism: %s; start: %s", workspace.mechanism.freedoms(), start.describe())
         check_disk_space(spec, workspace.mechanism, self.path)
-        functionals = functionals_of(spec, self.measures)
+        functionals = functionals_of(spec, (*self.measures, *largest_loads_of(spec)))
         noted: list[bool] = []
         noting = _not_noted if self.begun is _begun_arrays else interrupts_noted
         with noting(lambda: noted.append(True)):  # otherwise the archive could not be removed after Ctrl-C

@@ -14,6 +14,7 @@ from mbdkit.analysis.energy import Trend, trends
 from mbdkit.analysis.reference import EVERY_ROW, LAST_ROW, carries_multipliers, common_rows, multiplier_error, offsets
 from mbdkit.archive.history import NotRecordedError
 from mbdkit.archive.layout import BY_PATH
+from mbdkit.archive.peak_errors import missed_between_rows
 from mbdkit.base.errors import MbdkitError
 from mbdkit.mechanism.size import mechanism_sizes
 from mbdkit.spec.study_measures import REFERENCE, SECOND_RUN
@@ -343,7 +344,9 @@ def _known_until(run: Run, reference: Run | None) -> float:
 def _reaction_error_share(run: Run, reference: Run | None) -> float:
     if run.accuracy is None or not run.records("joints/reaction_force"):
         return math.nan
-    worst = run.accuracy.figures(run.joint_names, run.array("joints/reaction_force")).worst_joint
+    force = run.array("joints/reaction_force")
+    missed = missed_between_rows(run, "joints.force", run.joint_names, np.linalg.norm(force, axis=2))
+    worst = run.accuracy.figures(run.joint_names, force, missed).worst_joint
     return 0.0 if worst is None else worst.share
 
 

@@ -117,7 +117,8 @@ class EstimatedErrors:
         Largest error of a position, as a share of the mechanism's size. The error of an angle is multiplied by the
         distance of the farthest joint point of the body.
     reaction
-        Largest error of a joint's force, as a share of the largest force in that joint.
+        Largest error of a joint's force, as a share of the largest force in that joint; nan if rows skip steps and the
+        force between them is unknown.
     known_until
         Time up to which the errors are known [s]; nan if no error is known.
     asked, reached
@@ -125,6 +126,9 @@ class EstimatedErrors:
         size.
     missed
         Reason why the accuracy was not reached, as a clause; empty if it was reached or if the reason is unknown.
+    between
+        A clause with the largest force between recorded rows and in these rows; empty unless rows miss a part of the
+        peak that is larger than the other errors.
     """
 
     position: float
@@ -133,6 +137,7 @@ class EstimatedErrors:
     asked: float = math.inf
     reached: float = 0.0
     missed: str = ""
+    between: str = ""
 
 
 KNOWN_POSITION = Limits(1e-2, 0.1)
@@ -298,10 +303,14 @@ def _errors(evidence: Evidence, accuracy: EstimatedErrors) -> Found:
             "doubtful",
             f"The error is known only until t = {accuracy.known_until:.6g} s of {evidence.end:.6g} s.",
         )
+    if math.isnan(accuracy.reaction):
+        yield "bad", "The largest joint forces are unknown, because rows skip steps; record every step."
     for what, value, limits in (
         ("positions", accuracy.position, KNOWN_POSITION),
         ("joint forces", accuracy.reaction, KNOWN_REACTION),
     ):
-        if level := limits.level(value):
+        if not (what == "joint forces" and math.isnan(value)) and (level := limits.level(value)):
             share = "the mechanism's size" if what == "positions" else "the largest force"
-            yield level, f"The estimated error of {what} is {value:.2g} of {share} ({limits})."
+            rows = f" Between rows, the force in {accuracy.between}; record more rows."
+            advice = rows if what == "joint forces" and accuracy.between else ""
+            yield level, f"The estimated error of {what} is {value:.2g} of {share} ({limits}).{advice}"

@@ -9,7 +9,8 @@ import pytest
 
 import mbdkit
 from mbdkit.archive.headlines import largest_loads
-from mbdkit.archive.peak_errors import excess_between_rows, jumps
+from mbdkit.archive.peak_errors import excess_between_rows, jumps, peak_errors
+from mbdkit.archive.run_summary import accuracy_sentence, summary
 
 
 @pytest.mark.parametrize(("rows", "share"), [(4, 0.08), (6, 0.02), (10, 0.003)])
@@ -61,3 +62,62 @@ def test_forces_that_jump_at_impacts_have_small_errors() -> None:
     assert len(run.impacts.time) == 2
     size = np.linalg.norm(run.joints["left_leg"].reaction_force, axis=1)[:, None]
     assert excess_between_rows(run.time, size, jumps(run))[0] < 1e-4 * size.max()
+
+
+MASS, ARM, SPEED = 2.0, 0.5, 2.0 * math.pi
+
+
+def _turning(**output: float) -> mbdkit.Run:
+    """A crank that a motor turns once in a second; it starts at the top, where its force is smallest.
+
+    The pin exerts the centripetal force m r w^2 and carries the weight m g, so that its force is between the difference
+    and the sum of the two; the largest torque of the motor is m g r.
+    """
+    model = {
+        "name": "mechanism",
+        "bodies": {"crank": {"mass": MASS, "inertia": 0.1, "position": [0, ARM]}},
+        "joints": {
+            "pin": {"type": "revolute", "bodies": ["ground", "crank"], "at": [0, 0]},
+            "motor": {"type": "driver", "bodies": ["ground", "crank"], "coordinate": "angle", "motion": "2*pi*t"},
+        },
+    }
+    return mbdkit.run(
+        {"mbdkit": 1, "model": model, "integrator": {"name": "gauss", "stages": 3}},
+        time={"end": 3.0, "step": 0.005}, output=output, check=True,
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize("output", [{"every": 200}, {"interval": 1.0}])
+def test_peaks_that_all_rows_miss_make_a_run_bad(output: dict[str, float]) -> None:
+    """The rows show the same position of every turn, in which the force is smallest and the torque is zero."""
+    run = _turning(**output)
+    torque, force = largest_loads(run)
+    turning, weight = MASS * ARM * SPEED**2, MASS * 9.81
+    assert force.value == pytest.approx(turning - weight, rel=1e-9)
+    assert force.largest == pytest.approx(turning + weight, rel=1e-6)
+    assert force.error == pytest.approx(2.0 * weight, rel=1e-6)
+    assert torque.largest == pytest.approx(weight * ARM, rel=1e-6)
+    assert force.text() == "19.86 N in the recorded rows, 59.0984 N between them"
+    assert run.verdict == "bad"
+    assert "the force in joint 'pin' reaches 59.1 N, in the recorded rows 19.86 N" in run.verdict_reasons[0]
+
+
+def test_rows_that_miss_little_have_small_errors() -> None:
+    """With 25 rows in a turn, rows are at most a 50th of a turn from the largest torque."""
+    run = _turning(every=8)
+    torque, force = largest_loads(run)
+    for one, true in ((torque, MASS * 9.81 * ARM), (force, MASS * (ARM * SPEED**2 + 9.81))):
+        assert abs(true - one.value) <= one.error + 1e-9 * true
+        assert one.error <= 1.01 * (1.0 - math.cos(SPEED / 50)) * true
+    assert run.verdict == "good"
+
+
+def test_errors_are_unknown_if_rows_skip_steps_of_an_archive_without_largest_values() -> None:
+    run = _turning(every=8)
+    run.__dict__["integrals"] = {}
+    size = np.linalg.norm(run.array("joints/reaction_force"), axis=2)
+    errors = peak_errors(run, "reaction_error", size, len(run.time))
+    assert errors is not None
+    assert np.all(np.isnan(errors))
+    assert accuracy_sentence(run).startswith("positions known to")
+    assert " N in the recorded rows\n" in summary(run)
