@@ -209,9 +209,10 @@ class BetweenPoints(Between):
 
     @model_validator(mode="after")
     def _points_once(self) -> Self:
-        given = [key for key, point in zip(self.GLOBAL, self._global(), strict=True) if point is not None]
-        if self.points is not None and not given:
+        points = self._global()
+        if self.points is not None and all(point is None for point in points):
             return self
+        given = [key for key, point in zip(self.GLOBAL, points, strict=True) if point is not None]
         names = " and ".join(f"`{key}`" for key in self.GLOBAL)
         if self.points is None and not given:
             raise SpecError(

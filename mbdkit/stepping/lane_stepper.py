@@ -238,7 +238,7 @@ class LaneStepper:
             for name in ("kinetic", "jump", "jump_time"):
                 getattr(guards, name)[0] = getattr(c.guards, name)[0, lane]
         evidence = tuple(guard_evidence(guards, []) for guards in self._guards[:count])
-        counted = tuple(_counted(one, counts) for one, counts in zip(counters, c.counts.T, strict=False))
+        counted = tuple(_counted(one, counts) for one, counts in zip(counters, c.counts.T.tolist(), strict=False))
         lost = np.asarray(c.lost[0, :count] != 0.0)
         return LaneResults(
             lost, time, q, v, z, energy, Observed(*observed), worst, iterations, rows, work, evidence, counted
@@ -280,8 +280,8 @@ class PivotsAtStart:
             raise
 
 
-def _counted(counters: Counters, counts: np.ndarray) -> Counters:
-    """Return the counters of one run with the counts (5,) of its lane added."""
+def _counted(counters: Counters, counts: Sequence[float]) -> Counters:
+    """Return the counters of one run with the counts of its lane added."""
     return replace(
         counters,
         rhs_evaluations=int(counts[RHS]),

@@ -251,10 +251,15 @@ def _block_run(
         ending.status,
         ending.reason,
         *hashes,
-        plugins=json.dumps(plugins_of(spec), separators=(",", ":")),
+        plugins=_plugins_json(tuple(plugins_of(spec).items())),
         result=kept(result, store),
         measures=None if isinstance(measured, Refused) else measured,
     )
+
+
+@lru_cache(maxsize=64)
+def _plugins_json(plugins: tuple[tuple[str, str], ...]) -> str:
+    return json.dumps(dict(plugins), separators=(",", ":"))
 
 
 class _Mark:
