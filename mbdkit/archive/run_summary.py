@@ -529,14 +529,15 @@ def _contact_forces(run: Run) -> str:
     if not run.records("muscles/certificate"):
         return ""
     without = np.linalg.norm(run.array("muscles/reaction_force_without"), axis=2)
+    size = np.linalg.norm(run.array("joints/reaction_force"), axis=2)
+    errors = peak_errors(run, "reaction_error", size, len(run.time))
     parts = []
-    for index, (name, joint) in enumerate(run.joints.items()):
-        size = np.linalg.norm(joint.reaction_force, axis=1)
-        row, most = int(np.argmax(size)), float(np.max(without[:, index]))
-        error = math.nan if run.accuracy is None else float(run.accuracy.reaction_error[row, index])
-        with_muscles = f"{size[row]:.4g}" if math.isnan(error) else plus_minus(float(size[row]), error)
-        if size[row] > 1.001 * most or size[row] < 0.999 * most:
-            parts.append((float(size[row]), f"{name} {with_muscles} N, {most:.4g} N without muscles"))
+    for index, name in enumerate(run.joint_names):
+        largest, most = float(np.max(size[:, index])), float(np.max(without[:, index]))
+        error = math.nan if errors is None else float(errors[index])
+        with_muscles = f"{largest:.4g}" if math.isnan(error) else plus_minus(largest, error)
+        if largest > 1.001 * most or largest < 0.999 * most:
+            parts.append((largest, f"{name} {with_muscles} N, {most:.4g} N without muscles"))
     parts.sort(key=lambda one: -one[0])
     return "; ".join(text for _, text in parts[:JOINTS_NAMED])
 

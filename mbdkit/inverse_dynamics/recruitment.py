@@ -318,7 +318,8 @@ class Recruiter:
     def _impossible(
         self, sharing: Sharing, time: np.ndarray, failed: np.ndarray, lacking: np.ndarray | None = None
     ) -> RunError:
-        """Return the error for frames without solution, which states the smallest reserves that suffice.
+        """Return the error for frames without solution, which states the smallest reserves that suffice, or the muscle
+        whose force at the minimum activation is too large.
 
         Parameters
         ----------
@@ -328,7 +329,8 @@ class Recruiter:
         rows, programme = np.flatnonzero(failed), sharing.programme
         driven = [self._actuators[int(k)] for k in np.flatnonzero(sharing.driven)]
         by_frames = lacking is None
-        lacking = np.abs(smallest_supplement(programme.only(rows)) if lacking is None else lacking[rows])
+        signed = smallest_supplement(programme.only(rows)) if lacking is None else lacking[rows]
+        lacking = np.abs(signed)
         largest = np.max(lacking, axis=0)
         told = [
             f"{one.name} {most:.4g} {one.unit} (t = {time[rows[int(np.argmax(lacking[:, k]))]]:.6g} s)"
@@ -341,9 +343,36 @@ class Recruiter:
             return RunError(
                 f"no optimal activations were found at t = {times}{more} s; use another `exponent`, or reserves"
             )
+        if by_frames and self.asked.minimum > 0.0:
+            without = replace(programme.only(rows), low=np.where(np.isinf(programme.low[rows]), -np.inf, 0.0))
+            if np.all(np.abs(smallest_supplement(without)) <= 1e-9 * programme.size[rows]):
+                return self._too_strong(sharing, time, rows, signed)
         fast = "" if by_frames else " with activations that change as fast as their dynamics allow"
         about = "about " if self.is_elastic else ""  # computed for the lengths of the tendons in the last iteration
         return RunError(
             f"the muscles cannot produce the motion{fast} in {len(rows)} of {counted(len(time), 'frame')}, at t = "
             f"{times}{more} s; `recruitment.reserves` should be at least {about}{listed(told, 'and')}"
+        )
+
+    def _too_strong(self, sharing: Sharing, time: np.ndarray, rows: np.ndarray, lacking: np.ndarray) -> RunError:
+        """Return the error for frames that have solutions only with activations below the minimum.
+
+        Parameters
+        ----------
+        rows, lacking
+            The F frames, and the smallest reserves (F, K) that suffice in them.
+        """
+        programme, driven = sharing.programme, np.flatnonzero(sharing.driven)
+        place, equation = np.unravel_index(np.argmax(np.abs(lacking) / programme.size[rows]), lacking.shape)
+        row, actuator = rows[place], self._actuators[int(driven[equation])]
+        least = self.asked.minimum * programme.matrix[row, equation, : len(self.muscles)]
+        muscle = int(np.argmax(-least * np.sign(lacking[place, equation])))  # the largest moment that is to be balanced
+        name, force = list(self.muscles)[muscle], list(self.muscles.values())[muscle].max_force
+        needed = programme.right[row, equation]
+        return RunError(
+            f"the minimum activation of {self.asked.minimum:g} prevents the motion in {len(rows)} of "
+            f"{counted(len(time), 'frame')}: at t = {time[row]:.6g} s, {actuator.name} needs {needed:.4g} "
+            f"{actuator.unit}, but muscle '{name}' alone exerts {least[muscle]:.4g} "
+            f"{actuator.unit} at this activation; check its `max_force` of {force:g} N, or reduce "
+            f"`recruitment.minimum`"
         )

@@ -153,6 +153,19 @@ def test_frames_that_muscles_cannot_produce_are_named_with_the_smallest_reserves
     np.testing.assert_allclose(run.actuators["reserve.elbow"].value, lacking, rtol=1e-10)
 
 
+def test_a_muscle_that_is_too_strong_for_the_minimum_activation_is_named():
+    # expected: by hand; the smallest moment is 0.01 * 0.04 m * max_force
+    moment = 1.5 * 9.81 * 0.15
+    spec = forearm(recruitment={"minimum": 0.01, "capacity": "isometric"})
+    muscles = spec["model"]["muscles"]
+    below = {"body": "ground", "point": [0.04, -0.3]}
+    muscles["triceps"] = muscles["biceps"] | {"path": [below, muscles["biceps"]["path"][1]]}
+    muscles["biceps"]["max_force"] = 6e5
+    with pytest.raises(RunError, match="prevents the motion in 11 of 11 frames") as error:
+        mbdkit.inverse(spec)
+    assert f"elbow needs {moment:.4g} N m, but muscle 'biceps' alone exerts 240 N m" in str(error.value)
+
+
 @pytest.mark.parametrize(
     ("changes", "criteria"),
     [
