@@ -31,8 +31,8 @@ if TYPE_CHECKING:
     from mbdkit.mechanics.modes import Linearization, Modes, linearize, modes
     from mbdkit.mechanism.force_law import ExpressionLaw, FunctionLaw
     from mbdkit.mechanism.mechanism import Mechanism
-    from mbdkit.methods.kinds import ExplicitRungeKutta, ImplicitRungeKutta, StepMethod, StepState
-    from mbdkit.methods.tableau import ButcherTableau
+    from mbdkit.methods.kinds import ExplicitRungeKutta, ImplicitRungeKutta, StepMethod, StepState, Tolerances
+    from mbdkit.methods.tableau import ButcherTableau, EmbeddedPair
     from mbdkit.registry.hookspecs import hookimpl
     from mbdkit.registry.items import Claims, ForceLawPlugin, IntegratorPlugin, MeasurePlugin, ModelPlugin, StudyPlugin
     from mbdkit.runs.prepared_run import PreparedRun, prepare
@@ -49,6 +49,7 @@ __all__ = [
     "Claims",
     "Design",
     "DesignSpec",
+    "EmbeddedPair",
     "EquationsOfMotion",
     "Equilibrium",
     "EquilibriumPath",
@@ -80,6 +81,7 @@ __all__ = [
     "Study",
     "StudyPlugin",
     "StudySpec",
+    "Tolerances",
     "Workload",
     "__version__",
     "design",
@@ -113,6 +115,7 @@ _HOME = {
     "DesignSpec": "mbdkit.spec",
     "design": "mbdkit.designs.solve_design",
     "load_design": "mbdkit.designs.solve_design",
+    "EmbeddedPair": "mbdkit.methods.tableau",
     "Equilibrium": "mbdkit.mechanics.equilibrium",
     "EquilibriumPath": "mbdkit.mechanics.equilibrium_path",
     "ExplicitRungeKutta": "mbdkit.methods.kinds",
@@ -162,6 +165,7 @@ _HOME = {
     "run": "mbdkit.runs.simulation",
     "study": "mbdkit.studies.carry_out",
     "workload": "mbdkit.analysis.workload",
+    "Tolerances": "mbdkit.methods.kinds",
     "Workload": "mbdkit.analysis.workload",
 }
 

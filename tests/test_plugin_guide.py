@@ -9,6 +9,7 @@ from types import ModuleType
 
 import pytest
 
+import mbdkit
 from mbdkit.registry.manager import registry
 
 from .installing import install_module, install_project, python
@@ -30,6 +31,7 @@ BALL = {
 RK4 = {"name": "rk4"}
 PLUGINS = {
     "A tableau in ten lines": (10, PENDULUM, {"name": "heun"}),
+    "Adaptive steps for a tableau": (24, PENDULUM, {"name": "bs3", "adaptive": True, "rtol": 1e-8, "atol": 1e-8}),
     "An integrator in thirty lines": (30, PENDULUM, {"name": "verlet"}),
     "A model in twenty lines": (20, {"name": "swing"}, RK4),
     "A force law in eleven lines": (11, BALL, RK4),
@@ -63,6 +65,13 @@ def test_a_plugin_runs_as_printed_and_is_no_longer_than_it_says(heading: str, tm
     assert told["verdict"] == "unknown", told["verdict_reasons"]  # the best one without a check
     assert list(told.get("measures", ())) == list(measures)
     assert all(0.0 < told["measures"][name] < 2.0 for name in measures)
+    if "Adaptive" in heading:
+        # expected: the end of a run with smaller errors
+        ends = [mbdkit.run(spec | {"integrator": {"name": "dop853"}})["rod2"].position[-1]]
+        with mbdkit.load(tmp_path / "spec.h5") as run:
+            ends.append(run["rod2"].position[-1])
+            assert run.stats["rejected"] > 0
+        assert ends[1] == pytest.approx(ends[0], abs=1e-6)
     if "force law" in heading:  # its options have bounds and descriptions
         verified = python("-m", "mbdkit", "plugins", "verify", "duffing", path=(tmp_path,), cwd=tmp_path)
         assert verified.returncode == 0, verified.stdout + verified.stderr

@@ -183,7 +183,8 @@ class StepError(Exception):
     Parameters
     ----------
     code
-        Code of the reason, stored in the archive.
+        Code of the reason, stored in the archive: ``newton-failed``, ``singular``, ``not-finite``, ``step-too-small``,
+        ``zeno``, ``painleve``, ``contact-solver`` or ``self-locking``.
     sentence
         Description of the failure, without the time and without a full stop.
     """

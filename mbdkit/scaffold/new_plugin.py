@@ -46,8 +46,8 @@ _FLAVOURS: dict[NewKind, _Flavour] = {
         *_STUDY,
         (
             (
-                "`step`: keep data of earlier steps in `StepState.memory`; raise `mbdkit.StepError` if a step cannot "
-                "be taken;"
+                "`step`: keep data of earlier steps in `StepState.memory`; raise `mbdkit.StepError(code, sentence)` "
+                'with a code such as "newton-failed" if a step cannot be taken;'
             ),
             'the claims, and with another formulation `formulations=("index-3",)`;',
         ),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, replace
 from typing import Any, Literal
@@ -209,10 +210,10 @@ def _told(result: Result, first: str) -> str:
 
     The requirement is included for results without limits that passed or are not claimed, because the meaning of their
     values is otherwise unclear. If `first` is the name of an earlier check that failed for the same reason, the text
-    only refers to that check.
+    is the beginning of the reason and refers to that check.
     """
     if first:
-        return f"for the same reason as {first}"
+        return f"{re.split('[:;]', result.cause)[0]}, as in {first}"
     required = result.what.rstrip(".") if result.outcome in ("pass", "not claimed") and not result.limits else ""
     return "; ".join(filter(None, [result.cause, figures_text(result), required]))
 
