@@ -42,6 +42,7 @@ class Exploration:
         self._socket = socket.socket()
         try:
             self._socket.bind((HOST, port))
+            self._socket.listen()  # requests before the server has started wait instead of being refused
         except OSError as error:
             raise MbdkitError(f"port {port} of this machine cannot be used ({error.strerror})") from None
         self.url = f"http://{HOST}:{self._socket.getsockname()[1]}/?token={token}"

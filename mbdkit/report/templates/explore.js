@@ -43,20 +43,30 @@ async function ask() {
       show(await reply.json());
     }
   } catch {
-    verdict.textContent = "The program that computes this page has ended.";
-    verdict.className = "verdict alarm";
+    refuse("The program that computes this page has ended.");
   }
   asked = false;
 }
 
 // --- an answer ---
+/* Without an answer for the sliders, results of the last valid values stay visible, but faded. */
+function stale(isStale) {
+  document.body.classList.toggle("stale", isStale);
+  for (const name of ["copy", "save"]) element(name).disabled = isStale;
+}
+function refuse(reason) {
+  const rest = shown.error ? "" : " The faded results below belong to the last valid values.";
+  verdict.textContent = `${reason.replace(/\.?$/, ".")}${rest}`;
+  verdict.className = "verdict alarm";
+  stale(true);
+}
 function show(answer) {
   spec.textContent = answer.spec;
   if (answer.error) {
-    verdict.textContent = answer.error;
-    verdict.className = "verdict alarm";
+    refuse(answer.error);
     return;
   }
+  stale(false);
   shown = answer;
   verdict.textContent = [`Verdict: ${answer.verdict}`, ...answer.reasons].join(". ");
   verdict.className = `verdict ${answer.tone}`;
@@ -111,7 +121,8 @@ function plot(seconds) {
     pen.beginPath(); pen.moveTo(left, Y(value)); pen.lineTo(width, Y(value)); pen.stroke();
   }
   pen.fillText(`${short(times[0])} s`, left, height - 4);
-  const end = `${short(times.at(-1))} s, ${shown.curves.unit}`;
+  pen.fillText(shown.curves.unit, left + 4, 12);
+  const end = `${short(times.at(-1))} s`;
   pen.fillText(end, width - pen.measureText(end).width - 2, height - 4);
   sets.forEach((set, which) => set.values.forEach((line, k) => {
     const nth = which ? k : shown.curves.names.indexOf(set.names[k]);
