@@ -9,7 +9,7 @@ from __future__ import annotations
 import itertools
 import json
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
@@ -72,6 +72,8 @@ class Drawing:
         Points along the path of each muscle.
     shapes
         Points along the outline of each shape of a contact.
+    lines
+        Pairs of points on lines of unlimited extent, which are the ends of their parts in `shapes`.
     guides
         Pairs of points: the ends of the line along which each sliding joint moves.
     sliders
@@ -95,6 +97,7 @@ class Drawing:
     bars: tuple[tuple[int, int], ...] = ()
     muscles: tuple[tuple[int, ...], ...] = ()
     shapes: tuple[tuple[int, ...], ...] = ()
+    lines: tuple[tuple[int, ...], ...] = ()
     guides: tuple[tuple[int, int], ...] = ()
     sliders: tuple[int, ...] = ()
     welds: tuple[int, ...] = ()
@@ -122,6 +125,26 @@ class Drawing:
     def main_traces(self) -> tuple[Trace, ...]:
         """The traces that are drawn unless points are selected: the markers or, if there are none, all traces."""
         return tuple(trace for trace in self.traces if trace.is_marker) or self.traces
+
+    def spanning(self, xlim: tuple[float, float], ylim: tuple[float, float], poses: Array) -> Drawing:
+        """Return the drawing with lines of unlimited extent that cross the whole picture.
+
+        Parameters
+        ----------
+        xlim, ylim
+            Limits of the picture [m].
+        poses
+            The poses that are shown, shape (..., B, 3); see `world`.
+        """
+        local, diagonal = self.local.copy(), float(np.hypot(xlim[1] - xlim[0], ylim[1] - ylim[0]))
+        for ends in self.lines:
+            middle = self.world(poses, ends).mean(axis=-2)
+            away = np.hypot(middle[..., 0] - np.mean(xlim), middle[..., 1] - np.mean(ylim))
+            reach = diagonal + float(np.max(away, initial=0.0, where=np.isfinite(away)))
+            first, last = self.local[list(ends)]
+            along = (last - first) / np.hypot(*(last - first))
+            local[list(ends)] = 0.5 * (first + last) + reach * np.array([-along, along])
+        return replace(self, local=local)
 
     def world(self, poses: Array, points: Sequence[int] | None = None) -> Array:
         """Return the points of the drawing in the global frame.
@@ -259,6 +282,7 @@ class _Sketch:
         self.springs: list[tuple[int, int]] = []
         self.muscles: list[tuple[int, ...]] = []
         self.shapes: dict[tuple[int, ...], None] = {}  # outlines of shapes, each only once if several contacts share it
+        self.lines: dict[tuple[int, ...], None] = {}
         self.guides: list[tuple[int, int]] = []
         self.sliders: list[int] = []
         self.welds: list[int] = []
@@ -316,7 +340,10 @@ class _Sketch:
         """
         owner = self.index[body]
         if places:
-            self.shapes[tuple(self.point(owner, local) for _, local in places)] = None
+            drawn = tuple(self.point(owner, local) for _, local in places)
+            self.shapes[drawn] = None
+            if shape.line is not None:
+                self.lines[drawn] = None
         if owner != GROUND and shape.line is None:
             self.touched[owner] += [self.point(owner, local) for _, local in shape.points()]
 
@@ -385,6 +412,7 @@ class _Sketch:
             bars=tuple(self.bars),
             muscles=tuple(self.muscles),
             shapes=tuple(self.shapes),
+            lines=tuple(self.lines),
             guides=tuple(self.guides),
             sliders=tuple(self.sliders),
             welds=tuple(self.welds),

@@ -92,6 +92,7 @@ def scene(run: Run, *, rate: float, most: int, shortest: float, longest: float) 
     path_rows = evenly(len(time), _PATH_ROWS)
     paths = fixed.world(take(positions, path_rows, owners))
     xlim, ylim, _ = view_box(paths, drawing.world(poses[evenly(len(poses), 60)]))
+    drawing = drawing.spanning(xlim, ylim, poses)
     moments = bending_moments(run, drawing.beams)
     shown = None if moments is None else moments[rows]
     return Scene(drawing, speed, time[rows], poses, traces, time[path_rows], paths, xlim, ylim, shown)

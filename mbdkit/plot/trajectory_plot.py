@@ -32,13 +32,15 @@ _CHART_ROWS = 4_000
 def panels(run: Run) -> list[Panel]:
     """Return the panel of the paths and poses, with a height that suits the motion."""
     drawing, traces, paths = _paths(run, _ROWS)
-    ends = drawing.world(take(run.dataset("trajectory/position"), evenly(len(run.time), 2)))
-    (x0, x1), (y0, y1), _ = view_box(paths, ends)
+    poses = take(run.dataset("trajectory/position"), evenly(len(run.time), 2))
+    box = (x0, x1), (y0, y1), _ = view_box(paths, drawing.world(poses))
+    drawing = drawing.spanning((x0, x1), (y0, y1), poses)
     height = float(np.clip(4.9 * (y1 - y0) / (x1 - x0), 2.4, 5.4)) - 1.0
     errors = _errors(run, drawing, traces, _ROWS)
     moments = bending_moments(run, drawing.beams)
     last = None if moments is None else moments[-1]
-    draw = partial(_draw, drawing=drawing, traces=traces, paths=paths, ends=ends, errors=errors, moments=last)
+    ends = drawing.world(poses)
+    draw = partial(_draw, drawing=drawing, traces=traces, paths=paths, ends=ends, box=box, errors=errors, moments=last)
     height += 0.0 if last is None else 0.6  # room for the scale of the bending moments
     return [Panel(draw, height, over_time=False)]
 
@@ -171,14 +173,16 @@ def _draw(
     traces: tuple[Trace, ...],
     paths: Array,
     ends: Array,
+    box: tuple[tuple[float, float], tuple[float, float], bool],
     errors: Array | None,
     moments: Array | None,
 ) -> None:
     """Draw paths (R, K, 2) with their errors (R, K), and the first and last pose `ends` (2, P, 2).
 
-    `moments` (E,) are the bending moments of the beams at the end [N m].
+    `box` has the limits of the picture, see `view_box`, and `moments` (E,) are the bending moments of the beams at the
+    end [N m].
     """
-    (x0, x1), (y0, y1), cut = view_box(paths, ends)
+    (x0, x1), (y0, y1), cut = box
     dress(axes, "x [m]", "y [m]")
     axes.set_aspect("equal", adjustable="box")
     axes.set(xlim=(x0, x1), ylim=(y0, y1))

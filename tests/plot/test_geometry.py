@@ -202,3 +202,21 @@ def test_the_view_of_nothing_finite_is_still_a_view():
     (x0, x1), (y0, y1), _ = view_box(np.full((3, 1, 2), np.nan), np.full((1, 2), np.nan))
     assert x0 < x1
     assert y0 < y1
+
+
+@pytest.mark.parametrize("angle", [0.0, 0.7])
+def test_the_line_of_a_contact_crosses_the_whole_picture_of_a_motion(angle):
+    mechanism = Mechanism()
+    mechanism.body("block", mass=1, inertia=0.1, position=(0, 0))
+    line = {"line": {"point": [3.0, 0.0], "normal": [-np.sin(angle), np.cos(angle)]}}
+    mechanism.contact("floor", mechanism.ground, "block", shapes=[line, {"point": [0.0, -0.1]}])
+    drawing = draw_mechanism(mechanism)
+    poses = np.array([[[0.0, 0.0, 0.0]], [[50.0, 0.0, 0.0]]])  # the block slides far away
+    xlim, ylim, _ = view_box(np.zeros((1, 1, 2)), drawing.world(poses))
+    (ends,) = drawing.lines
+    start, end = drawing.spanning(xlim, ylim, poses).world(poses[0], ends)
+    along = np.array([np.cos(angle), np.sin(angle)])
+    corners = np.array([[x, y] for x in xlim for y in ylim])
+    np.testing.assert_allclose((np.array([start, end]) - [3.0, 0.0]) @ [-along[1], along[0]], 0.0, atol=1e-9)
+    assert min(start @ along, end @ along) < (corners @ along).min()
+    assert max(start @ along, end @ along) > (corners @ along).max()
