@@ -50,6 +50,11 @@ class Headline(NamedTuple):
         """The number, or the larger value between rows if it is known."""
         return self.value if math.isnan(self.missed) else self.value + self.missed
 
+    @property
+    def misses(self) -> bool:
+        """Whether the value between rows is known, and clearly larger than the number."""
+        return self.missed > (NEGLIGIBLE if math.isnan(self.error) else MISSED) * abs(self.largest)
+
     def text(self, sign: str = "+-") -> str:
         """Return the number with the digits that its error justifies, its error and its unit.
 
@@ -57,7 +62,7 @@ class Headline(NamedTuple):
         unknown, the text says that the number is that of the rows.
         """
         unit = self.unit.removesuffix("1")
-        if self.missed > (NEGLIGIBLE if math.isnan(self.error) else MISSED) * abs(self.largest):
+        if self.misses:
             between = f"{self.largest:.{MOST_DIGITS}g} {unit}".rstrip()
             return f"{self.value:.4g} {unit}".rstrip() + f" in the recorded rows, {between} between them"
         known = f"{self.value:.{MOST_DIGITS}g}" if math.isnan(self.error) else plus_minus(self.value, self.error, sign)
@@ -148,7 +153,9 @@ def _activations(run: Run) -> list[Headline]:
 def _contacts(run: Run) -> list[Headline]:
     if not run.records("contacts/normal_force"):
         return []
-    return _largest("normal force at", list(run.contacts), run.array("contacts/normal_force"), "N", None)[:2]
+    names, force = list(run.contacts), run.array("contacts/normal_force")
+    missed = missed_between_rows(run, "contacts.normal_force", names, force)
+    return _largest("normal force at", names, force, "N", None, missed)[:2]
 
 
 def _errors(run: Run, name: str, size: np.ndarray) -> np.ndarray | None:

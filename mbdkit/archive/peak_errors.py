@@ -68,9 +68,13 @@ def peak_errors(run: Run, name: str, size: np.ndarray, count: int) -> np.ndarray
 
 
 def expression_of_largest(quantity: str, name: str) -> str:
-    """Return the expression of the largest magnitude of a quantity, such as ``joints.force``, of the element `name`."""
-    kind, attribute = quantity.split(".")
-    return f"max(abs({kind}[{name!r}].{attribute}))"
+    """Return the expression of the largest value of a quantity of the element `name`.
+
+    The quantity is one of magnitudes, such as ``joints.force``, or the overlap of a contact, ``-contacts.gap``.
+    """
+    kind, attribute = quantity.removeprefix("-").split(".")
+    value = f"{kind}[{name!r}].{attribute}"
+    return f"max(-{value})" if quantity.startswith("-") else f"max(abs({value}))"
 
 
 def missed_by_rows(integrals: Integrals, quantity: str, names: Sequence[str], size: np.ndarray) -> np.ndarray:
@@ -79,22 +83,27 @@ def missed_by_rows(integrals: Integrals, quantity: str, names: Sequence[str], si
     Parameters
     ----------
     integrals
-        Integrals and extrema of the run, which contain the largest values of checked runs whose rows skip steps.
+        Integrals and extrema of the run. Those of checked runs contain the largest values; see
+        `mbdkit.runs.integrals.largest_loads_of`.
     quantity, names
-        Quantity, such as ``joints.force``, and names of the elements.
+        Quantity as in `expression_of_largest`, and names of the elements.
     size
-        (T, E) magnitudes in all rows.
+        (T, E) values in all rows.
     """
     largest = [integrals.get(expression_of_largest(quantity, name), np.nan) for name in names]
     return np.asarray(np.maximum(np.array(largest, dtype=float) - np.max(size, axis=0), 0.0))
 
 
 def missed_between_rows(run: Run, quantity: str, names: Sequence[str], size: np.ndarray) -> np.ndarray | None:
-    """Return the result of `missed_by_rows` for a simulated run; None if every step is recorded."""
-    output = run.spec.get("output") or {}
-    if run.kind == "inverse" or (output.get("interval") is None and (output.get("every") or 1) == 1):
+    """Return the result of `missed_by_rows` for a simulated run; None if every step is recorded and a result is
+    unknown.
+    """
+    if run.kind == "inverse":
         return None
-    return missed_by_rows(run.integrals, quantity, names, size)
+    found = missed_by_rows(run.integrals, quantity, names, size)
+    output = run.spec.get("output") or {}
+    records_steps = output.get("interval") is None and (output.get("every") or 1) == 1
+    return None if records_steps and np.any(np.isnan(found)) else found
 
 
 def jumps(run: Run) -> np.ndarray:

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from mbdkit.archive.headlines import ROUND_OFF, Headline, headlines, plus_minus
-from mbdkit.archive.peak_errors import errors_of_frames, peak_errors
+from mbdkit.archive.headlines import MISSED, ROUND_OFF, Headline, headlines, plus_minus
+from mbdkit.archive.peak_errors import errors_of_frames, missed_between_rows, peak_errors
 from mbdkit.base.errors import MbdkitError
 from mbdkit.base.text import counted, listed, shown
 from mbdkit.mechanism.beams import beam_of
@@ -469,16 +469,21 @@ def _contacts(run: Run) -> str:
 
     The deepest overlap comes first; overlaps and creep that are rounding errors are left out.
     """
-    parts = []
-    for name, contact in run.contacts.items():
-        row = int(np.argmin(contact.gap))
-        depth = -float(contact.gap[row])
+    if not run.contacts:
+        return ""
+    overlaps, parts = -np.stack([contact.gap for contact in run.contacts.values()], axis=1), []
+    missed = missed_between_rows(run, "-contacts.gap", list(run.contacts), overlaps)
+    beyond = np.zeros(len(run.contacts)) if missed is None else missed
+    for (name, contact), own, more in zip(run.contacts.items(), overlaps.T, np.nan_to_num(beyond), strict=True):
+        row = int(np.argmax(own))
+        depth = float(own[row] + more)
         if depth > EXACT:
+            when = f"at {run.time[row]:.4g} s" if more <= MISSED * depth else "between the recorded rows"
             creep = np.max(np.abs(contact.slip[contact.mode == STICK]), initial=0.0)
             crept = f", creeps at up to {creep:.2g} m/s" if creep > EXACT else ""
-            parts.append((depth, f"{name} overlaps by up to {depth:.3g} m at {run.time[row]:.4g} s{crept}"))
-    if run.contacts and not parts:
-        return f"no overlap above {EXACT:g} m"
+            parts.append((depth, f"{name} overlaps by up to {depth:.3g} m {when}{crept}"))
+    if not parts:
+        return f"no overlap above {EXACT:g} m{' in the recorded rows' if np.any(np.isnan(beyond)) else ''}"
     parts.sort(key=lambda one: -one[0])
     more = f"; {len(parts) - JOINTS_NAMED} more" if len(parts) > JOINTS_NAMED else ""
     return "; ".join(text for _, text in parts[:JOINTS_NAMED]) + more

@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from mbdkit.archive.headlines import ROUND_OFF, plus_minus
-from mbdkit.archive.peak_errors import peak_errors
+from mbdkit.archive.headlines import ROUND_OFF, Headline, plus_minus
+from mbdkit.archive.peak_errors import missed_between_rows, peak_errors
 from mbdkit.figures.beam_curves import bending_moments, distributed_loads, has_beams
 from mbdkit.figures.curves import BEYOND, Array, blocks, take
 from mbdkit.figures.mechanism_drawing import NARROW, WIDE, NamedPose, mechanism_svg
@@ -74,6 +74,9 @@ class _Quantity:
     known_until
         Time of the last row whose errors are known [s]: inf if all errors are known, -inf if none are, nan if errors
         were not estimated.
+    missed
+        (J,) by how much the largest values between rows exceed `peaks`, nan where unknown; zero if every step is
+        recorded.
     """
 
     name: str
@@ -82,6 +85,7 @@ class _Quantity:
     known: Peaks | None
     error: Array
     known_until: float
+    missed: Array
 
     @property
     def is_complete(self) -> bool:
@@ -110,8 +114,13 @@ class _Quantity:
         return cells
 
     def told(self, joint: int) -> str:
-        """Return the largest value of a joint with its error and time, as text."""
+        """Return the largest value of a joint with its error and time or, if the value between rows is clearly larger,
+        with that value, as text.
+        """
         value, time = float(self.peaks.value[joint]), float(self.peaks.time[joint])
+        one = Headline(self.name, value, self.unit, float(self.error[joint]), float(self.missed[joint]))
+        if one.misses:
+            return one.text("±")
         if self.known is None or time > self.known_until:
             unknown = "" if self.known is None else ", error unknown"
             return f"{value:.4g} {self.unit} (at {time:.4g} s{unknown})"
@@ -154,8 +163,10 @@ def _of_joints(run: Run) -> tuple[list[Table], list[str]]:
 def _quantity(run: Run, name: str, unit: str, path: str, magnitude: Callable[[Array], Array]) -> _Quantity:
     time, data, accuracy = np.asarray(run.time), run.dataset(path), run.accuracy
     peaks = Peaks.of(time, data, magnitude)
+    beyond = missed_between_rows(run, f"joints.{name}", run.joint_names, peaks.value[None])
+    missed = np.zeros(len(peaks.value)) if beyond is None else beyond
     if accuracy is None:
-        return _Quantity(name, unit, peaks, None, np.full(len(peaks.value), np.nan), math.nan)
+        return _Quantity(name, unit, peaks, None, np.full(len(peaks.value), np.nan), math.nan, missed)
     count = accuracy.rows_known
     error: np.ndarray | None = None
     if count:
@@ -164,7 +175,7 @@ def _quantity(run: Run, name: str, unit: str, path: str, magnitude: Callable[[Ar
     error = np.full(len(peaks.value), np.nan) if error is None else error
     until = math.inf if accuracy.is_complete else accuracy.known_until if count else -math.inf
     known = peaks if accuracy.is_complete else Peaks.of(time[:count], data, magnitude)
-    return _Quantity(name, unit, peaks, known if count else None, error, until)
+    return _Quantity(name, unit, peaks, known if count else None, error, until, missed)
 
 
 def _table(run: Run, name: str, title: str, columns: Sequence[int], found: Sequence[_Quantity], floor: float) -> Table:

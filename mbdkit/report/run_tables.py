@@ -101,7 +101,7 @@ def _contacts(run: Run) -> Table:
         cells = overlap, creep, force, len(own), float(np.max(own)) if len(own) else None
         rows.append((name, " - ".join(contact.bodies), *cells))
     rows.sort(key=lambda row: -float(row[2] or 0.0))
-    note = "Overlap and creep, the slip of a contact that sticks, are those at the recorded times."
+    note = "Overlap, creep (the slip of a contact that sticks) and normal force are those at the recorded times."
     if len(rows) > JOINTS:
         note += f" The {JOINTS} of {len(rows)} contacts with the largest overlap."
     return Table("contacts", "Overlap and creep of the contacts", columns, tuple(rows[:JOINTS]), note)

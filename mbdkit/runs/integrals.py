@@ -45,18 +45,27 @@ def expressions_of(spec: RunSpec, expressions: Iterable[str] = ()) -> tuple[str,
     return tuple(dict.fromkeys(texts))
 
 
-def largest_loads_of(spec: RunSpec) -> tuple[str, ...]:
-    """Return expressions of the largest force and torque of each joint, for checked runs whose rows skip steps.
+def largest_loads_of(spec: RunSpec, contacts: Sequence[str]) -> tuple[str, ...]:
+    """Return expressions of the largest loads of a checked run, to determine what its rows miss between them.
 
-    They determine the part of the peaks that the rows miss; see `mbdkit.archive.peak_errors`.
+    These are the largest normal force and overlap of each contact and, if rows skip steps, the largest force and torque
+    of each joint; see `mbdkit.archive.peak_errors`.
+
+    Parameters
+    ----------
+    contacts
+        Names of the contacts.
     """
-    if not spec.estimates_errors or steps_are_rows(spec):
+    if not spec.estimates_errors:
         return ()
-    return tuple(
-        expression_of_largest(quantity, name)
-        for quantity in ("joints.force", "joints.torque")
-        for name in spec.mechanism().joints
-    )
+    joints = () if steps_are_rows(spec) else tuple(spec.mechanism().joints)
+    loads = {
+        "joints.force": joints,
+        "joints.torque": joints,
+        "contacts.normal_force": contacts,
+        "-contacts.gap": contacts,
+    }
+    return tuple(expression_of_largest(quantity, name) for quantity, names in loads.items() for name in names)
 
 
 def functionals_of(spec: RunSpec, expressions: Iterable[str] = ()) -> tuple[Functional, ...]:

@@ -229,7 +229,8 @@ class _Preparation:
         if _LOG.isEnabledFor(logging.DEBUG):
             _LOG.debug("mechanism: %s; start: %s", workspace.mechanism.freedoms(), start.describe())
         check_disk_space(spec, workspace.mechanism, self.path)
-        functionals = functionals_of(spec, (*self.measures, *largest_loads_of(spec)))
+        loads = largest_loads_of(spec, archive_names(workspace.mechanism).names_of("contacts"))
+        functionals = functionals_of(spec, (*self.measures, *loads))
         noted: list[bool] = []
         noting = _not_noted if self.begun is _begun_arrays else interrupts_noted
         with noting(lambda: noted.append(True)):  # otherwise the archive could not be removed after Ctrl-C

@@ -6,9 +6,10 @@ import math
 
 import numpy as np
 import pytest
+from scipy.optimize import brentq
 
 import mbdkit
-from mbdkit.archive.headlines import largest_loads
+from mbdkit.archive.headlines import headlines, largest_loads
 from mbdkit.archive.peak_errors import excess_between_rows, jumps, peak_errors
 from mbdkit.archive.run_summary import accuracy_sentence, summary
 
@@ -121,3 +122,24 @@ def test_errors_are_unknown_if_rows_skip_steps_of_an_archive_without_largest_val
     assert np.all(np.isnan(errors))
     assert accuracy_sentence(run).startswith("positions known to")
     assert " N in the recorded rows\n" in summary(run)
+
+
+def test_an_impact_between_rows_has_its_force_and_overlap() -> None:
+    """A ball falls on a compliant floor; at the turn, its weight has done the work of the force k d^1.5."""
+    mass, height, stiffness = 1.0, 0.2, 1e6
+    ball = {"mass": mass, "inertia": 0.004, "position": [0.0, 0.1 + height]}
+    floor = {
+        "bodies": ["ground", "ball"],
+        "shapes": [{"line": {"normal": [0.0, 1.0]}}, {"circle": {"radius": 0.1}}],
+        "compliance": {"stiffness": stiffness},
+    }
+    run = mbdkit.run(
+        {"mbdkit": 1, "model": {"name": "mechanism", "bodies": {"ball": ball}, "contacts": {"floor": floor}}},
+        contact={"treatment": "compliant"}, integrator={"name": "dop853", "adaptive": True, "rtol": 1e-8},
+        time={"end": 0.3}, output={"interval": 0.15}, check=True,
+    )  # fmt: skip
+    depth = brentq(lambda d: mass * 9.81 * (height + d) - 0.4 * stiffness * d**2.5, 1e-4, 0.1)
+    (force,) = headlines(run)
+    assert force.value == 0.0
+    assert force.largest == pytest.approx(stiffness * depth**1.5, rel=1e-6)
+    assert f"floor overlaps by up to {depth:.3g} m between the recorded rows" in summary(run)
