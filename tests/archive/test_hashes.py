@@ -15,6 +15,7 @@ import numpy as np
 import pytest
 
 from mbdkit.archive.fingerprint import data_sha256
+from mbdkit.archive.finished_run import ArrayHash, SharedDigests
 from mbdkit.archive.layout import LAYOUT, is_timing
 from mbdkit.archive.run_writer import Ending
 from mbdkit.quantities.array import TEXT
@@ -132,3 +133,20 @@ def test_attributes_have_the_hash_that_the_document_defines(archive: Path) -> No
                 lines.append(f"{path}@{name} {kind} {shape} {hashlib.sha256(content).hexdigest()}\n")
         expected = hashlib.sha256("".join(sorted(lines)).encode()).hexdigest()
         assert file.attrs["attributes_sha256"] == expected
+
+
+def test_only_digests_of_arrays_with_equal_bits_are_shared() -> None:
+    shared = SharedDigests(ArrayHash(names(1, 1, 1), ()))
+
+    def digests(**values: list[float]) -> dict[str, str]:
+        """Return the digests shared by runs, of which each recorded one of the `values` of each array five times."""
+        return shared.of({key: np.repeat(np.array(value)[:, None], 5, axis=1) for key, value in values.items()})
+
+    def digest(value: float) -> str:
+        return hashlib.sha256(np.full(5, value).tobytes()).hexdigest()
+
+    assert digests(a=[1.0, 1.0], b=[0.0, -0.0], c=[np.nan, np.nan]) == {"a": digest(1.0), "c": digest(np.nan)}
+    assert digests(a=[1.0], b=[3.0], c=[np.nan]) == {"a": digest(1.0), "c": digest(np.nan)}
+    assert digests(a=[2.0, 2.0, 2.0], b=[3.0, 3.0, 3.0], c=[0.0, 1.0, 0.0]) == {"a": digest(2.0)}
+    assert digests(a=[2.0, 1.0], b=[3.0, 3.0], c=[0.0, 0.0]) == {}
+    assert digests(a=[2.0], b=[3.0], c=[0.0]) == {}
