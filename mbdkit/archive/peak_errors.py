@@ -90,7 +90,11 @@ def missed_by_rows(integrals: Integrals, quantity: str, names: Sequence[str], si
     size
         (T, E) values in all rows.
     """
-    largest = [integrals.get(expression_of_largest(quantity, name), np.nan) for name in names]
+    other = {"joints.force": "joints.torque", "joints.torque": "joints.force"}.get(quantity, quantity)
+    # loads that are always zero, such as the torque of a pin, are left out of the largest values
+    unknown = [0.0 if expression_of_largest(other, name) in integrals else np.nan for name in names]
+    texts = [expression_of_largest(quantity, name) for name in names]
+    largest = [integrals.get(text, value) for text, value in zip(texts, unknown, strict=True)]
     return np.asarray(np.maximum(np.array(largest, dtype=float) - np.max(size, axis=0), 0.0))
 
 

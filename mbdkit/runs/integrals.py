@@ -21,6 +21,7 @@ from mbdkit.archive.peak_errors import expression_of_largest
 from mbdkit.engine.observed_states import StateObserver
 from mbdkit.measures.measure_expression import MeasureExpression
 from mbdkit.measures.reductions import EventTimes, Functional, Series
+from mbdkit.mechanism.joints import Distance, Revolute
 from mbdkit.quantities.names import archive_names
 from mbdkit.quantities.quantity import Quantity
 from mbdkit.quantities.states import States
@@ -49,7 +50,7 @@ def largest_loads_of(spec: RunSpec, contacts: Sequence[str]) -> tuple[str, ...]:
     """Return expressions of the largest loads of a checked run, to determine what its rows miss between them.
 
     These are the largest normal force and overlap of each contact and, if rows skip steps, the largest force and torque
-    of each joint; see `mbdkit.archive.peak_errors`.
+    of each joint, except those that are always zero; see `mbdkit.archive.peak_errors`.
 
     Parameters
     ----------
@@ -58,10 +59,14 @@ def largest_loads_of(spec: RunSpec, contacts: Sequence[str]) -> tuple[str, ...]:
     """
     if not spec.estimates_errors:
         return ()
-    joints = () if steps_are_rows(spec) else tuple(spec.mechanism().joints)
+    joints = {} if steps_are_rows(spec) else spec.mechanism().joints
     loads = {
-        "joints.force": joints,
-        "joints.torque": joints,
+        "joints.force": [name for name, joint in joints.items() if joint.rows != ("angle",)],
+        "joints.torque": [
+            name
+            for name, joint in joints.items()
+            if not isinstance(joint, Revolute | Distance) or getattr(joint, "friction", None) is not None
+        ],
         "contacts.normal_force": contacts,
         "-contacts.gap": contacts,
     }
