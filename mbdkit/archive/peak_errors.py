@@ -11,7 +11,6 @@ from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy.interpolate import BarycentricInterpolator, CubicSpline
 
 from mbdkit.archive.measured_values import Integrals
 
@@ -187,6 +186,8 @@ def _above_rows(time: np.ndarray, size: np.ndarray, recorded: np.ndarray, ends: 
     """Return estimated upper bounds (J,) of continuous curves between the rows, and up to those `ends` that are not
     None.
     """
+    from scipy.interpolate import BarycentricInterpolator  # runs import this module, but rarely need SciPy's
+
     if len(time) < 2:
         return recorded
     above = [recorded]
@@ -218,6 +219,8 @@ def _above_parabolas(time: np.ndarray, size: np.ndarray) -> np.ndarray:
 
 def _above_spline(time: np.ndarray, size: np.ndarray) -> np.ndarray:
     """Return the largest values (J,) of cubic splines at their stationary points."""
+    from scipy.interpolate import CubicSpline
+
     a, b, c, d = CubicSpline(time, size).c
     with np.errstate(divide="ignore", invalid="ignore"):
         root = np.sqrt(b**2 - 3.0 * a * c)
