@@ -337,10 +337,11 @@ def _energy(run: Run) -> str:
     drift = float(np.max(np.abs(run.energy.balance)))
     most = float(np.max(run.energy.kinetic))
     largest = max(drift, *(float(np.max(np.abs(run.array(f"energy/{one}")))) for one in ("potential", "work")))
-    # The verdict also uses the kinetic energy in steps that are not recorded.
-    which = "largest" if len(run.time) > run.stats.get("steps", 0) else "largest recorded"
-    share = f", {drift / most:.2g} of the {which} kinetic energy" if most > rounding(largest) else ""
-    return f"balance within {drift:.3g} J{share}"
+    # The verdict also uses the kinetic energy in steps that are not recorded, and states the share if it is large.
+    recorded = "" if len(run.time) > run.stats.get("steps", 0) else "recorded "
+    is_stated = recorded and any("of the largest kinetic energy" in reason for reason in run.verdict_reasons)
+    share = f", {drift / most:.2g} of the largest {recorded}kinetic energy"
+    return f"balance within {drift:.3g} J{share if most > rounding(largest) and not is_stated else ''}"
 
 
 def _drivers(run: Run) -> str:
