@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -97,6 +97,17 @@ def missed_by_rows(integrals: Integrals, quantity: str, names: Sequence[str], si
     return np.asarray(np.maximum(np.array(largest, dtype=float) - np.max(size, axis=0), 0.0))
 
 
+def missed_of_verdict(
+    missed: np.ndarray | None, names: Sequence[str], measures: Mapping[str, object]
+) -> np.ndarray | None:
+    """Return the forces (J,) that the rows of a run miss, as they count in its verdict.
+
+    They do not count for joints whose largest force is a measure, because the run states it with its own error.
+    """
+    own = measures_of_largest(measures, "joints.force")
+    return None if missed is None else np.where([name in own for name in names], 0.0, missed)
+
+
 def missed_between_rows(run: Run, quantity: str, names: Sequence[str], size: np.ndarray) -> np.ndarray | None:
     """Return the result of `missed_by_rows` for a simulated run; None if every step is recorded and a result is
     unknown.
@@ -104,9 +115,13 @@ def missed_between_rows(run: Run, quantity: str, names: Sequence[str], size: np.
     if run.kind == "inverse":
         return None
     found = missed_by_rows(run.integrals, quantity, names, size)
-    output = run.spec.get("output") or {}
-    records_steps = output.get("interval") is None and (output.get("every") or 1) == 1
-    return None if records_steps and np.any(np.isnan(found)) else found
+    return None if not skips_steps(run.spec) and np.any(np.isnan(found)) else found
+
+
+def skips_steps(spec: Mapping[str, Any]) -> bool:
+    """Return whether the rows of runs of a spec may skip ends of steps."""
+    output = spec.get("output") or {}
+    return output.get("interval") is not None or (output.get("every") or 1) > 1
 
 
 def jumps(run: Run) -> np.ndarray:
@@ -144,18 +159,32 @@ def errors_of_frames(run: Run, quantity: str, names: Sequence[str], size: np.nda
     """
     rows = np.argmax(np.nan_to_num(size), axis=0)
     found = np.take_along_axis(errors, rows[None], axis=0)[0].copy()
-    kind, attribute = quantity.split(".")
-    for measure, defined in (run.spec.get("measures") or {}).items():
-        match = _LARGEST.fullmatch("".join(str(defined["value"] if isinstance(defined, Mapping) else defined).split()))
-        if match is None or (match["kind"], match["attribute"]) != (kind, attribute):
-            continue
-        name = match["name"] or match["quoted"]
+    for name, measure in measures_of_largest(run.spec.get("measures") or {}, quantity).items():
         if name in names and measure in run.measures:
             place = list(names).index(name)
             is_same = np.isclose(run.measures[measure], size[rows[place], place], rtol=1e-9, atol=0.0)
             if is_same and np.isfinite(run.measure_errors[measure]):
                 found[place] = run.measure_errors[measure]
     return np.asarray(found)
+
+
+def measures_of_largest(measures: Mapping[str, object], quantity: str) -> dict[str, str]:
+    """Return the measures of the largest magnitude of a quantity, such as ``joints.force``, by name of the element.
+
+    Parameters
+    ----------
+    measures
+        The section `measures` of a spec.
+    quantity
+        Quantity of joints or actuators.
+    """
+    found = {}
+    for measure, defined in measures.items():
+        value = defined.get("value") if isinstance(defined, Mapping) else defined
+        match = _LARGEST.fullmatch("".join(str(value).split()))
+        if match is not None and f"{match['kind']}.{match['attribute']}" == quantity:
+            found[match["name"] or match["quoted"]] = measure
+    return found
 
 
 def excess_between_rows(time: np.ndarray, size: np.ndarray, jumps: Sequence[float] | np.ndarray = ()) -> np.ndarray:

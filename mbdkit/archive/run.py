@@ -264,6 +264,8 @@ class Run(HtmlView):
     def integrals(self) -> Integrals:
         """Integrals over time and extrema that the measures of the run need, by expression, in SI units.
 
+        Those of checked runs also contain the largest loads that recorded rows may miss.
+
         See `mbdkit.runs.integrals`.
         """
         return self._contents.integrals()

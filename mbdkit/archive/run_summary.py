@@ -9,7 +9,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from mbdkit.archive.headlines import MISSED, ROUND_OFF, Headline, headlines, plus_minus
-from mbdkit.archive.peak_errors import errors_of_frames, missed_between_rows, peak_errors
+from mbdkit.archive.peak_errors import (
+    errors_of_frames,
+    measures_of_largest,
+    missed_between_rows,
+    peak_errors,
+    skips_steps,
+)
 from mbdkit.base.errors import MbdkitError
 from mbdkit.base.text import counted, listed, shown
 from mbdkit.mechanism.beams import beam_of
@@ -206,9 +212,13 @@ def accuracy_sentence(run: Run) -> str:
         size = np.linalg.norm(run.array("joints/reaction_force"), axis=2)[: accuracy.rows_known]
         joint = int(np.argmax(np.max(size, axis=0)))
         errors = peak_errors(run, "reaction_error", size, accuracy.rows_known)
-        if (largest := float(np.max(size))) > 0 and errors is not None and not math.isnan(errors[joint]):
-            value = plus_minus(largest, float(errors[joint])).partition(" ")[0]
-            known = f"largest force in {run.joint_names[joint]}{until} {value} N, known to {errors[joint]:.2g} N"
+        largest, error = float(np.max(size)), math.nan if errors is None else float(errors[joint])
+        measure = measures_of_largest(run.spec.get("measures") or {}, "joints.force").get(run.joint_names[joint], "")
+        if accuracy.is_complete and run.measures.units.get(measure) == "N":
+            largest, error = run.measures[measure], run.measure_errors[measure]
+        if largest > 0 and not math.isnan(error):
+            value = plus_minus(largest, error).partition(" ")[0]
+            known = f"largest force in {run.joint_names[joint]}{until} {value} N, known to {error:.2g} N"
             return f"{known}; {position}{until}{afterwards}"
     return f"{position}{until}{afterwards}"
 
@@ -357,7 +367,8 @@ def _drivers(run: Run) -> str:
         if largest > floor:
             row, column = np.unravel_index(int(np.nanargmax(size)), size.shape)
             parts.append(f"largest {name} {largest:.4g} {unit}, of {run.drivers[column]} at {run.time[row]:.4g} s")
-    return "; ".join(parts)
+    rows = ", in the recorded rows" if parts and skips_steps(run.spec) else ""
+    return "; ".join(parts) + rows
 
 
 def _smoothing(spec: Mapping[str, Any]) -> str:

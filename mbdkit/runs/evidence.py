@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Protocol
 
 import numpy as np
 
 from mbdkit.archive.accuracy import Accuracy
 from mbdkit.archive.measured_values import Integrals
-from mbdkit.archive.peak_errors import missed_by_rows
+from mbdkit.archive.peak_errors import missed_by_rows, missed_of_verdict
 from mbdkit.engine.compiled_mechanism import CompiledMechanism
 from mbdkit.runs.recorded_states import ObservedRows
 from mbdkit.runs.recorder import Recorder
@@ -97,6 +97,7 @@ def estimated_errors(
     position_error: float,
     missed: str = "",
     integrals: Integrals | None = None,
+    measures: Mapping[str, object] | None = None,
 ) -> EstimatedErrors:
     """Return the estimated errors of a checked run in the form used by the verdict.
 
@@ -112,11 +113,14 @@ def estimated_errors(
         Reason why the requested accuracy is not reached, as a clause.
     integrals
         Integrals and extrema of a run whose rows skip steps; None if every step is recorded.
+    measures
+        Expressions of the measures of the run, by name.
     """
     rows, joints = ObservedRows.joined(recorder.kept or []), recorder.workspace.mechanism.joints
     beyond = None
     if integrals is not None:
         beyond = missed_by_rows(integrals, "joints.force", joints, np.linalg.norm(rows.force, axis=2))
+        beyond = missed_of_verdict(beyond, joints, measures or {})
     figures = accuracy.figures(joints, rows.force, beyond)
     worst = figures.worst_joint
     between = ""

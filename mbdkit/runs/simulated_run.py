@@ -448,7 +448,8 @@ class SimulatedRun:
             missed = missed_because(self.accuracy, self.tried, self.failure)
             position = PositionMeasure.of(self.spec, self.workspace).known(self.accuracy)
             between = None if steps_are_rows(self.spec) else totals
-            errors = estimated_errors(self.recorder, self.accuracy, position, missed, between)
+            measures = {one.name: one.expression for one in self.spec.defined_measures() if one.item is None}
+            errors = estimated_errors(self.recorder, self.accuracy, position, missed, between, measures)
         judgement = judge(evidence, errors)
         message = f"{status}: {reason.removeprefix('interrupted: ')}" if reason else status
         level = logging.WARNING if status == "failed" else logging.INFO

@@ -14,7 +14,7 @@ from mbdkit.analysis.energy import Trend, trends
 from mbdkit.analysis.reference import EVERY_ROW, LAST_ROW, carries_multipliers, common_rows, multiplier_error, offsets
 from mbdkit.archive.history import NotRecordedError
 from mbdkit.archive.layout import BY_PATH
-from mbdkit.archive.peak_errors import missed_between_rows
+from mbdkit.archive.peak_errors import missed_between_rows, missed_of_verdict
 from mbdkit.base.errors import MbdkitError
 from mbdkit.mechanism.size import mechanism_sizes
 from mbdkit.spec.study_measures import REFERENCE, SECOND_RUN
@@ -346,6 +346,7 @@ def _reaction_error_share(run: Run, reference: Run | None) -> float:
         return math.nan
     force = run.array("joints/reaction_force")
     missed = missed_between_rows(run, "joints.force", run.joint_names, np.linalg.norm(force, axis=2))
+    missed = missed_of_verdict(missed, run.joint_names, run.spec.get("measures") or {})
     worst = run.accuracy.figures(run.joint_names, force, missed).worst_joint
     return 0.0 if worst is None else worst.share
 

@@ -68,7 +68,7 @@ def test_forces_that_jump_at_impacts_have_small_errors() -> None:
 MASS, ARM, SPEED = 2.0, 0.5, 2.0 * math.pi
 
 
-def _turning(**output: float) -> mbdkit.Run:
+def _turning(measures: dict[str, str] | None = None, **output: float) -> mbdkit.Run:
     """A crank that a motor turns once in a second; it starts at the top, where its force is smallest.
 
     The pin exerts the centripetal force m r w^2 and carries the weight m g, so that its force is between the difference
@@ -84,7 +84,7 @@ def _turning(**output: float) -> mbdkit.Run:
     }
     return mbdkit.run(
         {"mbdkit": 1, "model": model, "integrator": {"name": "gauss", "stages": 3}},
-        time={"end": 3.0, "step": 0.005}, output=output, check=True,
+        time={"end": 3.0, "step": 0.005}, output=output, check=True, measures=measures or {},
     )  # fmt: skip
 
 
@@ -101,6 +101,13 @@ def test_peaks_that_all_rows_miss_make_a_run_bad(output: dict[str, float]) -> No
     assert force.text() == "19.86 N in the recorded rows, 59.0984 N between them"
     assert run.verdict == "bad"
     assert "the force in joint 'pin' reaches 59.1 N, in the recorded rows 19.86 N" in run.verdict_reasons[0]
+
+
+def test_a_largest_force_that_is_a_measure_has_one_value_and_does_not_depend_on_rows() -> None:
+    run = _turning({"peak": "max(abs(joints.pin.force))"}, every=200)
+    assert run.measures["peak"] == pytest.approx(MASS * (ARM * SPEED**2 + 9.81), rel=1e-9)
+    assert accuracy_sentence(run).startswith("largest force in pin 59.0984 N, known to ")
+    assert run.verdict == "good"
 
 
 def test_rows_that_miss_little_have_small_errors() -> None:
