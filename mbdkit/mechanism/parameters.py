@@ -338,7 +338,10 @@ def _replacements(
         except SpecError as error_of_unit:
             raise error_of_unit.located(prefix=path_text(path)) from None
         if isinstance(inner, ExpressionError) and isinstance(text, str) and values:
-            yield path, text, next(kind for error, kind in _KINDS if isinstance(inner, error))
+            kind = next(kind for error, kind in _KINDS if isinstance(inner, error))
+            if kind == "function of time":
+                _check_unit(text, values, details["loc"], path, data, root, plugins, of_time=True)
+            yield path, text, kind
         elif details["type"] == "float_type" and _is_expression(text, values):
             _check_unit(text, values, details["loc"], path, data, root, plugins)
             yield path, text, "number"
@@ -380,12 +383,20 @@ def _units_of(location: Path, data: Any, root: Any, plugins: PluginLookup) -> tu
 
 
 def _check_unit(
-    text: str, values: Values, location: Path, path: Path, data: Any, root: Any, plugins: PluginLookup
+    text: str,
+    values: Values,
+    location: Path,
+    path: Path,
+    data: Any,
+    root: Any,
+    plugins: PluginLookup,
+    *,
+    of_time: bool = False,
 ) -> None:
     """Raise SpecError for an expression whose unit does not suit its key."""
     known = values.units if isinstance(values, ParameterValues) else {}
     try:
-        unit = unit_of_expression(text, known) if known else None
+        unit = unit_of_expression(text, known, of_time=of_time) if known else None
     except SpecError as error:
         raise error.located(prefix=path_text(path)) from None
     units = None if unit is None else _units_of(location, data, root, plugins)

@@ -220,3 +220,51 @@ def test_stiffness_and_dissipation_of_a_contact_have_the_units_of_its_law() -> N
     ):
         with pytest.raises(SpecError, match=rf"has the unit .*, but this is a number in {unit}$"):
             compliance(law, **numbers)
+
+
+def _driven(motion: str, load: str = "0", torque: str = "0", **parameters: str) -> None:
+    ground = {"bodies": ["ground", "crank"]}
+    driver = {"type": "driver", **ground, "coordinate": "angle", "motion": motion}
+    forces = {
+        "load": {"type": "force", "body": "crank", "value": [0, load]},
+        "twist": {"type": "torque", "body": "crank", "value": torque},
+    }
+    model = {
+        "name": "mechanism",
+        "bodies": {"crank": {"mass": 1.0, "inertia": 0.01}},
+        "joints": {"axle": {"type": "revolute", **ground, "at": [0, 0]}, "motor": driver},
+        "forces": forces,
+    }
+    time = {"end": 0.1, "step": 0.01}
+    load_spec({"mbdkit": 1, "parameters": parameters, "model": model, "integrator": {"name": "rk4"}, "time": time})
+
+
+@pytest.mark.parametrize(
+    ("motion", "load", "torque", "parameters"),
+    [
+        ("w*t", "-F", "T*sin(w*t)", {"w": "360 deg/s", "F": "3 kN", "T": "2 N m"}),
+        ("2*pi*f*t", "-F*(1 - exp(-t/0.1))", "F*a*cos(2*pi*f*t)", {"f": "6 Hz", "F": "3 N", "a": "5 mm"}),
+        ("a*t/0.5", "-m*g*min(t/0.5, 1)", "k*a", {"a": "30 deg", "m": "3 kg", "g": "9.81 m/s^2", "k": "2 N m"}),
+        ("w*t", "-F", "F*a", {"w": "6", "F": "3 N", "a": "0.1"}),  # a number without a unit can be any quantity
+    ],
+)
+def test_functions_of_time_accept_units_that_fit(motion: str, load: str, torque: str, parameters: Any) -> None:
+    _driven(motion, load, torque, **parameters)
+
+
+@pytest.mark.parametrize(
+    ("motion", "load", "torque", "parameters", "message"),
+    [
+        ("w*t", "0", "0", {"w": "6 Hz"}, r"motor\.motion.*is a number of cycles.*2\*pi\*w \* t"),
+        ("w*t", "0", "0", {"w": "6 m/s"}, r"motor\.motion: 'w\*t' has the unit m, but this is a number in rad"),
+        ("a*sin(3*t)", "0", "0", {"a": "300 mm"}, r"motor\.motion: .* has the unit m"),
+        ("0", "-F", "0", {"F": "3 kg"}, r"load\.value\[1\]: '-F' has the unit kg, but this is a number in N"),
+        ("0", "F*sin(f*t)", "0", {"F": "3 N", "f": "2 Hz"}, r"load\.value\[1\]: 'f \* t' is a number of cycles"),
+        ("0", "0", "b", {"b": "5 mm"}, r"twist\.value: 'b' has the unit mm, but this is a number in N m"),
+    ],
+)
+def test_functions_of_time_refuse_other_units(
+    motion: str, load: str, torque: str, parameters: Any, message: str
+) -> None:
+    with pytest.raises(SpecError, match=message):
+        _driven(motion, load, torque, **parameters)
