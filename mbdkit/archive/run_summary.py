@@ -350,7 +350,7 @@ def _energy(run: Run) -> str:
     # The verdict also uses the kinetic energy in steps that are not recorded, and states the share if it is large.
     recorded = "" if len(run.time) > run.stats.get("steps", 0) else "recorded "
     is_stated = recorded and any("of the largest kinetic energy" in reason for reason in run.verdict_reasons)
-    share = f", {drift / most:.2g} of the largest {recorded}kinetic energy"
+    share = f", {drift / most:.2g} of the largest {recorded}kinetic energy" if most > 0.0 else ""
     return f"balance within {drift:.3g} J{share if most > rounding(largest) and not is_stated else ''}"
 
 
