@@ -7,9 +7,11 @@ from collections.abc import Mapping
 from fractions import Fraction
 
 from mbdkit.base.errors import SpecError
-from mbdkit.base.units import PLAIN, Unit, read_unit
+from mbdkit.base.units import Unit, read_unit
 
 _SECOND = read_unit("s")
+_NUMBER = Unit("1")
+"""Unit of pure numbers and of angles in radians."""
 _PURE = frozenset({"sin", "cos", "tan", "asin", "acos", "atan", "atan2", "sinh", "cosh", "tanh", "exp", "log", "sign"})
 """Functions whose value is a pure number or an angle."""
 _OF_ANGLE = frozenset({"sin", "cos", "tan"})
@@ -73,7 +75,7 @@ class _Derived:
 
     def unit(self, node: ast.expr) -> Unit | None:
         if isinstance(node, ast.Constant) or _is_turn(node) or (isinstance(node, ast.Name) and node.id == "pi"):
-            return PLAIN
+            return _NUMBER
         if isinstance(node, ast.Name):
             return _SECOND if self.is_of_time and _is_time(node) else self.units.get(node.id)
         if isinstance(node, ast.UnaryOp):
@@ -105,7 +107,7 @@ class _Derived:
             self.check_cycles(node.args[0])
         operands = [self.unit(one) for one in node.args]
         if name in _PURE:
-            return PLAIN
+            return _NUMBER
         if name in _LIKE_OPERANDS:
             first = operands[0] if operands else None
             is_alike = first is not None and all(one is not None and first.is_like(one) for one in operands)
@@ -134,7 +136,7 @@ class _Derived:
         if not self.is_of_time or has_number or not cycles or "t" not in names:
             return
         unit = self.unit(node)
-        if unit is not None and unit.is_like(PLAIN):
+        if unit is not None and unit.is_like(_NUMBER):
             name = cycles[0]
             raise SpecError(
                 f"'{ast.unparse(node)}' is a number of cycles, because {name} has the unit {self.units[name]}; an "

@@ -246,6 +246,8 @@ def _driven(motion: str, load: str = "0", torque: str = "0", **parameters: str) 
         ("2*pi*f*t", "-F*(1 - exp(-t/0.1))", "F*a*cos(2*pi*f*t)", {"f": "6 Hz", "F": "3 N", "a": "5 mm"}),
         ("a*t/0.5", "-m*g*min(t/0.5, 1)", "k*a", {"a": "30 deg", "m": "3 kg", "g": "9.81 m/s^2", "k": "2 N m"}),
         ("w*t", "-F", "F*a", {"w": "6", "F": "3 N", "a": "0.1"}),  # a number without a unit can be any quantity
+        ("phi + t", "-F", "F*r", {"r": "90 mm", "d": "0.25", "phi": "max(0.1, atan2(d, r))", "F": "3 N"}),
+        ("phi", "-F", "F*r", {"r": "90 mm", "d": "250 mm", "phi": "acos(r/d)", "F": "3 N"}),
     ],
 )
 def test_functions_of_time_accept_units_that_fit(motion: str, load: str, torque: str, parameters: Any) -> None:
