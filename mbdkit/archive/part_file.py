@@ -36,7 +36,7 @@ def part_path(path: Path) -> Path:
 
 
 def checkpoint_path(part: Path) -> Path:
-    """Return the name of the checkpoint of a ``.part``."""
+    """Return the name of the checkpoint of a ``.part``, or of the archive of an interrupted run."""
     return part.with_name(f"{part.name}.checkpoint")
 
 
@@ -263,11 +263,16 @@ class Target:
         os.lseek(self._open_handle(), first, os.SEEK_SET)
         os.write(self._open_handle(), image[first : last + 1])
 
-    def publish(self) -> None:
-        """Remove the checkpoint, which is no longer needed, and rename the flushed .part to its final name.
+    def publish(self, *, keep: bool = False) -> None:
+        """Rename the flushed .part to its final name, and rename or remove its checkpoint.
 
         Unless `overwrite` is set, a file that was created there during the run is not replaced. The archive is still
         open and locked, so that other runs do not take the .part for that of a crashed run and remove it.
+
+        Parameters
+        ----------
+        keep
+            Whether the checkpoint is kept beside the archive, so that the run can be resumed.
 
         Raises
         ------
@@ -277,7 +282,8 @@ class Target:
         self._end_if_forked()
         if sys.platform == "win32" and self.file is not None:  # Windows cannot rename an open file
             self.file.close()
-        remove_checkpoint(self.part)
+        if not keep:
+            remove_checkpoint(self.part)
         try:
             if self.overwrite:
                 os.replace(self.part, self.path)
@@ -289,6 +295,11 @@ class Target:
             ) from error
         except OSError as error:
             raise ResourceError(f"the archive {self.part} cannot be renamed to {self.path} ({cause(error)})") from error
+        with contextlib.suppress(OSError):  # the archive is complete; only resuming needs its checkpoint
+            if keep and checkpoint_path(self.part).exists():
+                os.replace(checkpoint_path(self.part), checkpoint_path(self.path))
+            else:
+                remove_checkpoint(self.path)  # of a run whose archive has been replaced
 
     def close(self) -> None:
         """Close the archive and release the lock, whether it has been renamed or not; discard a write that failed

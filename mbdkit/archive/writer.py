@@ -252,7 +252,7 @@ class ArchiveWriter(RunWriter):
             target.sync()
         self._ended = True
         try:
-            target.publish()
+            target.publish(keep=ending.status == "interrupted")
         finally:
             self._write_duration(file, started, ending)
             if is_in_memory:

@@ -39,6 +39,10 @@ def exit_with(result: Run, *, told: bool = False) -> None:
     if not told:
         say(f"{result.status}: {result.status_reason.removeprefix('interrupted: ')}")
     if result.status == "interrupted":
+        from mbdkit.archive.part_file import checkpoint_path
+
+        if result.path is not None and checkpoint_path(result.path).exists():
+            say(f"continue it with `mbdkit run --resume {result.path} --overwrite`")
         raise typer.Exit(terminal.INTERRUPTED)
     failed_plugin = result.status_reason.startswith("plugin-error")
     raise typer.Exit(terminal.PLUGIN_FAILED if failed_plugin else terminal.STOPPED_EARLY)

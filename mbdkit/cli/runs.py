@@ -56,7 +56,7 @@ def run(
     ] = None,
     resume: Annotated[
         Path | None,
-        typer.Option("--resume", metavar="FILE.h5.part", help="Continue the run that was killed and left this file."),
+        typer.Option("--resume", metavar="FILE", help="Continue the killed or interrupted run that left this file."),
     ] = None,
     printing: Printing,
 ) -> None:
@@ -70,8 +70,9 @@ def run(
     a check confirms this. If the spec names an integrator, only its step or tolerance is
     chosen.
 
-    With --resume instead of SPEC, a run that was killed is continued from its last
-    checkpoint; the results are bitwise identical to those of an uninterrupted run.
+    With --resume instead of SPEC, a run that was killed (FILE.h5.part) or interrupted by
+    Ctrl-C (FILE.h5, with --overwrite) is continued from its last checkpoint; the results
+    are bitwise identical to those of an uninterrupted run.
     Checkpoints are written every 5 s, except by SciPy's solvers, by methods written in
     Python, and with --accuracy.
 

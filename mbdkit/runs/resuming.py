@@ -1,7 +1,8 @@
-"""Continues a run that was killed from the checkpoint beside its ``.part``, with bitwise identical results.
+"""Continues a killed or interrupted run from the checkpoint beside its archive, with bitwise identical results.
 
-The rows up to the checkpoint are copied into a new file, which then takes the place of the ``.part``. The old file is
-not modified: after a crash, HDF5 may not know all parts of the file that are in use.
+The rows up to the checkpoint are copied into a new file. The old file is not modified: after a crash, HDF5 may not know
+all parts of the file that are in use. The new file takes the place of the ``.part`` of a killed run before the first
+step, and that of the archive of an interrupted run at its end.
 """
 
 from __future__ import annotations
@@ -56,16 +57,18 @@ _CHECKPOINT_0_2 = "checkpoint"
 
 
 def resume(part: str | Path, *, overwrite: bool = False, progress: Progress | None = None) -> Run:
-    """Continue a run that was killed, from the last checkpoint beside its unfinished archive.
+    """Continue a run that was killed or interrupted, from the last checkpoint beside its archive.
 
     The spec is read from the checkpoint. The results are bitwise identical to those of an uninterrupted run.
 
     Parameters
     ----------
     part
-        The unfinished archive, ``FILE.h5.part``, which has its checkpoint, ``FILE.h5.part.checkpoint``, beside it.
+        The unfinished archive of a killed run, ``FILE.h5.part``, which has its checkpoint,
+        ``FILE.h5.part.checkpoint``, beside it; or the archive of an interrupted run, ``FILE.h5``, with
+        ``FILE.h5.checkpoint``.
     overwrite
-        Whether an existing ``FILE.h5`` may be replaced.
+        Whether an existing ``FILE.h5`` may be replaced, as the archive of an interrupted run is at the end.
     progress
         See `mbdkit.run`; unlike there, the ``.part`` is not removed if this function raises an exception.
 
@@ -95,7 +98,10 @@ def continue_run(
     progress: Progress | None = None,
 ) -> Run:
     """Continue a run; see `resume`."""
-    path = check_target(final_path(part), overwrite=overwrite)
+    path = final_path(part)
+    if path == part and not overwrite:
+        raise SpecError("at its end, the resumed run replaces this file; allow this with --overwrite", file=part)
+    check_target(path, overwrite=overwrite)
     _finish_replacement(part)
     with _held(part) as stream:
         checkpoint = Checkpoint.of(part)
@@ -105,9 +111,13 @@ def continue_run(
 
 
 def final_path(part: Path) -> Path:
-    """Return the final name of an unfinished archive; raise SpecError if `part` is not such a name or does not
-    exist.
+    """Return the final name of an unfinished archive, or the archive of an interrupted run itself.
+
+    Raises SpecError if `part` is not such a name or does not exist.
     """
+    if part.suffix == SUFFIX and part.is_file() and checkpoint_path(part).is_file():
+        check_regular(part)
+        return part
     if not part.name.endswith(PART) or part.name == PART:
         left = part.with_name(f"{part.name}.part")
         other = left.name if part.suffix == SUFFIX and left.exists() else "FILE.h5.part"
@@ -237,6 +247,11 @@ class _Unfinished:
         self.part, self.path, self.overwrite, self.stream = part, path, overwrite, stream
         self.checkpoint = checkpoint
 
+    @property
+    def has_ended(self) -> bool:
+        """Whether the file is the archive of a run that was interrupted, not that of a killed run."""
+        return self.part == self.path
+
     def continued(self, progress: Progress | None) -> Run:
         """Continue the run to its end."""
         head = self.checkpoint.head
@@ -255,7 +270,8 @@ class _Unfinished:
             return writers[0]
 
         def restored() -> None:
-            writers[0].take_place_of(self.part)
+            if not self.has_ended:
+                writers[0].take_place_of(self.part)
             self.stream.close()
 
         continuation = Continuation(self.checkpoint.state, self._observed, restored)
@@ -274,7 +290,7 @@ class _Unfinished:
             Origin.of(spec, {**then, "resumed": int(then.get("resumed", 0)) + 1, "resumed_by": command_line()}),
             arrays=recorded_arrays(spec, method, workspace.mechanism),
             overwrite=self.overwrite,
-            part=_replacement(self.part),
+            part=None if self.has_ended else _replacement(self.part),
             shared=shared_forces(workspace.mechanism),
         )
         # Another call may have resumed and finished the run after this call opened the file.

@@ -156,12 +156,16 @@ class Checkpoints:
         self._writer, self._state = writer, state
         self._due = time.monotonic() + INTERVAL
 
+    def write(self) -> None:
+        """Write a checkpoint."""
+        self._writer.keep_checkpoint(self._state())
+
     def write_if_due(self) -> None:
         """Write a checkpoint if enough time has passed since the last one."""
         begin = time.monotonic()
         if begin < self._due:
             return
-        self._writer.keep_checkpoint(self._state())
+        self.write()
         end = time.monotonic()
         self._due = end + max(INTERVAL, (end - begin) / SHARE)
 

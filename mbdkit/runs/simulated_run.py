@@ -366,6 +366,8 @@ class SimulatedRun:
                 self.failure = Failure(
                     "wall-time", f"stopped at t = {stepper.time:.6g} s after limits.wall_time = {limit:g} s."
                 )
+        if self.interrupted and checkpoints is not None and not (stepper.finished or stepper.failure or self.failure):
+            checkpoints.write()
         unrecordable = self.failure is not None and self.failure.code not in ("wall-time", "plugin-error")
         self.failure = self.failure or stepper.failure
         if recorded < stepper.time and not stepper.finished and not unrecordable:

@@ -17,7 +17,9 @@ from mbdkit.studies import member_table
 from mbdkit.studies.owned_folder import OwnedFolder, contains
 
 #: Names of archives of runs (see `RunSpec.run_id`) and blocks, and of their unfinished files, checkpoints and marks.
-_ARCHIVE = re.compile(r"([0-9a-f]{16}|block-[0-9]{6,})\.h5(\.part(\.checkpoint(\.new)?)?)?|\.block-[0-9]{6,}\.at")
+_ARCHIVE = re.compile(
+    r"([0-9a-f]{16}|block-[0-9]{6,})\.h5(\.checkpoint|\.part(\.checkpoint(\.new)?)?)?|\.block-[0-9]{6,}\.at"
+)
 
 #: Text that every chart of a report contains near its beginning, by suffix; see the metadata in plot/style.py.
 _DRAWN = {".png": b"Software\0mbdkit", ".svg": b"<dc:title>mbdkit</dc:title>"}

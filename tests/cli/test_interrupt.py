@@ -75,7 +75,7 @@ def test_ctrl_c_and_its_like_keep_the_archive_and_are_exit_status_130(stop, tmp_
     assert process.returncode == 130
     assert "interrupted: stopped by the user" in told
     assert "Traceback" not in errors
-    assert sorted(os.listdir(tmp_path)) == ["long.h5", "long.yaml"]
+    assert sorted(os.listdir(tmp_path)) == ["long.h5", "long.h5.checkpoint", "long.yaml"]
     with load(tmp_path / "long.h5") as run:
         assert run.status == "interrupted"
         assert len(run.time) > 1

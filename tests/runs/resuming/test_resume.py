@@ -455,6 +455,38 @@ def test_ended_run_that_was_not_renamed_is_renamed(tmp_path: Path) -> None:
     assert "damaged" in refusal(part)
 
 
+@pytest.mark.parametrize("name", ["rk4", "gauss, projection, events", "dopri5, adaptive"])
+def test_an_interrupted_run_goes_on_to_the_same_bits(name: str, tmp_path: Path, frequent: None) -> None:
+    spec, path, calls = SPECS[name], tmp_path / "run.h5", 0
+
+    def stop(reached: float, end: float) -> None:
+        nonlocal calls
+        calls += 1
+        if calls == 2:
+            raise KeyboardInterrupt
+
+    with mbdkit.run(spec, archive=path, progress=stop) as run:
+        assert run.status == "interrupted"
+    left = path.read_bytes()
+    with pytest.raises(SpecError, match="allow this with --overwrite"):
+        mbdkit.resume(path)
+    with pytest.raises(RuntimeError, match="no"):
+        mbdkit.resume(path, overwrite=True, progress=fail)
+    assert path.read_bytes() == left
+    calls = 0
+    with mbdkit.resume(path, overwrite=True, progress=stop) as run:
+        assert run.status == "interrupted"  # again
+    done = CliRunner().invoke(app, ["run", "--resume", str(path), "--overwrite"])
+    assert done.exit_code == 0, done.output
+    with mbdkit.load(path) as run:
+        assert run.data_sha256 == mbdkit.run(spec).data_sha256
+    assert [one.name for one in tmp_path.iterdir()] == ["run.h5"]
+
+
+def fail(reached: float, end: float) -> None:
+    raise RuntimeError("no")
+
+
 def test_names_that_cannot_be_resumed(tmp_path: Path) -> None:
     with pytest.raises(SpecError, match=r"there is no such file$"):
         mbdkit.resume(tmp_path / "run.h5.part")
