@@ -1,5 +1,5 @@
 """``FILE.h5.part.checkpoint``: the state from which a killed run continues, and the location of its rows in the
-``.part``.
+``.part``; for an interrupted run, ``FILE.h5.checkpoint`` and the archive.
 
 The ``.part`` is the unfinished archive of the run. HDF5 keeps no journal: if a process is killed while HDF5 rearranges
 its tables, HDF5 may be unable to read the file. A checkpoint therefore contains the byte offsets of the rows, and all

@@ -83,7 +83,7 @@ def run(
         _resume(resume, [name for name, value in given.items() if value], overwrite, printing)
         return
     if spec is None:
-        raise typer.BadParameter("give a SPEC, or --resume FILE.h5.part", param_hint="SPEC")
+        raise typer.BadParameter("give a SPEC, or --resume FILE", param_hint="SPEC")
     from mbdkit.spec import load_spec
 
     if accuracy is not None:
@@ -100,11 +100,12 @@ def run(
 
 
 def _resume(part: Path, superfluous: list[str], overwrite: bool, printing: Printing) -> None:
-    """Continue a run that was killed."""
+    """Continue a run that was killed or interrupted."""
     from mbdkit.base.errors import SpecError
 
     if superfluous:
-        raise SpecError(f"--resume reads all settings from {part.name}: omit {', '.join(superfluous)}")
+        new = "; other settings, such as a later time.end, need a new run" if "--set" in superfluous else ""
+        raise SpecError(f"--resume reads all settings from {part.name}: omit {', '.join(superfluous)}{new}")
     from mbdkit.runs.resuming import continue_run, final_path
 
     with progress_bar(final_path(part).name, printing.quiet) as progress:

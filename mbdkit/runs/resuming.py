@@ -20,7 +20,7 @@ from mbdkit.archive.archive_check import check
 from mbdkit.archive.checkpoint import Checkpoint
 from mbdkit.archive.hdf5_errors import reading
 from mbdkit.archive.missing_plugins import check_plugins_of
-from mbdkit.archive.part_file import SUFFIX, check_target, checkpoint_path
+from mbdkit.archive.part_file import SUFFIX, check_target, checkpoint_path, part_path
 from mbdkit.archive.reader import load
 from mbdkit.archive.run import Run
 from mbdkit.archive.run_writer import Origin
@@ -70,7 +70,7 @@ def resume(part: str | Path, *, overwrite: bool = False, progress: Progress | No
     overwrite
         Whether an existing ``FILE.h5`` may be replaced, as the archive of an interrupted run is at the end.
     progress
-        See `mbdkit.run`; unlike there, the ``.part`` is not removed if this function raises an exception.
+        See `mbdkit.run`. If this function raises an exception, the file and its checkpoint are kept.
 
     Returns
     -------
@@ -99,8 +99,8 @@ def continue_run(
 ) -> Run:
     """Continue a run; see `resume`."""
     path = final_path(part)
-    if path == part and not overwrite:
-        raise SpecError("at its end, the resumed run replaces this file; allow this with --overwrite", file=part)
+    if path == part:
+        _check_interrupted(part, overwrite=overwrite)
     check_target(path, overwrite=overwrite)
     _finish_replacement(part)
     with _held(part) as stream:
@@ -115,21 +115,45 @@ def final_path(part: Path) -> Path:
 
     Raises SpecError if `part` is not such a name or does not exist.
     """
-    if part.suffix == SUFFIX and part.is_file() and checkpoint_path(part).is_file():
-        check_regular(part)
-        return part
-    if not part.name.endswith(PART) or part.name == PART:
-        left = part.with_name(f"{part.name}.part")
-        other = left.name if part.suffix == SUFFIX and left.exists() else "FILE.h5.part"
-        raise SpecError(f"only the unfinished archive of a run can be resumed: name {other}", file=part)
+    is_unfinished = part.name.endswith(PART) and part.name != PART
+    if not is_unfinished and part.suffix != SUFFIX:
+        raise SpecError(
+            "only an archive can be resumed: FILE.h5.part of a killed run, FILE.h5 of a stopped one", file=part
+        )
     if not part.exists():
-        ended = part.with_suffix("")
-        hint = f"; the run has ended, and {ended.name} is its archive" if ended.exists() else ""
-        raise SpecError(f"there is no such file{hint}", file=part)
+        other = part.with_suffix("") if is_unfinished else part_path(part)
+        what = "the run has ended, and {} is its archive" if is_unfinished else "the run was killed and has left {}"
+        raise SpecError(f"there is no such file{f'; {what.format(other.name)}' if other.exists() else ''}", file=part)
     if part.is_dir():
-        raise SpecError("this is a folder; name the unfinished archive of a run", file=part)
+        raise SpecError("this is a folder; name the archive of a run", file=part)
     check_regular(part)
-    return part.with_suffix("")
+    return part.with_suffix("") if is_unfinished else part
+
+
+def _check_interrupted(path: Path, *, overwrite: bool) -> None:
+    """Raise SpecError unless `path` is the archive of an interrupted run, has its checkpoint beside it, and may be
+    replaced.
+    """
+    left = part_path(path)
+    if left.is_file() and checkpoint_path(left).is_file():  # of this run, resumed and killed, or of another one
+        with _held(left):
+            message = f"a later run was killed and has left {left.name}; resume that file, or remove it"
+            raise SpecError(message, file=path)
+    with load(path) as run:
+        if run.status == "complete":
+            hint = "to simulate a longer time, run its spec with another time.end"
+            raise SpecError(f"this run is complete, so there is nothing to resume; {hint}", file=path)
+        if run.status != "interrupted" or run.kind != "forward":
+            raise _refused(path, f"it was not interrupted but has ended with the status {run.status}")
+        checkpoint = Checkpoint.of(path)
+        if checkpoint is None:
+            spec = _same_spec(path, run.spec_json, run.run_id, run.provenance)
+            missing = f"its checkpoint {checkpoint_path(path).name} is not in the same folder"
+            raise _refused(path, why_without(spec, make_method(spec)) or missing)
+        if checkpoint.head["run_id"] != run.run_id:
+            raise _refused(path, f"{checkpoint_path(path).name} belongs to another run")
+    if not overwrite:
+        raise SpecError("at its end, the resumed run replaces this file; allow this with --overwrite", file=path)
 
 
 @contextlib.contextmanager

@@ -364,9 +364,9 @@ def damaged_checkpoint(random: np.random.Generator, folder: Path) -> list[str]:
 
 
 def stop_run(random: np.random.Generator, folder: Path) -> list[str]:
-    """Stop a run by SIGTERM, in half of the cases sent twice as `timeout` does."""
+    """Stop a run by SIGTERM, in half of the cases sent twice as `timeout` does, and resume it."""
     _write_spec(folder, RUN)
-    _, seconds = _whole_run()
+    whole, seconds = _whole_run()
     child = start_command(folder, "run", "spec.json", "-o", "run.h5", "--quiet")
     time.sleep(random.uniform(0, 1.3 * seconds))
     sent = time.monotonic()
@@ -380,13 +380,19 @@ def stop_run(random: np.random.Generator, folder: Path) -> list[str]:
         return []  # it had not begun
     if status not in (0, 130):
         found.append(f"it ended with exit status {status}, {time.monotonic() - sent:.1f} s later: {said(folder)}")
-    if left != ["run.h5"]:
+    is_resumable = "run.h5.checkpoint" in left
+    if left != ["run.h5", "run.h5.checkpoint"][: 1 + is_resumable]:
         return [*found, f"it left {', '.join(left) or 'nothing'}"]
     found += check(folder / "run.h5")
     with mbdkit.load(folder / "run.h5") as run:
         if run.status not in (("complete",) if status == 0 else ("interrupted", "complete")):
             found.append(f"exit status {status}, but the status of the run is {run.status}")
         found += _rows_problems(run, least=1, last_is_free=True)
+    if is_resumable:
+        found += finish(folder, "run", "--resume", "run.h5", "--overwrite", "--quiet")
+        with mbdkit.load(folder / "run.h5") as run:
+            if run.data_sha256 != whole.data_sha256 or _left(folder) != ["run.h5"]:
+                found.append("the resumed run differs from the undisturbed one")
     return found
 
 

@@ -455,7 +455,7 @@ def test_ended_run_that_was_not_renamed_is_renamed(tmp_path: Path) -> None:
     assert "damaged" in refusal(part)
 
 
-@pytest.mark.parametrize("name", ["rk4", "gauss, projection, events", "dopri5, adaptive"])
+@pytest.mark.parametrize("name", ["rk4", "radau-iia, adaptive"])
 def test_an_interrupted_run_goes_on_to_the_same_bits(name: str, tmp_path: Path, frequent: None) -> None:
     spec, path, calls = SPECS[name], tmp_path / "run.h5", 0
 
@@ -468,8 +468,7 @@ def test_an_interrupted_run_goes_on_to_the_same_bits(name: str, tmp_path: Path, 
     with mbdkit.run(spec, archive=path, progress=stop) as run:
         assert run.status == "interrupted"
     left = path.read_bytes()
-    with pytest.raises(SpecError, match="allow this with --overwrite"):
-        mbdkit.resume(path)
+    assert "allow this with --overwrite" in refusal(path)
     with pytest.raises(RuntimeError, match="no"):
         mbdkit.resume(path, overwrite=True, progress=fail)
     assert path.read_bytes() == left
@@ -487,14 +486,48 @@ def fail(reached: float, end: float) -> None:
     raise RuntimeError("no")
 
 
+def test_archives_that_are_not_resumed_say_why(part: Path, frequent: None) -> None:
+    path, kept = part.with_suffix(""), part.with_name("kept")
+    part.rename(kept)
+    checkpoint_path(part).rename(checkpoint_path(path))
+    mbdkit.run("pendulum", archive=path).close()
+    assert "this run is complete, so there is nothing to resume; to simulate a longer time" in refusal(path)
+    for spec in (SPECS["rk4"], spec_of({"name": "scipy-dop853"}, {"end": 20.0})):
+        mbdkit.run(spec, archive=path, overwrite=True, progress=interrupt).close()
+        if spec is SPECS["rk4"]:
+            checkpoint = checkpoint_path(path)
+            content = checkpoint.read_bytes()
+            checkpoint.write_bytes(content[:-1])
+            assert "run.h5.checkpoint is damaged" in refusal(path)
+            foreign = Checkpoint.decoded(content)
+            assert foreign is not None
+            foreign.head["run_id"] = "0" * 16  # type: ignore[index]
+            foreign.write(path)
+            assert "run.h5.checkpoint belongs to another run; run it anew" in refusal(path)
+            checkpoint.rename(checkpoint_path(part))
+            kept.rename(part)
+            assert "has left run.h5.part; resume that file, or remove it" in refusal(path)
+            part.unlink()
+            checkpoint_path(part).unlink()
+            assert "its checkpoint run.h5.checkpoint is not in the same folder" in refusal(path)
+    assert "SciPy" in refusal(path)
+
+
+def interrupt(reached: float, end: float) -> None:
+    raise KeyboardInterrupt
+
+
 def test_names_that_cannot_be_resumed(tmp_path: Path) -> None:
     with pytest.raises(SpecError, match=r"there is no such file$"):
         mbdkit.resume(tmp_path / "run.h5.part")
     (tmp_path / "run.h5").touch()
     with pytest.raises(SpecError, match=r"the run has ended, and run.h5 is its archive"):
         mbdkit.resume(tmp_path / "run.h5.part")
-    with pytest.raises(SpecError, match=r"only the unfinished archive of a run can be resumed: name FILE.h5.part"):
+    (tmp_path / "run.h5").rename(tmp_path / "run.h5.part")
+    with pytest.raises(SpecError, match=r"the run was killed and has left run.h5.part"):
         mbdkit.resume(tmp_path / "run.h5")
+    with pytest.raises(SpecError, match=r"only an archive can be resumed: FILE.h5.part of a killed run"):
+        mbdkit.resume(tmp_path / "run")
     for make in (os.mkdir, os.mkfifo):
         make(tmp_path / "other.h5.part")
         with pytest.raises(SpecError, match=r"this is not a regular file|this is a folder"):
@@ -529,8 +562,9 @@ def test_command_resumes_a_run(part: Path) -> None:
     ("arguments", "told"),
     [
         (["--resume", "run.h5.part", "pendulum", "--check"], "omit SPEC, --check"),
-        (["--resume", "run.h5"], "only the unfinished archive of a run can be resumed"),
-        ([], "give a SPEC, or --resume FILE.h5.part"),
+        (["--resume", "run.h5", "--set", "time.end=9"], "omit --set; other settings, such as a later time.end, need"),
+        (["--resume", "run.yaml"], "only an archive can be resumed"),
+        ([], "give a SPEC, or --resume FILE"),
     ],
 )
 def test_wrong_arguments_of_the_command(arguments: list[str], told: str) -> None:
