@@ -584,7 +584,7 @@ ATTACKS = (
     Attack(
         "checkpoints", "flipped bits of a checkpoint: refused, or resumed to the same bits", 500, damaged_checkpoint
     ),
-    Attack("stop-run", "SIGTERM to a run: its archive has its final name and is sound", 200, stop_run),
+    Attack("stop-run", "SIGTERM to a run: its archive is sound, and the run can be resumed", 200, stop_run),
     Attack(
         "kill-study", "SIGKILL to a study: the next call completes it, equal to the undisturbed one", 200, kill_study
     ),
