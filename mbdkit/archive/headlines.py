@@ -36,7 +36,7 @@ class Headline(NamedTuple):
     """A number of a run with its unit and its estimated error, which is nan if unknown.
 
     `missed` is by how much the value between recorded rows exceeds the number; nan if rows skip steps and the value
-    between them is unknown.
+    between them is unknown. It is a part of the error.
     """
 
     label: str
@@ -44,6 +44,9 @@ class Headline(NamedTuple):
     unit: str
     error: float = math.nan
     missed: float = 0.0
+    element: str = ""
+    time: float = math.nan
+    """Time of the recorded row with the number [s]."""
 
     @property
     def largest(self) -> float:
@@ -58,12 +61,12 @@ class Headline(NamedTuple):
     def text(self, sign: str = "+-") -> str:
         """Return the number with the digits that its error justifies, its error and its unit.
 
-        If the value between recorded rows is clearly larger, the text has both values instead of the error. If it is
-        unknown, the text says that the number is that of the rows.
+        If the value between recorded rows is clearly larger, the text has both values and the error of the larger one.
+        If it is unknown, the text says that the number is that of the rows.
         """
         unit = self.unit.removesuffix("1")
         if self.misses:
-            between = f"{self.largest:.{MOST_DIGITS}g} {unit}".rstrip()
+            between = f"{plus_minus(self.largest, self.error - self.missed, sign)} {unit}".rstrip()
             return f"{self.value:.4g} {unit}".rstrip() + f" in the recorded rows, {between} between them"
         known = f"{self.value:.{MOST_DIGITS}g}" if math.isnan(self.error) else plus_minus(self.value, self.error, sign)
         of_rows = " in the recorded rows" if math.isnan(self.missed) else ""
@@ -113,21 +116,30 @@ def largest_loads(run: Run) -> list[Headline]:
 
     Values that count as zero are left out.
     """
+    forces = largest_forces(run)
+    floor = ROUND_OFF * max((headline.largest for headline in forces), default=0.0)
+    of_drivers = [one for one in largest_torques(run) if one.element in run.drivers] if run.drivers else []
+    return [*(headline for headline in of_drivers if headline.largest > floor), *forces]
+
+
+def largest_forces(run: Run) -> list[Headline]:
+    """Return the largest force of each joint in descending order, without those that count as zero."""
     if not run.joint_names or not run.records("joints/reaction_force"):
         return []
     force = np.linalg.norm(run.array("joints/reaction_force"), axis=2)
     errors = _errors(run, "reaction_error", force)
     missed = missed_between_rows(run, "joints.force", run.joint_names, force)
-    forces = _largest("force in", run.joint_names, force, "N", errors, missed)
-    if not run.drivers or not run.records("joints/reaction_torque"):
-        return forces
+    return _largest("force in", run, run.joint_names, force, "N", errors, missed)
+
+
+def largest_torques(run: Run) -> list[Headline]:
+    """Return the largest torque of each joint in descending order, without those that count as zero."""
+    if not run.joint_names or not run.records("joints/reaction_torque"):
+        return []
     torque = np.abs(run.array("joints/reaction_torque"))
     errors = _errors(run, "torque_error", torque)
     missed = missed_between_rows(run, "joints.torque", run.joint_names, torque)
-    torques = _largest("torque of", run.joint_names, torque, "N m", errors, missed)
-    of_drivers = [one for one in torques if one.label.removeprefix("largest torque of ") in run.drivers]
-    floor = ROUND_OFF * max((headline.largest for headline in forces), default=0.0)
-    return [*(headline for headline in of_drivers if headline.largest > floor), *forces]
+    return _largest("torque of", run, run.joint_names, torque, "N m", errors, missed)
 
 
 def _actuators(run: Run) -> list[Headline]:
@@ -139,7 +151,7 @@ def _actuators(run: Run) -> list[Headline]:
         bars = run.array("actuators/value_error")
         errors = errors_of_frames(run, "actuators.value", list(run.actuators), size, bars)
     units = {name: actuator.units for name, actuator in run.actuators.items()}
-    headlines = _largest("", list(run.actuators), size, "", errors)
+    headlines = _largest("", run, list(run.actuators), size, "", errors)
     own = [one for one in headlines if run.actuators[one.label].kind != "residual"]
     return [one._replace(label=f"peak of {one.label}", unit=units[one.label]) for one in own[:2]]
 
@@ -147,7 +159,7 @@ def _actuators(run: Run) -> list[Headline]:
 def _activations(run: Run) -> list[Headline]:
     if not run.records("muscles/activation"):
         return []
-    return _largest("activation of", list(run.muscles), run.array("muscles/activation"), "1", None)[:2]
+    return _largest("activation of", run, list(run.muscles), run.array("muscles/activation"), "1", None)[:2]
 
 
 def _contacts(run: Run) -> list[Headline]:
@@ -155,7 +167,7 @@ def _contacts(run: Run) -> list[Headline]:
         return []
     names, force = list(run.contacts), run.array("contacts/normal_force")
     missed = missed_between_rows(run, "contacts.normal_force", names, force)
-    return _largest("normal force at", names, force, "N", None, missed)[:2]
+    return _largest("normal force at", run, names, force, "N", None, missed)[:2]
 
 
 def _errors(run: Run, name: str, size: np.ndarray) -> np.ndarray | None:
@@ -168,6 +180,7 @@ def _errors(run: Run, name: str, size: np.ndarray) -> np.ndarray | None:
 
 def _largest(
     words: str,
+    run: Run,
     names: list[str] | tuple[str, ...],
     size: np.ndarray,
     unit: str,
@@ -186,7 +199,10 @@ def _largest(
     for column, row in enumerate(rows):
         error = math.nan if errors is None else float(errors[column])
         label = f"largest {words} {names[column]}" if words else names[column]
-        headlines.append(Headline(label, float(size[row, column]), unit, error, float(beyond[column])))
+        at = float(run.time[row])
+        headlines.append(
+            Headline(label, float(size[row, column]), unit, error, float(beyond[column]), names[column], at)
+        )
     most = max((headline.largest for headline in headlines), default=0.0)
     return sorted((one for one in headlines if one.largest > ROUND_OFF * most), key=lambda one: -one.largest)
 

@@ -8,13 +8,20 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from mbdkit.archive.headlines import MISSED, ROUND_OFF, Headline, headlines, plus_minus
+from mbdkit.archive.headlines import (
+    MISSED,
+    ROUND_OFF,
+    Headline,
+    headlines,
+    largest_forces,
+    largest_torques,
+    plus_minus,
+)
 from mbdkit.archive.peak_errors import (
     errors_of_frames,
     measures_of_largest,
     missed_between_rows,
     peak_errors,
-    skips_steps,
 )
 from mbdkit.base.errors import MbdkitError
 from mbdkit.base.text import counted, listed, shown
@@ -25,6 +32,7 @@ from mbdkit.spec.named_actuators import RESERVE
 from mbdkit.trust.criteria import NOTHING_SUSPICIOUS, rounding
 
 if TYPE_CHECKING:
+    from mbdkit.archive.accuracy import Accuracy
     from mbdkit.archive.history import Impacts
     from mbdkit.archive.run import Run
 
@@ -209,18 +217,30 @@ def accuracy_sentence(run: Run) -> str:
     afterwards = "" if accuracy.is_complete else "; errors unknown afterwards"
     position = f"positions known to {accuracy.position_error_max:.2g} m and {accuracy.angle_error_max:.2g} rad"
     if run.joints and run.records("joints/reaction_force"):
-        size = np.linalg.norm(run.array("joints/reaction_force"), axis=2)[: accuracy.rows_known]
-        joint = int(np.argmax(np.max(size, axis=0)))
-        errors = peak_errors(run, "reaction_error", size, accuracy.rows_known)
-        largest, error = float(np.max(size)), math.nan if errors is None else float(errors[joint])
-        measure = measures_of_largest(run.spec.get("measures") or {}, "joints.force").get(run.joint_names[joint], "")
-        if accuracy.is_complete and run.measures.units.get(measure) == "N":
-            largest, error = run.measures[measure], run.measure_errors[measure]
+        name, largest, error = _largest_force(run, accuracy)
         if largest > 0 and not math.isnan(error):
             value = plus_minus(largest, error).partition(" ")[0]
-            known = f"largest force in {run.joint_names[joint]}{until} {value} N, known to {error:.2g} N"
+            known = f"largest force in {name}{until} {value} N, known to {error:.2g} N"
             return f"{known}; {position}{until}{afterwards}"
     return f"{position}{until}{afterwards}"
+
+
+def _largest_force(run: Run, accuracy: Accuracy) -> tuple[str, float, float]:
+    """Return the joint with the largest force up to `accuracy.known_until`, this force and its error [N].
+
+    If the errors of all rows are known, the force is the largest one between rows as well.
+    """
+    size = np.linalg.norm(run.array("joints/reaction_force"), axis=2)[: accuracy.rows_known]
+    errors = peak_errors(run, "reaction_error", size, accuracy.rows_known)
+    missed = missed_between_rows(run, "joints.force", run.joint_names, size) if accuracy.is_complete else None
+    beyond = np.zeros(size.shape[1]) if missed is None else np.nan_to_num(missed)
+    largest = np.max(size, axis=0) + beyond
+    joint = int(np.argmax(largest))
+    name = run.joint_names[joint]
+    measure = measures_of_largest(run.spec.get("measures") or {}, "joints.force").get(name, "")
+    if accuracy.is_complete and run.measures.units.get(measure) == "N":
+        return name, run.measures[measure], run.measure_errors[measure]
+    return name, float(largest[joint]), math.nan if errors is None else float(errors[joint] - beyond[joint])
 
 
 def _error_bars(run: Run) -> str:
@@ -355,20 +375,16 @@ def _energy(run: Run) -> str:
 
 
 def _drivers(run: Run) -> str:
-    """Return the largest torque and the largest force of the drivers, such as motors, and their times."""
+    """Return the largest torque and the largest force of the drivers, such as motors, with their errors."""
     if not run.drivers or not run.records("joints/reaction_torque") or len(run.time) == 0:
         return ""
-    columns = [run.joint_names.index(name) for name in run.drivers]
-    torque, force = (run.array(f"joints/reaction_{kind}")[:, columns] for kind in ("torque", "force"))
-    floor = ROUND_OFF * max(np.nanmax(np.abs(torque), initial=0.0), np.nanmax(np.abs(force), initial=0.0))
+    forces, torques = largest_forces(run), largest_torques(run)
+    floor = ROUND_OFF * max((one.largest for one in (*forces, *torques)), default=0.0)
     parts = []
-    for name, size, unit in (("torque", np.abs(torque), "N m"), ("force", np.linalg.norm(force, axis=2), "N")):
-        largest = float(np.nanmax(size, initial=0.0))
-        if largest > floor:
-            row, column = np.unravel_index(int(np.nanargmax(size)), size.shape)
-            parts.append(f"largest {name} {largest:.4g} {unit}, of {run.drivers[column]} at {run.time[row]:.4g} s")
-    rows = ", in the recorded rows" if parts and skips_steps(run.spec) else ""
-    return "; ".join(parts) + rows
+    for largest in (torques, forces):
+        own = [one for one in largest if one.element in run.drivers and one.largest > floor]
+        parts += [f"{one.label} {one.text()}{'' if one.misses else f' at {one.time:.4g} s'}" for one in own[:1]]
+    return "; ".join(parts)
 
 
 def _smoothing(spec: Mapping[str, Any]) -> str:

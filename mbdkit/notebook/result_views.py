@@ -240,7 +240,7 @@ def _(found: Workload) -> View:
     ]
     columns = columns_of("element; kind; unit; peak; \u00b1 error; time of the peak [s]; impulse [unit s]")
     table = Table("workload", "Loads", columns, tuple(rows))
-    return View("Workload", (f"From {found.start:g} s to {found.end:g} s.",), tables=(table,))
+    return View("Workload", (f"From {found.start:g} s to {found.end:g} s.", found.note), tables=(table,))
 
 
 @view.register

@@ -11,6 +11,7 @@ import numpy as np
 from matplotlib.axes import Axes
 
 from mbdkit.archive.history import UnknownNameError
+from mbdkit.archive.peak_errors import errors_of_frames, whole_peak_errors
 from mbdkit.archive.run_views import Names
 from mbdkit.figures.beam_curves import distributed_loads
 from mbdkit.figures.curves import UNKNOWN, Array, Bands, band_over_time, bands, errors_at
@@ -45,6 +46,9 @@ class ElementQuantity:
         (K, J) estimated errors at the times of `data`, nan where unknown; None if they were not estimated.
     known_until
         Time until which the errors are known [s]; nan if they are known to the end, or were not estimated.
+    peak_errors
+        (J,) errors of the largest values, with what rows miss between them, nan where unknown; None if the run has no
+        error estimates.
     """
 
     name: str
@@ -53,6 +57,7 @@ class ElementQuantity:
     data: Bands
     errors: Array | None = None
     known_until: float = math.nan
+    peak_errors: Array | None = None
 
     @property
     def zero(self) -> bool:
@@ -81,7 +86,8 @@ class ElementQuantity:
         part = Bands(data.time, data.low[:, columns], data.high[:, columns], data.peaks[columns], data.exact)
         errors = None if self.errors is None else self.errors[:, columns]
         elements = [self.elements[column] for column in columns]
-        return replace(self, elements=elements, data=part, errors=errors)
+        peaks = None if self.peak_errors is None else self.peak_errors[columns]
+        return replace(self, elements=elements, data=part, errors=errors, peak_errors=peaks)
 
 
 def has_elements(run: Run) -> bool:
@@ -112,9 +118,17 @@ def element_values(run: Run, unit: str, name: str) -> ElementQuantity:
     taken = [force.name for force in forces]
     names = taken + [f"{one.name} (actuator)" if one.name in taken else one.name for one in acting]
     quantity = ElementQuantity(name, unit, tuple(names), bands(time, data))
+    if run.accuracy is not None:
+        quantity = replace(quantity, peak_errors=np.full(len(names), np.nan))
     if acting and run.accuracy is not None:
-        errors = np.column_stack([np.full((len(time), len(forces)), np.nan), run.array("actuators/value_error")])
-        quantity = replace(quantity, errors=errors_at(run.accuracy, errors, quantity.data.time))
+        bars = run.array("actuators/value_error")
+        own = errors_of_frames(run, "actuators.value", list(run.actuators), np.abs(run.array("actuators/value")), bars)
+        errors = np.column_stack([np.full((len(time), len(forces)), np.nan), bars])
+        quantity = replace(
+            quantity,
+            errors=errors_at(run.accuracy, errors, quantity.data.time),
+            peak_errors=np.concatenate([np.full(len(forces), np.nan), own]),
+        )
     return quantity.only(columns)
 
 
@@ -153,12 +167,13 @@ def reaction_force(run: Run) -> ElementQuantity:
     force = joint_quantity(
         run, "reaction force", "joints/reaction_force", "N", lambda force: np.hypot(force[..., 0], force[..., 1])
     )
-    return with_errors(run, force, "reaction_error")
+    return with_peak_errors(run, with_errors(run, force, "reaction_error"), "reaction_error")
 
 
 def reaction_torque(run: Run) -> ElementQuantity:
     """Return the reaction torque of every joint [N m], with its estimated error."""
-    return with_errors(run, joint_quantity(run, "reaction torque", "joints/reaction_torque", "N m"), "torque_error")
+    torque = joint_quantity(run, "reaction torque", "joints/reaction_torque", "N m")
+    return with_peak_errors(run, with_errors(run, torque, "torque_error"), "torque_error")
 
 
 def with_errors(
@@ -179,6 +194,19 @@ def with_errors(
     errors = errors_at(accuracy, getattr(accuracy, name)[:, joints], quantity.data.time)
     until = math.nan if accuracy.is_complete else accuracy.known_until
     return replace(quantity, errors=errors, known_until=until)
+
+
+def with_peak_errors(run: Run, quantity: ElementQuantity, name: str) -> ElementQuantity:
+    """Add the errors of the largest values to a quantity of all joints, if errors were estimated.
+
+    Parameters
+    ----------
+    name
+        Attribute of `Accuracy`: ``reaction_error`` or ``torque_error``.
+    """
+    if run.accuracy is None:
+        return quantity
+    return replace(quantity, peak_errors=whole_peak_errors(run, name))
 
 
 def picked(quantity: ElementQuantity, wanted: Names, what: str, most: int = MOST) -> list[int]:
@@ -295,11 +323,9 @@ def _known_to(quantity: ElementQuantity, column: int) -> str:
     """Return the estimated error of the largest value of an element as text, such as `` ± 0.3 N`` or ``, error
     unknown``; empty if no errors were estimated.
     """
-    if quantity.errors is None:
+    if quantity.peak_errors is None:
         return ""
-    data, errors = quantity.data, quantity.errors[:, column]
-    largest = np.nan_to_num(np.maximum(np.abs(data.low[:, column]), np.abs(data.high[:, column])))
-    error = float(errors[int(np.argmax(largest))])
+    error = float(quantity.peak_errors[column])
     return f" ± {error:.2g} {quantity.unit}" if np.isfinite(error) else ", error unknown"
 
 

@@ -107,6 +107,11 @@ def _joined(parts: list[ElementQuantity]) -> ElementQuantity:
     if any(part.errors is not None for part in parts):
         unknown = [np.full(part.data.high.shape, np.nan) if part.errors is None else part.errors for part in parts]
         errors = np.concatenate(unknown, axis=1)
+    peak_errors = None
+    if any(part.peak_errors is not None for part in parts):
+        peak_errors = np.concatenate(
+            [np.full(len(part.elements), np.nan) if part.peak_errors is None else part.peak_errors for part in parts]
+        )
     names = [name for part in parts for name in part.elements]
     data = Bands(first.data.time, low, high, peaks, first.data.exact)
-    return ElementQuantity("torque", "N m", names, data, errors, first.known_until)
+    return ElementQuantity("torque", "N m", names, data, errors, first.known_until, peak_errors)

@@ -96,8 +96,10 @@ def estimated_errors(
     accuracy: Accuracy,
     position_error: float,
     missed: str = "",
-    integrals: Integrals | None = None,
-    measures: Mapping[str, object] | None = None,
+    *,
+    integrals: Integrals,
+    skips_steps: bool,
+    measures: Mapping[str, object],
 ) -> EstimatedErrors:
     """Return the estimated errors of a checked run in the form used by the verdict.
 
@@ -112,21 +114,24 @@ def estimated_errors(
     missed
         Reason why the requested accuracy is not reached, as a clause.
     integrals
-        Integrals and extrema of a run whose rows skip steps; None if every step is recorded.
+        Integrals and extrema of the run.
+    skips_steps
+        Whether its rows may skip ends of steps.
     measures
         Expressions of the measures of the run, by name.
     """
     rows, joints = ObservedRows.joined(recorder.kept or []), recorder.workspace.mechanism.joints
-    beyond = None
-    if integrals is not None:
-        beyond = missed_by_rows(integrals, "joints.force", joints, np.linalg.norm(rows.force, axis=2))
-        beyond = missed_of_verdict(beyond, joints, measures or {})
+    size = np.linalg.norm(rows.force, axis=2)
+    beyond = missed_by_rows(integrals, "joints.force", joints, size, skips_steps=skips_steps)
+    beyond = missed_of_verdict(beyond, joints, measures)
     figures = accuracy.figures(joints, rows.force, beyond)
     worst = figures.worst_joint
     between = ""
     if worst is not None and worst.missed > worst.error:
+        advice = "record more rows" if skips_steps else "use smaller steps"
         between = (
-            f"joint '{worst.name}' reaches {worst.peak + worst.missed:.4g} N, in the recorded rows {worst.peak:.4g} N"
+            f"joint '{worst.name}' reaches {worst.peak + worst.missed:.4g} N, in the recorded rows {worst.peak:.4g} N; "
+            f"{advice}"
         )
     return EstimatedErrors(
         position=position_error,

@@ -26,7 +26,6 @@ from mbdkit.quantities.names import archive_names
 from mbdkit.quantities.quantity import Quantity
 from mbdkit.quantities.states import States
 from mbdkit.runs.continuous_functionals import ContinuousFunctionals, no_events
-from mbdkit.runs.law_ranges import steps_are_rows
 from mbdkit.stepping.interface import Nodes, Timetable
 
 if TYPE_CHECKING:
@@ -49,8 +48,8 @@ def expressions_of(spec: RunSpec, expressions: Iterable[str] = ()) -> tuple[str,
 def largest_loads_of(spec: RunSpec, contacts: Sequence[str]) -> tuple[str, ...]:
     """Return expressions of the largest loads of a checked run, to determine what its rows miss between them.
 
-    These are the largest normal force and overlap of each contact and, if rows skip steps, the largest force and torque
-    of each joint, except those that are always zero; see `mbdkit.archive.peak_errors`.
+    These are the largest force and torque of each joint, except those that are always zero, and the largest normal
+    force and overlap of each contact; see `mbdkit.archive.peak_errors`.
 
     Parameters
     ----------
@@ -59,7 +58,7 @@ def largest_loads_of(spec: RunSpec, contacts: Sequence[str]) -> tuple[str, ...]:
     """
     if not spec.estimates_errors:
         return ()
-    joints = {} if steps_are_rows(spec) else spec.mechanism().joints
+    joints = spec.mechanism().joints
     loads = {
         "joints.force": [name for name, joint in joints.items() if joint.rows != ("angle",)],
         "joints.torque": [

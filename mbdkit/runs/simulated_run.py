@@ -449,9 +449,11 @@ class SimulatedRun:
         if self.accuracy is not None:
             missed = missed_because(self.accuracy, self.tried, self.failure)
             position = PositionMeasure.of(self.spec, self.workspace).known(self.accuracy)
-            between = None if steps_are_rows(self.spec) else totals
             measures = {one.name: one.expression for one in self.spec.defined_measures() if one.item is None}
-            errors = estimated_errors(self.recorder, self.accuracy, position, missed, between, measures)
+            errors = estimated_errors(
+                self.recorder, self.accuracy, position, missed,
+                integrals=totals, skips_steps=not steps_are_rows(self.spec), measures=measures,
+            )  # fmt: skip
         judgement = judge(evidence, errors)
         message = f"{status}: {reason.removeprefix('interrupted: ')}" if reason else status
         level = logging.WARNING if status == "failed" else logging.INFO

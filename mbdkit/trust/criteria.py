@@ -127,8 +127,8 @@ class EstimatedErrors:
     missed
         Reason why the accuracy was not reached, as a clause; empty if it was reached or if the reason is unknown.
     between
-        A clause with the largest force between recorded rows and in these rows; empty unless rows miss a part of the
-        peak that is larger than the other errors.
+        A clause with the largest force between recorded rows and in these rows, and advice; empty unless rows miss a
+        part of the peak that is larger than the other errors.
     """
 
     position: float
@@ -311,6 +311,6 @@ def _errors(evidence: Evidence, accuracy: EstimatedErrors) -> Found:
     ):
         if not (what == "joint forces" and math.isnan(value)) and (level := limits.level(value)):
             share = "the mechanism's size" if what == "positions" else "the largest force"
-            rows = f" Between rows, the force in {accuracy.between}; record more rows."
+            rows = f" Between rows, the force in {accuracy.between}."
             advice = rows if what == "joint forces" and accuracy.between else ""
             yield level, f"The estimated error of {what} is {value:.2g} of {share} ({limits}).{advice}"

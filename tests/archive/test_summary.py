@@ -156,7 +156,7 @@ def test_the_summary_tells_the_largest_torque_of_a_motor_and_force_of_a_driven_s
     with mbdkit.run(m, integrator={"name": "gauss"}, time={"end": 0.5, "step": 0.01}) as run:
         assert run.drivers == ("motor", "push")
         told = next(line for line in run.summary().splitlines() if line.startswith("drivers"))
-    assert told == "drivers       largest torque 1 N m, of motor at 0 s; largest force 6 N, of push at 0.5 s"
+    assert told == "drivers       largest torque of motor 1 N m at 0 s; largest force in push 6 N at 0.5 s"
 
 
 def test_the_summary_shows_gravity_as_the_spec_gives_it() -> None:
