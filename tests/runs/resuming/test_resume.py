@@ -482,6 +482,33 @@ def test_an_interrupted_run_goes_on_to_the_same_bits(name: str, tmp_path: Path, 
     assert [one.name for one in tmp_path.iterdir()] == ["run.h5"]
 
 
+def test_a_rejected_step_of_a_taylor_series_is_repeated_with_the_same_bits(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The rods are so long that the errors of positions, not those of angles, decide on the steps."""
+    monkeypatch.setattr(interface, "STRETCH", 0.0)  # one attempt at a time
+    integrator = {"name": "taylor", "adaptive": True, "rtol": 1e-12, "atol": 1e-6}
+    model, formulation = {**PENDULUM, "length": 30.0}, "joint-coordinates"
+    spec = spec_of(integrator, {"end": 300.0}, model, output={"interval": 1.0}, formulation=formulation)
+    path, last, interrupted = tmp_path / "run.h5", 0.0, 0
+
+    def stop(reached: float, end: float) -> None:
+        nonlocal last
+        is_rejected, last = reached == last, reached
+        if is_rejected:
+            raise KeyboardInterrupt
+
+    run = mbdkit.run(spec, archive=path, progress=stop)
+    while run.status == "interrupted":
+        interrupted += 1
+        run.close()
+        run = mbdkit.resume(path, overwrite=True, progress=stop)
+    whole = mbdkit.run(spec)
+    assert interrupted >= 2
+    assert run.data_sha256 == whole.data_sha256
+    assert run.stats["rhs_evaluations"] == whole.stats["rhs_evaluations"]
+
+
 def fail(reached: float, end: float) -> None:
     raise RuntimeError("no")
 
