@@ -142,6 +142,16 @@ class CompiledCollocation(CompiledMethod):
         stages.solved_apart[0] = iterations if iterations <= stages.settings.limit.most[0] else 0
         return bool(stages.solved_apart[0] > 0)
 
+    def switch_iteration(self) -> bool:
+        """Let the tangents of the stages turn with the nodes of beams, or let them no longer do so."""
+        stages = self.bundle
+        if stages.settings.solver[0] == FIXED_POINT or len(stages.nodes) == 0:
+            return False
+        stages.turning[0] = 1 - stages.turning[0]
+        self.forget()
+        self.restore_iterations()
+        return True
+
     def describe_divergence(self, report: np.ndarray) -> str:
         """Return the largest change of an acceleration and its location, as text."""
         return describe_divergence(self.workspace, report)

@@ -74,6 +74,7 @@ from mbdkit.stepping.element_states import solve_states
 from mbdkit.stepping.run_state import FACTORIZATIONS, RHS, load_run_state
 from mbdkit.stepping.simplified_newton import factorize_all, newton_changes
 from mbdkit.stepping.stage_polynomials import extrapolation_weights
+from mbdkit.stepping.turning_beams import turn_residual_back, turns_stages
 
 if TYPE_CHECKING:
     from mbdkit.engine.kernels.lu import Pattern
@@ -181,7 +182,7 @@ def change_shift(c, m, h, source, acc):
 
 
 @inlined
-def right_side(c, m, rate, z, b):
+def right_side(c, m, weights, rate, z, b):
     """Write the transformed residual with its constraint rows scaled by ``rate = h mu``."""
     scale = rate * rate if solves_positions_only(m) else rate
     n3 = len(c.q) - 3
@@ -198,6 +199,8 @@ def _changes(c, m, t, h, before):
     if status != OK:
         return status
     evaluate_residual(c, m, t, h)
+    if turns_stages(m):
+        turn_residual_back(m)
     if is_shifted(m):
         status = change_shift(c, m, h, c.w.source, m.tangent.acc)
         if status != OK:

@@ -48,6 +48,7 @@ from mbdkit.stepping.convergence import (
 from mbdkit.stepping.element_states import solve_states
 from mbdkit.stepping.run_state import FACTORIZATIONS, RHS, load_run_state
 from mbdkit.stepping.simplified_newton import factorize_all, newton_changes
+from mbdkit.stepping.turning_beams import add_turned_forces, turn_accelerations_back, turns_stages
 
 if TYPE_CHECKING:
     from mbdkit.engine.kernels.lu import Pattern
@@ -105,9 +106,11 @@ def _lift(c, m, x, b):
 
 
 @inlined
-def right_side(c, m, rate, z, b):
+def right_side(c, m, weights, rate, z, b):
     """Write the right-hand side of the system of an eigenvalue mu; it does not depend on ``rate = h mu``."""
     _lift(c, m, z, b)
+    if turns_stages(m):
+        add_turned_forces(c, m, weights, b)
 
 
 @subkernel
@@ -123,6 +126,8 @@ def _changes(c, m, t, h, before):
         for i in range(s):
             for d in range(n3):
                 m.residual[i, d] = m.acc[i, d] - m.spread[i, d]
+        if turns_stages(m):
+            turn_accelerations_back(m)
         newton_changes(c, m, h, right_side)
     else:
         for i in range(s):

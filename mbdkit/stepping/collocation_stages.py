@@ -13,7 +13,7 @@ from mbdkit.engine.elimination_order import empty_pattern, new_factors
 from mbdkit.engine.formulation import INDEX_1, Formulation
 from mbdkit.engine.kernels.bundle_types import RECORD, STATE, RealMatrix, State
 from mbdkit.engine.kernels.lu import Factors, Pattern
-from mbdkit.engine.kernels.system import Scatter
+from mbdkit.engine.kernels.system import Scatter, Topology
 from mbdkit.engine.native.bundle import bundle_loader
 from mbdkit.engine.native.functions import inlined
 from mbdkit.engine.workspace import example_workspace
@@ -79,8 +79,8 @@ class StageKernels(NamedTuple):
     powers: Any = None
     """``(c, m, t, h)``: evaluate the powers of the stages into ``m.power``."""
     right_side: Any = None
-    """``(c, m, rate, z, b)``: write the right-hand side of the system of an eigenvalue, with ``rate = h mu``, for the
-    transformed residual `z`."""
+    """``(c, m, weights, rate, z, b)``: write the right-hand side of the system of an eigenvalue, with ``rate = h mu``,
+    for the residual `z` that is transformed by `weights` (s,)."""
     estimate_side: Any = None
     """``(c, m, z, b)``: write the right-hand side of the system that filters an estimate `z` of the error of
     velocities."""
@@ -261,6 +261,10 @@ class Stages(NamedTuple):
     solved_apart: State
     """(1,) number of iterations in which `mbdkit.stepping.coupled_newton` has solved for the stages of the next
     attempt, which are then in `acc` and `lam`; 0 if it has not."""
+    turning: State
+    """(1,) whether the tangents of the stages turn with the nodes of beams (`mbdkit.stepping.turning_beams`)."""
+    nodes: np.ndarray
+    """Indices of the bodies that are nodes of beams."""
     acc: State
     """(s, 3 (B + 1)) accelerations of the stages."""
     lam: State
@@ -334,6 +338,7 @@ def new_stages(rk: Coefficients, workspace: Workspace, settings: Settings, by_po
         settings=settings,
         previous=PreviousStep(begin=np.zeros(1), size=np.full(1, np.nan)),
         solved_apart=np.zeros(1, dtype=np.int64),
+        turning=np.zeros(1, dtype=np.int64), nodes=nodes_of_beams(workspace.mechanism.topology),
         acc=vectors(s), lam=np.zeros((s, pairs, 2)), q_stage=vectors(s), v_stage=vectors(s),
         residual=np.zeros((s, width)), change=np.zeros((s, width)),
         states=_new_states(workspace, s),
@@ -348,6 +353,12 @@ def new_stages(rk: Coefficients, workspace: Workspace, settings: Settings, by_po
         power=np.zeros((s, 2)), weights=np.zeros((s, s)), dense_weights=np.zeros(s),
         spread=vectors(s), pairs=np.zeros((pairs, 2)),
     )  # fmt: skip
+
+
+def nodes_of_beams(top: Topology) -> np.ndarray:
+    """Return the indices of the bodies that are nodes of beams."""
+    nodes = [top.sections[row, 2 : 2 + count] for row, count in enumerate(top.sections[:, 1])]
+    return np.unique(np.concatenate([np.zeros(0, dtype=np.int64), *nodes]))
 
 
 def _new_states(workspace: Workspace, stages: int) -> StageStates:

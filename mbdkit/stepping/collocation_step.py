@@ -40,6 +40,7 @@ from mbdkit.stepping.stage_polynomials import (
     stage_states,
     weights_at,
 )
+from mbdkit.stepping.turning_beams import predict_turned, take_middle_stage, turns_far, turns_stages
 
 
 @subkernel
@@ -47,9 +48,12 @@ def _predict(m, t, h):
     """Extrapolate the stages of the previous step, or use free flight; return whether free flight is used.
 
     In free flight, accelerations are zero. They are not set to the acceleration at the start of the step, because a
-    stiff force may be far from constant over the step.
+    stiff force may be far from constant over the step. If the tangents turn with beams, values of the previous step
+    are used as they are, except for the nodes of beams (`mbdkit.stepping.turning_beams`).
     """
     size = m.previous.size[0]
+    if turns_stages(m) and any_of(abs(size) > 0.0):
+        return False
     if not any_of(abs(size) > 0.0):
         fill_rows(m.acc, 0.0)
         for i in range(len(m.lam)):
@@ -82,7 +86,8 @@ def evaluate_stages(c, m, h):
 
 @subkernel
 def choose_tangent_state(c, m, t, h, at_start, wanted):
-    """Choose the state where the tangents are taken: the start of the step, or the mean of all stages.
+    """Choose the state where the tangents are taken: the start of the step, the mean of all stages, or the middle one
+    if the tangents turn with beams.
 
     In lanes (`mbdkit.stepping.collocation_stages.StageKernels`), the mean is taken only where `wanted`. In the other
     lanes, tangents are evaluated again at the same state and are bitwise identical.
@@ -95,6 +100,9 @@ def choose_tangent_state(c, m, t, h, at_start, wanted):
         copy(m.first.acc, tangent.acc)
         for k in range(len(tangent.lam)):
             copy(m.first.lam[k], tangent.lam[k])
+        return
+    if turns_stages(m):
+        take_middle_stage(m, t, h)
         return
     share = 0.0
     for i in range(len(m.rk.c)):
@@ -131,10 +139,16 @@ def solve_stages(c, m, t, h, careful, kernels):
         evaluate_stages(c, m, h)
         return OK
     free_flight = _predict(m, t, h)
+    if turns_stages(m):
+        predict_turned(c, m, h)
     m.previous.begin[0], m.previous.size[0] = t, np.nan  # stages of a failed attempt must not be extrapolated
     evaluate_stages(c, m, h)
     settings = m.settings
-    status = iterate(c, m, t, h, (settings.limit, settings.tolerance[0]), (careful, free_flight), kernels)
+    strategy = careful, turns_stages(m), free_flight
+    status = iterate(c, m, t, h, (settings.limit, settings.tolerance[0]), strategy, kernels)
+    if status == OK and turns_stages(m) and turns_far(c, m):
+        c.report[0] = np.inf
+        status = DIVERGED
     if status != OK:
         return status
     near = stays_near(c, m.acc, h)
@@ -276,7 +290,7 @@ def try_step(c, m, t, h, want_error, kernels):
             if status != OK:
                 return status
         status = solve_stages(c, m, t, h, careful, kernels)
-        if status != DIVERGED or careful or m.settings.solver[0] != NEWTON:
+        if status != DIVERGED or careful or m.settings.solver[0] != NEWTON or turns_stages(m):
             break
         careful = True
         change, coordinate, iterations = c.report[0], c.report[1], c.report[2]

@@ -80,6 +80,13 @@ class CompiledMethod(ABC):
         """
         return False
 
+    def switch_iteration(self) -> bool:
+        """Solve the equations of the next and all later steps by another iteration; return False if there is none.
+
+        Called before a run with fixed steps stops with a failure, at most once per step.
+        """
+        return False
+
     @property
     def is_extended(self) -> bool:
         """Whether the limit of iterations is extended."""

@@ -66,6 +66,9 @@ SINGULAR, REGULAR = 1e-6, 1e-2
 `REGULAR`.
 """
 
+APART, SWITCHED = -1, -2
+"""Codes of further attempts at a step, beside the statuses after which new pivots have been chosen."""
+
 MAX_ROWS = 4096
 MAX_ROW_BYTES = 1 << 24
 """Limits of the buffers of recorded states and of quadrature nodes: rows, and bytes."""
@@ -457,7 +460,7 @@ class CompiledStepper:
                     return
             except SingularSystemError as error:
                 singular = error
-        apart = (done, -1)
+        apart = (done, APART)
         if status not in (step_loop.TOO_SMALL, NOT_FINITE) and self.mode != SYMMETRIC and apart not in self._renewed:
             self._renewed.add(apart)
             begin = float(self.run_state.progress.tried_begin[0])
@@ -466,6 +469,10 @@ class CompiledStepper:
             if solved:
                 return
         if not self.controlled and status == DIVERGED and self.method.extend_iterations():
+            return
+        switched = (done, SWITCHED)
+        if not self.controlled and switched not in self._renewed and self.method.switch_iteration():
+            self._renewed = {switched}
             return
         if self.controlled and status != step_loop.TOO_SMALL and self._shrink():
             return

@@ -89,6 +89,9 @@ FEWEST_WITH_ONE_TANGENT = 3
 MOST_ITERATIONS = 50
 """Default limit of the iterations in a step."""
 
+CONFIRMED_GROWTH = 10.0
+"""Growth of the last change, with new tangents, up to which it counts as round-off; chosen."""
+
 STEADY = 10
 """Number of iterations over which the contraction has to be steady if the limit of iterations is extended; chosen. Over
 fewer iterations, steady contraction may occur by chance."""
@@ -146,6 +149,12 @@ def is_converged(n, now, ratio, tolerance):
     """
     is_negligible = (ratio < LARGEST_CONTRACTION) & (ratio / (1.0 - ratio) * now <= tolerance)
     return (now == 0.0) | ((n > 1) & is_negligible)
+
+
+@subkernel
+def confirms(now, before):
+    """Return whether a change with new tangents confirms that the iteration has converged with the old ones."""
+    return (now <= NEGLIGIBLE_CHANGE) | (now <= CONFIRMED_GROWTH * before)
 
 
 @subkernel

@@ -43,6 +43,7 @@ from mbdkit.stepping.explicit import Explicit, new_explicit
 from mbdkit.stepping.run_state import load_run_state
 from mbdkit.stepping.simplified_newton import newton_changes
 from mbdkit.stepping.stage_polynomials import extrapolate, extrapolation_weights
+from mbdkit.stepping.turning_beams import turn_accelerations_back, turn_residual_back, turns_stages
 
 
 def dual_explicit(method: Explicit) -> Explicit:
@@ -272,6 +273,8 @@ def _index1_changes(c, n, m, k, t, h):
             m.residual[i, d] = lack
             m.change[i, d] = -lack
     if newton:
+        if turns_stages(m):
+            turn_accelerations_back(m)
         newton_changes(n, m, h, collocation_index1.right_side)
     return OK
 
@@ -280,6 +283,8 @@ def _index1_changes(c, n, m, k, t, h):
 def _constrained_changes(c, n, m, k, t, h):
     """Write the changes of the derivatives of the stages by one iteration, and change the multipliers."""
     collocation_constrained.evaluate_residual(c, m, t, h)
+    if turns_stages(m):
+        turn_residual_back(m)
     if is_shifted(m):
         status = collocation_constrained.change_shift(c, m, h, n.w.source, c.push)
         if status != OK:

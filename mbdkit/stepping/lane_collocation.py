@@ -62,6 +62,8 @@ class LaneStages(NamedTuple):
     settings: Settings
     previous: PreviousStep
     solved_apart: np.ndarray
+    turning: np.ndarray
+    nodes: np.ndarray
     acc: np.ndarray
     lam: np.ndarray
     q_stage: np.ndarray

@@ -79,7 +79,7 @@ def newton_changes(c, m, h, right_side):
     fill_rows(change, 0.0)
     for e in range(len(rk.mu_real)):
         _transformed(rk.t_real_inv[e], residual, systems.z_real)
-        right_side(c, m, h * rk.mu_real[e], systems.z_real, systems.b_real)
+        right_side(c, m, rk.t_real_inv[e], h * rk.mu_real[e], systems.z_real, systems.b_real)
         substitute(pattern, one_of(systems.real, e), systems.b_real, systems.x_real)
         for i in range(s):
             w = rk.t_real[i, e]
@@ -87,7 +87,7 @@ def newton_changes(c, m, h, right_side):
                 change[i, d] -= w * systems.x_real[d]
     for e in range(len(rk.mu_complex)):
         _transformed(rk.t_complex_inv[e], residual, systems.z_complex)
-        right_side(c, m, h * rk.mu_complex[e], systems.z_complex, systems.b_complex)
+        right_side(c, m, rk.t_complex_inv[e], h * rk.mu_complex[e], systems.z_complex, systems.b_complex)
         substitute(pattern, one_of(systems.cplx, e), systems.b_complex, systems.x_complex)
         for i in range(s):
             z = rk.t_complex[i, e]

@@ -13,7 +13,9 @@ from mbdkit.engine.native.functions import inlined, overload, subkernel
 from mbdkit.stepping.convergence import (
     FEWEST_WITH_ONE_TANGENT,
     SLOW,
+    STALLED,
     STEADY,
+    confirms,
     has_failed,
     is_converged,
     is_stalled,
@@ -80,6 +82,11 @@ def iterate(c, m, t, h, until, strategy, kernels):
     rate predicts that it will not converge (`predicts_failure`). It can only converge to the solution that belongs to
     the start. With step size control, a step that fails is repeated with a smaller step size.
 
+    An eager iteration evaluates the tangents again wherever it no longer contracts well, and once more when it has
+    converged: it ends only if the change with the tangents of the solution is not larger (`confirms`). Tangents of
+    stages far from the solution contain forces of stiff beams that are not in balance. These can make a free motion
+    appear stiff, so that its error hardly changes and the iteration seems to converge.
+
     In lanes, the iteration continues until every lane has converged. A lane that has converged keeps its stages, so
     that it makes the same iterations as the single run; the accelerations of a lane that fails become NaN.
 
@@ -92,17 +99,18 @@ def iterate(c, m, t, h, until, strategy, kernels):
     until
         The `IterationLimit`, and the relative change at which the iteration ends.
     strategy
-        Whether the iteration is careful, and whether the stages are predicted by free flight.
+        Whether the iteration is careful, whether it is eager, and whether the stages are predicted by free flight.
     kernels
         The equations of the stages (`mbdkit.stepping.collocation_stages.StageKernels`).
     """
     limit, tolerance = until
-    careful, free_flight = strategy
+    careful, eager, free_flight = strategy
     active = stale = True
     taken_at = idle = 0.0
     n = 0
     before = earlier = np.inf
     peak = 0.0
+    is_last = False
     while True:
         if any_of(stale):
             status = kernels.tangents(c, m, t, h, careful, stale)
@@ -124,11 +132,18 @@ def iterate(c, m, t, h, until, strategy, kernels):
         if any_of(stalled):
             idle = idle + where(stalled & kernels.counts_as_idle(now), 1.0, 0.0)
             done = done | (stalled & kernels.round_off(c, m, h, now, moved, idle))
+        if eager:
+            is_last = any_of(done) and not (is_last and any_of(confirms(now, before)))
+            if is_last:
+                done = now < 0.0  # nowhere
         active = active & (not done)
         if not any_of(active):
             return OK
         peak = max(peak, now)
-        fails = has_failed(n, limit.most[0], now, ratio) | loses_steadiness(n, limit, peak, earlier, tolerance)
+        growth = ratio
+        if eager:
+            growth = where(n - taken_at > 1, ratio, 0.0)  # with new tangents, changes may grow
+        fails = has_failed(n, limit.most[0], now, growth) | loses_steadiness(n, limit, peak, earlier, tolerance)
         if careful:
             fails = fails | predicts_failure(n, limit.most[0], now, ratio, tolerance)
         goes_on = not (active & fails)
@@ -140,5 +155,7 @@ def iterate(c, m, t, h, until, strategy, kernels):
         if n % STEADY == 0:
             earlier, peak = peak, 0.0
         contracts_slowly = (n - taken_at >= FEWEST_WITH_ONE_TANGENT) & (ratio > SLOW)
-        stale = active & (not careful) & (contracts_slowly | (free_flight and n == 1))
+        if eager:
+            contracts_slowly = ratio > STALLED
+        stale = active & (not careful) & (contracts_slowly | (is_last or (free_flight and n == 1)))
         before = now
