@@ -40,7 +40,7 @@ decimals.
 FEWEST_PER_PERIOD = 2
 """Smallest number of steps per period that resolves an oscillation."""
 
-LONGEST_TURN = 0.03
+LONGEST_TURN = 0.2
 """Angle [rad] by which a stiff beam may turn in an implicit step; measured, see the page `beams`."""
 
 _ANGLE = re.compile(r"\[(m or )?rad\]")

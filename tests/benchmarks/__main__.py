@@ -14,7 +14,20 @@ from mbdkit.base.errors import SpecError
 from mbdkit.base.files import check_suffix
 from mbdkit.plot.style import FORMATS
 
-from . import beams, chain, ensemble, executors, gradients, inverse_frames, plugins, python_steps, race, scale, startup
+from . import (
+    beams,
+    chain,
+    ensemble,
+    executors,
+    gradients,
+    inverse_frames,
+    plugins,
+    python_steps,
+    race,
+    scale,
+    startup,
+    turning_beams,
+)
 from .precision.evaluations import evaluations
 from .precision.race import precision, series
 
@@ -35,6 +48,7 @@ SECTIONS: dict[str, Callable[[Console], None]] = {
     "scale": scale.scale,
     "series": series,
     "startup": startup.startup,
+    "turning": turning_beams.turning,
 }
 
 
