@@ -53,7 +53,5 @@ FORMULATIONS: dict[str, Formulation] = {
 }
 """All formulations by name. The stage equations of each are those of `mbdkit.stepping.collocation`."""
 
-ABSOLUTE = tuple(name for name, one in FORMULATIONS.items() if one.coordinates == "absolute")
-"""Formulations in the coordinates of all bodies."""
 ORDINARY = tuple(name for name, one in FORMULATIONS.items() if not one.solves_multipliers)
 """Formulations whose equations are ordinary differential equations."""

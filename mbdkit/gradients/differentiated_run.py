@@ -11,6 +11,7 @@ import numpy as np
 from mbdkit.base.errors import RunError, SpecError, StepError
 from mbdkit.base.plain_data import path_text
 from mbdkit.engine.elimination_order import SingularSystemError
+from mbdkit.engine.formulation import FORMULATIONS
 from mbdkit.engine.kernels.observe import Observed
 from mbdkit.engine.native.arithmetic import DIRECTIONS
 from mbdkit.engine.observed_states import StateObserver
@@ -185,7 +186,7 @@ def plain_run(spec: RunSpec) -> DifferentiatedRun:
 def refuse(spec: RunSpec, method: Method) -> None:
     """Raise SpecError if runs of a spec with this method cannot be differentiated."""
     try:
-        require_derivatives(method, spec.stabilized)
+        require_derivatives(method, FORMULATIONS[spec.formulation], spec.stabilized)
     except NoDerivativeError as error:
         message = f"{spec.integrator_item.id} has no derivatives with respect to parameters here: {error}"
         raise SpecError(message, key="integrator") from None
@@ -233,7 +234,7 @@ def _stepper(
     table = replace(table, single=table.single or needs.ends)
     if table.impacts:
         raise SpecError("runs with impacts of drivers have no derivatives", key="impacts")
-    require_derivatives(method, workspace.stabilization)
+    require_derivatives(method, FORMULATIONS[workspace.formulation], workspace.stabilization)
     compiled: Any  # a method whose steps can be differentiated
     sided = with_sides(workspace.mechanism)
     try:

@@ -13,7 +13,8 @@ from typing import Annotated
 import mpmath
 from pydantic import Field
 
-from mbdkit.methods.method_options import ORDER_DRIFT, TOLERANCE_DRIFT, ImplicitOptions
+from mbdkit.engine.formulation import ORDINARY
+from mbdkit.methods.method_options import OF_TREES, ORDER_DRIFT, TOLERANCE_DRIFT, ImplicitOptions
 from mbdkit.methods.tableau import ButcherTableau, Coefficient, collocation
 from mbdkit.registry.items import Claims, IntegratorPlugin
 
@@ -77,8 +78,9 @@ def _claims(options: GaussOptions) -> Claims:
         quadratic_invariants=True,
         stages=options.stages,
         adaptive=options.adaptive,
-        drift=ORDER_DRIFT if fixed else TOLERANCE_DRIFT,
+        drift=(ORDER_DRIFT if fixed else TOLERANCE_DRIFT) + OF_TREES,
         needs=("tangents",) if options.stage_solver == "newton" else ("accelerations",),
+        formulations=ORDINARY,
     )
 
 

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
-from mbdkit.engine.formulation import Formulation
+from mbdkit.engine.formulation import INDEX_1, Formulation
 from mbdkit.engine.known_series import require_series
 from mbdkit.methods.tableau import ButcherTableau, TableauError
 
@@ -252,7 +252,7 @@ class ImplicitRungeKutta(Method):
 
     def require_formulation(self, formulation: Formulation) -> None:
         """See `Method`."""
-        if not formulation.solves_multipliers:
+        if formulation == INDEX_1:
             return
         refused = f"{self.tableau.name} cannot be used with the formulation {formulation.name!r}"
         if not self.tableau.is_diagonalisable:
@@ -260,7 +260,7 @@ class ImplicitRungeKutta(Method):
                 f"{refused}: its stages can only be solved one after the other, which this formulation does not "
                 "support; use index-1"
             )
-        if not self.tableau.is_stiffly_accurate or self.stage_solver != "newton":
+        if formulation.solves_multipliers and not (self.tableau.is_stiffly_accurate and self.stage_solver == "newton"):
             raise TableauError(
                 f"{refused}, which requires a stiffly accurate tableau with a regular matrix, and the stage solver "
                 "'newton'"

@@ -25,7 +25,7 @@ TOLERANCE_DRIFT = "constraints hold at acceleration level only: drift follows th
 """Drift of methods in adaptive steps on the index-1 equations."""
 
 OF_TREES = "; with joint-coordinates, joints of the spanning tree hold to round-off"
-"""Clause on joint coordinates that explicit methods append to `ORDER_DRIFT` or `TOLERANCE_DRIFT`."""
+"""Clause on joint coordinates that methods append to `ORDER_DRIFT` or `TOLERANCE_DRIFT`."""
 
 HAIRER_NORSETT_WANNER = """@book{hairer1993,
   author = {Hairer, Ernst and N{\\o}rsett, Syvert P. and Wanner, Gerhard},

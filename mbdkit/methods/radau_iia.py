@@ -11,8 +11,8 @@ from typing import Literal
 
 import mpmath
 
-from mbdkit.engine.formulation import ABSOLUTE
-from mbdkit.methods.method_options import HAIRER_WANNER, ORDER_DRIFT, TOLERANCE_DRIFT, ImplicitOptions
+from mbdkit.engine.formulation import FORMULATIONS, ORDINARY
+from mbdkit.methods.method_options import HAIRER_WANNER, OF_TREES, ORDER_DRIFT, TOLERANCE_DRIFT, ImplicitOptions
 from mbdkit.methods.tableau import ButcherTableau, collocation
 from mbdkit.registry.items import Claims, IntegratorPlugin, Orders
 
@@ -75,9 +75,9 @@ def _claims(options: RadauOptions) -> Claims:
         order=order if fixed else None,
         stages=s,
         adaptive=options.adaptive,
-        drift=_DRIFT_BY_FORMULATION if newton else index_1,
+        drift=(_DRIFT_BY_FORMULATION if newton else index_1) + OF_TREES,
         needs=("tangents",) if newton else ("accelerations",),
-        formulations=ABSOLUTE if newton else ("index-1",),
+        formulations=tuple(FORMULATIONS) if newton else ORDINARY,
         orders=orders if newton and fixed else {},
     )
 

@@ -125,6 +125,8 @@ def why_alone(spec: RunSpec, measures: Sequence[str] = ()) -> str:
     method = make_method(spec)
     if not method.traits.has_lanes or spec.claims.adaptive != (method.traits.tolerances is not None):
         return f"{spec.integrator_item.id} cannot be vectorized with these options"
+    if FORMULATIONS[spec.formulation].coordinates == "joint" and not method.traits.is_explicit:
+        return f"{spec.integrator_item.id} cannot be vectorized in joint coordinates"
     return ""
 
 

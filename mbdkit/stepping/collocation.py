@@ -10,21 +10,24 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from mbdkit.engine.formulation import FORMULATIONS
+from mbdkit.engine.formulation import FORMULATIONS, INDEX_1, Formulation
 from mbdkit.engine.iteration_matrix import classes_of
 from mbdkit.engine.kernels.equations import GAMMA_V, STIFFNESS
 from mbdkit.engine.kernels.observe import tangents_at
 from mbdkit.engine.native.bundle import PinnedBundle
-from mbdkit.stepping import collocation_constrained, collocation_index1
+from mbdkit.engine.spanning_tree import spanning_tree
+from mbdkit.stepping import collocation_constrained, collocation_index1, collocation_joint
+from mbdkit.stepping.collocation_joint import JointStages, joint_stages
 from mbdkit.stepping.collocation_stages import (
     FIXED_POINT,
     NEWTON,
+    StageEquations,
+    Stages,
     coefficients_of,
     new_settings,
     new_stages,
     new_systems,
 )
-from mbdkit.stepping.collocation_step import keep
 from mbdkit.stepping.compiled_method import CompiledMethod
 from mbdkit.stepping.convergence import TOLERANCE, describe_divergence
 from mbdkit.stepping.coupled_newton import CoupledNewton
@@ -50,15 +53,13 @@ class CompiledCollocation(CompiledMethod):
         Control of the step size, which bounds the accuracy of the stages for index-1; None for fixed steps.
     """
 
-    keep = keep
     carries_stages = True
 
     def __init__(self, method: ImplicitRungeKutta, workspace: Workspace, control: Control | None):
         super().__init__(workspace)
         formulation = self.formulation = FORMULATIONS[workspace.formulation]
-        equations = collocation_constrained if formulation.solves_multipliers else collocation_index1
-        self.equations = equations.EQUATIONS
-        self.attempt, self.dense = self.equations.attempt, self.equations.dense
+        self.equations = equations_of(formulation)
+        self.attempt, self.dense, self.keep = self.equations.attempt, self.equations.dense, self.equations.keep
         self.carries_multipliers = formulation.solves_multipliers
         self.has_dense_output = method.tableau.is_collocation
         self.rk = coefficients_of(method.tableau)
@@ -69,12 +70,15 @@ class CompiledCollocation(CompiledMethod):
         elif control is not None and not formulation.solves_multipliers:  # this tolerance is relative to accelerations
             tolerance = control.iteration_tolerance
         solver = NEWTON if method.stage_solver == "newton" else FIXED_POINT
-        self.bundle = new_stages(
+        stages = new_stages(
             self.rk,
             workspace,
             new_settings(formulation, solver, method.max_iterations, tolerance),
             _terms_by_position(workspace),
         )
+        self.bundle: Stages | JointStages = stages
+        if formulation.coordinates == "joint":
+            self.bundle = joint_stages(stages, spanning_tree(workspace.mechanism.topology))
         self.pinned = PinnedBundle(self.bundle)
         if method.max_iterations is None:
             self.limit = self.bundle.settings.limit
@@ -124,11 +128,11 @@ class CompiledCollocation(CompiledMethod):
     def solve_apart(self, run_state: RunState, t: float, h: float) -> bool:
         """Solve the stages of the next attempt with a tangent for each stage; return whether that succeeded.
 
-        This is done only for index-1, because only this formulation fails near singular positions in this way, and only
-        if there are no first-order states.
+        This is done only for index-1 in the coordinates of the bodies, because only these equations are solved in this
+        way, and only if there are no first-order states.
         """
         stages, settings = self.bundle, self.bundle.settings
-        is_other = settings.solver[0] == FIXED_POINT or self.formulation.solves_multipliers
+        is_other = settings.solver[0] == FIXED_POINT or self.formulation != INDEX_1
         if is_other or self.workspace.mechanism.states:
             return False
         if self.coupled is None:
@@ -155,6 +159,13 @@ class CompiledCollocation(CompiledMethod):
     def describe_divergence(self, report: np.ndarray) -> str:
         """Return the largest change of an acceleration and its location, as text."""
         return describe_divergence(self.workspace, report)
+
+
+def equations_of(formulation: Formulation) -> StageEquations:
+    """Return the stage equations of a formulation."""
+    if formulation.coordinates == "joint":
+        return collocation_joint.EQUATIONS
+    return (collocation_constrained if formulation.solves_multipliers else collocation_index1).EQUATIONS
 
 
 def _terms_by_position(workspace: Workspace) -> np.ndarray:

@@ -58,7 +58,10 @@ from mbdkit.stepping.collocation_stages import (
 )
 from mbdkit.stepping.collocation_step import (
     choose_tangent_state,
+    evaluate_stages,
     every_change_is_idle,
+    first_acceleration,
+    keep,
     move_stages,
     state_inside,
     try_step,
@@ -316,6 +319,8 @@ _KERNELS = StageKernels(
     stage_powers,
     right_side,
     _estimate_side,
+    evaluate_stages,
+    first_acceleration,
 )
 
 
@@ -362,4 +367,4 @@ def _choose_pivots(workspace: Workspace, rate: complex | None) -> tuple[Pattern,
     return pivots.pattern, Scatter(*(np.ascontiguousarray(pivots.scatter[some, :2]) for some in chosen))
 
 
-EQUATIONS = StageEquations(attempt, dense, _choose_pivots)
+EQUATIONS = StageEquations(attempt, dense, _choose_pivots, keep)

@@ -33,7 +33,10 @@ from mbdkit.engine.native.functions import entry, inlined, subkernel
 from mbdkit.stepping.collocation_stages import NEWTON, StageEquations, StageKernels, load_stages
 from mbdkit.stepping.collocation_step import (
     choose_tangent_state,
+    evaluate_stages,
     every_change_is_idle,
+    first_acceleration,
+    keep,
     move_stages,
     state_inside,
     try_step,
@@ -168,6 +171,8 @@ KERNELS = StageKernels(
     stage_powers,
     right_side,
     estimate_side=_lift,
+    evaluate=evaluate_stages,
+    first_acceleration=first_acceleration,
 )
 
 
@@ -189,4 +194,4 @@ def _choose_pivots(workspace: Workspace, rate: complex | None) -> tuple[Pattern,
     return pattern, scatter
 
 
-EQUATIONS = StageEquations(attempt, dense, _choose_pivots)
+EQUATIONS = StageEquations(attempt, dense, _choose_pivots, keep)

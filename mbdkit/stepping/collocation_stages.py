@@ -39,8 +39,8 @@ class StageEquations:
 
     Parameters
     ----------
-    attempt, dense
-        Compiled step, and compiled state inside it; see `mbdkit.stepping.step_loop`.
+    attempt, dense, keep
+        Compiled step, state inside it, and storage of its stages as quadrature nodes; see `mbdkit.stepping.step_loop`.
     choose_pivots
         Chooses pivots for the stage matrix from the tangents evaluated last and from ``h mu``. If that is None, the
         matrix contains no tangents.
@@ -49,6 +49,7 @@ class StageEquations:
     attempt: Entry
     dense: Entry
     choose_pivots: Callable[[Workspace, complex | None], tuple[Pattern, Scatter]]
+    keep: Entry
 
 
 class StageKernels(NamedTuple):
@@ -84,6 +85,10 @@ class StageKernels(NamedTuple):
     estimate_side: Any = None
     """``(c, m, z, b)``: write the right-hand side of the system that filters an estimate `z` of the error of
     velocities."""
+    evaluate: Any = None
+    """``(c, m, h)``: evaluate the stages from their accelerations; the step begins at ``m.previous.begin``."""
+    first_acceleration: Any = None
+    """``(c, m, t)``: solve for the acceleration at the beginning of a step unless it is known; return a status."""
 
 
 class Coefficients(NamedTuple):

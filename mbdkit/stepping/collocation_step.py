@@ -136,13 +136,13 @@ def solve_stages(c, m, t, h, careful, kernels):
         c.counts[ITERATIONS] += m.solved_apart[0]
         m.solved_apart[0] = 0
         m.previous.begin[0], m.previous.size[0] = t, h
-        evaluate_stages(c, m, h)
+        kernels.evaluate(c, m, h)
         return OK
     free_flight = _predict(m, t, h)
     if turns_stages(m):
         predict_turned(c, m, h)
     m.previous.begin[0], m.previous.size[0] = t, np.nan  # stages of a failed attempt must not be extrapolated
-    evaluate_stages(c, m, h)
+    kernels.evaluate(c, m, h)
     settings = m.settings
     strategy = careful, turns_stages(m), free_flight
     status = iterate(c, m, t, h, (settings.limit, settings.tolerance[0]), strategy, kernels)
@@ -180,7 +180,7 @@ def _keep_first_acceleration(c, m):
 
 
 @subkernel
-def _first_acceleration(c, m, t):
+def first_acceleration(c, m, t):
     """Solve for the acceleration at the beginning of a step unless it is known; return a status."""
     first = m.first
     if first.known[0] != 0:
@@ -286,7 +286,7 @@ def try_step(c, m, t, h, want_error, kernels):
     change = coordinate = iterations = 0.0
     while True:
         if careful:
-            status = _first_acceleration(c, m, t)
+            status = kernels.first_acceleration(c, m, t)
             if status != OK:
                 return status
         status = solve_stages(c, m, t, h, careful, kernels)
@@ -304,7 +304,7 @@ def try_step(c, m, t, h, want_error, kernels):
     if not (stays_finite(c.from_q, c.dq) and stays_finite(c.from_v, c.dv) and stays_finite(c.from_z, c.dz)):
         return NOT_FINITE
     if want_error != 0.0:
-        status = _first_acceleration(c, m, t)
+        status = kernels.first_acceleration(c, m, t)
         if status != OK:
             return status
         _estimate(c, m, h, kernels)

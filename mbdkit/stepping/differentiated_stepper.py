@@ -17,6 +17,7 @@ from mbdkit.engine.kernels.system import DIVERGED, NOT_FINITE, OK
 from mbdkit.engine.native.bundle import PinnedBundle
 from mbdkit.engine.workspace import Workspace
 from mbdkit.stepping.collocation import CompiledCollocation
+from mbdkit.stepping.collocation_stages import Stages
 from mbdkit.stepping.compiled_stepper import CompiledStepper
 from mbdkit.stepping.differentiated_laws import DifferentiatedLaws
 from mbdkit.stepping.differentiated_sampling import DifferentiatedSampler
@@ -94,6 +95,7 @@ class DifferentiatedSteps:
             self._stages = PinnedBundle(dual_explicit(method.bundle))
             self._stage_count = len(method.bundle.b)
             return
+        assert isinstance(method.bundle, Stages)
         new = dual_stages(method.bundle)
         if self._plain is not None:  # new pivots were chosen; the derivatives of the last stages remain valid
             new.acc[...] = self._stages.bundle.acc

@@ -11,59 +11,32 @@ import numpy as np
 
 from mbdkit.engine.formulation import FORMULATIONS
 from mbdkit.engine.kernels.applied_forces import any_forces, applied_forces, state_rates, take_states
-from mbdkit.engine.kernels.articulated import ARTICULATED, articulated_accelerations
+from mbdkit.engine.kernels.articulated import articulated_accelerations
 from mbdkit.engine.kernels.bundle_types import RealMatrix, State
 from mbdkit.engine.kernels.system import NOT_FINITE, OK, evaluate_powers, prepare, solve_accelerations
-from mbdkit.engine.kernels.tree import (
-    BODY,
-    COLUMNS,
-    PLACE,
-    TURN,
-    accelerate_coordinates,
-    coordinates_of,
-    place_bodies,
-    turn_tree,
-)
+from mbdkit.engine.kernels.tree import accelerate_coordinates, coordinates_of, place_bodies, turn_tree
 from mbdkit.engine.kernels.vectors import copy, fill, stays_finite
 from mbdkit.engine.native.arithmetic import any_of
 from mbdkit.engine.native.bundle import PinnedBundle, bundle_loader
 from mbdkit.engine.native.functions import entry, inlined, subkernel
 from mbdkit.engine.spanning_tree import is_tree_of_pins, spanning_tree
 from mbdkit.stepping.compiled_method import CompiledMethod
+from mbdkit.stepping.relative import (
+    BASE,
+    BASE_RATES,
+    V_STAGE,
+    Relative,
+    Y,
+    end_of_step,
+    errors_of_bodies,
+    new_relative,
+)
 from mbdkit.stepping.run_state import AT_END_OF_LAST, FACTORIZATIONS, MODIFIED, RHS, keep_node, load_run_state
 from mbdkit.stepping.stage_polynomials import dense_gains, weights_at
 
 if TYPE_CHECKING:
     from mbdkit.engine.workspace import Workspace
     from mbdkit.methods.kinds import ExplicitRungeKutta
-
-
-BASE, BASE_RATES, Y, Y_RATES, V_STAGE, END_Q, END_V, VECTORS = range(8)
-"""Rows of `Relative.vectors`: coordinates at the base state, and their rates; coordinates of a stage, or at the end of
-the step, and the rates of the latter; velocities of the bodies in a stage; state of the bodies at the end."""
-
-
-class Relative(NamedTuple):
-    """Arrays of the formulation ``joint-coordinates``; empty in other formulations.
-
-    The rates and accelerations of stages are then those of the coordinates of a spanning tree
-    (`mbdkit.engine.kernels.tree`), and the state of the bodies follows from them. The state of the run remains that of
-    the bodies: coordinates are taken from it at the beginning of each step.
-    """
-
-    tree: np.ndarray
-    """(B, 5) the spanning tree; no rows in other formulations."""
-    vectors: State
-    """(7, 3 (B + 1)) one array of all vectors, because each array makes the calls of kernels slower."""
-    bodies: np.ndarray
-    """(B + 1, 13) work array of `mbdkit.engine.kernels.articulated`; no rows if the accelerations follow from the
-    equations with multipliers."""
-
-
-def new_relative(size: int, tree: np.ndarray | None = None, *, of_pins: bool = False) -> Relative:
-    """Return the arrays for a spanning tree, or empty ones without a tree; `of_pins`: all its joints are fixed pins."""
-    rows, size = (np.zeros((0, COLUMNS), dtype=np.int64), 0) if tree is None else (tree, size)
-    return Relative(rows, np.zeros((VECTORS, size)), np.zeros((size // 3 if of_pins else 0, ARTICULATED)))
 
 
 class Explicit(NamedTuple):
@@ -275,57 +248,18 @@ def add_up_stages(c, m, t, h):
 
 
 @subkernel
-def end_of_step(c, r, t):
-    """Place the bodies at the end `t` of the step; replace the increments of coordinates by those of the bodies.
-
-    The step loop adds the increments by compensated sums. Coordinates that are part of the state are therefore added up
-    in the same way, so that the bodies are placed by the angles of the new state, to the last bit; and the low parts of
-    the sums of the other components are subtracted from their increments, because these components do not accumulate.
-    """
-    vectors, tree = r.vectors, r.tree
-    for d in range(len(c.dq)):
-        vectors[Y, d] = vectors[BASE, d] + c.dq[d]
-        vectors[Y_RATES, d] = vectors[BASE_RATES, d] + c.dv[d]
-    for n in range(len(tree)):
-        for i in range(3):
-            if tree[n, PLACE if i < 2 else TURN] < 0:
-                d = 3 * tree[n, BODY] + i
-                vectors[Y, d] = c.from_q[d] + (c.dq[d] + c.q_low[d])
-                vectors[Y_RATES, d] = c.from_v[d] + (c.dv[d] + c.v_low[d])
-    place_bodies(c.top, c.w, tree, t, vectors[Y], vectors[Y_RATES], vectors[END_Q], vectors[END_V])
-    for n in range(len(tree)):
-        for i in range(3):
-            if tree[n, PLACE if i < 2 else TURN] >= 0:
-                d = 3 * tree[n, BODY] + i
-                c.dq[d] = (vectors[END_Q, d] - c.from_q[d]) - c.q_low[d]
-                c.dv[d] = (vectors[END_V, d] - c.from_v[d]) - c.v_low[d]
-
-
-@subkernel
-def _errors_of_bodies(c, m, t, error_q, error_v):
-    """Replace the errors of the coordinates at the end `t` of the step by those of the state of the bodies."""
-    vectors = m.relative.vectors
-    for d in range(len(error_q)):
-        error_q[d] += vectors[Y, d]
-        error_v[d] += vectors[Y_RATES, d]
-    place_bodies(c.top, c.w, m.relative.tree, t, error_q, error_v, m.q_stage, vectors[V_STAGE])
-    for d in range(len(error_q)):
-        error_q[d] = m.q_stage[d] - vectors[END_Q, d]
-        error_v[d] = vectors[V_STAGE, d] - vectors[END_V, d]
-
-
-@subkernel
 def estimate_errors(c, m, t, h, out):
     """Write one or two estimates of the local error of a step from `t` into arrays of `out`."""
+    r = m.relative
     _increment(h, m.error[0], m.rates, out.est_q)
     _increment(h, m.error[0], m.accelerations, out.est_v)
     if is_relative(m):
-        _errors_of_bodies(c, m, t + h, out.est_q, out.est_v)
+        errors_of_bodies(c, r, t + h, out.est_q, out.est_v, m.q_stage, r.vectors[V_STAGE])
     if len(m.error) > 1:
         _increment(h, m.error[1], m.rates, out.second_q)
         _increment(h, m.error[1], m.accelerations, out.second_v)
         if is_relative(m):
-            _errors_of_bodies(c, m, t + h, out.second_q, out.second_v)
+            errors_of_bodies(c, r, t + h, out.second_q, out.second_v, m.q_stage, r.vectors[V_STAGE])
     if len(out.est_z) > 0:
         _increment(h, m.error[0], m.z_rates, out.est_z)
         if len(m.error) > 1:

@@ -140,6 +140,7 @@ class StagePivoting:
 def collocation_in_lanes(method: ImplicitRungeKutta, workspace: Workspace, pivots: StagePivots) -> LaneStages:
     """Return the bundle of a fully implicit method for lanes with these pivots."""
     single = CompiledCollocation(method, workspace, None)
+    assert isinstance(single.bundle, Stages)
     systems = new_systems(single.rk, pivots.pattern, pivots.scatter, workspace.unknowns)
     return _in_lanes(single.bundle._replace(systems=systems))
 

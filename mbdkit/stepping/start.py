@@ -8,7 +8,7 @@ from typing import Any
 
 from mbdkit.base.errors import MbdkitError
 from mbdkit.engine.compiled_mechanism import CompiledMechanism
-from mbdkit.engine.formulation import FORMULATIONS
+from mbdkit.engine.formulation import FORMULATIONS, Formulation
 from mbdkit.engine.stabilization import Stabilization
 from mbdkit.engine.workspace import Workspace
 from mbdkit.methods.kinds import Method, Traits
@@ -117,12 +117,14 @@ def start_method(method: Method, workspace: Workspace, timetable: Timetable) -> 
     return CompiledStepper(compiled, workspace, timetable, control)
 
 
-def require_derivatives(method: Method, stabilization: Stabilization) -> None:
-    """Raise NoDerivativeError unless the steps of a method can be differentiated."""
+def require_derivatives(method: Method, formulation: Formulation, stabilization: Stabilization) -> None:
+    """Raise NoDerivativeError unless the steps of a method with this formulation can be differentiated."""
     if not method.traits.has_derivatives:
         raise NoDerivativeError(
             "steps of explicit Runge-Kutta methods and of collocation methods (gauss, radau-iia) have derivatives; "
             "taylor, methods of SciPy, methods in Python and Lobatto pairs have none"
         )
+    if formulation.coordinates == "joint" and not method.traits.is_explicit:
+        raise NoDerivativeError("with joint-coordinates, only steps of explicit Runge-Kutta methods have derivatives")
     if stabilization.symmetric:
         raise NoDerivativeError("symmetric projections are not differentiated; use `stabilization: projection` or none")

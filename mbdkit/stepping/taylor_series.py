@@ -36,7 +36,7 @@ from mbdkit.engine.native.functions import entry, inlined, subkernel
 from mbdkit.engine.spanning_tree import spanning_tree
 from mbdkit.expressions.program import MAX_DEPTH
 from mbdkit.stepping.compiled_method import CompiledMethod
-from mbdkit.stepping.explicit import (
+from mbdkit.stepping.relative import (
     BASE,
     BASE_RATES,
     V_STAGE,

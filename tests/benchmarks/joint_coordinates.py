@@ -4,7 +4,7 @@
 distances, springs and torques, and compares runs in joint coordinates with runs of the same method in absolute ones and
 with SciPy's DOP853 on equations written by hand (`tests.engine.by_hand`): motion, every joint force and torque at the
 end, and the misalignment of the joints of the tree. It ends with status 1 if anything differs by more than 1e-9 of its
-size. ``--times`` prints the time of a step of rk4 in both coordinates instead.
+size. ``--method`` chooses the method. ``--times`` prints the time of a step in both coordinates instead.
 """
 
 from __future__ import annotations
@@ -30,6 +30,8 @@ from mbdkit.engine.spanning_tree import cut_joints
 from mbdkit.mechanism.joints import Driver
 from mbdkit.mechanism.mechanism import Mechanism
 from mbdkit.methods.dop853 import INTEGRATORS as DOP853
+from mbdkit.methods.gauss import INTEGRATORS as GAUSS
+from mbdkit.methods.radau_iia import INTEGRATORS as RADAU_IIA
 from mbdkit.methods.rk4 import INTEGRATORS as RK4
 from mbdkit.spec import load_spec
 from mbdkit.stepping.compiled_stepper import CompiledStepper
@@ -43,7 +45,12 @@ ACCEPTED = 1e-9
 ROUNDINGS = 16
 """Misalignment of joints of the tree, in units of the rounding error of the largest position, that is accepted."""
 LEAST_CONDITION = 1e-2
-METHOD = {"name": "dop853", "adaptive": True, "rtol": 1e-13, "atol": 1e-13}
+_TIGHT = {"adaptive": True, "rtol": 1e-13, "atol": 1e-13}
+METHODS: dict[str, dict[str, Any]] = {
+    "dop853": {"name": "dop853", **_TIGHT},
+    "gauss": {"name": "gauss", "stages": 6, **_TIGHT},
+    "radau-iia": {"name": "radau-iia", "stages": 5, **_TIGHT},
+}
 
 
 def any_joints(rng: np.random.Generator) -> Mechanism:
@@ -132,7 +139,7 @@ class Oracle:
         return found
 
 
-def differences(mechanism: Mechanism) -> dict[str, float]:
+def differences(mechanism: Mechanism, method: str) -> dict[str, float]:
     """Return the differences of a run in joint coordinates from others, as shares.
 
     Raises MbdkitError if a run is not possible.
@@ -140,7 +147,7 @@ def differences(mechanism: Mechanism) -> dict[str, float]:
     state, oracle = assemble(mechanism, 0.0), Oracle(mechanism)
     if len(mechanism.joints) and oracle.hand.conditioning(with_ground(state.q), 0.0) < LEAST_CONDITION:
         raise MbdkitError("the constraints are nearly dependent")
-    settings: dict[str, Any] = {"integrator": METHOD, "time": {"end": END}, "limits": {"max_steps": 3000}}
+    settings: dict[str, Any] = {"integrator": METHODS[method], "time": {"end": END}, "limits": {"max_steps": 3000}}
     with redirect_stderr(io.StringIO()):  # warnings of large changes by assembly
         ours, theirs = (
             mbdkit.run(mechanism, formulation=name, **settings) for name in ("joint-coordinates", "index-1")
@@ -175,7 +182,7 @@ def differences(mechanism: Mechanism) -> dict[str, float]:
     return found
 
 
-def compare(console: Console, count: int, seed: int) -> bool:
+def compare(console: Console, count: int, seed: int, method: str) -> bool:
     """Compare `count` mechanisms; return whether all agree."""
     worst: dict[str, tuple[float, str]] = {}
     compared, refused, n = 0, 0, 0
@@ -185,14 +192,15 @@ def compare(console: Console, count: int, seed: int) -> bool:
         label = f"{kind} {n}"
         mechanism = KINDS_DRAWN[kind](np.random.default_rng([seed, n]))
         try:
-            found = differences(mechanism)
+            found = differences(mechanism, method)
         except MbdkitError:  # cannot be assembled, or passes a singular position
             refused += 1
             continue
         compared += 1
         for name, value in found.items():
             worst[name] = max(worst.get(name, (0.0, "")), (value, label))
-    table = Table("largest difference of joint coordinates", "share", "mechanism", title=f"{compared} mechanisms")
+    title = f"{compared} mechanisms, {method}"
+    table = Table("largest difference of joint coordinates", "share", "mechanism", title=title)
     agrees = True
     for name, (value, label) in worst.items():
         table.add_row(name, f"{value:.2g}", label)
@@ -214,7 +222,7 @@ def times(console: Console, repeats: int = 300) -> None:
                 "time": {"end": 1.0, "step": 0.1},
             }
         ).mechanism()
-        for item in (RK4[0], DOP853[0]):
+        for item in (RK4[0], DOP853[0], GAUSS[0], RADAU_IIA[0]):
             steps = max(1, 1000 // rods)
             total = steps * (repeats + 1)
             planned = Timetable(0.0, total * 1e-4, step=1e-4, steps=total, every=total)
@@ -241,12 +249,13 @@ def main() -> None:
     parser = argparse.ArgumentParser(prog="python -m tests.benchmarks.joint_coordinates", description=__doc__)
     parser.add_argument("--count", type=int, default=300, help="number of mechanisms (default 300)")
     parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--method", choices=METHODS, default="dop853")
     parser.add_argument("--times", action="store_true", help="print the time of a step instead")
     asked = parser.parse_args()
     console = Console()
     if asked.times:
         times(console)
-    elif not compare(console, asked.count, asked.seed):
+    elif not compare(console, asked.count, asked.seed, asked.method):
         raise SystemExit(1)
 
 

@@ -130,13 +130,14 @@ def test_a_plugin_with_such_a_tableau_is_verified() -> None:
 
 
 def test_formulations_that_it_cannot_solve_are_refused() -> None:
-    spec = load_spec(
-        {"mbdkit": 1, "model": SWING, "time": {"end": 1.0, "step": 0.1}, "formulation": "index-3"},
-        integrator={"name": "radau-iia", "stages": 2},
-    )
     table = Timetable(start=0.0, end=1.0, step=0.1, steps=10, every=1, max_steps=100, single=False)
-    with pytest.raises(TableauError, match=r"one after the other, which this formulation does not support"):
-        start_method(ImplicitRungeKutta(TABLEAUS["alexander-2"]), build(spec)[0], table)
+    for formulation in ("index-3", "joint-coordinates"):
+        spec = load_spec(
+            {"mbdkit": 1, "model": SWING, "time": {"end": 1.0, "step": 0.1}, "formulation": formulation},
+            integrator={"name": "radau-iia", "stages": 2},
+        )
+        with pytest.raises(TableauError, match=r"one after the other, which this formulation does not support"):
+            start_method(ImplicitRungeKutta(TABLEAUS["alexander-2"]), build(spec)[0], table)
     jordan = ButcherTableau("odd", [["1/2", "1/2"], [0, "1/2"]], ["1/2", "1/2"], [1, "1/2"], 1)
     with pytest.raises(TableauError, match=r"is neither diagonalisable nor lower triangular"):
         ImplicitRungeKutta(jordan)

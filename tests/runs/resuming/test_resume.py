@@ -112,6 +112,9 @@ SPECS = {
         {"name": "taylor", **TIGHT}, {"end": 60.0}, output={"interval": 0.01}, formulation="joint-coordinates"
     ),
     "radau-iia, adaptive": spec_of({"name": "radau-iia", **TIGHT}, {"end": 10.0}, output={"interval": 0.01}),
+    "gauss, adaptive, joint-coordinates": spec_of(
+        {"name": "gauss", **TIGHT}, {"end": 5.0}, output={"interval": 0.01}, formulation="joint-coordinates"
+    ),
     "radau-iia, index-3": spec_of(
         {"name": "radau-iia", "stages": 2}, {"steps": 1500, "step": 1e-3}, formulation="index-3"
     ),

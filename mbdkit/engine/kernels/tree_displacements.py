@@ -1,0 +1,78 @@
+"""Small displacements of the bodies of a spanning tree, and the changes of its coordinates that cause them.
+
+If the angles of the two bodies of a joint change by alpha and beta, and the travel along its line by s, then the
+displacements of their centers of mass satisfy
+
+    d_b - d_a = A alpha + B beta + u s
+
+with vectors A, B and u (zero without a line), the *arms* of the joint. Coordinates of a tree are as in
+`mbdkit.engine.kernels.tree`; vectors may be complex.
+"""
+
+from __future__ import annotations
+
+from mbdkit.engine.kernels.constraints import KINDS
+from mbdkit.engine.kernels.tree import BODY, PLACE, PLACE_SIDE, TURN, TURN_SIDE, turned
+from mbdkit.engine.native.functions import subkernel
+
+AX, AY, BX, BY, UX, UY, ARMS = range(7)
+"""Columns of the arms of a tree (B, 6), whose rows are those of the tree."""
+
+_LINE, _CENTER = KINDS["point_on_line"], KINDS["moving_center"]
+
+
+@subkernel
+def take_arms(top, w, tree, q, arms):
+    """Write the arms of all joints of a tree at the positions `q` of the bodies; requires `prepare`."""
+    p, cs = top.pair_parameters, w.cs
+    for n in range(len(tree)):
+        k = tree[n, PLACE]
+        if k < 0:
+            continue
+        a, b, m = top.pairs[k, 1], top.pairs[k, 2], top.pairs[k, 3]
+        bx, by = turned(cs[b, 0], cs[b, 1], p[k, 2], p[k, 3])
+        x, y = q[3 * b] + bx - q[3 * a], q[3 * b + 1] + by - q[3 * a + 1]  # from the first center to the point of b
+        tx = ty = ux = uy = 0.0
+        if top.pairs[k, 0] == _LINE:
+            ux, uy = turned(cs[a, 0], cs[a, 1], p[k, 4], p[k, 5])
+        elif top.pairs[k, 0] == _CENTER:  # the center moves on the first body as the second one turns relative to it
+            tx, ty = turned(cs[a, 0], cs[a, 1], w.u[m, 1], w.u[m + 2, 1])
+        arms[n, AX], arms[n, AY] = -y - tx, x - ty
+        arms[n, BX], arms[n, BY] = by + tx, ty - bx
+        arms[n, UX], arms[n, UY] = ux, uy
+
+
+@subkernel
+def displace_bodies(top, tree, arms, x):
+    """Replace the changes of the coordinates in `x` by the displacements of the bodies; those of ground are zero."""
+    for n in range(len(tree)):
+        b, k = tree[n, BODY], tree[n, TURN]
+        if k >= 0:
+            x[3 * b + 2] = x[3 * top.pairs[k, 2 - tree[n, TURN_SIDE]] + 2]
+    for n in range(len(tree)):
+        i, k, side = tree[n, BODY], tree[n, PLACE], tree[n, PLACE_SIDE]
+        if k < 0:
+            continue
+        a, b, other, sign = top.pairs[k, 1], top.pairs[k, 2], top.pairs[k, 2 - side], 2.0 * side - 1.0
+        alpha, beta, travel = x[3 * a + 2], x[3 * b + 2], x[3 * i]
+        for d in range(2):
+            apart = arms[n, AX + d] * alpha + arms[n, BX + d] * beta + arms[n, UX + d] * travel
+            x[3 * i + d] = x[3 * other + d] + sign * apart
+
+
+@subkernel
+def take_changes(top, tree, arms, x):
+    """Replace the displacements of the bodies in `x` by the changes of the coordinates; the inverse of
+    `displace_bodies`.
+    """
+    for n in range(len(tree) - 1, -1, -1):  # from the leaves, because the displacement of the parent is needed
+        i, k = tree[n, BODY], tree[n, PLACE]
+        if k >= 0:
+            a, b = top.pairs[k, 1], top.pairs[k, 2]
+            travel = x[3 * i] * 0.0
+            for d in range(2):
+                turning = arms[n, AX + d] * x[3 * a + 2] + arms[n, BX + d] * x[3 * b + 2]
+                travel += arms[n, UX + d] * (x[3 * b + d] - x[3 * a + d] - turning)
+            x[3 * i], x[3 * i + 1] = travel, 0.0
+        if tree[n, TURN] >= 0:
+            x[3 * i + 2] = 0.0
