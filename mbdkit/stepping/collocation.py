@@ -147,9 +147,14 @@ class CompiledCollocation(CompiledMethod):
         return bool(stages.solved_apart[0] > 0)
 
     def switch_iteration(self) -> bool:
-        """Let the tangents of the stages turn with the nodes of beams, or let them no longer do so."""
+        """Let the tangents of the stages turn with the nodes of beams, or let them no longer do so.
+
+        Return whether the iteration was switched. In joint coordinates it is not, because the unknowns of nodes are
+        then not always their accelerations.
+        """
         stages = self.bundle
-        if stages.settings.solver[0] == FIXED_POINT or len(stages.nodes) == 0:
+        is_other = stages.settings.solver[0] == FIXED_POINT or self.formulation.coordinates == "joint"
+        if is_other or len(stages.nodes) == 0:
             return False
         stages.turning[0] = 1 - stages.turning[0]
         self.forget()
