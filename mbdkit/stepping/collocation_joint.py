@@ -95,6 +95,8 @@ class JointStages(NamedTuple):
     settings: Settings
     previous: Annotated[PreviousStep, STATE]
     solved_apart: State
+    turning: State
+    nodes: np.ndarray
     acc: State
     lam: State
     q_stage: np.ndarray
