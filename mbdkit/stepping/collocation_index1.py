@@ -91,7 +91,7 @@ def evaluate_accelerations(c, m, t, h, refine, with_powers):
 
 
 @inlined
-def _lift(c, m, x, b):
+def lift(c, m, x, b):
     """Write ``[M x, Phi_q x]`` into `b` (n + m,) for an acceleration `x` that is zero on the ground."""
     top, row_index, jac = c.top, c.solver.row_index, m.tangent.jac
     pairs, rows, mass = top.pairs, top.rows, top.mass
@@ -111,7 +111,7 @@ def _lift(c, m, x, b):
 @inlined
 def right_side(c, m, weights, rate, z, b):
     """Write the right-hand side of the system of an eigenvalue mu; it does not depend on ``rate = h mu``."""
-    _lift(c, m, z, b)
+    lift(c, m, z, b)
     if turns_stages(m):
         add_turned_forces(c, m, weights, b)
 
@@ -170,7 +170,7 @@ KERNELS = StageKernels(
     _round_off,
     stage_powers,
     right_side,
-    estimate_side=_lift,
+    estimate_side=lift,
     evaluate=evaluate_stages,
     first_acceleration=first_acceleration,
 )

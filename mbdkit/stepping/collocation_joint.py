@@ -233,11 +233,11 @@ def _evaluate_accelerations(c, m, t, h, refine, with_powers):
 def _estimate_side(c, m, z, b):
     """Write ``[M T z, Phi_q T z]`` into `b` (n + m,), and replace `z` by ``T z``."""
     displace_bodies(c.top, m.on_tree.relative.tree, m.on_tree.arms, z)
-    collocation_index1.right_side(c, m, 0.0, z, b)
+    collocation_index1.lift(c, m, z, b)
 
 
 @inlined
-def _right_side(c, m, rate, z, b):
+def _right_side(c, m, weights, rate, z, b):
     """Write the right-hand side of the system of an eigenvalue mu; it does not depend on ``rate = h mu``."""
     _estimate_side(c, m, z, b)
 
