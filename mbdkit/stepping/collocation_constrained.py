@@ -48,7 +48,7 @@ from mbdkit.engine.kernels.system import (
     unfold_multipliers,
 )
 from mbdkit.engine.kernels.vectors import copy
-from mbdkit.engine.native.functions import entry, inlined, subkernel
+from mbdkit.engine.native.functions import entry, inlined, separate, subkernel
 from mbdkit.stepping.collocation_stages import (
     StageEquations,
     StageKernels,
@@ -84,7 +84,7 @@ if TYPE_CHECKING:
     from mbdkit.engine.workspace import Workspace
 
 
-@subkernel
+@separate
 def _tangents(c, m, t, h, at_start, wanted):
     """Evaluate and factorize the matrices of all eigenvalues; return a status."""
     choose_tangent_state(c, m, t, h, at_start, wanted)
@@ -97,7 +97,7 @@ def _tangents(c, m, t, h, at_start, wanted):
     return factorize_all(c, m, h, 0.5)
 
 
-@subkernel
+@separate
 def evaluate_residual(c, m, t, h):
     """Evaluate the residual of the equations of motion and of the constraints of every stage into ``m.residual``."""
     top, w = c.top, c.w
@@ -132,7 +132,7 @@ def evaluate_residual(c, m, t, h):
     c.counts[RHS] += len(m.rk.c)
 
 
-@subkernel
+@separate
 def change_shift(c, m, h, source, acc):
     """Change mu so that both constraints can be satisfied, and add the effect of the resulting change of positions to
     the residual (ggl).
@@ -272,7 +272,7 @@ def _round_off(c, m, h, now, moved, idle):
     return now <= NEGLIGIBLE_CHANGE or (moved <= STAGNANT and accelerations_are_round_off(c, m, h, True))
 
 
-@subkernel
+@separate
 def unfold(c, t, q, lam, out):
     """Expand the multipliers `lam` of the rows that are solved for to those of the pairs of rows, `out`.
 

@@ -29,7 +29,7 @@ from mbdkit.engine.kernels.system import (
 )
 from mbdkit.engine.kernels.vectors import copy
 from mbdkit.engine.native.arithmetic import any_of
-from mbdkit.engine.native.functions import entry, inlined, subkernel
+from mbdkit.engine.native.functions import entry, inlined, separate, subkernel
 from mbdkit.stepping.collocation_stages import NEWTON, StageEquations, StageKernels, load_stages
 from mbdkit.stepping.collocation_step import (
     choose_tangent_state,
@@ -59,7 +59,7 @@ if TYPE_CHECKING:
     from mbdkit.engine.workspace import Workspace
 
 
-@subkernel
+@separate
 def _tangents(c, m, t, h, at_start, wanted):
     """Evaluate and factorize the matrices of all eigenvalues unless Newton's method is not used; return a status."""
     if m.settings.solver[0] != NEWTON:
@@ -73,7 +73,7 @@ def _tangents(c, m, t, h, at_start, wanted):
     return factorize_all(c, m, h, 1.0)
 
 
-@subkernel
+@separate
 def evaluate_accelerations(c, m, t, h, refine, with_powers):
     """Evaluate the index-1 accelerations of every stage into ``m.spread``; return a status."""
     top, w = c.top, c.w

@@ -30,7 +30,7 @@ from mbdkit.engine.kernels.tree import BODY, PLACE, accelerate_coordinates, coor
 from mbdkit.engine.kernels.tree_displacements import ARMS, displace_bodies, take_arms, take_changes
 from mbdkit.engine.kernels.vectors import copy, fill_rows
 from mbdkit.engine.native.bundle import bundle_loader
-from mbdkit.engine.native.functions import entry, inlined, subkernel
+from mbdkit.engine.native.functions import entry, inlined, separate, subkernel
 from mbdkit.stepping import collocation_index1
 from mbdkit.stepping.collocation_stages import (
     NEWTON,
@@ -148,7 +148,7 @@ def _restore_bodies(c, m):
     copy(m.on_tree.from_v, c.from_v)
 
 
-@subkernel
+@separate
 def _place_stages(c, m, h):
     """Replace the coordinates in ``m.q_stage`` and ``m.v_stage`` by the state of the bodies."""
     o, t = m.on_tree, m.previous.begin[0]
@@ -195,7 +195,7 @@ def _choose_tangent_state(c, m, t, h, at_start):
     stage_mean_of_pairs(m.lam, tangent.lam, True)
 
 
-@subkernel
+@separate
 def _tangents(c, m, t, h, at_start, wanted):
     """Evaluate and factorize the matrices of all eigenvalues unless Newton's method is not used; return a status."""
     if m.settings.solver[0] != NEWTON:
@@ -210,7 +210,7 @@ def _tangents(c, m, t, h, at_start, wanted):
     return factorize_all(c, m, h, 1.0)
 
 
-@subkernel
+@separate
 def _evaluate_accelerations(c, m, t, h, refine, with_powers):
     """Evaluate the accelerations of the coordinates of every stage into ``m.spread``; return a status."""
     top, w, o = c.top, c.w, m.on_tree
@@ -271,7 +271,7 @@ def _powers(c, m, t, h):
     return _evaluate_accelerations(c, m, t, h, True, True)
 
 
-@subkernel
+@separate
 def _first_acceleration(c, m, t):
     """Solve for the accelerations at the beginning of a step unless they are known; return a status."""
     first, o = m.first, m.on_tree

@@ -15,7 +15,7 @@ from mbdkit.engine.kernels.applied_forces import state_rates, take_states
 from mbdkit.engine.kernels.system import DIVERGED, NOT_FINITE, OK, prepare, solve_accelerations
 from mbdkit.engine.kernels.vectors import copy, fill, fill_rows, stays_finite
 from mbdkit.engine.native.arithmetic import any_of, is_refused, renewed, usable
-from mbdkit.engine.native.functions import entry, inlined, subkernel
+from mbdkit.engine.native.functions import entry, inlined, separate, subkernel
 from mbdkit.stepping.collocation_stages import NEWTON, load_stages, solves_multipliers
 from mbdkit.stepping.convergence import stays_near
 from mbdkit.stepping.element_states import add_up_states
@@ -179,7 +179,7 @@ def _keep_first_acceleration(c, m):
         first.known[0] = 0
 
 
-@subkernel
+@separate
 def first_acceleration(c, m, t):
     """Solve for the acceleration at the beginning of a step unless it is known; return a status."""
     first = m.first

@@ -26,7 +26,7 @@ from mbdkit.engine.kernels.applied_forces import (
 )
 from mbdkit.engine.kernels.system import DIVERGED, OK, prepare
 from mbdkit.engine.native.arithmetic import is_lanes
-from mbdkit.engine.native.functions import inlined, overload, subkernel
+from mbdkit.engine.native.functions import inlined, overload, separate, subkernel
 
 MOST_ITERATIONS = 50
 DIFFERENCE = 1e-7
@@ -45,7 +45,7 @@ def solve_states(c, m, t, h):
     return _solve_states(c, m, t, h)
 
 
-@subkernel
+@separate
 def _solve_states(c, m, t, h):
     if len(c.from_z) == 0:
         return OK

@@ -93,3 +93,35 @@ def test_gauss_turns_a_damped_blade_by_a_fifth_of_a_radian_a_step() -> None:
     x, y = run["blade.20"].position[-1]
     assert np.hypot(x, y) - 10.0 == pytest.approx(5.14e-4, rel=0.5)
     assert math.remainder(math.atan2(y, x) - 12.0, 2 * math.pi) == pytest.approx(0.0, abs=1e-3)
+
+
+@pytest.mark.parametrize("formulation", ["index-2", "ggl"])
+def test_two_stiff_rods_on_a_hinge_swing_as_a_rigid_double_pendulum(formulation: str) -> None:
+    # expected: Lagrange's equations of two rigid rods with the masses of the nodes, by DOP853
+    inertia = 0.5 * 0.5**2 + 0.25 + 1e-4  # about the hinge of a rod
+
+    def rates(_: float, y: np.ndarray) -> list[float]:
+        a, b, u, w = y
+        mass = np.array([[inertia + 1.0, 0.5 * math.cos(a - b)], [0.5 * math.cos(a - b), inertia]])
+        turning = 0.5 * math.sin(a - b) * np.array([-w * w, u * u])
+        return [u, w, *np.linalg.solve(mass, turning - 9.81 * np.array([1.5 * math.cos(a), 0.5 * math.cos(b)]))]
+
+    exact = solve_ivp(rates, (0.0, 1.0), [0.0, -math.pi / 2, 0.0, 0.0], "DOP853", rtol=1e-12, atol=1e-12).y[:2, -1]
+    errors = []
+    for steps in (20, 40):
+        m = mbdkit.Mechanism()
+        for name, a, b in (("upper", (0, 0), (1, 0)), ("lower", (1, 0), (1, -1))):
+            stiffness = {"axial": 1e9, "shear": 1e9, "bending": 1e7}
+            m.beam(name, a=a, b=b, elements=LAST, mass_per_length=1.0, rotary_inertia=1e-4, stiffness=stiffness)
+        m.revolute("hip", m.ground, "upper.0", at=(0, 0))
+        m.revolute("knee", "upper.last", "lower.0", at=(1, 0))
+        run = mbdkit.run(
+            m, integrator={"name": "radau-iia", "stages": 3}, formulation=formulation,
+            time={"end": 1.0, "step": 1.0 / steps},
+        ).check()  # fmt: skip
+        turns = [float(np.max(np.abs(np.diff(run[name].angle)))) for name in ("upper.last", "lower.last")]
+        found = np.array([run["upper.last"].angle[-1], run["lower.last"].angle[-1]])
+        assert steps > 20 or max(turns) > 0.2
+        errors.append(float(np.max(np.abs(found - exact))))
+    assert errors[0] < 1e-3
+    assert math.log2(errors[0] / errors[1]) > 4.5

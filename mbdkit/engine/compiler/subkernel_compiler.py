@@ -17,6 +17,8 @@ from numba.core.compiler import CompilerBase, DefaultPassBuilder
 from numba.core.compiler_machinery import register_pass
 from numba.core.typed_passes import NativeLowering
 
+from mbdkit.engine.native.functions import SEPARATE
+
 
 class _SubkernelLibrary(JITCodeLibrary):
     """The LLVM IR of a subkernel and of its callees, for linking only."""
@@ -39,6 +41,8 @@ class _SubkernelLowering(NativeLowering):
         """Lower the function and register its IR as the implementation of calls to it."""
         state["library"] = code = _SubkernelLibrary(state.targetctx.codegen(), state.func_id.func_qualname)
         state.flags.no_compile = True
+        if state.func_id.func in SEPARATE:  # its callees have been compiled already, and inherit the flag
+            state.flags.forceinline = False
         super().run_pass(state)
         code.finalize()
         # Numba registers the code of a callee under a Python function, here a bound builtin method of a new dictionary,

@@ -1,9 +1,9 @@
 """Building blocks of kernels: decorators, overloads, and placeholders for operations of the compiler.
 
-A compiled function is an ordinary function of Python. `subkernel` and `inlined` mark functions that only compiled code
-calls; `kernel` is for functions that Python calls, and `entry` for functions that kernels call by address. Functions
-that differ between the arithmetics (`mbdkit.engine.native.arithmetic`) are declared by `overload`, and those that only
-the compiler can express by `placeholder`.
+A compiled function is an ordinary function of Python. `subkernel`, `inlined` and `separate` mark functions that only
+compiled code calls; `kernel` is for functions that Python calls, and `entry` for functions that kernels call by
+address. Functions that differ between the arithmetics (`mbdkit.engine.native.arithmetic`) are declared by `overload`,
+and those that only the compiler can express by `placeholder`.
 """
 
 from __future__ import annotations
@@ -17,6 +17,8 @@ Function = TypeVar("Function", bound=Callable[..., Any])
 
 SUBKERNELS: dict[Callable[..., Any], bool] = {}
 """Functions that only compiled code calls, and whether they are copied into their callers."""
+SEPARATE: set[Callable[..., Any]] = set()
+"""Subkernels that are not copied into their callers."""
 OVERLOADS: list[tuple[Callable[..., Any], Callable[..., Any]]] = []
 """Overloaded functions, each with a function that returns its source for given types of arguments."""
 PLACEHOLDERS: set[Callable[..., Any]] = set()
@@ -37,6 +39,15 @@ def inlined(function: Function) -> Function:
     """Mark a function that only kernels call and that is copied into each of its callers."""
     SUBKERNELS[function] = True
     return function
+
+
+def separate(function: Function) -> Function:
+    """Mark a large function that only kernels call, from several places, and that is not copied into its callers.
+
+    LLVM takes a minute for a kernel that consists of many copies, and the copies are not faster.
+    """
+    SEPARATE.add(function)
+    return subkernel(function)
 
 
 def overload(function: Callable[..., Any]) -> Callable[[Function], Function]:
