@@ -228,7 +228,7 @@ _COUNTERS = (
     "newton_iterations", "projections",
 )  # fmt: skip
 
-_WITHOUT_CHECKPOINT = ("its checkpoint ", "cannot be stored", "SciPy offers no way")
+_WITHOUT_CHECKPOINT = ("its checkpoint ", "before it wrote any rows", "cannot be stored", "SciPy offers no way")
 
 
 def _resumed(spec: dict[str, Any], path: Path, share: float) -> Any:
