@@ -43,8 +43,12 @@ from mbdkit.mechanism.parameters import parameters_in_use
 from mbdkit.runs.coarse_beams import CoarseBeams
 from mbdkit.spec.loading import RunSource, Sections
 
-MOST_STEPS = 500
-"""Largest number of attempted steps, including rejected ones; a search with more steps fails."""
+MOST_STEPS = 1000
+"""Largest number of attempted steps, including rejected ones; a search with more steps fails.
+
+Cantilevers under a force that bends them strongly need about 300 steps, with coarse elements that are `corrected` up to
+540.
+"""
 
 LONGEST = 0.5
 """Largest step of a coordinate, relative to the size of the mechanism or to 1 rad."""

@@ -186,6 +186,19 @@ def test_internal_forces_of_a_beam_at_rest_reach_its_ends(nodes: int) -> None:
     assert float(row[5]) == pytest.approx(-sag, rel=0.01 if nodes == 2 else 2e-3)  # shear adds 0.12 %
 
 
+def test_coarse_corrected_elements_bend_far() -> None:
+    # expected: 0.74457 L under the force 6 EI/L^2 across the tip, in Mattiasson's table of the elastica (1981)
+    m = mbdkit.Mechanism(gravity=(0.0, 0.0))
+    stiffness = {"axial": 4e6, "bending": 4 / 3, "shear": "none"}
+    rod = m.beam("rod", a=(0, 0), b=(1, 0), elements=4, corrected=True, stiffness=stiffness, mass_per_length=0.157)
+    m.weld("clamp", m.ground, rod[0], at=(0.0, 0.0))
+    m.force("tip", rod[-1], value=(0.0, 8.0))
+    found = mbdkit.equilibrium(m)
+    assert found[rod[-1]][1] == pytest.approx(0.74457, rel=0.01)
+    assert found.stability == "stable"
+    assert "too coarse: its moments or deflections may be wrong by about 1.5 %" in found.warnings[0]
+
+
 @pytest.mark.parametrize(("elements", "nodes", "is_coarse"), [(8, 3, True), (20, 2, True), (60, 2, False)])
 def test_beams_that_bend_within_an_element_are_told(
     elements: int, nodes: int, is_coarse: bool, capsys: pytest.CaptureFixture[str]

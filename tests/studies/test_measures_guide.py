@@ -33,9 +33,11 @@ def test_the_measures_of_beams_are_valid() -> None:
     units = {one.name: describe(one, spec).units for one in spec.defined_measures()}
     assert units == {
         "largest_moment": "N m",
-        "largest_stress": "MPa",
+        "stress_in_the_middle": "MPa",
+        "stress_at_the_clamp": "MPa",
         "moment_at_the_end": "N m",
         "moment_near_a": "N m",
+        "moment_at_a": "N m",
     }
 
 
