@@ -49,6 +49,7 @@ from mbdkit.report.study_report import runs_table, settings
 from mbdkit.report.templating import render
 from mbdkit.studies.study import Study
 from mbdkit.studies.study_headlines import headlines
+from mbdkit.studies.study_notes import notes
 
 
 @dataclass(frozen=True)
@@ -158,7 +159,7 @@ def _(mechanism: Mechanism) -> View:
 @view.register
 def _(study: Study) -> View:
     title = " ".join(study.spec.title.split()) or study.folder.resolve().name
-    answers = [f"{name}: {told}" for name, told in headlines(study)]
+    answers = [f"{name}: {told}" for name, told in (*headlines(study, "±"), *notes(study))]
     return View(f"Study: {title}", (settings(study), *answers), tables=(runs_table(study),))
 
 

@@ -10,12 +10,14 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from mbdkit.analysis.sample_statistics import CONFIDENCE
 from mbdkit.analysis.sobol_indices import ROUND_OFF
 from mbdkit.base.errors import MbdkitError
 from mbdkit.figures.page_model import Axis, Cell, Column, Figure, Line, Table
 from mbdkit.measures.reductions import REDUCTIONS
 from mbdkit.report.study_figures import Quantity, asked_measures, is_wide
 from mbdkit.spec.key_words import key_words
+from mbdkit.studies.measure_statistics import statistics_of_group
 from mbdkit.studies.sample_groups import SampleGroup, measured, sample_groups
 from mbdkit.studies.study_point import axis_unit
 
@@ -107,10 +109,12 @@ def sample_tables(study: Study) -> tuple[Table, ...]:
     note = ""
     for measure in _measures(study):
         runs: tuple[Cell, ...] = (measure.group.words,) if several else ()
-        known = measure.values[np.isfinite(measure.values)]
-        unit = measure.quantity.axis.unit
-        found = (np.mean(known), np.std(known, ddof=1), *np.quantile(known, (0, 0.05, 0.5, 0.95, 1)))
-        spreads.append((*runs, measure.quantity.axis.label, unit, len(known), *map(float, found)))
+        found = statistics_of_group(study, measure.group, measure.name)
+        assert found is not None  # `_measures` yields only measures with enough values
+        numbers = (found.mean, found.std, *found.quantiles.values())
+        least, most = float(np.nanmin(measure.values)), float(np.nanmax(measure.values))
+        cells: tuple[Cell, ...] = (found.runs, *(one.text() for one in numbers), least, most)
+        spreads.append((*runs, measure.quantity.axis.label, measure.quantity.axis.unit, *cells))
         if (sobol := measure.sensitivity()) is not None:
             ends = sobol.indices
             note = (
@@ -121,8 +125,8 @@ def sample_tables(study: Study) -> tuple[Table, ...]:
             note += f" {sobol.reason}" if sobol.reason else ""
             for index, key in enumerate(sobol.variables):
                 columns = (ends.first, ends.first_low, ends.first_high, ends.total, ends.total_low, ends.total_high)
-                numbers = [float(f"{column[index]:.4f}") for column in columns]
-                indices.append((*runs, measure.quantity.axis.label, key_words(key), *numbers))
+                shares = [float(f"{column[index]:.3f}") for column in columns]
+                indices.append((*runs, measure.quantity.axis.label, key_words(key), *shares))
     first = (Column("runs"),) if several else ()
     tables = []
     if indices:
@@ -131,10 +135,11 @@ def sample_tables(study: Study) -> tuple[Table, ...]:
             Table("sobol", "Sobol indices", (*first, *map(Column, shown)), tuple(indices), note, headline=True)
         )
     if spreads:
-        headings = ("measure", "unit", "values", "mean", "standard deviation", "smallest", "5 %", "median", "95 %",
+        headings = ("measure", "unit", "values", "mean", "standard deviation", "5 %", "median", "95 %", "smallest",
                     "largest")  # fmt: skip
+        note = f"With {100 * CONFIDENCE:g} % intervals. Runs that failed or are rated bad are left out."
         tables.append(
-            Table("spread", "Distributions of the measures", (*first, *map(Column, headings)), tuple(spreads))
+            Table("spread", "Distributions of the measures", (*first, *map(Column, headings)), tuple(spreads), note)
         )
     return tuple(tables)
 

@@ -28,6 +28,7 @@ from mbdkit.studies.judge import find_verdict, judge
 from mbdkit.studies.point_selection import OPERATIONS, value
 from mbdkit.studies.sample_groups import sample_groups
 from mbdkit.studies.study_headlines import headlines
+from mbdkit.studies.study_notes import notes
 from mbdkit.studies.study_point import axis_unit, point_words
 from mbdkit.trust.criteria import MISALIGNMENT
 
@@ -75,7 +76,7 @@ def study_report(study: Study) -> ReportPage:
         title=" ".join((study.spec.title or study.folder.resolve().name).split()),
         settings=settings(study),
         alarm=f'{count(missing, "run")} missing: the command "mbdkit study" computes them' if missing else "",
-        headline=tuple(headlines(study)),
+        headline=(*headlines(study, "±"), *notes(study)),
         verdict=_verdict(study),
         films=tuple(_films(study)),
         failures=_failures(study),

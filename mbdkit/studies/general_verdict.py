@@ -49,7 +49,7 @@ def _verdict_of_sample(study: Study) -> Verdict:
     complete = list(study.statuses()).count("complete")
     failed = len(study.failures)
     sentence = f"{complete} of {len(study.points)} runs are complete" + (f", {failed} failed." if failed else ".")
-    largest = measured(study, "misalignment_max", range(len(study.points)))
+    largest = measured(study, "misalignment_max", range(len(study.points)), with_bad=True)
     if np.any(np.isfinite(largest)):
         sentence += f" The joint misalignment is at most {np.nanmax(largest):.1e} m."
     return Verdict("general", study.spec.title or "Study", sentence)

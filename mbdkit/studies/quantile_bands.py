@@ -12,7 +12,7 @@ from mbdkit.archive.group_table import data_frame
 from mbdkit.base.errors import MbdkitError
 from mbdkit.measures.measure_expression import SeriesExpression
 from mbdkit.spec import RunSpec
-from mbdkit.studies.sample_groups import SampledStudy, groups_where, one_group
+from mbdkit.studies.sample_groups import SampledStudy, groups_where, is_bad, one_group
 
 if TYPE_CHECKING:
     import pandas
@@ -76,7 +76,8 @@ def quantiles(
         raise MbdkitError(f"the probabilities should be numbers from 0 to 1, such as [0.05, 0.5, 0.95], not {q!r}")
     # Quantiles are those of one sample. In a study without a sample, all selected runs are combined.
     groups = [one_group(study, where)] if study.spec.has_table else groups_where(study, where)
-    places = {place for group in groups for place in group.places}
+    excluded = is_bad(study.columns())
+    places = {place for group in groups for place in group.places if not excluded[place]}
     grid = _Grid.of(study, places) if times is None else _Grid(_given(times), has_rows=False)
     rows: list[np.ndarray] = []
     unit = ""
@@ -86,7 +87,7 @@ def quantiles(
         values = np.broadcast_to(expression.rows(run), run.time.shape)
         rows += [grid.at(time, row) for time, row in _by_run(run.time, values, numbers, counts, places)]
     if not rows:
-        raise MbdkitError("none of the runs has results, so there are no quantiles")
+        raise MbdkitError("none of the runs has results that are not rated bad, so there are no quantiles")
     bands, count = _quantiles(np.array(rows), probabilities)
     return QuantileBands(quantity, unit, probabilities, grid.time, bands, count)
 
@@ -139,7 +140,7 @@ class _Grid:
                 longest = time if len(time) > len(longest) else longest
                 start, end = min(start, time[0]), max(end, time[-1])
         if not len(longest):
-            raise MbdkitError("none of the runs has results, so there are no quantiles")
+            raise MbdkitError("none of the runs has results that are not rated bad, so there are no quantiles")
         if not same:
             return cls(np.linspace(start, end, TIMES), has_rows=False)
         step = -(-len(longest) // MOST_ROWS)

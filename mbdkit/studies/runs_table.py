@@ -76,9 +76,7 @@ def export_runs(study: Study, folder: Path, to: str, *, overwrite: bool = False)
     check_format(to)
     if to == "sto":
         raise SpecError("the format sto is for data over time; export the table of a study as csv or parquet")
-    frame = study.to_frame()
-    values = {str(name): frame[name].to_numpy() for name in frame.columns}
-    units: Mapping[str, str] = frame.attrs["units"]
+    values, units = {name: np.asarray(column) for name, column in study.columns().items()}, study.units
     columns = []
     for name, column in values.items():
         dtype = {"i": INTEGER, "f": FLOAT}.get(column.dtype.kind, TEXT)

@@ -35,6 +35,10 @@ class SampledStudy(Protocol):
         """Return the columns of the table of all points."""
         ...
 
+    def described(self, name: str) -> tuple[str, str]:
+        """Return the units and the description of a numeric column."""
+        ...
+
     def rows_of_runs(self) -> Iterator[tuple[Run, Sequence[int], np.ndarray]]:
         """Yield runs that join the rows of one or more runs of the study.
 
@@ -130,8 +134,13 @@ def _told(groups: Sequence[SampleGroup]) -> str:
     return "; ".join(group.words for group in groups[:6]) + ("; ..." if len(groups) > 6 else "")
 
 
-def measured(study: SampledStudy, name: str, places: range) -> np.ndarray:
-    """Return the values of a numeric column for some points; nan where a run is not complete.
+def measured(study: SampledStudy, name: str, places: range, *, with_bad: bool = False) -> np.ndarray:
+    """Return the values of a numeric column for some points; nan where a run is not complete or is rated bad.
+
+    Parameters
+    ----------
+    with_bad
+        Whether the values of runs that are rated bad are included.
 
     Raises
     ------
@@ -146,4 +155,11 @@ def measured(study: SampledStudy, name: str, places: range) -> np.ndarray:
     chosen = slice(places.start, places.stop)
     values = np.array(columns[name][chosen], np.float64)
     values[np.asarray(columns["status"][chosen], object) != "complete"] = np.nan
+    if not with_bad:
+        values[is_bad(columns)[chosen]] = np.nan
     return values
+
+
+def is_bad(columns: Mapping[str, Any]) -> np.ndarray:
+    """Return which runs (N,) of a table are rated bad. Their measures are not used in statistics."""
+    return np.asarray(np.asarray(columns["verdict"], object) == "bad")

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from mbdkit.analysis.sample_statistics import CONFIDENCE
 from mbdkit.analysis.sobol_indices import RESAMPLES, SobolIndices, sobol_indices
 from mbdkit.archive.group_table import data_frame
 from mbdkit.archive.measured_values import ERROR
@@ -35,7 +36,7 @@ class Sensitivity:
     members
         Number of members of the sample that are used: those for which all runs have a value of the measure.
     left_out
-        Number of members that are not used, because one of their runs failed or has no value.
+        Number of members that are not used, because one of their runs failed, is rated bad or has no value.
     reason
         Sentence that says why all indices are nan; empty otherwise. A single index is also nan if its interval covers 0
         to 1.
@@ -95,7 +96,7 @@ def sensitivity(
     measure: str,
     *,
     where: Mapping[str, Any] | None = None,
-    confidence: float = 0.95,
+    confidence: float = CONFIDENCE,
     members: int | None = None,
     resamples: int = RESAMPLES,
 ) -> Sensitivity:

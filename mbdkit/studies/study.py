@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from mbdkit.analysis.sample_statistics import CONFIDENCE
 from mbdkit.analysis.sobol_indices import RESAMPLES
 from mbdkit.archive.block_writer import KEEPING_TIMES
 from mbdkit.archive.group_table import data_frame
@@ -25,6 +26,7 @@ from mbdkit.measures.take import Description
 from mbdkit.spec.study_loading import load_study_spec
 from mbdkit.spec.study_spec import StudySpec
 from mbdkit.studies import study_index
+from mbdkit.studies.measure_statistics import MeasureStatistics, statistics
 from mbdkit.studies.planned_points import Grid, Label, PlannedPoints
 from mbdkit.studies.quantile_bands import QUANTILES, QuantileBands, quantiles
 from mbdkit.studies.selection import select_rows
@@ -372,27 +374,59 @@ class Study(HtmlView):
             If pandas is not installed.
         """
         frame = data_frame(self._table(family))
-        frame.attrs["units"] = {name: column.units for name, column in self._index.described.items()}
+        frame.attrs["units"] = self.units
         return frame
+
+    @property
+    def units(self) -> dict[str, str]:
+        """Unit of each numeric column of `columns` that is not an axis, by name."""
+        return {name: column.units for name, column in self._index.described.items()}
 
     def columns(self) -> dict[str, Any]:
         """Return the columns of `to_frame` by name, each with one value for each point."""
         return self._table()
+
+    def statistics(
+        self, measure: str, *, where: Mapping[str, Label] | None = None, confidence: float = CONFIDENCE
+    ) -> MeasureStatistics:
+        """Return mean, standard deviation and quantiles of a measure over the sample, with confidence intervals.
+
+        Runs that failed or are rated bad are left out. The intervals contain only the error of a finite sample, not
+        those of its runs. They treat members as independent; for samples that are not `random`, they are therefore
+        usually too wide.
+
+        Parameters
+        ----------
+        measure
+            Name of a numeric column, such as a measure or a counter.
+        where
+            Labels that select one sample, as in `sensitivity`.
+        confidence
+            Probability of each interval.
+
+        Raises
+        ------
+        MbdkitError
+            If the study has no sample and no table of members, if there is no such measure, if too few runs have a
+            value of it, if one sample must be selected by `where`, or if the confidence is not valid.
+        """
+        return statistics(self, measure, where=where, confidence=confidence)
 
     def sensitivity(
         self,
         measure: str,
         *,
         where: Mapping[str, Label] | None = None,
-        confidence: float = 0.95,
+        confidence: float = CONFIDENCE,
         members: int | None = None,
         resamples: int = RESAMPLES,
     ) -> Sensitivity:
         """Return the Sobol indices of a measure with respect to the variables of the sample.
 
         The indices are the estimates (b) and (f) in table 2 of [1]_, as in `scipy.stats.sobol_indices`. Confidence
-        intervals are quantiles of a bootstrap over the members. Members with a failed run are left out. An index is nan
-        if its interval covers 0 to 1, or if the values of the measure differ by less than their estimated errors.
+        intervals are quantiles of a bootstrap over the members. Members with a run that failed or is rated bad are left
+        out. An index is nan if its interval covers 0 to 1, or if the values of the measure differ by less than their
+        estimated errors.
 
         Parameters
         ----------
@@ -448,7 +482,8 @@ class Study(HtmlView):
         Returns
         -------
         QuantileBands
-            Quantiles over the runs that reach each time; a failed run counts up to its end.
+            Quantiles over the runs that reach each time; a failed run counts up to its end. Runs that are rated bad
+            are left out.
 
         Raises
         ------

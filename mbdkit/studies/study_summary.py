@@ -10,6 +10,7 @@ from mbdkit.base.plain_data import json_text
 from mbdkit.base.text import counted, shown
 from mbdkit.studies.study_headlines import headlines
 from mbdkit.studies.study_index import STATUSES
+from mbdkit.studies.study_notes import notes
 from mbdkit.trust.criteria import LEVELS
 
 if TYPE_CHECKING:
@@ -18,10 +19,6 @@ if TYPE_CHECKING:
     from mbdkit.studies.planned_points import Grid
     from mbdkit.studies.study import Study
     from mbdkit.studies.study_plan import StudyPlan
-    from mbdkit.studies.study_point import StudyPoint
-
-#: Largest number of failed runs that the summary lists.
-FAILURES_SHOWN = 20
 
 
 def summary(study: Study) -> str:
@@ -42,9 +39,7 @@ def summary(study: Study) -> str:
     text = [f"{label:<10} {shown(value)}" for label, value in lines if value]
     absent = Counter(point.reason for point in study.points if point.status == "left-out") if counts["left-out"] else {}
     text += [f"left out   {count} of {len(study.points)}: {shown(reason)}" for reason, count in absent.items()]
-    text += [shown(f"failed     {_named(point)}: {point.reason}") for point in study.failures[:FAILURES_SHOWN]]
-    if len(study.failures) > FAILURES_SHOWN:
-        text.append(f"           and {len(study.failures) - FAILURES_SHOWN} more")
+    text += [f"{label:<10} {shown(note)}" for label, note in notes(study)]
     text += [
         f"unfinished {counted(count, 'time')}: {shown(reason)}"
         for reason, count in Counter(study.unfinished).most_common(5)
@@ -120,12 +115,6 @@ def _few(labels: Sequence[object]) -> str:
     return f"{counted(len(labels), 'value')}: {few}{', ...' * (len(labels) > 6)}"
 
 
-def _named(point: StudyPoint) -> str:
-    which = "reference" if point.is_reference else "run"
-    text = "; ".join(filter(None, (point.family, point.label)))
-    return f"{which} {point.number}{f' ({text})' if text else ''}"
-
-
 def outcome(study: Study) -> dict[str, Any]:
     """Return the results of running a study as values for JSON."""
     counts, levels = Counter(study.statuses()), Counter(study.verdicts())
@@ -137,6 +126,8 @@ def outcome(study: Study) -> dict[str, Any]:
         "references": len(study.references),
         "computed": study.computed,
         **{status.replace("-", "_"): counts[status] for status in STATUSES},
+        "answers": [{"name": name, "text": told} for name, told in headlines(study)],
+        "notes": [{"about": label, "text": note} for label, note in notes(study)],
         "unfinished": list(study.unfinished),
         "verdicts": {level: levels[level] for level in LEVELS if levels[level]},
         "failures": [

@@ -55,6 +55,7 @@ def test_reasons_in_the_summary_of_a_study_do_not_add_lines() -> None:
     spec = SimpleNamespace(title="", defined_measures=tuple, has_table=False)
     study: Any = SimpleNamespace(points=(), references=(), failures=(), spec=spec, computed=0, folder="out")
     study.unfinished, study.statuses, study.verdicts = (FORGED,), list, list
+    study.columns = lambda: dict.fromkeys(("status", "status_reason", "verdict", "verdict_reasons"), ())
     assert summary(study).splitlines()[-1] == "unfinished 1 time: x\\nall is well"
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import csv
 import json
 import os
 import re
@@ -60,14 +61,21 @@ def test_the_summary_counts_runs_and_names_what_failed(mbdkit, in_tmp_path):
         "computed   4 now",
         "folder     sweep",
     ]
-    assert lines[5].startswith("failed     run 2 (model.length 1; limits.max_steps 3): max-steps: ")
-    assert len(lines) == 7
+    named = "failed     2 runs (2, 4), such as run 2 (model.length 1; limits.max_steps 3): max-steps: "
+    assert lines[5].startswith(named)
+    assert lines[6:] == ["all runs   with reasons: mbdkit archive export sweep --to csv"]
+    assert mbdkit(*lines[6].partition("mbdkit ")[2].split()).exit_code == 0
+    with (in_tmp_path / "sweep-csv" / "runs.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    assert [row["number"] for row in rows if row["status"] == "failed"] == ["2", "4"]
+    assert "max-steps: stopped after" in rows[1]["status_reason"]
 
 
 def test_json_is_one_object(mbdkit, in_tmp_path):
     (in_tmp_path / "sweep.yaml").write_text(SWEEP)
     found = json.loads(mbdkit("study", "sweep.yaml", "-o", "out", "--json", "--workers", "2").stdout)
-    failures = found.pop("failures")
+    failures, notes = found.pop("failures"), found.pop("notes")
+    assert [note["about"] for note in notes] == ["failed", "all runs"]
     assert found == {
         "path": "out",
         "title": "A sweep",
@@ -81,6 +89,7 @@ def test_json_is_one_object(mbdkit, in_tmp_path):
         "unfinished": [],
         "left_out": 0,
         "verdicts": {"unknown": 2, "bad": 2},
+        "answers": [],
     }
     assert [failure["number"] for failure in failures] == [2, 4]
     assert failures[0]["axes"] == {"model.length": 1.0, "limits.max_steps": 3}

@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import scipy.stats
 
 import mbdkit
 from mbdkit.figures.page_model import Axis, Figure, Line
@@ -224,12 +225,16 @@ def test_a_study_answers_with_mean_spread_causes_and_extreme_runs(tmp_path):
     ((name, told),) = headlines(study)
     mass = study.to_frame()["model.mass"]  # the force is 9.81 m/s^2 times the mass
     assert name == "Weight_N"
-    assert told.startswith(f"{9.81 * mass.mean():.4g} N on average, standard deviation {9.81 * mass.std():.3g} N")
+    half = scipy.stats.t.ppf(0.975, 63) * 9.81 * mass.std() / 8
+    assert told.startswith(
+        f"{9.81 * mass.mean():.0f} +- {half:.0f} N on average, standard deviation {9.81 * mass.std():.0f} ("
+    )
     assert "mass explains 100 % (linear fit)" in told
     assert "inertia" not in told.partition("explains")[2].partition(";")[0]
-    assert f"smallest in run {mass.argmin() + 1} (" in told
+    assert f"smallest {9.81 * mass.min():.4g} N in run {mass.argmin() + 1} (" in told
     page = study_report(study)
-    assert page.headline == ((name, told),)
+    assert page.headline[0] == (name, told.replace("+-", "±"))
+    assert [label for label, _ in page.headline[1:]] == ["intervals", "errors"]
     titles = [figure.title for figure in page.verdict.figures]
     assert titles[0] == "Weight_N: histogram of the runs"
     assert not any("isalignment" in title for title in titles)  # rounding errors

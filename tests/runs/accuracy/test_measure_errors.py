@@ -18,6 +18,7 @@ from mbdkit.runs.accuracy.compared_measures import other_methods
 from mbdkit.runs.preparation import build, make_method
 from mbdkit.spec import load_spec
 from mbdkit.studies.sensitivity import sensitivity
+from mbdkit.studies.study_headlines import headlines
 from tests.runs.test_continuous_measures import EXACT, TEXTS, oscillator
 
 STOP = {"stop": {"when": "slider.x + 0.5", "action": "stop"}}
@@ -103,6 +104,11 @@ def test_indices_of_errors_are_not_shown(tmp_path: Path) -> None:
     assert not wide.reason
     covers = (wide.indices.first_low <= 0) & (wide.indices.first_high >= 1)
     assert np.array_equal(np.isnan(wide.first), covers)
+    told = dict(headlines(study))
+    assert "of the standard deviation: THE SPREAD MAY BE NUMERICAL" in told["noise"]
+    assert "no variable explains it: the values of noise differ by" in told["noise"]
+    assert "NUMERICAL" not in told["swing"]
+    assert "error of a run" in told["swing"]
 
 
 @pytest.mark.parametrize(

@@ -1,0 +1,133 @@
+"""Notes on the answer of a study: which runs it is based on, its intervals, and bad, doubtful and failed runs."""
+
+from __future__ import annotations
+
+import re
+from collections import Counter
+from collections.abc import Iterable, Iterator, Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from mbdkit.analysis.sample_statistics import CONFIDENCE
+from mbdkit.archive.measured_values import ERROR
+from mbdkit.base.text import counted, listed, without_numbers
+from mbdkit.studies.study_index import STATUSES
+
+if TYPE_CHECKING:
+    from mbdkit.studies.study import Study
+    from mbdkit.studies.study_point import StudyPoint
+
+_CODE = re.compile(r"[a-z-]+(?=: )")
+"""Code at the beginning of the reason for a failure."""
+_SENTENCES = re.compile(r"(?<=\.) (?=[A-Z])")
+
+MOST_REASONS = 5
+"""Largest number of different reasons that are printed for failures, and for each verdict."""
+
+MOST_RUNS = 6
+"""Largest number of runs with the same reason whose numbers are printed."""
+
+
+def notes(study: Study) -> list[tuple[str, str]]:
+    """Return pairs of a label and a sentence on the runs of a study, beside its headlines."""
+    return [*_use(study), *_levels(study), *_failures(study), *_commands(study)]
+
+
+def _use(study: Study) -> Iterator[tuple[str, str]]:
+    """Yield notes on the runs that the answers are based on, on intervals, and on errors of the runs."""
+    defined = [one.name for one in study.spec.defined_measures()]
+    if not defined:
+        return
+    is_bad = _rated(study, "bad")
+    states = Counter("bad" if bad else status for bad, status in zip(is_bad, study.statuses(), strict=True))
+    left = [f"{states[name]} {name.replace('-', ' ')}" for name in ("bad", *STATUSES[1:]) if states[name]]
+    if left:
+        runs = counted(len(study.points), "run")
+        yield (
+            "based on",
+            f"{states['complete']} of {runs}, without {listed(left, 'and')}; these may differ systematically",
+        )
+    if study.spec.has_table:
+        sample = study.spec.sample
+        if sample is None:
+            how = "they hold if the members were drawn at random and independently"
+        elif sample.method == "random":
+            how = f"from {sample.n} independent members"
+        else:
+            how = f"as if the {sample.n} members were drawn at random: with {sample.method}, they are usually too wide"
+        yield "intervals", f"{100 * CONFIDENCE:g} % confidence, {how}"
+    if "unknown" in study.verdicts() and not any(name + ERROR in study.columns() for name in defined):
+        yield "errors", "of the runs were not estimated; --set check=true with another folder (-o) estimates them"
+
+
+def _rated(study: Study, level: str) -> np.ndarray:
+    """Return which runs (N,) are complete and have this verdict."""
+    columns = study.columns()
+    verdict, status = (np.asarray(columns[name], object) for name in ("verdict", "status"))
+    return np.asarray((verdict == level) & (status == "complete"))
+
+
+def _levels(study: Study) -> Iterator[tuple[str, str]]:
+    """Yield the reasons why complete runs are rated bad or doubtful, and how many runs have each reason."""
+    reasons = np.asarray(study.columns()["verdict_reasons"], object)
+    has_answers = any(True for _ in study.spec.defined_measures())
+    for level, use in (("bad", ", not used in answers"), ("doubtful", ", used in answers")):
+        places = np.flatnonzero(_rated(study, level))
+        sentences = [(place, one) for place in places.tolist() for one in _SENTENCES.split(str(reasons[place]))]
+        for named, reason in _grouped(study.points, sentences):
+            yield level, f"{named}{use if has_answers else ''}{reason}"
+
+
+def _failures(study: Study) -> Iterator[tuple[str, str]]:
+    """Yield the reasons why runs and reference runs failed, and how many runs have each reason."""
+    columns = study.columns()
+    status, reasons = (np.asarray(columns[name], object) for name in ("status", "status_reason"))
+    references = [one for one in study.references if one.status == "failed"]
+    for points, found in (
+        (study.points, [(place, str(reasons[place])) for place in np.flatnonzero(status == "failed").tolist()]),
+        (references, [(place, one.reason) for place, one in enumerate(references)]),
+    ):
+        for named, reason in _grouped(points, found):
+            yield "failed", f"{named}{reason}"
+
+
+def _commands(study: Study) -> Iterator[tuple[str, str]]:
+    """Yield the command that lists all runs with their reasons, if any are bad, doubtful or failed."""
+    if "failed" in study.statuses() or {"bad", "doubtful"} & {*study.verdicts()}:
+        yield "all runs", f"with reasons: mbdkit archive export {study.folder} --to csv"
+
+
+def _grouped(points: Sequence[StudyPoint], reasons: Iterable[tuple[int, str]]) -> Iterator[tuple[str, str]]:
+    """Yield the runs of each group of reasons, and the first of these reasons. The largest groups come first; small
+    groups are only counted.
+
+    The reasons of a group have the same code or, without a code, differ only in numbers.
+
+    Parameters
+    ----------
+    reasons
+        Index of a run among the points, and a reason.
+    """
+    groups: dict[str, list[tuple[int, str]]] = {}
+    for place, reason in reasons:
+        code = _CODE.match(reason)
+        groups.setdefault(code[0] if code else without_numbers(reason), []).append((place, reason))
+    ordered = sorted(groups.values(), key=lambda one: -len(one))
+    for group in ordered[:MOST_REASONS]:
+        named = [points[place] for place, _ in group[:MOST_RUNS]]
+        yield _named(named, len(group)), f": {group[0][1]}" if group[0][1] else ""
+    if len(ordered) > MOST_REASONS:
+        yield f"{counted(sum(map(len, ordered[MOST_REASONS:])), 'run')} for other reasons", ""
+
+
+def _named(points: Sequence[StudyPoint], count: int) -> str:
+    """Return the numbers of the first of `count` points, and the values of the first one."""
+    first = points[0]
+    kind = "reference" if first.is_reference else "run"
+    words = "; ".join(filter(None, (first.family, first.label)))
+    values = f" ({words})" if words else ""
+    if count == 1:
+        return f"{kind} {first.number}{values}"
+    numbers = ", ".join(str(point.number) for point in points)
+    return f"{counted(count, kind)} ({numbers}{', ...' * (count > len(points))}), such as {kind} {first.number}{values}"

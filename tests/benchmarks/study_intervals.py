@@ -1,0 +1,69 @@
+"""How often the confidence intervals of studies contain the true value: ``python -m tests.benchmarks.study_intervals``.
+
+Means, standard deviations and quantiles are those of known distributions. Sobol indices are those of the Ishigami
+function and of a product (1 + a x)(1 + b y)(1 + c z), whose indices have closed forms.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import scipy.stats
+
+from mbdkit.analysis import sample_statistics
+from mbdkit.analysis.sobol_indices import sobol_indices
+from mbdkit.spec.sample_section import Sample
+from mbdkit.studies.sampled_values import sampled_values
+from tests.analysis.test_sobol_indices import FIRST, TOTAL, ishigami
+
+SEEDS = 400
+SIZES = (8, 16, 32, 64, 128, 512)
+LAWS = {"normal": scipy.stats.norm(10, 2), "uniform": scipy.stats.uniform(0, 1), "lognormal": scipy.stats.lognorm(0.5)}
+
+_FACTORS = np.array([0.8, 0.3, 0.05])
+_PARTS = _FACTORS**2 / 3  # variances of the factors with x, y, z uniform between -1 and 1
+_WHOLE = np.prod(1 + _PARTS) - 1
+_TOTALS = _PARTS * np.array([np.prod(np.delete(1 + _PARTS, place)) for place in range(3)]) / _WHOLE
+
+
+def product(x: np.ndarray) -> np.ndarray:
+    """Return the product of the factors at points x (3, N), (N,)."""
+    return np.asarray(np.prod(1 + _FACTORS[:, None] * x, axis=0))
+
+
+FUNCTIONS = {
+    "Ishigami": (ishigami, np.pi, np.concatenate([FIRST, TOTAL])),
+    "product": (product, 1.0, np.concatenate([_PARTS / _WHOLE, _TOTALS])),
+}
+
+
+def main() -> None:
+    """Print the shares of intervals that contain the true value."""
+    print("law, members: mean, standard deviation, 5 % and 95 % quantile")
+    for name, law in LAWS.items():
+        truth = law.mean(), law.std(), law.ppf(0.05), law.ppf(0.95)
+        for n in SIZES:
+            hits = np.zeros(4)
+            for seed in range(SEEDS):
+                values = law.rvs((n, 1), random_state=seed)
+                ends = [sample_statistics.quantile(values, q) for q in (0.05, 0.95)]
+                found = [sample_statistics.mean(values), sample_statistics.standard_deviation(values), *ends]
+                hits += [one.low <= true <= one.high for one, true in zip(found, truth, strict=True)]
+            print(f"{name}, {n}: {np.round(hits / SEEDS, 3)}", flush=True)
+    print("function, method, members: three first-order and three total indices")
+    for name, (function, end, expected) in FUNCTIONS.items():
+        variables = {key: {"uniform": [-end, end]} for key in "xyz"}
+        for method in ("random", "sobol"):
+            for n in SIZES:
+                total = np.zeros(6)
+                for seed in range(SEEDS // 2):
+                    sample = Sample(n=n, method=method, seed=seed, design="saltelli", variables=variables)
+                    values = function(np.array(list(sampled_values(sample).values()))).reshape(n, 5)
+                    one = sobol_indices(values, resamples=400, seed=seed)
+                    low = np.concatenate([one.first_low, one.total_low])
+                    high = np.concatenate([one.first_high, one.total_high])
+                    total += (low <= expected) & (expected <= high)
+                print(f"{name}, {method}, {n}: {np.round(total / (SEEDS // 2), 3)}", flush=True)
+
+
+if __name__ == "__main__":
+    main()
