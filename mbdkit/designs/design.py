@@ -15,7 +15,7 @@ from mbdkit.designs.compared_settings import Comparison, compare, comparison_tab
 from mbdkit.designs.derivatives import derivatives_sentence, unconfirmed
 from mbdkit.designs.evaluation import Evaluator
 from mbdkit.designs.front import front_table, pareto_front
-from mbdkit.designs.gains import Gain, gains, goal_words
+from mbdkit.designs.gains import Gain, gains, goal_words, violations
 from mbdkit.designs.identifiability import sentence, undetermined
 from mbdkit.designs.point import DesignPoint, numbers, point_of
 from mbdkit.designs.problem import Problem
@@ -24,6 +24,9 @@ from mbdkit.designs.stages import Stages
 from mbdkit.designs.trust import Trust, certified
 from mbdkit.spec import DesignSpec, RunSpec
 from mbdkit.studies.varied_starts import start_warnings_of_study
+
+LEAST_ERROR = 1e-3
+"""Errors of measures at their limits are reported if they exceed this share of the limit."""
 
 
 @dataclass(frozen=True)
@@ -151,7 +154,9 @@ class Design:
         for name in self.spec.subject_to:
             for scenario, measures in self.best.measures.items():
                 label = f"{scenario}: {name}" if scenario else name
-                rows.append((label, f"{self.start.measures[scenario][name]:.6g}", f"{measures[name]:.6g}", ""))
+                error = self.trust.errors[name]
+                told = "unknown" if np.isnan(error) else f"{error:.1g}"
+                rows.append((label, f"{self.start.measures[scenario][name]:.6g}", f"{measures[name]:.6g}", told))
         at_best, every = self.searches
         lines = [self.doubt] if self.doubt else []
         lines += [*(f"{goal_words(one.name)}: {one.text()}" for one in self.gains), table(rows)]
@@ -172,7 +177,8 @@ class Design:
         It may not be an optimum if the search ended early, or if derivatives at the best point are not confirmed.
         """
         if not self.is_feasible:
-            return "No point that satisfies all limits was found; this one violates them least."
+            wrong = "; ".join(violations(self.spec, self.best, self.start))
+            return f"No point that satisfies all limits was found; this one violates them least{wrong and ': '}{wrong}."
         if not self.is_converged:
             return (
                 f"This point may not be an optimum: the search ended early ({self.message.rstrip('.')}). Raise "
@@ -201,8 +207,19 @@ class Design:
             for name, side in sides.items()
             if not side and abs(self.best.variables[name] - self.start.variables[name]) <= self._slack(name)
         ]
-        undetermined = map(sentence, self.undetermined)
-        return [*at_bounds, *held, *undetermined, *self.unconfirmed, *self.changed_starts, *self.trust.sentences()]
+        told = [*at_bounds, *held, *map(sentence, self.undetermined), *self.unconfirmed, *self.changed_starts]
+        return [*told, *self._uncertain_limits(), *self.trust.sentences()]
+
+    def _uncertain_limits(self) -> list[str]:
+        """Return sentences about limits that the best point may violate because of the errors of its runs."""
+        found = []
+        for name, limit in self.spec.subject_to.items():
+            values, error = [measures[name] for measures in self.best.measures.values()], self.trust.errors[name]
+            for end in (limit.max, limit.min):
+                is_near = end is not None and min(abs(value - end) for value in values) < error
+                if is_near and error > LEAST_ERROR * abs(end or 1.0) and self.is_feasible:
+                    found.append(f"{name} may violate its limit of {end:g}, because its error is {error:.2g}.")
+        return found
 
     @property
     def gains(self) -> list[Gain]:

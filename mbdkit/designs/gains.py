@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from mbdkit.archive.headlines import largest_loads
+from mbdkit.designs.problem import FEASIBLE
 from mbdkit.measures.take import describe
 from mbdkit.spec.design_spec import GOAL
 
@@ -27,6 +28,7 @@ class Gain:
     """The change of a goal from the start to the best point.
 
     `is_real` is whether the gain exceeds `error`. If the error is unknown, `error` is nan and `is_real` is None.
+    `start_violations` says which limits the start violates; empty if it satisfies all.
     """
 
     name: str
@@ -35,13 +37,15 @@ class Gain:
     best: float
     error: float
     is_real: bool | None
+    start_violations: str = ""
 
     def text(self) -> str:
         """Return the change in words, such as ``from 441 to 75.1 N (-83 %), which exceeds the errors``."""
         unit = f" {self.unit}" if self.unit else ""
         share = f" ({100 * (self.best - self.start) / abs(self.start):+.3g} %)" if self.start else ""
         exceeds = {True: ", which exceeds the errors", False: ", which does NOT exceed the errors", None: ""}
-        return f"from {self.start:.4g} to {self.best:.4g}{unit}{share}{exceeds[self.is_real]}"
+        told = f"from {self.start:.4g} to {self.best:.4g}{unit}{share}{exceeds[self.is_real]}"
+        return f"{told}; but the start is not allowed: {self.start_violations}" if self.start_violations else told
 
 
 @dataclass(frozen=True)
@@ -93,11 +97,27 @@ def goal_units(spec: DesignSpec) -> dict[str, str]:
 
 def gains(spec: DesignSpec, start: DesignPoint, best: DesignPoint, trust: Trust) -> list[Gain]:
     """Return the gain of each goal from the start to the best point."""
-    units = goal_units(spec)
+    units, wrong = goal_units(spec), "; ".join(violations(spec, start, start))
     return [
-        Gain(name, units[name], start.goals[name], value, trust.errors[name], trust.is_gain[name])
+        Gain(name, units[name], start.goals[name], value, trust.errors[name], trust.is_gain[name], wrong)
         for name, value in best.goals.items()
     ]
+
+
+def violations(spec: DesignSpec, point: DesignPoint, start: DesignPoint) -> list[str]:
+    """Return the limits that a point violates, and by how much, in words. The tolerance is that of the search."""
+    units, found = measure_units(spec), []
+    for scenario, measures in point.measures.items():
+        for name, limit in spec.subject_to.items():
+            value, unit = measures[name], units[scenario, name]
+            sizes = [abs(one) for one in (limit.min, limit.max, start.measures[scenario][name]) if one is not None]
+            slack = FEASIBLE * max(one for one in sizes if np.isfinite(one))
+            label = f"{name} in {scenario}" if scenario else name
+            for side, end, word in ((1.0, limit.max, "above"), (-1.0, limit.min, "below")):
+                if end is not None and side * (value - end) > slack:
+                    away = f"{side * (value - end):.4g} {unit}".rstrip()
+                    found.append(f"{label} is {f'{value:.4g} {unit}'.rstrip()}, {away} {word} its limit of {end:g}")
+    return found
 
 
 def costs(pairs: Mapping[str, Mapping[str, Run]]) -> list[Cost]:

@@ -11,8 +11,10 @@ from pathlib import Path
 
 from mbdkit.base.errors import SpecError
 from mbdkit.base.text import counted, listed
+from mbdkit.designs.problem import FEASIBLE
 from mbdkit.designs.store import DesignFolder
 from mbdkit.spec import load_design_spec, load_study_spec
+from mbdkit.spec.design_spec import Limit
 from mbdkit.studies.folder_lock import LOCK, Owner
 from mbdkit.studies.planned_points import PlannedPoints
 from mbdkit.studies.study_blocks import StudyBlocks
@@ -95,14 +97,26 @@ def _of_design(folder: Path) -> Work:
     goal = next(iter(spec.goals))
     for line in lines:
         try:
-            values.append(json.loads(line)["values"][goal])
+            found = json.loads(line)["values"]
+            is_allowed = all(_is_within(found[name], limit) for name, limit in spec.subject_to.items())
+            values.append(found[goal] if is_allowed else None)
         except (ValueError, KeyError, TypeError):  # the line is still being written
             continue
     known = [value for value in values if isinstance(value, int | float)]
-    least = f", least {goal} of a run {min(known):.4g}" if known else ""
+    which = " within the limits" if spec.subject_to else ""
+    least = f", least {goal} of a run{which} {min(known):.4g}" if known else ""
     owners = tuple(_owners(folder))
     complete = paths.result.is_file() and not owners  # comparisons and robustness are computed after the result
     return Work(f"{counted(len(values), 'run')}{least}", len(values), math.nan, complete, owners)
+
+
+def _is_within(value: float | None, limit: Limit) -> bool:
+    """Return whether a value satisfies a limit, except for rounding errors."""
+    if value is None:
+        return False
+    low, high = (-math.inf if limit.min is None else limit.min, math.inf if limit.max is None else limit.max)
+    slack = FEASIBLE * max(abs(end) for end in (value, low, high) if math.isfinite(end))
+    return low - slack <= value <= high + slack
 
 
 def _owners(folder: Path) -> Iterator[str]:

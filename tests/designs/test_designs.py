@@ -74,6 +74,10 @@ def test_a_limit_that_is_active_holds_at_the_best_point(optimizer: str) -> None:
     assert found.is_feasible
     assert found.best.variables[f"{BRACE}.stiffness"] == pytest.approx(3.0 / most, rel=rel)
     assert found.best.measures[""]["torque"] <= 3.0 * (1 + 1e-6)
+    first = found.start.measures[""]["torque"]
+    assert first == pytest.approx(most * found.start.variables[f"{BRACE}.stiffness"])
+    wrong = f"but the start is not allowed: torque is {first:.4g} N m, {first - 3:.4g} N m above its limit of 3"
+    assert wrong in found.summary()
 
 
 def test_two_goals_give_a_front_between_their_least_values() -> None:
@@ -194,6 +198,8 @@ def test_limits_that_cannot_be_met_are_told_by_the_exit_status(tmp_path: Path) -
     done = CliRunner().invoke(app, ["design", str(file), "-o", str(tmp_path / "high")], prog_name="mbdkit")
     assert done.exit_code == 3
     assert "No point that satisfies all limits was found" in done.stdout
+    assert "violates them least: height is" in done.stdout
+    assert " below its limit of 10" in done.stdout
 
 
 def test_a_design_names_an_initial_velocity_that_assembly_changes(tmp_path: Path) -> None:
