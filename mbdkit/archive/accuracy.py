@@ -113,6 +113,9 @@ class Accuracy(HtmlView):
         Method and step that were chosen for the requested accuracy, and the reason; empty if none was requested.
     compared_measures
         Values of the expressions of measures in the comparison runs.
+    unknown
+        Why errors are unknown after `known_until`, as a clause; empty if all are known, or in archives of earlier
+        versions.
     """
 
     time: np.ndarray
@@ -129,6 +132,7 @@ class Accuracy(HtmlView):
     chosen: str = ""
     why: str = ""
     compared_measures: ComparedMeasures = field(default_factory=dict)
+    unknown: str = ""
 
     def __str__(self) -> str:
         """Return method, observed order, and largest errors as lines of text; the arrays are not printed."""
@@ -265,5 +269,5 @@ class Accuracy(HtmlView):
 
 _VALUES = ("time", "position_error", "velocity_error", "reaction_error", "torque_error")
 _NUMBERS = ("known_until", "order_observed", "check_s", "asked", "reached")
-_TEXTS = ("method", "chosen", "why")
+_TEXTS = ("method", "chosen", "why", "unknown")
 _COMPARED = "compared_measures"

@@ -51,6 +51,9 @@ EXACT = 1e-12
 #: The summary reports the distance from a singular position if it is below this value.
 SINGULAR = 0.1
 
+UNCONFIRMED = "the comparison runs of the check agree neither with this run nor with each other"
+"""Why errors are unknown, in archives of earlier versions, which do not contain the reason."""
+
 _COUNTERS = {
     "rhs_evaluations": "right-hand sides",
     "jacobian_evaluations": "Jacobians",
@@ -212,9 +215,10 @@ def accuracy_sentence(run: Run) -> str:
     if accuracy is None or not len(run.time):
         return ""
     if not accuracy.rows_known:
-        return "errors unknown: the comparison runs of the check agree neither with this run nor with each other"
+        return f"errors unknown: {accuracy.unknown or UNCONFIRMED}"
     until = "" if accuracy.is_complete else f" until {accuracy.known_until:.4g} s"
-    afterwards = "" if accuracy.is_complete else "; errors unknown afterwards"
+    why = f": {accuracy.unknown}" if accuracy.unknown else ""
+    afterwards = "" if accuracy.is_complete else f"; errors unknown afterwards{why}"
     position = f"positions known to {accuracy.position_error_max:.2g} m and {accuracy.angle_error_max:.2g} rad"
     if run.joints and run.records("joints/reaction_force"):
         name, largest, error = _largest_force(run, accuracy)

@@ -140,6 +140,7 @@ def estimated_errors(
         between=between,
         **({} if math.isnan(accuracy.asked) else {"asked": accuracy.asked, "reached": accuracy.reached}),
         missed=missed,
+        unknown=accuracy.unknown,
     )
 
 

@@ -129,6 +129,8 @@ class EstimatedErrors:
     between
         A clause with the largest force between recorded rows and in these rows, and advice; empty unless rows miss a
         part of the peak that is larger than the other errors.
+    unknown
+        Why errors are unknown after `known_until`, as a clause; empty if all are known.
     """
 
     position: float
@@ -138,6 +140,7 @@ class EstimatedErrors:
     reached: float = 0.0
     missed: str = ""
     between: str = ""
+    unknown: str = ""
 
 
 KNOWN_POSITION = Limits(1e-2, 0.1)
@@ -296,13 +299,15 @@ def _errors(evidence: Evidence, accuracy: EstimatedErrors) -> Found:
         what = f"accuracy of positions is {accuracy.asked:g} of the mechanism's size"
         yield "doubtful", f"The requested {what}, but their estimated error is {known}{because}."
     if math.isnan(accuracy.known_until):
-        yield "doubtful", "The error could not be estimated: the comparison runs do not converge."
-        return
-    if accuracy.known_until < evidence.end:
         yield (
             "doubtful",
-            f"The error is known only until t = {accuracy.known_until:.6g} s of {evidence.end:.6g} s.",
+            f"The error could not be estimated: {accuracy.unknown or 'the comparison runs do not converge'}.",
         )
+        return
+    if accuracy.known_until < evidence.end:
+        because = f": {accuracy.unknown}" if accuracy.unknown else ""
+        until = f"t = {accuracy.known_until:.6g} s of {evidence.end:.6g} s"
+        yield "doubtful", f"The error is known only until {until}{because}."
     if math.isnan(accuracy.reaction):
         yield "bad", "The largest joint forces are unknown, because rows skip steps; record every step."
     for what, value, limits in (

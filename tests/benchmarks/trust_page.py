@@ -71,8 +71,9 @@ then stops with the reason `branch-left`.
   half and a quarter of the step, or with tighter tolerances, and a run by another method. The differences between these
   runs give an estimated error for every recorded position, velocity, reaction force and reaction torque. The estimates
   are nan from the time at which these differences no longer decrease with the step; `run.accuracy.known_until` is the
-  last recorded time before that. The summary prints, for example, `largest force in J1 24.5250 N, known to 1.1e-06 N`.
-  Plots draw the errors as bands, and the group `accuracy` of the archive contains them. A peak of a force may lie
+  last recorded time before that, and the summary and the verdict say why. The summary prints, for example, `largest
+  force in J1 24.5250 N, known to 1.1e-06 N`. Plots draw the errors as bands, and the group `accuracy` of the archive
+  contains them. A peak of a force may lie
   between two recorded rows. A check therefore determines the largest forces and torques during the run, between rows
   as well; what the rows miss is part of the error, and counts in the verdict, unless a measure such as
   `max(abs(joints.J1.force))` states the largest force of the joint. To reduce this error, use smaller steps or, if rows

@@ -81,7 +81,7 @@ def check_run(
     units = units_of(workspace, rows)
     errors = estimate_errors((rows, runs[0].rows, runs[1].rows), guarded.rows, units, chosen.refinement)
     pairs = [*zip(chosen.finer, runs, strict=True), (guard, guarded)]
-    description = _sentence(chosen, pairs)
+    description, unknown = _sentence(chosen, pairs), why_unknown(errors, rows.time, pairs)
     if contacts is not None:
         until, why = _same_impacts([contacts, *(one.contacts for _, one in pairs if one.contacts is not None)])
         if contacts.cut and spec.contact.rest_energy > NEGLIGIBLE_BOUNCES and contacts.cut_time < until:
@@ -89,9 +89,29 @@ def check_run(
             why = (
                 f" After {until:.6g} s, bounces below contact.rest_energy are left out, in the comparison runs as well."
             )
+        unknown = _clause(why) if not until >= errors.known_until else unknown
         errors = _cut(errors, rows.time, until)
         description += why
-    return as_accuracy(rows, errors, description, begin)
+    return as_accuracy(rows, errors, description, begin, unknown)
+
+
+def why_unknown(errors: ErrorEstimate, time: np.ndarray, runs: Sequence[tuple[Companion, CompanionRows]] = ()) -> str:
+    """Return a clause that says why errors are unknown after `errors.known_until`; empty if all are known."""
+    if not errors.unknown:
+        return ""
+    following = (
+        time[np.searchsorted(time, errors.known_until, side="right")] if errors.known_until >= time[0] else time[0]
+    )
+    for companion, one in runs:
+        if one.failure and _reached(one) < following:
+            return f"the comparison run with {companion.name} ended at {_reached(one):.6g} s: {one.failure}"
+    return f"{listed(errors.unknown, 'and')} of the comparison runs do not converge, or differ too much from the run"
+
+
+def _clause(sentence: str) -> str:
+    """Return a sentence as the end of another one."""
+    text = sentence.strip().rstrip(".")
+    return text[:1].lower() + text[1:]
 
 
 def _same_impacts(runs: Sequence[ContactState]) -> tuple[float, str]:
@@ -119,8 +139,8 @@ def units_of(workspace: Workspace, rows: ObservedRows) -> Units:
     return Units.of(workspace.mechanism.length, mass, float(rows.time[-1] - rows.time[0]))
 
 
-def as_accuracy(rows: ObservedRows, errors: ErrorEstimate, method: str, begin: float) -> Accuracy:
-    """Return the estimates in the form in which archives store them."""
+def as_accuracy(rows: ObservedRows, errors: ErrorEstimate, method: str, begin: float, unknown: str = "") -> Accuracy:
+    """Return the estimates in the form in which archives store them; `unknown` says why errors are unknown."""
     return Accuracy(
         rows.time,
         errors.position,
@@ -131,6 +151,7 @@ def as_accuracy(rows: ObservedRows, errors: ErrorEstimate, method: str, begin: f
         errors.order,
         method,
         time.perf_counter() - begin,
+        unknown=unknown,
     )
 
 
@@ -225,11 +246,14 @@ def check_by_pilots(
     runs = "a coarser run" if len(pilots) == 1 else "coarser runs"
     method = f"Difference from {runs} of the same method with tolerance{'s' * (len(pilots) > 1)} {text}, extrapolated"
     method += "." if len(pilots) > 1 else " with the expected exponent of the tolerance."
+    unknown = why_unknown(errors, rows.time)
     until = resolved_until(spec, pilots[-1].time)
     if until < rows.time[-1]:
+        why = f" After {until:.6g} s, a motion or load changes between the evaluations of a step."
+        unknown = _clause(why) if not until >= errors.known_until else unknown
         errors = _cut(errors, rows.time, until)
-        method += f" After {until:.6g} s, a motion or load changes between the evaluations of a step."
-    return as_accuracy(rows, errors, method, begin)
+        method += why
+    return as_accuracy(rows, errors, method, begin, unknown)
 
 
 def _cut(errors: ErrorEstimate, times: np.ndarray, until: float) -> ErrorEstimate:

@@ -206,7 +206,9 @@ def _advance(
         if why := stopped():
             return why
         if failed := stepper.failure or (watched and watched.failure):
-            return failed.sentence
+            # the limit is that of the comparison run, not `limits.max_steps` of the spec
+            most = companion.timetable.max_steps
+            return f"it needs more than {most} steps" if failed.code == "max-steps" else failed.sentence
         stretch = stepper.advance() if watched is None else watched.step()
         if companion.within_steps:
             found.take_within(stepper)

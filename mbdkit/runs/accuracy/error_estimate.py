@@ -117,6 +117,8 @@ class ErrorEstimate:
         Observed exponent of the error of positions in the step, or in the tolerance of an adaptive run, at the last
         known row: log(d01 / d12) over the logarithm of the factor between the runs. It is nan if only rounding errors
         were observed.
+    unknown
+        Quantities whose errors are unknown after `known_until`; empty if all are known.
     """
 
     position: np.ndarray
@@ -125,6 +127,7 @@ class ErrorEstimate:
     torque: np.ndarray
     known_until: float
     order: float
+    unknown: tuple[str, ...] = ()
 
 
 def estimate_errors(
@@ -212,6 +215,8 @@ def assemble(
     velocity = of([run.velocity * scale for run in every], main.velocity * scale, units.speed)
     reaction = of([wrench(run) for run in every], wrench(main), units.force)
     count = int(np.sum(position.known & velocity.known & reaction.known))
+    quantities = {"positions": position, "velocities": velocity, "reactions": reaction}
+    unknown = [] if count == len(main.time) else [word for word, one in quantities.items() if not one.known[count]]
     return ErrorEstimate(
         position.errors() / scale,
         velocity.errors() / scale,
@@ -219,6 +224,7 @@ def assemble(
         reaction.norm_errors(slice(2, 3)) * length,
         float(main.time[count - 1]) if count else math.nan,
         position.order(count),
+        tuple(unknown),
     )
 
 

@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
+from mbdkit.runs.accuracy.check_run import why_unknown
+from mbdkit.runs.accuracy.companion import Companion, CompanionRows
 from mbdkit.runs.accuracy.error_estimate import LARGEST_ERROR, ErrorEstimate, Units, estimate_errors
 from mbdkit.runs.recorded_states import ObservedRows
 
@@ -122,3 +125,17 @@ def test_a_mechanism_without_joints_is_known():
     found = estimate_errors((free[0], free[1], free[2]), free[3], UNITS)
     assert found.known_until == TIME[-1]
     assert found.reaction.shape == (len(TIME), 0)
+
+
+def test_the_reason_is_a_comparison_run_that_ended_early_or_quantities_that_do_not_converge():
+    first, second, third = (rows(1e-6 * TIME * 16.0**-k) for k in range(3))
+    ended = CompanionRows(rows(0.0, until=6.0), "it needs more than 9 steps")
+    found = estimate_errors((first, second, third), ended.rows, UNITS)
+    guard = Companion("dop853", None, None, None, None, within_steps=False)
+    why = why_unknown(found, TIME, [(guard, ended)])
+    assert why == "the comparison run with dop853 ended at 6 s: it needs more than 9 steps"
+    chaos = replace(rows(0.0), force=rows(TIME > 7.0).force)
+    found = estimate_errors((first, second, third), chaos, UNITS)
+    assert found.unknown == ("reactions",)
+    assert why_unknown(found, TIME).startswith("reactions of the comparison runs do not converge")
+    assert why_unknown(estimate_errors((first, second, third), rows(0.0), UNITS), TIME) == ""
