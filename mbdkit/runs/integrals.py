@@ -48,8 +48,8 @@ def expressions_of(spec: RunSpec, expressions: Iterable[str] = ()) -> tuple[str,
 def largest_loads_of(spec: RunSpec, contacts: Sequence[str]) -> tuple[str, ...]:
     """Return expressions of the largest loads of a checked run, to determine what its rows miss between them.
 
-    These are the largest force and torque of each joint, except those that are always zero, and the largest normal
-    force and overlap of each contact; see `mbdkit.archive.peak_errors`.
+    These are the largest force and torque of each joint that is recorded, except those that are always zero, and the
+    largest normal force and overlap of each contact; see `mbdkit.archive.peak_errors`.
 
     Parameters
     ----------
@@ -58,7 +58,7 @@ def largest_loads_of(spec: RunSpec, contacts: Sequence[str]) -> tuple[str, ...]:
     """
     if not spec.estimates_errors:
         return ()
-    joints = spec.mechanism().joints
+    joints = spec.mechanism().joints if "joints" in spec.recorded else {}
     loads = {
         "joints.force": [name for name, joint in joints.items() if joint.rows != ("angle",)],
         "joints.torque": [

@@ -450,9 +450,10 @@ class SimulatedRun:
             missed = missed_because(self.accuracy, self.tried, self.failure)
             position = PositionMeasure.of(self.spec, self.workspace).known(self.accuracy)
             measures = {one.name: one.expression for one in self.spec.defined_measures() if one.item is None}
+            skips_steps = not steps_are_rows(self.spec) and "joints" in self.spec.recorded
             errors = estimated_errors(
                 self.recorder, self.accuracy, position, missed,
-                integrals=totals, skips_steps=not steps_are_rows(self.spec), measures=measures,
+                integrals=totals, skips_steps=skips_steps, measures=measures,
             )  # fmt: skip
         judgement = judge(evidence, errors)
         message = f"{status}: {reason.removeprefix('interrupted: ')}" if reason else status
