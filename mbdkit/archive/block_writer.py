@@ -186,13 +186,20 @@ def write_block(path: Path, heading: BlockHeading, runs: Sequence[BlockRun]) -> 
     ResourceError
         If the file cannot be written, as on a full disk.
     """
-    # The file is created in memory, because HDF5 crashes the interpreter if the disk is full when a file is closed.
+    write_image(path, block_image(heading, runs), overwrite=True)
+
+
+def block_image(heading: BlockHeading, runs: Sequence[BlockRun]) -> bytes:
+    """Return the bytes of a block.
+
+    It is created in memory, because HDF5 crashes the interpreter if the disk is full when a file is closed.
+    """
     name = f"block-{next(_NUMBERS)}"
     with h5py.File(name, "w", driver="core", backing_store=False, libver=LIBVER) as file:
         _Writer(file, heading, runs).write()
         file.flush()
-        image = file.id.get_file_image()
-    write_image(path, image, overwrite=True)
+        image: bytes = file.id.get_file_image()
+    return image
 
 
 _NUMBERS = itertools.count(1)

@@ -168,7 +168,7 @@ class Block:
         row = self.row(number)
         if not self.runs["data_sha256"][row]:
             return None
-        return Run(self._contents(number, self._finished(number)))
+        return Run(self._contents(number, self.results(number)))
 
     def joined_runs(self) -> Iterator[tuple[Run, np.ndarray, np.ndarray]]:
         """Yield, for each structure, a `Run` that joins its N runs, their numbers in the study (N,), and their numbers
@@ -185,7 +185,7 @@ class Block:
         structure = self.runs["structure"].astype(int)
         for index in range(int(structure.max(initial=0))):
             numbers = self.numbers[structure == index + 1]
-            first = self._finished(int(numbers[0]))
+            first = self.results(int(numbers[0]))
             rows = _Rows(self, prefix(index), first.arrays)
             yield Run(self._contents(int(numbers[0]), replace(first, arrays=rows))), numbers, rows.counts
 
@@ -209,8 +209,14 @@ class Block:
             )
         return ArrayContents(finished, heading, "" if self.store == "all" else self.store, measured)
 
-    def _finished(self, number: int) -> FinishedRun:
-        """Return the results of a run."""
+    def results(self, number: int) -> FinishedRun:
+        """Return the results of a run, with the arrays that the study has stored.
+
+        Raises
+        ------
+        SpecError
+            If the block is damaged or does not contain the run.
+        """
         with reading(f"run {number}", self.path, hint=_HINT):
             return self._read_results(self.row(number))
 

@@ -61,17 +61,45 @@ def simulate_batch(
     lanes
         Loops and compiled mechanisms of earlier batches with the same `measures`; by default, new ones.
     """
+    waiting: dict[int, FinishedRun | Refused] = {}
+    following = 0
+    for some in simulate_in_any_order(specs, begun=begun, measures=measures, lanes=lanes):
+        waiting.update(some)
+        while following in waiting:
+            yield waiting.pop(following)
+            following += 1
+
+
+def simulate_in_any_order(
+    specs: Iterable[RunSpec],
+    *,
+    begun: Callable[[int], None] | None = None,
+    measures: Sequence[str] = (),
+    lanes: LaneRuns | None = None,
+) -> Iterator[list[tuple[int, FinishedRun | Refused]]]:
+    """Run specs as `simulate_batch` does, and yield indices and results of runs as soon as they are known.
+
+    The runs of a vector are yielded together, other runs one by one.
+    """
     begun = begun or _ignored
     lanes, remaining = lanes or LaneRuns(Starts(), measures), iter(enumerate(specs))
     while chunk := list(islice(remaining, CHUNK)):
         with one_thread_of_linear_algebra():
             prepared = lanes.members(_noted(chunk, begun))
-            finished = iter(lanes.finished([member for member in prepared if member is not None]))
-        for (place, spec), member in zip(chunk, prepared, strict=True):
-            run = None if member is None else next(finished)
-            if run is None:
-                begun(place)
-            yield _alone(spec, lanes.starts, measures) if run is None else run
+        alone = [index for index, member in enumerate(prepared) if member is None]
+        vectorized = [index for index, member in enumerate(prepared) if member is not None]
+        vectors = lanes.finished([member for member in prepared if member is not None])
+        while True:
+            with one_thread_of_linear_algebra():
+                some = next(vectors, None)
+            if some is None:
+                break
+            alone += [vectorized[number] for number, run in some if run is None]
+            yield [(chunk[vectorized[number]][0], run) for number, run in some if run is not None]
+        for index in sorted(alone):
+            place, spec = chunk[index]
+            begun(place)
+            yield [(place, _alone(spec, lanes.starts, measures))]
 
 
 def _ignored(place: int) -> None:

@@ -233,14 +233,11 @@ class LaneRuns:
             self._topology = mechanism, topology_of(mechanism)
         return self._topology[1]
 
-    def finished(self, members: Sequence[LaneMember]) -> list[FinishedRun | None]:
-        """Carry out runs and return their results in order; None for a run that must be repeated alone."""
-        if not members:
-            return []
-        # Measured once for all runs: for a process with several threads, reading the processor time is slow on some
-        # systems.
-        begin, cpu = time.perf_counter(), time.process_time()
-        results: list[FinishedRun | None] = [None] * len(members)
+    def finished(self, members: Sequence[LaneMember]) -> Iterator[list[tuple[int, FinishedRun | None]]]:
+        """Carry out runs, and yield the index and the result of each run of a vector when its loop has ended.
+
+        The result is None for a run that must be repeated alone.
+        """
         groups: dict[tuple[object, ...], list[int]] = defaultdict(list)
         for place, member in enumerate(members):
             groups[member.key].append(place)
@@ -250,12 +247,18 @@ class LaneRuns:
                 places = _by_cost(members, places)
             for first in range(0, len(places), WIDTH):
                 some = places[first : first + WIDTH]
-                for place, run in zip(some, group.finished([members[place] for place in some]), strict=True):
-                    results[place] = None if run is None else _with_functionals(run, members[place], self._measures)
-        apart = sum(run.stats["finish_s"] for run in results if run is not None)
-        spent = time.perf_counter() - begin - apart, time.process_time() - cpu
-        seconds = dict(zip(("wall_s", "cpu_s"), (one / len(members) for one in spent), strict=True))
-        return [None if run is None else replace(run, stats={**run.stats, **seconds}) for run in results]
+                # Measured once for all runs of a vector: for a process with several threads, reading the processor time
+                # is slow on some systems.
+                begin, cpu = time.perf_counter(), time.process_time()
+                results = [
+                    None if run is None else _with_functionals(run, members[place], self._measures)
+                    for place, run in zip(some, group.finished([members[place] for place in some]), strict=True)
+                ]
+                apart = sum(run.stats["finish_s"] for run in results if run is not None)
+                spent = time.perf_counter() - begin - apart, time.process_time() - cpu
+                seconds = dict(zip(("wall_s", "cpu_s"), (one / len(some) for one in spent), strict=True))
+                timed = [None if run is None else replace(run, stats={**run.stats, **seconds}) for run in results]
+                yield list(zip(some, timed, strict=True))
 
     def _group(self, key: tuple[object, ...], first: LaneMember) -> _Group:
         group = self._groups.pop(key, None) or _Group(first)

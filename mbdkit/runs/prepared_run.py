@@ -104,7 +104,7 @@ class PreparedRun:
         created = utc_now()
         with one_thread_of_linear_algebra():
             member = self._lanes.members([spec])[0]
-            finished = None if member is None else self._lanes.finished([member])[0]
+            finished = None if member is None else next(self._lanes.finished([member]))[0][1]
             if finished is None:
                 return None
             self._is_long = finished.stats["rhs_evaluations"] * len(finished.names.bodies) > LONG

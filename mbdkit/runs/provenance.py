@@ -22,6 +22,9 @@ def _versions() -> dict[str, str]:
     return {**{name: version(name) for name in packages}, "machine_code": code_id()}
 
 
+DECIDE_LAST_BITS = ("mbdkit", "numpy", "scipy", "machine_code", "processor")
+"""Entries of the provenance, besides plugins, that must be equal for results to be bitwise identical."""
+
 _EMULATING = ("NPY_DISABLE_CPU_FEATURES", "OPENBLAS_CORETYPE", "NUMBA_CPU_NAME")
 """Environment variables that make libraries use code for another processor."""
 

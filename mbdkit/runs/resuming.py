@@ -37,7 +37,7 @@ from mbdkit.engine.workspace import Workspace
 from mbdkit.methods.kinds import Method
 from mbdkit.quantities.names import archive_names
 from mbdkit.runs.preparation import make_method, recorded_arrays
-from mbdkit.runs.provenance import provenance
+from mbdkit.runs.provenance import DECIDE_LAST_BITS, provenance
 from mbdkit.runs.recorded_states import ObservedRows
 from mbdkit.runs.recorder import shared_forces
 from mbdkit.runs.run_checkpoint import INTERVAL, Continuation, why_without
@@ -46,9 +46,6 @@ from mbdkit.runs.simulation import simulate_on
 from mbdkit.spec import RunSpec, load_spec
 
 PART = f"{SUFFIX}.part"
-
-_NEEDED = ("mbdkit", "numpy", "scipy", "machine_code", "processor")
-"""Entries of the provenance, besides plugins, that must be equal for results to be bitwise identical."""
 
 _ANEW = "run it anew"
 
@@ -244,7 +241,7 @@ def _same_spec(part: Path, spec_json: str, run_id: str, then: Mapping[str, Any])
     except ValueError:
         raise _refused(part, "its spec is damaged") from None
     now = provenance(spec)
-    keys = [*_NEEDED, *(key for key in now if key.endswith(("_distribution", "_version")))]
+    keys = [*DECIDE_LAST_BITS, *(key for key in now if key.endswith(("_distribution", "_version")))]
     other = [(key, then.get(key), now[key]) for key in keys if str(then.get(key)) != str(now[key])]
     if other:
         changes = [f"{_word(key, now)} {shown(str(old))}, now {new}" for key, old, new in other]

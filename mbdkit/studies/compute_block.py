@@ -7,9 +7,8 @@ import os
 import sys
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
-from itertools import islice
 from pathlib import Path
 from typing import Any
 
@@ -18,11 +17,12 @@ from mbdkit.archive.finished_run import FinishedRun
 from mbdkit.archive.run import Run
 from mbdkit.archive.run_contents import ArrayContents, Heading
 from mbdkit.base.errors import ResourceError, SpecError
+from mbdkit.base.one_thread import one_thread_of_linear_algebra
 from mbdkit.base.plain_data import collecting_new_objects_only, path_text
 from mbdkit.base.terminal import say
 from mbdkit.base.text import joined_lines
 from mbdkit.measures.take import Description, with_error
-from mbdkit.runs.batch import CHUNK, Refused, refusal, simulate_batch
+from mbdkit.runs.batch import CHUNK, Refused, refusal, simulate_in_any_order
 from mbdkit.runs.provenance import plugins_of, surroundings
 from mbdkit.spec import RunSpec
 from mbdkit.spec.study_loading import load_study_spec
@@ -34,6 +34,7 @@ from mbdkit.studies.study_blocks import stored
 from mbdkit.studies.study_folder import StudyFolder
 from mbdkit.studies.study_plan import StudyPlan
 from mbdkit.studies.tasks import mark_of
+from mbdkit.studies.unfinished_block import UnfinishedBlock
 
 MISALIGNMENT = "misalignment_max"
 """The measure that blocks store in a column apart from the other measures."""
@@ -158,18 +159,44 @@ def compute_block(
     measures = _measures(str(files.spec.absolute()), files.spec.stat().st_mtime_ns)
     plan = measures.plan
     skip = skip or {}
-    with _Mark(files.block(block)) as mark, collecting_new_objects_only():
+    heading = BlockHeading(
+        plan.spec.sha256(), stored(plan.spec), surroundings(), measures.described, plan.spec.compress
+    )
+    unfinished = UnfinishedBlock(files.block(block), heading)
+    # entered here, because entering it for each vector of runs would take time
+    with _Mark(files.block(block)) as mark, collecting_new_objects_only(), one_thread_of_linear_algebra():
         varied = {grid.base_json: VariedSpecs(grid.base_json) for grid in plan.points.grids}
         members = [_member(plan.points[place], varied, skip, mark) for place in plan.blocks.places(block)]
-        runs = []
-        results = _results(plan, members, mark, notify)
-        while some := list(islice(results, CHUNK)):
-            runs += _stored(measures, some)
-        heading = BlockHeading(
-            plan.spec.sha256(), stored(plan.spec), surroundings(), measures.described, plan.spec.compress
-        )
-        write_block(files.block(block), heading, runs)
-    return sum(run.status == "failed" for run in runs)
+        runs = _taken_over(unfinished.saved(), members)
+        pending: list[tuple[_Member, FinishedRun | Refused]] = []
+
+        def add() -> None:
+            new = _stored(measures, pending)
+            pending.clear()
+            unfinished.add(new)
+            runs.update({run.number: run for run in new})
+
+        for some in _results(plan, [one for one in members if one.point.number not in runs], mark, notify):
+            pending += some
+            if len(pending) >= CHUNK or unfinished.is_due:
+                add()
+        add()
+        write_block(files.block(block), heading, [runs[member.point.number] for member in members])
+        unfinished.remove()
+    return sum(run.status == "failed" for run in runs.values())
+
+
+def _taken_over(saved: Mapping[int, BlockRun], members: Sequence[_Member]) -> dict[int, BlockRun]:
+    """Return those saved runs, by number, that have the specs and the plugins of members."""
+    runs = {}
+    for member in members:
+        run, spec = saved.get(member.point.number), member.spec
+        if run is None or not isinstance(spec, RunSpec):
+            continue
+        same = run.spec_sha256, run.run_id, run.plugins
+        if same == (spec.sha256(), spec.run_id(), _plugins_json(tuple(plugins_of(spec).items()))):
+            runs[run.number] = replace(run, base=member.base, values=member.values)
+    return runs
 
 
 @lru_cache(maxsize=4)
@@ -206,16 +233,20 @@ def _member(point: PlannedPoint, varied: Mapping[str, VariedSpecs], skip: Mappin
 
 def _results(
     plan: StudyPlan, members: Sequence[_Member], mark: _Mark, notify: Callable[[str], None]
-) -> Iterator[tuple[_Member, FinishedRun | Refused]]:
-    """Yield each member with its result, in order."""
-    specs = {member.point.number: member.spec for member in members if isinstance(member.spec, RunSpec)}
-    numbers = list(specs)
-    results = simulate_batch(specs.values(), begun=lambda place: mark.note(numbers[place]), measures=plan.expressions)
-    for member in members:
-        result = member.spec if isinstance(member.spec, Refused) else next(results)
-        for warning in result.warnings if isinstance(result, FinishedRun) else ():
-            notify(f"warning: {warning}")
-        yield member, result
+) -> Iterator[list[tuple[_Member, FinishedRun | Refused]]]:
+    """Yield members with their results as soon as these are known."""
+    computed = [member for member in members if isinstance(member.spec, RunSpec)]
+    results = simulate_in_any_order(
+        [member.spec for member in computed if isinstance(member.spec, RunSpec)],
+        begun=lambda place: mark.note(computed[place].point.number),
+        measures=plan.expressions,
+    )
+    for some in results:
+        for _, result in some:
+            for warning in result.warnings if isinstance(result, FinishedRun) else ():
+                notify(f"warning: {warning}")
+        yield [(computed[place], result) for place, result in some]
+    yield [(member, member.spec) for member in members if isinstance(member.spec, Refused)]
 
 
 def _stored(measures: BlockMeasures, some: Sequence[tuple[_Member, FinishedRun | Refused]]) -> list[BlockRun]:

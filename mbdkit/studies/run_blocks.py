@@ -25,6 +25,7 @@ from mbdkit.studies.study_folder import StudyFolder
 from mbdkit.studies.study_index import Index, describe_column
 from mbdkit.studies.study_plan import plan_study
 from mbdkit.studies.tasks import Outcome, Task, forget_run_at_work
+from mbdkit.studies.unfinished_block import PIECE
 
 OF_BLOCKS = ("run_id", "status", "status_reason", "verdict", "verdict_reasons", "worst_joint", "data_sha256")
 """Columns of texts and hashes in the index of a study that is stored in blocks."""
@@ -69,6 +70,10 @@ class RunBlocks(RunStore[int]):
             notify(f"the runs are not vectorized but computed one after another, because {reason}")
         for task in self._tasks:
             forget_run_at_work(task.path)  # left by a process that was killed in an earlier call
+        complete = {self.folder.block(block).stem for block in own} - {task.path.stem for task in self._tasks}
+        for path in self.folder.runs.glob(f".*{PIECE}*"):  # left by a process that was killed at the end of a block
+            if path.name[1:].partition(PIECE)[0] in complete:
+                path.unlink(missing_ok=True)
         return sum(task.runs for task in self._tasks)
 
     def _task(self, block: int) -> Task:

@@ -16,9 +16,11 @@ from mbdkit.spec.study_spec import StudySpec
 from mbdkit.studies import member_table
 from mbdkit.studies.owned_folder import OwnedFolder, contains
 
-#: Names of archives of runs (see `RunSpec.run_id`) and blocks, and of their unfinished files, checkpoints and marks.
+#: Names of archives of runs (see `RunSpec.run_id`) and blocks, of their unfinished files and checkpoints, and of marks
+#: and pieces of blocks.
 _ARCHIVE = re.compile(
-    r"([0-9a-f]{16}|block-[0-9]{6,})\.h5(\.checkpoint|\.part(\.checkpoint(\.new)?)?)?|\.block-[0-9]{6,}\.at"
+    r"([0-9a-f]{16}|block-[0-9]{6,})\.h5(\.checkpoint|\.part(\.checkpoint(\.new)?)?)?"
+    r"|\.block-[0-9]{6,}\.(at|piece-[0-9]+)"
 )
 
 #: Text that every chart of a report contains near its beginning, by suffix; see the metadata in plot/style.py.

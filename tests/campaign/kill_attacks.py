@@ -27,6 +27,7 @@ import mbdkit
 import mbdkit.archive.writer
 import mbdkit.runs.run_checkpoint
 import mbdkit.studies.pool
+import mbdkit.studies.unfinished_block
 from mbdkit.archive.archive_check import check
 from mbdkit.archive.blocks import Block
 from mbdkit.archive.layout import LAYOUT, is_timing
@@ -141,6 +142,7 @@ def start_command(folder: Path, *arguments: str, prepare: Callable[[], None] = l
 
         mbdkit.archive.writer.ArchiveWriter._write_more = noted  # type: ignore[method-assign]
         mbdkit.runs.run_checkpoint.INTERVAL, mbdkit.runs.run_checkpoint.SHARE = CHECKPOINT, 1.0
+        mbdkit.studies.unfinished_block.INTERVAL, mbdkit.studies.unfinished_block.LARGEST_RATE = 0.0, np.inf
         keep_checkpoint = mbdkit.archive.writer.ArchiveWriter.keep_checkpoint
 
         def kept(writer: Any, state: Any) -> None:
