@@ -79,26 +79,31 @@ def archive_diff(first: Archive, second: Archive, as_json: AsJson = False, debug
 
 @archive_app.command("export")
 def archive_export(
-    archive: Archive,
+    archive: Annotated[Path, typer.Argument(metavar="FILE.h5|DIR", help="A run archive, or the folder of a study.")],
     to: Annotated[
         str,
         typer.Option(
             "--to",
             metavar="FORMAT",
-            help="csv; parquet (needs pyarrow); mat: MATLAB; sto: OpenSim; json.",
+            help="csv; parquet (needs the package pyarrow); mat: MATLAB; sto: OpenSim; json.",
         ),
     ],
-    output: Annotated[Path | None, output_to("DIR", "Folder of the files; by default FILE-FORMAT.")] = None,
+    output: Annotated[
+        Path | None,
+        output_to("DIR", "Folder of the files, which is created; by default FILE-FORMAT, such as knee-csv."),
+    ] = None,
     overwrite: Overwrite = False,
     quiet: Quiet = False,
     debug: Debug = False,
 ) -> None:
     """Export a run, or the table of the runs of a study.
 
-    Each group of a run gives a file GROUP.FORMAT. Groups are trajectory, joints, forces, markers, constraints, energy,
-    steps, events and accuracy, as far as the archive contains them. Columns are named as in expressions of events, such
-    as knee.force_x. The folder of a study gives one file, runs.FORMAT, with one row for each run. Prints the names of
-    the files.
+    Writes several files into a folder: each group of a run gives a file GROUP.FORMAT.
+    Groups are trajectory, joints, forces, markers, constraints, energy, steps, events and
+    accuracy, as far as the archive contains them. Columns are named as in expressions of
+    events, such as knee.force_x. The folder of a study gives one file, runs.FORMAT, with
+    one row for each run: its values, status, verdict with reasons, measures and cost.
+    Prints the names of the files.
     """
     from mbdkit.archive.archive_check import blaming_damage
     from mbdkit.archive.export import export

@@ -6,6 +6,7 @@ import csv
 import math
 import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -14,6 +15,7 @@ import numpy as np
 
 from mbdkit.base.errors import SpecError, file_error
 from mbdkit.base.text import did_you_mean, listed, shown
+from mbdkit.base.units import read_quantity
 from mbdkit.inverse_dynamics.c3d_file import read_c3d
 
 GAPS = ("", "nan", "na", "n/a", "null")
@@ -102,6 +104,9 @@ class Table:
             some = listed(names[:HEADINGS_SHOWN]) + (", ..." if len(names) > HEADINGS_SHOWN else "")
             hint = did_you_mean(heading, names) or f"; its columns: {some}"
             remark = f" ({self.remark})" if self.remark else ""
+            with suppress(SpecError):  # a text that is almost a number with a unit
+                if quantity := read_quantity(heading):
+                    remark += f"; for a constant, give the number in SI units without its unit: {quantity[0]:.6g}"
             raise SpecError(f"{self.name} has no column '{shown(heading)}'{hint}{remark}", key=key)
         try:
             texts = [cells[place] for cells in self.cells]

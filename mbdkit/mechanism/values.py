@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import sys
 from collections.abc import Callable, Mapping
 from functools import lru_cache
@@ -34,7 +35,9 @@ def pair(wanted: str) -> Callable[[Any], Any]:
         if isinstance(plain, list):
             plain = tuple(plain)
         if not isinstance(plain, tuple):
-            raise SpecError(f"should be {wanted}, not {_shown(plain)}")
+            is_number = isinstance(plain, str | int | float) and re.match(r"[-+]?\.?\d", str(plain)) is not None
+            example = f", such as [0, {plain}]" if is_number and wanted.endswith("[x, y]") else ""
+            raise SpecError(f"should be {wanted}{example}, not {_shown(plain)}")
         if len(plain) != 2:
             raise SpecError(f"should be {wanted}, not {len(plain)} item{'s' * (len(plain) != 1)}")
         return plain

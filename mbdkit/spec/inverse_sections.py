@@ -11,7 +11,7 @@ from mbdkit.base.errors import SpecError
 from mbdkit.base.text import shown
 from mbdkit.base.units import read_unit
 from mbdkit.mechanism.bodies import GROUND
-from mbdkit.mechanism.values import BodyPair, Points
+from mbdkit.mechanism.values import BodyPair, Points, pair
 from mbdkit.spec.sections import Count, Positive, Section
 
 Named = Annotated[str, Field(min_length=1)]
@@ -98,6 +98,12 @@ Column = Annotated[
     ColumnOfTable | float, BeforeValidator(_as_column, json_schema_input_type=ColumnOfTable | str | float)
 ]
 """A column of a table, or one SI value for all times."""
+ColumnPair = Annotated[
+    tuple[Column, Column],
+    BeforeValidator(
+        pair("two components, such as [force_x, 0.0]: each the heading of a column or a number in SI units")
+    ),
+]
 Observed = Annotated[ObservedColumn, BeforeValidator(_as_column, json_schema_input_type=ObservedColumn | str)]
 Times = Annotated[TimeColumn, BeforeValidator(_as_column, json_schema_input_type=TimeColumn | str)]
 
@@ -257,9 +263,9 @@ class Load(Section):
     """Columns by heading, as an alternative to `file`."""
     time: Times | None = None
     """Column with the times; by default, that of the motion if the load is in the same table, otherwise `time`."""
-    force: tuple[Column, Column] | None = None
+    force: ColumnPair | None = None
     """Columns of the force (x, y) on the body, in the global frame; a number is a constant component [N]."""
-    point: tuple[Column, Column] | None = None
+    point: ColumnPair | None = None
     """Columns of the point at which the force acts, or numbers [m]; by default, the body's centre of mass."""
     point_frame: Named = GROUND
     """Body in whose frame the point is given; by default, the global frame."""

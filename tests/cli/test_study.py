@@ -47,7 +47,7 @@ axes:
 """
 
 
-def test_the_summary_counts_runs_and_names_what_failed(mbdkit, in_tmp_path):
+def test_the_summary_counts_runs_and_names_what_failed(mbdkit, in_tmp_path, monkeypatch):
     (in_tmp_path / "sweep.yaml").write_text(SWEEP)
     result = mbdkit("study", "sweep.yaml")
     assert result.exit_code == 0
@@ -64,6 +64,7 @@ def test_the_summary_counts_runs_and_names_what_failed(mbdkit, in_tmp_path):
     named = "failed     2 runs (2, 4), such as run 2 (model.length 1; limits.max_steps 3): max-steps: "
     assert lines[5].startswith(named)
     assert lines[6:] == ["all runs   with reasons: mbdkit archive export sweep --to csv"]
+    monkeypatch.setitem(sys.modules, "pandas", None)  # as if it were not installed
     assert mbdkit(*lines[6].partition("mbdkit ")[2].split()).exit_code == 0
     with (in_tmp_path / "sweep-csv" / "runs.csv").open() as file:
         rows = list(csv.DictReader(file))

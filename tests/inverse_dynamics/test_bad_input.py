@@ -81,6 +81,25 @@ def test_a_wrong_table_is_refused(rows: list[str], change: dict[str, Any], messa
 
 
 @pytest.mark.parametrize(
+    ("force", "message"),
+    [
+        (
+            "-0.03 kN",
+            "loads.hand.force: should be two components, such as [force_x, 0.0]: each the heading of a column",
+        ),
+        (["-0.03 kN", 0.0], "loads.hand.force[0].column: t.csv has no column '-0.03 kN'"),
+        (["-0.03 kN", 0.0], "; for a constant, give the number in SI units without its unit: -30"),
+    ],
+)
+def test_a_wrong_force_of_a_load_is_refused(force: Any, message: str, tmp_path: Path) -> None:
+    (tmp_path / "t.csv").write_text("\n".join(ROWS), encoding="utf-8")
+    loads = {"hand": {"body": "rod", "force": force}}
+    with pytest.raises(SpecError) as caught:
+        mbdkit.inverse(pendulum(str(tmp_path / "t.csv")) | {"loads": loads})
+    assert message in str(caught.value).replace(f"{tmp_path}/", "")
+
+
+@pytest.mark.parametrize(
     ("limit", "message"),
     [
         ("LARGEST_FILE", "t.csv: this table has 0 MiB, but at most 0 MiB are read; keep the rows and columns that"),

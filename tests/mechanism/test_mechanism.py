@@ -245,6 +245,12 @@ CHANGES = {
         "model.forces.f.value",
         "should be two numbers, expressions or tables [x, y], not {'table': [[0, 1, 2",
     ),
+    "a force of one number": (
+        "forces.f.value",
+        "-0.03 kN",
+        "model.forces.f.value",
+        "should be two numbers, expressions or tables [x, y], such as [0, -0.03 kN], not '-0.03 kN'",
+    ),
     "uneven table": ("forces.m.value", {"table": [[0, 1], [1]]}, "model.forces.m.value.table", "as many values as"),
     "unknown key for a table": (
         "forces.m.value",
