@@ -28,7 +28,6 @@ from mbdkit.runs.recorder import Recorder
 from mbdkit.stepping.collocation_stages import new_systems
 from mbdkit.stepping.compiled_stepper import CompiledStepper
 from mbdkit.stepping.python_stepper import PythonStepper
-from mbdkit.stepping.taylor_series import Taylor
 
 if TYPE_CHECKING:
     from mbdkit.engine.workspace import Workspace
@@ -176,22 +175,12 @@ def _kept(bundle: Any) -> dict[str, np.ndarray]:
     return kept(bundle, STATE, RECORD)
 
 
-def _kept_by_method(bundle: Any) -> dict[str, np.ndarray]:
-    """Return the arrays of a method that a checkpoint contains.
-
-    A Taylor series is not expanded again when a step is repeated after a rejection, but the estimate of its error reads
-    the lengths between pins in the work array of the expansion.
-    """
-    more = {"bodies": bundle.bodies} if isinstance(bundle, Taylor) else {}
-    return {**_kept(bundle), **more}
-
-
 def _stored_stepper(stepper: CompiledStepper) -> dict[str, Any]:
     own, bundle = stepper.run_state.solver, stepper.method.pinned.bundle
     systems = getattr(bundle, "systems", None)  # methods whose stages are coupled have linear systems
     return {
         "run": _kept(stepper.run_state),
-        "method": _kept_by_method(bundle),
+        "method": _kept(bundle),
         "systems": None if systems is None else stored(systems),
         # the evaluation of an event may have chosen new pivots, which the stepper does not use
         "solver": None if own is stepper.workspace.solver else stored_solver(own),
@@ -209,7 +198,7 @@ def _restore_stepper(stepper: CompiledStepper, state: Mapping[str, Any]) -> None
         stepper.stop_at(float(stop))
     if stepper.run_state.progress.passed[0] > len(stepper.timetable.stops):
         raise ValueError("it has passed more stops than exist")
-    restore(_kept_by_method(bundle), state["method"])
+    restore(_kept(bundle), state["method"])
     past = getattr(bundle, "past", None)  # methods that extrapolate over several steps have this
     if past is not None and past.known[0] > len(past.acc):
         raise ValueError("it refers to more steps than are stored")

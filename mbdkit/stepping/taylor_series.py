@@ -71,8 +71,8 @@ class Taylor(NamedTuple):
     """(p + 3,) inverses of 1, 2, ..."""
     springs: np.ndarray
     """(S, OF_SPRING, p + 2) of springs between two points."""
-    bodies: np.ndarray
-    """(B + 1, OF_BODY) articulated bodies."""
+    bodies: State
+    """(B + 1, OF_BODY) articulated bodies, and lengths between pins, which the estimate of a repeated step reads."""
     motions: np.ndarray
     """(motions, p + 2) of the values of loads."""
     stack: np.ndarray
