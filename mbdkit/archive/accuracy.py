@@ -146,8 +146,11 @@ class Accuracy(HtmlView):
                 (self.torque_error, "N m", "reaction torque"),
             ):
                 if values.shape[1]:
-                    errors.append((float(np.max(values[:count])), unit, what))
-            lines.append("largest errors  " + ", ".join(f"{what} {size:.2g} {unit}" for size, unit, what in errors))
+                    errors.append((largest_known(values[:count]), unit, what))
+            told = ", ".join(f"{what} {size:.2g} {unit}" for size, unit, what in errors)
+            arrays = (self.position_error, self.reaction_error, self.torque_error)
+            partly = any(np.any(np.isnan(values[:count])) for values in arrays)
+            lines.append(f"largest errors  {told}{', where they are known' if partly else ''}")
         return "\n".join(lines)
 
     @property
@@ -175,13 +178,13 @@ class Accuracy(HtmlView):
     def position_error_max(self) -> float:
         """Largest error of the position of a body [m] up to `known_until`; nan if nothing is known."""
         count = self.rows_known
-        return float(np.max(np.linalg.norm(self.position_error[:count, :, :2], axis=-1))) if count else math.nan
+        return largest_known(np.linalg.norm(self.position_error[:count, :, :2], axis=-1)) if count else math.nan
 
     @property
     def angle_error_max(self) -> float:
         """Largest error of the angle of a body [rad] up to `known_until`; nan if nothing is known."""
         count = self.rows_known
-        return float(np.max(self.position_error[:count, :, 2], initial=0.0)) if count else math.nan
+        return largest_known(self.position_error[:count, :, 2]) if count else math.nan
 
     def of_joints(
         self, names: Sequence[str], force: np.ndarray, missed: np.ndarray | None = None
@@ -265,6 +268,12 @@ class Accuracy(HtmlView):
         values |= {name: str(group.attrs.get(name, "")) for name in _TEXTS}
         values[_COMPARED] = compared_from_json(str(group.attrs.get(_COMPARED, "{}")))
         return cls(**values)
+
+
+def largest_known(errors: np.ndarray) -> float:
+    """Return the largest error that is known; nan if none is, and 0 without errors."""
+    known = errors[~np.isnan(errors)]
+    return float(np.max(known, initial=0.0)) if known.size or not errors.size else math.nan
 
 
 _VALUES = ("time", "position_error", "velocity_error", "reaction_error", "torque_error")

@@ -413,13 +413,19 @@ def _fit(run: Run) -> str:
 
 
 def _gaps(run: Run) -> str:
-    """Return the gaps of the measured columns, which are filled by interpolation; empty if there are none."""
-    texts = []
+    """Return the gaps of the measured columns, which are filled by interpolation, and whether errors are unknown there;
+    empty if there are none.
+    """
+    texts: list[str] = []
+    errors = [] if run.accuracy is None else [run.accuracy.reaction_error]
+    errors += [run.array("actuators/value_error")] if errors and run.records("actuators/value_error") else []
     for name, one in run.motion.items():
         missing = np.concatenate([[False], np.isnan(one.raw), [False]])
         for first, end in np.flatnonzero(np.diff(missing)).reshape(-1, 2).tolist():
             span = f"from t = {run.time[first]:.6g} to {run.time[end - 1]:.6g} s"
-            texts.append(f"{name}, {counted(end - first, 'sample')} {span}")
+            unknown = any(np.any(np.isnan(one[first:end])) for one in errors)
+            told = ", where errors are unknown" if unknown else ""
+            texts.append(f"{name}, {counted(end - first, 'sample')} {span}{told}")
     more = f"; {len(texts) - JOINTS_NAMED} more" if len(texts) > JOINTS_NAMED else ""
     return f"filled by interpolation: {'; '.join(texts[:JOINTS_NAMED])}{more}" if texts else ""
 

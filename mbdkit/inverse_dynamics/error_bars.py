@@ -9,7 +9,8 @@ Other effects are added by root sum of squares. The square of the effect of the 
 changes of the result with a lower and with a higher cutoff, minus the mean square of these changes due to noise. If the
 independent coordinates are not the measured quantities, the square of the effect of their choice is the squared change
 of the result if other coordinates are smoothed, minus the mean square of this change due to noise. Uncertain properties
-of muscles are drawn at random, and the mean squares of the resulting changes are added.
+of muscles are drawn at random, and the mean squares of the resulting changes are added. The effects of the ends of the
+record are added too. Bars on which a long gap has an effect are nan (see `mbdkit.inverse_dynamics.ends_and_gaps`).
 """
 
 from __future__ import annotations
@@ -26,6 +27,7 @@ from mbdkit.archive.accuracy import Accuracy
 from mbdkit.base.errors import RunError, SpecError
 from mbdkit.base.text import listed
 from mbdkit.inverse_dynamics.compute import Inverse, forces_of, recorded_states
+from mbdkit.inverse_dynamics.ends_and_gaps import LongGap, changes_at_ends, changes_in_gap, long_gaps, told_gaps
 from mbdkit.inverse_dynamics.muscle_samples import PROPERTIES, forces_with, known_mean, with_drawn_muscles
 from mbdkit.inverse_dynamics.noise import NoisePath, noise_deviation
 from mbdkit.inverse_dynamics.reduced_motion import Independent, motion_of_series, other_coordinates
@@ -39,6 +41,9 @@ LEVEL = 0.95
 CUTOFFS = (0.8, 1.25)
 """The result is compared with results whose cutoff is multiplied by these factors."""
 
+
+HIDDEN = 0.1
+"""An error is unknown if a long gap may hide a change that exceeds this share of the other errors."""
 
 LOAD_UNITS = {"force": "N", "point": "m", "torque": "N m"}
 
@@ -57,12 +62,18 @@ class ErrorBars:
         (T, M) bounds of the tensions of the muscles.
     accuracy
         Bounds of the errors of bodies and joints; those of reaction forces bound the norm of the vector error.
+    of_ends
+        Parts of the bounds of actuators (T, U) and of reaction forces (T, J) due to the ends of the record.
+    of_gaps
+        Changes of actuators (T, U) and of reaction forces (T, J) that long gaps may hide.
     """
 
     deviation: np.ndarray
     actuators: np.ndarray
     muscles: np.ndarray
     accuracy: Accuracy
+    of_ends: tuple[np.ndarray, np.ndarray]
+    of_gaps: tuple[np.ndarray, np.ndarray]
 
 
 @dataclass(frozen=True)
@@ -135,7 +146,8 @@ def error_bars(result: Inverse) -> ErrorBars | None:
     response = _Response(result, independent)
     groups = [_other_cutoffs(response, path, coordinates, how), _other_coordinates(response)]
     covariance, *of_others = _covariances(path, deviation, asked, [*groups[0], *groups[1]], random)
-    sensitivity = _sensitivity(response, smoothed_each(times, coordinates, how), covariance)
+    series = smoothed_each(times, coordinates, how)
+    sensitivity = _sensitivity(response, series, covariance)
     squares = [bound**2 for bound in _bounds(*_with_loads(result, sensitivity, covariance))]
     for group in groups:
         beyond = [np.zeros_like(square) for square in squares]
@@ -145,10 +157,18 @@ def error_bars(result: Inverse) -> ErrorBars | None:
             ):
                 beyond[index] += (change**2 - noise) / len(group)
         squares = [square + np.maximum(0.0, more) for square, more in zip(squares, beyond, strict=True)]
+    of_ends = _squares_of_changes(sensitivity, changes_at_ends(times, series, how))
+    squares = [square + more for square, more in zip(squares, of_ends, strict=True)]
     of_muscles = _muscle_squares(result, random)
     if of_muscles is not None:
         squares = [square + more for square, more in zip(squares, of_muscles, strict=True)]
-    method = _method(result, deviation, *([one.name for one in group] for group in groups))
+    gaps, of_gaps = long_gaps(result), [np.zeros_like(square) for square in squares]
+    for gap in gaps:
+        hidden = _squares_of_changes(sensitivity, changes_in_gap(result, path, gap))
+        of_gaps = [square + more for square, more in zip(of_gaps, hidden, strict=True)]
+    for square, more in zip(squares, of_gaps, strict=True):
+        square[more > HIDDEN**2 * square] = np.nan
+    method = _method(result, deviation, *([one.name for one in group] for group in groups), gaps=gaps)
     actuators, force, torque, position, velocity, muscles = (np.sqrt(square) for square in squares)
     return ErrorBars(
         deviation,
@@ -157,6 +177,8 @@ def error_bars(result: Inverse) -> ErrorBars | None:
         Accuracy(
             times, position, velocity, force, torque, float(times[-1]), np.nan, method, time.perf_counter() - begin
         ),
+        (np.sqrt(of_ends[0]), np.sqrt(of_ends[1])),
+        (np.sqrt(of_gaps[0]), np.sqrt(of_gaps[1])),
     )
 
 
@@ -278,6 +300,13 @@ def _squares(sensitivity: list[np.ndarray], covariance: np.ndarray) -> list[np.n
     return [own, x + y, torque, place, rate, pull]
 
 
+def _squares_of_changes(sensitivity: list[np.ndarray], changes: Smoothed) -> list[np.ndarray]:
+    """Return the sums of the squared changes of all quantities, in the order of `_squares`, due to changes (T, U, C) of
+    the coordinates.
+    """
+    return _squares(sensitivity, changes.every @ np.swapaxes(changes.every, 1, 2))
+
+
 def _product(a: np.ndarray, b: np.ndarray, covariance: np.ndarray) -> np.ndarray:
     """Return the covariance (T, ...) of quantities with the derivatives `a` and `b` (3 U, T, ...)."""
     found: np.ndarray = np.einsum("it...,tij,jt...->t...", a, covariance, b, optimize=True)
@@ -378,7 +407,9 @@ def _some(names: Sequence[str]) -> str:
     return listed(names[:6], "" if len(names) > 6 else "and") + (f" and {len(names) - 6} more" if names[6:] else "")
 
 
-def _method(result: Inverse, deviation: np.ndarray, factors: list[str], coordinates: list[str]) -> str:
+def _method(
+    result: Inverse, deviation: np.ndarray, factors: list[str], coordinates: list[str], *, gaps: list[LongGap]
+) -> str:
     measured = result.fitted.measured
     stated = ~np.isnan(measured.deviation)
     told = [
@@ -398,9 +429,14 @@ def _method(result: Inverse, deviation: np.ndarray, factors: list[str], coordina
     effects = [
         f", and the mean square change of the result with {change}, minus that caused by noise," for change in changed
     ]
+    ends = "" if isinstance(result.problem.spec.motion.smooth, NoSmoothing | QuinticSpline) else (
+        "; the accelerations at the ends of the record, which the smoothing takes for zero, are assumed to be at most "
+        "the largest ones of the record"
+    )  # fmt: skip
+    unknown = "".join(f" Unknown (nan) in {one}." for one in told_gaps(result, gaps).values())
     return (
         f"Bounds that hold with a probability of {LEVEL:.0%} at each time: Gaussian noise, independent from sample "
         f"to sample, with the standard deviations {_some(told)}, passed through the linearised fit, smoothing and "
         f"dynamics{of_loads}{''.join(effects)}{' by root sum of squares' if effects else ''}"
-        f"{'' if factors else '; no cutoff was varied'}{_told_muscles(result)}."
+        f"{'' if factors else '; no cutoff was varied'}{_told_muscles(result)}{ends}.{unknown}"
     )

@@ -1,7 +1,8 @@
 """Errors of measures of inverse dynamics, by samples of noise and of properties of muscles, and by other cutoffs.
 
 The error bars of `mbdkit.inverse_dynamics.error_bars` hold at single times, while a measure depends on all times.
-Measures are therefore computed again from noisy motions and loads. The same seed gives the same noise, which cancels in
+Measures are therefore computed again from noisy motions and loads, whose accelerations at both ends are drawn too. They
+are unknown if a long gap may hide changes of them. The same seed gives the same noise, which cancels in
 the difference of two results for one motion, such as those with and without a device.
 """
 
@@ -15,7 +16,8 @@ from scipy.stats import chi2
 
 from mbdkit.base.errors import SpecError
 from mbdkit.inverse_dynamics.compute import Inverse, InverseProblem, compute, forces_of
-from mbdkit.inverse_dynamics.error_bars import CUTOFFS, LEVEL
+from mbdkit.inverse_dynamics.ends_and_gaps import changes_at_ends, changes_in_gap, long_gaps
+from mbdkit.inverse_dynamics.error_bars import CUTOFFS, HIDDEN, LEVEL
 from mbdkit.inverse_dynamics.loads import LoadSeries
 from mbdkit.inverse_dynamics.muscle_samples import forces_with, known_mean, with_drawn_muscles
 from mbdkit.inverse_dynamics.noise import NoisePath, noise_deviation
@@ -114,15 +116,16 @@ def samples_of(result: Inverse, measures: Sequence[str]) -> SampledMeasures | No
     measured, times = result.fitted.measured, result.motion.time
     coordinates = independent.quantities.values(result.fitted.q)
     how = fixed(times, coordinates, spec.motion.smooth)
-    path = NoisePath(result, independent, how)
+    path, gaps = NoisePath(result, independent, how), long_gaps(result)
     left = measured.raw - measured.quantities.values(result.motion.q)
     deviation = noise_deviation(path, left, measured.deviation, random)
     if np.any(np.isnan(deviation)):
         return None
     series = smoothed_each(times, coordinates, how)
+    at_ends = changes_at_ends(times, series, how)
     noisy = [
         _measured(_moved(result, independent, one, loads), measures)
-        for one, loads in _noisy(result, path, deviation, series, random)
+        for one, loads in _noisy(result, path, deviation, series, at_ends=at_ends, random=random)
     ]
     others = []
     for factor in CUTOFFS:
@@ -137,22 +140,42 @@ def samples_of(result: Inverse, measures: Sequence[str]) -> SampledMeasures | No
     value = _measured(result, measures)
     unknown = np.full_like(value, np.nan)
     muscles = [unknown if one is None else _measured(one, measures) for one in drawn]
-    return SampledMeasures(value, *(np.array(one).reshape(len(one), len(value)) for one in (noisy, others, muscles)))
+    found = SampledMeasures(value, *(np.array(one).reshape(len(one), len(value)) for one in (noisy, others, muscles)))
+    for gap in gaps:
+        change = changes_in_gap(result, path, gap)
+        hidden = [
+            _measured(_moved(result, independent, _added(series, change, shares), result.problem.loads), measures)
+            for shares in ([1.0, 0.0], [-1.0, 0.0], [0.0, 1.0], [0.0, -1.0])
+        ]
+        found.noisy[:, np.max(np.abs(hidden - value), axis=0) > HIDDEN * found.bounds()] = np.nan
+    return found
 
 
 def _noisy(
-    result: Inverse, path: NoisePath, deviation: np.ndarray, series: Smoothed, random: np.random.Generator
+    result: Inverse,
+    path: NoisePath,
+    deviation: np.ndarray,
+    series: Smoothed,
+    *,
+    at_ends: Smoothed,
+    random: np.random.Generator,
 ) -> Iterator[tuple[Smoothed, dict[str, LoadSeries]]]:
-    """Yield samples of the coordinates and of the loads."""
+    """Yield samples of the coordinates, with noise and with changes at both ends, and of the loads."""
     for block in path.samples(deviation, SAMPLES, random):
         change = path.smoothed(block)
-        for k in range(block.shape[2]):
-            own = Smoothed(
-                series.value + change.value[..., k],
-                series.rate + change.rate[..., k],
-                series.acceleration + change.acceleration[..., k],
-            )
-            yield own, {name: load.with_noise(random) for name, load in result.problem.loads.items()}
+        for own in np.eye(block.shape[2]):
+            ends = random.uniform(-1.0, 1.0, at_ends.value.shape[1:])  # (U, 2)
+            moved = _added(_added(series, change, own), at_ends, ends)
+            yield moved, {name: load.with_noise(random) for name, load in result.problem.loads.items()}
+
+
+def _added(series: Smoothed, changes: Smoothed, shares: np.ndarray | Sequence[float]) -> Smoothed:
+    """Return series (T, U) plus the sums over C of changes (T, U, C) times `shares`, (C,) or (U, C)."""
+    return Smoothed(
+        series.value + np.sum(changes.value * shares, axis=2),
+        series.rate + np.sum(changes.rate * shares, axis=2),
+        series.acceleration + np.sum(changes.acceleration * shares, axis=2),
+    )
 
 
 def _moved(result: Inverse, independent: Independent, series: Smoothed, loads: dict[str, LoadSeries]) -> Inverse:

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-from scipy.interpolate import CubicSpline
+from scipy.interpolate import make_interp_spline
 
 from mbdkit.archive.reader import load
 from mbdkit.base.errors import SpecError
@@ -323,11 +323,16 @@ def _bridged(
             f"({gaps.longest:.4g} s)",
             row=int(rows[known[worst] + 1]),
         )
-    filled = values.copy()
-    if gaps.interpolation == "linear" or known.size < 4:
-        filled[missing] = np.interp(time[missing], time[known], values[known])
-    else:
-        filled[missing] = CubicSpline(time[known], values[known])(time[missing])
+    return bridged(time, values, missing, gaps)
+
+
+def bridged(time: np.ndarray, values: np.ndarray, missing: np.ndarray, gaps: Gaps) -> np.ndarray:
+    """Return series (T, ...) whose values in the rows `missing` (T,) are interpolated; the first and the last row are
+    not missing.
+    """
+    filled, known = values.copy(), ~missing
+    degree = 1 if gaps.interpolation == "linear" or np.sum(known) < 4 else 3
+    filled[missing] = make_interp_spline(time[known], values[known], k=degree)(time[missing])
     return filled
 
 

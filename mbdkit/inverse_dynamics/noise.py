@@ -11,6 +11,7 @@ import numpy as np
 
 from mbdkit.inverse_dynamics.compute import Inverse
 from mbdkit.inverse_dynamics.manifold import Directions
+from mbdkit.inverse_dynamics.measured import bridged
 from mbdkit.inverse_dynamics.reduced_motion import Independent
 from mbdkit.inverse_dynamics.smoothing import FEWEST, Smoothed, local_derivatives, smoothed_each
 from mbdkit.mechanism.mechanism_quantities import Quantities
@@ -44,6 +45,7 @@ class NoisePath:
 
     def __init__(self, result: Inverse, independent: Independent, how: Sequence[Smoothing]):
         self._time, self._how = result.motion.time, tuple(how)
+        self._gaps, self._missing = result.problem.spec.motion.gaps, np.isnan(result.fitted.measured.raw)
         manifold, target, q = result.problem.fitter.manifold, result.fitted.measured.target, result.fitted.q
         directions = manifold.directions(manifold.frames(target.time, q).jacobian)
         observed, coordinates = target.quantities.jacobian(q), independent.quantities.jacobian(q)
@@ -94,6 +96,8 @@ class NoisePath:
     def samples(self, deviation: np.ndarray, count: int, random: np.random.Generator) -> Iterator[np.ndarray]:
         """Yield blocks (T, K, S) of Gaussian noise, independent at each time, with `count` samples in total.
 
+        In gaps, the noise is that of the values that fill them, interpolated from the noise of the other samples.
+
         Parameters
         ----------
         deviation
@@ -102,7 +106,11 @@ class NoisePath:
         rows = len(self._time)
         most = max(1, NUMBERS_AT_ONCE // (rows * max(1, self.columns)))
         for begin in range(0, count, most):
-            yield random.standard_normal((rows, self.columns, min(most, count - begin))) * deviation[:, None]
+            noise = random.standard_normal((rows, self.columns, min(most, count - begin))) * deviation[:, None]
+            for column in np.flatnonzero(np.any(self._missing, axis=0)):
+                assert self._gaps is not None
+                noise[:, column] = bridged(self._time, noise[:, column], self._missing[:, column], self._gaps)
+            yield noise
 
 
 def _parts(directions: Directions) -> tuple[np.ndarray, ...]:
@@ -135,14 +143,14 @@ def noise_deviation(
     stated
         (K,) deviations that are known; nan for the others.
     """
-    share = np.empty(
-        (path.columns, path.columns)
-    )  # entry [i, j]: mean square of the residuals of quantity i due to the noise of quantity j
+    known_rows = ~np.isnan(residual)
+    # entry [i, j]: mean square of the residuals of quantity i due to the noise of quantity j
+    share = np.empty((path.columns, path.columns))
     for index in range(path.columns):
         one = np.zeros(path.columns)
         one[index] = 1.0
         squares = [np.sum(path.residual(noise) ** 2, axis=2) for noise in path.samples(one, DRAWS, random)]
-        share[:, index] = np.mean(np.sum(squares, axis=0), axis=0) / DRAWS
+        share[:, index] = np.mean(np.sum(squares, axis=0), axis=0, where=known_rows) / DRAWS
     known = ~np.isnan(stated)
     seen = ~known & (np.sum(share, axis=0) > LEAST_SHARE)
     variance = np.where(known, stated, 0.0) ** 2

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -114,6 +115,20 @@ def with_cutoff(how: Smoothing, factor: float) -> Smoothing | None:
     return None
 
 
+def cutoff_of(time: np.ndarray, how: Smoothing) -> float:
+    """Return the cutoff of a smoothing with fixed parameters [Hz]; infinite if nothing is smoothed.
+
+    A smoothing spline multiplies an oscillation by ``1 / (1 + parameter * interval * omega^4)``. Its cutoff is the
+    frequency at which this is 1/2.
+    """
+    if isinstance(how, Butterworth | OpenSimFilter):
+        return how.cutoff
+    if isinstance(how, SmoothingSpline) and how.parameter:
+        interval = float((time[-1] - time[0]) / (len(time) - 1))
+        return float((how.parameter * interval) ** -0.25 / (2 * np.pi))
+    return math.inf
+
+
 def smoothed_each(time: np.ndarray, series: np.ndarray, how: Sequence[Smoothing]) -> Smoothed:
     """Smooth each of the series (T, U, ...) by the smoothing given for it; see `smoothed`."""
     if not how:
@@ -214,8 +229,9 @@ def _interval(time: np.ndarray) -> float:
     if abs(steps[worst] - mean) > UNEVEN * mean:
         raise SpecError(
             f"this filter needs evenly spaced samples, but the interval after t = {time[worst]:.6g} s is "
-            f"{steps[worst]:.6g} s, and {mean:.6g} s on average; use `spline`, `quintic` or "
-            "`opensim`, which resamples",
+            f"{steps[worst]:.6g} s, and {mean:.6g} s on average; if rows are missing, add them with the time and empty "
+            "cells, and give `motion.gaps`; if the sampling is uneven, use `spline`, `quintic` or `opensim`, which "
+            "resamples",
             key=KEY,
         )
     return mean

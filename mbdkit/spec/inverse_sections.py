@@ -189,6 +189,8 @@ Criterion = Literal[
     "turns",
     "fit",
     "noise",
+    "gaps",
+    "ends",
     "load-point",
     "load-sign",
     "load-offset",

@@ -60,7 +60,7 @@ def with_row(number: int, row: str) -> list[str]:
         (ROWS, {"columns": {"hip.angle": {"column": "hip", "rate": "hip"}}}, '"hip.angle".acceleration: is'),
         (ROWS, {"smooth": {"name": "butterworth", "cutoff": 60}}, "smooth.cutoff: 60 Hz is too high: with 100 samples"),
         (ROWS, {"smooth": "butterwort"}, "motion.smooth"),
-        (with_row(5, "0.035,0.3,a"), {"smooth": {"name": "butterworth", "cutoff": 5}}, "needs evenly spaced samples"),
+        (with_row(5, "0.035,0.3,a"), {"smooth": {"name": "butterworth", "cutoff": 5}}, "if rows are missing, add them"),
         (with_row(21, "0.19,,a"), {"gaps": {"longest": 1}}, "t.csv:21: column 'hip': a gap at an end of the motion"),
         (with_row(5, "0.03,,a"), {"gaps": {"longest": 0.01}}, "t.csv:5: column 'hip': a gap of 0.02 s is longer than"),
         (with_row(5, "0.03,-8_9.3,a"), {}, "t.csv:5: column 'hip': '-8_9.3' is not a number"),

@@ -128,7 +128,7 @@ def test_radians_declared_as_degrees_are_doubted_but_one_small_angle_is_not() ->
     only_knee = {**{name: name for name in ANGLES}, "knee_flexion": columns["knee_flexion"]}
     assert "(knee_flexion)" in leg(motion={"columns": only_knee}).verdict_reasons[0]
     degrees = {name: np.degrees(x) for name, x in ANGLES.items()} | {"ankle_dorsiflexion": 5 * ANGLES["hip_flexion"]}
-    assert leg(degrees, motion={"columns": columns}).verdict == "unknown"
+    assert "units" not in told(leg(degrees, motion={"columns": columns}))
 
 
 def test_a_crank_that_turns_in_radians_is_not_taken_for_degrees() -> None:
@@ -205,7 +205,7 @@ def test_outliers_exchanged_and_constant_columns_are_doubted() -> None:
     assert reason.startswith("outliers: column of knee_flexion: the value at t = 0.7 s is ")
     held = np.where((T > 0.5) & (T < 0.9), knee[50], knee)
     assert "constant" in told(leg({"knee_flexion": held}))
-    assert told(leg({"knee_flexion": 0 * T + 0.3})) == {"constant"}
+    assert "constant" in told(leg({"knee_flexion": 0 * T + 0.3}))
 
 
 def test_what_joints_hold_may_be_constant() -> None:
@@ -218,7 +218,7 @@ def test_what_joints_hold_may_be_constant() -> None:
     del model["joints"]["motor"]
     motion = {"data": {"time": run.time, **data}, "smooth": {"name": "butterworth", "cutoff": 20.0}}
     found = mbdkit.inverse({"mbdkit": 1, "model": model, "motion": motion, "actuators": motor})
-    assert not found.verdict_reasons
+    assert "constant" not in told(found)
 
 
 def test_rounded_times_are_doubted_by_the_grid_on_which_they_are() -> None:

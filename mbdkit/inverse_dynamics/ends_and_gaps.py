@@ -1,0 +1,142 @@
+"""Parts of a record that do not determine the motion: its two ends, and long gaps.
+
+Near an end, a smoothed coordinate depends on how the smoothing continues the record. Filters continue it by odd
+reflection, and smoothing splines end with a vanishing second derivative. Both are wrong unless the acceleration at the
+end vanishes. The response of the smoothing to parabolas shows what an acceleration of 1 at an end changes in each
+frame. The acceleration at an end is not known; it is assumed to be no larger than the largest one of the record.
+
+A gap longer than half a period of the cutoff can hide an oscillation that the smoothing would preserve. Its values
+are then unknown in the gap. How much the motion may deviate there is estimated by smooth curves that vanish, with
+their rates, at the samples beside the gap, and whose largest acceleration is that of the record.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from mbdkit.base.text import listed
+from mbdkit.inverse_dynamics.compute import Inverse
+from mbdkit.inverse_dynamics.noise import NoisePath
+from mbdkit.inverse_dynamics.smoothing import Smoothed, cutoff_of, fixed, smoothed_each
+from mbdkit.spec.inverse_sections import Smoothing
+
+NAMED = 4
+"""Largest number of columns, actuators and joints that are named."""
+
+
+@dataclass(frozen=True)
+class LongGap:
+    """A gap that is longer than the smoothing can bridge.
+
+    Attributes
+    ----------
+    column
+        Index of the observed quantity.
+    rows
+        Rows without a value.
+    start, end
+        Times of the samples on both sides [s].
+    longest
+        Largest length of a gap that the smoothing can bridge [s]; 0 if nothing is smoothed.
+    """
+
+    column: int
+    rows: slice
+    start: float
+    end: float
+    longest: float
+
+    @property
+    def length(self) -> float:
+        """Time between the samples on both sides [s]."""
+        return self.end - self.start
+
+
+def long_gaps(result: Inverse) -> list[LongGap]:
+    """Return the gaps that are longer than half a period of the highest cutoff of the smoothed coordinates."""
+    raw, time, independent = result.fitted.measured.raw, result.motion.time, result.independent
+    if independent is None or not independent.names or not np.any(np.isnan(raw)):
+        return []
+    longest = 0.5 / max(_cutoffs(result))
+    found = []
+    for column, missing in enumerate(np.isnan(raw).T):
+        borders = np.flatnonzero(np.diff(np.concatenate([[False], missing, [False]])))
+        for first, last in borders.reshape(-1, 2).tolist():
+            start, end = float(time[first - 1]), float(time[last])
+            if end - start > longest * (1 + 1e-9):
+                found.append(LongGap(column, slice(first, last), start, end, longest))
+    return found
+
+
+def longest_period(result: Inverse) -> float:
+    """Return one period of the lowest cutoff of the smoothed coordinates [s], after which the effect of the ends has
+    decayed to a few parts in a thousand.
+    """
+    return 1 / min(_cutoffs(result))
+
+
+def _cutoffs(result: Inverse) -> list[float]:
+    """Return the cutoff of the smoothing of each coordinate [Hz]; infinite if nothing is smoothed."""
+    assert result.independent is not None
+    time, series = result.motion.time, result.independent.quantities.values(result.fitted.q)
+    return [cutoff_of(time, one) for one in fixed(time, series, result.problem.spec.motion.smooth)]
+
+
+def changes_in_gap(result: Inverse, path: NoisePath, gap: LongGap) -> Smoothed:
+    """Return changes (T, U, 2) of the coordinates and their derivatives that a gap may hide: an even and an odd one,
+    whose accelerations vanish at different times.
+    """
+    time, measured, motion = result.motion.time, result.fitted.measured, result.motion
+    jacobian, curvature = measured.quantities.jacobian(motion.q), measured.quantities.curvature(motion.q, motion.v)
+    acceleration = ((jacobian @ motion.a[..., None])[..., 0] + curvature)[:, gap.column]
+    near = (time > gap.start - gap.longest) & (time < gap.end + gap.longest)  # has the amplified noise of the filling
+    largest = np.max(np.abs(acceleration[~near] if not np.all(near) else acceleration))
+    place = (time[gap.rows] - gap.start) / gap.length
+    change = np.zeros((len(time), path.columns, 2))
+    # the largest second derivative of s^2 (1 - s)^2, and of its product with 1 - 2 s, is 2, at both ends
+    even = 0.5 * largest * (place * (1 - place) * gap.length) ** 2
+    change[gap.rows, gap.column] = np.stack([even, even * (1 - 2 * place)], axis=1)
+    return path.smoothed(change)
+
+
+def changes_at_ends(time: np.ndarray, series: Smoothed, how: Sequence[Smoothing]) -> Smoothed:
+    """Return changes (T, U, 2) of the coordinates and their derivatives, which an acceleration at the start and at the
+    end of the record that is as large as the largest one causes.
+
+    Parameters
+    ----------
+    time
+        (T,) [s].
+    series
+        (T, U) the coordinates.
+    how
+        Smoothing of each coordinate, with fixed parameters.
+    """
+    largest = np.max(np.abs(series.acceleration), axis=0)[:, None]
+    from_middle = time - 0.5 * (time[0] + time[-1])
+    shape = (*series.value.shape, 1)
+    parabola = Smoothed(*(np.broadcast_to(x[:, None, None], shape) for x in
+                          (0.5 * from_middle**2, from_middle, np.ones_like(time))))  # fmt: skip
+    found = smoothed_each(time, parabola.value, how)
+    sides = np.stack([from_middle < 0, from_middle >= 0], axis=1)[:, None]
+    value, rate, acceleration = (
+        (getattr(found, name) - getattr(parabola, name)) * sides * largest for name in ("value", "rate", "acceleration")
+    )
+    return Smoothed(value, rate, acceleration)
+
+
+def told_gaps(result: Inverse, gaps: Sequence[LongGap]) -> dict[tuple[float, float], str]:
+    """Return phrases on gaps, their lengths and the largest length that the smoothing can bridge, by start and end."""
+    columns: dict[tuple[float, float], list[str]] = {}
+    for gap in gaps:
+        columns.setdefault((gap.start, gap.end), []).append(result.fitted.measured.names[gap.column])
+    most = f"half a period of the cutoff, {gaps[0].longest:.3g} s" if gaps and gaps[0].longest else "0, without cutoff"
+    return {
+        (start, end): f"the gap of {listed(names[:NAMED], 'and' if len(names) <= NAMED else '')}"
+        f"{f' and {len(names) - NAMED} more columns' if len(names) > NAMED else ''} from {start:.6g} to {end:.6g} s, "
+        f"whose length of {end - start:.3g} s exceeds {most}"
+        for (start, end), names in columns.items()
+    }

@@ -1,0 +1,101 @@
+"""Criteria of the verdict on the largest values of a result, which may lie in long gaps or near ends of the record."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from mbdkit.base.text import listed
+from mbdkit.inverse_dynamics.column_criteria import Doubt
+from mbdkit.inverse_dynamics.compute import Inverse, recorded_states
+from mbdkit.inverse_dynamics.ends_and_gaps import NAMED, long_gaps, longest_period, told_gaps
+from mbdkit.inverse_dynamics.error_bars import ErrorBars
+
+OF_ENDS = 0.1
+"""A largest value is doubtful if the part of its error bar due to the ends of the record exceeds this share of it."""
+
+
+class _Peak(NamedTuple):
+    """The largest value of an actuator or a joint.
+
+    Attributes
+    ----------
+    label, value, unit
+        Name of the element, its largest value and the unit.
+    row
+        Row of the largest value.
+    of_ends
+        Part of its error bar due to the ends of the record.
+    reached
+        (T,) values that the data do not exclude where the error is unknown; otherwise, the values.
+    """
+
+    label: str
+    value: float
+    unit: str
+    row: int
+    of_ends: float
+    reached: np.ndarray
+
+    def told(self, time: np.ndarray) -> str:
+        return f"{self.label} ({self.value:.4g} {self.unit} at t = {time[self.row]:.6g} s)"
+
+
+def record_doubts(result: Inverse, bars: ErrorBars | None) -> Iterator[Doubt]:
+    """Yield doubts about largest values of actuators and joint forces that lie in long gaps or near the ends."""
+    time, peaks = result.motion.time, _peaks(result, bars)
+    for (start, end), gap in told_gaps(result, long_gaps(result)).items():
+        rows = (time > start) & (time < end)
+        open_peaks = [one for one in peaks if np.any(one.reached[rows] > one.value)]
+        if open_peaks:
+            yield Doubt(
+                "gaps",
+                f"the data do not determine the largest values of {_some([one.told(time) for one in open_peaks])}, "
+                f"because of {gap}: its values are interpolated, and larger ones are possible. Fill it with measured "
+                "values, or cut the motion with `time.start` or `time.end`.",
+            )
+    for at_start in (True, False):
+        near = [one for one in peaks if one.of_ends > OF_ENDS * one.value and (one.row < len(time) // 2) == at_start]
+        if near:
+            worst = max(near, key=lambda one: one.of_ends / one.value)
+            side, beyond = ("start", "before") if at_start else ("end", "after")
+            yield Doubt(
+                "ends",
+                f"the largest values of {_some([one.told(time) for one in near])} are so close to the {side} of the "
+                f"record that the smoothing may change that of {worst.label} by {worst.of_ends:.2g} {worst.unit} "
+                f"(doubtful above {OF_ENDS:g} of the value): record at least {longest_period(result):.2g} s more "
+                f"{beyond} them, one period of the cutoff, or move `time.{side}` if it cuts the data there.",
+            )
+
+
+def _peaks(result: Inverse, bars: ErrorBars | None) -> list[_Peak]:
+    """Return the largest values of all joint forces and actuators that are not zero; residual actuators should be zero
+    and are left out.
+    """
+    actuators = np.abs(result.actuators[:, :, 0])
+    forces = np.linalg.norm(recorded_states(result).reactions[:, :, :2], axis=2)
+    named = [(one.name, "" if one.kind == "residual" else one.unit) for one in result.problem.recorded_actuators]
+    named += [(f"the force in {name}", "N") for name in result.problem.prepared.workspace.mechanism.joints]
+    values = np.nan_to_num(np.hstack([actuators, forces]))
+    of_ends = np.zeros_like(values)
+    if bars is None:
+        reached = values.copy()
+        for gap in long_gaps(result):  # what the gap may hide is not estimated
+            reached[gap.rows] = np.nextafter(values[gap.rows], np.inf)
+    else:
+        of_ends, of_gaps = np.hstack(bars.of_ends), np.hstack(bars.of_gaps)
+        unknown = np.isnan(np.hstack([bars.actuators, bars.accuracy.reaction_error]))
+        reached = np.where(unknown, values + of_gaps, values)
+    rows, found = np.argmax(values, axis=0).tolist(), []
+    for column, ((label, unit), row) in enumerate(zip(named, rows, strict=True)):
+        if unit and values[row, column] > 0:
+            value, end = float(values[row, column]), float(of_ends[row, column])
+            found.append(_Peak(label, value, unit, row, end, reached[:, column]))
+    return found
+
+
+def _some(told: Sequence[str]) -> str:
+    more = len(told) - NAMED
+    return listed([*told[:NAMED], *([f"{more} more"] if more > 0 else [])], "and")

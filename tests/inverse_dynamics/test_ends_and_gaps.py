@@ -1,0 +1,114 @@
+"""Error bars and doubts where a record does not determine the motion: near its ends, and in long gaps.
+
+The truth is the torque of a pendulum, 0.35 kg m^2 times its angular acceleration plus 0.5 kg m times gravity times the
+sine of its angle, for angles that are random sums of sines.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+import mbdkit
+from tests.inverse_dynamics.test_error_bars import pendulum
+
+TIME = np.linspace(0.0, 2.0, 201)
+FILTER = {"name": "butterworth", "cutoff": 6.0}
+DEVIATION = 0.003
+
+
+def swing(seed: int, highest: float = 2.0) -> tuple[np.ndarray, np.ndarray, np.random.Generator]:
+    """Return a random angle with frequencies up to `highest` [Hz], its torque, and the random numbers that follow."""
+    random = np.random.default_rng(seed)
+    omega = 2 * np.pi * highest * random.uniform(0.2, 1.0, 3)[:, None]
+    size, phase = random.normal(0.0, 0.3, (3, 1)), random.uniform(0.0, 2 * np.pi, (3, 1))
+    wave = size * np.sin(omega * TIME + phase)
+    angle, acceleration = wave.sum(axis=0), (-(omega**2) * wave).sum(axis=0)
+    return angle, 0.35 * acceleration + 0.5 * 9.81 * np.sin(angle), random
+
+
+def measured(
+    angle: np.ndarray,
+    random: np.random.Generator,
+    gap: slice | None = None,
+    deviation: float = DEVIATION,
+    **motion: Any,
+) -> mbdkit.Run:
+    """Return inverse dynamics of an angle with noise and a gap, with the largest torque as a measure."""
+    noisy = angle + deviation * random.standard_normal(len(TIME))
+    cells: list[float | None] = noisy.tolist()
+    if gap is not None:
+        cells[gap] = [None] * len(cells[gap])
+        motion["gaps"] = {"longest": 1.0}
+    spec = pendulum(smooth=FILTER, errors={"samples": 60}, **motion)
+    spec["motion"] |= {"data": {"time": TIME, "hip": cells}, "columns": {"hip.angle": "hip"}}
+    return mbdkit.inverse({**spec, "measures": {"peak": "max(abs(actuators.hip.value))"}})
+
+
+def test_bars_near_the_ends_cover_the_truth_and_peaks_there_are_doubted() -> None:
+    near = np.r_[0:10, 191:201]
+    covered, peaks = [], []
+    for seed in range(8):
+        angle, torque, random = swing(seed)
+        run = measured(angle, random)
+        value, error = run.actuators["hip"].value, run.actuators["hip"].value_error
+        covered.append(np.mean((np.abs(value - torque) <= error)[near]))
+        peaks.append(abs(run.measures["peak"] - np.max(np.abs(torque))) <= run.measure_errors["peak"])
+        row = int(np.argmax(np.abs(value)))
+        told = [one for one in run.verdict_reasons if one.startswith("ends: the largest values of hip")]
+        assert bool(told) <= (row in near)
+        if row in (0, 200):
+            assert "record at least 0.17 s more" in told[0]
+    assert np.mean(covered) > 0.9
+    assert np.mean(peaks) > 0.8
+
+
+def test_bars_in_short_gaps_cover_the_truth_with_the_noise_of_the_values_that_fill_them() -> None:
+    covered = []
+    for seed in range(20, 28):
+        angle, torque, random = swing(seed)
+        gap = slice(90, 97)  # 0.08 s between the samples beside it; half a period of the cutoff is 0.083 s
+        one = measured(angle, random, gap).actuators["hip"]
+        covered.append(np.mean((np.abs(one.value - torque) <= one.value_error)[gap]))
+    assert np.mean(covered) > 0.85
+
+
+def test_errors_in_a_long_gap_are_unknown_and_a_peak_there_is_doubted() -> None:
+    angle = 1.0 - 0.6 * np.exp(-(((TIME - 1.0) / 0.3) ** 2))
+    run = measured(angle, np.random.default_rng(5), slice(85, 116), 3e-4)
+    error = run.actuators["hip"].value_error
+    assert np.all(np.isnan(error[88:113]))
+    assert np.all(np.isfinite(error[:70]) & np.isfinite(error[131:]))
+    assert np.isnan(run.measure_errors["peak"])
+    assert run.verdict == "doubtful"
+    sentence = (
+        "the gap of hip.angle from 0.84 to 1.16 s, whose length of 0.32 s exceeds half a period of the cutoff, 0.0833 s"
+    )
+    assert any(
+        one.startswith("gaps: the data do not determine the largest values of hip (") and sentence in one
+        for one in run.verdict_reasons
+    )
+    assert run.accuracy is not None
+    assert f"Unknown (nan) in {sentence}." in run.accuracy.method
+    assert "where they are known" in str(run.accuracy)
+    assert "from t = 0.85 to 1.15 s, where errors are unknown" in run.summary()
+    # a peak far from the gap is known, because what the gap may hide does not reach it
+    angle = 0.6 + 0.5 * np.cos(1.5 * (TIME - 0.5))
+    run = measured(angle, np.random.default_rng(5), slice(160, 176), 3e-4)
+    assert np.isfinite(run.measure_errors["peak"])
+    assert not any("the largest values of hip (" in one for one in run.verdict_reasons)
+
+
+@pytest.mark.parametrize("smooth", ["none", "quintic"])
+def test_without_smoothing_the_ends_have_no_effect_of_their_own(smooth: str) -> None:
+    angle, torque, random = swing(3)
+    noisy = angle + DEVIATION * random.standard_normal(len(TIME))
+    spec = pendulum(smooth=smooth)
+    spec["motion"] |= {"data": {"time": TIME, "hip": noisy}}
+    spec["motion"]["columns"] = {"hip.angle": {"column": "hip", "deviation": DEVIATION}}
+    run = mbdkit.inverse(spec)
+    one = run.actuators["hip"]
+    assert np.mean((np.abs(one.value - torque) <= one.value_error)[np.r_[0:10, 191:201]]) >= 0.9
+    assert not any(reason.startswith("ends") for reason in run.verdict_reasons)
