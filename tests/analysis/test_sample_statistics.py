@@ -32,7 +32,11 @@ def _coverage(draw: Callable[[int], np.ndarray], truth: tuple[float, ...]) -> np
     return hits / SEEDS
 
 
-@pytest.mark.parametrize("law", [scipy.stats.norm(10, 2), scipy.stats.uniform(0, 1), scipy.stats.expon()], ids=("normal", "uniform", "exponential"))
+@pytest.mark.parametrize(
+    "law",
+    [scipy.stats.norm(10, 2), scipy.stats.uniform(0, 1), scipy.stats.expon()],
+    ids=("normal", "uniform", "exponential"),
+)
 def test_intervals_hold_as_often_as_they_say(law) -> None:
     truth = law.mean(), law.std(), law.ppf(0.05), law.ppf(0.95)
     assert np.all(_coverage(lambda seed: law.rvs((128, 1), random_state=seed), truth) > 0.88)
