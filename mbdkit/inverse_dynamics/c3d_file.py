@@ -27,6 +27,10 @@ The point of application is then the quotient of two small numbers.
 """
 
 
+LARGEST_PLATE = 20.0
+"""Coordinates of plates are in mm if a file states no unit and the corners of a plate are farther apart than this."""
+
+
 class Columns(NamedTuple):
     """Headings and values of a table.
 
@@ -37,15 +41,15 @@ class Columns(NamedTuple):
         and so on for each force plate. The headings of markers without a label are empty.
     values
         (T, columns); nan where a marker was not seen, or where a plate has no point of application.
-    unit
-        Unit of the coordinates and points.
+    units
+        Units of the coordinates and points by heading; empty if the file states none.
     remark
         Reason why there are no force plates, as a clause; empty if nothing is missing.
     """
 
     headings: list[str]
     values: np.ndarray
-    unit: str
+    units: dict[str, str]
     remark: str = ""
 
 
@@ -53,12 +57,13 @@ def read_c3d(path: Path, most_cells: int) -> Columns | None:
     """Read the points and force plates of a C3D file; None if they have more cells than `most_cells`.
 
     Forces and torques of plates are those in the file, in the frame of the laboratory. They are given at the times of
-    the camera frames, and set to zero where the plate is unloaded; see `UNLOADED`.
+    the camera frames or, in files without markers, at all samples. They are set to zero where the plate is unloaded
+    (`UNLOADED`).
 
     Raises
     ------
     SpecError
-        If the file is not a C3D file, or has no markers.
+        If the file is not a C3D file, or has neither markers nor force plates.
     MbdkitError
         If ezc3d is not installed.
     """
@@ -86,15 +91,24 @@ def read_c3d(path: Path, most_cells: int) -> Columns | None:
     parts = sorted((name for name in about if re.fullmatch(r"LABELS\d*", name)), key=lambda name: (len(name), name))
     # each part of the list has up to 255 labels
     labels = [str(label).strip() for name in parts for label in about[name]["value"]]
-    if not any(labels):
-        raise SpecError("this C3D file has no markers", file=path)
     labels = [*labels, *[""] * points.shape[1]][: points.shape[1]]
     rate, first = float(file["header"]["points"]["frame_rate"]), int(file["header"]["points"]["first_frame"])
-    frames = points.shape[2]
+    frames, plates = points.shape[2], file["data"].get("platform", ())
+    if not any(labels):
+        if not plates:
+            why = f"; {remark}" if remark else ""
+            raise SpecError(f"this C3D file has neither markers nor force plates{why}", file=path)
+        # programs of force plates may write a frame rate of 0; without markers, all samples are rows
+        rate, frames = float(file["parameters"]["ANALOG"]["RATE"]["value"][0]), plates[0]["force"].shape[1]
+        first, points = 0, np.zeros((4, 0, frames))
+        labels = []
+    if not rate > 0:
+        raise SpecError(f"this C3D file has a rate of {rate:g} Hz, from which times do not follow", file=path)
     headings = ["time", *(f"{label}.{axis}" if label else "" for label in labels for axis in "xyz")]
     values = [(first + np.arange(frames)) / rate, *points[:3].transpose(1, 0, 2).reshape(-1, frames)]
-    unit = str(next(iter(about.get("UNITS", {"value": ()})["value"]), "m")).strip() or "m"
-    plates = file["data"].get("platform", ())
+    unit = str(next(iter(about.get("UNITS", {"value": ()})["value"]), "")).strip()
+    if not unit and any(np.ptp(plate["corners"]) > LARGEST_PLATE for plate in plates):
+        unit = "mm"
     if plates and _has_negative_offsets(file["parameters"].get("ANALOG", {})):
         plates, remark = (
             (),
@@ -103,10 +117,11 @@ def read_c3d(path: Path, most_cells: int) -> Columns | None:
     for number, plate in enumerate(plates, 1):
         if not frames or plate["force"].shape[1] < frames:
             continue
-        for quantity, columns in _of_plate(plate, plate["force"].shape[1] // frames).items():
+        for quantity, columns in _of_plate(plate, plate["force"].shape[1] // frames, unit).items():
             headings += [f"plate{number}.{quantity}.{axis}" for axis in "xyz"]
             values += list(columns)
-    return Columns(headings, np.column_stack(values), unit, remark)
+    places = [heading for heading in headings[1:] if heading and ".force." not in heading and ".torque." not in heading]
+    return Columns(headings, np.column_stack(values), dict.fromkeys(places, unit) if unit else {}, remark)
 
 
 def _has_negative_offsets(about: Any) -> bool:
@@ -116,8 +131,8 @@ def _has_negative_offsets(about: Any) -> bool:
     return "UNSIGNED" not in str(given).upper() and any(value < 0 for value in offsets)
 
 
-def _of_plate(plate: Any, samples: int) -> dict[str, np.ndarray]:
-    """Return force [N], point of application and free torque [N m] of a plate, each (3, T).
+def _of_plate(plate: Any, samples: int, unit: str) -> dict[str, np.ndarray]:
+    """Return force [N], point of application [unit] and free torque [N m] of a plate, each (3, T).
 
     Of the `samples` in each frame, the first is used.
     """
@@ -127,7 +142,8 @@ def _of_plate(plate: Any, samples: int) -> dict[str, np.ndarray]:
     normal /= np.linalg.norm(normal) or 1.0
     unloaded = ~(np.abs(normal @ force) >= UNLOADED)
     force[:, unloaded], torque[:, unloaded], point[:, unloaded] = 0.0, 0.0, np.nan
-    in_metres = str(plate["unit_moment"]).replace(" ", "").lower() in ("nm", "n*m", "n.m")
+    stated = str(plate["unit_moment"]).replace(" ", "").lower()
+    in_metres = stated in ("nm", "n*m", "n.m") and not (plate["unit_position"] == "m" and unit == "mm")
     return {"force": force, "point": point, "torque": torque if in_metres else 1e-3 * torque}
 
 

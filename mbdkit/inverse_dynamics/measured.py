@@ -14,7 +14,7 @@ from mbdkit.archive.reader import load
 from mbdkit.base.errors import SpecError
 from mbdkit.base.plain_data import quoted
 from mbdkit.base.text import counted, listed, shown
-from mbdkit.base.units import read_unit
+from mbdkit.base.units import Unit, read_unit
 from mbdkit.inverse_dynamics.fit import Target
 from mbdkit.inverse_dynamics.tables import Table, read_table, table_of
 from mbdkit.mechanism.mechanism_quantities import Quantities, Quantity
@@ -117,7 +117,7 @@ def read_motion(spec: InverseSpec, names: QuantityNames) -> tuple[Measured, Tabl
         key, unit = f"motion.columns.{quoted(name)}", quantities.quantities[index].unit
         factor, where = unit_factor(column, table, unit, key), (table, column.column, kept)
         given = as_given[:, index] = si_values(column, table, unit, key)[kept]
-        has_unit[index] = column.unit is not None or (table.in_degrees if unit == "rad" else table.length_unit != "m")
+        has_unit[index] = (column.unit or table.unit(column.column)) is not None or (unit == "rad" and table.in_degrees)
         raw[:, index] = given if unit == "m" else _continued(time, given, 2 * np.pi * quantities.scale[index], where)
         values[:, index] = _bridged(time, raw[:, index], motion.gaps, where)
         if column.deviation is not None:
@@ -188,16 +188,26 @@ def _require_all_or_none(
 
 def unit_factor(column: ColumnOfTable, table: Table, unit: str, key: str) -> float:
     """Return the factor from the numbers of a column to values in the SI `unit`."""
-    wanted = read_unit(SI[unit])
-    if column.unit is None:
-        stated = {"rad": "deg" if table.in_degrees else "rad", "m": table.length_unit}.get(unit, unit)
-        given = read_unit(stated)
-    else:
+    wanted, in_file = read_unit(SI[unit]), table.unit(column.column)
+    if column.unit is not None:
         given = read_unit(column.unit)
+    elif in_file is not None:
+        given = _unit_in_file(table, column.column, in_file, key)
+    else:
+        given = read_unit("deg" if unit == "rad" and table.in_degrees else unit)
     if not given.is_like(wanted) or (unit == "rad") != (given.text in ("rad", "deg")):
         what = {"rad": "an angle (rad, deg)", "m": "a length (m, mm)", "N": "a force (N)", "N m": "a torque (N m)"}
         raise SpecError(f"'{given.text}' is not a unit of {what[unit]}", key=f"{key}.unit")
     return given.factor * column.scale
+
+
+def _unit_in_file(table: Table, heading: str, text: str, key: str) -> Unit:
+    """Return the unit that a file states for a column; raise SpecError if it is not known."""
+    try:
+        return read_unit(text)
+    except SpecError as error:
+        message = f"column '{shown(heading)}': its unit in the file, {error}; give `unit` in the spec"
+        raise table.error(message, key=key) from None
 
 
 def si_values(column: ColumnOfTable, table: Table, unit: str, key: str) -> np.ndarray:
@@ -216,7 +226,11 @@ def si_values(column: ColumnOfTable, table: Table, unit: str, key: str) -> np.nd
 
 def times_of(table: Table, column: TimeColumn, key: str) -> np.ndarray:
     """Return the times of a table (T,) [s]; raise SpecError if their intervals are too short or long to be times."""
-    times = table.times(column.column, key, column.factor)
+    in_file = None if "unit" in column.model_fields_set else table.unit(column.column)
+    factor = column.factor if in_file is None else _unit_in_file(table, column.column, in_file, key).factor
+    if in_file is not None and not read_unit(in_file).is_like(read_unit("s")):
+        raise table.error(f"column '{shown(column.column)}': '{shown(in_file)}' is not a unit of time (s, ms)", key=key)
+    times = table.times(column.column, key, factor)
     wrong = np.flatnonzero((np.diff(times) < SHORTEST) | (np.diff(times) > LONGEST))
     if wrong.size:
         row = int(wrong[0]) + 1

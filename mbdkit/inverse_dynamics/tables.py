@@ -1,4 +1,4 @@
-"""Tables of measured data: CSV, OpenSim .mot and .sto, .trc and C3D files, and columns given in Python."""
+"""Tables of measured data: CSV, Vicon, Qualisys, OpenSim .mot and .sto, .trc and C3D files, and columns from Python."""
 
 from __future__ import annotations
 
@@ -15,11 +15,21 @@ import numpy as np
 
 from mbdkit.base.errors import SpecError, file_error
 from mbdkit.base.text import did_you_mean, listed, shown
-from mbdkit.base.units import read_quantity
+from mbdkit.base.units import read_quantity, read_unit
 from mbdkit.inverse_dynamics.c3d_file import read_c3d
+from mbdkit.inverse_dynamics.motion_capture_tables import (
+    Columns,
+    is_qualisys,
+    is_vicon,
+    read_qualisys,
+    read_vicon,
+)
 
 GAPS = ("", "nan", "na", "n/a", "null")
 """Texts, in lower case, of cells without a value."""
+
+HEAD = 10
+"""Number of lines in which the delimiter of a Vicon file is searched."""
 
 HEADINGS_SHOWN = 30
 
@@ -44,10 +54,10 @@ class Table:
         Rows of cells, each a text or a number; None is a gap.
     lines
         Number of the line of each row in the file; empty if the format has no lines.
-    length_unit
-        Unit of lengths that the file states, such as mm; by default m.
+    units
+        Units that the file states, by heading.
     in_degrees
-        Whether the file states that rotations are in degrees.
+        Whether the file states that rotations are in degrees, without naming their columns.
     remark
         Contents of the file that could not be read, as a clause for messages; empty if nothing is missing.
     """
@@ -56,7 +66,7 @@ class Table:
     headings: Sequence[str]
     cells: Sequence[Sequence[Any]]
     lines: Sequence[int] = ()
-    length_unit: str = "m"
+    units: Mapping[str, str] = field(default_factory=dict)
     in_degrees: bool = False
     remark: str = ""
     _place: dict[str, int] = field(default_factory=dict, init=False, repr=False)
@@ -84,6 +94,11 @@ class Table:
         line = self.lines[row] if row is not None and row < len(self.lines) else None
         where = f"row {row + 1}: " if row is not None and line is None else ""
         return SpecError(f"{where}{message}", key=key, file=self.file or None, line=line)
+
+    def unit(self, heading: str) -> str | None:
+        """Return the unit that the file states for a column; None if it states none."""
+        place = self._place.get(heading)
+        return None if place is None else self.units.get(self.headings[place])
 
     def column(self, heading: str, key: str) -> np.ndarray:
         """Return the numbers of a column, (T,); gaps are nan.
@@ -144,8 +159,8 @@ class Table:
             return "; decimal commas are not read, so replace them by points"
         if row == 0 and len(self) > 1 and self.lines and not any(map(_begins_like_number, self.cells[0])):
             return (
-                "; if this row holds the units of the columns, begin it with # (a comment) or delete it, and write "
-                "units in the spec, such as `{column: NAME, unit: mm}`"
+                "; if this row belongs to the headings, begin it with # (a comment) or delete it; a row of units, such "
+                "as s, deg and mm, is read, but this one has none that is known"
             )
         return ""
 
@@ -196,7 +211,9 @@ def _is_plain(cell: Any) -> bool:
 
 
 def read_table(path: Path, key: str) -> Table:
-    """Read a table from a file in the format given by its suffix: .csv, .txt, .mot, .sto, .trc or .c3d.
+    """Read a table from a file in the format given by its suffix: .csv, .tsv, .txt, .mot, .sto, .trc or .c3d.
+
+    Text files of Vicon Nexus and of Qualisys Track Manager are recognized by their first line.
 
     Raises
     ------
@@ -219,11 +236,15 @@ def read_table(path: Path, key: str) -> Table:
         raise SpecError(f"{message}; keep the rows and columns that are used", file=path)
     if suffix == ".c3d":
         return _read_c3d(path)
-    readers = {".csv": _read_csv, ".txt": _read_csv, ".mot": _read_storage, ".sto": _read_storage, ".trc": _read_trc}
+    readers = dict.fromkeys((".csv", ".tsv", ".txt"), _read_csv) | {
+        ".mot": _read_storage,
+        ".sto": _read_storage,
+        ".trc": _read_trc,
+    }
     if suffix not in readers:
         raise SpecError(
-            f"'{shown(path.name)}' does not have the suffix of a table; known suffixes: .csv, .mot, .sto, .trc, "
-            f".c3d, and .h5 of a run",
+            f"'{shown(path.name)}' does not have the suffix of a table; known suffixes: .csv, .tsv, .mot, "
+            f".sto, .trc, .c3d, and .h5 of a run",
             key=key,
         )
     try:
@@ -246,13 +267,48 @@ def table_of(data: Mapping[str, Sequence[float | None]], key: str) -> Table:
 
 
 def _read_csv(file: str, lines: list[str]) -> Table:
-    """Read a table with a line of headings; lines that begin with # are comments."""
+    """Read a table with a line of headings and possibly a line of units, or a file of a motion capture program; lines
+    that begin with # are comments.
+    """
     first = next((line for line in lines if _is_row(line)), None)
     if first is None:
         raise SpecError("this table is empty; its first line should hold the headings of the columns", file=file)
-    rows = list(_within(file, _csv_rows(file, lines, max(",;\t", key=first.count))))
+    if is_qualisys(first):
+        return _of_program(file, read_qualisys(file, _rows_of(file, lines, "\t")))
+    if is_vicon(first):
+        delimiter = max(",;\t", key="\n".join(lines[:HEAD]).count)
+        return _of_program(file, read_vicon(file, _rows_of(file, lines, delimiter)))
+    rows = _rows_of(file, lines, max(",;\t", key=first.count))
     headings = [cell.strip() for cell in rows[0][1]]
-    return _checked(Table(file, headings, [cells for _, cells in rows[1:]], [number for number, _ in rows[1:]]))
+    units = _units_in(headings, rows[1][1]) if len(rows) > 1 else {}
+    data = rows[2 if units else 1 :]
+    return _checked(Table(file, headings, [cells for _, cells in data], [number for number, _ in data], units=units))
+
+
+def _rows_of(file: str, lines: list[str], delimiter: str) -> list[tuple[int, list[str]]]:
+    return list(_within(file, _csv_rows(file, lines, delimiter)))
+
+
+def _of_program(file: str, found: Columns) -> Table:
+    """Return the table of a file of a motion capture program."""
+    return Table(file, found.headings, found.cells, found.lines, units=found.units, remark=found.remark)
+
+
+def _units_in(headings: Sequence[str], cells: Sequence[str]) -> dict[str, str]:
+    """Return the units in a row below the headings, by heading; empty if it has numbers, or no unit that is known."""
+    stated = {heading: cell.strip().strip("[]()") for heading, cell in zip(headings, cells, strict=False)}
+    stated = {heading: text for heading, text in stated.items() if text}
+    if any(map(_begins_like_number, stated.values())) or not any(map(_is_unit, stated.values())):
+        return {}
+    return stated
+
+
+def _is_unit(text: str) -> bool:
+    try:
+        read_unit(text)
+    except SpecError:
+        return False
+    return True
 
 
 def _is_row(line: str) -> bool:
@@ -337,7 +393,9 @@ def _read_trc(file: str, lines: list[str]) -> Table:
     split = ((number, line.split("\t")[: len(headings)]) for number, line in kept)
     rows = [cells for _, cells in _within(file, split)]
     unit = header.get("Units", "m").strip() or "m"
-    return _checked(Table(file, headings, rows, [number for number, _ in kept], length_unit=unit))
+    return _checked(
+        Table(file, headings, rows, [number for number, _ in kept], units=dict.fromkeys(headings[2:], unit))
+    )
 
 
 def _read_c3d(path: Path) -> Table:
@@ -345,7 +403,7 @@ def _read_c3d(path: Path) -> Table:
     found = read_c3d(path, MOST_CELLS)
     if found is None:
         raise _too_many_cells(str(path))
-    return Table(str(path), found.headings, found.values.tolist(), length_unit=found.unit, remark=found.remark)
+    return Table(str(path), found.headings, found.values.tolist(), units=found.units, remark=found.remark)
 
 
 def _checked(table: Table) -> Table:

@@ -33,7 +33,8 @@ class ColumnOfTable(Section):
     column: Named
     """Heading of the column."""
     unit: str | None = None
-    """Unit of the numbers, such as deg or mm; SI units (m, rad, N, N m) by default."""
+    """Unit of the numbers, such as deg or mm; by default the unit that the file states, otherwise the SI unit (m, rad,
+    N, N m)."""
     scale: Annotated[float, Field(allow_inf_nan=False)] = 1.0
     """Factor by which the numbers are multiplied, such as -1 for an angle that is counted in the other direction."""
     deviation: Positive | None = None
@@ -225,8 +226,8 @@ class MeasuredMotion(Section):
     ABSENT_BY_DEFAULT: ClassVar[tuple[str, ...]] = ("file", "data", "gaps", "errors")
 
     file: Named | None = None
-    """Table with a column of times: CSV, OpenSim .mot or .sto, .trc, C3D, or a run archive; relative to the folder of
-    the spec."""
+    """Table with a column of times: CSV, Vicon CSV, Qualisys TSV, OpenSim .mot or .sto, .trc, C3D, or a run archive;
+    relative to the folder of the spec."""
     data: Data | None = None
     """Columns by heading, as an alternative to `file`."""
     time: Times = TimeColumn()

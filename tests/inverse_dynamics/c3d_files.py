@@ -27,15 +27,23 @@ class Plate:
     origin
         (3,) from the sensor to the middle of the surface, in the plate's frame, whose z axis points down.
     channels
-        (T * samples, 6) values of its channels.
+        (T * samples, 6) values of its channels; 8 channels for type 3.
     matrix
-        (6, 6) calibration matrix of a plate of type 4; None for type 2.
+        (6, 6) calibration matrix of a plate of type 4; None for other types.
+    kind
+        Type of the plate: 1 to 4.
     """
 
     corners: np.ndarray
     origin: np.ndarray
     channels: np.ndarray
     matrix: np.ndarray | None = None
+    kind: int = 2
+
+    @property
+    def scales(self) -> np.ndarray:
+        """Scales of the channels: moments in N mm are larger numbers than forces."""
+        return {1: np.array([1.0] * 5 + [200.0]), 3: np.ones(8)}.get(self.kind, np.repeat([1.0, 200.0], 3))
 
 
 @dataclass
@@ -50,6 +58,8 @@ class Convention:
         Step of the integers of points [unit]; 0 for floating-point numbers.
     analog_scale, analog_offset
         Scale (for all channels) and offset of the analog channels.
+    analog_rate
+        Rate of the analog channels [Hz]; by default, it follows from that of the frames.
     """
 
     processor: int = INTEL
@@ -58,6 +68,7 @@ class Convention:
     analog_offset: int = 0
     unit: str = "mm"
     first_frame: int = 1
+    analog_rate: float | None = None
     _order: str = field(init=False)
 
     def __post_init__(self) -> None:
@@ -81,8 +92,8 @@ def c3d_bytes(
     """Return a file with markers (T, 3), where nan marks a point that no camera saw, and plates with some `samples` a
     frame.
     """
-    frames = len(next(iter(markers.values())))
-    points = np.stack(list(markers.values()), axis=1)
+    frames = len(next(iter(markers.values()))) if markers else len(plates[0].channels) // samples
+    points = np.stack(list(markers.values()), axis=1) if markers else np.zeros((frames, 0, 3))
     unseen = np.isnan(points[..., :1])
     fourth = np.where(unseen, -1.0, 0.0)
     scale = how.scale or 1.0
@@ -91,7 +102,7 @@ def c3d_bytes(
     channels = sum(plate.channels.shape[1] for plate in plates)
     if plates:
         by_sample = np.concatenate([one.reshape(frames, samples, -1) for one in analog], axis=2)
-        steps = np.tile(how.analog_scale * _scales(channels), samples)
+        steps = np.tile(how.analog_scale * np.concatenate([one.scales for one in plates]), samples)
         raw = by_sample.reshape(frames, -1) / steps + how.analog_offset
         written = np.concatenate([block.reshape(frames, -1), np.round(raw) if how.scale else raw], axis=1)
     else:
@@ -123,17 +134,25 @@ def _parameters(
     }  # fmt: skip
     for part in range(-(-len(labels) // 255)):
         point[f"LABELS{part + 1 if part else ''}"] = labels[255 * part : 255 * (part + 1)]
-    analog: dict[str, Any] = {"USED": [channels], "RATE": float(rate * samples), "GEN_SCALE": float(how.analog_scale)}
-    analog |= {"LABELS": [f"ch{k}" for k in range(channels)], "SCALE": _scales(channels)} if channels else {}
+    analog: dict[str, Any] = {
+        "USED": [channels],
+        "RATE": float(how.analog_rate or rate * samples),
+        "GEN_SCALE": float(how.analog_scale),
+    }
+    analog |= (
+        {"LABELS": [f"ch{k}" for k in range(channels)], "SCALE": np.concatenate([one.scales for one in plates])}
+        if channels
+        else {}
+    )
     analog |= {"OFFSET": [how.analog_offset] * channels} if channels else {}
     platform: dict[str, Any] = {"USED": [len(plates)]}
     if plates:
         platform |= {
-            "TYPE": [2 if plate.matrix is None else 4 for plate in plates],
+            "TYPE": [plate.kind for plate in plates],
             "ZERO": [1, 0],
             "CORNERS": np.array([plate.corners for plate in plates]),
             "ORIGIN": np.array([plate.origin for plate in plates]),
-            "CHANNEL": (np.arange(channels).reshape(len(plates), -1) + 1).tolist(),
+            "CHANNEL": _numbers(plates),
             "CAL_MATRIX": np.array([np.eye(6) if one.matrix is None else one.matrix.T for one in plates]),
         }
     body = b""
@@ -147,9 +166,13 @@ def _parameters(
     return (bytes([1, 0x50, blocks, how.processor]) + body).ljust(512 * blocks, b"\0")
 
 
-def _scales(channels: int) -> np.ndarray:
-    """Return the scales of the channels: moments in N mm are larger numbers than forces."""
-    return np.tile(np.repeat([1.0, 200.0], 3), channels // 6)
+def _numbers(plates: Sequence[Plate]) -> list[list[int]]:
+    """Return the numbers of the channels of each plate, with zeros after those of plates with fewer channels."""
+    counts, first, found = [plate.channels.shape[1] for plate in plates], 1, []
+    for count in counts:
+        found.append([*range(first, first + count), *[0] * (max(counts) - count)])
+        first += count
+    return found
 
 
 def _content(value: Any, how: Convention) -> bytes:

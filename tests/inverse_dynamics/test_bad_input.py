@@ -41,7 +41,7 @@ def with_row(number: int, row: str) -> list[str]:
     [
         (ROWS, {"columns": {"hip.angle": "hop"}}, "key motion.columns.\"hip.angle\".column: t.csv has no column 'hop'"),
         (ROWS, {"columns": {"hip.angle": "text"}}, "t.csv:2: column 'text': 'a' is not a number"),
-        ([ROWS[0], "s,rad,-", *ROWS[1:]], {}, "t.csv:2: column 'time': 's' is not a number; if this row"),
+        ([ROWS[0], "raw,raw,-", *ROWS[1:]], {}, "t.csv:2: column 'time': 'raw' is not a number; if this row"),
         ([row.replace(",", ";").replace(".", ",") for row in ROWS], {}, "'0,00' is not a number; decimal commas are"),
         (with_row(5, "0.03,,a"), {}, "t.csv:5: column 'hip': the value is missing (1 row without a value)"),
         (with_row(5, "0.03,nan,a"), {}, "t.csv:5: column 'hip': the value is missing"),

@@ -92,13 +92,25 @@ def plate(kind: int, force: np.ndarray, point: np.ndarray, torque: np.ndarray, m
     down = np.diag([1.0, -1.0, -1.0])
     corners = middle + np.array([[300, -200, 0], [-300, -200, 0], [-300, 200, 0], [300, 200, 0]])
     origin = np.array([1.0, -2.0, -40.0])
-    own, arm = force @ down, origin + (point - middle) @ down
-    shown = np.concatenate([own, np.cross(arm, own) + torque @ down], axis=1)
+    own, arm, free = force @ down, origin + (point - middle) @ down, torque @ down
+    if kind == 1:  # force, point of application and free torque
+        return Plate(corners, origin, np.column_stack([own, ((point - middle) @ down)[:, :2], free[:, 2]]), kind=1)
+    if kind == 3:  # eight forces of sensors at distances a and b from the middle, and 40 mm below the surface
+        a, b, sensors = 120.0, 200.0, np.array([0.0, 0.0, -40.0])
+        moment = np.cross(sensors + (point - middle) @ down, own) + free
+        x, y, z = own.T
+        turn = moment[:, 2] / (2 * b)
+        part = np.stack([0 * z, moment[:, 0] / b, moment[:, 1] / a])  # of the sums with signs + + - -, and - + + -
+        signs = np.array([[1, 1, -1], [1, 1, 1], [1, -1, 1], [1, -1, -1]])
+        vertical = 0.25 * (z[:, None] + part.T @ signs.T)
+        sides = np.column_stack([x / 2 - turn, x / 2 + turn, y / 2, y / 2])
+        return Plate(corners, np.array([a, b, -40.0]), np.hstack([sides, vertical]), kind=3)
+    shown = np.concatenate([own, np.cross(arm, own) + free], axis=1)
     matrix = np.eye(6) + 1e-4 * np.random.default_rng(3).standard_normal((6, 6)) if kind == 4 else None
-    return Plate(corners, origin, shown if matrix is None else shown @ np.linalg.inv(matrix).T, matrix)
+    return Plate(corners, origin, shown if matrix is None else shown @ np.linalg.inv(matrix).T, matrix, kind)
 
 
-@pytest.mark.parametrize("kind", [2, 4])
+@pytest.mark.parametrize("kind", [1, 2, 3, 4])
 @pytest.mark.parametrize("maker", CONVENTIONS)
 def test_markers_and_plates_of_a_maker_come_back(tmp_path: Path, maker: str, kind: int) -> None:
     how, subject = CONVENTIONS[maker]
@@ -119,17 +131,40 @@ def test_markers_and_plates_of_a_maker_come_back(tmp_path: Path, maker: str, kin
     def columns(name: str) -> np.ndarray:
         return np.column_stack([table.column(f"{name}.{axis}", "") for axis in "xyz"])
 
-    assert table.length_unit == "mm"
+    assert table.unit("LKNE.x") == table.unit("plate2.point.x") == "mm"
+    assert table.unit("plate2.force.x") is None
     np.testing.assert_allclose(table.column("time", ""), time, atol=1e-12)
     np.testing.assert_allclose(columns("LKNE"), knee, atol=1e-4 if how.scale == 0 else 0.011)
     np.testing.assert_allclose(columns("LANK"), ankle, atol=1e-4 if how.scale == 0 else 0.011)
     np.testing.assert_array_equal(columns(f"{subject}LKNE"), columns("LKNE"))
-    digits = 0.06 if how.scale else 1e-3  # integers of 0.05 N and 10 N mm
+    # integers of 0.05 N and 10 N mm; forces of type 3 are sums of up to four of them
+    digits = (0.11 if kind == 3 else 0.06) if how.scale else 1e-3
     np.testing.assert_allclose(columns("plate2.force"), force[::samples], atol=digits)
     np.testing.assert_allclose(columns("plate2.torque"), 1e-3 * torque[::samples], atol=digits)
     np.testing.assert_allclose(columns("plate2.point")[4:], point[::samples][4:], atol=0.5 if how.scale else 1e-2)
     assert np.all(np.isnan(columns("plate2.point")[:4]))
     assert not np.any(columns("plate1.force"))
+
+
+def test_plates_of_several_types_without_markers_are_a_table_of_all_samples(tmp_path: Path) -> None:
+    # as programs of force plates write them, with a frame rate of 0 in some of them
+    force = np.column_stack([np.full(30, 40.0), np.full(30, -20.0), 500.0 + np.arange(30)])
+    point, torque = np.full((30, 3), [20.0, -30.0, 0.0]), np.full((30, 3), [0.0, 0.0, 1500.0])
+    middle = np.array([[0.0, 0.0, 0.0], [10.0, 20.0, 0.0], [0.0, -20.0, 0.0]])
+    plates = [plate(kind, force, point, torque, one) for kind, one in zip((3, 2, 1), middle, strict=True)]
+    for rate, unit in ((100.0, "mm"), (0.0, "mm"), (0.0, "")):
+        path = tmp_path / "plates.c3d"
+        path.write_bytes(c3d_bytes({}, rate, Convention(analog_rate=500.0, unit=unit), plates, 5))
+        table = read_table(path, "motion.file")
+        assert table.unit("plate1.point.x") == "mm"
+        np.testing.assert_allclose(table.column("time", ""), np.arange(30) / 500.0, atol=1e-12)
+        for number in (1, 2, 3):
+            own = [
+                np.column_stack([table.column(f"plate{number}.{quantity}.{axis}", "") for axis in "xyz"])
+                for quantity in ("force", "point", "torque")
+            ]
+            for found, expected in zip(own, (force, point, 1e-3 * torque), strict=True):
+                np.testing.assert_allclose(found, expected, atol=1e-3)
 
 
 def test_names_of_two_subjects_need_their_subject_and_plates_that_cannot_be_read_are_named(tmp_path: Path) -> None:
