@@ -76,7 +76,10 @@ def sliders(spec: ModelSpec, names: Sequence[str] | None = None) -> list[Slider]
     found = [_slider(spec, data, path) for path in paths or _numbers(data["model"], ("model",))]
     chosen = [one for one in found if paths or one.value or one.unit == "rad"][:MOST]
     if not chosen:
-        raise SpecError("the spec has no number that a slider could change; name some with --parameters")
+        raise SpecError(
+            "no slider is chosen by default, because the numbers of the model are positions, settings or zeros; name "
+            "numbers with --parameters"
+        )
     return chosen
 
 

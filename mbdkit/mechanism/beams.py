@@ -126,7 +126,7 @@ class Beam(StrictModel):
     density: Positive | None = None
     """Mass density [kg/m^3]."""
     stiffness: BeamStiffness | None = None
-    """Stiffnesses that are given directly."""
+    """Stiffnesses of the cross-section, in place of those that follow from `E`, `G`, `A` and `I`."""
     mass_per_length: Positive | None = None
     """Mass per length [kg/m]; ``density A`` by default."""
     rotary_inertia: Positive | None = None

@@ -65,7 +65,7 @@ def law_range(law: ForceLaw, options: Any, name: str) -> dict[str, tuple[float, 
     found = dict.fromkeys(ARGUMENTS, (-inf, inf))
     if not isinstance(given, Mapping) or not set(given) <= set(ARGUMENTS):
         raise PluginError(
-            f"force law {name}: its valid range should be a mapping with keys of {listed(ARGUMENTS, 'and')}"
+            f"force law {name}: its valid range should be a mapping whose keys are {listed(ARGUMENTS, 'or')}"
         )
     for argument, bounds in given.items():
         try:

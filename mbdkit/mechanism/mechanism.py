@@ -200,7 +200,8 @@ class Mechanism(HtmlView):
         nodes
             Nodes of an element, 2 or 3; the errors are of order 2 or 4 in the length of an element.
         stiffness
-            Stiffnesses that are given directly, ``{"axial": N, "shear": N or "none", "bending": N m^2}``.
+            Stiffnesses in place of those that follow from E, G, A and I: ``{"axial": N, "shear": N or "none",
+            "bending": N m^2}``.
         **properties
             ``E`` and ``G`` [Pa] or ``nu``, ``A`` [m^2], ``I`` [m^4], ``shear_factor``, ``density`` [kg/m^3];
             ``mass_per_length`` [kg/m], ``rotary_inertia`` [kg m], ``damping`` [s]; ``velocity`` (x, y) [m/s],

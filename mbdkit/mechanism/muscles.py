@@ -139,7 +139,7 @@ class Metabolics(StrictModel):
     slow_fibers: Annotated[float, Field(ge=0, le=1)] = 0.5
     """Share of slow-twitch fibres."""
     aerobic_factor: Positive = 1.5
-    """Factor of all heat: 1.5 for aerobic, 1.0 for anaerobic conditions."""
+    """Factor that multiplies the heat: 1.5 under aerobic, 1.0 under anaerobic conditions."""
     specific_tension: Positive = 250000.0
     """Isometric force per area of the cross-section [Pa], from which the default of `mass` follows."""
     density: Positive = 1059.7

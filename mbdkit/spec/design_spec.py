@@ -294,7 +294,7 @@ class DesignSpec(StrictSpec):
             check_name(name, path_text(("scenarios", name)))
             if self.base is None and scenario.base is None:
                 raise SpecError(
-                    "is missing, here and at the top level of the design: the spec to improve",
+                    "is missing: give the spec to improve, here or at the top level of the design",
                     key=path_text(("scenarios", name, "base")),
                 )
         if self.sums_squares and self.subject_to:

@@ -265,7 +265,8 @@ class Load(Section):
     data: Data | None = None
     """Columns by heading, as an alternative to `file`."""
     time: Times | None = None
-    """Column with the times; by default, that of the motion if the load is in the same table, otherwise `time`."""
+    """Column with the times. The default is `motion.time` for a load in the table of the motion, and the column named
+    `time` for a load in its own table."""
     force: ColumnPair | None = None
     """Columns of the force (x, y) on the body, in the global frame; a number is a constant component [N]."""
     point: ColumnPair | None = None

@@ -229,7 +229,7 @@ class StudySpec(StrictSpec):
                 raise SpecError(f"'{shortened(name)}' is not a valid name: {wanted}", key="families")
             if self.base is None and family.base is None:
                 raise SpecError(
-                    "is missing, here and at the top level of the study: the run spec to vary",
+                    "is missing: give the run spec to vary, here or at the top level of the study",
                     key=path_text(("families", name, "base")),
                 )
         if not self.families and self.base is None:

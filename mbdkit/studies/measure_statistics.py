@@ -71,7 +71,9 @@ def statistics(
         raise MbdkitError(f"the confidence should be a probability between 0 and 1, such as 0.95, not {confidence!r}")
     found = statistics_of_group(study, one_group(study, where), measure, confidence)
     if found is None:
-        raise MbdkitError(f"fewer than {FEWEST} runs that are complete and not rated bad have a value of '{measure}'")
+        raise MbdkitError(
+            f"statistics need values of '{measure}' from at least {FEWEST} complete runs that are not rated bad"
+        )
     return found
 
 

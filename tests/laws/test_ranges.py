@@ -162,11 +162,11 @@ def test_rate_and_time_have_ranges_too(monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.mark.parametrize(
     ("valid_range", "message"),
     [
-        ({"lenght": (0.0, 1.0)}, "a mapping with keys of length, rate and time"),
+        ({"lenght": (0.0, 1.0)}, "a mapping whose keys are length, rate or time"),
         ({"length": (1.0, 0.0)}, "valid range of length should be two numbers, the lower one first"),
         ({"rate": (1.0, float("nan"))}, "valid range of rate should be two numbers"),
         ({"time": 3.0}, "valid range of time should be two numbers"),
-        ([0.0, 1.0], "a mapping with keys of"),
+        ([0.0, 1.0], "a mapping whose keys are"),
         (lambda options: options.nothing, "failed to compute its valid range"),
     ],
 )

@@ -308,7 +308,7 @@ def test_bad_runs_are_left_out_of_statistics_and_named(tmp_path: Path) -> None:
     spec["sample"]["variables"] = {"time.step": {"uniform": [0.11, 0.14]}}
     all_bad = mbdkit.study(spec, out=tmp_path / "all")
     assert headlines(all_bad) == [("peak", "unknown, because all 24 runs with a value are rated bad")]
-    with pytest.raises(MbdkitError, match="fewer than 3 runs that are complete and not rated bad"):
+    with pytest.raises(MbdkitError, match="from at least 3 complete runs that are not rated bad"):
         all_bad.statistics("peak")
 
 

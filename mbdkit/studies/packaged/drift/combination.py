@@ -133,7 +133,7 @@ def combinations(study: Study) -> list[Combination]:
     """
     names = [name for name in study.families if f"{name}{LONG}" in study.families]
     if not names:
-        raise ValueError(f"no family has a counterpart of the same name with the suffix {LONG!r}")
+        raise ValueError(f"the study needs pairs of families NAME and NAME{LONG}, but has none")
     found = []
     for name in names:
         short, long = Points(study.family(name)), Points(study.family(f"{name}{LONG}"))
