@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from mbdkit.archive.peak_errors import errors_of_frames, missed_between_rows, peak_errors
+from mbdkit.archive.peak_errors import errors_of_contacts, errors_of_frames, missed_between_rows, peak_errors
 
 if TYPE_CHECKING:
     from mbdkit.archive.run import Run
@@ -167,7 +167,10 @@ def _contacts(run: Run) -> list[Headline]:
         return []
     names, force = list(run.contacts), run.array("contacts/normal_force")
     missed = missed_between_rows(run, "contacts.normal_force", names, force)
-    return _largest("normal force at", run, names, force, "N", None, missed)[:2]
+    errors = None
+    if run.accuracy is not None and missed is not None:
+        errors = missed + errors_of_contacts(run.integrals, run.accuracy.compared_measures, names)
+    return _largest("normal force at", run, names, force, "N", errors, missed)[:2]
 
 
 def _errors(run: Run, name: str, size: np.ndarray) -> np.ndarray | None:

@@ -12,7 +12,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from mbdkit.archive.measured_values import Integrals
+from mbdkit.archive.measured_values import ComparedMeasures, Integrals
+from mbdkit.trust.measure_error import measure_error
 
 if TYPE_CHECKING:
     from mbdkit.archive.run import Run
@@ -128,6 +129,17 @@ def missed_by_rows(
     largest = [integrals.get(text, value) for text, value in zip(texts, unknown, strict=True)]
     missed = np.maximum(np.array(largest, dtype=float) - np.max(size, axis=0), 0.0)
     return None if not skips_steps and np.any(np.isnan(missed)) else np.asarray(missed)
+
+
+def errors_of_contacts(integrals: Integrals, compared: ComparedMeasures, names: Sequence[str]) -> np.ndarray:
+    """Return the errors (C,) of the largest normal forces of contacts during a run, nan where unknown.
+
+    They are estimated like those of measures, from the comparison runs of the check; see
+    `mbdkit.runs.integrals.compared_loads`.
+    """
+    texts = [expression_of_largest("contacts.normal_force", name) for name in names]
+    known = {text: float(integrals[text]) for text in texts if text in compared and text in integrals}  # type: ignore[arg-type]
+    return np.array([measure_error(known[text], compared[text]) if text in known else np.nan for text in texts])
 
 
 def missed_of_verdict(

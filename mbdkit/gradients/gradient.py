@@ -288,7 +288,7 @@ class _Reference:
         interval = _recorded_interval(spec)  # `at` may interpolate between recorded states
         others = other_methods(spec, self._method, build(spec)[0], REFERENCE_STEPS, interval)
         for place in range(len(others)) if self._chosen is None else [self._chosen]:
-            found = measured_in(others[place], self._expressions)
+            found = measured_in(self._expressions, others[place])
             if found is not None:
                 self._chosen = place
                 return found

@@ -11,12 +11,12 @@ from mbdkit.base.errors import PluginError, SpecError, blaming
 from mbdkit.base.plain_data import path_text
 from mbdkit.base.text import message_of
 from mbdkit.engine.compile_mechanism import characteristic_length
-from mbdkit.measures.measure_error import measure_error
 from mbdkit.measures.measure_expression import MeasureExpression
 from mbdkit.measures.natural_size import natural_scales, natural_size
 from mbdkit.registry.items import MeasurePlugin
 from mbdkit.spec import InverseSpec, RunSpec
 from mbdkit.spec.study_measures import DefinedMeasure
+from mbdkit.trust.measure_error import measure_error
 
 if TYPE_CHECKING:
     from mbdkit.archive.run import Run

@@ -10,8 +10,9 @@ import numpy as np
 
 from mbdkit.archive.accuracy import Accuracy
 from mbdkit.archive.measured_values import Integrals
-from mbdkit.archive.peak_errors import missed_by_rows, missed_of_verdict
+from mbdkit.archive.peak_errors import errors_of_contacts, expression_of_largest, missed_by_rows, missed_of_verdict
 from mbdkit.engine.compiled_mechanism import CompiledMechanism
+from mbdkit.quantities.names import archive_names
 from mbdkit.runs.recorded_states import ObservedRows
 from mbdkit.runs.recorder import Recorder
 from mbdkit.stepping.interface import StepEvidence
@@ -133,8 +134,11 @@ def estimated_errors(
             f"joint '{worst.name}' reaches {worst.peak + worst.missed:.4g} N, in the recorded rows {worst.peak:.4g} N; "
             f"{advice}"
         )
+    contact, pressed = _contact_error(recorder, accuracy, integrals)
     return EstimatedErrors(
         position=position_error,
+        contact=contact,
+        pressed=pressed,
         reaction=0.0 if worst is None else worst.share,
         known_until=figures.known_until,
         between=between,
@@ -142,6 +146,22 @@ def estimated_errors(
         missed=missed,
         unknown=accuracy.unknown,
     )
+
+
+def _contact_error(recorder: Recorder, accuracy: Accuracy, integrals: Integrals) -> tuple[float, str]:
+    """Return the largest error of the largest normal force of a contact, relative to this force, and its contact.
+
+    Only contacts whose forces were compared with those of other runs count; without them, the result is 0 and an empty
+    name. An unknown error is nan, and counts as the largest.
+    """
+    names = archive_names(recorder.workspace.mechanism).names_of("contacts")
+    errors = errors_of_contacts(integrals, accuracy.compared_measures, names)
+    found = [(0.0, "")]
+    for name, error in zip(names, errors.tolist(), strict=True):
+        text = expression_of_largest("contacts.normal_force", name)
+        if text in accuracy.compared_measures:
+            found.append((error / float(integrals[text]), name))  # type: ignore[arg-type] # a force, not a vector
+    return max(found, key=lambda one: math.inf if math.isnan(one[0]) else one[0])
 
 
 def _largest(recorder: Recorded, values: np.ndarray) -> tuple[float, str]:

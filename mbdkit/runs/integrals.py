@@ -32,6 +32,9 @@ if TYPE_CHECKING:
     from mbdkit.engine.workspace import Workspace
     from mbdkit.spec import RunSpec
 
+MOST_CONTACTS = 4
+"""Largest number of contacts whose normal forces have errors."""
+
 BLOCK = 1024
 """Number of nodes that are summed together.
 
@@ -70,6 +73,27 @@ def largest_loads_of(spec: RunSpec, contacts: Sequence[str]) -> tuple[str, ...]:
         "-contacts.gap": contacts,
     }
     return tuple(expression_of_largest(quantity, name) for quantity, names in loads.items() for name in names)
+
+
+def compared_loads(spec: RunSpec, integrals: Integrals, contacts: Sequence[str]) -> tuple[str, ...]:
+    """Return expressions of the largest loads whose errors are estimated from comparison runs, like those of measures.
+
+    These are the normal forces of the compliant contacts with the largest ones. The forces of joints have errors in
+    every row, and those of rigid contacts include impulses if a step contains an impact.
+
+    Parameters
+    ----------
+    integrals
+        Integrals and extrema of the run.
+    contacts
+        Names of the contacts.
+    """
+    if spec.has_rigid_contacts:
+        return ()
+    largest = {name: integrals.get(expression_of_largest("contacts.normal_force", name), 0.0) for name in contacts}
+    pressed = [name for name, force in largest.items() if isinstance(force, float) and force > 0.0]
+    pressed.sort(key=lambda name: -float(largest[name]))  # type: ignore[arg-type]
+    return tuple(expression_of_largest("contacts.normal_force", name) for name in pressed[:MOST_CONTACTS])
 
 
 def functionals_of(spec: RunSpec, expressions: Iterable[str] = ()) -> tuple[Functional, ...]:

@@ -9,6 +9,7 @@ import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import h5py
@@ -30,15 +31,16 @@ from mbdkit.engine.elimination_order import SingularSystemError
 from mbdkit.engine.workspace import Workspace
 from mbdkit.measures.reductions import Functional
 from mbdkit.methods.kinds import Method
+from mbdkit.quantities.names import archive_names
 from mbdkit.runs.accuracy.check_run import check_by_pilots, check_run, missed_because, with_asked
 from mbdkit.runs.accuracy.chosen_method import Choice
-from mbdkit.runs.accuracy.compared_measures import Measure, compared_measures
+from mbdkit.runs.accuracy.compared_measures import compared_measures
 from mbdkit.runs.accuracy.pilot_run import Replay
 from mbdkit.runs.accuracy.position_measure import PositionMeasure
 from mbdkit.runs.coarse_beams import CoarseBeams
 from mbdkit.runs.corners import stops_of
 from mbdkit.runs.evidence import estimated_errors, evidence_of_run
-from mbdkit.runs.integrals import RunIntegrals
+from mbdkit.runs.integrals import RunIntegrals, compared_loads
 from mbdkit.runs.law_ranges import LawRanges, steps_are_rows
 from mbdkit.runs.preparation import (
     guards,
@@ -170,7 +172,7 @@ class SimulatedRun:
         self.accuracy: Accuracy | None = None
         #: Expressions of measures, and the function that evaluates them in comparison runs.
         self.expressions: Sequence[str] = ()
-        self.measured_in: Measure | None = None
+        self.measured_in: Callable[[Sequence[str], RunSpec], Sequence[float] | None] | None = None
         self.continuation: Continuation | None = None
         #: Gradients of the measures as JSON; empty if there are none.
         self.gradients = ""
@@ -387,12 +389,20 @@ class SimulatedRun:
                 self.spec, self.method, self.workspace, rows, steps, lambda: self.interrupted, progress, self.contacts
             )
         self.accuracy = with_asked(found, self.spec, self.workspace, self.choice)
-        if self.spec.check and self.expressions and self.failure is None and self.measured_in is not None:
+        expressions = tuple(dict.fromkeys((*self.expressions, *self.compared_loads()))) if self.spec.check else ()
+        if expressions and self.failure is None and self.measured_in is not None:
             compared = compared_measures(
-                self.spec, self.method, self.workspace, steps, self.expressions, self.measured_in,
-                lambda: self.interrupted,
+                self.spec, self.method, self.workspace, steps, expressions,
+                partial(self.measured_in, expressions), lambda: self.interrupted,
             )  # fmt: skip
             self.accuracy = replace(self.accuracy, compared_measures=compared)
+
+    def compared_loads(self) -> tuple[str, ...]:
+        """Return expressions of the largest loads that are compared with those of other runs."""
+        contacts = archive_names(self.workspace.mechanism).names_of("contacts")
+        if self.integrals is None or not contacts:
+            return ()
+        return compared_loads(self.spec, self.integrals.totals(self.recorder.of_event), contacts)
 
     def measured(self, file: h5py.File) -> str:
         """Evaluate the measures of a run in a file, store their gradients, and return the attribute of the archive."""

@@ -245,7 +245,7 @@ class _Preparation:
         simulation.becomes_run = self.becomes_run
         simulation.interrupted, simulation.continuation = bool(noted), self.continuation
         simulation.expressions = expressions_of(spec, self.measures)
-        simulation.measured_in = partial(measured_in, expressions=simulation.expressions)
+        simulation.measured_in = measured_in
         return simulation
 
 
@@ -328,7 +328,7 @@ def _begun_arrays(spec: RunSpec, method: Method, start: _Start) -> RunWriter:
     )
 
 
-def measured_in(spec: RunSpec, expressions: Sequence[str]) -> Sequence[float] | None:
+def measured_in(expressions: Sequence[str], spec: RunSpec) -> Sequence[float] | None:
     """Return the values of expressions in a comparison run, in SI units; None if the run fails."""
     try:
         found = simulate_arrays(spec, measures=expressions)

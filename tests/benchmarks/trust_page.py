@@ -77,10 +77,11 @@ then stops with the reason `branch-left`.
   between two recorded rows. A check therefore determines the largest forces and torques during the run, between rows
   as well; what the rows miss is part of the error, and counts in the verdict, unless a measure such as
   `max(abs(joints.J1.force))` states the largest force of the joint. To reduce this error, use smaller steps or, if rows
-  skip steps (`output.every`, `output.interval`), record more rows. A check takes about ten times as long as the run,
-  and at least a second. In 504 runs of 21 mechanisms with known motions (6 methods, 4 steps or tolerances each), errors
-  are known for 95 % of the time, and all true errors are 0.39 to 1.08 times their estimates (`python -m
-  tests.benchmarks.error_bars`).
+  skip steps (`output.every`, `output.interval`), record more rows. The largest normal forces of compliant contacts have
+  errors like those of [measures](measures.md#errors), which count in the verdict with the limits for joint forces. A
+  check takes about ten times as long as the run, with such contacts twenty times, and at least a second. In 504 runs of
+  21 mechanisms with known motions (6 methods, 4 steps or tolerances each), errors are known for 95 % of the time, and
+  all true errors are 0.39 to 1.08 times their estimates (`python -m tests.benchmarks.error_bars`).
 - **`mbdkit run SPEC --accuracy 1e-6`** (`accuracy: 1e-6`) requests that all positions over the whole run are accurate
   to this fraction of the mechanism's size. mbdkit chooses the method and the step from short trial runs (*pilots*), and
   confirms the accuracy by a check. The error of an angle counts as a displacement: it is multiplied by the distance of

@@ -6,8 +6,10 @@ from typing import Any
 
 import numpy as np
 import pytest
+from scipy.optimize import brentq
 
 import mbdkit
+from mbdkit.archive.headlines import headlines
 from tests.witness.bouncing import Discs, compared
 
 FLOOR = {"line": {"normal": [0.0, 1.0]}}
@@ -87,3 +89,26 @@ def test_the_friction_of_an_infinite_sequence_of_impacts_does_not_depend_on_wher
         assert run.accuracy.known_until < 0.6
         assert np.isnan(run.measure_errors["x"])
         assert "bounces below contact.rest_energy are left out" in run.accuracy.method
+
+
+@pytest.mark.parametrize(("step", "verdict"), [(0.003, "good"), (0.006, "doubtful"), (0.02, "bad")])
+def test_errors_of_the_largest_normal_force_of_a_compliant_contact_count_in_the_verdict(
+    step: float, verdict: str
+) -> None:
+    """A ball falls on a floor; at the turn, its weight has done the work of the force k d^1.5."""
+    height, stiffness = 0.2, 1e6
+    floor = {"bodies": ["ground", "body"], "shapes": [FLOOR, {"circle": {"radius": 0.1}}]}
+    floor["compliance"] = {"stiffness": stiffness}
+    body = {"mass": 1.0, "inertia": 0.004, "position": [0.0, 0.1 + height]}
+    model = {"name": "mechanism", "bodies": {"body": body}, "contacts": {"floor": floor}}
+    run = mbdkit.run(
+        {"mbdkit": 1, "model": model},
+        integrator={"name": "gauss", "stages": 2},
+        time={"end": 0.3, "step": step},
+        check=True,
+    )
+    depth = brentq(lambda d: 9.81 * (height + d) - 0.4 * stiffness * d**2.5, 1e-4, 0.1)
+    (force,) = headlines(run)
+    assert abs(force.largest - stiffness * depth**1.5) <= 1.01 * (force.error - force.missed)
+    assert run.verdict == verdict
+    assert ("largest normal force of contact 'floor'" in " ".join(run.verdict_reasons)) == (verdict != "good")
