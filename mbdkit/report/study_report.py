@@ -109,7 +109,8 @@ def settings(study: Study) -> str:
     if len(study.families) > 1:
         parts.append(count(len(study.families), "family", "families"))
     told = [name for name in ("complete", "failed", "left-out") if states[name]]
-    levels = Counter(study.verdicts())
+    pairs = zip(study.verdicts(), study.statuses(), strict=True)
+    levels = Counter(level for level, state in pairs if state == "complete")  # failed runs are rated bad, too
     verdicts = [f"{levels[level]:,} {level}" for level in ("doubtful", "bad") if levels[level]]
     return " \u00b7 ".join([*parts, *(f"{states[name]:,} {name.replace('-', ' ')}" for name in told), *verdicts])
 

@@ -117,7 +117,7 @@ def _spread(found: MeasureStatistics, sign: str) -> str:
     if abs(found.mean_with_bad - found.mean.value) > half:
         text += f" ({found.mean_with_bad:.4g} {found.unit}".rstrip() + f" with the {found.bad} bad runs)"
     quantiles = [f"{100 * q:g} % quantile {one.text(found.unit)}" for q, one in found.quantiles.items() if q != 0.5]
-    return ", ".join([text, f"standard deviation {found.std.text(found.unit)}", *quantiles])
+    return f"{text}; {', '.join([f'standard deviation {found.std.text(found.unit)}', *quantiles])}"
 
 
 def _errors(study: Study, group: SampleGroup, found: MeasureStatistics) -> str:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import shlex
 from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
 from typing import TYPE_CHECKING
@@ -58,7 +59,7 @@ def _use(study: Study) -> Iterator[tuple[str, str]]:
             how = f"as if the {sample.n} members were drawn at random: with {sample.method}, they are usually too wide"
         yield "intervals", f"{100 * CONFIDENCE:g} % confidence, {how}"
     if "unknown" in study.verdicts() and not any(name + ERROR in study.columns() for name in defined):
-        yield "errors", "of the runs were not estimated; --set check=true with another folder (-o) estimates them"
+        yield "errors", "not estimated; --set check=true, with another folder (-o), estimates those of the runs"
 
 
 def _rated(study: Study, level: str) -> np.ndarray:
@@ -75,8 +76,8 @@ def _levels(study: Study) -> Iterator[tuple[str, str]]:
     for level, use in (("bad", ", not used in answers"), ("doubtful", ", used in answers")):
         places = np.flatnonzero(_rated(study, level))
         sentences = [(place, one) for place in places.tolist() for one in _SENTENCES.split(str(reasons[place]))]
-        for named, reason in _grouped(study.points, sentences):
-            yield level, f"{named}{use if has_answers else ''}{reason}"
+        for numbers, reason in _grouped(study.points, sentences):
+            yield level, f"{numbers}{use if has_answers else ''}{reason}"
 
 
 def _failures(study: Study) -> Iterator[tuple[str, str]]:
@@ -88,19 +89,19 @@ def _failures(study: Study) -> Iterator[tuple[str, str]]:
         (study.points, [(place, str(reasons[place])) for place in np.flatnonzero(status == "failed").tolist()]),
         (references, [(place, one.reason) for place, one in enumerate(references)]),
     ):
-        for named, reason in _grouped(points, found):
-            yield "failed", f"{named}{reason}"
+        for numbers, reason in _grouped(points, found):
+            yield "failed", f"{numbers}{reason}"
 
 
 def _commands(study: Study) -> Iterator[tuple[str, str]]:
     """Yield the command that lists all runs with their reasons, if any are bad, doubtful or failed."""
     if "failed" in study.statuses() or {"bad", "doubtful"} & {*study.verdicts()}:
-        yield "all runs", f"with reasons: mbdkit archive export {study.folder} --to csv"
+        yield "all runs", f"mbdkit archive export {shlex.quote(str(study.folder))} --to csv"
 
 
 def _grouped(points: Sequence[StudyPoint], reasons: Iterable[tuple[int, str]]) -> Iterator[tuple[str, str]]:
-    """Yield the runs of each group of reasons, and the first of these reasons. The largest groups come first; small
-    groups are only counted.
+    """Yield the runs of each group of reasons, and the first of these reasons with the values of its run. The largest
+    groups come first; small groups are only counted.
 
     The reasons of a group have the same code or, without a code, differ only in numbers.
 
@@ -115,19 +116,13 @@ def _grouped(points: Sequence[StudyPoint], reasons: Iterable[tuple[int, str]]) -
         groups.setdefault(code[0] if code else without_numbers(reason), []).append((place, reason))
     ordered = sorted(groups.values(), key=lambda one: -len(one))
     for group in ordered[:MOST_REASONS]:
-        named = [points[place] for place, _ in group[:MOST_RUNS]]
-        yield _named(named, len(group)), f": {group[0][1]}" if group[0][1] else ""
+        first, reason = points[group[0][0]], group[0][1].rstrip(".")
+        kind = "reference" if first.is_reference else "run"
+        numbers = ", ".join(str(points[place].number) for place, _ in group[:MOST_RUNS])
+        values = ", ".join(filter(None, (first.family, *first.label.split("; "))))
+        example = ": ".join(filter(None, (f"{kind} {first.number}" if len(group) > 1 else "", values)))
+        told = f"; {reason}{f' ({example})' if example else ''}" if reason else ""
+        more = ", ..." if len(group) > MOST_RUNS else ""
+        yield (f"{counted(len(group), kind)} ({numbers}{more})" if len(group) > 1 else f"{kind} {numbers}"), told
     if len(ordered) > MOST_REASONS:
         yield f"{counted(sum(map(len, ordered[MOST_REASONS:])), 'run')} for other reasons", ""
-
-
-def _named(points: Sequence[StudyPoint], count: int) -> str:
-    """Return the numbers of the first of `count` points, and the values of the first one."""
-    first = points[0]
-    kind = "reference" if first.is_reference else "run"
-    words = "; ".join(filter(None, (first.family, first.label)))
-    values = f" ({words})" if words else ""
-    if count == 1:
-        return f"{kind} {first.number}{values}"
-    numbers = ", ".join(str(point.number) for point in points)
-    return f"{counted(count, kind)} ({numbers}{', ...' * (count > len(points))}), such as {kind} {first.number}{values}"

@@ -57,13 +57,13 @@ def test_the_summary_counts_runs_and_names_what_failed(mbdkit, in_tmp_path, monk
     assert lines[:5] == [
         "study      A sweep",
         "runs       4: 2 complete, 2 failed; numbered from 1, as in study.run(number=1)",
-        "verdicts   2 unknown, 2 bad",
+        "verdicts   2 unknown, 2 bad (failed runs are rated bad)",
         "computed   4 now",
         "folder     sweep",
     ]
-    named = "failed     2 runs (2, 4), such as run 2 (model.length 1; limits.max_steps 3): max-steps: "
-    assert lines[5].startswith(named)
-    assert lines[6:] == ["all runs   with reasons: mbdkit archive export sweep --to csv"]
+    assert lines[5].startswith("failed     2 runs (2, 4); max-steps: stopped after limits.max_steps = 3 steps")
+    assert lines[5].endswith(" (run 2: model.length 1, limits.max_steps 3)")
+    assert lines[6:] == ["all runs   mbdkit archive export sweep --to csv"]
     monkeypatch.setitem(sys.modules, "pandas", None)  # as if it were not installed
     assert mbdkit(*lines[6].partition("mbdkit ")[2].split()).exit_code == 0
     with (in_tmp_path / "sweep-csv" / "runs.csv").open() as file:
