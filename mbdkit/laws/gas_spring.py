@@ -13,7 +13,7 @@ from mbdkit.mechanism.values import NotNegative, Positive
 if TYPE_CHECKING:
     import sympy
 
-SUMMARY = "A gas spring: pushes with a preload that grows with compression, by the polytropic law of its gas."
+SUMMARY = "A gas spring: its push grows from the preload as it is compressed, by the polytropic law of its gas."
 
 
 class GasSpringOptions(StrictModel):

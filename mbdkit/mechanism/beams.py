@@ -130,7 +130,8 @@ class Beam(StrictModel):
     mass_per_length: Positive | None = None
     """Mass per length [kg/m]; ``density A`` by default."""
     rotary_inertia: Positive | None = None
-    """Moment of inertia per length [kg m]; ``density I`` by default, or else mass_per_length bending / axial."""
+    """Moment of inertia per length [kg m]; by default ``density I``, or ``mass_per_length bending / axial`` if
+    `density` or `I` is missing."""
     damping: NotNegative = 0.0
     """Retardation time [s] of the material (Kelvin-Voigt): a strain e with the rate de/dt causes the stress that the
     strain e + damping de/dt would cause without damping."""

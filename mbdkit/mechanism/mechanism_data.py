@@ -35,7 +35,8 @@ class NamedCoordinate(StrictModel):
     """The quantity: `JOINT.angle` (the relative angle [rad], or the travel of a slide [m]), `BODY.x`, `BODY.y` [m] of
     the centre of mass, `BODY.angle` [rad], `MARKER.x` or `MARKER.y` [m]."""
     relative_to: str | None = None
-    """Body whose angle is subtracted from `of`, the angle of another body, for relative angles without a joint."""
+    """Body whose angle is subtracted from `of`, which is then the angle of another body. The two bodies need not share
+    a joint."""
     scale: Number = 1.0
     """Change of the coordinate per change of the quantity; not zero."""
     offset: Number = 0.0
@@ -133,7 +134,8 @@ class MechanismData(StrictModel):
     markers: dict[str, Marker] = Field(default_factory=dict)
     """Points of bodies whose positions and velocities are recorded, by name."""
     muscles: dict[str, Muscle] = Field(default_factory=dict)
-    """Muscles by name. In runs they exert forces; in inverse dynamics with `recruitment`, they share moments."""
+    """Muscles by name. In runs they exert forces; in inverse dynamics with `recruitment`, they share the
+    moments of the actuators."""
     contacts: dict[str, Contact] = Field(default_factory=dict)
     """Contacts between bodies by name."""
     coordinates: dict[str, AnyNamedCoordinate] = Field(default_factory=dict)

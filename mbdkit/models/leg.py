@@ -109,7 +109,8 @@ class LegOptions(LegPose):
     markers: dict[str, Marker] = Field(default_factory=dict)
     """Further points on bodies, by name; the positions and velocities of these points are recorded."""
     muscles: dict[str, Muscle] = Field(default_factory=dict)
-    """Muscles by name. In runs they exert forces; in inverse dynamics with `recruitment`, they share moments."""
+    """Muscles by name. In runs they exert forces; in inverse dynamics with `recruitment`, they share the
+    moments of the actuators."""
     contacts: dict[str, Contact] = Field(default_factory=dict)
     """Contacts by name, such as those of the foot with the floor."""
     symmetric_muscles: bool = False

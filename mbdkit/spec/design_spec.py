@@ -276,8 +276,8 @@ class DesignSpec(StrictSpec):
     """The method: `slsqp`, `trust-constr`, `least-squares` or `differential-evolution` of SciPy, `cma-es` or `bundle`,
     and its options; `least-squares` minimises the sum of the squares of all expressions of `minimize`."""
     front: Annotated[int, Field(ge=3, le=1000)] = 9
-    """Number of points of a Pareto front of two goals, both ends included. With three goals: number of limits of the
-    second goal and of the third one; the first goal is minimised for all combinations of these limits."""
+    """Number of points of a Pareto front of two goals, both ends included. With three goals: number of limits for the
+    second goal, and for the third; the first goal is minimised for all combinations of these limits."""
     compare: dict[str, Annotated[Overrides, AfterValidator(_check_comparison)]] = Field(default_factory=dict)
     """Other settings of the runs, each under a name of your choice, with which the optimisation is repeated, such as
     another integrator or step: `{coarse: {time.step: 0.1}}`. The best point for each of these settings is then

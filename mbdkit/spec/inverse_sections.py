@@ -81,7 +81,7 @@ class ObservedColumn(ColumnOfTable):
     """The column with the measured values of one quantity."""
 
     weight: Positive = 1.0
-    """Weight of its squared residual, in SI units, in the fit of the mechanism."""
+    """Factor of the squared residual of the column, in SI units, in the fit of the mechanism."""
     rate: Named | None = None
     """Heading of a column with the first derivative, in the same unit per second, for motions that are not smoothed."""
     acceleration: Named | None = None
@@ -373,8 +373,9 @@ class Recruitment(Section):
     ABSENT_BY_DEFAULT: ClassVar[tuple[str, ...]] = ("deviations",)
 
     exponent: Annotated[int, Field(ge=1, le=20)] | Literal["inf"] = 2
-    """A whole number, or `inf`, with which the largest term is minimised. If several solutions are equally good, which
-    is possible with 1 and `inf`, the one with the smallest sum of squares is chosen."""
+    """Exponent of the terms of the sum over muscles and reserves that is minimised: a whole number, or `inf` to
+    minimise the largest term. With 1 and `inf`, several solutions may be optimal; the one with the smallest sum of
+    squares is then chosen."""
     minimum: Annotated[float, Field(ge=0, lt=1)] = 0.01
     """Smallest activation."""
     reserves: Positive | dict[str, Positive] = Field(default_factory=dict)

@@ -128,8 +128,8 @@ class RunSpec(ModelSpec):
     measures: RunMeasures = Field(default_factory=dict)
     """Measures by name: numbers that expressions, such as `max(abs(joints.B.force))`, or plugins take from the run."""
     gradients: list[str] = Field(default_factory=list, max_length=50)
-    """Parameters with respect to which all measures are differentiated at the end of the run: names of `parameters`, or
-    key paths of numbers such as `model.bodies.rod.mass`."""
+    """Parameters with respect to which mbdkit differentiates all measures when the run is complete: names of
+    `parameters`, or key paths of numbers such as `model.bodies.rod.mass`."""
     limits: Limits = Limits()
     """Limits that stop the run early."""
     check: bool = False

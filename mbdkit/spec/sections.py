@@ -197,7 +197,7 @@ class Limits(Section):
     max_steps: Count = 10_000_000
     """Largest number of steps."""
     misalignment: Positive = 1.0
-    """Largest misalignment of a joint, as a share of the mechanism's size, and of an angle [1, rad]; a run in which a
+    """Largest misalignment of a joint, as a share of the mechanism's size, or of an angle in radians; a run in which a
     joint exceeds this limit stops with the reason `fell-apart`."""
     energy_jump: Positive | None = None
     """Largest change of the energy balance in one step, as a share of the largest kinetic energy so far; a run that

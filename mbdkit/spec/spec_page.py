@@ -40,11 +40,12 @@ its default; a key without a default is optional unless it is marked as required
 
 <!-- Written by `python -m mbdkit.spec.spec_page mbdkit/guide/spec.md`; do not edit. -->
 
-Specs are YAML, TOML or JSON files. Unknown keys are errors. Units are SI, angles are in radians, unless a number has a
-unit of its own, as in `30 deg`, `2 N/mm` and `500 ms`: a space and a unit of the kind given in brackets. Any number of
-the model may also be an expression of `parameters`, such as `0.5*crank` or `degrees(45)`. `mbdkit schema KIND`, where
-KIND is `run`, `study`, `inverse` or `design`, prints the same as a JSON schema, for editors, with the plugins that are
-installed; `mbdkit plugins show NAME` prints the options of one model, integrator or force law.
+Specs are YAML, TOML or JSON files. Unknown keys are errors. A number without a unit is in the SI unit given in
+brackets, an angle in radians. Another unit of the same quantity can follow the number after a space, as in `30 deg`,
+`2 N/mm` and `500 ms`. Any number of the model may also be an expression of `parameters`, such as `0.5*crank` or
+`degrees(45)`. `mbdkit schema KIND`, where KIND is `run`, `study`, `inverse` or `design`, prints these keys, and those
+of installed plugins, as a JSON schema for editors; `mbdkit plugins show NAME` prints the options of one model,
+integrator or force law.
 """
 
 PARTS = ("model", "integrator", "stabilization")

@@ -168,14 +168,15 @@ class StudySpec(StrictSpec):
     title: str = ""
     """Title, free text."""
     base: Base | None = None
-    """The base run spec: the name of a packaged example, a file, or a mapping; keys set by the axes may be omitted."""
+    """The base run spec: the name of a packaged example, a file, or a mapping. It need not have the keys that
+    the axes set."""
     overrides: Overrides = Field(default_factory=dict)
     """Dotted keys to set in the base, such as `time.end: 5.0`."""
     axes: Axes = ()
     """Parameters that vary. Each axis maps dotted keys to value sets; the keys of one axis vary together, and the runs
     are all combinations of the axes."""
     families: dict[str, Family] = Field(default_factory=dict)
-    """Several grids of runs by name, instead of `axes`."""
+    """Several sets of axes by name, instead of `axes`."""
     sample: Sample | None = None
     """Keys whose values are drawn from distributions. A study may have axes or families as well: the sample is then
     repeated for each combination of these."""
