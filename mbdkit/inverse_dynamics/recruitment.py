@@ -83,7 +83,7 @@ class Recruiter:
             self._require_simple(name)
             if not muscle.tendon_length:
                 raise SpecError(
-                    "should be greater than 0: an elastic tendon has a length",
+                    "should be greater than 0, because an elastic tendon needs a length",
                     key=f"model.muscles.{quoted(name)}.tendon_length",
                 )
         if asked.dynamics == "activation" and (asked.exponent == "inf" or asked.exponent == 1):

@@ -34,7 +34,7 @@ def law_parameters(law: ForceLaw, options: Any, name: str) -> tuple[tuple[str, .
         )
     if missing := [state.name for state in law.states if state.name not in names]:
         raise PluginError(
-            f"force law {name}: its state '{missing[0]}' needs a parameter of this name, its initial value"
+            f"force law {name}: its state '{missing[0]}' needs a parameter of this name for its initial value"
         )
     if law.states and law.potential not in (None, False):
         raise PluginError(f"force law {name} has states, so its force cannot have a potential; leave out `potential`")

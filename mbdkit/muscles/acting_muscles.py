@@ -196,11 +196,13 @@ def check_acting(mechanism: Mechanism) -> None:
                 key=f"{key}.excitation",
             )
         if muscle.tendon == "elastic" and not muscle.tendon_length:
-            raise SpecError("should be greater than 0: an elastic tendon has a length", key=f"{key}.tendon_length")
+            raise SpecError(
+                "should be greater than 0, because an elastic tendon needs a length", key=f"{key}.tendon_length"
+            )
         if muscle.tendon == "elastic" and muscle.curves == "millard" and not muscle.damping:
             raise SpecError(
-                "should be greater than 0: with the curves millard, only damped fibres have a velocity of equilibrium "
-                "with an elastic tendon for every force",
+                "should be greater than 0: with the curves millard, undamped fibres cannot be in equilibrium with "
+                "every force of an elastic tendon",
                 key=f"{key}.damping",
             )
         for index, item in enumerate(muscle.path):

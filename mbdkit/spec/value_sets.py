@@ -81,7 +81,7 @@ def check_values(given: Any) -> Any:
         case {"geomspace": limits, **others} | {"linspace": limits, **others}:
             kind = next(name for name in SPACED if name in given)
             if others:
-                raise SpecError(f"stands alone: '{next(iter(others))}' cannot be combined with '{kind}'", key=kind)
+                raise SpecError(f"cannot be combined with other keys, such as '{next(iter(others))}'", key=kind)
             _check_limits(kind, limits)
         case Mapping() if len(given) == 1:
             word = str(next(iter(given)))

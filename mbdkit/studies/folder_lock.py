@@ -47,7 +47,7 @@ class Shard:
         """
         match = re.fullmatch(r"(\d{1,6})/(\d{1,6})", text)
         if not match or not 1 <= int(match[1]) <= int(match[2]):
-            raise SpecError(f"a part of a study is written number/count, such as 1/2 and 2/2, not {text!r}")
+            raise SpecError(f"a part of a study should be given as NUMBER/COUNT, such as 1/2, not {text!r}")
         return cls(int(match[1]), int(match[2]))
 
     def has(self, place: int) -> bool:

@@ -96,7 +96,9 @@ class OwnedFolder(ABC, Generic[Spec]):
             )
         for file in self.files:
             if os.path.isdir(file):
-                raise SpecError(f"this is a folder, where the {kind} writes a file; rename or remove it", file=file)
+                raise SpecError(
+                    f"this is a folder, but the {kind} writes a file of this name; rename or remove it", file=file
+                )
 
     def check_same(self, spec: Spec) -> None:
         """Raise SpecError unless the spec in the folder is equal to `spec`."""

@@ -87,7 +87,7 @@ def quantiles(
         values = np.broadcast_to(expression.rows(run), run.time.shape)
         rows += [grid.at(time, row) for time, row in _by_run(run.time, values, numbers, counts, places)]
     if not rows:
-        raise MbdkitError("none of the runs has results that are not rated bad, so there are no quantiles")
+        raise MbdkitError("there are no quantiles, because each run is rated bad or has no results")
     bands, count = _quantiles(np.array(rows), probabilities)
     return QuantileBands(quantity, unit, probabilities, grid.time, bands, count)
 
@@ -140,7 +140,7 @@ class _Grid:
                 longest = time if len(time) > len(longest) else longest
                 start, end = min(start, time[0]), max(end, time[-1])
         if not len(longest):
-            raise MbdkitError("none of the runs has results that are not rated bad, so there are no quantiles")
+            raise MbdkitError("there are no quantiles, because each run is rated bad or has no results")
         if not same:
             return cls(np.linspace(start, end, TIMES), has_rows=False)
         step = -(-len(longest) // MOST_ROWS)

@@ -115,7 +115,9 @@ def sensitivity(
     values = measured(study, measure, group.places).reshape(-1, sample.runs_of_member)[:members]
     known = values[np.all(np.isfinite(values), axis=1)]
     if len(known) < 2:
-        raise MbdkitError(f"fewer than two members of the sample have a value of '{measure}' in all of their runs")
+        raise MbdkitError(
+            f"Sobol indices need values of '{measure}' from all runs of at least two members of the sample"
+        )
     indices = sobol_indices(known, confidence=confidence, resamples=resamples, seed=sample.seed).informative()
     reason = _within_errors(study, measure, group.places, known)
     if reason:

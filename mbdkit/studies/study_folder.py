@@ -50,7 +50,10 @@ class StudyFolder(OwnedFolder[StudySpec]):
         """See `OwnedFolder.check`; also check that no file has the name of the subfolder for runs."""
         super().check(spec, overwrite=overwrite)
         if os.path.lexists(self.runs) and not os.path.isdir(self.runs):
-            raise SpecError("this is not a folder, as the runs of the study need; rename or remove it", file=self.runs)
+            raise SpecError(
+                "this is not a folder, but the study needs a folder of this name for its runs; rename or remove it",
+                file=self.runs,
+            )
 
     def is_same(self, spec: StudySpec) -> bool:
         """See `OwnedFolder.is_same`."""

@@ -331,8 +331,8 @@ def test_run_says_that_a_study_is_a_study(refusal, in_tmp_path):
     [
         (("nonsense",), "no packaged study with this name"),
         (("convergnce",), "did you mean 'convergence'?"),
-        (("spec.yaml", "--shard", "3/2"), "written number/count"),
-        (("spec.yaml", "--shard", "half"), "written number/count"),
+        (("spec.yaml", "--shard", "3/2"), "given as NUMBER/COUNT"),
+        (("spec.yaml", "--shard", "half"), "given as NUMBER/COUNT"),
         (("spec.yaml", "-o", "missing/out"), "does not exist; create it first"),
         (("spec.yaml", "-o", "file"), "this is not a folder"),
         (("spec.yaml", "-o", "other"), "contains other files and no study.yaml"),

@@ -126,7 +126,7 @@ def test_what_needs_rigid_tendons_and_a_tendon_beyond_its_path_get_one_sentence(
         assert error.value.key == f"recruitment.{key}"
     spec = moving()
     spec["model"]["muscles"]["biceps"]["tendon_length"] = 0.0
-    with pytest.raises(SpecError, match="an elastic tendon has a length") as error:
+    with pytest.raises(SpecError, match="an elastic tendon needs a length") as error:
         mbdkit.inverse(spec)
     assert error.value.key == "model.muscles.biceps.tendon_length"
     with pytest.raises(SpecError, match="are not available with elastic tendons"):

@@ -72,7 +72,7 @@ def test_spaced_numbers_of_any_size_are_finite():
         ([], "", "at least one value"),
         (5, "", "should be a list of values"),
         ({"geomspce": [1, 2, 3]}, "geomspce", "did you mean 'geomspace'?"),
-        ({"geomspace": [1, 2, 3], "linspace": [1, 2, 3]}, "geomspace", "stands alone"),
+        ({"geomspace": [1, 2, 3], "linspace": [1, 2, 3]}, "geomspace", "cannot be combined with other keys"),
         ({"geomspace": [1, 2]}, "geomspace", "[first, last, number of values], not a list of 2"),
         ({"linspace": [1, "2", 3]}, "linspace", "[first, last, number of values]"),
         ({"linspace": [1, True, 3]}, "linspace", "[first, last, number of values]"),
