@@ -46,7 +46,7 @@ def new_checkpoint_path(part: Path) -> Path:
 
 
 def remove_checkpoint(part: Path) -> None:
-    """Remove the checkpoint of a ``.part``, if there is one."""
+    """Remove the checkpoint of a ``.part``, or of the archive of an interrupted run, if there is one."""
     for path in (checkpoint_path(part), new_checkpoint_path(part)):
         path.unlink(missing_ok=True)
 

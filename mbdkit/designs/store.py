@@ -16,6 +16,7 @@ from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from mbdkit.archive.part_file import remove_checkpoint
 from mbdkit.archive.reader import load
 from mbdkit.base.errors import SpecError
 from mbdkit.base.files import replacing
@@ -118,6 +119,7 @@ class DesignFolder(OwnedFolder[DesignSpec]):
                 interrupted = run.status == "interrupted"
             if interrupted:
                 path.unlink()
+                remove_checkpoint(path)
                 raise KeyboardInterrupt
             yield path
 

@@ -225,7 +225,7 @@ def test_an_interrupt_in_python_returns_a_run_and_keeps_a_sound_archive(tmp_path
         process.kill()
     assert process.returncode == 0
     assert output.startswith("interrupted | interrupted: stopped by the user at t = ")
-    assert sorted(os.listdir(tmp_path)) == ["long.h5", "long.yaml"]
+    assert sorted(os.listdir(tmp_path)) == ["long.h5", "long.h5.checkpoint", "long.yaml"]
     assert check(tmp_path / "long.h5") == []
     with mbdkit.load(tmp_path / "long.h5") as run:
         assert run.status == "interrupted"
