@@ -267,8 +267,11 @@ def _error_bars(run: Run) -> str:
     errors = peak_errors(run, "reaction_error", size, len(run.time))
     assert errors is not None
     error = float(errors[joint])
-    value = plus_minus(float(size[row, joint]), error)
     told = f"; {exact}" if (exact := exact_loads(run)) else ""
+    if not math.isfinite(error):
+        known = f"{size[row, joint]:.4g} N at {run.time[row]:.4g} s, error unknown"
+        return f"largest force in {run.joint_names[joint]} {known}{told}"
+    value = plus_minus(float(size[row, joint]), error)
     return f"largest force in {run.joint_names[joint]} {value} N (95 %) at {run.time[row]:.4g} s{told}"
 
 

@@ -85,21 +85,25 @@ def _cutoffs(result: Inverse) -> list[float]:
     return [cutoff_of(time, one) for one in fixed(time, series, result.problem.spec.motion.smooth)]
 
 
-def changes_in_gap(result: Inverse, path: NoisePath, gap: LongGap) -> Smoothed:
-    """Return changes (T, U, 2) of the coordinates and their derivatives that a gap may hide: an even and an odd one,
-    whose accelerations vanish at different times.
+def changes_in_gaps(result: Inverse, path: NoisePath, gaps: Sequence[LongGap]) -> Smoothed:
+    """Return changes (T, U, 2 G) of the coordinates and their derivatives that G gaps may hide.
+
+    Each gap has an even and an odd change, whose accelerations vanish at different times.
     """
     time, measured, motion = result.motion.time, result.fitted.measured, result.motion
     jacobian, curvature = measured.quantities.jacobian(motion.q), measured.quantities.curvature(motion.q, motion.v)
-    acceleration = ((jacobian @ motion.a[..., None])[..., 0] + curvature)[:, gap.column]
-    near = (time > gap.start - gap.longest) & (time < gap.end + gap.longest)  # has the amplified noise of the filling
-    largest = np.max(np.abs(acceleration[~near] if not np.all(near) else acceleration))
-    place = (time[gap.rows] - gap.start) / gap.length
-    change = np.zeros((len(time), path.columns, 2))
-    # the largest second derivative of s^2 (1 - s)^2, and of its product with 1 - 2 s, is 2, at both ends
-    even = 0.5 * largest * (place * (1 - place) * gap.length) ** 2
-    change[gap.rows, gap.column] = np.stack([even, even * (1 - 2 * place)], axis=1)
-    return path.smoothed(change)
+    acceleration = np.abs((jacobian @ motion.a[..., None])[..., 0] + curvature)
+    changes = np.zeros((len(time), path.columns, 2 * len(gaps)))
+    for number, gap in enumerate(gaps):
+        near = (time > gap.start - gap.longest) & (
+            time < gap.end + gap.longest
+        )  # has the amplified noise of the filling
+        largest = np.max(acceleration[~near if not np.all(near) else near, gap.column])
+        place = (time[gap.rows] - gap.start) / gap.length
+        # the largest second derivative of s^2 (1 - s)^2, and of its product with 1 - 2 s, is 2, at both ends
+        even = 0.5 * largest * (place * (1 - place) * gap.length) ** 2
+        changes[gap.rows, gap.column, 2 * number : 2 * number + 2] = np.stack([even, even * (1 - 2 * place)], axis=1)
+    return path.smoothed(changes)
 
 
 def changes_at_ends(time: np.ndarray, series: Smoothed, how: Sequence[Smoothing]) -> Smoothed:

@@ -27,7 +27,7 @@ from mbdkit.archive.accuracy import Accuracy
 from mbdkit.base.errors import RunError, SpecError
 from mbdkit.base.text import listed
 from mbdkit.inverse_dynamics.compute import Inverse, forces_of, recorded_states
-from mbdkit.inverse_dynamics.ends_and_gaps import LongGap, changes_at_ends, changes_in_gap, long_gaps, told_gaps
+from mbdkit.inverse_dynamics.ends_and_gaps import LongGap, changes_at_ends, changes_in_gaps, long_gaps, told_gaps
 from mbdkit.inverse_dynamics.muscle_samples import PROPERTIES, forces_with, known_mean, with_drawn_muscles
 from mbdkit.inverse_dynamics.noise import NoisePath, noise_deviation
 from mbdkit.inverse_dynamics.reduced_motion import Independent, motion_of_series, other_coordinates
@@ -162,10 +162,8 @@ def error_bars(result: Inverse) -> ErrorBars | None:
     of_muscles = _muscle_squares(result, random)
     if of_muscles is not None:
         squares = [square + more for square, more in zip(squares, of_muscles, strict=True)]
-    gaps, of_gaps = long_gaps(result), [np.zeros_like(square) for square in squares]
-    for gap in gaps:
-        hidden = _squares_of_changes(sensitivity, changes_in_gap(result, path, gap))
-        of_gaps = [square + more for square, more in zip(of_gaps, hidden, strict=True)]
+    gaps = long_gaps(result)
+    of_gaps = _squares_of_changes(sensitivity, changes_in_gaps(result, path, gaps))
     for square, more in zip(squares, of_gaps, strict=True):
         square[more > HIDDEN**2 * square] = np.nan
     method = _method(result, deviation, *([one.name for one in group] for group in groups), gaps=gaps)

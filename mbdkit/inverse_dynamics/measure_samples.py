@@ -1,9 +1,9 @@
 """Errors of measures of inverse dynamics, by samples of noise and of properties of muscles, and by other cutoffs.
 
 The error bars of `mbdkit.inverse_dynamics.error_bars` hold at single times, while a measure depends on all times.
-Measures are therefore computed again from noisy motions and loads, whose accelerations at both ends are drawn too. They
-are unknown if a long gap may hide changes of them. The same seed gives the same noise, which cancels in
-the difference of two results for one motion, such as those with and without a device.
+Measures are therefore computed again from noisy motions and loads, whose accelerations at both ends are drawn too.
+Errors are unknown if long gaps may hide changes of a measure. The same seed gives the same noise, which cancels in the
+difference of two results for one motion, such as those with and without a device.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from scipy.stats import chi2
 
 from mbdkit.base.errors import SpecError
 from mbdkit.inverse_dynamics.compute import Inverse, InverseProblem, compute, forces_of
-from mbdkit.inverse_dynamics.ends_and_gaps import changes_at_ends, changes_in_gap, long_gaps
+from mbdkit.inverse_dynamics.ends_and_gaps import changes_at_ends, changes_in_gaps, long_gaps
 from mbdkit.inverse_dynamics.error_bars import CUTOFFS, HIDDEN, LEVEL
 from mbdkit.inverse_dynamics.loads import LoadSeries
 from mbdkit.inverse_dynamics.muscle_samples import forces_with, known_mean, with_drawn_muscles
@@ -28,6 +28,9 @@ from mbdkit.spec import InverseSpec
 
 SAMPLES = 40
 """Number of samples; with this number, the relative scatter of the bounds is 1 / sqrt(2 * SAMPLES), 11 %."""
+
+HIDDEN_SAMPLES = 8
+"""Number of samples of what long gaps may hide."""
 
 FACTOR = float(chi2.ppf(LEVEL, 1))
 """Ratio of the squared bound of a Gaussian variable to its mean square."""
@@ -141,13 +144,12 @@ def samples_of(result: Inverse, measures: Sequence[str]) -> SampledMeasures | No
     unknown = np.full_like(value, np.nan)
     muscles = [unknown if one is None else _measured(one, measures) for one in drawn]
     found = SampledMeasures(value, *(np.array(one).reshape(len(one), len(value)) for one in (noisy, others, muscles)))
-    for gap in gaps:
-        change = changes_in_gap(result, path, gap)
-        hidden = [
-            _measured(_moved(result, independent, _added(series, change, shares), result.problem.loads), measures)
-            for shares in ([1.0, 0.0], [-1.0, 0.0], [0.0, 1.0], [0.0, -1.0])
-        ]
-        found.noisy[:, np.max(np.abs(hidden - value), axis=0) > HIDDEN * found.bounds()] = np.nan
+    change = changes_in_gaps(result, path, gaps)
+    for _ in range(HIDDEN_SAMPLES if gaps else 0):
+        phase = random.uniform(0.0, 2 * np.pi, len(gaps))
+        other = _added(series, change, np.stack([np.cos(phase), np.sin(phase)], axis=1).ravel())
+        hidden = _measured(_moved(result, independent, other, result.problem.loads), measures)
+        found.noisy[:, np.abs(hidden - value) > HIDDEN * found.bounds()] = np.nan
     return found
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import replace
 from functools import partial
@@ -17,6 +18,7 @@ from mbdkit.archive.run_writer import Ending, Origin
 from mbdkit.archive.writer import ArchiveWriter
 from mbdkit.inverse_dynamics.compute import Inverse, reaction_forces_without_muscles, recorded_states
 from mbdkit.inverse_dynamics.data_verdict import DataDoubts, verdict_on_data
+from mbdkit.inverse_dynamics.ends_and_gaps import long_gaps
 from mbdkit.inverse_dynamics.error_bars import ErrorBars
 from mbdkit.inverse_dynamics.fit import raw_misalignment
 from mbdkit.measures.take import take_all
@@ -109,7 +111,14 @@ def _intervals(time: np.ndarray) -> dict[str, np.ndarray]:
 
 def _measured(result: Inverse, errors: Mapping[str, float], file: h5py.File) -> str:
     values = take_all(Run(file), result.problem.spec)
-    return MeasuredValues(values, values.units, values.reasons, errors, values.remarks).to_json()
+    cause = (
+        "it depends on a gap that is longer than the smoothing can bridge"
+        if long_gaps(result)
+        else "the muscles cannot produce the motion in most of its samples"
+    )
+    unknown = {name: f"its error is unknown: {cause}" for name, error in errors.items() if math.isnan(error)}
+    remarks = {**unknown, **values.remarks}
+    return MeasuredValues(values, values.units, values.reasons, errors, remarks).to_json()
 
 
 def _names(result: Inverse) -> ArchiveNames:

@@ -128,7 +128,7 @@ def _errors(run: Run, accuracy: Accuracy) -> Table:
     columns = columns_of("body; position [m]; angle [rad]; velocity [m/s]; angular velocity [rad/s]")
     count = accuracy.rows_known
     errors = (accuracy.position_error, accuracy.velocity_error)
-    largest = np.stack([np.max(error[:count], axis=0) for error in errors], axis=1)  # (B, 2, 3)
+    largest = np.stack([np.fmax.reduce(error[:count], axis=0) for error in errors], axis=1)  # (B, 2, 3), without nan
     names = list(run.bodies)
     size = np.linalg.norm(largest[..., :2], axis=-1)
     shown = _one_node_of_each_beam(run, size[:, 0])
@@ -140,7 +140,8 @@ def _errors(run: Run, accuracy: Accuracy) -> Table:
     until = "over the whole run" if accuracy.is_complete else f"until {accuracy.known_until:.4g} s, unknown afterwards"
     few = f" The {BODIES} of {len(shown)} bodies with the largest errors." if len(shown) > BODIES else ""
     few += " Of the nodes of a beam, that with the largest error." if len(shown) < len(size) else ""
-    note = f"Largest errors {until}.{few} {accuracy.method}"
+    known = ", in the rows where they are known" if any(np.any(np.isnan(error[:count])) for error in errors) else ""
+    note = f"Largest errors {until}{known}.{few} {accuracy.method}"
     return Table("errors", "Estimated errors", columns, tuple(rows), note)
 
 

@@ -42,7 +42,7 @@ def measured(
     if gap is not None:
         cells[gap] = [None] * len(cells[gap])
         motion["gaps"] = {"longest": 1.0}
-    spec = pendulum(smooth=FILTER, errors={"samples": 60}, **motion)
+    spec = pendulum(**{"smooth": FILTER, "errors": {"samples": 60}, **motion})
     spec["motion"] |= {"data": {"time": TIME, "hip": cells}, "columns": {"hip.angle": "hip"}}
     return mbdkit.inverse({**spec, "measures": {"peak": "max(abs(actuators.hip.value))"}})
 
@@ -94,6 +94,9 @@ def test_errors_in_a_long_gap_are_unknown_and_a_peak_there_is_doubted() -> None:
     assert f"Unknown (nan) in {sentence}." in run.accuracy.method
     assert "where they are known" in str(run.accuracy)
     assert "from t = 0.85 to 1.15 s, where errors are unknown" in run.summary()
+    assert "(its error is unknown: it depends on a gap that is longer than the smoothing can bridge)" in run.summary()
+    assert "N at 1.1" in run.summary().partition("largest force in hip ")[2]
+    assert "s, error unknown" in run.summary()
     # a peak far from the gap is known, because what the gap may hide does not reach it
     angle = 0.6 + 0.5 * np.cos(1.5 * (TIME - 0.5))
     run = measured(angle, np.random.default_rng(5), slice(160, 176), 3e-4)

@@ -1,0 +1,59 @@
+"""Coverage of the error bars of inverse dynamics near the ends of a record and in gaps.
+
+``python -m tests.benchmarks.ends_and_gaps [--motions N]`` compares a pendulum with random motions, whose torques are
+known in closed form, with inverse dynamics from noisy angles: for each smoothing, the share of frames within 0.1 s of
+an end whose bars cover the truth, and the share of largest torques that the errors of a measure cover; then, for gaps
+of several lengths, the share of frames whose errors are unknown, and the coverage of the others.
+"""
+
+from __future__ import annotations
+
+import argparse
+from typing import Any
+
+import numpy as np
+
+from tests.inverse_dynamics.test_ends_and_gaps import FILTER, TIME, measured, swing
+
+SMOOTHINGS: tuple[dict[str, Any], ...] = (FILTER, {"name": "opensim", "cutoff": 6.0}, {"name": "spline"})
+GAPS = (3, 7, 16, 50)
+"""Lengths of gaps [rows], with 100 rows per second; half a period of the cutoff has 8.3 rows."""
+
+
+def main() -> None:
+    """Print the shares."""
+    parser = argparse.ArgumentParser(prog="python -m tests.benchmarks.ends_and_gaps")
+    parser.add_argument("--motions", type=int, default=60)
+    motions = range(1000, 1000 + parser.parse_args().motions)
+    for smooth in SMOOTHINGS:
+        near, peaks, doubts = [], [], []
+        for seed in motions:
+            angle, torque, random = swing(seed)
+            run = measured(angle, random, smooth=smooth)
+            one = run.actuators["hip"]
+            covered = np.abs(one.value - torque) <= one.value_error
+            near.append(np.mean(covered[np.r_[0:10, len(TIME) - 10 : len(TIME)]]))
+            peaks.append(abs(run.measures["peak"] - np.max(np.abs(torque))) <= run.measure_errors["peak"])
+            doubts.append(any(told.startswith("ends") for told in run.verdict_reasons))
+        print(
+            f"{smooth['name']}: near the ends {np.mean(near):.1%}, largest torques {np.mean(peaks):.1%}, doubted "
+            f"{np.mean(doubts):.1%}",
+            flush=True,
+        )
+    for rows in GAPS:
+        known, inside = [], []
+        for seed in motions:
+            angle, torque, random = swing(seed)
+            begin = int(random.integers(40, len(TIME) - 40 - rows))
+            gap = slice(begin, begin + rows)
+            one = measured(angle, random, gap).actuators["hip"]
+            error = one.value_error[gap]
+            known.append(np.isfinite(error))
+            inside.append((np.abs(one.value - torque)[gap] <= error)[known[-1]])
+        share, covered = np.mean(np.concatenate(known)), np.concatenate(inside)
+        told = f"{np.mean(covered):.1%} of the others covered" if covered.size else ""
+        print(f"gap of {rows / 100 + 0.01:g} s: {1 - share:.1%} unknown, {told}", flush=True)
+
+
+if __name__ == "__main__":
+    main()
