@@ -14,7 +14,7 @@ from mbdkit.analysis.sample_statistics import Estimate, squared_correlation
 from mbdkit.archive.headlines import plus_minus
 from mbdkit.archive.measured_values import ERROR
 from mbdkit.base.errors import MbdkitError
-from mbdkit.base.text import listed
+from mbdkit.base.text import listed, told_apart
 from mbdkit.spec.key_words import key_words
 from mbdkit.studies.cost_at_error import error_headlines
 from mbdkit.studies.measure_statistics import MeasureStatistics, statistics_of_group
@@ -40,7 +40,8 @@ FEWEST_MEMBERS = 32
 """Smallest number of members whose Sobol indices are mentioned.
 
 For the Ishigami function and a product of three variables, 95 % intervals from 8 to 16 random members contain the index
-in 80 to 95 % of the samples, those from 32 members in 87 to 96 %, and those from 128 members in 91 to 96 %.
+in 80 to 95 % of the samples, those from 32 members in 87 to 96 %, and those from 128 members in 90 to 96 %
+(`tests.benchmarks.study_intervals`).
 """
 
 MOST_CAUSES = 3
@@ -241,12 +242,13 @@ def _share(share: Estimate) -> str:
 def _extremes(study: Study, group: SampleGroup, name: str, values: np.ndarray, sign: str) -> str:
     """Describe the runs with the smallest and the largest value."""
     unit, columns = study.described(name)[0].removesuffix("1"), study.columns()
-    parts = []
-    for word, place in (("smallest", int(np.nanargmin(values))), ("largest", int(np.nanargmax(values)))):
+    parts, places = [], (int(np.nanargmin(values)), int(np.nanargmax(values)))
+    numbers = told_apart(float(values[places[0]]), float(values[places[1]]), digits=4)
+    for word, place, number in zip(("smallest", "largest"), places, numbers, strict=True):
         point = study.points[group.places[place]]
         units = {key: axis_unit(key, [point]) for key in point.axes}
         words = point_words(point, units)
         error = float(columns[name + ERROR][group.places[place]]) if name + ERROR in columns else math.nan
-        value = f"{values[place]:.4g}" if math.isnan(error) else plus_minus(float(values[place]), error, sign)
+        value = number if math.isnan(error) else plus_minus(float(values[place]), error, sign)
         parts.append(f"{word} {f'{value} {unit}'.rstrip()} in run {point.number}{f' ({words})' if words else ''}")
     return ", ".join(parts)
