@@ -47,6 +47,8 @@ class Headline(NamedTuple):
     element: str = ""
     time: float = math.nan
     """Time of the recorded row with the number [s]."""
+    is_checked: bool = False
+    """Whether the errors of the run were estimated, so that an unknown error is stated."""
 
     @property
     def largest(self) -> float:
@@ -64,13 +66,22 @@ class Headline(NamedTuple):
         If the value between recorded rows is clearly larger, the text has both values and the error of the larger one.
         If it is unknown, the text says that the number is that of the rows.
         """
-        unit = self.unit.removesuffix("1")
         if self.misses:
-            between = f"{plus_minus(self.largest, self.error - self.missed, sign)} {unit}".rstrip()
-            return f"{self.value:.4g} {unit}".rstrip() + f" in the recorded rows, {between} between them"
-        known = f"{self.value:.{MOST_DIGITS}g}" if math.isnan(self.error) else plus_minus(self.value, self.error, sign)
+            between = self._with_error(self.largest, self.error - self.missed, sign)
+            return f"{self.value:.4g} {self._unit}".rstrip() + f" in the recorded rows, {between} between them"
         of_rows = " in the recorded rows" if math.isnan(self.missed) else ""
-        return f"{known} {unit}".rstrip() + of_rows
+        return self._with_error(self.value, self.error, sign) + of_rows
+
+    @property
+    def _unit(self) -> str:
+        return self.unit.removesuffix("1")
+
+    def _with_error(self, value: float, error: float, sign: str) -> str:
+        if not math.isnan(error):
+            return f"{plus_minus(value, error, sign)} {self._unit}".rstrip()
+        if self.is_checked:
+            return f"{value:.4g} {self._unit}".rstrip() + " (error unknown)"
+        return f"{value:.{MOST_DIGITS}g} {self._unit}".rstrip()
 
 
 def plus_minus(value: float, error: float, sign: str = "+-") -> str:
@@ -202,10 +213,8 @@ def _largest(
     for column, row in enumerate(rows):
         error = math.nan if errors is None else float(errors[column])
         label = f"largest {words} {names[column]}" if words else names[column]
-        at = float(run.time[row])
-        headlines.append(
-            Headline(label, float(size[row, column]), unit, error, float(beyond[column]), names[column], at)
-        )
+        value, at, is_checked = float(size[row, column]), float(run.time[row]), run.accuracy is not None
+        headlines.append(Headline(label, value, unit, error, float(beyond[column]), names[column], at, is_checked))
     most = max((headline.largest for headline in headlines), default=0.0)
     return sorted((one for one in headlines if one.largest > ROUND_OFF * most), key=lambda one: -one.largest)
 

@@ -478,7 +478,8 @@ def _muscles(run: Run) -> str:
         peaks.append((float(muscle.activation[row]), f"{name} {muscle.activation[row]:.3g} at {run.time[row]:.4g} s"))
     peaks.sort(key=lambda peak: -peak[0])
     more = f"; {len(peaks) - JOINTS_NAMED} more" if len(peaks) > JOINTS_NAMED else ""
-    return f"largest activations {'; '.join(text for _, text in peaks[:JOINTS_NAMED])}{more}" if peaks else ""
+    rows = "" if run.kind == "inverse" else " in the recorded rows"
+    return f"largest activations{rows} {'; '.join(text for _, text in peaks[:JOINTS_NAMED])}{more}" if peaks else ""
 
 
 def _far_fibers(run: Run) -> str:

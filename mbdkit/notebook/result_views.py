@@ -264,7 +264,7 @@ def _(joints: JointHistories) -> View:
         force, torque = np.linalg.norm(joint.reaction_force, axis=1), np.abs(joint.reaction_torque)
         rows.append((name, " - ".join(joint.bodies), _largest(force), _largest(torque), joint.misalignment_max))
     columns = columns_of("joint; between; largest force [N]; largest torque [N m]; largest misalignment [m]")
-    return View("Joints", tables=(Table("joints", "Largest values", columns, tuple(rows)),))
+    return View("Joints", tables=(Table("joints", "Largest values in the recorded rows", columns, tuple(rows)),))
 
 
 def _largest(values: Array, rows: int | None = None) -> float:

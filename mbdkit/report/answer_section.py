@@ -29,6 +29,12 @@ more beams, the first ones.
 """
 
 
+OF_ROWS = (
+    "Values are those of the recorded rows, and have no error estimates; checked runs estimate errors of measures."
+)
+"""Note of tables of values without errors."""
+
+
 @dataclass(frozen=True)
 class Peaks:
     """Largest magnitudes of J curves, each at its own time.
@@ -118,7 +124,8 @@ class _Quantity:
         with that value, as text.
         """
         value, time = float(self.peaks.value[joint]), float(self.peaks.time[joint])
-        one = Headline(self.name, value, self.unit, float(self.error[joint]), float(self.missed[joint]))
+        error, missed, is_checked = float(self.error[joint]), float(self.missed[joint]), self.known is not None
+        one = Headline(self.name, value, self.unit, error, missed, is_checked=is_checked)
         if one.misses:
             return one.text("±")
         if self.known is None or time > self.known_until:
@@ -204,7 +211,7 @@ def _table(run: Run, name: str, title: str, columns: Sequence[int], found: Seque
     note = f"The {ROWS} of {len(columns)} joints with the largest forces or torques." if left else ""
     if run.accuracy is not None and used:
         source = "by comparison runs" if run.kind == "forward" else "from the noise of the data and the cutoff"
-        note = f"{note} Errors are estimated {source}.".strip()
+        note = f"{note} Errors are estimated {source}{'; powers have none' if power is not None else ''}.".strip()
     return Table(name, title, tuple(headings), tuple(rows), note)
 
 
@@ -232,7 +239,8 @@ def _of_forces(run: Run) -> Table:
             cells += [float(value.value[column]), float(value.time[column])] if has_unit else [None, None]
         rows.append((*cells, float(power.value[column]), float(power.time[column])))
     left = len(own) - len(rows)
-    note = f"The {ROWS} of {len(own)} force elements with the largest values." if left else ""
+    note = f"The {ROWS} of {len(own)} force elements with the largest values. " if left else ""
+    note += OF_ROWS
     return Table("forces", "Force elements", tuple(columns), tuple(rows), note)
 
 
@@ -251,7 +259,7 @@ def beam_section(run: Run, mechanism: Mechanism | None) -> Section | None:
     peak = peaks[worst]
     sentence = (
         f"The largest bending moment is {abs(peak.value):.4g} N m, in {worst} at {peak.place:.4g} m from its end a, at "
-        f"{peak.time:.4g} s."
+        f"{peak.time:.4g} s, in the recorded rows."
     )
     drawing = _bent(run, mechanism, peak.row) if np.isfinite(peak.value) else None
     return Section("beams", "Beams", (sentence,), drawing, (_beam_table(run),))
@@ -289,5 +297,6 @@ def _beam_table(run: Run) -> Table:
             peak = beam_peak(run, name, component)
             cells += [peak.value, round(peak.place, 4), peak.time]
         rows.append((*cells, float(np.max(beam.strain_energy))))
-    note = f"The first {ROWS} of {len(run.beams)} beams." if len(run.beams) > ROWS else ""
+    note = f"The first {ROWS} of {len(run.beams)} beams. " if len(run.beams) > ROWS else ""
+    note += OF_ROWS
     return Table("beams", "Internal forces of the beams", tuple(columns), tuple(rows), note)

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cached_property
 from itertools import pairwise
 
 import numpy as np
@@ -135,8 +136,9 @@ class MotionPart:
         """Return the quantities at times [s], in order."""
         return self._series_of(time, *self.ends.at(time), self.ends.held_at(time))
 
+    @cached_property
     def at_ends(self) -> Series:
-        """Return the quantities at the ends of the steps."""
+        """The quantities at the ends of the steps. All extrema are first compared there."""
         some = slice(self.steps.start, self.steps.stop + 1)
         time = self.ends.time[some]
         return self._series_of(time, self.ends.q[some], self.ends.v[some], self.ends.held_at(time))
@@ -330,7 +332,7 @@ def steps_of_extremum(
         The largest value found so far (for a minimum, of ``-x``).
     """
     sign = -1.0 if functional.reduction == "min" else 1.0
-    values = sign * functional.values(part.at_ends(), known, duration)
+    values = sign * functional.values(part.at_ends, known, duration)
     count = len(part.steps)
     values = np.broadcast_to(values, count + 1)
     best = max(best, float(np.max(values)))

@@ -26,11 +26,19 @@ from mbdkit.quantities.names import archive_names
 from mbdkit.quantities.quantity import Quantity
 from mbdkit.quantities.states import States
 from mbdkit.runs.continuous_functionals import ContinuousFunctionals, no_events
+from mbdkit.runs.law_ranges import steps_are_rows
 from mbdkit.stepping.interface import Nodes, Timetable
 
 if TYPE_CHECKING:
     from mbdkit.engine.workspace import Workspace
     from mbdkit.spec import RunSpec
+
+MOST_JOINTS = 100
+"""Largest number of joints whose largest forces are determined between rows if every step is recorded.
+
+Each force is searched for separately, which takes a time proportional to the number of joints: for a chain of 150 rods
+with 150 steps, these searches take longer than the rest of the check.
+"""
 
 MOST_CONTACTS = 4
 """Largest number of contacts whose normal forces have errors."""
@@ -52,7 +60,8 @@ def largest_loads_of(spec: RunSpec, contacts: Sequence[str]) -> tuple[str, ...]:
     """Return expressions of the largest loads of a checked run, to determine what its rows miss between them.
 
     These are the largest force and torque of each joint that is recorded, except those that are always zero, and the
-    largest normal force and overlap of each contact; see `mbdkit.archive.peak_errors`.
+    largest normal force and overlap of each contact; see `mbdkit.archive.peak_errors`. If there are more than
+    `MOST_JOINTS` joints and every step is recorded, peaks between rows are estimated by interpolation of the rows.
 
     Parameters
     ----------
@@ -62,6 +71,8 @@ def largest_loads_of(spec: RunSpec, contacts: Sequence[str]) -> tuple[str, ...]:
     if not spec.estimates_errors:
         return ()
     joints = spec.mechanism().joints if "joints" in spec.recorded else {}
+    if steps_are_rows(spec) and len(joints) > MOST_JOINTS:
+        joints = {}
     loads = {
         "joints.force": [name for name, joint in joints.items() if joint.rows != ("angle",)],
         "joints.torque": [

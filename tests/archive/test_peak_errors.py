@@ -9,7 +9,7 @@ import pytest
 from scipy.optimize import brentq
 
 import mbdkit
-from mbdkit.archive.headlines import headlines, largest_loads
+from mbdkit.archive.headlines import Headline, headlines, largest_loads
 from mbdkit.archive.peak_errors import BETWEEN, excess_between_rows, jumps, peak_errors
 from mbdkit.archive.run_summary import accuracy_sentence, summary, summary_lines
 
@@ -128,6 +128,11 @@ def test_peaks_between_coarse_steps_are_covered_and_count_in_the_verdict() -> No
     assert run.plot.torques().get_figure() is not None
 
 
+def test_an_unknown_error_is_stated_in_checked_runs_only() -> None:
+    assert Headline("largest force", 1.23456, "N").text() == "1.23456 N"
+    assert Headline("largest force", 1.23456, "N", is_checked=True).text() == "1.235 N (error unknown)"
+
+
 def test_rows_that_miss_little_have_small_errors() -> None:
     """With 25 rows in a turn, rows are at most a 50th of a turn from the largest torque."""
     run = _turning(every=8)
@@ -146,7 +151,7 @@ def test_errors_are_unknown_if_rows_skip_steps_of_an_archive_without_largest_val
     assert errors is not None
     assert np.all(np.isnan(errors))
     assert accuracy_sentence(run).startswith("positions known to")
-    assert " N in the recorded rows\n" in summary(run)
+    assert " N (error unknown) in the recorded rows\n" in summary(run)
 
 
 def test_an_impact_between_rows_has_its_force_and_overlap() -> None:
