@@ -125,7 +125,7 @@ def sample_tables(study: Study) -> tuple[Table, ...]:
             note += f" {sobol.reason}" if sobol.reason else ""
             for index, key in enumerate(sobol.variables):
                 columns = (ends.first, ends.first_low, ends.first_high, ends.total, ends.total_low, ends.total_high)
-                shares = [float(f"{column[index]:.3f}") for column in columns]
+                shares = [float(f"{column[index]:.3g}") for column in columns]
                 indices.append((*runs, measure.quantity.axis.label, key_words(key), *shares))
     first = (Column("runs"),) if several else ()
     tables = []
