@@ -287,10 +287,8 @@ class BeamHistory(View, of="beams"):
         """Return `axial`, `shear` or `moment` at end a, in the middle of the elements, and at end b, (T, elements + 2)
         [N or N m]; see `mbdkit.mechanism.beam_shape.with_ends`.
         """
-        elements = self.moment.shape[1]
         forces = np.stack([self.axial, self.shear, self.moment], axis=-1)
-        nodes = 2 if len(self.nodes) == elements + 1 else 3
-        values = with_ends(forces, self._length / elements, nodes)
+        values = with_ends(forces, self.position[..., 2], self._length / self.moment.shape[1])
         return np.asarray(values[..., ("axial", "shear", "moment").index(component)])
 
     @property

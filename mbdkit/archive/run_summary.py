@@ -516,11 +516,12 @@ def _contacts(run: Run) -> str:
     overlaps, parts = -np.stack([contact.gap for contact in run.contacts.values()], axis=1), []
     missed = missed_between_rows(run, "-contacts.gap", list(run.contacts), overlaps)
     beyond = np.zeros(len(run.contacts)) if missed is None else missed
-    for (name, contact), own, more in zip(run.contacts.items(), overlaps.T, np.nan_to_num(beyond), strict=True):
-        row = int(np.argmax(own))
-        depth = float(own[row] + more)
+    for (name, contact), own, unseen in zip(run.contacts.items(), overlaps.T, beyond, strict=True):
+        row, known = int(np.argmax(own)), float(np.nan_to_num(unseen))
+        depth = float(own[row] + known)
         if depth > EXACT:
-            when = f"at {run.time[row]:.4g} s" if more <= MISSED * depth else "between the recorded rows"
+            when = f"at {run.time[row]:.4g} s" if known <= MISSED * depth else "between the recorded rows"
+            when += " in the recorded rows" if np.isnan(unseen) else ""
             creep = np.max(np.abs(contact.slip[contact.mode == STICK]), initial=0.0)
             crept = f", creeps at up to {creep:.2g} m/s" if creep > EXACT else ""
             parts.append((depth, f"{name} overlaps by up to {depth:.3g} m {when}{crept}"))

@@ -304,8 +304,10 @@ def _internal_forces(prepared: PreparedMechanism, found: Rest) -> tuple[dict[str
     coarse = CoarseBeams(mechanism, compiled)
     coarse.add(q, out.beams)
     forces = {}
+    places = {body: i for i, body in enumerate(compiled.bodies)}
     for name, beam in mechanism.beams.items():
-        within = with_ends(out.beams[0, compiled.beam_elements(name), :3], beam.element_length, beam.nodes)
+        angles = q[0, [3 * places[node] + 2 for node in beam.node_names(name)]]
+        within = with_ends(out.beams[0, compiled.beam_elements(name), :3], angles, beam.element_length)
         forces[name] = np.column_stack([places_with_ends(beam.length, beam.elements), within])
     return forces, coarse.warnings()
 

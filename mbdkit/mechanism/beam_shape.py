@@ -115,43 +115,68 @@ def curved(points: Sequence[Sequence[float]], count: int) -> tuple[list[Place], 
     return [Place(*place) for place in np.column_stack([curve(at), angles]).tolist()], float(whole[-1])
 
 
-def with_ends(forces: np.ndarray, length: float, nodes: int) -> np.ndarray:
+def with_ends(forces: np.ndarray, angles: np.ndarray, length: float) -> np.ndarray:
     """Return internal forces in the middle of the elements of a beam, and at both of its ends.
 
-    Axial and shear forces at an end are extrapolated by the parabola through the values of the three nearest elements,
-    linearly from two elements, or as a constant from a single element. The moment at an end follows by equilibrium from
-    the moment in the middle of the outermost element: m' = -r' x n, where m is the moment, n the force, and r' the
-    derivative of the position with respect to the arc length. With any number of elements, the moment at the clamp of a
-    cantilever under its own weight then agrees with beam theory.
+    The force at an end is extrapolated in the global frame, in which it varies little where a beam is bent: by the
+    parabola through the values of the three nearest elements, linearly from two elements, or as a constant from a
+    single element. The moment at an end follows by equilibrium from the moment in the middle of the outermost element:
+    m' = -r' x n, where m is the moment, n the force, and r' the derivative of the position with respect to the arc
+    length. With any number of elements, the moment at the clamp of a cantilever under its own weight then agrees with
+    beam theory.
 
     Parameters
     ----------
     forces
-        (..., E, 3) axial force, shear force [N] and moment [N m], in the order of the elements.
+        (..., E, 3) axial force, shear force [N] and moment [N m], in the order of the elements. Those of an element
+        with three nodes are the means of the values at its two Gauss points, each in the directions of its section.
+    angles
+        (..., E + 1) or (..., 2 E + 1) angles of the nodes [rad].
     length
         Length of an element [m].
-    nodes
-        Number of nodes of an element, 2 or 3.
 
     Returns
     -------
     np.ndarray
         (..., E + 2, 3) values at end a, in the middle of the elements, and at end b.
     """
+    elements = forces.shape[-2]
+    has_middle = angles.shape[-1] > elements + 1
+    step = 2 if has_middle else 1
+    first, last = angles[..., :-1:step], angles[..., step::step]
+    mean, center, spread = (first + last) / 2, (first + last) / 2, np.zeros_like(first)
+    if has_middle:
+        center = angles[..., 1::2]
+        mean, spread = (first + last) / 6 + 2 / 3 * center, (last - first) / math.sqrt(12)
+    force = _turned(forces[..., :2], mean) / np.cos(spread)[..., None]
     ends = []
-    for sign, first, second in ((1.0, 0, min(1, forces.shape[-2] - 1)), (-1.0, -1, max(-2, -forces.shape[-2]))):
-        middle, change = forces[..., first, :], forces[..., first, :] - forces[..., second, :]
-        end = middle + 0.5 * change
-        if forces.shape[-2] > 2:
-            third = forces[..., second + (second - first), :]
-            end += 0.375 * (change - (forces[..., second, :] - third))
-        # The moment of an element with three nodes is the mean of its values at two Gauss points. Under a distributed
-        # load w, this mean differs from the moment in the middle by w h^2 / 24, where h is the length of the element.
-        # The mean shear force between the middle and the end is the shear force at a quarter of the length.
-        shear = middle[..., 1] + ((1 / 4 - 1 / 12) * change[..., 1] if nodes == 3 else 0.0)
-        end[..., 2] = middle[..., 2] + sign * 0.5 * length * shear
-        ends.append(end[..., None, :])
+    for sign, places, own, other in ((1.0, (0, 1, 2), first, last), (-1.0, (-1, -2, -3), last, first)):
+        one, two, three = (places[min(k, elements - 1)] for k in range(3))
+        change = force[..., one, :] - force[..., two, :]
+        at_end = force[..., one, :] + 0.5 * change
+        if elements > 2:
+            at_end += 0.375 * (change - (force[..., two, :] - force[..., three, :]))
+        here, there, middle = own[..., one], other[..., one], center[..., one]
+        # An element with two nodes is straight, and its force is constant, because its loads act on the nodes. With
+        # three nodes, the mean shear force between the middle and the end is nearly that at a quarter of the length.
+        shear = _turned(force[..., one, :], -middle)[..., 1]
+        if has_middle:
+            quarter = 0.375 * here + 0.75 * middle - 0.125 * there
+            shear = _turned(force[..., one, :] + 0.25 * change, -quarter)[..., 1]
+            # The mean of the moment at the Gauss points differs from the moment in the middle by its second derivative
+            # times h^2 / 24, where h is the length of the element.
+            along = _turned(force[..., one, :], -middle)[..., 0]
+            shear -= (_turned(change, -middle)[..., 1] - (here - there) * along) / 12
+        moment = forces[..., one, 2] + sign * 0.5 * length * shear
+        ends.append(np.concatenate([_turned(at_end, -here), moment[..., None]], axis=-1)[..., None, :])
     return np.concatenate([ends[0], forces, ends[1]], axis=-2)
+
+
+def _turned(vectors: np.ndarray, angle: np.ndarray) -> np.ndarray:
+    """Return vectors (..., 2) turned by angles (...) [rad]."""
+    cosine, sine = np.cos(angle), np.sin(angle)
+    x, y = vectors[..., 0], vectors[..., 1]
+    return np.stack([cosine * x - sine * y, sine * x + cosine * y], axis=-1)
 
 
 def places_with_ends(length: float, elements: int) -> np.ndarray:
