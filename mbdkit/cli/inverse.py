@@ -119,6 +119,7 @@ def validate_inverse(source: str | Document, name: str, assignments: list[str]) 
     from mbdkit.measures.take import check_measures
     from mbdkit.mechanism.mechanism import gravity_text
     from mbdkit.spec import load_inverse_spec
+    from mbdkit.spec.named_actuators import free_roots
 
     spec = load_inverse_spec(source, assignments)
     problem = InverseProblem.of(spec)
@@ -135,6 +136,8 @@ def validate_inverse(source: str | Document, name: str, assignments: list[str]) 
     if problem.loads:
         show(f"loads        {', '.join(problem.loads)}")
     show(f"actuators    {', '.join(actuator.name for actuator in problem.recorded_actuators) or 'none'}")
+    if roots := free_roots(spec.mechanism()):
+        show(f"residuals    on {', '.join(roots)}")
     if problem.recruiter is not None:
         show(f"muscles      {', '.join(problem.recruiter.muscles)}")
     show("not checked  rows after the first, smoothed motion, loads and results, which `mbdkit inverse` checks")

@@ -31,7 +31,7 @@ from mbdkit.mechanism.quantity_names import QuantityNames
 from mbdkit.quantities.states import Muscles, States
 from mbdkit.runs.law_ranges import LawRanges
 from mbdkit.spec import InverseSpec
-from mbdkit.spec.named_actuators import NamedActuator, actuators_of
+from mbdkit.spec.named_actuators import NamedActuator, actuators_of, light_roots
 from mbdkit.stepping.interface import Nodes
 
 _COLUMNS = "motion.columns"
@@ -81,6 +81,8 @@ class InverseProblem:
         told = [f"{warning}." for warning in self.names.mechanism.warnings]
         if self.names.mechanism.muscles and self.recruiter is None:
             told.append("the model has muscles, which exert no force because the spec has no `recruitment`.")
+        if any(actuator.is_residual for actuator in self.actuators):
+            told += [f"{warning}." for warning in light_roots(self.names.mechanism)]
         return tuple(told)
 
     @classmethod

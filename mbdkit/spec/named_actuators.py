@@ -33,6 +33,10 @@ RESERVE = "reserve."
 ROOT = "root"
 """Prefix of the names of residual actuators if there is only one free root; the name of the coordinate follows."""
 
+LIGHT_ROOT = 0.2
+"""Residual actuators on a body with less than this share of the mass of the heaviest body of its part cause a
+warning."""
+
 
 @dataclass(frozen=True)
 class NamedActuator:
@@ -219,14 +223,38 @@ def _coordinates_of_body(body: int, names: QuantityNames) -> dict[str, Quantity]
 
 def free_roots(mechanism: Mechanism) -> list[str]:
     """Return the first body of each part of the mechanism that joints do not connect to the ground."""
+    return [part[0] for part in _free_parts(mechanism)]
+
+
+def light_roots(mechanism: Mechanism) -> list[str]:
+    """Return warnings about residual actuators on a body that is much lighter than others of its part.
+
+    The order of bodies in a file, which decides on the root, may have changed: residual actuators on a foot leave the
+    joints of the leg without load.
+    """
+    warnings = []
+    for part in _free_parts(mechanism):
+        masses = {name: mechanism.bodies[name].mass for name in part}
+        root, heaviest = part[0], max(masses, key=masses.__getitem__)
+        if masses[root] < LIGHT_ROOT * masses[heaviest]:
+            warnings.append(
+                f"the residual actuators act on '{root}' ({masses[root]:g} kg), the first body of a part that no joint "
+                f"connects to the ground, which is much lighter than '{heaviest}' ({masses[heaviest]:g} kg); list the "
+                "body first on which they should act"
+            )
+    return warnings
+
+
+def _free_parts(mechanism: Mechanism) -> list[list[str]]:
+    """Return the names of the bodies of each part that joints do not connect to the ground, in order."""
     part = {name: {name} for name in (mechanism.ground, *mechanism.bodies)}
     for joint in mechanism.joints.values():
         first, second = (part[name] for name in joint.bodies)
         first |= second
         for name in second:
             part[name] = first
-    roots: list[str] = []
+    parts: list[list[str]] = []
     for name in mechanism.bodies:
-        if mechanism.ground not in part[name] and not any(root in part[name] for root in roots):
-            roots.append(name)
-    return roots
+        if mechanism.ground not in part[name] and not any(name in found for found in parts):
+            parts.append([other for other in mechanism.bodies if other in part[name]])
+    return parts

@@ -9,6 +9,7 @@ import pytest
 
 import mbdkit
 from mbdkit import SpecError
+from mbdkit.spec.named_actuators import light_roots
 
 T = np.linspace(0.0, 1.0, 201)
 
@@ -35,6 +36,18 @@ def test_each_observed_joint_has_an_actuator() -> None:
     force = lower.acceleration + np.array([0.0, 9.81])
     exact = 0.1 * lower.angular_acceleration + arm[:, 0] * force[:, 1] - arm[:, 1] * force[:, 0]
     assert np.max(np.abs(run.actuators["knee"].value - exact)) < 1e-12 * np.max(np.abs(exact))
+
+
+@pytest.mark.parametrize(("mass", "warns"), [(3.0, False), (0.1, True)])
+def test_residual_actuators_on_the_lightest_body_of_a_part_cause_a_warning(mass: float, warns: bool) -> None:
+    # they may act there because a program has sorted the bodies of a spec by their names
+    m = mbdkit.Mechanism()
+    m.body("trunk", mass=mass, inertia=0.5)
+    m.body("arm", mass=1.0, inertia=0.1, position=(1.0, 0.0))
+    m.revolute("shoulder", "trunk", "arm", at=(0.5, 0.0))
+    found = light_roots(m)
+    assert len(found) == warns
+    assert all("act on 'trunk' (0.1 kg)" in text and "lighter than 'arm' (1 kg)" in text for text in found)
 
 
 def test_a_free_root_has_residual_actuators_and_moves_itself() -> None:
