@@ -28,7 +28,7 @@ def summary(study: Study) -> str:
     beside = f"; reference runs: {len(study.references)}" if study.references else ""
     levels = Counter(study.verdicts())
     verdicts = ", ".join(f"{levels[level]} {level}" for level in LEVELS if levels[level])
-    verdicts += " (failed runs are rated bad)" if counts["failed"] else ""
+    verdicts += " (failed runs are rated bad)" if counts["failed"] and levels["bad"] else ""
     lines = [
         ("study", " ".join(study.spec.title.split())),
         ("runs", f"{len(study.points)}: {runs}{beside}; numbered from 1, as in study.run(number=1)"),
