@@ -133,6 +133,10 @@ def test_motion_and_forces_follow_a_slider_in_two_browsers(knee: Exploration) ->
         page.click("#reset")
         until(page, "!document.body.classList.contains('stale')")
         assert not page.is_disabled("#save")
+        page.evaluate("document.body.style.paddingRight = '60px'")  # as a scrollbar that appears
+        for name in ("stage", "ghost"):
+            canvas = f"document.getElementById('{name}')"
+            until(page, f"{canvas}.width === Math.round({canvas}.clientWidth * devicePixelRatio)")
         for page, _ in pages:
             found = Axe().run(page)
             assert found.violations_count == 0, found.generate_report()

@@ -175,6 +175,11 @@ element("save").addEventListener("click", () => {
   URL.revokeObjectURL(link.href);
 });
 window.addEventListener("resize", fit);
+let fitted = curves.clientWidth;
+new ResizeObserver(() => {                             // a scrollbar that appears changes the width without a "resize"
+  if (curves.clientWidth !== fitted) fit();
+  fitted = curves.clientWidth;
+}).observe(curves);
 window.matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => { stage.tint(); ghost.tint(); fit(); });
 reset();
 show(reference);
