@@ -103,9 +103,9 @@ def modes(
         mechanism = prepared.spec.mechanism()
         save(modes_figure(found, mechanism, f"Modes: {prepared.spec.title or mechanism.name}"), output)
     if as_json:
-        show_json(mechanics_summary.modes_data(found) | {"warnings": _warnings(prepared)})
+        show_json(mechanics_summary.modes_data(found) | {"warnings": [*_warnings(prepared), *found.warnings]})
     else:
-        _show(mechanics_summary.modes_text(found), prepared)
+        _show(mechanics_summary.modes_text(found), prepared, found.warnings)
 
 
 def kinematics(

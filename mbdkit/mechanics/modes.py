@@ -9,11 +9,13 @@ import numpy as np
 from scipy.linalg import eig, eigh, null_space
 
 from mbdkit.base.html_view import HtmlView
+from mbdkit.base.logs import warn_on_stderr
 from mbdkit.mechanics.equilibrium import rest
 from mbdkit.mechanics.reduced import DENSE, Reduced, State, at_rest, coupled_states, in_statics, lowest, reduce
 from mbdkit.mechanics.source import PreparedMechanism
 from mbdkit.mechanics.states_at_rest import CoupledStates
 from mbdkit.mechanism.mechanism import Mechanism
+from mbdkit.runs.coarse_beams import coarse_modes
 from mbdkit.spec.loading import RunSource, Sections
 
 Where = Literal["equilibrium", "start"]
@@ -109,6 +111,12 @@ class Modes(HtmlView):
     shapes: np.ndarray
     freedoms: int
     mechanism: Mechanism | None = field(default=None, repr=False, compare=False)
+
+    @property
+    def warnings(self) -> list[str]:
+        """Warnings about beams whose elements are too coarse for some modes."""
+        beams = {} if self.mechanism is None else self.mechanism.beams
+        return coarse_modes(beams, self.bodies, self.natural_frequency, self.shapes)
 
     @property
     def natural_frequency(self) -> np.ndarray:
@@ -238,7 +246,9 @@ def modes(
     >>> [round(float(frequency), 9) for frequency in mbdkit.modes(m).natural_frequency]  # rad/s
     [5.0]
     """
-    return modes_of(PreparedMechanism.of(source, **sections), at, count)
+    found = modes_of(PreparedMechanism.of(source, **sections), at, count)
+    warn_on_stderr(found.warnings)
+    return found
 
 
 def modes_of(prepared: PreparedMechanism, at: Where = "equilibrium", count: int | None = None) -> Modes:

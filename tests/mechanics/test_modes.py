@@ -265,3 +265,20 @@ def test_eigenvalues_of_all_sizes_are_accurate_whatever_the_damping_couples() ->
         terms = value**2 * shape, np.array(damping, dtype=float) @ (value * shape), np.array(squares) * shape
         assert np.linalg.norm(sum(terms)) < 1e-8 * sum(np.linalg.norm(one) for one in terms)
     assert np.sum(found.imag > 0) + len(found) == 6
+
+
+@pytest.mark.parametrize(("elements", "nodes", "warns"), [(4, 2, True), (16, 2, False), (4, 3, False)])
+def test_modes_say_which_elements_of_a_beam_are_too_coarse(elements: int, nodes: int, warns: bool) -> None:
+    """The frequency of a clamped beam by Euler and Bernoulli is (1.87510 / L)^2 sqrt(EI / m)."""
+    m = mbdkit.Mechanism()
+    stiffness = {"axial": 1e6, "shear": "none", "bending": 4.0}
+    m.beam("blade", a=(0, 0), b=(2, 0), elements=elements, nodes=nodes, mass_per_length=0.5, stiffness=stiffness)
+    m.weld("clamp", m.ground, "blade.0", at=(0, 0))
+    found = mbdkit.modes(m, at="start", count=1)
+    error = abs(found.natural_frequency[0] / ((1.8751040687 / 2) ** 2 * math.sqrt(4.0 / 0.5)) - 1)
+    assert (error > 0.01) == warns == bool(found.warnings)
+    if warns:
+        (told,) = found.warnings
+        estimate = float(told.partition("up to about ")[2].partition(" %")[0]) / 100
+        assert error < estimate < 2 * error
+        assert "too coarse for mode 1: " in told
