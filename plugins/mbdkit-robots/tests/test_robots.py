@@ -64,6 +64,13 @@ def test_a_chain_of_urdf_moves_as_in_mujoco() -> None:
     assert run.warnings == ["limits of joints left out: elbow"]
 
 
+def test_initial_angles_that_look_like_degrees_cause_a_warning() -> None:
+    model = {"name": "urdf", "file": str(FILES / "arm.urdf"), "initial": {"shoulder": 45.0, "elbow": -0.5}}
+    run = mbdkit.run({"mbdkit": 1, "model": model}, integrator=GAUSS, time={"end": 0.01, "step": 0.005})
+    (told,) = [warning for warning in run.warnings if "degrees(45)" in warning]
+    assert told.startswith("the initial angle of joint 'shoulder', 45 rad, is more than a full rotation")
+
+
 @pytest.mark.parametrize(
     ("file", "before", "after", "message"),
     [

@@ -126,10 +126,18 @@ class PlanarMechanism:
             data["joints"][closure.name] = {"type": kind, "bodies": [first, second], "points": points}
         found = Mechanism.from_spec(data)
         found.name = self.model.name
-        found.warnings = tuple(
+        left_out = (
             f"{kind} left out: {listed(names[:MOST_NAMED])}{', ...' if len(names) > MOST_NAMED else ''}"
             for kind, names in self.model.left_out.items()
         )
+        turns = {link.name for link in self.model.links if link.kind == "turn"}
+        turned = (
+            f"the initial angle of joint '{name}', {value:g} rad, is more than a full rotation; for degrees, "
+            f"write degrees({value:g})"
+            for name, value in initial.items()
+            if name in turns and abs(value) > 2 * math.pi
+        )
+        found.warnings = (*left_out, *turned)
         return found
 
     def _owners(self) -> dict[str, str]:
