@@ -10,6 +10,7 @@ from typing import Any
 from mbdkit.base.errors import SpecError
 from mbdkit.base.plain_data import Path, path_text, value_text
 from mbdkit.base.text import did_you_mean, listed
+from mbdkit.mechanism.parameters import names_in
 from mbdkit.spec.model_spec import ModelSpec
 from mbdkit.spec.reading import parse_key
 
@@ -60,7 +61,9 @@ def _resolved(spec: ModelSpec, data: dict[str, Any], name: str) -> Parameter:
     if name in spec.parameters:
         value = spec.parameters[name]
         if isinstance(value, str):
-            raise _refused(f"'{name}' is the expression '{value}'; use the parameters that it contains")
+            contained = names_in(value) & spec.parameters.keys()
+            way = "use the parameters that it contains" if contained else "write its value as a number"
+            raise _refused(f"'{name}' is the expression '{value}'; {way}")
         return Parameter(name, ("parameters", name), float(value))
     path = parse_key(name)
     if path[:1] == ("parameters",) and len(path) == 2:
