@@ -15,6 +15,7 @@ from mbdkit.base.plain_data import path_text
 from mbdkit.base.text import counted, told_apart
 from mbdkit.gradients.differentiated_expressions import definitions_of
 from mbdkit.gradients.gradient import Gradient, gradient_of_run_spec
+from mbdkit.gradients.gradient_check import GradientCheck
 from mbdkit.gradients.gradient_parameters import resolved
 from mbdkit.inverse_dynamics.inverse_gradient import gradient_of_inverse
 from mbdkit.spec import RunSpec
@@ -64,12 +65,24 @@ def unconfirmed(evaluator: Evaluator, x: np.ndarray) -> tuple[str, ...]:
     except MbdkitError:
         return ()
     return tuple(
-        f"The derivative of {check.names[m]} at the best point is not confirmed by differences, "
-        f"{' and '.join(told_apart(check.derivative[m], check.extrapolated[m], 4))} in a random direction: "
-        f"{check.names[m]} may not be smooth there."
-        for check in checks
-        if check is not None
-        for m in np.flatnonzero(~check.agrees)
+        _disagreement(check, m) for check in checks if check is not None for m in np.flatnonzero(~check.agrees).tolist()
+    )
+
+
+def _disagreement(check: GradientCheck, m: int) -> str:
+    """Return what contradicts the derivative of a goal or limit: differences of runs, or a run of another method."""
+    name, exact, by_differences, other = (
+        check.names[m], check.derivative[m], check.extrapolated[m], check.reference[m]
+    )  # fmt: skip
+    if abs(exact - other) > abs(exact - by_differences):
+        return (
+            f"The derivative of {name} at the best point differs from that of runs of another method, "
+            f"{' and '.join(told_apart(exact, other, 4))} in a random direction: the steps may be too long, or {name} "
+            "may not be smooth there."
+        )
+    return (
+        f"The derivative of {name} at the best point is not confirmed by differences, "
+        f"{' and '.join(told_apart(exact, by_differences, 4))} in a random direction: {name} may not be smooth there."
     )
 
 
