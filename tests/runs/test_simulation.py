@@ -207,6 +207,7 @@ limits: {max_steps: 2000000000}
 """
 
 
+@pytest.mark.end_to_end
 @pytest.mark.skipif(sys.platform == "win32", reason="Ctrl-C is another thing there")
 def test_an_interrupt_in_python_returns_a_run_and_keeps_a_sound_archive(tmp_path: Path) -> None:
     (tmp_path / "long.yaml").write_text(LONG)
