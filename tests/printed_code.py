@@ -30,7 +30,7 @@ class Block(NamedTuple):
     @property
     def saved_as(self) -> str:
         """Name of the file that the reader is told to save it as; empty if there is none."""
-        told = re.search(r"[Ss]ave (?:this|it) as `([\w.-]+)`[^`]*\Z", self.above)
+        told = re.search(r"[Ss]ave (?:this|it|this spec) as `([\w.-]+)`[^`]*\Z", self.above)
         return told[1] if told else ""
 
     @property
