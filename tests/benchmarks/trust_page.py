@@ -53,50 +53,50 @@ good; an example is a chaotic double pendulum after a few seconds.
 {criteria}
 
 Energy errors below {rounding:g} times the rounding error of the largest energy count as zero. A run that fails before
-its end is `bad`, and a run that was interrupted is at least `doubtful`: its summary says up to which time its values
-hold. Warnings that question the result make a run `doubtful`. They name, for example, angles that look like degrees, a
-coefficient of friction above 5, and an inertia so large that the heaviest body would have it only at a distance of more
-than 10 sizes of the mechanism.
+its end is `bad`, and a run that was interrupted is at least `doubtful`: its summary says up to which time its results
+are valid. Warnings that question the result make a run `doubtful`. They name, for example, angles that look like
+degrees, a coefficient of friction above 5, and an inertia above m d^2, where m is the mass of the heaviest body and d
+is ten times the size of the mechanism. A run whose [gradients](gradients.md) fail their check is doubtful as well.
 
 The *branch* of a run is the family of positions that the mechanism can reach continuously from its start. In a singular
 position, several branches meet, and a run can continue on the wrong one. A run is `bad` if its direction of motion
 changes sharply in a singular position, because it has then probably left its branch. The change counts as sharp if its
-angle is at least {angle:g} rad, and at least {ratio:g} times the length of the path there divided by the longest link.
-If joints that are redundant and consistent at the start become inconsistent, the run has certainly left its branch. It
-then stops with the reason `branch-left`.
+angle [rad] is at least {angle:g}, and at least {ratio:g} r, where r is the length of the path on which the direction
+changes, divided by the length of the longest link. If joints that are redundant and consistent at the start become
+inconsistent, the run has certainly left its branch. It then stops with the reason `branch-left`.
 
 ## What you can ask for
 
 - **`mbdkit run SPEC --check`** (`check: true`) estimates the errors by *comparison runs*: runs by the same method with
   half and a quarter of the step, or with tighter tolerances, and a run by another method. The differences between these
-  runs give an estimated error for every recorded position, velocity, reaction force and reaction torque. The estimates
-  are nan from the time at which these differences no longer decrease with the step; `run.accuracy.known_until` is the
-  last recorded time before that, and the summary and the verdict say why. The summary prints, for example, `largest
+  runs give an estimated error for every recorded position, velocity, reaction force and reaction torque. From the time
+  at which these differences no longer decrease with the step, the estimates are nan; `run.accuracy.known_until` is the
+  last recorded time before, and the summary and the verdict give the reason. The summary prints, for example, `largest
   force in J1 24.5250 N, known to 1.1e-06 N`. Plots draw the errors as bands, and the group `accuracy` of the archive
-  contains them. A peak of a force may lie
-  between two recorded rows. A check therefore determines the largest forces and torques during the run, between rows
-  as well; what the rows miss is part of the error, and counts in the verdict, unless a measure such as
-  `max(abs(joints.J1.force))` states the largest force of the joint. To reduce this error, use smaller steps or, if rows
-  skip steps (`output.every`, `output.interval`), record more rows. The largest normal forces of compliant contacts have
-  errors like those of [measures](measures.md#errors), which count in the verdict with the limits for joint forces. A
-  check takes about ten times as long as the run, with such contacts twenty times, and at least a second. In 504 runs of
-  21 mechanisms with known motions (6 methods, 4 steps or tolerances each), errors are known for 95 % of the time, and
-  all true errors are 0.39 to 1.08 times their estimates (`python -m tests.benchmarks.error_bars`).
+  contains them. A force may have its peak between two recorded times. A check therefore determines the largest forces
+  and torques between recorded times as well. The difference from the largest recorded value is part of the error and
+  counts in the verdict, unless a measure such as `max(abs(joints.J1.force))` gives the largest force of the joint. To
+  reduce this error, use smaller steps or, if not every step is recorded (`output.every`, `output.interval`), record
+  more of them. The errors of the largest normal forces of compliant contacts are estimated like those of
+  [measures](measures.md#errors), and count in the verdict with the limits for joint forces. A check takes at least a
+  second, and about ten times as long as the run (twenty times with compliant contacts). In 504 runs of 21 mechanisms
+  with known motions (6 methods, with 4 steps or tolerances each), errors are known for 95 % of the time, and all true
+  errors are 0.39 to 1.08 times their estimates (`python -m tests.benchmarks.error_bars`).
 - **`mbdkit run SPEC --accuracy 1e-6`** (`accuracy: 1e-6`) requests that all positions over the whole run are accurate
   to this fraction of the mechanism's size. mbdkit chooses the method and the step from short trial runs (*pilots*), and
-  confirms the accuracy by a check. The error of an angle counts as a displacement: it is multiplied by the distance of
-  the farthest joint point of the body. `integrator` and `time.step` may be omitted; if the spec gives an integrator,
-  only its step or tolerance is chosen. The summary says what was chosen and why. The archive stores the choice, so that
-  `rerun` repeats the run bit for bit. If no attempt reaches the accuracy, the best attempt is returned, and its verdict
-  says so. All 30 runs of ten mechanisms with known motions reached the requested accuracy of 1e-3, 1e-6 or 1e-9
-  (`python -m tests.benchmarks.asked_accuracy`; [performance](performance.md) has the cost). The request does not apply
-  to forces, which are less accurate than positions; `run.accuracy` contains estimates of their errors as well. With
-  explicit adaptive methods, the last pilot is kept as the run, and its errors are estimated from the pilots before it.
-  These estimates take no additional time, but they are less accurate than those of comparison runs: usually several
-  times too large, sometimes too small. They were tested with 147 runs of 21 mechanisms with known motions, for
-  accuracies of 1e-2 to 1e-6. In 13 of these runs (9 for positions, 7 for forces), the true error exceeds the estimate
-  at some time: in 11 runs by a factor below 2.5, in two by factors of 8 and 12. Ten of the 13 runs had an accuracy of
-  3e-4 or coarser. If the errors of forces matter, add `--check`, which estimates them by comparison runs.
+  confirms the accuracy by a check. The error of an angle counts as a displacement: it is multiplied by the distance
+  from the centre of mass to the farthest joint point of the body. `integrator` and `time.step` may be omitted; if the
+  spec gives an integrator, only its step or tolerance is chosen. The summary says what was chosen and why. The archive
+  stores the choice, so that `rerun` repeats the run bit for bit. If no attempt reaches the accuracy, the best attempt
+  is returned, and its verdict says so. All 30 runs of ten mechanisms with known motions reached the requested accuracy
+  of 1e-3, 1e-6 or 1e-9 (`python -m tests.benchmarks.asked_accuracy`; [performance](performance.md) has the cost). The
+  request does not apply to forces, which are less accurate than positions; `run.accuracy` contains estimates of their
+  errors as well. With explicit adaptive methods, the last pilot becomes the result, and its errors are estimated from
+  the previous pilots. These estimates take no additional time, but they are less accurate than those of comparison
+  runs: usually several times too large, sometimes too small. They were tested with 147 runs of 21 mechanisms with known
+  motions, for accuracies of 1e-2 to 1e-6. In 13 of these runs (9 for positions, 7 for forces), the true error exceeds
+  the estimate at some time: in 11 runs by a factor below 2.5, in two by factors of 8 and 12. Ten of the 13 runs had an
+  accuracy of 3e-4 or coarser. If the errors of forces matter, add `--check`, which estimates them by comparison runs.
 - **`limits`** stop a run. `limits.misalignment` (default 1) limits the misalignment of joints as a share of the
   mechanism's size, or of 1 rad for angles. `limits.energy_jump` (off by default) limits the change of the energy
   balance in one step, as a share of the largest kinetic energy so far. `limits.law_range: stop` stops the run when a
@@ -107,9 +107,9 @@ then stops with the reason `branch-left`.
 
 ## What is not promised
 
-- **Chaos.** If small differences grow exponentially, no method and no step gives the right states after a certain time,
-  because rounding errors alone make the comparison runs diverge. `known_until` is this time. With `--accuracy`, such a
-  run has the verdict `doubtful`.
+- **Chaos.** If small differences grow exponentially, no method and no step size gives the right states after a certain
+  time, because even rounding errors make the comparison runs diverge. `known_until` gives this time. With `--accuracy`,
+  such a run has the verdict `doubtful`.
 - **Short pulses of loads.** Steps end at the points of tables, and wherever an expression of time or one of its
   derivatives is discontinuous. An adaptive method can miss a smooth pulse that is shorter than its step; `max_step`
   prevents this. The comparison runs of a check take at least {looks} steps, and can miss a pulse that is shorter than
@@ -130,7 +130,7 @@ and 3 times the estimate for at least 95 % of all values with a known error, and
 Every row of the table is a run with `check: true`. The true motion of the mechanism is known independently: from a
 closed form, or from equations in minimal coordinates that are integrated with a tolerance of 1e-13. The errors are the
 largest errors up to the time in the column "known until". Errors of positions are shares of the mechanism's size,
-errors of joint forces are shares of the largest force in the joint. Estimates of 0, or at the level of rounding errors,
+errors of joint forces are shares of the largest force in the joint. Estimates of 0 or at the level of rounding errors
 cannot be tested, because the reference motion has rounding errors too. `-` means that the error is unknown.
 
 | mechanism | method | position: true | estimate | force: true | estimate | known until | verdict |
