@@ -32,7 +32,6 @@ from mbdkit.spec.named_actuators import RESERVE
 from mbdkit.trust.criteria import NOTHING_SUSPICIOUS, rounding
 
 if TYPE_CHECKING:
-    from mbdkit.archive.accuracy import Accuracy
     from mbdkit.archive.history import Impacts
     from mbdkit.archive.run import Run
 
@@ -82,7 +81,7 @@ def summary_lines(run: Run) -> list[tuple[str, str]]:
         *verdict_lines(run),
         ("run", " ".join(str(spec.get("title") or "").split())),
         *answer_lines(run),
-        ("accuracy", accuracy_sentence(run)),
+        ("accuracy", accuracy_sentence(run, with_force=bool(run.measures))),
         ("asked", asked_sentence(run)),
         ("status", ": ".join(filter(None, (run.status, run.status_reason.removeprefix("interrupted: "))))),
         ("model", ", ".join((_named(spec, "model"), *_elements(run)))),
@@ -198,7 +197,7 @@ def corrections(run: Run) -> str:
     return ", ".join(parts)
 
 
-def accuracy_sentence(run: Run) -> str:
+def accuracy_sentence(run: Run, *, with_force: bool = True) -> str:
     """Return a sentence on the estimated errors of a run: of the largest reaction force, and of the positions.
 
     In inverse dynamics, it states the largest reaction force with its error bar.
@@ -208,6 +207,8 @@ def accuracy_sentence(run: Run) -> str:
     run
         The run. The sentence is empty if the run has no rows, or if its errors were not estimated; in inverse dynamics,
         it is also empty without joints.
+    with_force
+        Whether to state the largest force of a simulated run whose errors are all known.
     """
     accuracy = run.accuracy
     if run.kind == "inverse":
@@ -216,35 +217,41 @@ def accuracy_sentence(run: Run) -> str:
         return ""
     if not accuracy.rows_known:
         return f"errors unknown: {accuracy.unknown or UNCONFIRMED}"
-    until = "" if accuracy.is_complete else f" until {accuracy.known_until:.4g} s"
-    why = f": {accuracy.unknown}" if accuracy.unknown else ""
-    afterwards = "" if accuracy.is_complete else f"; errors unknown afterwards{why}"
     position = f"positions known to {accuracy.position_error_max:.2g} m and {accuracy.angle_error_max:.2g} rad"
-    if run.joints and run.records("joints/reaction_force"):
-        name, largest, error = _largest_force(run, accuracy)
-        if largest > 0 and not math.isnan(error):
-            value = plus_minus(largest, error).partition(" ")[0]
-            known = f"largest force in {name}{until} {value} N, known to {error:.2g} N"
-            return f"{known}; {position}{until}{afterwards}"
-    return f"{position}{until}{afterwards}"
+    if accuracy.is_complete:
+        return "; ".join(filter(None, (_largest_force(run) if with_force else "", position)))
+    until = f" until {accuracy.known_until:.4g} s"
+    force = _largest_known_force(run, accuracy.rows_known)
+    why = f": {accuracy.unknown}" if accuracy.unknown else ""
+    return "; ".join(filter(None, (force and force + until, position + until, f"errors unknown afterwards{why}")))
 
 
-def _largest_force(run: Run, accuracy: Accuracy) -> tuple[str, float, float]:
-    """Return the joint with the largest force up to `accuracy.known_until`, this force and its error [N].
-
-    If the errors of all rows are known, the force is the largest one between rows as well.
+def _largest_force(run: Run) -> str:
+    """Return the largest force of all joints with its error, as headlines state it or, if it is a measure, as that one;
+    empty if there is none or its error is unknown.
     """
-    size = np.linalg.norm(run.array("joints/reaction_force"), axis=2)[: accuracy.rows_known]
-    errors = peak_errors(run, "reaction_error", size, accuracy.rows_known)
-    missed = missed_between_rows(run, "joints.force", run.joint_names, size) if accuracy.is_complete else None
-    beyond = np.zeros(size.shape[1]) if missed is None else np.nan_to_num(missed)
-    largest = np.max(size, axis=0) + beyond
-    joint = int(np.argmax(largest))
-    name = run.joint_names[joint]
-    measure = measures_of_largest(run.spec.get("measures") or {}, "joints.force").get(name, "")
-    if accuracy.is_complete and run.measures.units.get(measure) == "N":
-        return name, run.measures[measure], run.measure_errors[measure]
-    return name, float(largest[joint]), math.nan if errors is None else float(errors[joint] - beyond[joint])
+    largest = next(iter(largest_forces(run)), None)
+    if largest is None:
+        return ""
+    measure = measures_of_largest(run.spec.get("measures") or {}, "joints.force").get(largest.element, "")
+    if run.measures.units.get(measure) == "N":
+        largest = Headline(largest.label, run.measures[measure], "N", run.measure_errors[measure])
+    return "" if math.isnan(largest.error) else f"{largest.label} {largest.text()}"
+
+
+def _largest_known_force(run: Run, count: int) -> str:
+    """Return the largest force of all joints in the first `count` rows with its error; empty if there is none or its
+    error is unknown.
+    """
+    if not run.joints or not run.records("joints/reaction_force"):
+        return ""
+    size = np.linalg.norm(run.array("joints/reaction_force"), axis=2)[:count]
+    errors = peak_errors(run, "reaction_error", size, count)
+    joint = int(np.argmax(np.max(size, axis=0)))
+    largest = float(np.max(size[:, joint]))
+    if errors is None or math.isnan(errors[joint]) or largest <= 0:
+        return ""
+    return f"largest force in {run.joint_names[joint]} {plus_minus(largest, float(errors[joint]))} N"
 
 
 def _error_bars(run: Run) -> str:

@@ -106,7 +106,7 @@ def test_peaks_that_all_rows_miss_make_a_run_bad(output: dict[str, float]) -> No
 def test_a_largest_force_that_is_a_measure_has_one_value_and_does_not_depend_on_rows() -> None:
     run = _turning({"peak": "max(abs(joints.pin.force))"}, every=200)
     assert run.measures["peak"] == pytest.approx(MASS * (ARM * SPEED**2 + 9.81), rel=1e-9)
-    assert accuracy_sentence(run).startswith("largest force in pin 59.0984 N, known to ")
+    assert accuracy_sentence(run).startswith("largest force in pin 59.0984 +- ")
     assert run.verdict == "good"
 
 
