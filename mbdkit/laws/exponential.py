@@ -31,7 +31,7 @@ class ExponentialOptions(StrictModel):
     free_length: Number = 0.0
     """Length, angle or coordinate at which the force begins [m or rad]."""
     acts: Literal["tension", "compression"]
-    """`tension` pulls when longer than the free length, `compression` pushes when shorter."""
+    """`tension` pulls if the pathway is longer than the free length, `compression` pushes if it is shorter."""
 
 
 def force() -> sympy.Expr:

@@ -38,7 +38,7 @@ class OneSidedOptions(StrictModel):
     engages_at: Number | None = None
     """Length, angle or coordinate at which contact begins [m or rad]; the free length by default."""
     acts: Literal["tension", "compression"]
-    """`tension` pulls when longer than the free length, `compression` pushes when shorter."""
+    """`tension` pulls if the pathway is longer than the free length, `compression` pushes if it is shorter."""
 
     @model_validator(mode="after")
     def _engages_beyond_free_length(self) -> Self:

@@ -38,9 +38,9 @@ class BeamStiffness(StrictModel):
     axial: Positive | None = None
     """Axial stiffness [N], ``E A`` by default."""
     shear: Positive | Literal["none"] | None = None
-    """Shear stiffness [N], ``shear_factor G A`` by default; or `none` for a beam with hardly any shear: the
-    stiffness is then ``3e6 bending / length^2``, so that shear causes 1e-6 of the deflection of a cantilever that
-    carries a force at its end."""
+    """Shear stiffness [N], ``shear_factor G A`` by default; or `none` for a beam with negligible shear: the stiffness
+    is then ``3e6 bending / length^2``, so that shear causes 1e-6 of the deflection of a cantilever that carries a force
+    at its end."""
     bending: Positive | None = None
     """Bending stiffness [N m^2], ``E I`` by default."""
 
@@ -105,8 +105,8 @@ class Beam(StrictModel):
     elements: Annotated[int, Field(ge=1, le=MOST_ELEMENTS)] = 16
     """Number of elements."""
     nodes: Literal[2, 3] = 2
-    """Nodes of an element: 2 (n + 1 nodes, errors of order 2 in the length of an element), or 3 (2 n + 1 nodes, order
-    4)."""
+    """Nodes of an element: with 2, n elements have n + 1 nodes and errors of order 2 in the length of an element; with
+    3, they have 2 n + 1 nodes and errors of order 4."""
     corrected: bool = False
     """Whether elements with two nodes are corrected, which costs no computing time: masses and loads are assigned to
     the nodes by Gregory's rule, and an additional shear flexibility represents the bending inside each element. Errors
@@ -138,14 +138,15 @@ class Beam(StrictModel):
     velocity: Point = (0.0, 0.0)
     """Initial velocity (x, y) [m/s] of the first node."""
     angular_velocity: Number = 0.0
-    """Initial angular velocity [rad/s] about the first node, with which the beam moves as a rigid body."""
+    """Initial angular velocity [rad/s] of the beam, which starts to move as a rigid body that rotates about its first
+    node."""
     load: MotionPair | None = None
-    """Distributed load (x, y) [N/m] besides gravity: numbers, expressions of t, or tables."""
+    """Distributed load (x, y) [N/m] in addition to gravity: numbers, expressions of t, or tables."""
     load_frame: Literal["global", "body"] = "global"
     """Frame of the components of `load`: `global`, or `body`, in which case the load turns with the beam."""
     start: Annotated[tuple[Start, ...], BeforeValidator(sequence)] | None = None
-    """Initial x, y and angle [m, m, rad] of every node, if the beam starts under stress; by default, its shape without
-    stress."""
+    """Initial x, y and angle [m, m, rad] of every node, if the beam starts under stress; by default, it starts in its
+    stress-free shape."""
 
     @model_validator(mode="after")
     def _consistent(self) -> Beam:

@@ -139,7 +139,7 @@ class AtPoint(Element):
     point: Point | None = (0.0, 0.0)
     """The point in the body's frame [m]; the centre of mass by default."""
     at: Point | None = None
-    """The point (x, y) [m] in the global frame, at the initial position of the body as given (before assembly); an
+    """The point (x, y) [m] in the global frame, for the given initial position of the body (before assembly); an
     alternative to `point`."""
 
     @model_validator(mode="before")
@@ -271,7 +271,7 @@ class At(BetweenPoints):
     GLOBAL: ClassVar[tuple[str, ...]] = ("at",)
 
     at: Point | None = None
-    """Common position (x, y) [m] of both points in the global frame, at the initial positions of the bodies as given
+    """Common position (x, y) [m] of both points in the global frame, for the given initial positions of the bodies
     (before assembly); an alternative to `points`."""
 
     def _global(self) -> tuple[tuple[float, float] | None, ...]:
@@ -293,10 +293,10 @@ class FromTo(BetweenPoints):
     GLOBAL: ClassVar[tuple[str, ...]] = ("from", "to")
 
     from_: Point | None = Field(default=None, alias="from")
-    """Point (x, y) [m] of the first body in the global frame, at the initial positions of the bodies as given (before
+    """Point (x, y) [m] of the first body in the global frame, for the given initial positions of the bodies (before
     assembly); `from` and `to` are an alternative to `points`."""
     to: Point | None = None
-    """Point (x, y) [m] of the second body in the global frame, at the initial positions as given."""
+    """Point (x, y) [m] of the second body in the global frame, for the given initial positions of the bodies."""
 
     def _global(self) -> tuple[tuple[float, float] | None, ...]:
         return (self.from_, self.to)

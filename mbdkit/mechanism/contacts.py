@@ -196,10 +196,11 @@ class Compliance(StrictModel):
     `restitution` and `impact_speed`; `linear`: ``k d + c d'``; `smooth-sphere-half-space`: the force of OpenSim for a
     circle on a line."""
     stiffness: Positive
-    """Stiffness k [N/m^1.5]; of `linear` [N/m]; of `smooth-sphere-half-space` [N/m^2]."""
+    """Stiffness k [N/m^1.5]; for `linear` [N/m]; for `smooth-sphere-half-space` [N/m^2]."""
     dissipation: NotNegative | None = None
-    """Dissipation c [s/m]; of `linear` [N s/m]. `flores` and `lankarani-nikravesh` always compute it from `restitution`
-    and `impact_speed`, and `hunt-crossley` does so if `impact_speed` is given. Otherwise, the default is 0."""
+    """Dissipation c [s/m]; for `linear` [N s/m]. `flores` and `lankarani-nikravesh` always compute it from
+    `restitution` and `impact_speed`, and `hunt-crossley` does so if `impact_speed` is given. Otherwise, the default is
+    0."""
     impact_speed: Positive | None = None
     """Speed of approach [m/s] at which an impact has the `restitution` of the contact."""
     transition_speed: Positive = 0.01

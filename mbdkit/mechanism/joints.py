@@ -337,7 +337,7 @@ class Prismatic(SlidingJoint):
 
     type: Literal["prismatic"] = "prismatic"
     angle: Number | None = None
-    """``angle_b - angle_a`` [rad]; by default, the difference of the initial angles as given."""
+    """``angle_b - angle_a`` [rad]; by default, the difference between the given initial angles."""
     friction: SlideFriction | None = None
     """Dry friction of the slide, ``{coefficient: number, length: length}``; by default, there is none."""
     rows: ClassVar[tuple[str, ...]] = ("normal", "angle")
@@ -358,7 +358,7 @@ class Weld(PointJoint, At):
 
     type: Literal["weld"] = "weld"
     angle: Number | None = None
-    """``angle_b - angle_a`` [rad]; by default, the difference of the initial angles as given."""
+    """``angle_b - angle_a`` [rad]; by default, the difference between the given initial angles."""
     rows: ClassVar[tuple[str, ...]] = ("x", "y", "angle")
     units: ClassVar[tuple[str, ...]] = ("m", "m", "rad")
     mark: ClassVar[Mark] = "weld"

@@ -290,7 +290,7 @@ class Mechanism(HtmlView):
         axis
             Direction of the line (x, y) in a's frame; any length.
         angle
-            angle_b - angle_a [rad]; by default, the difference of the initial angles as given.
+            angle_b - angle_a [rad]; by default, the difference between the given initial angles.
         friction
             Dry friction of the slide, such as ``{"coefficient": 0.1, "length": 0.05}``.
 
@@ -352,7 +352,7 @@ class Mechanism(HtmlView):
         points
             Alternative to `at`: position of the joint in the frames of a and of b, ((x, y), (x, y)) [m].
         angle
-            angle_b - angle_a [rad]; by default, the difference of the initial angles as given.
+            angle_b - angle_a [rad]; by default, the difference between the given initial angles.
         """
         self._add("joints", Weld, name, bodies=(a, b), points=points, at=at, angle=angle)
 

@@ -40,7 +40,7 @@ class NamedCoordinate(StrictModel):
     scale: Number = 1.0
     """Change of the coordinate per change of the quantity; not zero."""
     offset: Number = 0.0
-    """The coordinate where the quantity is zero [rad or m]."""
+    """Value of the coordinate when the quantity is zero [rad or m]."""
 
 
 def _named(value: Any) -> Any:

@@ -66,12 +66,12 @@ class PathItem(StrictModel):
     body: str | None = None
     """Name of the body of the point."""
     point: PathPoint | None = None
-    """The point in the body's frame [m]: [x, y], or [x, y, z] with an offset z perpendicular to the plane, which makes
-    lengths spatial. x and y may be expressions of named coordinates, or tables of one, ``{table: [[coordinate, ...],
-    [value, ...]], of: knee_flexion}``; such a point moves in the frame of its body."""
+    """The point in the body's frame [m]: [x, y], or [x, y, z], where z is an offset perpendicular to the plane; lengths
+    include this offset. x and y may be expressions of named coordinates, or tables of a coordinate, ``{table:
+    [[coordinate, ...], [value, ...]], of: knee_flexion}``; such a point moves in the frame of its body."""
     when: dict[str, Range] | None = None
     """Ranges of quantities, such as ``{knee.angle: [-2.0, -0.3]}``: the path has the point only while all of these
-    quantities are in their ranges. By default, always."""
+    quantities are in their ranges. By default, the path always has the point."""
     wrap: WrapCircle | None = None
     """Instead of a point: a circle. The path touches it only where the straight line would cross it."""
 
@@ -153,10 +153,10 @@ def _as_metabolics(value: Any) -> Any:
 
 
 class Muscle(Element):
-    """A muscle of Hill type along a path: a fibre in series with a tendon, at the pennation angle to it.
+    """A Hill-type muscle along a path: a fibre in series with a tendon, to which it is inclined by the pennation angle.
 
-    Its tension pulls the ends of its path together. The angle between fibre and tendon changes such that the thickness
-    of the muscle, ``optimal_length * sin(pennation)``, is constant.
+    Its tension pulls the ends of its path together. The angle between fibre and tendon changes so that the thickness of
+    the muscle, ``optimal_length * sin(pennation)``, is constant.
     """
 
     ABSENT_BY_DEFAULT: ClassVar[tuple[str, ...]] = ("excitation", "metabolics")
@@ -181,7 +181,7 @@ class Muscle(Element):
     activation: Activation = Activation()
     """Time constants of the activation, and its initial value."""
     excitation: Value | None = None
-    """Excitation between 0 and 1, which runs need: a number, an expression of t or of the state, or a table of time.
+    """Excitation between 0 and 1, required in runs: a number, an expression of t or of the state, or a table of time.
     Recruitment in inverse dynamics does not use it."""
     max_velocity: Positive = 10.0
     """Velocity of shortening at which fibres exert no active force, in optimal lengths per second."""

@@ -100,12 +100,13 @@ class Controller(StrictModel):
     period: Positive
     """Time between two samples [s]; the first one is at the start of the run."""
     delay: NotNegative = 0.0
-    """Time [s] from a sample until the outputs computed from it apply; outputs are 0 until those of the first sample
-    apply."""
+    """Time [s] between a sample and the change of the outputs to the values computed from it. Before the first of these
+    changes, outputs are 0."""
     states: dict[str, ControllerState] = Field(default_factory=dict)
     """States by name, such as ``sum: {next: "controllers.pid.sum + 0.01*bodies.leg.angle"}``."""
     outputs: dict[str, Expression] = Field(min_length=1)
-    """Outputs by name: expressions of the state at a sample; loads contain them as ``controllers.NAME.OUTPUT``."""
+    """Outputs by name: expressions of the state at a sample. Loads refer to an output as ``controllers.NAME.OUTPUT``.
+    """
 
     def expressions(self) -> list[tuple[str, str]]:
         """Return (key, text) of each expression."""

@@ -183,8 +183,8 @@ class Table(StrictModel):
     table: Columns
     """Strictly increasing times [s] and the value at each time: ``[[t, ...], [value, ...]]``."""
     interpolation: Interpolation = "cubic"
-    """A cubic or quintic spline, or straight lines between the points. The rate of such lines is discontinuous at
-    the points, so that a driver needs `impacts: allow`."""
+    """A cubic or quintic spline, or straight lines between the points. Straight lines have a discontinuous rate at the
+    points, so that a driver needs `impacts: allow`."""
     ends: Ends = "not-a-knot"
     """Condition at the ends of a spline: `not-a-knot` (the outer pieces continue the polynomials of their neighbours),
     `natural` (the second derivative is zero at the ends; for a quintic spline, the third and fourth), `clamped` (the

@@ -52,7 +52,8 @@ class RattleOptions(Options):
     ABSENT_BY_DEFAULT: ClassVar[tuple[str, ...]] = ("max_iterations",)
 
     tolerance: Annotated[float, Field(gt=0, lt=1, allow_inf_nan=False)] | None = None
-    """Stop when the expected relative change of positions is below this value; by default, at stagnation."""
+    """Stop when the expected relative change of positions is below this value; by default, stop when it no longer
+    decreases."""
     max_iterations: Annotated[int, Field(ge=2, le=10_000)] | None = None
     """Largest number of iterations in one step, after which the step fails. By default 50; with fixed steps, the
     iteration may go on up to 500 while it converges steadily."""
@@ -62,7 +63,7 @@ class PairOptions(RattleOptions):
     """A pair of Lobatto IIIA and IIIB."""
 
     stages: Literal[2, 3] = 3
-    """Number of stages s; the order is 2 s - 2. Two stages make RATTLE."""
+    """Number of stages s; the order is 2 s - 2. With two stages, the method is RATTLE."""
 
 
 def _claims(stages: int) -> Claims:

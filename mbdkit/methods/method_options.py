@@ -92,7 +92,8 @@ class ImplicitOptions(ControlledOptions):
     stage_solver: Literal["newton", "fixed-point"] = "newton"
     """Simplified Newton with exact tangents, or fixed-point iteration on the stage accelerations."""
     tolerance: Annotated[float, Field(gt=0, lt=1, allow_inf_nan=False)] | None = None
-    """Stop when the relative change of the stage accelerations is below this value; by default, at stagnation."""
+    """Stop when the relative change of the stage accelerations is below this value; by default, stop when it no longer
+    decreases."""
     max_iterations: Annotated[int, Field(ge=2, le=10_000)] | None = None
     """Largest number of iterations in one step, after which the step fails. By default 50; with fixed steps, the
     iteration may go on up to 500 while it converges steadily."""

@@ -87,17 +87,18 @@ class LegOptions(LegPose):
     root: Literal["hip", "trunk"] = "hip"
     """`hip`: the hip is pinned to the ground; `trunk`: a free body carries it."""
     trunk_share: Annotated[float, Field(gt=0, le=1)] = 1.0
-    """Share of the mass of head, arms and trunk that the body `trunk` has: 0.5 if both legs carry this mass alike."""
+    """Share of the mass of head, arms and trunk that the body `trunk` has: 0.5 if both legs carry equal parts of this
+    mass."""
     hip_position: Point = (0.0, 0.0)
     """Initial position of the hip (x, y) [m], in the global frame."""
     hip_velocity: Point = (0.0, 0.0)
     """Initial velocity of the hip (x, y) [m/s]; only with ``root: trunk``."""
     trunk_angle: Number = 0.0
-    """Initial angle of the trunk from upright, counter-clockwise [rad]; hip flexion is counted from here."""
+    """Initial angle of the trunk from upright, counter-clockwise [rad]; hip flexion is measured from the trunk."""
     trunk_rate: Number = 0.0
     """Initial angular velocity of the trunk [rad/s]; only with ``root: trunk``."""
     legs: Literal[1, 2] = 1
-    """Number of legs; a second one has names with `_left`."""
+    """Number of legs; names of the second leg end in `_left`."""
     left: LegPose = LegPose()
     """Pose of the second leg at the start; only with ``legs: 2``."""
     gravity: Point = (0.0, -9.81)
@@ -114,8 +115,8 @@ class LegOptions(LegPose):
     contacts: dict[str, Contact] = Field(default_factory=dict)
     """Contacts by name, such as those of the foot with the floor."""
     symmetric_muscles: bool = False
-    """Whether each muscle that is attached to the first leg is also on the second one, as `NAME_left`; only with
-    ``legs: 2``."""
+    """Whether the second leg has a copy `NAME_left` of each muscle that is attached to the first leg; only with ``legs:
+    2``."""
 
 
 class LegFourBarOptions(LegOptions):

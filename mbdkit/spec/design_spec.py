@@ -170,7 +170,8 @@ class LocalOptimizer(Section):
     seed: Annotated[int, Field(ge=0)] = 0
     """Seed of the Sobol sequence."""
     tolerance: Positive = 1e-9
-    """Relative change of the goal, and of variables as a share of their bounds, at which a search ends."""
+    """Relative change of the goal, and of the variables relative to the distance between their bounds, at which a
+    search ends."""
     max_iterations: Count = 100
     """Largest number of iterations of each search."""
 
@@ -200,7 +201,8 @@ class EvolutionStrategy(Section):
     seed: Annotated[int, Field(ge=0)] = 0
     """Seed of its random numbers."""
     tolerance: Positive = 1e-9
-    """Relative change of the goal, and of variables as a share of their bounds, at which the search ends."""
+    """Relative change of the goal, and of the variables relative to the distance between their bounds, at which the
+    search ends."""
     max_iterations: Count = 500
     """Largest number of generations."""
 

@@ -237,7 +237,7 @@ class MeasuredMotion(Section):
     smooth: Smoothing = NoSmoothing()
     """How the independent coordinates are smoothed and differentiated: a name, or a name and its options."""
     gaps: Gaps | None = None
-    """How gaps are bridged; by default, they are refused."""
+    """How gaps in the data are bridged; by default, gaps are refused."""
     errors: ErrorBars | Literal["none"] = ErrorBars()
     """How the errors of the results are estimated; `none` leaves them unknown and saves the time of the estimate."""
 
@@ -384,15 +384,15 @@ class Recruitment(Section):
     weight 1. The smaller it is, the less the reserve is used."""
     capacity: Literal["full", "isometric"] = "full"
     """Largest active tension of a muscle: `full`, max_force times the curves of force by length and velocity times the
-    cosine of the pennation; or `isometric`, max_force, which is for rigid tendons."""
+    cosine of the pennation; or `isometric`, max_force, which requires rigid tendons."""
     passive: bool = False
     """Whether the passive force of the fibres is added to their active force."""
     dynamics: Literal["none", "activation"] = "none"
     """`activation`: from one frame to the next, activations change at most as fast as activation dynamics with the time
     constants of each muscle allow for excitations between 0 and 1. Otherwise, frames are independent of each other."""
     deviations: MuscleDeviations | None = None
-    """How well properties of the muscles are known; samples of them are then part of the error bars. By default, they
-    count as exact."""
+    """How accurately properties of the muscles are known; the error bars then include the effects of their uncertainty.
+    By default, the properties count as exact."""
 
 
 class Span(Section):

@@ -67,7 +67,7 @@ class InverseSpec(ModelSpec):
     """What happens if the actuators cannot produce the motion: `refuse` makes this an error; `report` chooses their
     values so that the sum of squares of the unbalanced generalized forces is smallest, and reports these forces."""
     accept: list[Criterion] = Field(default_factory=list)
-    """Criteria that the verdict on the data does not apply, because what they find is known and intended."""
+    """Criteria that are not applied in the verdict on the data, because their findings are known and intended."""
     time: Span = Span()
     """The part of the motion that is used."""
     measures: RunMeasures = Field(default_factory=dict)

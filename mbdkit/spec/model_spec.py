@@ -137,8 +137,8 @@ class ModelSpec(StrictSpec):
     title: Annotated[str, Field(max_length=LONGEST_TITLE)] = ""
     """Title of the run, free text."""
     parameters: dict[str, float | str] = Field(default_factory=dict)
-    """Named numbers. Expressions of them, such as `0.5*crank`, may replace any number of the model; motions, events and
-    other parameters, in any order, may contain them too. Angles may be written as `degrees(45)`."""
+    """Named numbers. Any number of the model may be an expression of them, such as `0.5*crank`. Motions, events and
+    other parameters, in any order, may also contain them. Angles may be written as `degrees(45)`."""
     model: Annotated[BaseModel, Choice("model")]
     """The model: its name and its parameters."""
 

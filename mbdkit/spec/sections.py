@@ -43,10 +43,10 @@ class ContactTreatment(Section):
     """How contacts of the mechanism act in the run."""
 
     treatment: Literal["compliant", "event-driven", "time-stepping"] = "compliant"
-    """`compliant`: the bodies overlap by a little, and `compliance` of a contact determines the force; for every
-    method. `event-driven`: rigid bodies, whose impacts and changes between sticking, slipping and separation are
-    located; for explicit methods with fixed steps. `time-stepping`: rigid bodies, whose velocities may jump in every
-    step; for `moreau-jean` and `nonsmooth-generalized-alpha`."""
+    """`compliant`: the bodies overlap slightly, and `compliance` of a contact determines the force; for every method.
+    `event-driven`: rigid bodies, whose impacts and changes between sticking, slipping and separation are located; for
+    explicit methods with fixed steps. `time-stepping`: rigid bodies, whose velocities may jump in every step; for
+    `moreau-jean` and `nonsmooth-generalized-alpha`."""
     impact_law: Literal["newton", "poisson"] = "newton"
     """Law of impacts with `event-driven`: `restitution` of a contact is a ratio of velocities (`newton`) or of impulses
     (`poisson`)."""
@@ -197,14 +197,14 @@ class Limits(Section):
     max_steps: Count = 10_000_000
     """Largest number of steps."""
     misalignment: Positive = 1.0
-    """Largest misalignment of a joint, as a share of the mechanism's size, or of an angle in radians; a run in which a
+    """Largest misalignment of a joint, as a share of the mechanism's size (for an angle: in radians). A run in which a
     joint exceeds this limit stops with the reason `fell-apart`."""
     energy_jump: Positive | None = None
     """Largest change of the energy balance in one step, as a share of the largest kinetic energy so far; a run that
     exceeds it stops with the reason `energy-jump`. Unlimited by default."""
     law_range: Literal["warn", "stop"] = "warn"
-    """Whether a run that leaves the range in which a force law holds continues with a warning and the verdict
-    `doubtful`, or stops with the reason `out-of-range`."""
+    """What happens if a run leaves the range in which a force law is valid: `warn` continues the run with a warning and
+    the verdict `doubtful`; `stop` stops it with the reason `out-of-range`."""
 
 
 ALPHA = 5.0
@@ -250,8 +250,8 @@ class Projection(Section):
     bound: Positive | None = None
     """Project only if a position residual [m, rad] or a velocity residual [m/s, rad/s] exceeds this value."""
     symmetric: bool = False
-    """Symmetric projection (Hairer 2000): perturb the state before each step by the same amount as it is projected
-    after the step, which keeps a symmetric method reversible."""
+    """Symmetric projection (Hairer 2000): perturbs the state before each step by the same amount by which it is
+    projected after the step, so that a symmetric method remains reversible."""
 
     @model_validator(mode="after")
     def _consistent(self) -> Projection:

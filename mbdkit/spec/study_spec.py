@@ -132,8 +132,8 @@ class Family(Section):
     reference: Reference | None = None
     """Dotted keys to set in the spec of a run to obtain its reference run; `none` for no reference."""
     repeats: Repeats | None = None
-    """Number of times that each run is timed. If it is above 1, the runs are timed one after another after all of them
-    have been made."""
+    """Number of times that each run is timed. If it is above 1, the runs are timed one after another, after all runs
+    have been computed."""
 
 
 class Members(Section):
@@ -183,8 +183,8 @@ class StudySpec(StrictSpec):
     reference: Reference = "none"
     """Dotted keys to set in the spec of a run to obtain its reference run; `none` for no reference."""
     repeats: Repeats = 1
-    """Number of times that each run is timed. If it is above 1, the runs are timed one after another after all of them
-    have been made."""
+    """Number of times that each run is timed. If it is above 1, the runs are timed one after another, after all runs
+    have been computed."""
     measures: Measures = "all"
     """Measures to compute for each run, in addition to counters and times. `all` selects the built-in measures that are
     computed from the archive, but not the reversibility defects and the velocity misalignment over every step, which
@@ -195,10 +195,11 @@ class StudySpec(StrictSpec):
     """Name of the function that evaluates the results in the report; empty for none."""
 
     store: Storing | None = None
-    """What is stored of each run: `files` writes an archive for each; the others write blocks of many runs, which hold
-    `all` arrays, the `histories` (time, positions, velocities, reactions and misalignments), a `summary` (counters,
-    times, misalignment by joint, warnings), or `hashes` only. Each of them keeps spec, status, verdict, largest
-    misalignment, measures and hash. By default `files` for up to 500 runs, otherwise `all`."""
+    """What is stored of each run. `files` writes one archive per run. The other values write blocks of many runs: `all`
+    keeps all arrays; `histories` keeps time, positions, velocities, reactions and misalignments; `summary` keeps
+    counters, times, the misalignment of each joint, and warnings; `hashes` keeps none of these. Every value keeps the
+    spec, status, verdict, largest misalignment, measures and hash of each run. The default is `files` for up to 500
+    runs, and `all` for more."""
     block: Annotated[int, Field(ge=1, le=100_000)] | None = None
     """Number of runs in a block; by default 1000, or fewer if the arrays of a block would exceed 64 MiB."""
     compress: bool = False
