@@ -16,7 +16,7 @@ from mbdkit.spec.study_measures import DefinedMeasure
 from mbdkit.spec.study_spec import StudySpec
 from mbdkit.studies.measures import MEASURES, OF_CHECKED_RUNS, SECOND, RunGroup, worst_joint
 from mbdkit.studies.planned_points import PlannedPoint
-from mbdkit.studies.study_index import Row, quartiles
+from mbdkit.studies.study_index import BETWEEN_REASONS, Row, quartiles
 from mbdkit.studies.tasks import Outcome
 
 
@@ -97,7 +97,7 @@ class ArchiveRows:
                 data_sha256=run.data_sha256,
                 values=values,
                 verdict=run.verdict,
-                verdict_reasons=" ".join(run.verdict_reasons),
+                verdict_reasons=BETWEEN_REASONS.join(run.verdict_reasons),
             )
 
     def _values(self, run: Run, reference: Run | None, spec: RunSpec) -> dict[str, float]:

@@ -22,7 +22,7 @@ from mbdkit.studies.folder_lock import Shard
 from mbdkit.studies.run_store import MISSING, Noted, Round, RunStore
 from mbdkit.studies.study_blocks import AnotherStudyError
 from mbdkit.studies.study_folder import StudyFolder
-from mbdkit.studies.study_index import Index, describe_column
+from mbdkit.studies.study_index import BETWEEN_REASONS, Index, describe_column
 from mbdkit.studies.study_plan import plan_study
 from mbdkit.studies.tasks import Outcome, Task, forget_run_at_work
 from mbdkit.studies.unfinished_block import PIECE
@@ -229,7 +229,7 @@ def _joined(texts: np.ndarray | None, count: int) -> np.ndarray:
     """Return the reasons for verdicts as texts, from lists of reasons in JSON."""
     if texts is None:
         return np.full(count, "", object)
-    known = {text: " ".join(json.loads(text)) for text in dict.fromkeys(texts)}
+    known = {text: BETWEEN_REASONS.join(json.loads(text)) for text in dict.fromkeys(texts)}
     return np.array([known[text] for text in texts], object)
 
 

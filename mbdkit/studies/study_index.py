@@ -64,6 +64,9 @@ NUMBERS = (*MEASURES, *OF_CHECKED_RUNS, *SECOND, *COUNTERS, *TIMINGS, *QUARTILES
 HASHES = ("run_id", "data_sha256")
 """Columns of hashes in the index of a study in blocks."""
 
+BETWEEN_REASONS = "  "
+"""Separates the reasons for a verdict: two spaces, because a reason may have several sentences."""
+
 REPEATS = "wall_repeats_s"
 
 #: All columns except those of the axes.

@@ -13,7 +13,7 @@ import numpy as np
 from mbdkit.analysis.sample_statistics import CONFIDENCE
 from mbdkit.archive.measured_values import ERROR
 from mbdkit.base.text import counted, listed, without_numbers
-from mbdkit.studies.study_index import STATUSES
+from mbdkit.studies.study_index import BETWEEN_REASONS, STATUSES
 
 if TYPE_CHECKING:
     from mbdkit.studies.study import Study
@@ -21,7 +21,6 @@ if TYPE_CHECKING:
 
 _CODE = re.compile(r"[a-z-]+(?=: )")
 """Code at the beginning of the reason for a failure."""
-_SENTENCES = re.compile(r"(?<=\.) (?=[A-Z])")
 
 MOST_REASONS = 5
 """Largest number of different reasons that are printed for failures, and for each verdict."""
@@ -75,8 +74,8 @@ def _levels(study: Study) -> Iterator[tuple[str, str]]:
     has_answers = any(True for _ in study.spec.defined_measures())
     for level, use in (("bad", ", not used in answers"), ("doubtful", ", used in answers")):
         places = np.flatnonzero(_rated(study, level))
-        sentences = [(place, one) for place in places.tolist() for one in _SENTENCES.split(str(reasons[place]))]
-        for numbers, reason in _grouped(study.points, sentences):
+        found = [(place, one) for place in places.tolist() for one in str(reasons[place]).split(BETWEEN_REASONS)]
+        for numbers, reason in _grouped(study.points, found):
             yield level, f"{numbers}{use if has_answers else ''}{reason}"
 
 

@@ -76,7 +76,7 @@ class StudyPoint:
 
     @property
     def verdict_reasons(self) -> str:
-        """Reasons for the verdict, joined by spaces; empty if there are none."""
+        """Reasons for the verdict, separated by two spaces; empty if there are none."""
         return self.row.verdict_reasons
 
     @property

@@ -313,6 +313,22 @@ def test_bad_runs_are_left_out_of_statistics_and_named(tmp_path: Path) -> None:
         all_bad.statistics("peak")
 
 
+@pytest.mark.parametrize("store", ["all", "histories"])
+def test_reasons_of_several_sentences_are_counted_whole(tmp_path: Path, store: str) -> None:
+    spec = {
+        "mbdkit_study": 1,
+        "base": {"model": {"name": "single-pendulum"}, "integrator": {"name": "rk4"}, "time": {"end": 1, "step": 0.25}},
+        "axes": [{"time.step": [0.25]}],
+        "store": store,
+    }
+    study = mbdkit.study(spec, out=tmp_path / "s")
+    with study.run(0) as run:
+        (several,) = (reason for reason in run.verdict_reasons if ". " in reason)
+        told = [text for label, text in notes(study) if label == "bad"]
+        assert len(told) == len(run.verdict_reasons)
+    assert sum(several.rstrip(".") in one for one in told) == 1
+
+
 def test_quantiles_over_time_are_those_of_the_closed_form(thrown: mbdkit.Study) -> None:
     bands = thrown.quantiles("ball.x", [0.1, 0.5])
     speeds = thrown.to_frame()[SPEED]
