@@ -166,6 +166,7 @@ def validate(spec: AnySpecName, assignments: Set = None, debug: Debug = False) -
     from mbdkit.runs.corners import check_jumps
     from mbdkit.runs.preparation import build, caution, make_method
     from mbdkit.runs.warnings import start_warnings
+    from mbdkit.stepping.start import require_support
 
     mechanism = checked.mechanism()
     check_jumps(checked)
@@ -175,7 +176,7 @@ def validate(spec: AnySpecName, assignments: Set = None, debug: Debug = False) -
         check_gradients(checked, make_method(checked))
     problem, start = build(checked)
     try:
-        make_method(checked).require_mechanism(problem.mechanism)
+        require_support(make_method(checked), problem.mechanism)
     except SpecError as error:
         raise checked.placed(error) from None
     for warning in (*caution(checked), *start_warnings(checked, start)):

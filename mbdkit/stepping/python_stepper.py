@@ -10,7 +10,7 @@ import numpy as np
 
 from mbdkit.base.errors import MbdkitError, StepError, in_this_process
 from mbdkit.base.text import one_line
-from mbdkit.engine.compiled_mechanism import with_ground
+from mbdkit.engine.compiled_mechanism import CompiledMechanism, with_ground
 from mbdkit.engine.counters import Counters
 from mbdkit.engine.equations_of_motion import EquationsOfMotion
 from mbdkit.engine.iteration_matrix import vector
@@ -100,6 +100,13 @@ class _Planned:
     is_whole: bool
 
 
+def refuse_states(mechanism: CompiledMechanism) -> None:
+    """Raise SpecError if a mechanism has first-order states that do not belong to rigid contacts."""
+    if len(mechanism.states) > HeldForces(mechanism).count:
+        what = "a method that takes its steps in Python, with positions and velocities only,"
+        mechanism.refuse_states(what, "gauss and dop853 include them")
+
+
 class PythonStepper:
     """Runs a `StepMethod` over a timetable; implements `mbdkit.stepping.interface.Stepper`.
 
@@ -119,9 +126,7 @@ class PythonStepper:
         self.has_power = workspace.mechanism.has_power
         workspace.clamp_motions(*timetable.sides(0))
         self._held = HeldForces(workspace.mechanism)
-        if len(workspace.mechanism.states) > self._held.count:
-            what = "a method that takes its steps in Python, with positions and velocities only,"
-            workspace.mechanism.refuse_states(what, "gauss and dop853 include them")
+        refuse_states(workspace.mechanism)
         self.equations = EquationsOfMotion(workspace)
         self.equations.counters = self.counters
         self.stabilized = StabilizedSteps(self._own_step, self.equations)

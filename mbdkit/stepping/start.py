@@ -21,7 +21,7 @@ from mbdkit.stepping.explicit import CompiledExplicit
 from mbdkit.stepping.generalized_alpha import GeneralizedAlphaSteps
 from mbdkit.stepping.interface import Stepper, Timetable
 from mbdkit.stepping.lobatto_iiia_iiib import CompiledLobattoPair
-from mbdkit.stepping.python_stepper import PythonStepper
+from mbdkit.stepping.python_stepper import PythonStepper, refuse_states
 from mbdkit.stepping.scipy_bridge import SciPyStepper
 from mbdkit.stepping.step_control import Control, unit_of_length
 from mbdkit.stepping.taylor_series import CompiledTaylor
@@ -82,6 +82,14 @@ def compiled_method(method: Method, workspace: Workspace) -> tuple[CompiledMetho
     method.require_mechanism(workspace.mechanism)
     control = step_control(method.traits, workspace.mechanism)
     return COMPILED[method.traits.family](method, workspace, control), control
+
+
+def require_support(method: Method, mechanism: CompiledMechanism) -> None:
+    """Raise SpecError if a method does not support a mechanism, before a run is started."""
+    method.require_mechanism(mechanism)
+    family = method.traits.family
+    if mechanism.contact_treatment.kind == "event-driven" or (family in IN_PYTHON and family != "scipy"):
+        refuse_states(mechanism)
 
 
 def start_method(method: Method, workspace: Workspace, timetable: Timetable) -> Stepper:

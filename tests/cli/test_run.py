@@ -202,6 +202,13 @@ def test_validate_refuses_a_driver_with_a_corner(mbdkit, in_tmp_path):
     assert mbdkit("validate", "spec.yaml", "--set", "impacts=allow").exit_code == 0
 
 
+def test_validate_and_run_refuse_a_controller_with_a_method_without_states(mbdkit, in_tmp_path):
+    told = [mbdkit(name, "delayed-balance", "--set", "integrator={name: moreau-jean}") for name in ("validate", "run")]
+    assert [result.exit_code for result in told] == [2, 2]
+    assert "does not include first-order states (nerves.torque); gauss and dop853" in told[0].stderr
+    assert told[0].stderr == told[1].stderr
+
+
 def test_validate_names_the_stabilization_and_warns_where_it_is_stiff(mbdkit, small, in_tmp_path):
     stiff = small.replace("{name: gauss, stages: 2}", "{name: rk4}")
     (in_tmp_path / "spec.yaml").write_text(stiff + "stabilization: {name: baumgarte, alpha: 300}\n")
