@@ -189,7 +189,7 @@ def data_frame(
     try:
         import pandas
     except ImportError as error:
-        raise MbdkitError("this table is a pandas DataFrame, and pandas is not installed: pip install pandas") from error
+        raise MbdkitError("the table is a pandas DataFrame, and pandas is not installed: pip install pandas") from error
     labels = None if index is None else pandas.Index(index, name=name)
     return pandas.DataFrame(dict(columns), index=labels, columns=list(columns))
 
