@@ -33,7 +33,7 @@ from mbdkit.gradients.gradient_check import (
     check_doubts,
     check_gradient,
 )
-from mbdkit.gradients.gradient_parameters import Parameter, resolved
+from mbdkit.gradients.gradient_parameters import Names, Parameter, read_names, resolved
 from mbdkit.gradients.measured_derivatives import MeasureOfRun, needs_of
 from mbdkit.gradients.parameter_differences import PreparedDerivatives
 from mbdkit.gradients.prepared_derivatives import prepared_derivatives
@@ -137,8 +137,9 @@ def _finite(x: float) -> float | None:
 def gradient(
     source: RunSource,
     measures: Measures,
-    parameters: str | Sequence[str],
+    names: Names | None = None,
     *,
+    parameters: Names | None = None,
     check: bool = True,
     **sections: Any,
 ) -> Gradient:
@@ -155,9 +156,11 @@ def gradient(
     measures
         Expressions such as ``"max(abs(joints.B.force))"``: one, several, or a mapping as in the section `measures` of a
         spec. Names of measures that the spec defines may stand for their expressions.
-    parameters
+    names
         Names of `parameters` of the spec, or key paths of numbers of its model such as ``model.bodies.rod.mass``; at
-        most 50.
+        most 50. A mapping of names in `parameters` to numbers also sets these numbers.
+    parameters
+        With `names`, the section `parameters` of the spec, as in `mbdkit.run`. Without `names`, the names.
     check
         Whether to check the gradient in one direction by differences of four runs, and of two runs by another method.
     **sections
@@ -185,8 +188,9 @@ def gradient(
     >>> found.check.is_passed
     True
     """
+    source, wanted = read_names(source, names, parameters, sections)
     spec = load_spec(source, (), **sections)
-    chosen = resolved(spec, [parameters] if isinstance(parameters, str) else list(parameters))
+    chosen = resolved(spec, wanted)
     definitions = definitions_of(spec, measures)
     require_derivatives(expressions_of(spec, definitions))
     with one_thread_of_linear_algebra():

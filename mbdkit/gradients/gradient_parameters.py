@@ -3,19 +3,24 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 from mbdkit.base.errors import SpecError
-from mbdkit.base.plain_data import Path, path_text, value_text
+from mbdkit.base.plain_data import Path, path_text, plain, value_text
 from mbdkit.base.text import did_you_mean, listed
 from mbdkit.mechanism.parameters import names_in
+from mbdkit.spec.loading import read_source
 from mbdkit.spec.model_spec import ModelSpec
-from mbdkit.spec.reading import parse_key
+from mbdkit.spec.reading import Document, parse_key, put
 
 MOST_PARAMETERS = 50
 """Largest number of parameters of one gradient."""
+
+
+Names = str | Iterable[str] | Mapping[str, float | str]
+"""One name, several names, or names with the values of their parameters."""
 
 
 @dataclass(frozen=True)
@@ -37,6 +42,52 @@ class Parameter:
     value: float
 
 
+def read_names(source: Any, names: Any, parameters: Any, sections: dict[str, Any]) -> tuple[Any, list[str]]:
+    """Return the source of a spec, with the values of parameters if `names` is a mapping, and the names as a list.
+
+    If there are no names, `parameters` are the names; else they are added to the `sections`.
+
+    Raises
+    ------
+    SpecError
+        If the names are anything else than names, or for values: see `_with_values`.
+    """
+    if names is None:
+        names = parameters
+    elif parameters is not None:
+        sections["parameters"] = parameters
+    found = [names] if isinstance(names, str) or not isinstance(names, Iterable) else list(names)
+    for name in found:
+        if not isinstance(name, str):
+            given = "None" if name is None else value_text(name)
+            raise _refused(
+                f"a gradient needs names of parameters, such as 'stiffness' or 'model.bodies.rod.mass', not {given}"
+            )
+    texts = [str(name) for name in found]  # NumPy has its own type of text
+    return (_with_values(source, names) if isinstance(names, Mapping) else source), texts
+
+
+def _with_values(source: Any, values: Mapping[str, Any]) -> Document:
+    """Return a spec with other values of its named parameters.
+
+    Raises
+    ------
+    SpecError
+        If a key is a key path, if the spec has named parameters, but not one of these, or if a value is not plain data.
+    """
+    document = read_source(source)
+    known = document.data.get("parameters")
+    for name, value in values.items():
+        path = parse_key(name)
+        if path[:1] == ("model",) and len(path) > 1:
+            raise _refused(f"the value of '{name}' cannot be given here, only its name; change the spec instead")
+        path = ("parameters", *path[path[:1] == ("parameters",) :])
+        if len(path) != 2 or (isinstance(known, dict) and path[1] not in known):
+            raise _unknown(list(known or ()), name)
+        put(document.data, path, plain(value, path))
+    return document
+
+
 def resolved(spec: ModelSpec, names: Sequence[str]) -> tuple[Parameter, ...]:
     """Return the parameters with these names: keys of `parameters`, or key paths that begin with ``model.``.
 
@@ -45,16 +96,16 @@ def resolved(spec: ModelSpec, names: Sequence[str]) -> tuple[Parameter, ...]:
     SpecError
         If a parameter does not exist, is not a number of the model or is named twice, or if there are none or too many.
     """
-    if isinstance(names, str):
-        names = [names]
     if not names:
         raise SpecError("a gradient needs at least one parameter", key="gradients")
     if len(names) > MOST_PARAMETERS:
         raise SpecError(f"a gradient takes at most {MOST_PARAMETERS} parameters, not {len(names)}", key="gradients")
-    if twice := [name for i, name in enumerate(names) if name in names[:i]]:
-        raise SpecError(f"the parameter '{twice[0]}' is named twice", key="gradients")
     data = json.loads(spec.canonical_json())
-    return tuple(_resolved(spec, data, name) for name in names)
+    found = [_resolved(spec, data, name) for name in names]
+    paths = [one.path for one in found]
+    if twice := [one.name for i, one in enumerate(found) if one.path in paths[:i]]:
+        raise SpecError(f"the parameter '{twice[0]}' is named twice", key="gradients")
+    return tuple(found)
 
 
 def _resolved(spec: ModelSpec, data: dict[str, Any], name: str) -> Parameter:
@@ -67,9 +118,11 @@ def _resolved(spec: ModelSpec, data: dict[str, Any], name: str) -> Parameter:
         return Parameter(name, ("parameters", name), float(value))
     path = parse_key(name)
     if path[:1] == ("parameters",) and len(path) == 2:
-        return _resolved(spec, data, str(path[1])) if path[1] in spec.parameters else _unknown(spec, name)
+        if path[1] in spec.parameters:
+            return _resolved(spec, data, str(path[1]))
+        raise _unknown(list(spec.parameters), name)
     if len(path) < 2:
-        return _unknown(spec, name)
+        raise _unknown(list(spec.parameters), name)
     if path[0] != "model":
         raise _refused(
             f"'{name}' cannot be a parameter of a gradient; give the name of one of the `parameters` or the key of "
@@ -93,11 +146,10 @@ def _resolved(spec: ModelSpec, data: dict[str, Any], name: str) -> Parameter:
     return Parameter(name, path, float(holder))
 
 
-def _unknown(spec: ModelSpec, name: str) -> Parameter:
-    known = list(spec.parameters)
+def _unknown(known: list[str], name: str) -> SpecError:
     text = f"; parameters: {listed(known)}" if known else "; the spec has no `parameters`"
     hint = did_you_mean(name, known) or text
-    raise _refused(
+    return _refused(
         f"there is no parameter '{name}'{hint}. Numbers of the model have key paths, such as model.bodies.rod.mass"
     )
 

@@ -37,7 +37,7 @@ from mbdkit.gradients.differentiated_run import DifferentiatedRun
 from mbdkit.gradients.differentiated_states import DifferentiatedStates, joined_states
 from mbdkit.gradients.gradient import Gradient, gradient_of_run, require_derivatives
 from mbdkit.gradients.gradient_check import Settings
-from mbdkit.gradients.gradient_parameters import Parameter, resolved
+from mbdkit.gradients.gradient_parameters import Names, Parameter, read_names, resolved
 from mbdkit.gradients.parameter_differences import PreparedDerivatives
 from mbdkit.inverse_dynamics.compute import Inverse, InverseProblem, compute
 from mbdkit.inverse_dynamics.dynamics import Balance
@@ -61,7 +61,13 @@ WITHOUT_BARS: Settings = [(("motion", "errors"), "none")]  # type: ignore[list-i
 
 
 def inverse_gradient(
-    source: InverseSource, measures: Measures, parameters: str | Sequence[str], *, check: bool = True, **sections: Any
+    source: InverseSource,
+    measures: Measures,
+    names: Names | None = None,
+    *,
+    parameters: Names | None = None,
+    check: bool = True,
+    **sections: Any,
 ) -> Gradient:
     """Compute inverse dynamics, and return the derivatives of measures of the result with respect to parameters of the
     model.
@@ -73,9 +79,9 @@ def inverse_gradient(
     measures
         Expressions such as ``"rms(actuators.knee.value)"``: one, several, or a mapping as in the section `measures` of
         a spec. Names of measures that the spec defines may stand for their expressions.
-    parameters
+    names, parameters
         Names of `parameters` of the spec, or key paths of numbers of its model such as
-        ``model.forces.spring.stiffness``; at most 50.
+        ``model.forces.spring.stiffness``; see `mbdkit.gradient`.
     check
         Whether to check the gradient in one direction by differences of four computations.
     **sections
@@ -108,8 +114,9 @@ def inverse_gradient(
     >>> found.check.is_passed
     True
     """
+    source, wanted = read_names(source, names, parameters, sections)
     spec = load_inverse_spec(source, (), **sections)
-    chosen = resolved(spec, [parameters] if isinstance(parameters, str) else list(parameters))
+    chosen = resolved(spec, wanted)
     definitions = definitions_of(spec, measures)
     with one_thread_of_linear_algebra():
         return gradient_of_inverse(spec, definitions, chosen, check=check)

@@ -13,6 +13,7 @@ import mbdkit
 from mbdkit.base.errors import SpecError
 from mbdkit.gradients import gradient_check
 from mbdkit.gradients.gradient_parameters import resolved
+from mbdkit.spec import load_spec
 
 SLIDER_CRANK: dict[str, Any] = {
     "mbdkit": 1,
@@ -77,6 +78,15 @@ def test_the_differentiated_run_has_the_values_of_the_run() -> None:
         found = mbdkit.gradient(SLIDER_CRANK, measures, "k", check=False, **sections)
         run = mbdkit.run(SLIDER_CRANK, measures=dict(zip("abc", measures, strict=True)), **sections)
         assert found.value.tolist() == [run.measures[name] for name in "abc"]
+
+
+def test_values_of_parameters_may_be_given_with_their_names() -> None:
+    spec, measure, values = load_spec(SLIDER_CRANK, (), **PENDULUM), "final(energy.kinetic)", {"k": 2.0, "c": 1.0}
+    expected = mbdkit.gradient(SLIDER_CRANK | {"parameters": values}, measure, parameters=["k"], **PENDULUM)
+    for found in (mbdkit.gradient(spec, measure, {"k": 2.0}), mbdkit.gradient(spec, measure, "k", parameters=values)):
+        assert found.parameters == ("k",)
+        assert found.jacobian == expected.jacobian
+    assert spec.parameters["k"] == 1.0
 
 
 def test_gradient_by_an_initial_angle_is_that_of_a_free_rotation() -> None:
@@ -268,9 +278,13 @@ def test_a_peak_at_two_times_is_said_to_have_no_derivative() -> None:
         ("model.forces.s.stiffness", "is the text or expression 'k'"),
         ("model.bodies.rod", "should be the key of a number"),
         ("time.step", "cannot be a parameter of a gradient"),
+        (["k", "parameters.k"], "the parameter 'k' is named twice"),
+        ([3], "needs names of parameters, such as 'stiffness' or 'model.bodies.rod.mass', not 3"),
+        (None, "needs names of parameters"),
+        ({"kk": 1.0}, "there is no parameter 'kk' (did you mean 'k'?)"),
     ],
 )
-def test_wrong_parameters_are_refused(parameter: str, message: str) -> None:
+def test_wrong_parameters_are_refused(parameter: Any, message: str) -> None:
     with pytest.raises(SpecError) as error:
         mbdkit.gradient(SLIDER_CRANK, "final(energy.kinetic)", parameter, **PENDULUM)
     assert message in str(error.value)
