@@ -11,13 +11,15 @@ from typing import Any
 from mbdkit.base.errors import SpecError
 from mbdkit.base.plain_data import Path, parse_path, path_text
 from mbdkit.base.text import did_you_mean, listed
+from mbdkit.mechanism.parameters import ParameterValues
+from mbdkit.mechanism.unit_of_use import unit_of_use
 from mbdkit.spec.key_words import key_unit, key_words
 from mbdkit.spec.model_spec import ModelSpec
 
 MOST = 12
 """Largest number of sliders that are chosen by default."""
-TURN = math.radians(30)
-"""Half of the range of an angle [rad]."""
+_TURNS = {"rad": math.radians(30), "deg": 30.0}
+"""Half of the range of an angle, by unit."""
 _LEFT_OUT = ("gravity", "name", "assembly", "pitches", "points", "point", "axis", "position", "velocity", "elements",
              "at", "from", "to", "a", "b", "radii")  # fmt: skip
 """Keys of a model whose numbers have no slider by default."""
@@ -34,7 +36,7 @@ class Slider:
     words
         Name that is shown at the slider, such as ``stiffness of support``.
     unit
-        SI unit; empty if there is none.
+        Unit of the value; empty if there is none, or it is not known.
     low, high
         Ends of the range, in this unit.
     value
@@ -87,6 +89,17 @@ def _path_of(spec: ModelSpec, name: str) -> Path:
     return ("parameters", name) if name in spec.parameters else parse_path(name)
 
 
+def _parameter_unit(spec: ModelSpec, path: Path) -> str:
+    """Return the unit of a named parameter, as given or from its uses; empty if it is not known."""
+    if path[0] != "parameters" or len(path) != 2:
+        return ""
+    name, numbers = str(path[1]), spec.numbers
+    units = numbers.units if isinstance(numbers, ParameterValues) else {}
+    if name in units:
+        return units[name].si
+    return unit_of_use(name, ((text, key_unit(key, [spec])) for key, text in spec.written.items()), units)
+
+
 def _numbers(holder: Any, path: Path) -> Iterator[Path]:
     """Yield the paths of the numbers in plain data, except those of positions and settings."""
     if isinstance(holder, dict):
@@ -111,9 +124,9 @@ def _slider(spec: ModelSpec, data: Any, path: Path) -> Slider:
             raise SpecError(f"the spec has no number '{path_text(path)}'{hint}") from None
     if isinstance(holder, bool) or not isinstance(holder, int | float):
         raise SpecError(f"'{path_text(path)}' is not a number of the spec")
-    value, unit = float(holder), key_unit(path, [spec])
-    if unit == "rad":
-        low, high = value - TURN, value + TURN
+    value, unit = float(holder), key_unit(path, [spec]) or _parameter_unit(spec, path)
+    if unit in _TURNS:
+        low, high = value - _TURNS[unit], value + _TURNS[unit]
     else:
         low, high = sorted((0.5 * value, 2.0 * value)) if value else (-1.0, 1.0)
     return Slider(path, key_words(path), unit, low, high, value)

@@ -51,6 +51,11 @@ def unit_of_expression(text: str, units: Mapping[str, Unit], *, of_time: bool = 
     return found
 
 
+def unit_of_parts(node: ast.expr, units: Mapping[str, Unit]) -> Unit | None:
+    """Return the unit of a part of an expression in which numbers have no unit; None if it cannot be derived."""
+    return _Derived(units, is_of_time=False).unit(node)
+
+
 def _is_time(node: ast.AST) -> bool:
     return isinstance(node, ast.Name) and node.id == "t"
 
@@ -59,7 +64,7 @@ def _has_units(tree: ast.expr, units: Mapping[str, Unit]) -> bool:
     return any(isinstance(node, ast.Name) and node.id in units for node in ast.walk(tree))
 
 
-def _is_turn(node: ast.expr) -> bool:
+def is_turn(node: ast.expr) -> bool:
     """Return whether a node is ``2*pi``, the angle of a cycle."""
     return (
         isinstance(node, ast.BinOp) and isinstance(node.op, ast.Mult)
@@ -74,7 +79,7 @@ class _Derived:
         self.units, self.is_of_time = units, is_of_time
 
     def unit(self, node: ast.expr) -> Unit | None:
-        if isinstance(node, ast.Constant) or _is_turn(node) or (isinstance(node, ast.Name) and node.id == "pi"):
+        if isinstance(node, ast.Constant) or is_turn(node) or (isinstance(node, ast.Name) and node.id == "pi"):
             return _NUMBER
         if isinstance(node, ast.Name):
             return _SECOND if self.is_of_time and _is_time(node) else self.units.get(node.id)
