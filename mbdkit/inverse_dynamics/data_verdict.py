@@ -5,7 +5,6 @@ accept.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -14,7 +13,7 @@ from mbdkit.inverse_dynamics.column_criteria import Doubt, column_doubts, doubts
 from mbdkit.inverse_dynamics.compute import Inverse, InverseProblem
 from mbdkit.inverse_dynamics.error_bars import ErrorBars
 from mbdkit.inverse_dynamics.load_criteria import load_doubts
-from mbdkit.inverse_dynamics.model_criteria import inertia_doubts, model_doubts
+from mbdkit.inverse_dynamics.model_criteria import mechanism_doubts, model_doubts
 from mbdkit.inverse_dynamics.record_criteria import record_doubts
 from mbdkit.spec.inverse_sections import Criterion
 from mbdkit.trust.criteria import Evidence, Judgement, judge
@@ -44,7 +43,7 @@ def doubts_about_data(result: Inverse, bars: ErrorBars | None) -> DataDoubts:
 def doubts_before_computation(problem: InverseProblem) -> DataDoubts:
     """Return those doubts about the data and the model that do not depend on the computed motion and forces."""
     columns = doubts_before_fit(problem.measured, problem.fitter.manifold.length)
-    return _sorted([*columns, *inertia_doubts(problem.names.mechanism)], problem.spec.accept)
+    return _sorted([*columns, *mechanism_doubts(problem.names.mechanism)], problem.spec.accept)
 
 
 def _sorted(found: Sequence[Doubt], accepted: Sequence[Criterion]) -> DataDoubts:
@@ -65,15 +64,13 @@ def verdict_on_data(result: Inverse, misalignment: np.ndarray, doubts: DataDoubt
     """
     joints = result.problem.prepared.workspace.mechanism.joints
     worst = int(np.argmax(misalignment)) if misalignment.size else 0
-    judgement = judge(
+    return judge(
         Evidence(
             end=float(result.motion.time[-1]),
             size=result.problem.fitter.manifold.length,
             misalignment=float(np.max(misalignment, initial=0.0)),
             joint=joints[worst] if misalignment.size else "",
             warnings=doubts.open,
+            accepted=doubts.accepted,
         )
-    )
-    return replace(
-        judgement, reasons=(*judgement.reasons, *(f"Accepted by the spec: {one}" for one in doubts.accepted))
     )

@@ -41,7 +41,7 @@ AT_REST = 1e-9
 
 def model_doubts(result: Inverse) -> Iterator[Doubt]:
     """Yield doubts about the masses, beams, muscles and reserves of the model."""
-    yield from inertia_doubts(result.problem.names.mechanism)
+    yield from mechanism_doubts(result.problem.names.mechanism)
     workspace = result.problem.prepared.workspace
     coarse = CoarseBeams.of(result.problem.names.mechanism, workspace.mechanism)
     if coarse is not None:
@@ -55,10 +55,14 @@ def model_doubts(result: Inverse) -> Iterator[Doubt]:
         yield from _weak_muscles(result, result.recruited)
 
 
-def inertia_doubts(mechanism: Mechanism) -> Iterator[Doubt]:
-    """Yield a doubt for each body whose inertia seems to have another unit."""
+def mechanism_doubts(mechanism: Mechanism) -> Iterator[Doubt]:
+    """Yield a doubt for each body whose inertia seems to have another unit, and for effects that the mechanism
+    lacks.
+    """
     for sentence in improbable_inertias(mechanism):
         yield Doubt("inertia", f"{sentence}.")
+    for sentence in mechanism.left_out:
+        yield Doubt("left-out", f"{sentence}.")
 
 
 def _fibers(result: Inverse, recruited: Recruited) -> Iterator[Doubt]:

@@ -85,6 +85,10 @@ class Mechanism(HtmlView):
     warnings : tuple of str
         Warnings for every run of the mechanism, such as parts of a file that were ignored. They do not change the
         verdict, and are not part of a spec.
+    left_out : tuple of str
+        Sentences about effects that the model describes and the mechanism lacks, such as a contact in a file, although
+        they change the motion. They make the verdict doubtful unless a spec accepts `left-out`, and are not part of a
+        spec.
 
     Examples
     --------
@@ -115,6 +119,7 @@ class Mechanism(HtmlView):
         self.muscles_act = False
         self.contact_treatment = Treatment()
         self.warnings: tuple[str, ...] = ()
+        self.left_out: tuple[str, ...] = ()
 
     @property
     def ground(self) -> str:

@@ -51,6 +51,7 @@ def evidence_of_run(
     misalignment_max: np.ndarray,
     size: float,
     warnings: Sequence[str],
+    accepted: Sequence[str] = (),
 ) -> Evidence:
     """Return the evidence of a run that has ended.
 
@@ -68,6 +69,8 @@ def evidence_of_run(
         Size of the mechanism [m].
     warnings
         Warnings that cast doubt on the result.
+    accepted
+        Warnings that would cast doubt on the result, but are accepted by the spec.
     """
     steps = steps or StepEvidence(0.0, 0.0, 0.0)
     energies = recorder.energies
@@ -89,6 +92,7 @@ def evidence_of_run(
         energy_jump_time=steps.energy_jump_time,
         branch=steps.branch,
         warnings=warnings,
+        accepted=accepted,
     )
 
 

@@ -37,7 +37,7 @@ from mbdkit.runs.integrals import RunIntegrals, functionals_of
 from mbdkit.runs.law_ranges import LawRanges, has_ranges, steps_are_rows
 from mbdkit.runs.preparation import caution, guards, make_method, recorded_arrays, timetable
 from mbdkit.runs.recorded_states import recorded_states
-from mbdkit.runs.warnings import center_warnings, doubts, start_warnings
+from mbdkit.runs.warnings import accepted_doubts, center_warnings, doubts, start_warnings
 from mbdkit.spec import RunSpec
 from mbdkit.stepping.interface import Guards, StepEvidence, Stretch, Timetable
 from mbdkit.stepping.lane_collocation import StagePivots
@@ -485,8 +485,8 @@ class _Group:
         begin = time.perf_counter()
         worst, extremes = recorded
         ending = "complete", ""
-        questions = doubts(member.spec, warnings)
-        judgement = judge(evidence_of_run(extremes, steps, ending, worst, member.size, questions))
+        questions = doubts(member.spec, warnings), accepted_doubts(member.spec)
+        judgement = judge(evidence_of_run(extremes, steps, ending, worst, member.size, *questions))
         if _LOG.isEnabledFor(logging.INFO):
             _LOG.info("run %s ends: complete, verdict %s", member.spec.run_id(), judgement.level)
         data_sha256 = self.hash.of(arrays, digests)

@@ -52,7 +52,7 @@ from mbdkit.runs.recorded_states import ObservedRows
 from mbdkit.runs.recorder import Recorder
 from mbdkit.runs.run_checkpoint import TIMES, Checkpoints, Continuation, Parts, why_without
 from mbdkit.runs.run_in_memory import measured_values, run_in_memory
-from mbdkit.runs.warnings import center_warnings, doubts, step_advice
+from mbdkit.runs.warnings import accepted_doubts, center_warnings, doubts, step_advice
 from mbdkit.spec import RunSpec
 from mbdkit.stepping.compiled_stepper import CompiledStepper
 from mbdkit.stepping.contact_state import ContactState
@@ -454,7 +454,9 @@ class SimulatedRun:
         questions = (*doubts(self.spec, self.warnings), *self.doubtful_gradients())
         # notes about the treatment of contacts, which do not question the result
         self.warnings = (*self.warnings, *notes)
-        evidence = evidence_of_run(self.recorder, steps, ending, misalignment_max, self.size, questions)
+        evidence = evidence_of_run(
+            self.recorder, steps, ending, misalignment_max, self.size, questions, accepted_doubts(self.spec)
+        )
         errors, totals = None, {} if self.integrals is None else self.integrals.totals(self.recorder.of_event)
         if self.accuracy is not None:
             missed = missed_because(self.accuracy, self.tried, self.failure)

@@ -47,17 +47,17 @@ _ANGLE = re.compile(r"\[(m or )?rad\]")
 
 
 def spec_warnings(spec: RunSpec) -> tuple[str, ...]:
-    """Return the warnings of the model, and those about unresolved beams, unused parameters, improbable values, long
-    steps and excitations.
+    """Return the warnings of the model, and those about effects that it lacks, unresolved beams, unused parameters,
+    improbable values, long steps and excitations.
     """
-    return (*_known(spec), *_improbable(spec), *_long_step(spec), *_excitations(spec))
+    return (*_known(spec), *_left_out(spec), *_improbable(spec), *_long_step(spec), *_excitations(spec))
 
 
 def mechanism_warnings(spec: RunSpec) -> tuple[str, ...]:
-    """Return the warnings that also apply without a run: those of the model, and those about unused parameters and
-    improbable values.
+    """Return the warnings that also apply without a run: those of the model, and those about effects that it lacks,
+    unused parameters and improbable values.
     """
-    return (*spec.mechanism().warnings, *_unused_parameters(spec), *_improbable(spec))
+    return (*spec.mechanism().warnings, *_left_out(spec), *_unused_parameters(spec), *_improbable(spec))
 
 
 def start_warnings(spec: RunSpec, start: AssembledState) -> tuple[str, ...]:
@@ -124,10 +124,21 @@ def _key(mechanism: Mechanism, body: str) -> str:
 def doubts(spec: RunSpec, warnings: Sequence[str]) -> tuple[str, ...]:
     """Return those warnings of a run that question its result.
 
-    Excluded are warnings about intended limits of model and step, and about unused parameters.
+    Excluded are warnings about intended limits of model and step, about unused parameters, and those that the spec
+    accepts.
     """
-    known: tuple[str, ...] = _known(spec) if warnings else ()
+    known: tuple[str, ...] = (*_known(spec), *accepted_doubts(spec)) if warnings else ()
     return tuple(warning for warning in warnings if warning not in known)
+
+
+def accepted_doubts(spec: RunSpec) -> tuple[str, ...]:
+    """Return the warnings that question the result, but are accepted by the spec."""
+    return _left_out(spec) if "left-out" in spec.accept else ()
+
+
+def _left_out(spec: RunSpec) -> tuple[str, ...]:
+    """Return warnings about effects that the mechanism lacks, which begin with the name of their criterion."""
+    return tuple(f"left-out: {sentence}" for sentence in spec.mechanism().left_out)
 
 
 def _known(spec: RunSpec) -> tuple[str, ...]:

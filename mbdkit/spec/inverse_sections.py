@@ -201,6 +201,7 @@ Criterion = Literal[
     "fibers",
     "reserves",
     "max-force",
+    "left-out",
 ]
 """Names of the criteria of the verdict on measured data and on the model."""
 

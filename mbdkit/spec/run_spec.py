@@ -109,6 +109,7 @@ class RunSpec(ModelSpec):
         "choose",
         "impacts",
         "contact",
+        "accept",
     )
 
     formulation: FormulationName = "index-1"
@@ -149,6 +150,9 @@ class RunSpec(ModelSpec):
     records the work of the impulse."""
     contact: ContactTreatment = ContactTreatment()
     """How contacts act."""
+    accept: list[Literal["left-out"]] = Field(default_factory=list)
+    """Criteria that the verdict does not apply, because what they find is known and intended. `left-out`: effects in
+    the file of a model that the mechanism lacks."""
 
     _watched: Any = PrivateAttr(default=None)
     _settings: Any = PrivateAttr(default=None)

@@ -187,6 +187,8 @@ class Evidence:
         Sharp turns near singular positions.
     warnings
         Warnings about the spec or the run that cast doubt on the result, as sentences.
+    accepted
+        Findings that the spec accepts, as sentences. They are among the reasons, but do not lower the level.
     """
 
     status: str = "complete"
@@ -204,6 +206,7 @@ class Evidence:
     energy_jump_time: float = 0.0
     branch: Sequence[BranchSuspicion] = ()
     warnings: Sequence[str] = ()
+    accepted: Sequence[str] = ()
 
 
 @dataclass(frozen=True)
@@ -235,7 +238,8 @@ def judge(evidence: Evidence, accuracy: EstimatedErrors | None = None) -> Judgem
     best: Level = "unknown" if accuracy is None else "good"
     level = max((best, *(level for level, _ in found)), key=LEVELS.index)
     worst_first = sorted(found, key=lambda item: -LEVELS.index(item[0]))
-    return Judgement(level, tuple(reason for _, reason in worst_first))
+    accepted = (f"Accepted by the spec: {one}" for one in evidence.accepted)
+    return Judgement(level, (*(reason for _, reason in worst_first), *accepted))
 
 
 Found = Iterator[tuple[Level, str]]

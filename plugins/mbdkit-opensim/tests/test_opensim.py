@@ -259,7 +259,7 @@ def test_markers_keep_names_with_dots_and_fit_a_file_of_trajectories(tmp_path: P
     np.testing.assert_allclose(run.joints["pin"].angle, angle, atol=1e-6)
 
 
-def test_muscles_are_left_out_with_a_warning_of_the_run(tmp_path: Path) -> None:
+def test_a_run_warns_of_left_out_muscles_and_is_doubtful_without_a_contact(tmp_path: Path) -> None:
     forces = (
         "".join(f'<Thelen2003Muscle name="muscle{i}"/>' for i in range(9)) + '<SmoothSphereHalfSpaceForce name="heel"/>'
     )
@@ -267,8 +267,10 @@ def test_muscles_are_left_out_with_a_warning_of_the_run(tmp_path: Path) -> None:
     joints = [osim.joint("PinJoint", "pin", "ground", "rod", "turn")]
     file = written(tmp_path, osim.document(bodies, joints, more=f"<ForceSet><objects>{forces}</objects></ForceSet>"))
     run = started(file, {}, {})
-    assert run.verdict == "unknown"
+    assert run.verdict == "doubtful"
     muscles, contact = run.warnings
+    assert contact.startswith("left-out: ")
+    assert list(run.verdict_reasons) == [contact]
     assert "has 9 Thelen2003Muscle" in muscles
     assert "muscle0, muscle1, muscle2, muscle3, muscle4, muscle5 and 3 more" in muscles
     assert "SmoothSphereHalfSpaceForce" in contact

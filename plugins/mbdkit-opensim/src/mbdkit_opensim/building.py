@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from xml.etree.ElementTree import Element
 
@@ -30,6 +30,9 @@ from mbdkit_opensim.planar_joints import Coordinate, PlanarJoint, Term, coordina
 
 LEFT_OUT = ("ForceSet", "ContactGeometrySet", "ControllerSet")
 """Sets of a model that are ignored, with a warning."""
+
+FORCES = ("Force", "Spring", "Ligament")
+"""Ends of the names of classes in the force set that act without control: those of forces, springs and ligaments."""
 
 MOST_NAMED = 6
 """Largest number of components of one class that a warning names."""
@@ -112,7 +115,8 @@ class _Builder:
             raise refused(f"body '{loose[0]}' has no joint, so it could move out of the plane")
         self.add_markers()
         told = self.add_muscles(joints) if self.with_muscles else []
-        self.result.warnings = (*told, *self.left_out(joints))
+        self.result.warnings = (*told, *self.left_out())
+        self.result.left_out = tuple(self.lacking(joints))
         return self.result
 
     def add_markers(self) -> None:
@@ -177,22 +181,26 @@ class _Builder:
                     hint = did_you_mean(name, known) or f"; there are {listed(known)}"
                     raise SpecError(f"there is no coordinate '{name}'{hint}", key=f"model.{key}.{quoted(name)}")
 
-    def left_out(self, joints: list[Element]) -> list[str]:
-        """Return warnings that name the ignored components."""
+    def left_out(self) -> list[str]:
+        """Return warnings that name the ignored components which exert no force, or none without control."""
         dropped: dict[str, list[str]] = {}
         read = self.muscles() if self.with_muscles else []
         for group in LEFT_OUT:
             for one in objects_of(self.model, group):
-                if any(one is other for other in read):
+                if any(one is other for other in read) or acts_alone(one):
                     continue
                 dropped.setdefault(one.tag, []).append(name_of(one))
         for one in self.model.iterfind("components/*"):
             dropped.setdefault(one.tag, []).append(name_of(one))
-        sentences = []
-        for kind, names in dropped.items():
-            more = [f"{len(names) - MOST_NAMED} more"] if len(names) > MOST_NAMED else []
-            shown = listed([*names[:MOST_NAMED], *more], "and")
-            sentences.append(f"the model of OpenSim has {len(names)} {kind}, which the mechanism leaves out: {shown}")
+        return sentences_about(dropped)
+
+    def lacking(self, joints: list[Element]) -> list[str]:
+        """Return sentences that name the ignored components which may change the motion."""
+        dropped: dict[str, list[str]] = {}
+        for one in objects_of(self.model, "ForceSet"):
+            if acts_alone(one):
+                dropped.setdefault(one.tag, []).append(name_of(one))
+        sentences = sentences_about(dropped)
         held = [
             name_of(one)
             for joint in joints
@@ -333,3 +341,21 @@ def _rotation(angle: float) -> np.ndarray:
 def _angle(axes: np.ndarray) -> float:
     """Return the angle [rad] of the first of two axes."""
     return math.atan2(axes[1, 0], axes[0, 0])
+
+
+def acts_alone(force: Element) -> bool:
+    """Return whether a component exerts forces that need no control: not an actuator, a muscle, or a switched-off
+    force.
+    """
+    is_off = text_of(force, "appliesForce", "true").lower() == "false" or flag_of(force, "isDisabled")
+    return force.tag.endswith(FORCES) and not is_off
+
+
+def sentences_about(dropped: Mapping[str, Sequence[str]]) -> list[str]:
+    """Return a sentence for each class of ignored components, with the names of some of them."""
+    sentences = []
+    for kind, names in dropped.items():
+        more = [f"{len(names) - MOST_NAMED} more"] if len(names) > MOST_NAMED else []
+        shown = listed([*names[:MOST_NAMED], *more], "and")
+        sentences.append(f"the model of OpenSim has {len(names)} {kind}, which the mechanism leaves out: {shown}")
+    return sentences

@@ -3,16 +3,21 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from pydantic import BaseModel, ConfigDict, Field
 
 import mbdkit
+from mbdkit.mechanism.joint_friction import regularised_friction
 from mbdkit_robots.linkages import read_linkage, to_pylinkage
 from mbdkit_robots.mjcf import read_mjcf
-from mbdkit_robots.planar import PlanarMechanism, Plane
+from mbdkit_robots.planar import PlanarMechanism, Plane, SpatialModel
 from mbdkit_robots.urdf import read_urdf
 
-__all__ = ["mbdkit_models", "to_pylinkage"]
+if TYPE_CHECKING:
+    import sympy
+
+__all__ = ["mbdkit_force_laws", "mbdkit_models", "to_pylinkage"]
 
 mbdkit_api = 1
 
@@ -33,6 +38,8 @@ class MjcfOptions(BaseModel):
     """Initial values of joints by name [rad or m], with the sign convention of the file; 0 by default."""
     speeds: dict[str, float] = Field(default_factory=dict)
     """Initial speeds of joints by name [rad/s or m/s], with the sign convention of the file; 0 by default."""
+    transition_speed: float = Field(default=0.01, gt=0, allow_inf_nan=False)
+    """Speed [rad/s or m/s] at which the regularised dry friction of a joint reaches its magnitude."""
 
 
 class UrdfOptions(MjcfOptions):
@@ -57,13 +64,46 @@ class LinkageOptions(BaseModel):
     """Mass of a link per unit of its length [kg/m]; links are thin rods between their joints."""
 
 
+class DryFrictionOptions(BaseModel):
+    """Options of `dry-friction`: a force of constant magnitude against the motion, which does not depend on the load.
+
+    Below the transition speed, the force is proportional to the speed.
+    """
+
+    model_config = _STRICT
+
+    loss: float = Field(ge=0, allow_inf_nan=False)
+    """Magnitude of the force [N or N m], as `frictionloss` in MJCF and `friction` in URDF."""
+    transition_speed: float = Field(default=0.01, gt=0, allow_inf_nan=False)
+    """Speed [m/s or rad/s] at which the regularised force reaches its magnitude."""
+
+
+def _dry_friction() -> sympy.Expr:
+    """Return the force ``loss * rate / transition_speed``; its magnitude is at most `loss`."""
+    from sympy import Piecewise, symbols
+
+    rate, loss, transition = symbols("rate loss transition_speed", real=True)
+    return -regularised_friction(loss, rate, (1, 1, transition), lambda x, a, b: Piecewise((a, x > 0), (b, True)))
+
+
+def _no_potential() -> sympy.Expr:
+    from sympy import Integer
+
+    return Integer(0)
+
+
 def _of_urdf(options: UrdfOptions) -> mbdkit.Mechanism:
     model = read_urdf(options.file, floating=options.floating)
-    return PlanarMechanism(model, options.plane).mechanism(options.initial, options.speeds)
+    return _projected(model, options)
 
 
 def _of_mjcf(options: MjcfOptions) -> mbdkit.Mechanism:
-    return PlanarMechanism(read_mjcf(options.file), options.plane).mechanism(options.initial, options.speeds)
+    return _projected(read_mjcf(options.file), options)
+
+
+def _projected(model: SpatialModel, options: MjcfOptions) -> mbdkit.Mechanism:
+    planar = PlanarMechanism(model, options.plane, options.transition_speed)
+    return planar.mechanism(options.initial, options.speeds)
 
 
 def _of_linkage(options: LinkageOptions) -> mbdkit.Mechanism:
@@ -79,3 +119,11 @@ def mbdkit_models() -> list[mbdkit.ModelPlugin]:
         mbdkit.ModelPlugin("mjcf", "The planar motion of a model in an MJCF file of MuJoCo.", MjcfOptions, _of_mjcf),
         mbdkit.ModelPlugin("pylinkage", "A linkage of pins that pylinkage wrote as JSON.", LinkageOptions, _of_linkage),
     ]
+
+
+@mbdkit.hookimpl
+def mbdkit_force_laws() -> list[mbdkit.ForceLawPlugin]:
+    """Register the force law."""
+    law = mbdkit.ExpressionLaw(_dry_friction, _no_potential, passive=True)
+    summary = "Dry friction of constant magnitude, as of joints in URDF and MJCF files."
+    return [mbdkit.ForceLawPlugin("dry-friction", summary, DryFrictionOptions, law)]

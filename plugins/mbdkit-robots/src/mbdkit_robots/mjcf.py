@@ -12,10 +12,18 @@ from mbdkit_robots.documents import about, number, numbers, read_xml, unit
 from mbdkit_robots.planar import GROUND, Closure, Link, Part, SpatialModel, refused
 from mbdkit_robots.shapes import volume_and_inertia
 
-LEFT_OUT = ("actuator", "sensor", "contact", "tendon", "deformable", "keyframe")
+LEFT_OUT = ("sensor", "keyframe")
 """Sections that are ignored, with a warning."""
+LACKING = {"tendon": "tendons", "deformable": "deformable objects"}
+"""Sections that are ignored although they change the motion, and words for their elements."""
+WITHOUT_FORCE = ("motor", "damper", "adhesion")
+"""Actuators that exert no force while their control is zero."""
 REFUSED = ("balanceinertia", "boundmass", "boundinertia", "settotalmass", "strippath", "inertiagrouprange")
 """Attributes of <compiler> that are rejected, because they would change masses."""
+MACROS = ("frame", "replicate", "composite", "flexcomp", "attach")
+"""Elements that stand for bodies or place them."""
+FLAGS = ("gravity", "passive", "spring", "damper", "frictionloss", "limit", "equality", "constraint")
+"""Flags that are rejected, because they would switch off forces or constraints."""
 
 
 def read_mjcf(file: str) -> SpatialModel:
@@ -37,22 +45,73 @@ class _Reader:
                 raise refused(f"{name} of <compiler> is not read")
         if next(root.iter("include"), None) is not None:
             raise refused("<include> is not read; save the model as one file, as MuJoCo's mj_saveLastXML does")
+        for name in FLAGS:
+            if any(flag.get(name) == "disable" for flag in root.iterfind("option/flag")):
+                raise refused(f'the flag {name}="disable" is not read; change the model instead')
         self.defaults: dict[str, dict[str, dict[str, str]]] = {"main": {}}
+        self.geoms: dict[str, list[Element]] = {}
         for default in root.iterfind("default"):
             self._read_defaults(default, "main", {})
         self.places: dict[str, tuple[np.ndarray, np.ndarray]] = {GROUND: (np.eye(3), np.zeros(3))}
         world = root.find("worldbody")
         if world is None:
             raise refused("the file has no <worldbody>")
+        self._refuse_macros(world)
+        self.geoms[GROUND] = [self._with_defaults(one, "main") for one in world.iterfind("geom")]
         for body in world.iterfind("body"):
             self._add_body(body, GROUND, "main")
         for equality in root.iterfind("equality"):
             for one in equality:
                 self._add_closure(one)
+        self._leave_out()
+
+    def _leave_out(self) -> None:
+        """Note the elements that are ignored, and those of them that change the motion."""
         for tag in LEFT_OUT:
-            for section in root.iterfind(tag):
-                for one in section:
-                    self.model.leave_out(f"elements of <{tag}>", one.get("name", one.tag))
+            for one in self.root.iterfind(f"{tag}/*"):
+                self.model.leave_out(f"elements of <{tag}>", one.get("name", one.tag))
+        for tag, words in LACKING.items():
+            for one in self.root.iterfind(f"{tag}/*"):
+                self.model.leave_out(words, one.get("name", one.tag), acts=True)
+        for one in self.root.iterfind("actuator/*"):
+            given = self._with_defaults(one, "main")
+            is_idle = one.tag in WITHOUT_FORCE or (one.tag == "general" and given.get("biastype", "none") == "none")
+            words = "actuators without control" if is_idle else "actuators that act without control"
+            self.model.leave_out(words, one.get("name", one.tag), acts=not is_idle)
+        for one in self.root.iterfind("contact/pair"):
+            self.model.leave_out("contacts", one.get("name", "pair"), acts=True)
+        if all(flag.get("contact") != "disable" for flag in self.root.iterfind("option/flag")):
+            self._leave_out_contacts()
+        option = self.root.find("option")
+        for name in ("density", "viscosity"):
+            if number(option, name, 0.0):
+                self.model.leave_out("forces of the surrounding fluid", name, acts=True)
+
+    def _leave_out_contacts(self) -> None:
+        """Note the geoms that could collide: those of moving bodies with each other, and with geoms that are fixed."""
+        fixed = {GROUND}
+        for link in self.model.links:
+            if link.kind == "fixed" and link.parent in fixed:
+                fixed.add(link.child)
+        masks: dict[bool, list[tuple[int, int]]] = {True: [], False: []}
+        for body, geoms in self.geoms.items():
+            for one in geoms:
+                mask = int(number(one, "contype", 1.0)), int(number(one, "conaffinity", 1.0))
+                masks[body in fixed].append(mask)
+                if any(mask) and body not in fixed:
+                    label = one.get("name", f"{one.get('type', 'sphere')} of {body}")
+                    self.model.leave_out("contacts of geoms", label)
+        for body in fixed:
+            for one in self.geoms.get(body, ()):
+                kind, affinity = int(number(one, "contype", 1.0)), int(number(one, "conaffinity", 1.0))
+                if any(kind & other[1] or affinity & other[0] for other in masks[False]):
+                    label = one.get("name", f"{one.get('type', 'sphere')} of {'the world' if body == GROUND else body}")
+                    self.model.leave_out("contacts with fixed geoms", label, acts=True)
+
+    def _refuse_macros(self, body: Element) -> None:
+        for one in body:
+            if one.tag in MACROS:
+                raise refused(f"<{one.tag}> is not read; save the model as one file, as MuJoCo's mj_saveLastXML does")
 
     def _read_defaults(self, default: Element, name: str, above: Mapping[str, dict[str, str]]) -> None:
         own = {tag: dict(values) for tag, values in above.items()}
@@ -102,17 +161,25 @@ class _Reader:
             raise refused("a <body> has no name")
         if name in self.places:
             raise refused(f"there are two bodies with the name '{name}'")
+        self._refuse_macros(body)
+        if number(body, "gravcomp", 0.0):
+            self.model.leave_out("compensations of gravity", name, acts=True)
         childclass = body.get("childclass", childclass)
+        self.geoms[name] = [self._with_defaults(one, childclass) for one in body.iterfind("geom")]
         turn, place = self.places[parent]
         here, turned = place + turn @ numbers(body, "pos", "0 0 0", 3), turn @ self._rotation(body)
         self.places[name] = turned, here
-        self.model.parts.append(self._part(name, body, childclass))
+        self.model.parts.append(self._part(name, body))
         joints = [self._with_defaults(one, childclass) for one in body.iterfind("joint")]
         free = body.find("freejoint") is not None or any(one.get("type") == "free" for one in joints)
         if len(joints) > 1:
             raise refused(
                 f"body '{name}' has {len(joints)} joints; give each direction a body with a mass, or use <freejoint>"
             )
+        for one in joints if free else ():
+            for attribute in ("damping", "armature", "frictionloss", "stiffness"):
+                if number(one, attribute, 0.0):
+                    self.model.leave_out(f"{attribute} of free joints", one.get("name", name), acts=True)
         if free or not joints:
             label = f"{name} to {parent}"
             self.model.links.append(Link(label, "free" if free else "fixed", parent, name, here, np.zeros(3)))
@@ -125,27 +192,29 @@ class _Reader:
         name, kind = joint.get("name", f"{child} joint"), joint.get("type", "hinge")
         if kind not in ("hinge", "slide"):
             raise refused(f"joint '{name}' has the type '{kind}', which is not read")
-        for attribute, words in (("armature", "armatures"), ("frictionloss", "friction of joints")):
-            if number(joint, attribute, 0.0):
-                self.model.leave_out(words, name)
-        if joint.get("range") and joint.get("limited") != "false":
-            self.model.leave_out("limits of joints", name)
         scale = self._angle(1.0) if kind == "hinge" else 1.0
         ref, rest = number(joint, "ref", 0.0) * scale, number(joint, "springref", 0.0) * scale
         if ref:
             raise refused(f"joint '{name}' has a reference that is not 0 (ref), which is not read")
         axis = turned @ unit(numbers(joint, "axis", "0 0 1", 3), f"the axis of joint '{name}'")
         point = here + turned @ numbers(joint, "pos", "0 0 0", 3)
-        stiffness, damping = number(joint, "stiffness", 0.0), number(joint, "damping", 0.0)
-        moves = "turn" if kind == "hinge" else "slide"
-        return Link(name, moves, parent, child, point, axis, stiffness, damping, rest)  # type: ignore[arg-type]
+        limits = None
+        if joint.get("range") and joint.get("limited") != "false":
+            self.model.leave_out("limits of joints", name)
+            low, high = (scale * numbers(joint, "range", "", 2)).tolist()
+            limits = low, high
+        if np.any(numbers(joint, "springdamper", "0")):
+            raise refused(f"joint '{name}' has a springdamper, which is not read; give stiffness and damping")
+        values = {key: number(joint, key, 0.0) for key in ("stiffness", "damping", "armature")}
+        friction = number(joint, "frictionloss", 0.0)
+        return Link(
+            name, "turn" if kind == "hinge" else "slide", parent, child, point, axis, **values,
+            rest=rest, friction=friction, limits=limits,
+        )  # fmt: skip
 
-    def _part(self, name: str, body: Element, childclass: str) -> Part:
+    def _part(self, name: str, body: Element) -> Part:
         turned, here = self.places[name]
         inertial = body.find("inertial")
-        geoms = [self._with_defaults(one, childclass) for one in body.iterfind("geom")]
-        for one in geoms:
-            self.model.leave_out("contacts of geoms", one.get("name", f"{one.get('type', 'sphere')} of {name}"))
         if inertial is not None and (self.compiler is None or self.compiler.get("inertiafromgeom") != "true"):
             own = turned @ self._rotation(inertial)
             if inertial.get("fullinertia"):
@@ -155,7 +224,7 @@ class _Reader:
                 tensor = np.diag(numbers(inertial, "diaginertia", "0 0 0", 3))
             center = here + turned @ numbers(inertial, "pos", "0 0 0", 3)
             return Part(name, number(inertial, "mass", 0.0), center, own @ tensor @ own.T)
-        solids = [found for one in geoms if (found := self._solid(one, name, here, turned)).mass > 0]
+        solids = [found for one in self.geoms[name] if (found := self._solid(one, name, here, turned)).mass > 0]
         mass = sum(one.mass for one in solids)
         if not mass:
             return Part(name, 0.0, here, np.zeros((3, 3)))

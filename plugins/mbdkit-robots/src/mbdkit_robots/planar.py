@@ -43,7 +43,9 @@ class Part:
 class Link:
     """A joint of the tree at the zero position: a point (3,) [m] and an axis (3,) in the global frame.
 
-    `stiffness`, `damping` and `rest` describe a spring that acts on the coordinate, which is 0 at the zero position.
+    `stiffness`, `damping` and `rest` describe a spring that acts on the coordinate, which is 0 at the zero position;
+    `friction` is the magnitude [N m or N] of dry friction that does not depend on the load. `armature` is the inertia
+    [kg m^2 or kg] of a rotor that turns with the coordinate. `limits` is the range of the coordinate.
     """
 
     name: str
@@ -55,6 +57,9 @@ class Link:
     stiffness: float = 0.0
     damping: float = 0.0
     rest: float = 0.0
+    friction: float = 0.0
+    armature: float = 0.0
+    limits: tuple[float, float] | None = None
 
 
 @dataclass(frozen=True)
@@ -80,18 +85,20 @@ class SpatialModel:
     gravity: np.ndarray = field(default_factory=lambda: np.array([0.0, 0.0, -9.81]))
     left_out: dict[str, list[str]] = field(default_factory=dict)
     """Names of the ignored components, by a phrase for their kind."""
+    lacking: dict[str, list[str]] = field(default_factory=dict)
+    """Names of those ignored components that change the motion, by a phrase for their kind."""
 
-    def leave_out(self, kind: str, name: str) -> None:
-        """Note the name of an ignored component."""
-        self.left_out.setdefault(kind, []).append(name)
+    def leave_out(self, kind: str, name: str, *, acts: bool = False) -> None:
+        """Note the name of an ignored component, and whether it changes the motion."""
+        (self.lacking if acts else self.left_out).setdefault(kind, []).append(name)
 
 
 class PlanarMechanism:
     """Projects a model onto a plane. At the zero position the frames of all bodies are parallel to the global frame."""
 
-    def __init__(self, model: SpatialModel, plane: Plane):
+    def __init__(self, model: SpatialModel, plane: Plane, transition_speed: float):
         axes = np.eye(3)
-        self.model, self.across = model, plane
+        self.model, self.across, self.transition_speed = model, plane, transition_speed
         self.u, self.w = axes["xyz".index(plane[0])], axes["xyz".index(plane[1])]
         self.normal = np.cross(self.u, self.w)
         self.parts = {part.name: part for part in model.parts}
@@ -113,10 +120,10 @@ class PlanarMechanism:
                     raise SpecError(f"the file has no joint '{name}'{hint}", key=f"model.{key}.{quoted(name)}")
         data: dict[str, Any] = {"gravity": self._flat(self.model.gravity), "bodies": {}, "joints": {}, "forces": {},
                                 "coordinates": {}}  # fmt: skip
-        moved = self._moved(initial, speeds)
+        moved, rotors = self._moved(initial, speeds), self._rotors()
         for part in self.model.parts:
             if self.owner[part.name] == part.name:
-                data["bodies"][part.name] = self._body(part, *moved[part.name])
+                data["bodies"][part.name] = self._body(part, rotors.get(part.name, 0.0), *moved[part.name])
         for link in self.model.links:
             self._add(link, data)
         for closure in self.model.closures:
@@ -126,10 +133,6 @@ class PlanarMechanism:
             data["joints"][closure.name] = {"type": kind, "bodies": [first, second], "points": points}
         found = Mechanism.from_spec(data)
         found.name = self.model.name
-        left_out = (
-            f"{kind} left out: {listed(names[:MOST_NAMED])}{', ...' if len(names) > MOST_NAMED else ''}"
-            for kind, names in self.model.left_out.items()
-        )
         turns = {link.name for link in self.model.links if link.kind == "turn"}
         turned = (
             f"the initial angle of joint '{name}', {value:g} rad, is more than a full rotation; for degrees, "
@@ -137,7 +140,8 @@ class PlanarMechanism:
             for name, value in initial.items()
             if name in turns and abs(value) > 2 * math.pi
         )
-        found.warnings = (*left_out, *turned)
+        found.warnings = (*_sentences("left out", self.model.left_out), *turned)
+        found.left_out = _sentences("left out, which may change the motion", self.model.lacking)
         return found
 
     def _owners(self) -> dict[str, str]:
@@ -199,8 +203,29 @@ class PlanarMechanism:
             found[link.child] = angle, shift, rate, velocity
         return found
 
-    def _body(self, part: Part, angle: float, shift: np.ndarray, rate: float, velocity: np.ndarray) -> dict[str, Any]:
-        inertia = float(self.normal @ part.inertia @ self.normal)
+    def _rotors(self) -> dict[str, float]:
+        """Return the inertia [kg m^2] that armatures add to bodies by name, and note the armatures that are left out.
+
+        A rotor has the relative angular velocity of its joint. If the first body of the joint does not rotate, this is
+        the angular velocity of the second body, so that the rotor acts as additional inertia of it.
+        """
+        found: dict[str, float] = {}
+        rotates = {GROUND: False}
+        for link in self.model.links:
+            rotates[link.child] = rotates[link.parent] or link.kind in ("turn", "free")
+            if not link.armature:
+                continue
+            if link.kind == "turn" and not rotates[link.parent]:
+                found[link.child] = link.armature
+            else:
+                what = "joints on rotating bodies" if link.kind == "turn" else f"{link.kind} joints"
+                self.model.leave_out(f"armatures of {what}", link.name, acts=True)
+        return found
+
+    def _body(
+        self, part: Part, rotor: float, angle: float, shift: np.ndarray, rate: float, velocity: np.ndarray
+    ) -> dict[str, Any]:
+        inertia = float(self.normal @ part.inertia @ self.normal) + rotor
         position = _turned(angle, np.array(self._flat(part.center))) + shift
         moving = velocity + rate * np.array([-position[1], position[0]])
         rigid = {"inertia": inertia, "angle": angle, "angular_velocity": rate} if inertia > 0 else {}
@@ -216,31 +241,54 @@ class PlanarMechanism:
         if link.kind == "fixed":
             data["joints"][link.name] = {"type": "weld", **joint}
             return
-        sign, spring = 1.0, {"stiffness": link.stiffness, "damping": link.damping}
-        has_spring, name = any(spring.values()), f"{link.name} spring"
+        bodies = {"bodies": [first, second]}
         if link.kind == "turn":
-            sign = self._sign(link)
+            sign, zero, pathway = self._sign(link), 0.0, {"type": "relative-angle", **bodies}
             data["joints"][link.name] = {"type": "revolute", **joint}
-            if has_spring:
-                data["forces"][name] = {"type": "torsion-spring", "bodies": [first, second], **spring,
-                                        "free_angle": sign * link.rest}  # fmt: skip
         else:
             way = self._direction(link)
+            axis = int(np.argmax(np.abs(way)))
+            apart = self.parts[second].center - (0.0 if first == GROUND else self.parts[first].center)
+            sign, zero = float(np.sign(way[axis])), self._flat(apart)[axis]
+            pathway = {"type": "coordinate", **bodies, "coordinate": "xy"[axis]}
             data["joints"][link.name] = {"type": "prismatic", **joint, "axis": way.tolist(), "angle": 0.0}
-            if has_spring:
-                data["forces"][name] = self._slide_spring(link, way, first, second, spring)
-        data["coordinates"][link.name] = {"of": f"{link.name}.angle", "scale": sign}
+            if abs(abs(way[axis]) - 1.0) > PARALLEL:
+                pathway = {}
+        data["forces"] |= self._forces(link, pathway, sign, zero)
+        data["coordinates"][link.name] = {"of": f"{link.name}.angle", "scale": sign if link.kind == "turn" else 1.0}
 
-    def _slide_spring(
-        self, link: Link, way: np.ndarray, first: str, second: str, spring: Mapping[str, float]
-    ) -> dict[str, Any]:
-        axis = int(np.argmax(np.abs(way)))
-        if abs(abs(way[axis]) - 1.0) > PARALLEL:
-            raise refused(f"the spring or damping of joint '{link.name}' acts along a line that is oblique to the axes")
-        apart = self.parts[second].center - (0.0 if first == GROUND else self.parts[first].center)
-        free = self._flat(apart)[axis] + math.copysign(link.rest, way[axis])
-        pathway = {"type": "coordinate", "bodies": [first, second], "coordinate": "xy"[axis]}
-        return {"type": "law", "law": "linear", "pathway": pathway, **spring, "free_length": free}
+    def _forces(self, link: Link, pathway: Mapping[str, Any], sign: float, zero: float) -> dict[str, Any]:
+        """Return the spring, the friction and the limits of a joint as forces by name.
+
+        The length of the pathway is ``zero + sign * coordinate``. The pathway is empty if the joint slides along a line
+        that is oblique to the axes.
+        """
+        found: dict[str, Any] = {}
+        spring = {"stiffness": link.stiffness, "damping": link.damping}
+        if any(spring.values()):
+            found["spring"] = {"law": "linear", **spring, "free_length": zero + sign * link.rest}
+        if link.friction:
+            found["friction"] = {
+                "law": "dry-friction",
+                "loss": link.friction,
+                "transition_speed": self.transition_speed,
+            }
+        if found and not pathway:
+            raise refused(
+                f"the spring, damping or friction of joint '{link.name}' acts along a line that is oblique to the axes"
+            )
+        if link.limits is not None and pathway and link.limits[0] < link.limits[1]:
+            ends = sorted(zero + sign * value for value in link.limits)
+            found["limits"] = {"law": "table", "table": [ends, [0.0, 0.0]]}
+        return {f"{link.name} {name}": {"type": "law", "pathway": pathway, **one} for name, one in found.items()}
+
+
+def _sentences(what: str, components: Mapping[str, Sequence[str]]) -> tuple[str, ...]:
+    """Return a sentence for each kind of components, which names some of them."""
+    return tuple(
+        f"{kind} {what}: {listed(names[:MOST_NAMED])}{', ...' if len(names) > MOST_NAMED else ''}"
+        for kind, names in components.items()
+    )
 
 
 def _turned(angle: float, vector: np.ndarray) -> np.ndarray:

@@ -69,13 +69,24 @@ def _joint(model: SpatialModel, joint: Element, parent: str, child: str, here: n
         raise refused(f"joint '{name}' has the type '{kind}', which is not read")
     if joint.find("mimic") is not None:
         raise refused(f"joint '{name}' follows another one (<mimic>), which is not read")
-    if joint.find("limit") is not None and kind in ("revolute", "prismatic"):
+    limits = None
+    if (limit := joint.find("limit")) is not None and kind in ("revolute", "prismatic"):
         model.leave_out("limits of joints", name)
+        limits = number(limit, "lower", 0.0), number(limit, "upper", 0.0)
     dynamics = joint.find("dynamics")
-    if number(dynamics, "friction", 0.0):
-        model.leave_out("friction of joints", name)
     axis = turned @ unit(numbers(joint.find("axis"), "xyz", "1 0 0", 3), f"the axis of joint '{name}'")
-    return Link(name, KINDS[kind], parent, child, here, axis, damping=number(dynamics, "damping", 0.0))  # type: ignore[arg-type]
+    damping, friction = number(dynamics, "damping", 0.0), number(dynamics, "friction", 0.0)
+    return Link(
+        name,
+        KINDS[kind],
+        parent,
+        child,
+        here,
+        axis,
+        damping=damping,
+        friction=friction,
+        limits=limits,  # type: ignore[arg-type]
+    )
 
 
 def _add_part(
