@@ -47,7 +47,7 @@ def key_words(key: str | Path) -> str:
         if shown[-1] in ("0", "1") and shown[-2].split()[0] in _VECTORS:
             shown[-1] = "xy"[int(shown[-1])]
         else:
-            shown[-2:] = [f"{shown[-2]}, number {int(shown[-1]) + 1}"]
+            shown[-2:] = [f"{shown[-2]}[{shown[-1]}]"]
     return " of ".join(reversed(shown))
 
 

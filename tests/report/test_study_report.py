@@ -150,7 +150,7 @@ def test_axes_of_charts_are_named_in_words_with_units(document):
         ("time.step", "step"),
         ("integrator.rtol", "relative tolerance"),
         ("model.bodies.left foot.mass", "mass of left foot"),
-        ("model.angles.0", "angles, number 1"),
+        ("model.angles.0", "angles[0]"),
         ("parameters.crank", "crank"),
         ("model.springs.support.free_length", "free length of support"),
         ("model.springs.support.points.0.1", "y of point 1 of support"),
