@@ -183,7 +183,7 @@ def _ranked(words: dict[str, str], shares: Sequence[Estimate]) -> str:
     while count < min(len(order), 2 * MOST_CAUSES) and overlap(count):
         count += 1
     names = list(words)
-    told = listed([words[names[place]] for place in order[:count]], "and")
+    told = ", ".join(words[names[place]] for place in order[:count])
     groups: list[list[str]] = []
     for rank, place in enumerate(order[:count]):
         if rank and overlap(rank):

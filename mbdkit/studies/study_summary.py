@@ -33,7 +33,7 @@ def summary(study: Study) -> str:
         ("study", " ".join(study.spec.title.split())),
         ("runs", f"{len(study.points)}: {runs}{beside}; numbered from 1, as in study.run(number=1)"),
         ("verdicts", verdicts + (" (of runs by themselves, without the reference)" if study.references else "")),
-        *(("answer", f"{name}: {told}") for name, told in headlines(study)),
+        *_answer(study),
         ("computed", f"{study.computed} now" if study.computed else "nothing now"),
         ("folder", str(study.folder)),
     ]
@@ -46,6 +46,14 @@ def summary(study: Study) -> str:
         for reason, count in Counter(study.unfinished).most_common(5)
     ]
     return "\n".join(text)
+
+
+def _answer(study: Study) -> Iterator[tuple[str, str]]:
+    """Yield the lines of the answer: the parts of the text on each measure, the first with the name of the measure."""
+    for number, (name, told) in enumerate(headlines(study)):
+        first, *others = told.split("; ")
+        yield "" if number else "answer", f"{name}: {first}"
+        yield from (("", f"  {part}") for part in others)
 
 
 def plan_summary(plan: StudyPlan) -> str:

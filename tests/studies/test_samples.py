@@ -214,7 +214,7 @@ def test_the_headline_says_shares_alone_and_with_interactions(of_ishigami: mbdki
     interval = r"\(\d+ to \d+\) %"
     assert re.search(rf"angle of a explains {a} {interval} alone and {all_a} {interval} with interactions", told)
     assert re.search(
-        rf"angle of b explains {b} {interval} and angle of c explains {c} {interval} alone and {all_c} ", told
+        rf"angle of b explains {b} {interval}, angle of c explains {c} {interval} alone and {all_c} ", told
     )
     assert "where the order of angle of a and angle of b is uncertain" in told
     for members in (8, 16):
