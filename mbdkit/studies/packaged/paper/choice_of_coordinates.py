@@ -46,12 +46,12 @@ def coordinates(study: Study) -> tuple[Claim, Table]:
         "coordinates",
         "The misalignment of the joints measures the accuracy of a method.",
         "the paper ranks methods by the misalignment of the joints",
-        f"the largest misalignments are {apart_by} in coordinates of the bodies, and {left} with all of them in "
-        f"coordinates of the joints; the errors at 15 s in coordinates of the joints are {spread}, {between} times "
-        "those in coordinates of the bodies",
+        f"the largest misalignments are {apart_by} in coordinates of the bodies, and {left} with all "
+        f"methods in coordinates of the joints; the errors at 15 s in coordinates of the joints are {spread}, "
+        f"{between} times the errors in coordinates of the bodies",
         answer,
-        f"Misalignment depends on the choice of coordinates: in those of the joints, it is {left} with every method, "
-        f"so that it no longer ranks them, while their errors at 15 s are {spread}.",
+        f"Misalignment depends on the choice of coordinates: in coordinates of the joints, it is {left} with every "
+        f"method and no longer ranks the methods, although their errors at 15 s are {spread}.",
     )
     columns = columns_of("pendulum; method; coordinates of; step [s]; largest misalignment [m]; error at 15 s [m]")
     note = "Rods of 20 m. In the coordinates of the joints, positions follow from the angles of the rods."

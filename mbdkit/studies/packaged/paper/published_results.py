@@ -183,7 +183,8 @@ def trajectories(study: Study) -> tuple[Claim, tuple[Figure, ...], tuple[Figure,
         "The path of the double pendulum depends on the method.",
         "visibly different paths at h = 0.1 s",
         f"the paths differ by at most {double:.1e} times the length of the pendulum with rods of 20 m, and by at most "
-        f"{metre:.2g} times with rods of 1 m released from the horizontal (single pendulum of 20 m: {single:.1e})",
+        f"{metre:.2g} times this length with rods of 1 m released from the horizontal (single pendulum of "
+        f"20 m: {single:.1e})",
         together(answers),
         "With the lengths that reproduce the published misalignments, the three paths of the double pendulum cannot be "
         "distinguished in a figure; with rods of 1 m released from the horizontal they diverge within seconds. We "
