@@ -329,4 +329,4 @@ def local_point(bodies: Mapping[str, Body], name: str, point: tuple[float, float
 
 
 class Marker(AtPoint):
-    """A point of a body whose position and velocity are recorded; it does not affect the motion."""
+    """A point of a body whose position and velocity are recorded; a marker does not affect the motion."""

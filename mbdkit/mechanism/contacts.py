@@ -192,9 +192,9 @@ class Compliance(StrictModel):
     law: Literal["hunt-crossley", "flores", "lankarani-nikravesh", "linear", "smooth-sphere-half-space"] = (
         "hunt-crossley"
     )
-    """`hunt-crossley`: ``k d^(3/2) (1 + 3/2 c d')``; `flores` and `lankarani-nikravesh`: the same, with c from
-    `restitution` and `impact_speed`; `linear`: ``k d + c d'``; `smooth-sphere-half-space`: the force of OpenSim for a
-    circle on a line."""
+    """`hunt-crossley`: ``k d^(3/2) (1 + 3/2 c d')``; `flores` and `lankarani-nikravesh`: the same formula, with c
+    computed from `restitution` and `impact_speed`; `linear`: ``k d + c d'``; `smooth-sphere-half-space`: the force of
+    OpenSim for a circle on a line."""
     stiffness: Positive
     """Stiffness k [N/m^1.5]; for `linear` [N/m]; for `smooth-sphere-half-space` [N/m^2]."""
     dissipation: NotNegative | None = None

@@ -74,7 +74,7 @@ def _claims(stages: int) -> Claims:
         symmetric=True,
         symplectic=True,
         stages=stages,
-        drift="positions and velocities satisfy the joints to round-off at the end of every step",
+        drift="at the end of every step, positions and velocities satisfy the constraints up to rounding errors",
         constraints_hold=("position", "velocity"),
         needs=("accelerations",),
         formulations=("index-3",),

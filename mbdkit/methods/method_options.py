@@ -18,13 +18,13 @@ from mbdkit.methods.kinds import ImplicitRungeKutta, Tolerances
 from mbdkit.methods.tableau import ButcherTableau
 from mbdkit.registry.items import Claims
 
-ORDER_DRIFT = "constraints hold at acceleration level only: drift of the method's order, growing with time"
+ORDER_DRIFT = "only accelerations satisfy the constraints; drift has the order of the method and grows with time"
 """Drift of methods in fixed steps on the index-1 equations."""
 
-TOLERANCE_DRIFT = "constraints hold at acceleration level only: drift follows the tolerance and grows with time"
+TOLERANCE_DRIFT = "only accelerations satisfy the constraints; drift depends on the tolerance and grows with time"
 """Drift of methods in adaptive steps on the index-1 equations."""
 
-OF_TREES = "; with joint-coordinates, joints of the spanning tree hold to round-off"
+OF_TREES = "; with joint-coordinates, the joints of the spanning tree stay closed up to rounding errors"
 """Clause on joint coordinates that methods append to `ORDER_DRIFT` or `TOLERANCE_DRIFT`."""
 
 HAIRER_NORSETT_WANNER = """@book{hairer1993,

@@ -78,7 +78,8 @@ INTEGRATORS = (
         create=lambda options: MoreauJean(options.theta),
         claims=lambda options: Claims(
             order=1,
-            drift="positions satisfy the constraints to round-off, velocities to the order of the step",
+            drift="positions satisfy the constraints up to rounding errors, velocities up to errors of the order of "
+            "the step",
             constraints_hold=("position",),
             needs=("tangents",),
         ),
@@ -91,7 +92,8 @@ INTEGRATORS = (
         create=lambda options: GeneralizedAlpha(options.spectral_radius),
         claims=lambda options: Claims(
             order=2,
-            drift="positions satisfy the constraints to round-off, velocities to the order of the step",
+            drift="positions satisfy the constraints up to rounding errors, velocities up to errors of the order of "
+            "the step",
             constraints_hold=("position",),
             needs=("tangents",),
         ),

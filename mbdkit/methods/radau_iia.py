@@ -58,9 +58,9 @@ class RadauOptions(ImplicitOptions):
 
 
 _DRIFT_BY_FORMULATION = (
-    "index-1 drifts with the method's order, growing with time; joints hold to round-off in positions with index-3, "
-    "in velocities with index-2, in both with ggl; the misalignment of positions with index-2 grows with time, that "
-    "of velocities with index-3 does not"
+    "with index-1, drift has the order of the method and grows with time; with index-3, positions satisfy the "
+    "constraints up to rounding errors; with index-2, velocities do; with ggl, both do; the misalignment of positions "
+    "with index-2 grows with time, that of velocities with index-3 does not"
 )
 
 

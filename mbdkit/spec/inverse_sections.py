@@ -380,9 +380,9 @@ class Recruitment(Section):
     minimum: Annotated[float, Field(ge=0, lt=1)] = 0.01
     """Smallest activation."""
     reserves: Positive | dict[str, Positive] = Field(default_factory=dict)
-    """Reserve actuators, which act in addition to the muscles; none by default. Their optimal force or torque
-    [N or N m], one value for all actuators or one by name, costs as much as the full activation of a muscle with
-    weight 1. The smaller it is, the less the reserve is used."""
+    """Reserve actuators, which act in addition to the muscles; none by default. Their optimal force or torque [N or N
+    m], one value for all actuators or one by name, costs as much as the full activation of a muscle with weight 1. The
+    smaller this optimal force is, the less the reserve is used."""
     capacity: Literal["full", "isometric"] = "full"
     """Largest active tension of a muscle: `full`, max_force times the curves of force by length and velocity times the
     cosine of the pennation; or `isometric`, max_force, which requires rigid tendons."""

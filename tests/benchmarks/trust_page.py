@@ -71,8 +71,8 @@ inconsistent, the run has certainly left its branch. It then stops with the reas
   half and a quarter of the step, or with tighter tolerances, and a run by another method. The differences between these
   runs give an estimated error for every recorded position, velocity, reaction force and reaction torque. From the time
   at which these differences no longer decrease with the step, the estimates are nan; `run.accuracy.known_until` is the
-  last recorded time before, and the summary and the verdict give the reason. The summary prints, for example, `largest
-  force in J1 24.5250 +- 1.1e-06 N`. Plots draw the errors as bands, and the group `accuracy` of the archive
+  last recorded time before that time, and the summary and the verdict give the reason. The summary prints, for example,
+  `largest force in J1 24.5250 +- 1.1e-06 N`. Plots draw the errors as bands, and the group `accuracy` of the archive
   contains them. A force may have its peak between two recorded times. A check therefore determines the largest forces
   and torques between recorded times as well. The difference from the largest recorded value is part of the error and
   counts in the verdict, unless a measure such as `max(abs(joints.J1.force))` gives the largest force of the joint. To
