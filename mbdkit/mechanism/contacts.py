@@ -198,9 +198,8 @@ class Compliance(StrictModel):
     stiffness: Positive
     """Stiffness k [N/m^1.5]; for `linear` [N/m]; for `smooth-sphere-half-space` [N/m^2]."""
     dissipation: NotNegative | None = None
-    """Dissipation c [s/m]; for `linear` [N s/m]. `flores` and `lankarani-nikravesh` always compute it from
-    `restitution` and `impact_speed`, and `hunt-crossley` does so if `impact_speed` is given. Otherwise, the default is
-    0."""
+    """Dissipation c [s/m]; for `linear` [N s/m]. `flores` and `lankarani-nikravesh` always compute c from `restitution`
+    and `impact_speed`, and `hunt-crossley` does so if `impact_speed` is given. Otherwise, the default is 0."""
     impact_speed: Positive | None = None
     """Speed of approach [m/s] at which an impact has the `restitution` of the contact."""
     transition_speed: Positive = 0.01

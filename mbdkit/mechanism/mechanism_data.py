@@ -38,7 +38,7 @@ class NamedCoordinate(StrictModel):
     """Body whose angle is subtracted from `of`, which is then the angle of another body. The two bodies need not share
     a joint."""
     scale: Number = 1.0
-    """Change of the coordinate per change of the quantity; not zero."""
+    """Ratio of the change of the coordinate to the change of the quantity; must not be zero."""
     offset: Number = 0.0
     """Value of the coordinate when the quantity is zero [rad or m]."""
 

@@ -87,8 +87,8 @@ class LegOptions(LegPose):
     root: Literal["hip", "trunk"] = "hip"
     """`hip`: the hip is pinned to the ground; `trunk`: a free body carries it."""
     trunk_share: Annotated[float, Field(gt=0, le=1)] = 1.0
-    """Share of the mass of head, arms and trunk that the body `trunk` has: 0.5 if both legs carry equal parts of this
-    mass."""
+    """Share of the mass of head, arms and trunk that the body `trunk` has; with one leg, use 0.5 for motions that are
+    the same on both sides."""
     hip_position: Point = (0.0, 0.0)
     """Initial position of the hip (x, y) [m], in the global frame."""
     hip_velocity: Point = (0.0, 0.0)

@@ -140,10 +140,10 @@ class RunSpec(ModelSpec):
     method, or only the step or tolerance of the given integrator. An estimate of the errors then confirms the choice:
     from the pilot runs if they suffice and `check` is false, otherwise from comparison runs."""
     choose: Literal["method", "step", "nothing"] | None = None
-    """What is chosen for `accuracy`. `method`: the method and its step (the default if `integrator` is omitted).
-    `step`: only the step or the tolerance of `integrator`, starting from a given one (the default otherwise).
-    `nothing`: the spec is run unchanged, and the verdict says whether the accuracy is reached. The spec in an archive
-    contains the method and step that were chosen, with `choose: nothing`."""
+    """What is chosen for `accuracy`. `method` (the default if `integrator` is omitted): the method and its step. `step`
+    (the default if `integrator` is given): only the step or the tolerance of `integrator`; the search starts from a
+    given value. `nothing`: the spec is run unchanged, and the verdict says whether the accuracy is reached. The spec in
+    an archive contains the method and step that were chosen, with `choose: nothing`."""
     impacts: Literal["refuse", "allow"] = "refuse"
     """Whether the velocity of a driver may be discontinuous: `refuse` reports a discontinuity as an error of the
     motion; `allow` changes velocities at a discontinuity by the smallest impulse that satisfies the constraints, and

@@ -264,7 +264,7 @@ class Sample(Section):
     """Seed of the random numbers, on which all members depend."""
     design: Literal["plain", "saltelli"] = "plain"
     """`plain` makes one run for each member. `saltelli` makes d + 2 runs for each member, where d is the number of
-    variables; `study.sensitivity` computes Sobol indices from them."""
+    variables; `study.sensitivity` computes Sobol indices from these runs."""
     variables: Annotated[dict[str, Distribution], BeforeValidator(_check_number), AfterValidator(_check_variables)]
     """Distribution of each key, such as `model.angles.0: {uniform: [-1, 1]}`."""
 

@@ -93,10 +93,11 @@ inconsistent, the run has certainly left its branch. It then stops with the reas
   request does not apply to forces, which are less accurate than positions; `run.accuracy` contains estimates of their
   errors as well. With explicit adaptive methods, the last pilot becomes the result, and its errors are estimated from
   the previous pilots. These estimates take no additional time, but they are less accurate than those of comparison
-  runs: usually several times too large, sometimes too small. They were tested with 147 runs of 21 mechanisms with known
-  motions, for accuracies of 1e-2 to 1e-6. In 13 of these runs (9 for positions, 7 for forces), the true error exceeds
-  the estimate at some time: in 11 runs by a factor below 2.5, in two by factors of 8 and 12. Ten of the 13 runs had an
-  accuracy of 3e-4 or coarser. If the errors of forces matter, add `--check`, which estimates them by comparison runs.
+  runs: usually several times too large, sometimes too small. The estimates were tested with 147 runs of 21 mechanisms
+  with known motions, for accuracies of 1e-2 to 1e-6. In 13 of these runs (9 for positions, 7 for forces), the true
+  error exceeds the estimate at some time: in 11 runs by a factor below 2.5, in two by factors of 8 and 12. Ten of the
+  13 runs had an accuracy of 3e-4 or coarser. If the errors of forces matter, add `--check`, which estimates them by
+  comparison runs.
 - **`limits`** stop a run. `limits.misalignment` (default 1) limits the misalignment of joints as a share of the
   mechanism's size, or of 1 rad for angles. `limits.energy_jump` (off by default) limits the change of the energy
   balance in one step, as a share of the largest kinetic energy so far. `limits.law_range: stop` stops the run when a
