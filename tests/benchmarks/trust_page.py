@@ -33,7 +33,7 @@ OUTLINE = """\
 
 The verdict on a run, how errors are estimated, what the estimates do not cover, and a comparison with true errors.
 
-Every run has a verdict. It is shown at the top of the summary and in reports. `run.verdict`, `run.verdict_reasons`,
+Every run has a verdict, which is shown at the top of the summary and in reports. `run.verdict`, `run.verdict_reasons`,
 `--json`, the archive and the table of a study contain it too.
 
 | verdict | meaning |
@@ -58,12 +58,16 @@ are valid. Warnings that question the result make a run `doubtful`. They name, f
 degrees, a coefficient of friction above 5, and an inertia above m d^2, where m is the mass of the heaviest body and d
 is ten times the size of the mechanism. A run whose [gradients](gradients.md) fail their check is doubtful as well.
 
+A model that is read from a file of another program may lack effects that the file describes and that change the motion.
+A run of such a model is `doubtful`, with a reason that begins with `left-out`. If you accept this, write `accept:
+[left-out]` in the spec: the verdict then mentions the effects without becoming `doubtful`.
+
 The *branch* of a run is the family of positions that the mechanism can reach continuously from its start. In a singular
 position, several branches meet, and a run can continue on the wrong one. A run is `bad` if its direction of motion
 changes sharply in a singular position, because it has then probably left its branch. The change counts as sharp if its
 angle [rad] is at least {angle:g}, and at least {ratio:g} r, where r is the length of the path on which the direction
 changes, divided by the length of the longest link. If joints that are redundant and consistent at the start become
-inconsistent, the run has certainly left its branch. It then stops with the reason `branch-left`.
+inconsistent, the run has certainly left its branch, and stops with the reason `branch-left`.
 
 ## What you can ask for
 
