@@ -183,7 +183,7 @@ class GlobalOptimizer(Section):
     population: Count = 15
     """Population size (number of members) for each variable."""
     seed: Annotated[int, Field(ge=0)] = 0
-    """Seed of its random numbers."""
+    """Seed of the random numbers."""
     tolerance: Positive = 1e-6
     """Spread of the population, relative to its mean, at which the search ends."""
     max_iterations: Count = 200
@@ -199,7 +199,7 @@ class EvolutionStrategy(Section):
     spread: Annotated[float, Field(gt=0, le=1)] = 0.25
     """Standard deviation of the first generation around the start, as a share of the distance between the bounds."""
     seed: Annotated[int, Field(ge=0)] = 0
-    """Seed of its random numbers."""
+    """Seed of the random numbers."""
     tolerance: Positive = 1e-9
     """Relative change of the goal, and of the variables relative to the distance between their bounds, at which the
     search ends."""

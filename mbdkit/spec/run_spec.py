@@ -151,8 +151,8 @@ class RunSpec(ModelSpec):
     contact: ContactTreatment = ContactTreatment()
     """How contacts act."""
     accept: list[Literal["left-out"]] = Field(default_factory=list)
-    """Criteria that the verdict does not apply, because what they find is known and intended. `left-out`: effects in
-    the file of a model that the mechanism lacks."""
+    """Criteria that are not applied in the verdict, because their findings are known and intended. `left-out`: effects
+    that the file of a model describes, but the mechanism lacks."""
 
     _watched: Any = PrivateAttr(default=None)
     _settings: Any = PrivateAttr(default=None)

@@ -19,7 +19,8 @@ NOTES = (
     f"The source paper is \u201c{TITLE}\u201d. Its author and DOI are not known to us.",
     (
         "The paper states the step, h = 0.1 s, but no masses, lengths, gravity or initial angles. We assume uniform "
-        "rods of 20 m and 1 kg, released 40 degrees below the horizontal, which reproduce the published misalignments."
+        "rods of 20 m and 1 kg, released 40 degrees below the horizontal. These assumptions reproduce the "
+        "published misalignments."
     ),
     "With rods of 1 m released from the horizontal, the same methods and step give misalignments of cm to metres.",
     "Misalignment is given in metres or millimetres as in the paper; it scales with the size of the mechanism.",
