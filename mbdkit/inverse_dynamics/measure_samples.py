@@ -35,6 +35,14 @@ HIDDEN_SAMPLES = 8
 FACTOR = float(chi2.ppf(LEVEL, 1))
 """Ratio of the squared bound of a Gaussian variable to its mean square."""
 
+FIRST_NOISE = 1.0 / (np.sqrt(2.0) - 1.0)
+"""Ratio of the bias that the noise of the data causes to the mean change that further noise causes.
+
+Noise always increases a largest value or a root mean square. If noise dominates, these are proportional to its standard
+deviation, which the samples increase by a factor of sqrt(2). If noise is small, the ratio is 1 or so; the bias is then
+small compared with the scatter.
+"""
+
 
 @dataclass(frozen=True)
 class SampledMeasures:
@@ -69,13 +77,20 @@ class SampledMeasures:
     def bounds(self) -> np.ndarray:
         """Return the bounds (..., K) of the errors, which hold with the probability `LEVEL`; nan if they are unknown.
 
-        The bounds are root sums of squares of the effects of noise, muscles and cutoffs. The square of the effect of
-        noise is `FACTOR` times the mean square change of the measure, which includes the bias of extrema; likewise for
-        muscles. For cutoffs, it is the mean square change itself. Samples that are nan, because the muscles cannot
-        produce the motion, are ignored. The bounds are nan if these are more than half of the samples.
+        The bounds are root sums of squares of the effects of noise, muscles and cutoffs. The effect of noise is the
+        bound of the scatter of the measure plus its bias, which is `FIRST_NOISE` times the mean change. The square of
+        the effect of muscles is `FACTOR` times the mean square change; for cutoffs, it is the mean square change
+        itself. Samples that are nan, because the muscles cannot produce the motion, are ignored. The bounds are nan if
+        these are more than half of the samples.
         """
         square = np.zeros_like(self.value)
-        for factor, samples in ((FACTOR, self.noisy), (FACTOR, self.muscles), (1.0, self.cutoffs)):
+        if len(self.noisy):
+            change = self.noisy - self.value
+            mean, number = known_mean(change), np.sum(np.isfinite(change), axis=0)
+            variance = known_mean((change - mean) ** 2)
+            bias = FIRST_NOISE * np.sqrt(np.maximum(0.0, mean**2 - variance / np.maximum(1, number)))
+            square = (bias + np.sqrt(FACTOR * variance)) ** 2
+        for factor, samples in ((FACTOR, self.muscles), (1.0, self.cutoffs)):
             if len(samples):
                 square = square + factor * known_mean((samples - self.value) ** 2)
         return np.asarray(np.sqrt(square))

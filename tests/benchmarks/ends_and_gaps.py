@@ -13,9 +13,16 @@ from typing import Any
 
 import numpy as np
 
-from tests.inverse_dynamics.test_ends_and_gaps import FILTER, TIME, measured, swing
+from tests.inverse_dynamics.test_ends_and_gaps import DEVIATION, FILTER, TIME, measured, swing
 
-SMOOTHINGS: tuple[dict[str, Any], ...] = (FILTER, {"name": "opensim", "cutoff": 6.0}, {"name": "spline"})
+SMOOTHINGS: tuple[dict[str, Any], ...] = (
+    FILTER,
+    {"name": "opensim", "cutoff": 6.0},
+    {"name": "spline"},
+    {"name": "quintic"},
+)
+COLUMNS = {"hip.angle": {"column": "hip", "deviation": DEVIATION}}
+"""Without smoothing, the noise has to be stated."""
 GAPS = (3, 7, 16, 50)
 """Lengths of gaps [rows], with 100 rows per second; half a period of the cutoff has 8.3 rows."""
 
@@ -29,7 +36,8 @@ def main() -> None:
         near, peaks, doubts = [], [], []
         for seed in motions:
             angle, torque, random = swing(seed)
-            run = measured(angle, random, smooth=smooth)
+            stated = {"columns": COLUMNS} if smooth["name"] == "quintic" else {}
+            run = measured(angle, random, smooth=smooth, **stated)
             one = run.actuators["hip"]
             covered = np.abs(one.value - torque) <= one.value_error
             near.append(np.mean(covered[np.r_[0:10, len(TIME) - 10 : len(TIME)]]))

@@ -43,7 +43,8 @@ def measured(
         cells[gap] = [None] * len(cells[gap])
         motion["gaps"] = {"longest": 1.0}
     spec = pendulum(**{"smooth": FILTER, "errors": {"samples": 60}, **motion})
-    spec["motion"] |= {"data": {"time": TIME, "hip": cells}, "columns": {"hip.angle": "hip"}}
+    columns = motion.get("columns", {"hip.angle": "hip"})
+    spec["motion"] |= {"data": {"time": TIME, "hip": cells}, "columns": columns}
     return mbdkit.inverse({**spec, "measures": {"peak": "max(abs(actuators.hip.value))"}})
 
 

@@ -16,6 +16,7 @@ from mbdkit.analysis.workload import workload
 from mbdkit.archive import archive_check
 from mbdkit.inverse_dynamics.compute import InverseProblem, compute
 from mbdkit.inverse_dynamics.error_bars import _norm_bound
+from mbdkit.inverse_dynamics.measure_samples import SAMPLES, SampledMeasures
 from mbdkit.report.run_report import run_report
 from mbdkit.spec import load_inverse_spec, load_spec
 from tests.inverse_dynamics.drawn_coverage import coverage
@@ -298,3 +299,16 @@ def test_what_is_smoothed_instead_of_the_measured_columns_is_part_of_the_bar() -
         assert np.max(np.abs(other - own)) > 0.1 * np.max(expected)
     assert run.accuracy is not None
     assert "smoothing of markers.knee.x, markers.knee.y, markers.toe.x and markers.toe.y" in run.accuracy.method
+
+
+def test_errors_of_largest_values_cover_the_bias_that_noise_causes() -> None:
+    # the truth is the largest value of a parabola; without smoothing, noise of up to five times its height remains
+    random, top = np.random.default_rng(6), 1.0 - np.linspace(-1.0, 1.0, 200) ** 2
+    for deviation in (0.02, 0.2, 5.0):
+        covered = []
+        for _ in range(200):
+            data = top + deviation * random.standard_normal(200)
+            noisy = np.max(data + deviation * random.standard_normal((SAMPLES, 200)), axis=1)[:, None]
+            found = SampledMeasures(np.array([np.max(data)]), noisy, np.zeros((0, 1)), np.zeros((0, 1)))
+            covered.append(abs(found.value[0] - 1.0) <= found.bounds()[0])
+        assert np.mean(covered) > 0.85
