@@ -254,6 +254,26 @@ def _largest_known_force(run: Run, count: int) -> str:
     return f"largest force in {run.joint_names[joint]} {plus_minus(largest, float(errors[joint]))} N"
 
 
+def _why_no_error_bars(spec: Mapping[str, Any]) -> str:
+    """Return the reason why a run of inverse dynamics has no error bars; empty if none were requested."""
+    motion = spec.get("motion", {})
+    if motion.get("errors") == "none":
+        return ""
+    of_run = str(motion.get("file", "")).lower().endswith(".h5") and motion.get("smooth", {}).get("name") == "none"
+    if of_run or any(one.get("rate") is not None for one in (motion.get("columns") or {}).values()):
+        where = "the archive" if of_run else "columns"
+        return (
+            f"velocities and accelerations are those of {where}, whose errors are not known; without them, mbdkit "
+            "differentiates the positions and estimates errors"
+        )
+    if (spec.get("recruitment") or {}).get("dynamics") == "activation":
+        return "they are not estimated with `dynamics: activation`, which couples the frames"
+    return (
+        "the noise cannot be estimated from residuals of a smoothed motion; state the `deviation` of each column, or "
+        "smooth the motion"
+    )
+
+
 def _error_bars(run: Run) -> str:
     """Return a sentence on the error bar of the largest reaction force of inverse dynamics, or on why it is unknown.
 
@@ -261,12 +281,8 @@ def _error_bars(run: Run) -> str:
     """
     accuracy = run.accuracy
     if accuracy is None:
-        if run.spec.get("motion", {}).get("errors") == "none":
-            return ""
-        return (
-            "errors unknown: the noise cannot be estimated from residuals of a smoothed motion; state the "
-            "`deviation` of each column"
-        )
+        why = _why_no_error_bars(run.spec)
+        return f"errors unknown: {why}" if why else ""
     size = np.linalg.norm(run.array("joints/reaction_force"), axis=2)
     if not size.size:
         return ""

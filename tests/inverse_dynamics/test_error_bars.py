@@ -312,3 +312,14 @@ def test_errors_of_largest_values_cover_the_bias_that_noise_causes() -> None:
             found = SampledMeasures(np.array([np.max(data)]), noisy, np.zeros((0, 1)), np.zeros((0, 1)))
             covered.append(abs(found.value[0] - 1.0) <= found.bounds()[0])
         assert np.mean(covered) > 0.85
+
+
+def test_the_summary_says_why_errors_are_unknown() -> None:
+    spec = pendulum(smooth="quintic")
+    assert "state the `deviation` of each column, or smooth the motion" in mbdkit.inverse(spec).summary()
+    spec = pendulum()
+    spec["motion"]["data"] |= {"rate": 1.5 * np.cos(3 * T), "acceleration": -4.5 * np.sin(3 * T)}
+    spec["motion"]["columns"] = {"hip.angle": {"column": "hip", "rate": "rate", "acceleration": "acceleration"}}
+    summary = mbdkit.inverse(spec).summary()
+    assert "errors unknown: velocities and accelerations are those of columns, whose errors are not known" in summary
+    assert "state the `deviation`" not in summary
