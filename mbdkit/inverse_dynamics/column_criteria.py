@@ -151,22 +151,26 @@ def doubts_before_fit(measured: Measured, length: float) -> Iterator[Doubt]:
         yield from _units(measured, index, name, length)
 
 
-def suspicious_columns(measured: Measured, length: float) -> list[str]:
-    """Return sentences, without full stops, about columns that may be the reason why no pose fits.
+def suspicious_columns(measured: Measured, length: float, *, no_pose: bool) -> list[str]:
+    """Return sentences, without full stops, about columns that may be the cause of an error.
 
-    These are columns with outliers or wrong units or, if there are none, the column with a very large range, if any.
+    Wrong units may cause any error. If no pose fits the data, the cause may also be outliers or, if there are none, a
+    column with a very large range.
 
     Parameters
     ----------
     length
         Longest link of the mechanism [m].
+    no_pose
+        Whether the error is that no pose fits the data.
     """
     doubts = [
         doubt.sentence.rstrip(".")
         for index, name in enumerate(measured.names)
         for doubt in (*_outliers(measured, index, name), *_units(measured, index, name, length))
+        if no_pose or doubt.criterion == "units"
     ]
-    if doubts:
+    if doubts or not no_pose:
         return doubts
     scale = np.where(measured.quantities.is_angle, 1.0, length) * measured.quantities.scale
     ranges = np.ptp(measured.values, axis=0) / np.abs(scale)

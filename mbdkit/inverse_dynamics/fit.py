@@ -71,6 +71,10 @@ class Target:
         return Target(self.time[part], self.quantities, self.values[part], self.root_weight)
 
 
+class FitError(RunError):
+    """No pose of the mechanism fits the data."""
+
+
 class Fitter:
     """Fits a mechanism to targets.
 
@@ -160,7 +164,7 @@ class Fitter:
             active = active[~done]
             if not active.size:
                 return q
-        raise RunError(
+        raise FitError(
             f"the mechanism cannot be fitted to the motion at t = {target.time[active[0]]:.6g} s: the iteration does "
             "not converge; the measured values may belong to another configuration, or to a singular position"
         )
@@ -174,7 +178,7 @@ class Fitter:
         try:
             step = directions.least_squares(-frames.phi, observed, values)
         except np.linalg.LinAlgError:
-            raise RunError(
+            raise FitError(
                 f"the mechanism is in a singular position near t = {target.time[0]:.6g} s, where the motion that fits "
                 "the data is not unique"
             ) from None

@@ -19,6 +19,7 @@ from mbdkit.inverse_dynamics.column_criteria import suspicious_columns
 from mbdkit.inverse_dynamics.compute import InverseProblem, compute
 from mbdkit.inverse_dynamics.data_verdict import doubts_about_data
 from mbdkit.inverse_dynamics.error_bars import error_bars
+from mbdkit.inverse_dynamics.fit import FitError
 from mbdkit.inverse_dynamics.measure_samples import errors_of_measures
 from mbdkit.inverse_dynamics.record import archive_of
 from mbdkit.measures.take import check_measures
@@ -28,7 +29,7 @@ from mbdkit.spec.inverse_loading import InverseSource
 _LOG = logger_of(__name__)
 
 MOST_NAMED = 3
-"""Largest number of columns that are named as possible causes if no pose fits the data."""
+"""Largest number of columns that are named as possible causes of an error."""
 
 
 def inverse(
@@ -106,7 +107,8 @@ def compute_run(spec: InverseSpec, *, path: Path | None = None, overwrite: bool 
         try:
             result = compute(problem)
         except RunError as error:
-            suspicious = suspicious_columns(problem.measured, problem.fitter.manifold.length)[:MOST_NAMED]
+            length, no_pose = problem.fitter.manifold.length, isinstance(error, FitError)
+            suspicious = suspicious_columns(problem.measured, length, no_pose=no_pose)[:MOST_NAMED]
             raise RunError("; ".join([str(error), *suspicious])) from error
         timings = {"setup_s": setup, "wall_s": time.perf_counter() - wall, "cpu_s": time.process_time() - cpu}
         bars = error_bars(result)

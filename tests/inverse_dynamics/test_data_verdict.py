@@ -11,6 +11,9 @@ import pytest
 
 import mbdkit
 from mbdkit import SpecError
+from mbdkit.inverse_dynamics.column_criteria import suspicious_columns
+from mbdkit.inverse_dynamics.compute import InverseProblem
+from mbdkit.spec import load_inverse_spec
 from tests.inverse_dynamics.drawn_faults import FAULTS, outcomes
 
 T = np.arange(0.0, 2.0, 0.01)
@@ -109,6 +112,21 @@ def test_the_refusal_of_a_fit_names_the_suspicious_column(
     spec = {"mbdkit": 1, "model": m.to_spec(), "motion": {"data": {"time": t, **data}, "smooth": "quintic"}}
     with pytest.raises(mbdkit.RunError, match=cause):
         mbdkit.inverse(spec)
+
+
+def test_only_wrong_units_are_named_as_causes_of_errors_other_than_those_of_the_fit() -> None:
+    # the knee has the largest range, and an outlier
+    data = {
+        "time": T,
+        **ANGLES,
+        "knee_flexion": 3 * ANGLES["knee_flexion"] + np.where(np.arange(len(T)) == 70, 1.0, 0.0),
+    }
+    for factor, words in ((1.0, []), (180 / np.pi, ["they look like degrees"])):
+        motion = {"data": data | {"hip_flexion": 3 * factor * ANGLES["hip_flexion"]}, "smooth": SMOOTH}
+        spec = load_inverse_spec({"mbdkit": 1, "model": {"name": "leg"}, "motion": motion}, ())
+        found = suspicious_columns(InverseProblem.of(spec).measured, 0.4, no_pose=False)
+        assert len(found) == len(words)
+        assert all(word in one for word, one in zip(words, found, strict=True))
 
 
 def test_a_load_takes_the_times_of_the_motion_from_its_table() -> None:
