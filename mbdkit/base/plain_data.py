@@ -110,6 +110,8 @@ def _unquoted(text: str) -> str:
 def plain(value: Any, path: Path = ()) -> Any:
     """Convert `value` to plain data: dicts, lists, text, numbers, booleans and None.
 
+    In the columns of a mapping with the key ``data``, NaN is a gap and becomes None.
+
     Raises
     ------
     SpecError
@@ -127,6 +129,8 @@ def plain(value: Any, path: Path = ()) -> Any:
             return int(value)
         case float():
             if not math.isfinite(value):
+                if math.isnan(value) and path[-3:-2] == ("data",):  # a gap in a column of measured data
+                    return None
                 raise SpecError(f"should be a finite number, not {float(value)!r}", key=path_text(path))
             return float(value)
         case BaseModel():

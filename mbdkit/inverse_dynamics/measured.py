@@ -119,7 +119,7 @@ def read_motion(spec: InverseSpec, names: QuantityNames) -> tuple[Measured, Tabl
         given = as_given[:, index] = si_values(column, table, unit, key)[kept]
         has_unit[index] = (column.unit or table.unit(column.column)) is not None or (unit == "rad" and table.in_degrees)
         raw[:, index] = given if unit == "m" else _continued(time, given, 2 * np.pi * quantities.scale[index], where)
-        values[:, index] = _bridged(time, raw[:, index], motion.gaps, where)
+        values[:, index] = _bridged(time, raw[:, index], motion.gaps_of(name), where)
         if column.deviation is not None:
             deviation[index] = abs(factor) * column.deviation
         for order, heading in enumerate((column.rate, column.acceleration)):
@@ -333,8 +333,7 @@ def _bridged(
     worst = int(np.argmax(np.where(np.diff(known) > 1, widths, 0.0)))
     if widths[worst] > gaps.longest:
         raise table.error(
-            f"{column}: a gap of {widths[worst]:.4g} s is longer than `motion.gaps.longest` allows "
-            f"({gaps.longest:.4g} s)",
+            f"{column}: a gap of {widths[worst]:.4g} s is longer than `gaps.longest` allows ({gaps.longest:.4g} s)",
             row=int(rows[known[worst] + 1]),
         )
     return bridged(time, values, missing, gaps)

@@ -45,7 +45,8 @@ class NoisePath:
 
     def __init__(self, result: Inverse, independent: Independent, how: Sequence[Smoothing]):
         self._time, self._how = result.motion.time, tuple(how)
-        self._gaps, self._missing = result.problem.spec.motion.gaps, np.isnan(result.fitted.measured.raw)
+        self._gaps = [result.problem.spec.motion.gaps_of(name) for name in result.fitted.measured.names]
+        self._missing = np.isnan(result.fitted.measured.raw)
         manifold, target, q = result.problem.fitter.manifold, result.fitted.measured.target, result.fitted.q
         directions = manifold.directions(manifold.frames(target.time, q).jacobian)
         observed, coordinates = target.quantities.jacobian(q), independent.quantities.jacobian(q)
@@ -108,8 +109,9 @@ class NoisePath:
         for begin in range(0, count, most):
             noise = random.standard_normal((rows, self.columns, min(most, count - begin))) * deviation[:, None]
             for column in np.flatnonzero(np.any(self._missing, axis=0)):
-                assert self._gaps is not None
-                noise[:, column] = bridged(self._time, noise[:, column], self._missing[:, column], self._gaps)
+                gaps = self._gaps[column]
+                assert gaps is not None
+                noise[:, column] = bridged(self._time, noise[:, column], self._missing[:, column], gaps)
             yield noise
 
 

@@ -77,8 +77,19 @@ class TimeColumn(Section):
         return read_unit(self.unit).factor
 
 
+class Gaps(Section):
+    """How gaps in columns (cells that are empty or NaN) are bridged."""
+
+    longest: Positive
+    """Longest time between the samples on both sides of a gap [s]; a longer gap is refused."""
+    interpolation: Literal["linear", "cubic"] = "cubic"
+    """`linear`, or `cubic`: the cubic spline through the other samples of the column."""
+
+
 class ObservedColumn(ColumnOfTable):
     """The column with the measured values of one quantity."""
+
+    ABSENT_BY_DEFAULT: ClassVar[tuple[str, ...]] = (*ColumnOfTable.ABSENT_BY_DEFAULT, "gaps")
 
     weight: Positive = 1.0
     """Factor of the squared residual of the column, in SI units, in the fit of the mechanism."""
@@ -86,6 +97,8 @@ class ObservedColumn(ColumnOfTable):
     """Heading of a column with the first derivative, in the same unit per second, for motions that are not smoothed."""
     acceleration: Named | None = None
     """Heading of a column with the second derivative; given together with `rate`."""
+    gaps: Gaps | None = None
+    """How gaps of this column are bridged; by default, as `motion.gaps` says."""
 
     @model_validator(mode="after")
     def _has_both_derivatives(self) -> ObservedColumn:
@@ -163,15 +176,6 @@ Smoothing = Annotated[
 ]
 
 
-class Gaps(Section):
-    """How gaps in columns (cells that are empty or NaN) are bridged."""
-
-    longest: Positive
-    """Longest time between the samples on both sides of a gap [s]; a longer gap is refused."""
-    interpolation: Literal["linear", "cubic"] = "cubic"
-    """`linear`, or `cubic`: the cubic spline through the other samples of the column."""
-
-
 class ErrorBars(Section):
     """How the errors of the results are estimated from the noise of the data."""
 
@@ -206,7 +210,7 @@ Criterion = Literal[
 """Names of the criteria of the verdict on measured data and on the model."""
 
 Data = dict[str, list[float | None]]
-"""Columns of a table by heading; None is a gap."""
+"""Columns of a table by heading; None and NaN are gaps."""
 
 
 def _one_source(section: Any, *, required: bool) -> None:
@@ -230,7 +234,7 @@ class MeasuredMotion(Section):
     """Table with a column of times: CSV, Vicon CSV, Qualisys TSV, OpenSim .mot or .sto, .trc, C3D, or a run archive;
     relative to the folder of the spec."""
     data: Data | None = None
-    """Columns by heading, as an alternative to `file`."""
+    """Columns by heading, as an alternative to `file`; null, None and NaN are gaps."""
     time: Times = TimeColumn()
     """Column with the times."""
     columns: dict[str, Observed] | None = None
@@ -238,7 +242,7 @@ class MeasuredMotion(Section):
     smooth: Smoothing = NoSmoothing()
     """How the independent coordinates are smoothed and differentiated: a name, or a name and its options."""
     gaps: Gaps | None = None
-    """How gaps in the data are bridged; by default, gaps are refused."""
+    """How gaps in the data are bridged; by default, gaps are refused. `gaps` of a column takes precedence."""
     errors: ErrorBars | Literal["none"] = ErrorBars()
     """How the errors of the results are estimated; `none` leaves them unknown and saves the time of the estimate."""
 
@@ -248,6 +252,11 @@ class MeasuredMotion(Section):
         if self.columns == {}:
             raise SpecError("should have at least one column", key="columns")
         return self
+
+    def gaps_of(self, name: str) -> Gaps | None:
+        """Return how gaps in the column of an observed quantity are bridged; None if they are refused."""
+        column = None if self.columns is None else self.columns[name]
+        return self.gaps if column is None or column.gaps is None else column.gaps
 
 
 class Load(Section):

@@ -139,6 +139,17 @@ def test_gaps_are_bridged_when_asked(tmp_path: Path) -> None:
     assert f"gaps          filled by interpolation: hip.angle, 1 sample from t = {at} to {at} s" in run.summary()
 
 
+def test_nan_in_data_from_python_is_a_gap_that_the_rule_of_its_column_bridges() -> None:
+    t = 0.01 * np.arange(20)
+    hip = np.where(np.arange(20) == 3, np.nan, 10 * t)
+    spec = pendulum("", columns={"hip.angle": {"column": "hip", "gaps": {"longest": 0.05, "interpolation": "linear"}}})
+    spec["motion"] |= {"file": None, "data": {"time": t, "hip": hip}, "gaps": {"longest": 0.01}}
+    run = mbdkit.inverse(spec)
+    assert np.isnan(run.motion["hip.angle"].raw[3])
+    assert run.motion["hip.angle"].fitted[3] == pytest.approx(0.3, abs=1e-12)
+    assert run.spec["motion"]["data"]["hip"][3] is None
+
+
 def test_storage_files_are_in_degrees_where_their_header_says_so(tmp_path: Path) -> None:
     lines = ["walk", "version=1", "nRows=20", "inDegrees=yes", "endheader", "time\thip.angle\ttip.x"]
     lines += [f"{0.01 * i}\t{10 * i}\t{np.cos(np.radians(10 * i))}" for i in range(20)]
