@@ -20,6 +20,10 @@ from mbdkit.mechanism.quantity_names import QuantityNames
 from mbdkit.spec import InverseSpec
 from mbdkit.spec.inverse_sections import ColumnOfTable, Load, TimeColumn
 
+UNLOADED, UNLOADED_SHARE = 10.0, 0.05
+"""Forces below the first limit [N] and below this share of the largest force of a plate are too small to determine a
+centre of pressure."""
+
 Component: TypeAlias = tuple[Literal["force", "point", "torque"], int | None]
 """A component of a `LoadSeries`: name of the array, and index along its last axis."""
 
@@ -154,12 +158,26 @@ def _series(spec: InverseSpec, names: QuantityNames, key: str, load: Load, of_mo
         deviation["torque", None] = _deviation(table, load.torque, "N m")
     if load.point is not None:
         acts = np.any(force != 0, axis=1)
+        if load.is_plate:
+            unloaded = acts & _without_point(table, load.point, force, key)
+            force[unloaded], torque[unloaded] = 0.0, 0.0
+            acts &= ~unloaded
         point = np.empty_like(force)
         for axis, column in enumerate(load.point):
             point[:, axis] = _required(table, column, "m", f"{key}.point[{axis}]", acts)
             deviation["point", axis] = _deviation(table, column, "m")
     noisy = {component: value for component, value in deviation.items() if value > 0}
     return LoadSeries(time, body, force, point, frame, torque, load.interpolation == "cubic", noisy)
+
+
+def _without_point(table: Table, point: tuple[ColumnOfTable | float, ...], force: np.ndarray, key: str) -> np.ndarray:
+    """Return the rows (R,) in which a plate gives no point of application because its force is too small."""
+    missing = np.zeros(len(force), dtype=bool)
+    for axis, column in enumerate(point):
+        if not isinstance(column, float):
+            missing |= np.isnan(si_values(column, table, "m", f"{key}.point[{axis}]"))
+    size = np.linalg.norm(np.nan_to_num(force), axis=1)
+    return np.asarray(missing & (size < min(UNLOADED, UNLOADED_SHARE * np.max(size, initial=0.0))))
 
 
 def _deviation(table: Table, column: ColumnOfTable | float, unit: str) -> float:
@@ -186,7 +204,14 @@ def _required(
     absent = np.isnan(values)
     missing = np.flatnonzero(absent if needed is None else absent & needed)
     if missing.size:
-        raise table.error(f"column '{shown(column.column)}': the value of the load is missing", row=int(missing[0]))
+        told = "the value of the load is missing"
+        if needed is not None:
+            told = (
+                "the point of application is missing, although a force acts; give the point, or set the force to zero "
+                f"in this row (for `kind: plate`, mbdkit does so below {UNLOADED:g} N and {UNLOADED_SHARE:.0%} of the "
+                "largest force)"
+            )
+        raise table.error(f"column '{shown(column.column)}': {told}", row=int(missing[0]))
     known = np.flatnonzero(~absent)
     rows = np.arange(len(values))
     return np.interp(rows, known, values[known]) if known.size else np.zeros(len(values))

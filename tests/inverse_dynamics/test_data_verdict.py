@@ -173,6 +173,15 @@ def test_a_centre_of_pressure_in_the_frame_of_the_laboratory_is_doubted() -> Non
     assert leg(loads=far).verdict == "unknown"
 
 
+def test_a_plate_may_lack_the_centre_of_pressure_while_its_force_is_small() -> None:
+    data = stance()["ground"]["data"]
+    up = np.maximum(data["fy"], 5.0)
+    force = leg(loads=stance(fy=up, x=np.where(up < 10.0, np.nan, data["x"]))).loads["ground"].force
+    assert force == pytest.approx(np.where(up < 10.0, 0.0, [data["fx"], up]).T)
+    with pytest.raises(SpecError, match="the point of application is missing, although a force acts; give the point"):
+        leg(loads=stance(fy=up, x=np.where(up < 25.0, np.nan, data["x"])))
+
+
 def test_a_load_on_another_body_is_found_on_the_outline_of_its_own() -> None:
     load = stance()
     load["ground"]["body"] = "thigh"
