@@ -234,7 +234,7 @@ class MeasuredMotion(Section):
     """Table with a column of times: CSV, Vicon CSV, Qualisys TSV, OpenSim .mot or .sto, .trc, C3D, or a run archive;
     relative to the folder of the spec."""
     data: Data | None = None
-    """Columns by heading, as an alternative to `file`; null, None and NaN are gaps."""
+    """Columns of numbers by heading, as an alternative to `file`; null, None and NaN are gaps."""
     time: Times = TimeColumn()
     """Column with the times."""
     columns: dict[str, Observed] | None = None
@@ -273,7 +273,7 @@ class Load(Section):
     file: Named | None = None
     """Table of the load; by default, the table of the motion."""
     data: Data | None = None
-    """Columns by heading, as an alternative to `file`."""
+    """Columns of numbers by heading, as an alternative to `file`."""
     time: Times | None = None
     """Column with the times. The default is `motion.time` for a load in the table of the motion, and the column named
     `time` for a load in its own table."""
