@@ -15,6 +15,7 @@ from mbdkit.inverse_dynamics.error_bars import ErrorBars
 from mbdkit.inverse_dynamics.load_criteria import load_doubts
 from mbdkit.inverse_dynamics.model_criteria import mechanism_doubts, model_doubts
 from mbdkit.inverse_dynamics.record_criteria import record_doubts
+from mbdkit.inverse_dynamics.smoothing_criteria import cutoff_doubts
 from mbdkit.spec.inverse_sections import Criterion
 from mbdkit.trust.criteria import Evidence, Judgement, judge
 
@@ -36,7 +37,8 @@ class DataDoubts(NamedTuple):
 
 def doubts_about_data(result: Inverse, bars: ErrorBars | None) -> DataDoubts:
     """Return the doubts about the data and the model of a result."""
-    found = [*column_doubts(result), *load_doubts(result, bars), *model_doubts(result), *record_doubts(result, bars)]
+    found = [*column_doubts(result), *cutoff_doubts(result), *load_doubts(result, bars), *model_doubts(result)]
+    found += record_doubts(result, bars)
     return _sorted(found, result.problem.spec.accept)
 
 

@@ -12,7 +12,7 @@ from mbdkit.archive.run_summary import PULLING
 from mbdkit.inverse_dynamics.column_criteria import Doubt
 from mbdkit.inverse_dynamics.compute import Inverse, recorded_states
 from mbdkit.inverse_dynamics.recruited import Recruited
-from mbdkit.mechanism.improbable_values import improbable_inertias
+from mbdkit.mechanism.improbable_values import improbable_radii
 from mbdkit.mechanism.mechanism import Mechanism
 from mbdkit.runs.coarse_beams import CoarseBeams
 from mbdkit.spec.named_actuators import RESERVE
@@ -59,7 +59,7 @@ def mechanism_doubts(mechanism: Mechanism) -> Iterator[Doubt]:
     """Yield a doubt for each body whose inertia seems to have another unit, and for effects that the mechanism
     lacks.
     """
-    for sentence in improbable_inertias(mechanism):
+    for sentence in improbable_radii(mechanism):
         yield Doubt("inertia", f"{sentence}.")
     for sentence in mechanism.left_out:
         yield Doubt("left-out", f"{sentence}.")

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 
 from mbdkit.base.plain_data import quoted
 from mbdkit.mechanism.bodies import GROUND
@@ -19,6 +19,13 @@ the heaviest body, because bodies of little mass may stand for gears and rotors.
 would be enough.
 """
 
+WIDE, STAND_IN = 1.5, 0.01
+"""The radius of gyration of a body is improbable if it exceeds this many sizes of the mechanism, and if the mass of the
+body is at least a share of `STAND_IN` of the heaviest body, so that it does not stand for a gear or a rotor.
+
+In all packaged examples, radii of gyration are at most 1.0 sizes.
+"""
+
 ROUGHEST = 5.0
 """A coefficient of friction above this is improbable. Rubber on rough ground reaches about 1, racing tyres about 2,
 and percentages are usually larger.
@@ -26,25 +33,50 @@ and percentages are usually larger.
 
 
 def improbable_inertias(mechanism: Mechanism) -> Iterator[str]:
-    """Yield a sentence without a full stop for each body whose inertia is too large for the mechanism."""
-    rigid = {name: body for name, body in mechanism.bodies.items() if body.inertia is not None}
-    if not rigid:
-        return
-    heaviest = max(body.mass for body in mechanism.bodies.values())
-    # The size takes longer to compute, and is at least the extent of the centres of mass. If no inertia is too large
+    """Yield a sentence without a full stop for each body whose inertia is too large for the mechanism.
+
+    The limit is that of `FAR_MASS`, which flywheels, gears and rotors satisfy, too.
+    """
+    heaviest = max((body.mass for body in mechanism.bodies.values()), default=0.0)
+    limits = {name: FAR_MASS * math.sqrt(heaviest / body.mass) for name, body in mechanism.bodies.items() if body.mass}
+    yield from _too_wide(mechanism, limits)
+
+
+def improbable_radii(mechanism: Mechanism) -> Iterator[str]:
+    """Yield a sentence without a full stop for each body whose radius of gyration is too large for the mechanism.
+
+    The limit is that of `WIDE`, for measured mechanisms, whose bodies are mostly limbs and rods.
+    """
+    heaviest = max((body.mass for body in mechanism.bodies.values()), default=0.0)
+    limits = {
+        name: WIDE if body.mass >= STAND_IN * heaviest else FAR_MASS * math.sqrt(heaviest / body.mass)
+        for name, body in mechanism.bodies.items()
+        if body.mass
+    }
+    yield from _too_wide(mechanism, limits)
+
+
+def _too_wide(mechanism: Mechanism, limits: Mapping[str, float]) -> Iterator[str]:
+    """Yield a sentence for each body whose radius of gyration exceeds its limit, in sizes of the mechanism."""
+    radii = {
+        name: math.sqrt(body.inertia / body.mass)
+        for name, body in mechanism.bodies.items()
+        if name in limits and body.inertia is not None
+    }
+    # The size takes longer to compute, and is at least the extent of the centres of mass. If no radius is too large
     # for this extent, none is too large for the size.
     centres = [body.position for body in mechanism.bodies.values()]
-    if max(body.inertia or 0.0 for body in rigid.values()) <= heaviest * (FAR_MASS * _extent(centres)) ** 2:
+    if not radii or all(radius <= limits[name] * _extent(centres) for name, radius in radii.items()):
         return
     size = _extent([*centres, *_points(mechanism)])
-    for name, body in rigid.items():
-        inertia = body.inertia or 0.0
-        if size > 0 and inertia > heaviest * (FAR_MASS * size) ** 2:
+    for name, radius in radii.items():
+        if size > 0 and radius > limits[name] * size:
+            body = mechanism.bodies[name]
             key = f"model.bodies.{quoted(name)}.inertia" if mechanism.name == "mechanism" else f"model, body {name}"
             yield (
-                f"the inertia of {inertia:g} kg m^2 at {key} is that of its mass of {body.mass:g} kg at a distance of "
-                f"{math.sqrt(inertia / body.mass):.3g} m, but the mechanism has a size of {size:.3g} m; if it is in "
-                f"another unit, write it with the unit, for example `{inertia:g} kg*mm^2`"
+                f"the inertia of {body.inertia:g} kg m^2 at {key} is that of its mass of {body.mass:g} kg at a "
+                f"distance of {radius:.3g} m, but the mechanism has a size of {size:.3g} m; if it is in "
+                f"another unit, write it with the unit, for example `{body.inertia:g} kg*mm^2`"
             )
 
 

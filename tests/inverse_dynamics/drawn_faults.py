@@ -366,6 +366,32 @@ def constant_column(one: DataSet, random: np.random.Generator) -> bool | None:
     return len(one.names()) > 1
 
 
+def inertia_unit(one: DataSet, random: np.random.Generator) -> bool | None:
+    """An inertia in kg cm^2, without its unit, of a body with a mass and a length like the others."""
+    bodies = list(one.drawn.poses)
+    body = one.spec["model"]["bodies"][bodies[random.integers(len(bodies))]]
+    body["inertia"] = 1e4 * body["inertia"]
+    return True
+
+
+def torque_unit(one: DataSet, random: np.random.Generator) -> bool | None:
+    """Free torques of plates, of up to 2 % of the force times the length of the body, in N mm without a unit."""
+    for load in one.loads.values():
+        data, length = load["data"], _length(one.drawn, load["body"])
+        data["mz"] = 1000 * 0.02 * length * data["fy"] * np.sin(4 * data["time"] + random.uniform(0, 6))
+        load["torque"] = "mz"
+    return True if one.loads else None
+
+
+def low_cutoff(one: DataSet, random: np.random.Generator) -> bool | None:
+    """A cutoff of 0.3 to 0.6 times the highest frequency of the motion."""
+    smooth = one.motion["smooth"]
+    if "cutoff" not in smooth:
+        return None
+    one.motion["smooth"] = smooth | {"cutoff": random.uniform(0.3, 0.6) * one.drawn.highest}
+    return True
+
+
 FAULTS: dict[str, Fault] = {
     fault.__name__: fault
     for fault in (
@@ -388,6 +414,9 @@ FAULTS: dict[str, Fault] = {
         exchanged_markers,
         outliers,
         constant_column,
+        inertia_unit,
+        torque_unit,
+        low_cutoff,
     )
 }
 

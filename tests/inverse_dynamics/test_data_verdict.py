@@ -12,8 +12,10 @@ import pytest
 import mbdkit
 from mbdkit import SpecError
 from mbdkit.inverse_dynamics.column_criteria import suspicious_columns
-from mbdkit.inverse_dynamics.compute import InverseProblem
+from mbdkit.inverse_dynamics.compute import InverseProblem, compute
+from mbdkit.inverse_dynamics.data_verdict import doubts_about_data
 from mbdkit.spec import load_inverse_spec
+from mbdkit.spec.loading import example_table
 from tests.inverse_dynamics.drawn_faults import FAULTS, outcomes
 
 T = np.arange(0.0, 2.0, 0.01)
@@ -204,6 +206,7 @@ def test_a_plate_with_an_offset_is_doubted() -> None:
     [
         (1.0, 0.0, ""),
         (1.25, 0.0, "The loads seem to be too large: multiplied by 0.8, they fit. Or they are right, and"),
+        (5.0, 0.0, "The loads fit a body of 10 kg, but the model has 2 kg. If it is a part of the body, such as a leg"),
         (-1.0, 0.0, "The loads seem to have the wrong sign."),
         (1.0, 0.05, "The loads seem to be 0.05 s too late."),
     ],
@@ -223,6 +226,49 @@ def test_a_load_that_contradicts_the_motion_of_a_free_body_is_explained(
     run = mbdkit.inverse(spec)
     assert run.verdict == ("doubtful" if cause else "unknown"), run.verdict_reasons
     assert any(cause in reason for reason in run.verdict_reasons) == bool(cause)
+
+
+def late(delay: float) -> dict[str, Any]:
+    """Return the load of the example `walking` with a delay [s]."""
+    lines = [line for line in (example_table("walking") or "").splitlines() if not line.startswith("#")]
+    table = np.genfromtxt(lines, delimiter=",", names=True)
+    data = {"time": table["time"]}
+    for name in ("force_x", "force_y", "pressure_x"):
+        known = ~np.isnan(table[name])
+        data[name] = np.interp(table["time"] - delay, table["time"][known], table[name][known])
+    # of up to 800 N times 1 cm, as a plate may have, with a factor of 1000 because it is in N mm
+    data["torque"] = 10.0 * data["force_y"] * np.sin(9 * table["time"])
+    return {"body": "foot", "data": data, "force": ["force_x", "force_y"], "point": ["pressure_x", 0.0]}
+
+
+def heavy_foot() -> dict[str, Any]:
+    """Return the model of the example `walking` with the inertia of the foot in kg cm^2 in place of kg m^2."""
+    model = load_inverse_spec("walking").mechanism().to_spec()
+    model["bodies"]["foot"]["inertia"] *= 1e4
+    return model
+
+
+@pytest.mark.parametrize(
+    ("sections", "criteria"),
+    [
+        pytest.param({}, set(), id="clean"),
+        pytest.param({"loads": {"ground": late(0.0) | {"torque": "torque"}}}, {"load-point"}, id="torque-in-N-mm"),
+        pytest.param({"loads": {"ground": late(0.1)}}, {"load-time"}, id="late"),
+        pytest.param({"loads": {"ground": late(-0.1)}}, {"load-time"}, id="early"),
+        pytest.param({"cutoff": 3.0}, {"cutoff"}, id="low-cutoff"),
+        pytest.param({"model": heavy_foot()}, {"inertia"}, id="inertia-in-kg-cm2"),
+    ],
+)
+def test_other_criteria_find_faults_of_loads_and_masses_if_residuals_are_accepted(
+    sections: dict[str, Any], criteria: set[str]
+) -> None:
+    overrides = [f"motion.smooth.cutoff={sections['cutoff']}"] if "cutoff" in sections else []
+    given = {name: one for name, one in sections.items() if name != "cutoff"}
+    doubts = doubts_about_data(compute(InverseProblem.of(load_inverse_spec("walking", overrides, **given))), None)
+    assert {one.partition(":")[0] for one in doubts.open} == criteria
+    assert {one.partition(":")[0] for one in doubts.accepted} == {"residuals"}
+    delays = [float(one.split()[7]) for one in doubts.open if one.startswith("load-time")]
+    assert delays == pytest.approx([0.1] * len(delays), abs=0.01)
 
 
 def test_outliers_exchanged_and_constant_columns_are_doubted() -> None:
