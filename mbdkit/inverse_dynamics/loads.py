@@ -13,8 +13,8 @@ from mbdkit.base.errors import SpecError
 from mbdkit.base.plain_data import quoted
 from mbdkit.base.text import shown
 from mbdkit.inverse_dynamics.measured import si_values, source_table, times_of, unit_factor
+from mbdkit.inverse_dynamics.measured_table import Table
 from mbdkit.inverse_dynamics.reduced_motion import Motion
-from mbdkit.inverse_dynamics.tables import Table
 from mbdkit.mechanism.mechanism_quantities import GROUND
 from mbdkit.mechanism.quantity_names import QuantityNames
 from mbdkit.spec import InverseSpec

@@ -16,7 +16,8 @@ from mbdkit.base.plain_data import quoted
 from mbdkit.base.text import counted, listed, shown
 from mbdkit.base.units import Unit, read_unit
 from mbdkit.inverse_dynamics.fit import Target
-from mbdkit.inverse_dynamics.tables import Table, read_table, table_of
+from mbdkit.inverse_dynamics.measured_table import Table, table_of
+from mbdkit.inverse_dynamics.table_files import read_table
 from mbdkit.mechanism.mechanism_quantities import Quantities, Quantity
 from mbdkit.mechanism.quantity_names import QuantityNames
 from mbdkit.spec import InverseSpec

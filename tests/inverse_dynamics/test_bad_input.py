@@ -14,7 +14,7 @@ from typer.testing import CliRunner
 import mbdkit
 from mbdkit import MbdkitError, SpecError
 from mbdkit.cli import app
-from mbdkit.inverse_dynamics import tables
+from mbdkit.inverse_dynamics import table_files
 
 ROWS = ["time,hip,text", *(f"{0.01 * i:.2f},{0.1 * i:.3f},a" for i in range(20))]
 
@@ -109,7 +109,7 @@ def test_a_wrong_force_of_a_load_is_refused(force: Any, message: str, tmp_path: 
 def test_a_table_that_is_too_large_is_refused(
     limit: str, message: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(tables, limit, 50)
+    monkeypatch.setattr(table_files, limit, 50)
     (tmp_path / "t.csv").write_text("\n".join(ROWS), encoding="utf-8")
     with pytest.raises(SpecError) as caught:
         mbdkit.inverse(pendulum(str(tmp_path / "t.csv")))

@@ -10,7 +10,7 @@ import pytest
 
 import mbdkit
 from mbdkit import SpecError
-from mbdkit.inverse_dynamics.tables import read_table
+from mbdkit.inverse_dynamics.table_files import read_table
 from tests.inverse_dynamics.c3d_files import DEC, MIPS, Convention, Plate, c3d_bytes
 from tests.inverse_dynamics.test_bad_input import pendulum
 

@@ -13,7 +13,8 @@ import pytest
 
 import mbdkit
 from mbdkit import SpecError
-from mbdkit.inverse_dynamics.tables import Table, read_table
+from mbdkit.inverse_dynamics.measured_table import Table
+from mbdkit.inverse_dynamics.table_files import read_table
 from tests.inverse_dynamics.test_error_bars import pendulum
 
 VICON = """

@@ -1,22 +1,18 @@
-"""Tables of measured data: CSV, Vicon, Qualisys, OpenSim .mot and .sto, .trc and C3D files, and columns from Python."""
+"""Files with tables of measured data: CSV, Vicon, Qualisys, OpenSim .mot and .sto, .trc and C3D files."""
 
 from __future__ import annotations
 
 import csv
-import math
 import re
-from collections.abc import Iterable, Iterator, Mapping, Sequence
-from contextlib import suppress
-from dataclasses import dataclass, field
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from mbdkit.base.errors import SpecError, file_error
-from mbdkit.base.text import did_you_mean, listed, shown
-from mbdkit.base.units import read_quantity, read_unit
+from mbdkit.base.text import shown
+from mbdkit.base.units import read_unit
 from mbdkit.inverse_dynamics.c3d_file import read_c3d
+from mbdkit.inverse_dynamics.measured_table import Table, begins_like_number
 from mbdkit.inverse_dynamics.motion_capture_tables import (
     Columns,
     is_qualisys,
@@ -25,189 +21,14 @@ from mbdkit.inverse_dynamics.motion_capture_tables import (
     read_vicon,
 )
 
-GAPS = ("", "nan", "na", "n/a", "null")
-"""Texts, in lower case, of cells without a value."""
-
 HEAD = 10
 """Number of lines in which the delimiter of a Vicon file is searched."""
-
-HEADINGS_SHOWN = 30
 
 LARGEST_FILE = 128 * 2**20
 """Largest size of a file that is read [bytes]."""
 
 MOST_CELLS = 10_000_000
 """Largest number of cells of a table; a cell takes about 70 bytes of memory."""
-
-
-@dataclass(frozen=True)
-class Table:
-    """A table of numbers, whose cells are converted when a column is used.
-
-    Parameters
-    ----------
-    file
-        Name of the file, for messages; empty for data from Python.
-    headings
-        Headings of the columns.
-    cells
-        Rows of cells, each a text or a number; None is a gap.
-    lines
-        Number of the line of each row in the file; empty if the format has no lines.
-    units
-        Units that the file states, by heading.
-    in_degrees
-        Whether the file states that rotations are in degrees, without naming their columns.
-    remark
-        Contents of the file that could not be read, as a clause for messages; empty if nothing is missing.
-    """
-
-    file: str
-    headings: Sequence[str]
-    cells: Sequence[Sequence[Any]]
-    lines: Sequence[int] = ()
-    units: Mapping[str, str] = field(default_factory=dict)
-    in_degrees: bool = False
-    remark: str = ""
-    _place: dict[str, int] = field(default_factory=dict, init=False, repr=False)
-
-    def __post_init__(self) -> None:
-        for index, heading in enumerate(self.headings):
-            if heading in self._place and heading:
-                raise self.error(f"two columns have the heading '{shown(heading)}'")
-            self._place[heading] = index
-        without_subject = [heading.rpartition(":")[2] for heading in self.headings]
-        for index, heading in enumerate(without_subject):  # Vicon names markers Subject:LKNE
-            if heading not in self._place and without_subject.count(heading) == 1:
-                self._place[heading] = index
-
-    def __len__(self) -> int:
-        return len(self.cells)
-
-    @property
-    def name(self) -> str:
-        """Name of the table in messages."""
-        return Path(self.file).name if self.file else "the data"
-
-    def error(self, message: str, *, row: int | None = None, key: str = "") -> SpecError:
-        """Return an error about this table, or about one of its rows."""
-        line = self.lines[row] if row is not None and row < len(self.lines) else None
-        where = f"row {row + 1}: " if row is not None and line is None else ""
-        return SpecError(f"{where}{message}", key=key, file=self.file or None, line=line)
-
-    def unit(self, heading: str) -> str | None:
-        """Return the unit that the file states for a column; None if it states none."""
-        place = self._place.get(heading)
-        return None if place is None else self.units.get(self.headings[place])
-
-    def column(self, heading: str, key: str) -> np.ndarray:
-        """Return the numbers of a column, (T,); gaps are nan.
-
-        Parameters
-        ----------
-        key
-            Key of the spec that names the column, for messages.
-
-        Raises
-        ------
-        SpecError
-            If there is no such column, or a cell is not a number.
-        """
-        place = self._place.get(heading)
-        if place is None:
-            names = [shown(name) for name in self.headings if name]
-            some = listed(names[:HEADINGS_SHOWN]) + (", ..." if len(names) > HEADINGS_SHOWN else "")
-            hint = did_you_mean(heading, names) or f"; its columns: {some}"
-            remark = f" ({self.remark})" if self.remark else ""
-            with suppress(SpecError):  # a text that is almost a number with a unit
-                if quantity := read_quantity(heading):
-                    remark += f"; for a constant, give the number in SI units without its unit: {quantity[0]:.6g}"
-            raise SpecError(f"{self.name} has no column '{shown(heading)}'{hint}{remark}", key=key)
-        try:
-            texts = [cells[place] for cells in self.cells]
-            if not all(map(_is_plain, texts)):
-                raise ValueError
-            values = np.array([float(text) for text in texts])
-        except (IndexError, TypeError, ValueError):  # there are gaps, or cells that are not numbers
-            values = np.array([math.inf])
-        if np.any(np.isinf(values)):
-            cells = (cells[place] if place < len(cells) else None for cells in self.cells)
-            values = np.array([self._number(cell, row, heading) for row, cell in enumerate(cells)])
-        return values
-
-    def _number(self, cell: Any, row: int, heading: str) -> float:
-        if cell is None:
-            return math.nan
-        if isinstance(cell, str):
-            text = cell.strip()
-            if text.lower() in GAPS:
-                return math.nan
-            try:
-                if not _is_plain(text):
-                    raise ValueError
-                cell = float(text)
-            except ValueError:
-                message = f"column '{shown(heading)}': {shown(text)!r} is not a number{self._hint(text, row)}"
-                raise self.error(message, row=row) from None
-        if math.isinf(cell):
-            raise self.error(f"column '{shown(heading)}': {cell} is not a finite number", row=row)
-        return float(cell)
-
-    def _hint(self, text: str, row: int) -> str:
-        """Return how to change a file with decimal commas, or with a row of units below the headings."""
-        if _DECIMAL_COMMA.fullmatch(text):
-            return "; decimal commas are not read, so replace them by points"
-        if row == 0 and len(self) > 1 and self.lines and not any(map(_begins_like_number, self.cells[0])):
-            return (
-                "; if this row belongs to the headings, begin it with # (a comment) or delete it; a row of units, such "
-                "as s, deg and mm, is read, but this one has none that is known"
-            )
-        return ""
-
-    def times(self, heading: str, key: str, factor: float) -> np.ndarray:
-        """Return the times in a column, (T,) [s].
-
-        Parameters
-        ----------
-        factor
-            Factor from the numbers of the column to seconds.
-
-        Raises
-        ------
-        SpecError
-            If there is no such column, a time is missing, or times do not increase.
-        """
-        if heading == "time" and heading not in self._place:  # some formats, such as .trc, write `Time`
-            heading = next((name for name in self.headings if name.lower() == heading), heading)
-        values = factor * self.column(heading, key)
-        if not len(values):
-            raise self.error("this table has no rows")
-        missing = np.flatnonzero(np.isnan(values))
-        if missing.size:
-            raise self.error(f"column '{shown(heading)}': the time is missing", row=int(missing[0]))
-        back = np.flatnonzero(np.diff(values) <= 0)
-        if back.size:
-            row = int(back[0]) + 1
-            raise self.error(
-                f"column '{shown(heading)}': times should increase, but {values[row]:.10g} s follows "
-                f"{values[row - 1]:.10g} s",
-                row=row,
-            )
-        return values
-
-
-_DECIMAL_COMMA = re.compile(r"[-+]?\d*,\d+([eE][-+]?\d+)?")
-
-
-def _begins_like_number(cell: Any) -> bool:
-    return not isinstance(cell, str) or bool(re.match(r"\s*[-+.]?\d", cell))
-
-
-def _is_plain(cell: Any) -> bool:
-    """Return whether `float` reads a cell as other programs do; false for ``1_0``, read as 10, and digits of other
-    scripts.
-    """
-    return not isinstance(cell, str) or (cell.isascii() and "_" not in cell)
 
 
 def read_table(path: Path, key: str) -> Table:
@@ -256,16 +77,6 @@ def read_table(path: Path, key: str) -> Table:
     return readers[suffix](str(path), lines)
 
 
-def table_of(data: Mapping[str, Sequence[float | None]], key: str) -> Table:
-    """Return a table with the given columns by heading; raise SpecError if the columns differ in length."""
-    lengths = {heading: len(values) for heading, values in data.items()}
-    if len(set(lengths.values())) > 1:
-        raise SpecError(
-            f"columns should be of equal length, not {listed(f'{name} {n}' for name, n in lengths.items())}", key=key
-        )
-    return Table("", list(data), list(zip(*data.values(), strict=True)))
-
-
 def _read_csv(file: str, lines: list[str]) -> Table:
     """Read a table with a line of headings and possibly a line of units, or a file of a motion capture program; lines
     that begin with # are comments.
@@ -298,7 +109,7 @@ def _units_in(headings: Sequence[str], cells: Sequence[str]) -> dict[str, str]:
     """Return the units in a row below the headings, by heading; empty if it has numbers, or no unit that is known."""
     stated = {heading: cell.strip().strip("[]()") for heading, cell in zip(headings, cells, strict=False)}
     stated = {heading: text for heading, text in stated.items() if text}
-    if any(map(_begins_like_number, stated.values())) or not any(map(_is_unit, stated.values())):
+    if any(map(begins_like_number, stated.values())) or not any(map(_is_unit, stated.values())):
         return {}
     return stated
 
