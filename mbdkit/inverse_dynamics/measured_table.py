@@ -16,7 +16,10 @@ from mbdkit.base.errors import SpecError
 from mbdkit.base.text import did_you_mean, listed, shown
 from mbdkit.base.units import read_quantity
 
-GAPS = ("", "nan", "na", "n/a", "null")
+GAPS = (
+    *("", "nan", "-nan", "na", "n/a", "#n/a", "<na>", "n.a.", "null", "none", "-", "--"),
+    *("nan(ind)", "-nan(ind)", "1.#qnan", "1.#ind", "-1.#ind"),
+)
 """Texts, in lower case, of cells without a value."""
 
 HEADINGS_SHOWN = 30
@@ -42,6 +45,8 @@ class Table:
         Whether the file states that rotations are in degrees, without naming their columns.
     remark
         Contents of the file that could not be read, as a clause for messages; empty if nothing is missing.
+    full_headings
+        Headings with their units, such as ``hip [deg]``, of columns whose headings are given without units.
     """
 
     file: str
@@ -51,6 +56,7 @@ class Table:
     units: Mapping[str, str] = field(default_factory=dict)
     in_degrees: bool = False
     remark: str = ""
+    full_headings: Sequence[str] = ()
     _place: dict[str, int] = field(default_factory=dict, init=False, repr=False)
 
     def __post_init__(self) -> None:
@@ -58,6 +64,11 @@ class Table:
             if heading in self._place and heading:
                 raise self.error(f"two columns have the heading '{shown(heading)}'")
             self._place[heading] = index
+        for index, heading in enumerate(self.full_headings):
+            self._place.setdefault(heading, index)
+        for index, heading in enumerate(self.headings):  # some formats, such as .trc, write `Time`
+            if heading.lower() == "time":
+                self._place.setdefault("time", index)
         without_subject = [heading.rpartition(":")[2] for heading in self.headings]
         for index, heading in enumerate(without_subject):  # Vicon names markers Subject:LKNE
             if heading not in self._place and without_subject.count(heading) == 1:
@@ -101,6 +112,7 @@ class Table:
             some = listed(names[:HEADINGS_SHOWN]) + (", ..." if len(names) > HEADINGS_SHOWN else "")
             hint = did_you_mean(heading, names) or f"; its columns: {some}"
             remark = f" ({self.remark})" if self.remark else ""
+            remark += f"; name the column with the times in `{key}`" if heading == "time" else ""
             with suppress(SpecError):  # a text that is almost a number with a unit
                 if quantity := read_quantity(heading):
                     remark += f"; for a constant, give the number in SI units without its unit: {quantity[0]:.6g}"
@@ -136,14 +148,19 @@ class Table:
         return float(cell)
 
     def _hint(self, text: str, row: int) -> str:
-        """Return how to change a file with decimal commas, or with a row of units below the headings."""
-        if _DECIMAL_COMMA.fullmatch(text):
-            return "; decimal commas are not read, so replace them by points"
+        """Return how to change a file so that this text is not among the numbers."""
+        if DECIMAL_COMMA.fullmatch(text):
+            return (
+                "; decimal commas are read only in tables whose cells are separated by semicolons or tabs and which "
+                "have no decimal points, so replace them by points"
+            )
         if row == 0 and len(self) > 1 and self.lines and not any(map(begins_like_number, self.cells[0])):
             return (
                 "; if this row belongs to the headings, begin it with # (a comment) or delete it; a row of units, such "
                 "as s, deg and mm, is read, but this one has none that is known"
             )
+        if self.lines and not begins_like_number(text):
+            return "; write nan for a missing value, and delete lines below the headings that are not rows of the table"
         return ""
 
     def times(self, heading: str, key: str, factor: float) -> np.ndarray:
@@ -159,8 +176,6 @@ class Table:
         SpecError
             If there is no such column, a time is missing, or times do not increase.
         """
-        if heading == "time" and heading not in self._place:  # some formats, such as .trc, write `Time`
-            heading = next((name for name in self.headings if name.lower() == heading), heading)
         values = factor * self.column(heading, key)
         if not len(values):
             raise self.error("this table has no rows")
@@ -178,7 +193,8 @@ class Table:
         return values
 
 
-_DECIMAL_COMMA = re.compile(r"[-+]?\d*,\d+([eE][-+]?\d+)?")
+DECIMAL_COMMA = re.compile(r"\s*[-+]?\d*,\d+([eE][-+]?\d+)?\s*")
+"""Pattern of a number with a decimal comma."""
 
 
 def begins_like_number(cell: Any) -> bool:

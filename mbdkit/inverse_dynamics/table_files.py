@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import codecs
 import csv
+import itertools
 import re
 from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
@@ -10,9 +12,9 @@ from typing import Any
 
 from mbdkit.base.errors import SpecError, file_error
 from mbdkit.base.text import shown
-from mbdkit.base.units import read_unit
+from mbdkit.base.units import NUMBER, read_unit
 from mbdkit.inverse_dynamics.c3d_file import read_c3d
-from mbdkit.inverse_dynamics.measured_table import Table, begins_like_number
+from mbdkit.inverse_dynamics.measured_table import DECIMAL_COMMA, Table, begins_like_number
 from mbdkit.inverse_dynamics.motion_capture_tables import (
     Columns,
     is_qualisys,
@@ -20,6 +22,9 @@ from mbdkit.inverse_dynamics.motion_capture_tables import (
     read_qualisys,
     read_vicon,
 )
+
+LONGEST_PREAMBLE = 100
+"""Number of lines in which the first row of numbers is searched."""
 
 HEAD = 10
 """Number of lines in which the delimiter of a Vicon file is searched."""
@@ -69,9 +74,14 @@ def read_table(path: Path, key: str) -> Table:
             key=key,
         )
     try:
-        lines = path.read_text(encoding="utf-8-sig").split("\n")
-    except UnicodeDecodeError:
-        raise SpecError("this file is not valid UTF-8 text", file=path) from None
+        with path.open("rb") as stream:
+            begin = stream.read(4)
+        if begin == b"PK\3\4":
+            raise SpecError("this is a workbook or an archive, not a text; save the table as .csv", file=path)
+        is_utf16 = begin[:2] in (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)
+        lines = path.read_text(encoding="utf-16" if is_utf16 else "utf-8-sig").split("\n")
+    except UnicodeError:
+        raise SpecError("this file is not valid UTF-8 text; save it with the encoding UTF-8", file=path) from None
     except OSError as error:
         raise file_error(error.errno, f"this file cannot be read: {error.strerror or error}", file=path) from None
     return readers[suffix](str(path), lines)
@@ -89,14 +99,112 @@ def _read_csv(file: str, lines: list[str]) -> Table:
     if is_vicon(first):
         delimiter = max(",;\t", key="\n".join(lines[:HEAD]).count)
         return _of_program(file, read_vicon(file, _rows_of(file, lines, delimiter)))
-    rows = _rows_of(file, lines, max(",;\t", key=first.count))
-    headings = [cell.strip() for cell in rows[0][1]]
+    delimiter, begin = _data_in(lines) or (max(",;\t", key=first.count), 0)
+    rows = [(number, cells) for number, cells in _rows_of(file, lines, delimiter) if _stripped(cells)]
+    begin = next((index for index, (number, _) in enumerate(rows) if number > begin), 0)
+    if begin == 0 and _is_data(rows[0][1], delimiter):
+        raise SpecError("this table has no headings: its first line has numbers", file=file, line=rows[0][0])
+    rows = rows[_headings_above(rows, begin) :]
+    headings = [cell.replace("\u00a0", " ").strip() for cell in rows[0][1]]
     units = _units_in(headings, rows[1][1]) if len(rows) > 1 else {}
     data = rows[2 if units else 1 :]
-    return _checked(Table(file, headings, [cells for _, cells in data], [number for number, _ in data], units=units))
+    names, in_headings = _without_units(headings)
+    cells = _with_points([cells for _, cells in data], delimiter)
+    if delimiter == " " and len(cells[0]) != len(headings):
+        raise SpecError(
+            f"the cells of this table are separated by blanks, but there are {len(headings)} headings and "
+            f"{len(cells[0])} columns of numbers; separate the cells by commas",
+            file=file,
+            line=rows[0][0],
+        )
+    units = {names[headings.index(heading)]: unit for heading, unit in units.items()}
+    return _checked(
+        Table(
+            file, names, cells, [number for number, _ in data], units=in_headings | units, full_headings=headings,
+        )
+    )  # fmt: skip
+
+
+def _data_in(lines: list[str]) -> tuple[str, int] | None:
+    """Return the delimiter of a table, and the index of the line with its first row of numbers; None if the first lines
+    have no row of numbers.
+    """
+    for index, line in enumerate(lines[:LONGEST_PREAMBLE]):
+        for delimiter in ";\t, ":
+            cells = line.split() if delimiter == " " else line.split(delimiter)
+            if _is_row(line) and _is_data(cells, delimiter):
+                return delimiter, index
+    return None
+
+
+def _is_data(cells: Sequence[str], delimiter: str) -> bool:
+    """Return whether the first two cells of a row that are not empty are numbers."""
+    given = [text for cell in cells if (text := cell.strip().strip('"'))][:2]
+    if delimiter not in ", ":
+        given = [text.replace(",", ".") if DECIMAL_COMMA.fullmatch(text) else text for text in given]
+    return len(given) == 2 and all(re.fullmatch(NUMBER, text) for text in given)
+
+
+def _headings_above(rows: list[tuple[int, list[str]]], begin: int) -> int:
+    """Return the index of the row with the headings of a table whose numbers begin with the row `begin`.
+
+    It is the first row unless this row has fewer cells than the numbers, as a title or the settings of a device. In
+    that case, the headings are in the last row, or the last but one above a row of units.
+    """
+    width = len(_stripped(rows[begin][1]))
+    if len(_stripped(rows[0][1])) >= width:
+        return 0
+    for index in (begin - 1, begin - 2):
+        cells = _stripped(rows[index][1]) if index > 0 else []
+        if len(cells) < 2 or any(map(begins_like_number, cells)):
+            break
+        if index == begin - 2 or not _units_in(cells, cells):
+            return index
+    return 0
+
+
+def _stripped(cells: Sequence[str]) -> Sequence[str]:
+    """Return the cells of a row without empty ones at its end."""
+    count = max((index for index, cell in enumerate(cells, 1) if cell.strip()), default=0)
+    return cells[:count]
+
+
+def _without_units(headings: Sequence[str]) -> tuple[list[str], dict[str, str]]:
+    """Return headings without the units at their ends, and these units by heading: ``hip [deg]`` is ``hip`` in deg.
+
+    Headings that would be equal to others are returned unchanged.
+    """
+    parts = [_HEADING_WITH_UNIT.fullmatch(heading) for heading in headings]
+    short = [
+        part[1] if part and part[2] != "1" and _is_unit(_usual(part[2])) else heading
+        for part, heading in zip(parts, headings, strict=True)
+    ]
+    names = [name if short.count(name) == 1 else heading for name, heading in zip(short, headings, strict=True)]
+    units = {name: _usual(part[2]) for name, part in zip(names, parts, strict=True) if part and name == part[1]}
+    return names, units
+
+
+def _usual(unit: str) -> str:
+    """Return a unit as mbdkit writes it: deg for the sign of degrees, and N m for Nm."""
+    return re.sub(r"\bN[.*\u00b7]?(m?m)\b", r"N \1", unit.strip().replace("\u00b0", "deg"))
+
+
+def _with_points(rows: list[list[str]], delimiter: str) -> list[list[str]]:
+    """Return the rows of a table with decimal points, if it has decimal commas throughout."""
+    if delimiter in ", " or not any(map(DECIMAL_COMMA.fullmatch, itertools.chain.from_iterable(rows))):
+        return rows
+    if any("." in cell and begins_like_number(cell) for cell in itertools.chain.from_iterable(rows)):
+        return rows
+    return [[cell.replace(",", ".") if DECIMAL_COMMA.fullmatch(cell) else cell for cell in cells] for cells in rows]
+
+
+_HEADING_WITH_UNIT = re.compile(r"(.*\S)\s*[\[(]([^\[\]()]+)[\])]")
 
 
 def _rows_of(file: str, lines: list[str], delimiter: str) -> list[tuple[int, list[str]]]:
+    if delimiter == " ":
+        split = ((number, line.split()) for number, line in enumerate(lines, 1) if _is_row(line))
+        return list(_within(file, split))
     return list(_within(file, _csv_rows(file, lines, delimiter)))
 
 
@@ -107,7 +215,7 @@ def _of_program(file: str, found: Columns) -> Table:
 
 def _units_in(headings: Sequence[str], cells: Sequence[str]) -> dict[str, str]:
     """Return the units in a row below the headings, by heading; empty if it has numbers, or no unit that is known."""
-    stated = {heading: cell.strip().strip("[]()") for heading, cell in zip(headings, cells, strict=False)}
+    stated = {heading: _usual(cell.strip().strip("[]()")) for heading, cell in zip(headings, cells, strict=False)}
     stated = {heading: text for heading, text in stated.items() if text}
     if any(map(begins_like_number, stated.values())) or not any(map(_is_unit, stated.values())):
         return {}

@@ -1,0 +1,90 @@
+"""Tables as spreadsheets and measuring programs write them: read without loss, or refused in one sentence."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from mbdkit import SpecError
+from mbdkit.inverse_dynamics.measured import times_of
+from mbdkit.inverse_dynamics.measured_table import Table
+from mbdkit.inverse_dynamics.table_files import read_table
+from mbdkit.spec.inverse_sections import TimeColumn
+
+HIP = [1.5, -2.25, 1000.0]
+ROWS = ["0.0,1.5,7", "0.5,-2.25,7", "1.0,1e3,7"]
+BIOWARE = ["BioWare\tversion 5.3", "File name:\tjump.dat", "", "abs time (s)\thip\tknee", "s\tN\tN"]
+
+
+def in_comma_locale(rows: list[str]) -> list[str]:
+    return [row.replace(",", ";").replace(".", ",") for row in rows]
+
+
+def read(folder: Path, lines: list[str], encoding: str = "utf-8") -> Table:
+    (folder / "t.csv").write_text("\n".join(lines), encoding=encoding)
+    return read_table(folder / "t.csv", "motion.file")
+
+
+@pytest.mark.parametrize(
+    ("lines", "unit"),
+    [
+        (["time;hip;knee", *in_comma_locale(ROWS)], None),
+        (["time;hip;knee", "s;deg;deg", *in_comma_locale(ROWS)], "deg"),
+        (["time,hip [deg],knee", *ROWS], "deg"),
+        (["Time (s),hip (\u00b0),knee", *ROWS], "deg"),
+        (["time,hip [Nm],knee", *ROWS], "N m"),
+        (["time,hip,knee,,", *(f"{row},," for row in ROWS), ",,,,"], None),
+        (["time hip knee", *(row.replace(",", "  ") for row in ROWS)], None),
+        (["sep=,", "time,hip,knee", *ROWS], None),
+        (["Subject: A, B", "Rate: 100 Hz", "", "time,hip,knee", *ROWS], None),
+        (["Left,,", "time,hip,knee", "s,deg,deg", *ROWS], "deg"),
+    ],
+    ids=["commas", "commas-units", "brackets", "degree-sign", "newton-metre", "empty", "blanks", "sep", "preamble",
+         "title"],
+)  # fmt: skip
+def test_tables_of_spreadsheets_are_read(tmp_path: Path, lines: list[str], unit: str | None) -> None:
+    for encoding in ("utf-8", "utf-8-sig", "utf-16"):
+        table = read(tmp_path, lines, encoding)
+        np.testing.assert_array_equal(table.column("hip", ""), HIP)
+        assert table.unit("hip") == unit
+        np.testing.assert_array_equal(times_of(table, TimeColumn(), "motion.time"), [0.0, 0.5, 1.0])
+
+
+def test_units_in_headings_apply_to_times_and_may_be_part_of_the_name(tmp_path: Path) -> None:
+    table = read(tmp_path, ["Time [ms],F [N],F [V],leg (1),left\u00a0hip", "0,1,2,3,4", "500,5,6,7,8"])
+    np.testing.assert_array_equal(times_of(table, TimeColumn(), "motion.time"), [0.0, 0.5])
+    assert table.headings == ["Time", "F", "F [V]", "leg (1)", "left hip"]
+    for heading, first in (("F [N]", 1), ("F", 1), ("F [V]", 2), ("leg (1)", 3), ("left hip", 4)):
+        assert table.column(heading, "")[0] == first
+
+
+def test_the_header_of_a_force_plate_program_is_left_out(tmp_path: Path) -> None:
+    table = read(tmp_path, [*BIOWARE, *(row.replace(",", "\t") for row in ROWS)])
+    np.testing.assert_array_equal(table.column("abs time (s)", ""), [0.0, 0.5, 1.0])
+    assert table.lines[0] == len(BIOWARE) + 1
+
+
+@pytest.mark.parametrize("text", ["NaN", "-nan", "#N/A", "<NA>", "None", "1.#QNAN", "-1.#IND", "--"])
+def test_all_spellings_of_a_missing_value_are_gaps(tmp_path: Path, text: str) -> None:
+    table = read(tmp_path, ["time,hip", "0.0,1", f"0.5,{text}", "1.0,2"])
+    np.testing.assert_array_equal(table.column("hip", ""), [1.0, np.nan, 2.0])
+
+
+@pytest.mark.parametrize(
+    ("lines", "message"),
+    [
+        (ROWS, "t.csv:1: this table has no headings: its first line has numbers"),
+        (["time;hip", "0,0;1.234,5", "1,0;2"], "'0,0' is not a number; decimal commas are read only in tables"),
+        (["time,hip,knee", *ROWS, "mean,0.5,1"], "t.csv:5: column 'time': 'mean' is not a number; write nan for"),
+        (["time left hip", "0.0 1", "0.5 2"], "there are 3 headings and 2 columns of numbers; separate the cells"),
+        (["t,hip", "0.0,1"], "no column 'time'; its columns: t, hip; name the column with the times in `motion.time`"),
+        (["PK\x03\x04"], "this is a workbook or an archive, not a text; save the table as .csv"),
+    ],
+    ids=["no-headings", "thousands", "footer", "blanks", "no-time", "workbook"],
+)
+def test_other_tables_are_refused_in_one_sentence(tmp_path: Path, lines: list[str], message: str) -> None:
+    with pytest.raises(SpecError) as refused:
+        times_of(read(tmp_path, lines), TimeColumn(), "motion.time")
+    assert message in str(refused.value)
