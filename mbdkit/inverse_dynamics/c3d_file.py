@@ -27,6 +27,13 @@ The point of application is then the quotient of two small numbers.
 """
 
 
+LARGEST_OFFSET = 50.0
+"""Largest normal force [N] of a plate that counts as its offset.
+
+In frames with a larger force, somebody probably stands on the plate, although the file names them as unloaded.
+"""
+
+
 LARGEST_PLATE = 20.0
 """Coordinates of plates are in mm if a file states no unit and the corners of a plate are farther apart than this."""
 
@@ -57,8 +64,9 @@ def read_c3d(path: Path, most_cells: int) -> Columns | None:
     """Read the points and force plates of a C3D file; None if they have more cells than `most_cells`.
 
     Forces and torques of plates are those in the file, in the frame of the laboratory. They are given at the times of
-    the camera frames or, in files without markers, at all samples. They are set to zero where the plate is unloaded
-    (`UNLOADED`).
+    the camera frames or, in files without markers, at all samples. If the file names frames in which plates are
+    unloaded (FORCE_PLATFORM:ZERO), the mean force and moment in these frames are subtracted. Forces and torques are set
+    to zero where the plate is unloaded (`UNLOADED`).
 
     Raises
     ------
@@ -117,7 +125,8 @@ def read_c3d(path: Path, most_cells: int) -> Columns | None:
     for number, plate in enumerate(plates, 1):
         if not frames or plate["force"].shape[1] < frames:
             continue
-        for quantity, columns in _of_plate(plate, plate["force"].shape[1] // frames, unit).items():
+        samples = plate["force"].shape[1] // frames
+        for quantity, columns in _of_plate(plate, samples, unit, _baseline(file, number)).items():
             headings += [f"plate{number}.{quantity}.{axis}" for axis in "xyz"]
             values += list(columns)
     places = [heading for heading in headings[1:] if heading and ".force." not in heading and ".torque." not in heading]
@@ -131,15 +140,51 @@ def _has_negative_offsets(about: Any) -> bool:
     return "UNSIGNED" not in str(given).upper() and any(value < 0 for value in offsets)
 
 
-def _of_plate(plate: Any, samples: int, unit: str) -> dict[str, np.ndarray]:
+def _baseline(file: Any, number: int) -> slice:
+    """Return the samples of a plate in the frames of FORCE_PLATFORM:ZERO, which begin with 1; empty without such
+    frames.
+
+    It is also empty for plates whose points of application are not computed from force and moment: plates of type 1,
+    and those with a polynomial that corrects the points.
+    """
+    about, frames = file["parameters"]["FORCE_PLATFORM"], file["data"]["points"].shape[2]
+    first, last = [*(int(frame) for frame in about.get("ZERO", {"value": ()})["value"]), 0, 0][:2]
+    has_polynomial = len(about.get("FPCOPPOLY", {"value": ()})["value"]) > 0
+    if not 1 <= first <= last <= frames or has_polynomial or about["TYPE"]["value"][number - 1] == 1:
+        return slice(0, 0)
+    samples = file["data"]["analogs"].shape[2] // frames
+    return slice(samples * (first - 1), samples * last)
+
+
+def _without_baseline(plate: Any, normal: np.ndarray, baseline: slice) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return force, point of application and free torque of a plate, each (3, R), without its offset.
+
+    The force F and the moment M about the middle of the surface minus their means in `baseline` give the point
+    n x M / (n F) and the torque M + F x point, with the normal n.
+    """
+    given = plate["force"], plate["center_of_pressure"], plate["Tz"]
+    offset, turn = (np.mean(plate[name][:, baseline], axis=1, keepdims=True) for name in ("force", "moment"))
+    if abs(normal @ offset[:, 0]) > LARGEST_OFFSET:
+        return given
+    force, moment = plate["force"] - offset, plate["moment"] - turn
+    with np.errstate(divide="ignore", invalid="ignore"):
+        point = np.cross(normal, moment, axisb=0).T / (normal @ force)
+    torque = moment + np.cross(force, point, axis=0)
+    return force, point + np.mean(plate["corners"], axis=1, keepdims=True), torque
+
+
+def _of_plate(plate: Any, samples: int, unit: str, baseline: slice) -> dict[str, np.ndarray]:
     """Return force [N], point of application [unit] and free torque [N m] of a plate, each (3, T).
 
-    Of the `samples` in each frame, the first is used.
+    Of the `samples` in each frame, the first is used. The plate is unloaded in the samples `baseline`.
     """
-    force, point, torque = (plate[name][:, ::samples].copy() for name in ("force", "center_of_pressure", "Tz"))
     corners = plate["corners"]
     normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 3] - corners[:, 0])
     normal /= np.linalg.norm(normal) or 1.0
+    values = plate["force"], plate["center_of_pressure"], plate["Tz"]
+    if baseline.stop:
+        values = _without_baseline(plate, normal, baseline)
+    force, point, torque = (value[:, ::samples].copy() for value in values)
     unloaded = ~(np.abs(normal @ force) >= UNLOADED)
     force[:, unloaded], torque[:, unloaded], point[:, unloaded] = 0.0, 0.0, np.nan
     stated = str(plate["unit_moment"]).replace(" ", "").lower()

@@ -61,8 +61,6 @@ class Table:
 
     def __post_init__(self) -> None:
         for index, heading in enumerate(self.headings):
-            if heading in self._place and heading:
-                raise self.error(f"two columns have the heading '{shown(heading)}'")
             self._place[heading] = index
         for index, heading in enumerate(self.full_headings):
             self._place.setdefault(heading, index)
@@ -117,6 +115,8 @@ class Table:
                 if quantity := read_quantity(heading):
                     remark += f"; for a constant, give the number in SI units without its unit: {quantity[0]:.6g}"
             raise SpecError(f"{self.name} has no column '{shown(heading)}'{hint}{remark}", key=key)
+        if self.headings.count(self.headings[place]) > 1:
+            raise self.error(f"two columns have the heading '{shown(heading)}'")
         try:
             texts = [cells[place] for cells in self.cells]
             if not all(map(_is_plain, texts)):

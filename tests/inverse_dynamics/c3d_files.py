@@ -32,6 +32,8 @@ class Plate:
         (6, 6) calibration matrix of a plate of type 4; None for other types.
     kind
         Type of the plate: 1 to 4.
+    zero
+        First and last frame of the baseline, of the first plate for all of them.
     """
 
     corners: np.ndarray
@@ -39,6 +41,7 @@ class Plate:
     channels: np.ndarray
     matrix: np.ndarray | None = None
     kind: int = 2
+    zero: tuple[int, int] = (1, 0)
 
     @property
     def scales(self) -> np.ndarray:
@@ -149,7 +152,7 @@ def _parameters(
     if plates:
         platform |= {
             "TYPE": [plate.kind for plate in plates],
-            "ZERO": [1, 0],
+            "ZERO": [*plates[0].zero],
             "CORNERS": np.array([plate.corners for plate in plates]),
             "ORIGIN": np.array([plate.origin for plate in plates]),
             "CHANNEL": _numbers(plates),

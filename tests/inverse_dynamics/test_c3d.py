@@ -69,6 +69,7 @@ def test_wrong_names_and_wrong_files_are_refused(tmp_path: Path) -> None:
         inverse(path)
     with pytest.raises(SpecError, match=r"walk.c3d: two columns have the heading 'TOE.x'"):
         inverse(write(tmp_path / "walk.c3d", ["TOE", "TOE"]))
+    inverse(write(tmp_path / "walk.c3d", ["rest", "rest", "TOE"]))  # columns that are not used
     whole = path.read_bytes()
     for content in (b"", b"time,hip\n0,1\n", whole[: len(whole) // 2]):
         (tmp_path / "bad.c3d").write_bytes(content)
@@ -165,6 +166,32 @@ def test_plates_of_several_types_without_markers_are_a_table_of_all_samples(tmp_
             ]
             for found, expected in zip(own, (force, point, 1e-3 * torque), strict=True):
                 np.testing.assert_allclose(found, expected, atol=1e-3)
+
+
+@pytest.mark.parametrize(("frames", "remains"), [((1, 4), 0.0), ((1, 0), 1.0), ((1, 20), 1.0)],
+                         ids=["unloaded", "none", "loaded"])  # fmt: skip
+@pytest.mark.parametrize("kind", [2, 3, 4])
+def test_the_offset_of_a_plate_in_its_baseline_is_subtracted(
+    tmp_path: Path, kind: int, frames: tuple[int, int], remains: float
+) -> None:
+    force = np.tile([40.0, -20.0, 500.0], (100, 1)) * (np.arange(100)[:, None] >= 20)
+    point, torque = np.full((100, 3), [20.0, -30.0, 0.0]), np.full((100, 3), [0.0, 0.0, 1500.0])
+    made = plate(kind, force, point, torque * (force[:, 2:] > 0), np.array([10.0, 5.0, 0.0]))
+    offset = np.array(
+        [0.5, -0.5, 0.3, 0.2, 1.0, 2.0, 1.5, 1.0] if kind == 3 else [1.0, -2.0, -6.0, 300.0, 500.0, 200.0]
+    )
+    made.channels, made.zero = made.channels + offset, frames
+    file = tmp_path / "plates.c3d"
+    file.write_bytes(c3d_bytes({"LKNE": np.zeros((20, 3))}, 100.0, Convention(), [made], 5))
+    table = read_table(file, "motion.file")
+    found = [
+        np.column_stack([table.column(f"plate1.{quantity}.{axis}", "") for axis in "xyz"])[4:]
+        for quantity in ("force", "point", "torque")
+    ]
+    expected = force[::5][4:], point[::5][4:], 1e-3 * torque[::5][4:]
+    for values, exact in zip(found, expected, strict=True):
+        np.testing.assert_allclose(values, exact, atol=1e-3 + remains * 20.0)
+    assert np.allclose(found[0], expected[0], atol=1e-3) == (remains == 0.0)
 
 
 def test_names_of_two_subjects_need_their_subject_and_plates_that_cannot_be_read_are_named(tmp_path: Path) -> None:
