@@ -54,7 +54,7 @@ good; an example is a chaotic double pendulum after a few seconds.
 
 Energy errors below {rounding:g} times the rounding error of the largest energy count as zero. A run that fails before
 its end is `bad`, and a run that was interrupted is at least `doubtful`: its summary says up to which time its results
-are valid. Warnings that question the result make a run `doubtful`. They name, for example, angles that look like
+are valid. Warnings that question the result make a run `doubtful`: for example, warnings about angles that look like
 degrees, a coefficient of friction above 5, and an inertia above m d^2, where m is the mass of the heaviest body and d
 is ten times the size of the mechanism. A run whose [gradients](gradients.md) fail their check is doubtful as well.
 
