@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -43,6 +44,14 @@ class SobolIndices:
             )
         )
         return replace(self, first=first, total=total)
+
+
+def members_for(members: int, width: float, wanted: float) -> int:
+    """Return the number of members, a power of 2, that gives intervals of about the width `wanted` instead of `width`.
+
+    The standard error of the estimates is inversely proportional to the root of the number of members.
+    """
+    return int(2 ** math.ceil(math.log2(members * (width / wanted) ** 2)))
 
 
 def sobol_indices(

@@ -106,7 +106,7 @@ def sample_tables(study: Study) -> tuple[Table, ...]:
     several = len(sample_groups(study)) > 1
     indices: list[tuple[Cell, ...]] = []
     spreads: list[tuple[Cell, ...]] = []
-    note = ""
+    notes: dict[str, None] = {}
     for measure in _measures(study):
         runs: tuple[Cell, ...] = (measure.group.words,) if several else ()
         found = statistics_of_group(study, measure.group, measure.name)
@@ -117,12 +117,12 @@ def sample_tables(study: Study) -> tuple[Table, ...]:
         spreads.append((*runs, measure.quantity.axis.label, measure.quantity.axis.unit, *cells))
         if (sobol := measure.sensitivity()) is not None:
             ends = sobol.indices
-            note = (
+            how = (
                 f"Estimates of Saltelli et al. (2010), table 2, (b) and (f), from {sobol.members} members, with "
                 f"{100 * sobol.confidence:g} % intervals by the bootstrap. First order: share of the variance "
                 f"explained by a variable alone; total: including its interactions with the others."
             )
-            note += f" {sobol.reason}" if sobol.reason else ""
+            notes |= dict.fromkeys(filter(None, (how, sobol.reason, sobol.note)))
             for index, key in enumerate(sobol.variables):
                 columns = (ends.first, ends.first_low, ends.first_high, ends.total, ends.total_low, ends.total_high)
                 shares = [float(f"{column[index]:.3g}") for column in columns]
@@ -132,7 +132,9 @@ def sample_tables(study: Study) -> tuple[Table, ...]:
     if indices:
         shown = ("measure", "variable", "first order", "from", "to", "total", "from", "to")
         tables.append(
-            Table("sobol", "Sobol indices", (*first, *map(Column, shown)), tuple(indices), note, headline=True)
+            Table(
+                "sobol", "Sobol indices", (*first, *map(Column, shown)), tuple(indices), " ".join(notes), headline=True
+            )
         )
     if spreads:
         headings = ("measure", "unit", "values", "mean", "standard deviation", "5 %", "median", "95 %", "smallest",

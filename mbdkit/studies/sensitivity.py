@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
@@ -9,14 +10,19 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from mbdkit.analysis.sample_statistics import CONFIDENCE
-from mbdkit.analysis.sobol_indices import RESAMPLES, SobolIndices, sobol_indices
+from mbdkit.analysis.sobol_indices import RESAMPLES, SobolIndices, members_for, sobol_indices
 from mbdkit.archive.group_table import data_frame
 from mbdkit.archive.measured_values import ERROR
 from mbdkit.base.errors import MbdkitError, SpecError
+from mbdkit.base.text import listed
+from mbdkit.spec.key_words import key_words
 from mbdkit.studies.sample_groups import SampledStudy, measured, one_group
 
 if TYPE_CHECKING:
     import pandas
+
+NARROW = 0.05
+"""Width of the intervals of indices for which a note says how many members are needed."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,6 +66,24 @@ class Sensitivity:
         """(d,) total indices: the share of the variance that each variable explains alone or together with others."""
         return self.indices.total
 
+    @property
+    def note(self) -> str:
+        """Sentence on total indices below first-order indices, which are sampling errors; empty if there are none."""
+        places = np.flatnonzero(self.total < self.first)
+        if not len(places):
+            return ""
+        ends, several = self.indices, len(places) > 1
+        widest = float(np.max(np.maximum(ends.first_high - ends.first_low, ends.total_high - ends.total_low)[places]))
+        words = listed([key_words(self.variables[place]) for place in places], "and")
+        told = (
+            f"The total {'indices' if several else 'index'} of {self.measure} for {words} "
+            f"{'are smaller than the first-order indices' if several else 'is smaller than the first-order index'}, "
+            f"because of sampling errors: from {self.members} members, the intervals are up to {widest:.2g} wide"
+        )
+        if not NARROW < widest < math.inf:
+            return f"{told}."
+        return f"{told}; about sample.n={members_for(self.members, widest, NARROW)} makes them {NARROW:g} wide."
+
     def to_frame(self) -> pandas.DataFrame:
         """Return a table with a row for each variable.
 
@@ -84,7 +108,7 @@ class Sensitivity:
                 )
             )
             lines.append(f"{name:<{width}}  {first:<26}  {total}")
-        return "\n".join([*lines, *filter(None, [self.reason])])
+        return "\n".join([*lines, *filter(None, [self.reason, self.note])])
 
 
 def _shown(index: float) -> str:

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from mbdkit.analysis.sample_statistics import Estimate, squared_correlation
+from mbdkit.analysis.sobol_indices import members_for
 from mbdkit.archive.headlines import plus_minus
 from mbdkit.archive.measured_values import ERROR
 from mbdkit.base.errors import MbdkitError
@@ -206,7 +207,7 @@ def _sobol_words(sobol: Sensitivity) -> str:
     if not math.isfinite(widest):  # all values of a bootstrap sample are equal
         return f"the sample of {count} members is too small to tell which variables explain it"
     if widest > WIDEST or np.any(np.isnan(sobol.total)) or count < FEWEST_MEMBERS:
-        more = 2 ** math.ceil(math.log2(max(count * (widest / WANTED) ** 2, 2 * FEWEST_MEMBERS)))
+        more = max(members_for(count, widest, WANTED), 2 * FEWEST_MEMBERS)
         return (
             f"the sample is too small to tell which variables explain it: from {count} members, the intervals of the "
             f"shares are up to {100 * widest:.0f} % wide; about sample.n={more} makes them {100 * WANTED:.0f} % wide"

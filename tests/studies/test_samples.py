@@ -13,11 +13,12 @@ import scipy.stats
 
 import mbdkit
 from mbdkit import MbdkitError, SpecError
-from mbdkit.analysis.sobol_indices import sobol_indices
+from mbdkit.analysis.sobol_indices import SobolIndices, sobol_indices
 from mbdkit.spec.sample_section import Sample
 from mbdkit.studies import sampled_values as module
 from mbdkit.studies.folder_lock import Shard
 from mbdkit.studies.sampled_values import sampled_values
+from mbdkit.studies.sensitivity import Sensitivity
 from mbdkit.studies.study_headlines import _sobol_words, headlines
 from mbdkit.studies.study_notes import notes
 from tests.analysis.test_sobol_indices import FIRST, TOTAL, ishigami
@@ -224,6 +225,18 @@ def test_the_headline_says_shares_alone_and_with_interactions(of_ishigami: mbdki
     wanted = int(re.search(r"sample\.n=(\d+)", words)[1])
     first = sobol_indices(ishigami_values(wanted, "random"), resamples=200)
     assert 0.05 < np.max(first.total_high - first.total_low) < 0.25  # 20 % or better, without a waste of runs
+
+
+def test_total_indices_below_first_order_indices_are_said_to_be_sampling_errors(of_ishigami: mbdkit.Study) -> None:
+    assert of_ishigami.sensitivity("y").note == ""
+    ends = SobolIndices(*np.array([[0.6], [0.4], [0.8], [0.5], [0.3], [0.7]]))
+    found = Sensitivity("y", ("model.length",), ends, 0.95, 64, 0)
+    assert found.note in str(found)
+    # the width is inversely proportional to the root of the members: 64 (0.4/0.05)^2 = 4096
+    assert found.note == (
+        "The total index of y for length is smaller than the first-order index, because of sampling errors: from 64 "
+        "members, the intervals are up to 0.4 wide; about sample.n=4096 makes them 0.05 wide."
+    )
 
 
 def test_a_run_is_opened_by_the_number_that_answers_give(of_ishigami: mbdkit.Study) -> None:

@@ -45,12 +45,22 @@ function banded(figure) {
   return figure.lines.filter(line => line.band);
 }
 
-function axis(one, color, more) {
+// The labels of a logarithmic axis that spans few decades: by default, digits stand between powers of ten. Numbers are
+// written out or, where they are too long for that, shown at powers of ten only.
+function notation(one, values) {
+  if (!one.log) return {};
+  let low = Infinity, high = 0;
+  for (const value of values) if (value > 0) [low, high] = [Math.min(low, value), Math.max(high, value)];
+  if (low >= 1e-3 && high < 1e5) return { tickformat: "~r" };
+  return high < 700 * low && high > 5 * low ? { dtick: 1 } : {};
+}
+
+function axis(one, color, values, more) {
   return {
     title: { text: plain(one.title), standoff: 10, font: { size: paper() ? 11 : 13 } }, type: one.log ? "log" : "linear",
     exponentformat: "power", minexponent: 4, automargin: true, gridcolor: color("grid"), linecolor: color("edge"),
     zeroline: false, ticks: "outside", tickcolor: color("edge"), tickfont: { size: paper() ? 10 : 12 },
-    nticks: one.log ? 4 : paper() ? 6 : 8, ...more,    // more on a logarithmic axis would be digits between the decades
+    nticks: one.log ? 4 : paper() ? 6 : 8, ...notation(one, values), ...more,    // more on a logarithmic axis would be digits between the decades
   };
 }
 
@@ -58,7 +68,8 @@ function layout(figure, color) {
   return {
     paper_bgcolor: color("paper"), plot_bgcolor: color("paper"), margin: { ...MARGIN }, autosize: true,
     font: { family: "system-ui, sans-serif", size: 13, color: color("ink") },
-    xaxis: axis(figure.x, color), yaxis: axis(figure.y, color, figure.equal ? EQUAL : {}),
+    xaxis: axis(figure.x, color, figure.lines.flatMap(line => line.x)),
+    yaxis: axis(figure.y, color, figure.lines.flatMap(line => line.y), figure.equal ? EQUAL : {}),
     showlegend: false, hovermode: "closest", dragmode: coarse.matches ? false : "zoom",
     hoverlabel: { bgcolor: color("card"), bordercolor: color("edge"), font: { color: color("ink") } },
     modebar: { bgcolor: "rgba(0,0,0,0)", color: color("faint"), activecolor: color("c0") },
