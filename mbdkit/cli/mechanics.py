@@ -44,7 +44,7 @@ def equilibrium(
     if write is not None:
         check_output(write, overwrite=overwrite, source=spec)
     if output is not None:
-        _check_picture(output, spec)
+        _check_picture(output, spec, overwrite=overwrite)
     prepared = PreparedMechanism.of(spec, assignments or ())
     found = equilibrium_of(prepared)
     notes = []
@@ -81,19 +81,20 @@ def modes(
         int | None, typer.Option("--count", min=1, metavar="N", help="Compute only the N slowest modes.")
     ] = None,
     output: Annotated[Path | None, output_to("FILE.png", "Draw the modes to a PNG, SVG or PDF file.")] = None,
+    overwrite: Overwrite = False,
     as_json: AsJson = False,
     debug: Debug = False,
 ) -> None:
     """Find natural frequencies, damping ratios and mode shapes.
 
-    Coordinates that drivers prescribe do not vibrate. An existing picture is replaced.
+    Coordinates that drivers prescribe do not vibrate.
     """
     from mbdkit.mechanics import mechanics_summary
     from mbdkit.mechanics.modes import modes_of
     from mbdkit.mechanics.source import PreparedMechanism
 
     if output is not None:
-        _check_picture(output, spec)
+        _check_picture(output, spec, overwrite=overwrite)
     prepared = PreparedMechanism.of(spec, assignments or ())
     found = modes_of(prepared, at, count)
     if output is not None:
@@ -150,8 +151,8 @@ def _warnings(prepared: PreparedMechanism) -> list[str]:
     return list(mechanism_warnings(prepared.spec))
 
 
-def _check_picture(output: Path, spec: str) -> None:
-    """Raise SpecError if a picture cannot be written; an existing one is replaced."""
+def _check_picture(output: Path, spec: str, *, overwrite: bool) -> None:
+    """Raise SpecError if a picture cannot be written."""
     from mbdkit.plot.style import FORMATS
 
-    check_output(check_suffix(output, FORMATS, "a plot"), overwrite=True, source=spec)
+    check_output(check_suffix(output, FORMATS, "a plot"), overwrite=overwrite, source=spec)

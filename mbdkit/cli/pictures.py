@@ -89,16 +89,17 @@ def plot(
         typer.Option("--y-limits", metavar="LOW HIGH", help="Range of the vertical axis."),
     ] = None,
     output: Annotated[Path | None, output_to("FILE.png", "A PNG, SVG or PDF file; by default FILE-KIND.png.")] = None,
+    overwrite: Overwrite = False,
     quiet: Quiet = False,
     debug: Debug = False,
 ) -> None:
-    """Plot a run, or one quantity of several runs. An existing picture is replaced.
+    """Plot a run, or one quantity of several runs.
 
     The legend of several runs shows how they differ: method, step, other keys, or file.
     """
     from mbdkit.archive.archive_check import blaming_damage
     from mbdkit.archive.reader import load
-    from mbdkit.base.files import check_output
+    from mbdkit.base.files import check_not_input, check_output
     from mbdkit.plot.save_plot import plot as draw
     from mbdkit.plot.save_plot import size_in_mm
 
@@ -108,7 +109,8 @@ def plot(
         runs = [stack.enter_context(load(archive)) for archive in archives]
         target = output or archives[0].with_name(f"{archives[0].stem}-{kind}.png")
         for archive in archives:
-            check_output(target, overwrite=True, source=archive)
+            check_not_input(target, archive)
+        check_output(target, overwrite=overwrite)
         place = None if size is None else size_in_mm(size)
         target = draw(runs, kind, target, size=place, x_limits=x_limits, y_limits=y_limits, **options)
     if not quiet:
@@ -130,10 +132,11 @@ def _check_options(kind: str, options: Mapping[str, object]) -> None:
 def animate(
     archive: Archive,
     output: Annotated[Path | None, output_to("FILE.gif", "A .gif, .html or .mp4 file; by default FILE.gif.")] = None,
+    overwrite: Overwrite = False,
     quiet: Quiet = False,
     debug: Debug = False,
 ) -> None:
-    """Animate a run. An existing file is replaced."""
+    """Animate a run."""
     from mbdkit.archive.archive_check import blaming_damage
     from mbdkit.archive.reader import load
     from mbdkit.base.files import check_output
@@ -141,7 +144,7 @@ def animate(
 
     with blaming_damage(archive), load(archive) as loaded:
         target = output or archive.with_suffix(".gif")
-        check_output(target, overwrite=True, source=archive)
+        check_output(target, overwrite=overwrite, source=archive)
         target = draw(loaded, target)
     if not quiet:
         show(target)

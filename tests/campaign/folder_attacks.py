@@ -259,7 +259,7 @@ def forbidden(random: np.random.Generator, folder: Path) -> list[str]:
         target.write_text("precious")
         target.chmod(0o644)
         (folder / "place").chmod(0o1777)  # as /tmp: others may create files, and not replace this one
-        words += ["--overwrite"] if name not in ("plot", "animate") else []
+        words += ["--overwrite"]
     elif how == "a folder that cannot be read":
         (folder / "place").chmod(0o000 if not is_nobody else 0o700)
     else:

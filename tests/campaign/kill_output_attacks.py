@@ -18,13 +18,10 @@ from .kill_attacks import PATIENCE, finish, said, start_command
 REPLACING = {"run", "inverse", "report", "report.md", "plot", "animate", "equilibrium", "rerun"}
 """The commands that write one file, and here replace an old one."""
 
-ALWAYS = {"plot", "animate"}
-"""Commands that replace files without ``--overwrite``."""
-
 
 def _words(name: str) -> list[str]:
     words = [word.replace("OUT", "place") for word in COMMANDS[name]]
-    return [*words, "--overwrite"] if name in REPLACING - ALWAYS else words
+    return [*words, "--overwrite"] if name in REPLACING else words
 
 
 def start_here(folder: Path, *arguments: str) -> int:

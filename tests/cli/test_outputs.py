@@ -37,6 +37,21 @@ def test_pipes_and_devices_are_not_replaced(mbdkit, in_tmp_path, command, kind):
     assert (target.lstat().st_ino, target.lstat().st_mode) == (before.st_ino, before.st_mode)
 
 
+@pytest.mark.parametrize(
+    "words", [("plot", "run.h5"), ("animate", "run.h5"), ("modes", "pendulum")], ids=lambda w: w[0]
+)
+def test_a_picture_is_replaced_only_with_overwrite(mbdkit, in_tmp_path, words):
+    make(Path("run.h5"))
+    old = Path("old.gif" if words[0] == "animate" else "old.png")
+    old.write_text("precious")
+    result = mbdkit(*words, "-o", old)
+    assert result.exit_code == 2
+    assert "this file exists already" in result.stderr
+    assert old.read_text() == "precious"
+    assert mbdkit(*words, "-o", old, "--overwrite").exit_code == 0
+    assert old.stat().st_size > 1000
+
+
 @pytest.mark.parametrize("command", ["kinematics", "equilibrium"])
 def test_a_device_itself_is_not_replaced(mbdkit, command):
     result = mbdkit(*COMMANDS[command], "/dev/null")
@@ -64,7 +79,7 @@ def test_a_picture_onto_a_full_disk_leaves_the_old_one(mbdkit, tmp_path, suffix)
         old.write_text("precious")
         with (disk / "ballast").open("wb") as file, pytest.raises(OSError, match="No space left"):
             file.write(bytes(1 << 20))
-        result = mbdkit("plot", str(tmp_path / "run.h5"), "-o", str(old))
+        result = mbdkit("plot", str(tmp_path / "run.h5"), "-o", str(old), "--overwrite")
         assert result.exit_code == 3, result.stderr
         assert "No space left" in result.stderr
         assert old.read_text() == "precious"
