@@ -22,6 +22,8 @@ OFF = 0.05
 MOVED = 0.002
 """Deviation of a coordinate of an attachment [m]."""
 _ELEMENTS = ("forces", "springs")
+_INERTIA = {"mass": "inertia", "masses": "inertias"}
+"""Key of the inertia beside the key of a mass."""
 _POINTS = ("points", "point", "at", "from", "to")
 MOST = 12
 """Largest number of masses that are varied (those of the heaviest bodies), and largest number of rows that are printed.
@@ -56,8 +58,9 @@ class Deviation:
 def robustness(evaluator: Evaluator, best: np.ndarray) -> list[Deviation]:
     """Return goals and limits near the best point (n,), with one number changed at a time.
 
-    Each variable and each of the `MOST` largest masses of the model are changed by 5 %. Each attachment of a force
-    element is moved by 2 mm along x and along y.
+    Each variable and each of the `MOST` largest masses of the model are changed by 5 %. The inertia of a body is
+    changed with its mass, as if its density changed, unless it is a variable or follows from the mass. Each attachment
+    of a force element is moved by 2 mm along x and along y.
     """
     settings = evaluator.settings(best)
     specs = [runs.at(settings) for runs in evaluator.scenarios]
@@ -70,7 +73,10 @@ def robustness(evaluator: Evaluator, best: np.ndarray) -> list[Deviation]:
     for path in moved[0]:
         if all(path in one for one in moved):
             size = f"{1000 * MOVED:g} mm" if path[1] in _ELEMENTS else f"{100 * OFF:g} %"
-            cases.append((key_words(path), size, [one[path] for one in moved]))
+            words = key_words(path)
+            if len(moved[0][path][0]) > 1:
+                words = words.replace(str(key := _mass_key(path)), f"{key} and {_INERTIA[key]}", 1)
+            cases.append((words, size, [one[path] for one in moved]))
     jobs = [
         Job(scenario, [*settings, *both[side]])
         for _, _, by_scenario in cases
@@ -94,12 +100,24 @@ def _numbers(spec: ModelSpec, taken: Sequence[Path]) -> Iterator[tuple[Path, Seq
     found = [path for path in _paths(model, ("model",)) if not any(path[: len(one)] == one for one in taken)]
     masses = [path for path in found if path[1] not in _ELEMENTS and key_unit(path, [spec]) == "kg"]
     for path in sorted(masses, key=lambda path: -abs(_at(model, path)))[:MOST]:
-        value = _at(model, path)
-        yield path, [_setting(model, path, value * (1 + off)) for off in (-OFF, OFF)]
+        paths = [path]
+        if (inertia := tuple(_INERTIA.get(str(part), part) for part in path)) != path and inertia in found:
+            paths.append(inertia)
+        yield (
+            path,
+            [
+                [one for both in paths for one in _setting(model, both, _at(model, both) * (1 + off))]
+                for off in (-OFF, OFF)
+            ],
+        )
     for path in found:
         if path[1] in _ELEMENTS and any(key in path for key in _POINTS) and key_unit(path, [spec]) == "m":
             value = _at(model, path)
             yield path, [_setting(model, path, value + off) for off in (-MOVED, MOVED)]
+
+
+def _mass_key(path: Path) -> str:
+    return next(str(part) for part in path if part in _INERTIA)
 
 
 def _paths(holder: Any, path: Path) -> Iterator[Path]:

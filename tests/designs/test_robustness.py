@@ -36,11 +36,11 @@ def test_variables_masses_and_attachments_are_off_by_five_percent_and_two_millim
     evaluator = Evaluator(load_design_spec(DESIGN))
     found = {one.words: one for one in robustness(evaluator, np.array([0.0]))}
     assert {words: one.size for words, one in found.items()} == {
-        "stiffness of spring": "5 %", "mass of block": "5 %", "x of point 1 of spring": "2 mm",
+        "stiffness of spring": "5 %", "mass and inertia of block": "5 %", "x of point 1 of spring": "2 mm",
         "y of point 1 of spring": "2 mm", "x of point 2 of spring": "2 mm", "y of point 2 of spring": "2 mm",
     }  # fmt: skip
     assert found["stiffness of spring"].goals == pytest.approx(np.array([[9.5, 10], [10.5, 10]]), rel=1e-9)
-    assert found["mass of block"].goals == pytest.approx(np.array([[10, 9.5], [10, 10.5]]), rel=1e-9)
+    assert found["mass and inertia of block"].goals == pytest.approx(np.array([[10, 9.5], [10, 10.5]]), rel=1e-9)
     assert found["x of point 2 of spring"].goals[:, 0] == pytest.approx([9.9, 10.1], rel=1e-9)
     length = math.hypot(0.5, 0.002)
     assert found["y of point 1 of spring"].goals[:, 0] == pytest.approx(50 * (1 - 0.3 / length) * 0.5, rel=1e-9)
@@ -49,3 +49,28 @@ def test_variables_masses_and_attachments_are_off_by_five_percent_and_two_millim
     assert found["y of point 1 of spring"].exceeds == ()
     table = robustness_text(evaluator.spec, list(found.values()))
     assert table.splitlines()[1].split() == ["stiffness", "of", "spring", "5", "%", "9.5", "10.5", "10", "10", "load"]
+
+
+@pytest.mark.parametrize("is_variable", [False, True], ids=["inertia of the body", "inertia is a variable"])
+def test_the_inertia_of_a_body_changes_with_its_mass(is_variable: bool) -> None:
+    """The torque of the motor is the inertia times the acceleration, 0.3 kg m^2 times 10 rad/s^2."""
+    bodies = {"rotor": {"mass": 2, "inertia": 0.3}}
+    joints = {
+        "hub": {"type": "revolute", "bodies": ["ground", "rotor"], "at": [0, 0]},
+        "motor": {"type": "driver", "bodies": ["ground", "rotor"], "coordinate": "angle", "motion": "5*t**2"},
+    }
+    model = {"name": "mechanism", "gravity": [0, 0.5], "bodies": bodies, "joints": joints}
+    variable = "model.bodies.rotor.inertia" if is_variable else "model.gravity.1"
+    evaluator = Evaluator(
+        load_design_spec(
+            {
+                "mbdkit_design": 1,
+                "base": {**DESIGN["base"], "model": model},
+                "variables": {variable: {"bounds": [0.3, 1.0]}},
+                "minimize": "max(abs(joints.motor.torque))",
+            }
+        )
+    )
+    found = {one.words: one.goals[:, 0] for one in robustness(evaluator, np.array([0.0]))}
+    words, torques = ("mass of rotor", [3.0, 3.0]) if is_variable else ("mass and inertia of rotor", [2.85, 3.15])
+    assert found[words] == pytest.approx(torques, rel=1e-9)
