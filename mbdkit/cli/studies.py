@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
 import time
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -63,6 +65,17 @@ class Stored:
     ] = False
 
 
+@contextlib.contextmanager
+def _saying_how_to_continue(overwrite: bool) -> Iterator[None]:
+    """After an interrupt, say how to continue the study."""
+    try:
+        yield
+    except KeyboardInterrupt:
+        how = "call the same command again, without --overwrite" if overwrite else "call the same command again"
+        say(f"to continue, {how}: it keeps complete runs, and continues others from their last checkpoint")
+        raise
+
+
 @grouped
 def study(
     spec: StudyName,
@@ -109,7 +122,11 @@ def study(
     part = None if shard is None else Shard.parse(shard)
     path = output if output is not None else Path(stem(spec))
     notify = silence if printing.quiet else say
-    with opened(cluster.asked(workers), path, notify) as executor, count_bar(path.name, printing.quiet) as progress:
+    with (
+        _saying_how_to_continue(stored.overwrite),
+        opened(cluster.asked(workers), path, notify) as executor,
+        count_bar(path.name, printing.quiet) as progress,
+    ):
         result = carry_out(
             spec,
             out=path,

@@ -11,7 +11,7 @@ import contextlib
 import json
 import os
 import sys
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, BinaryIO
 
@@ -93,8 +93,9 @@ def continue_run(
     *,
     overwrite: bool = False,
     progress: Progress | None = None,
+    measures: Sequence[str] = (),
 ) -> Run:
-    """Continue a run; see `resume`."""
+    """Continue a run; see `resume`. The `measures` must be those with which it began; see `simulate`."""
     path = final_path(part)
     if path == part:
         _check_interrupted(part, overwrite=overwrite)
@@ -104,7 +105,7 @@ def continue_run(
         checkpoint = Checkpoint.of(part)
         if checkpoint is None:
             return _renamed(part, path, overwrite)
-        return _Unfinished(part, checkpoint, path, overwrite, stream).continued(progress)
+        return _Unfinished(part, checkpoint, path, overwrite, stream).continued(progress, measures)
 
 
 def final_path(part: Path) -> Path:
@@ -273,7 +274,7 @@ class _Unfinished:
         """Whether the file is the archive of a run that was interrupted, not that of a killed run."""
         return self.part == self.path
 
-    def continued(self, progress: Progress | None) -> Run:
+    def continued(self, progress: Progress | None, measures: Sequence[str] = ()) -> Run:
         """Continue the run to its end."""
         head = self.checkpoint.head
         spec = _same_spec(self.part, head["spec"], head["run_id"], head["provenance"])
@@ -297,7 +298,7 @@ class _Unfinished:
 
         continuation = Continuation(self.checkpoint.state, self._observed, restored)
         try:
-            return simulate_on(spec, continuation, begun, progress=progress)
+            return simulate_on(spec, continuation, begun, progress=progress, measures=measures)
         except SpecError as error:
             raise error.located(file=self.part) from error
 

@@ -152,6 +152,7 @@ def simulate_on(
     begun: Callable[[RunSpec, Method, _Start], RunWriter],
     *,
     progress: Progress | None = None,
+    measures: Sequence[str] = (),
 ) -> Run:
     """Continue a run from a checkpoint.
 
@@ -161,10 +162,11 @@ def simulate_on(
         The state to continue from.
     begun
         Function that returns a writer with the rows up to this state.
-    progress
+    progress, measures
         See `simulate`.
     """
-    return _ended(spec, _Preparation(begun, time.perf_counter(), continuation=continuation), progress).run()
+    preparation = _Preparation(begun, time.perf_counter(), measures=measures, continuation=continuation)
+    return _ended(spec, preparation, progress).run()
 
 
 def simulate_arrays(

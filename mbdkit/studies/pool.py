@@ -23,7 +23,7 @@ from collections.abc import Callable, Iterator, Sequence
 from types import TracebackType
 from typing import Any
 
-from mbdkit.archive.part_file import part_path, remove_part
+from mbdkit.archive.part_file import checkpoint_path, part_path, remove_part
 from mbdkit.base.errors import ResourceError
 from mbdkit.base.text import without_numbers
 from mbdkit.studies.tasks import Outcome, Task, died
@@ -129,7 +129,7 @@ class Pool:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         for worker in self._workers:
-            worker.end()
+            worker.end(keep_checkpoint=True)
 
 
 class _Worker:
@@ -182,8 +182,10 @@ class _Worker:
         said = self.errors.read().decode(errors="replace").strip().splitlines()
         return f"{how}{': ' + said[-1].strip().rstrip('.') if said else ''}"
 
-    def end(self) -> None:
-        """Kill the process and remove the unfinished archive of its task."""
+    def end(self, *, keep_checkpoint: bool = False) -> None:
+        """Kill the process and remove the unfinished archive of its task; it is kept if another call can continue it
+        from a checkpoint and `keep_checkpoint` is true.
+        """
         self.process.kill()
         self.process.wait()
         for stream in (self.process.stdin, self.errors):
@@ -191,4 +193,6 @@ class _Worker:
             with contextlib.suppress(BrokenPipeError):
                 stream.close()
         if self.task is not None:
-            remove_part(part_path(self.task.path))
+            part = part_path(self.task.path)
+            if not (keep_checkpoint and checkpoint_path(part).is_file()):
+                remove_part(part)

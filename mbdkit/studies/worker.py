@@ -17,13 +17,16 @@ from collections.abc import Callable, Sequence
 from dataclasses import asdict
 from importlib.metadata import version
 from pathlib import Path
-from typing import IO, Any
+from typing import IO, TYPE_CHECKING, Any
 
 from mbdkit.base.command_words import executing
-from mbdkit.base.errors import SpecError
+from mbdkit.base.errors import MbdkitError, SpecError
 from mbdkit.base.one_thread import one_thread_of_linear_algebra
 from mbdkit.base.text import shown
 from mbdkit.runs.batch import refusal
+
+if TYPE_CHECKING:
+    from mbdkit.archive.run import Run
 
 Carry = Callable[[dict[str, Any], Callable[[str], None]], dict[str, Any]]
 """Function that carries out the task described by a message, and returns the answer.
@@ -134,10 +137,27 @@ def _work(task: dict[str, Any], notify: Callable[[str], None]) -> dict[str, Any]
                 seconds.append(float(run.stats["wall_s"]))
         # without the first run, which is for warm-up
         return {"status": "complete", "reason": "", "seconds": seconds[1:]}
-    with simulate(spec, path=Path(task["path"]), overwrite=True, measures=task["measures"]) as run:
+    path = Path(task["path"])
+    with _continued(path, task["measures"]) or simulate(
+        spec, path=path, overwrite=True, measures=task["measures"]
+    ) as run:
         for warning in run.warnings:
             notify(f"warning: {warning}")
         return {"status": run.status, "reason": run.status_reason}
+
+
+def _continued(path: Path, measures: Sequence[str]) -> Run | None:
+    """Continue the run that an interrupted call has left; return None if there is none that can be continued."""
+    from mbdkit.archive.part_file import checkpoint_path, part_path
+    from mbdkit.runs.resuming import continue_run
+
+    part = part_path(path)
+    if not checkpoint_path(part).is_file():
+        return None
+    try:
+        return continue_run(part, overwrite=True, measures=measures)
+    except MbdkitError:  # such as another version of mbdkit; the run is made anew
+        return None
 
 
 if __name__ == "__main__":
