@@ -43,14 +43,16 @@ FEWEST_PER_PERIOD = 2
 LONGEST_TURN = 0.2
 """Angle [rad] by which a stiff beam may turn in an implicit step; measured, see the page `beams`."""
 
+_SLIP = re.compile(r"contacts(\.\w+|\[[^\]]+\])\.slip")
 _ANGLE = re.compile(r"\[(m or )?rad\]")
 
 
 def spec_warnings(spec: RunSpec) -> tuple[str, ...]:
     """Return the warnings of the model, and those about effects that it lacks, unresolved beams, unused parameters,
-    improbable values, long steps and excitations.
+    improbable values, long steps, excitations and events.
     """
-    return (*_known(spec), *_left_out(spec), *_improbable(spec), *_long_step(spec), *_excitations(spec))
+    found = (*_known(spec), *_left_out(spec), *_improbable(spec), *_long_step(spec), *_excitations(spec))
+    return (*found, *_slip_events(spec))
 
 
 def mechanism_warnings(spec: RunSpec) -> tuple[str, ...]:
@@ -252,6 +254,17 @@ def _excitations(spec: RunSpec) -> Iterator[str]:
             time, value = outside
             reached = f"{value:.3g} at t = {time:.6g} s"
             yield f"the excitation of muscle '{name}' is {reached}; it should stay between 0 and 1"
+
+
+def _slip_events(spec: RunSpec) -> Iterator[str]:
+    """Yield a warning for each event that is the zero crossing of the slip of a contact."""
+    for name, event in spec.events.items():
+        if (slip := _SLIP.fullmatch(event.when.strip())) is not None:
+            yield (
+                f"event '{name}' watches the sign of {slip[0]}, which is zero except for rounding errors while the "
+                f"contact sticks or rolls; to find the begin or end of slip, watch abs({slip[0]}) - 1e-6 with rigid "
+                "contacts, or subtract the transition speed with compliant ones"
+            )
 
 
 def _unresolved_beams(spec: RunSpec) -> Iterator[str]:

@@ -11,6 +11,8 @@ import mbdkit
 from mbdkit.base.errors import SpecError
 from mbdkit.engine.equations_of_motion import EquationsOfMotion
 from mbdkit.report.run_tables import run_tables
+from mbdkit.runs.warnings import spec_warnings
+from mbdkit.spec import load_spec
 from mbdkit.stepping.complementarity import coulomb, coupled_by_all, stronge, swept
 from mbdkit.stepping.contact_kinematics import ContactKinematics
 from tests.witness.pit import pit
@@ -510,3 +512,35 @@ def test_gaps_that_are_not_evaluated_are_above_their_bounds() -> None:
         assert np.all(found[~is_near] > reach)
         far += int(np.sum(found < exact - 1e-9))
     assert far > 1000
+
+
+@pytest.mark.parametrize(
+    ("inertia", "time", "speed"),
+    [(0.4, 2 / 7, 5 / 7), (0.5, 1 / 3, 2 / 3)],
+    ids=["ball", "disc"],
+)
+def test_a_body_that_slides_begins_to_roll(inertia: float, time: float, speed: float) -> None:
+    # expected: v = v0 - mu g t and r omega = mu g t/inertia are equal when the body begins to roll
+    body = {"mass": 1.0, "inertia": inertia * 0.1**2, "position": [0.0, 0.1], "velocity": [2.0, 0.0]}
+    contact = {"bodies": ["ground", "body"], "shapes": [FLOOR, {"circle": {"radius": 0.1}}], "friction": 0.2}
+    event = {"when": "abs(contacts.floor.slip) - 1e-6", "direction": "falling"}
+    found = mbdkit.run(
+        {
+            "mbdkit": 1,
+            "model": {"name": "mechanism", "bodies": {"body": body}, "contacts": {"floor": contact}},
+            "integrator": {"name": "dop853"},
+            "contact": {"treatment": "event-driven"},
+            "time": {"end": 0.4, "step": 0.05},
+            "events": {"rolls": event},
+        }
+    )
+    # slip is linear in time, with the slope mu g (1 + 1/inertia): 1e-6 m/s is reached that much earlier
+    early = 1e-6 / (0.2 * G * (1 + 1 / inertia))
+    assert found.events.of_name("rolls").time == pytest.approx([time * 2.0 / (0.2 * G) - early], abs=1e-9)
+    assert found["body"].velocity[-1, 0] == pytest.approx(speed * 2.0, abs=1e-9)
+    assert not found.warnings
+
+
+def test_an_event_on_the_sign_of_a_slip_is_warned_about() -> None:
+    spec = load_spec("belt", (), events={"slips": {"when": 'contacts["belt.3"].slip'}})
+    assert "event 'slips' watches the sign of contacts[\"belt.3\"].slip" in "".join(spec_warnings(spec))
