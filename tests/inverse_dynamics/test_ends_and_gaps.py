@@ -6,17 +6,20 @@ sine of its angle, for angles that are random sums of sines.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 import pytest
 
 import mbdkit
+from mbdkit.inverse_dynamics import measure_samples
 from tests.inverse_dynamics.test_error_bars import pendulum
 
 TIME = np.linspace(0.0, 2.0, 201)
 FILTER = {"name": "butterworth", "cutoff": 6.0}
 DEVIATION = 0.003
+PEAK = {"peak": "max(abs(actuators.hip.value))"}
 
 
 def swing(seed: int, highest: float = 2.0) -> tuple[np.ndarray, np.ndarray, np.random.Generator]:
@@ -34,9 +37,10 @@ def measured(
     random: np.random.Generator,
     gap: slice | None = None,
     deviation: float = DEVIATION,
+    measures: Mapping[str, str] = PEAK,
     **motion: Any,
 ) -> mbdkit.Run:
-    """Return inverse dynamics of an angle with noise and a gap, with the largest torque as a measure."""
+    """Return inverse dynamics of an angle with noise and a gap, by default with the largest torque as a measure."""
     noisy = angle + deviation * random.standard_normal(len(TIME))
     cells: list[float | None] = noisy.tolist()
     if gap is not None:
@@ -45,13 +49,13 @@ def measured(
     spec = pendulum(**{"smooth": FILTER, "errors": {"samples": 60}, **motion})
     columns = motion.get("columns", {"hip.angle": "hip"})
     spec["motion"] |= {"data": {"time": TIME, "hip": cells}, "columns": columns}
-    return mbdkit.inverse({**spec, "measures": {"peak": "max(abs(actuators.hip.value))"}})
+    return mbdkit.inverse({**spec, "measures": measures})
 
 
 def test_bars_near_the_ends_cover_the_truth_and_peaks_there_are_doubted() -> None:
     near = np.r_[0:10, 191:201]
     covered, peaks = [], []
-    for seed in range(4):
+    for seed in range(3):
         angle, torque, random = swing(seed)
         run = measured(angle, random)
         value, error = run.actuators["hip"].value, run.actuators["hip"].value_error
@@ -68,15 +72,16 @@ def test_bars_near_the_ends_cover_the_truth_and_peaks_there_are_doubted() -> Non
 
 def test_bars_in_short_gaps_cover_the_truth_with_the_noise_of_the_values_that_fill_them() -> None:
     covered = []
-    for seed in range(20, 24):
+    for seed in range(20, 23):
         angle, torque, random = swing(seed)
         gap = slice(90, 97)  # 0.08 s between the samples beside it; half a period of the cutoff is 0.083 s
-        one = measured(angle, random, gap).actuators["hip"]
+        one = measured(angle, random, gap, measures={}).actuators["hip"]
         covered.append(np.mean((np.abs(one.value - torque) <= one.value_error)[gap]))
     assert np.mean(covered) > 0.85
 
 
-def test_errors_in_a_long_gap_are_unknown_and_a_peak_there_is_doubted() -> None:
+def test_errors_in_a_long_gap_are_unknown_and_a_peak_there_is_doubted(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(measure_samples, "SAMPLES", 10)
     angle = 1.0 - 0.6 * np.exp(-(((TIME - 1.0) / 0.3) ** 2))
     run = measured(angle, np.random.default_rng(5), slice(85, 116), 3e-4)
     error = run.actuators["hip"].value_error

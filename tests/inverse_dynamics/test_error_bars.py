@@ -14,6 +14,7 @@ import mbdkit
 from mbdkit import SpecError
 from mbdkit.analysis.workload import workload
 from mbdkit.archive import archive_check
+from mbdkit.inverse_dynamics import measure_samples
 from mbdkit.inverse_dynamics.compute import InverseProblem, compute
 from mbdkit.inverse_dynamics.error_bars import _norm_bound
 from mbdkit.inverse_dynamics.measure_samples import SAMPLES, SampledMeasures
@@ -53,7 +54,7 @@ def test_bars_cover_true_torques_and_joint_forces_of_closed_loops(
 ) -> None:
     # few samples of correlated noise, so that only means over the examples are compared; below, each actuator and joint
     shares = [
-        [np.mean(one) for one in covered(*loops[name], CUTOFF[name], 4, seed=seed, errors={"samples": 100})]
+        [np.mean(one) for one in covered(*loops[name], CUTOFF[name], 3, seed=seed, errors={"samples": 60})]
         for name in loops
     ]
     assert np.all((np.mean(shares, axis=0) >= 0.9) & (np.mean(shares, axis=0) <= 0.99))
@@ -86,10 +87,10 @@ def test_bars_are_those_of_noise_that_passes_through_the_whole_computation() -> 
     model["markers"] = {f"m{place}": {"body": "shank", "point": point} for place, point in enumerate(points.tolist())}
     columns = {name: {"column": name, "deviation": 1e-5} for name in data if name != "time"}
     spec = {"mbdkit": 1, "model": model, "actuators": {"knee": {"joint": "A"}}}
-    spec["motion"] = {"data": data, "columns": columns, "smooth": "quintic", "errors": {"samples": 1000}}
+    spec["motion"] = {"data": data, "columns": columns, "smooth": "quintic", "errors": {"samples": 400}}
     bars = mbdkit.inverse(spec)
     random, values = np.random.default_rng(5), []
-    for _ in range(60):
+    for _ in range(40):
         noisy = {k: x if k == "time" else x + 1e-5 * random.standard_normal(len(x)) for k, x in data.items()}
         one = compute(InverseProblem.of(load_inverse_spec({**spec, "motion": {**spec["motion"], "data": noisy}}, ())))
         values.append(one.dynamics.value[:, 0])
@@ -225,10 +226,12 @@ def test_noise_of_loads_has_the_bars_of_its_lever() -> None:
         assert "loads count as exact where columns have no `deviation`: push" in text
 
 
-def test_without_noise_the_bar_is_the_change_with_the_cutoff() -> None:
+def test_without_noise_the_bar_is_the_change_with_the_cutoff(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(measure_samples, "SAMPLES", 5)
+
     # expected: the root of the mean square of the changes at 0.8 and 1.25 times the cutoff, each computed for itself
     def at(cutoff: float) -> mbdkit.Run:
-        spec = pendulum(smooth={"name": "butterworth", "cutoff": cutoff})
+        spec = pendulum(smooth={"name": "butterworth", "cutoff": cutoff}, errors={"samples": 20})
         spec["motion"]["columns"]["hip.angle"]["deviation"] = 1e-9
         time = np.linspace(0.0, 3.0, 301)
         wave = 0.5 * np.sin(9 * time) * np.exp(-2 * (time - 1.5) ** 2)
@@ -259,7 +262,8 @@ def test_without_noise_the_bar_is_the_change_with_the_cutoff() -> None:
 def test_bars_cover_the_truth_of_random_mechanisms_whatever_is_smoothed(random_coordinates: bool) -> None:
     # a reduced size of `python -m tests.benchmarks.inverse_coverage`, with 48 mechanisms and 20 noises
     numbers = (3, 6, 13, 22) if not random_coordinates else (13, 22)
-    found = [coverage(number, 2, random_coordinates=random_coordinates) for number in numbers]
+    noises = 2 if random_coordinates else 1
+    found = [coverage(number, noises, random_coordinates=random_coordinates) for number in numbers]
     for shares in ([one.torques for one in found], [one.forces for one in found]):
         assert 0.9 <= np.mean(np.concatenate(shares)) <= 0.99
 
