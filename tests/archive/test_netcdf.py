@@ -24,18 +24,13 @@ from .making import largest, make, names, rows
 
 SIZES = [
     # rows, bodies, joints, constraint rows
-    (11, 2, 2, 4),
-    (11, 1, 0, 0),
-    (11, 1, 1, 0),
     (11, 3, 2, 5),
-    (1, 2, 2, 4),
+    (11, 1, 1, 0),
     (1, 1, 0, 0),
     (0, 2, 2, 4),
-    (0, 1, 0, 0),
-    (2, 1, 1, 1),
 ]
-IN_CHUNKS = SIZES[::3]
-"""Sizes whose archives are also flushed after every piece of rows: many rows, one, and none."""
+IN_CHUNKS = [(11, 2, 2, 4), (0, 2, 2, 4)]
+"""Sizes whose archives are also flushed after every piece of rows: many rows, and none."""
 
 each = pytest.mark.parametrize(
     ("sizes", "pieces"), [*((sizes, 1) for sizes in SIZES), *((sizes, 4) for sizes in IN_CHUNKS)]

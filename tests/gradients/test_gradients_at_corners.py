@@ -80,8 +80,14 @@ def expected(end: float, **known: float) -> np.ndarray:
 MEASURES = ["final(bodies.ball.y)", "final(bodies.ball.vy)"]
 
 
-@pytest.mark.parametrize("end", [0.45, 0.9], ids=["in contact", "after it"])
-@pytest.mark.parametrize("engages_at", [PAD, 0.25])
+@pytest.mark.parametrize(
+    ("end", "engages_at"),
+    [
+        pytest.param(0.45, PAD, id="in contact"),
+        pytest.param(0.9, PAD, id="after it"),
+        pytest.param(0.9, 0.25, id="preload"),
+    ],
+)
 def test_gradients_through_a_jump_of_the_force_are_those_of_the_motion(end: float, engages_at: float) -> None:
     # expected: the closed form; the damper makes the force jump when contact begins, and so does a preload
     law = {} if engages_at == PAD else {"engages_at": engages_at}
@@ -141,7 +147,7 @@ def test_measures_of_the_continuous_motion_through_corners_and_their_gradients(g
             "pathway": between,
         }
     }  # fmt: skip
-    spec = {"mbdkit": 1, "model": model, "integrator": GAUSS, "time": {"end": 1.0, "step": 0.01}}
+    spec = {"mbdkit": 1, "model": model, "integrator": GAUSS, "time": {"end": 0.7, "step": 0.01}}
     turn = 10.0 * (0.4567 - gap)
     x, v = np.sin(turn) / 10.0, np.cos(turn)
     expected = {
@@ -164,7 +170,7 @@ def test_the_blow_of_a_limit_stop_has_a_gradient_that_agrees_with_differences() 
         ["final(bodies.shank.angle)", "final(bodies.shank.angular_velocity)"],
         ["model.forces.stop.stiffness", "model.bodies.shank.mass"],
         integrator=GAUSS,
-        time={"end": 0.8, "step": 0.004},  # the stop is reached after 0.43 s
+        time={"end": 0.5, "step": 0.005},  # the stop is reached after 0.43 s
         output={"every": 1},
     )
     assert found.check is not None
@@ -189,9 +195,9 @@ def test_steps_too_long_for_the_interpolation_between_their_ends_have_gradients(
     rope = {"type": "law", "law": "one-sided", "acts": "tension", "stiffness": stiffness, "free_length": 2.0}
     bodies = {"ball": {"mass": "m", "inertia": 0.1, "position": [0.0, 1.0 + fall]}}
     model = {"name": "mechanism", "bodies": bodies, "forces": {"rope": rope | {"pathway": pathway}}}
-    spec = {"mbdkit": 1, "model": model, "integrator": {"name": "rk4"}, "time": {"end": 1.5, "step": 0.02}}
+    spec = {"mbdkit": 1, "model": model, "integrator": {"name": "rk4"}, "time": {"end": 0.5, "step": 0.02}}
     lighter, found, heavier = (
-        mbdkit.gradient(spec | {"parameters": {"m": m}}, ["max(abs(forces.rope.value))"], ["m"])
+        mbdkit.gradient(spec | {"parameters": {"m": m}}, ["max(abs(forces.rope.value))"], ["m"], check=False)
         for m in (mass - small, mass, mass + small)
     )
     weight = mass * GRAVITY
