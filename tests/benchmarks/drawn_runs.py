@@ -93,13 +93,12 @@ def drawn(study: mbdkit.Study, rng: np.random.Generator) -> list[int]:
     return sorted({*ends, *failed, *rng.choice(MEMBERS, 2).tolist()})
 
 
-def differences(study: mbdkit.Study, place: int) -> Iterator[str]:
-    """Yield what differs between a run of a study and the same spec run alone."""
+def differences(study: mbdkit.Study, place: int, row: Any) -> Iterator[str]:
+    """Yield what differs between a run of a study, with its row of the table, and the same spec run alone."""
     point = study.points[place]
     data = json.loads(json.dumps(dict(study.spec.base)))  # type: ignore[arg-type]
     for key, value in point.axes.items():
         put(data, parse_key(key), value)
-    row = study.to_frame().iloc[place]
     try:
         alone = mbdkit.run(RunSpec(**data))
     except SpecError as error:
@@ -147,8 +146,11 @@ def compare(variants: Sequence[str], threads: int, folder: Path) -> tuple[int, i
             places = drawn(study, np.random.default_rng([number, threads]))
             count += len(places)
             failed += sum(study.points[place].status == "failed" for place in places)
+            table = study.to_frame()
             for place in places:
-                found += [f"{variant}, {kind}, run {place + 1}: {one}" for one in differences(study, place)]
+                found += [
+                    f"{variant}, {kind}, run {place + 1}: {one}" for one in differences(study, place, table.iloc[place])
+                ]
     return count, failed, found
 
 

@@ -105,7 +105,7 @@ def tangents(name: str, q: np.ndarray, v: np.ndarray, a: np.ndarray, lam: np.nda
     return [np.array(x, dtype=float) for x in function(T, q, v, a, lam)]
 
 
-@both
+@pytest.mark.parametrize("name", ["driven chain", "moved slider-crank"])
 def test_tangents_and_iteration_matrix_are_the_derivatives(name: str) -> None:
     # expected: SymPy's derivatives, and dense linear algebra
     p = equations_of(name)

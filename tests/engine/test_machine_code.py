@@ -33,7 +33,7 @@ for name, sections in json.loads({runs!r}).items():
         found[name] = run.data_sha256
 print(json.dumps(found))
 """
-SHORT: dict[str, Any] = {"time": {"end": 0.05, "step": 0.01}}
+SHORT: dict[str, Any] = {"time": {"end": 0.03, "step": 0.01}}
 SPECS: dict[str, Any] = {
     "double-pendulum rk4": SHORT | {"integrator": {"name": "rk4"}},
     "double-pendulum gauss": SHORT | {"integrator": {"name": "gauss", "stages": 2}},

@@ -96,8 +96,10 @@ print("sympy" in sys.modules, run.energy.potential[0])
 
 def test_a_law_that_was_compiled_once_needs_no_sympy_any_more(tmp_path: Path) -> None:
     # expected: 10 N/m stretched by 1 m hold 5 J
-    for _ in range(2):
+    for _ in range(2):  # the first process may find the law compiled already
         found = subprocess.run(
             [sys.executable, "-c", SCRIPT], env=os.environ, cwd=tmp_path, capture_output=True, text=True, check=True
         )
+        if found.stdout.startswith("False"):
+            break
     assert found.stdout.split() == ["False", "5.0"]

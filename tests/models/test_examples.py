@@ -1,5 +1,6 @@
 """The packaged examples: each is a spec that soon runs to its end, and does what its comment says."""
 
+from functools import cache
 from importlib.resources import files
 
 import numpy as np
@@ -50,6 +51,13 @@ NAMES = [
     "watt-six-bar",
 ]
 
+
+@cache
+def ran(name):
+    """Return the run of an example, which is simulated once for all of its tests."""
+    return mbdkit.run(name)
+
+
 every_example = pytest.mark.parametrize("name", sorted({*NAMES, *example_names("run")}))
 
 
@@ -76,31 +84,31 @@ def test_packaged_example_is_a_valid_spec_that_says_what_it_is(name):
 @every_example
 def test_packaged_example_runs_to_its_end_in_balance_and_asks_little(name):
     # expected: conservation of energy; joints that meet
-    with mbdkit.run(name) as run:
-        run.check()
-        assert "verdict" in run.summary()
-        largest = np.max(run.energy.kinetic)
-        assert largest > 0
-        assert np.abs(run.energy.balance).max() < 1e-6 * largest
-        assert all(np.max(joint.misalignment) < 1e-5 for joint in run.joints.values())
-        assert all(np.isfinite(joint.reaction_force).all() for joint in run.joints.values())
-        assert run.stats["rhs_evaluations"] < 100_000  # a fraction of a second
-        warnings = [one for one in run.warnings if not (run.beams and one.startswith("the elements of beam"))]
-        assert (run.verdict, run.verdict_reasons, warnings) == ("unknown", [], [])  # the best verdict without a check
+    run = ran(name)
+    run.check()
+    assert "verdict" in run.summary()
+    largest = np.max(run.energy.kinetic)
+    assert largest > 0
+    assert np.abs(run.energy.balance).max() < 1e-6 * largest
+    assert all(np.max(joint.misalignment) < 1e-5 for joint in run.joints.values())
+    assert all(np.isfinite(joint.reaction_force).all() for joint in run.joints.values())
+    assert run.stats["rhs_evaluations"] < 100_000  # a fraction of a second
+    warnings = [one for one in run.warnings if not (run.beams and one.startswith("the elements of beam"))]
+    assert (run.verdict, run.verdict_reasons, warnings) == ("unknown", [], [])  # the best verdict without a check
 
 
 def test_car_axis_ends_where_its_comment_says():
     # expected: refined end values of the Test Set for IVP Solvers, see tests/witness/test_car_axis.py
-    with mbdkit.run("car-axis") as run:
-        np.testing.assert_allclose(run["left"].position[-1], [0.04934557842752, 0.49698946023001], rtol=0, atol=1e-12)
-        np.testing.assert_allclose(run["right"].position[-1], [1.04174252488543, 0.37391102726537], rtol=0, atol=1e-12)
+    run = ran("car-axis")
+    np.testing.assert_allclose(run["left"].position[-1], [0.04934557842752, 0.49698946023001], rtol=0, atol=1e-12)
+    np.testing.assert_allclose(run["right"].position[-1], [1.04174252488543, 0.37391102726537], rtol=0, atol=1e-12)
 
 
 def test_pen_of_the_four_bar_draws_a_line_of_four_crank_lengths_while_the_crank_is_on_its_left_half():
     # expected: the closed loop with both arms 2.5 cranks long: for the crank's end B = (-sin u, cos u) the pin C is
     # halfway from B to the fixed pin and on the mean normal, and the pen is at 2 C - B
-    with mbdkit.run("four-bar") as run:
-        pen, crank = np.asarray(run["pen"].position), np.asarray(run["crank"].angle)
+    run = ran("four-bar")
+    pen, crank = np.asarray(run["pen"].position), np.asarray(run["crank"].angle)
     end = 0.1 * np.exp(1j * crank)
     half = (0.2 - end) / 2
     drawn = end + 2 * half * (1 + 1j * np.sqrt(0.25**2 - np.abs(half) ** 2) / np.abs(half))
@@ -114,8 +122,8 @@ def test_pen_of_the_four_bar_draws_a_line_of_four_crank_lengths_while_the_crank_
 def test_spring_pendulum_turns_its_bounce_into_a_swing_and_back():
     # expected: E = k A^2 / 2 = m g L (1 - cos swing) at the two-to-one resonance, 30 degrees for A = 1/4 m; the
     # exchange is not complete
-    with mbdkit.run("spring-pendulum") as run:
-        x, y = np.asarray(run["weight"].position).T
+    run = ran("spring-pendulum")
+    x, y = np.asarray(run["weight"].position).T
     swing = np.degrees(np.arctan2(x, -y))
     early, middle = np.abs(swing[:50]).max(), np.abs(swing).max()
     assert early < 3
@@ -131,47 +139,47 @@ def run_rows(rows, start, end):
 
 def test_balanced_arm_has_the_same_potential_energy_everywhere_and_stays_where_it_stops():
     # expected: k h b = m g c for both springs makes gravity and springs cancel at every pose
-    with mbdkit.run("gravity-balanced-arm") as run:
-        potential = np.asarray(run.energy.potential)
-        np.testing.assert_allclose(potential, potential[0], rtol=0, atol=1e-12 * np.abs(potential[0]))
-        assert np.ptp(run["forearm"].angle) > 2.0
-        assert np.abs(run["forearm"].angular_velocity[-1]) < 0.02
-        assert np.all(np.abs(np.asarray(run["plate"].angle)) < 1e-12)
+    run = ran("gravity-balanced-arm")
+    potential = np.asarray(run.energy.potential)
+    np.testing.assert_allclose(potential, potential[0], rtol=0, atol=1e-12 * np.abs(potential[0]))
+    assert np.ptp(run["forearm"].angle) > 2.0
+    assert np.abs(run["forearm"].angular_velocity[-1]) < 0.02
+    assert np.all(np.abs(np.asarray(run["plate"].angle)) < 1e-12)
 
 
 def test_ram_of_the_press_follows_the_crank_and_the_peak_asks_little_of_the_motor():
     # expected: y = r sin(phi) - sqrt(l^2 - r^2 cos^2(phi)); 20 kN at a lever of a whole crank would be 1000 N m
-    with mbdkit.run("crank-press") as run:
-        phi = np.pi / 2 + 2 * np.pi * np.asarray(run.time)
-        height = 0.05 * np.sin(phi) - np.sqrt(0.4**2 - (0.05 * np.cos(phi)) ** 2)
-        np.testing.assert_allclose(run["ram"].position[:, 1], height, rtol=0, atol=1e-12)
-        assert np.abs(run.joints["motor"].reaction_torque).max() < 350
+    run = ran("crank-press")
+    phi = np.pi / 2 + 2 * np.pi * np.asarray(run.time)
+    height = 0.05 * np.sin(phi) - np.sqrt(0.4**2 - (0.05 * np.cos(phi)) ** 2)
+    np.testing.assert_allclose(run["ram"].position[:, 1], height, rtol=0, atol=1e-12)
+    assert np.abs(run.joints["motor"].reaction_torque).max() < 350
 
 
 def test_crank_of_the_watt_six_bar_goes_round():
     # expected: what the comment says
-    with mbdkit.run("watt-six-bar") as run:
-        assert np.ptp(run["crank"].angle) > 4 * np.pi
-        assert run["crank"].angular_velocity[0] == 7.0
+    run = ran("watt-six-bar")
+    assert np.ptp(run["crank"].angle) > 4 * np.pi
+    assert run["crank"].angular_velocity[0] == 7.0
 
 
 def test_windows_go_round_through_their_flat_positions_and_none_folds_over():
     # expected: cranks that start parallel stay parallel; angle by quadrature, see tests/witness/n_four_bar.py
-    with mbdkit.run("n-four-bar") as run:
-        cranks = [np.asarray(run[f"crank{k}"].angle) for k in range(3)]
-        for crank in cranks:
-            assert crank[-1] == pytest.approx(-30.179800860191, abs=1e-9)
-        assert np.abs(np.asarray(run["coupler2"].angle)).max() < 1e-9
-        assert np.min(run.singularity_distance) < 1e-3 < 0.3 < np.max(run.singularity_distance)
+    run = ran("n-four-bar")
+    cranks = [np.asarray(run[f"crank{k}"].angle) for k in range(3)]
+    for crank in cranks:
+        assert crank[-1] == pytest.approx(-30.179800860191, abs=1e-9)
+    assert np.abs(np.asarray(run["coupler2"].angle)).max() < 1e-9
+    assert np.min(run.singularity_distance) < 1e-3 < 0.3 < np.max(run.singularity_distance)
 
 
 def test_double_wishbone_stands_at_rest_until_the_bump_and_keeps_its_tyre_on_the_road():
     # expected: the weight of all that the tyre carries, 360 kg, and k (0.3286 m - length) as its force; a tyre as a
     # spring must not pull
-    with mbdkit.run("double-wishbone") as run:
-        time = np.asarray(run.time)
-        road, wheel, chassis = (np.asarray(run[name].position) for name in ("road", "upright", "chassis"))
-        lean = np.asarray(run["upright"].angle)
+    run = ran("double-wishbone")
+    time = np.asarray(run.time)
+    road, wheel, chassis = (np.asarray(run[name].position) for name in ("road", "upright", "chassis"))
+    lean = np.asarray(run["upright"].angle)
     tyre = 190e3 * (0.3286 - np.hypot(*(wheel - road).T))
     before = time < 0.4
     np.testing.assert_allclose(tyre[before], 360 * 9.81, rtol=2e-3)
@@ -198,18 +206,18 @@ def test_coil_of_the_double_wishbone_is_to_the_wheel_what_its_source_says():
 def test_stop_of_the_artificial_knee_takes_up_what_the_blow_brings_and_gives_it_back():
     # expected: at blows and rebounds the stop's spring is at its free angle; between them it pushes with k times the
     # angle, so that hip, knee and stop together balance the shank: J theta'' = sum of moments about its centre
-    with mbdkit.run("limit-stop") as run:
-        angles = run.events.position[:, 1, 2] - run.events.position[:, 0, 2]
-        np.testing.assert_allclose(angles, 0.0, rtol=0, atol=1e-11)
-        assert [event.name for event in run.events[:4]] == ["blow", "rebound", "blow", "rebound"]
-        shank, thigh = run["shank"], run["thigh"]
-        angle, rate = shank.angle - thigh.angle, shank.angular_velocity - thigh.angular_velocity
-        x, y = 0.2 * np.cos(shank.angle), 0.2 * np.sin(shank.angle)
-        force = run.joints["knee"].reaction_force
-        moment = -x * force[:, 1] + y * force[:, 0] - 0.1 * rate - 500.0 * np.maximum(angle, 0.0)
-        np.testing.assert_allclose(moment, 0.05 * shank.angular_acceleration, rtol=0, atol=1e-9)
-        assert 0.05 < angle.max() < 0.1
-        assert len(run.events.of_name("overload")) == 0
+    run = ran("limit-stop")
+    angles = run.events.position[:, 1, 2] - run.events.position[:, 0, 2]
+    np.testing.assert_allclose(angles, 0.0, rtol=0, atol=1e-11)
+    assert [event.name for event in run.events[:4]] == ["blow", "rebound", "blow", "rebound"]
+    shank, thigh = run["shank"], run["thigh"]
+    angle, rate = shank.angle - thigh.angle, shank.angular_velocity - thigh.angular_velocity
+    x, y = 0.2 * np.cos(shank.angle), 0.2 * np.sin(shank.angle)
+    force = run.joints["knee"].reaction_force
+    moment = -x * force[:, 1] + y * force[:, 0] - 0.1 * rate - 500.0 * np.maximum(angle, 0.0)
+    np.testing.assert_allclose(moment, 0.05 * shank.angular_acceleration, rtol=0, atol=1e-9)
+    assert 0.05 < angle.max() < 0.1
+    assert len(run.events.of_name("overload")) == 0
 
 
 def test_strut_of_the_knee_holds_the_foot_forward_of_where_it_would_hang():
@@ -241,18 +249,18 @@ def length(run, mechanism, name):
 @pytest.mark.parametrize("name", ["sit-to-stand", "squat", "sway"])
 def test_people_who_stand_push_below_the_foot(name):
     # expected: the moment of the ground's force about the ankle, 0.0702 m above it, is x F_y + 0.0702 F_x
-    with mbdkit.run(name) as run:
-        force, torque = run.joints["floor"].reaction_force, run.joints["floor"].reaction_torque
-        pressure = (torque - 0.0702 * force[:, 0]) / force[:, 1]
-        assert np.all(force[:, 1] > 0)
-        assert run.markers["heel"].position[0, 0] < pressure.min() < pressure.max() < run.markers["toe"].position[0, 0]
+    run = ran(name)
+    force, torque = run.joints["floor"].reaction_force, run.joints["floor"].reaction_torque
+    pressure = (torque - 0.0702 * force[:, 0]) / force[:, 1]
+    assert np.all(force[:, 1] > 0)
+    assert run.markers["heel"].position[0, 0] < pressure.min() < pressure.max() < run.markers["toe"].position[0, 0]
 
 
 def test_ground_of_the_squat_gives_the_impulse_of_the_weight():
     # expected: the body is at rest at the start and at the end; half of 75 kg by Winter's fractions
-    with mbdkit.run("squat") as run:
-        time, force = np.asarray(run.time), run.joints["floor"].reaction_force
-        impulse = scipy.interpolate.CubicSpline(time, force).integrate(time[0], time[-1])
+    run = ran("squat")
+    time, force = np.asarray(run.time), run.joints["floor"].reaction_force
+    impulse = scipy.interpolate.CubicSpline(time, force).integrate(time[0], time[-1])
     assert impulse == pytest.approx([0.0, 0.5 * 75.0 * 9.81 * 3.0], abs=1e-5)
 
 
@@ -265,41 +273,41 @@ def of_all_bodies(run, name, history):
 def test_jump_pushes_off_flies_and_lands():
     # expected: Newton's law for all bodies together, free flight between take-off and landing, and a centre of
     # pressure between heel and toe
-    with mbdkit.run("jump") as run:
-        foot = run.ground_reactions["foot"]
-        mass = sum(body.mass for body in load_spec("jump").mechanism().bodies.values())
-        needed = of_all_bodies(run, "jump", "acceleration") + mass * np.array([0.0, 9.81])
-        np.testing.assert_allclose(foot.force, needed, rtol=0, atol=1e-7)
-        torque = run.joints["knee_motor"].reaction_torque  # largest in the first squat, not between steps around events
-        assert run.measures["knee_torque"] == pytest.approx(abs(torque[0]), rel=1e-12)
-        (up, down), time = (event.time for event in run.events), np.asarray(run.time)
-        flies = (time > up) & (time < down)
-        np.testing.assert_array_equal(np.isnan(foot.center_of_pressure[:, 0]), flies)
-        place, speed = (of_all_bodies(run, "jump", name)[flies] / mass for name in ("position", "velocity"))
-        left = time[flies] - time[flies][0]
-        fall = place[0] + np.outer(left, speed[0]) - np.outer(left**2, [0.0, 9.81 / 2])
-        np.testing.assert_allclose(place, fall, rtol=0, atol=1e-12)
-        assert down - up > 0.3
-        stands = time < up
-        heel, toe = (run.markers[name].position[0, 0] for name in ("heel", "toe"))
-        pressure = foot.center_of_pressure[stands, 0]
-        assert heel - 1e-9 < pressure.min() < 0.0 < 0.15 < pressure.max() < toe
+    run = ran("jump")
+    foot = run.ground_reactions["foot"]
+    mass = sum(body.mass for body in load_spec("jump").mechanism().bodies.values())
+    needed = of_all_bodies(run, "jump", "acceleration") + mass * np.array([0.0, 9.81])
+    np.testing.assert_allclose(foot.force, needed, rtol=0, atol=1e-7)
+    torque = run.joints["knee_motor"].reaction_torque  # largest in the first squat, not between steps around events
+    assert run.measures["knee_torque"] == pytest.approx(abs(torque[0]), rel=1e-12)
+    (up, down), time = (event.time for event in run.events), np.asarray(run.time)
+    flies = (time > up) & (time < down)
+    np.testing.assert_array_equal(np.isnan(foot.center_of_pressure[:, 0]), flies)
+    place, speed = (of_all_bodies(run, "jump", name)[flies] / mass for name in ("position", "velocity"))
+    left = time[flies] - time[flies][0]
+    fall = place[0] + np.outer(left, speed[0]) - np.outer(left**2, [0.0, 9.81 / 2])
+    np.testing.assert_allclose(place, fall, rtol=0, atol=1e-12)
+    assert down - up > 0.3
+    stands = time < up
+    heel, toe = (run.markers[name].position[0, 0] for name in ("heel", "toe"))
+    pressure = foot.center_of_pressure[stands, 0]
+    assert heel - 1e-9 < pressure.min() < 0.0 < 0.15 < pressure.max() < toe
 
 
 def test_walker_walks_in_the_limit_cycle_of_its_source():
     # expected: Garcia et al. (1998), table 1, massless feet: step 3.812092 + 1.579129 slope^(2/3), stance angle
     # 0.970956 slope^(1/3) - 0.270837 slope, and what the slope gives is lost in each impact
     slope, legs = 0.009, ("left", "right")
-    with mbdkit.run("walker") as run:
-        times, lost = run.impacts.time, run.impacts.energy_lost
-        stride = run["right"].position[0, 0] + 2 * (run["left"].position[0, 0] - run["right"].position[0, 0])
-        mass = sum(body.mass for body in load_spec("walker").mechanism().bodies.values())
-        weight = mass * 9.81 * np.array([np.sin(slope), -np.cos(slope)])
-        needed = of_all_bodies(run, "walker", "acceleration") - weight
-        force = sum(run.ground_reactions[leg].force for leg in legs)
-        np.testing.assert_allclose(force, needed, rtol=0, atol=1e-7)
-        pressure = run.ground_reactions["left"].center_of_pressure
-        stones = np.unique(np.round(pressure[np.isfinite(pressure[:, 0]), 0] / stride, 6))
+    run = ran("walker")
+    times, lost = run.impacts.time, run.impacts.energy_lost
+    stride = run["right"].position[0, 0] + 2 * (run["left"].position[0, 0] - run["right"].position[0, 0])
+    mass = sum(body.mass for body in load_spec("walker").mechanism().bodies.values())
+    weight = mass * 9.81 * np.array([np.sin(slope), -np.cos(slope)])
+    needed = of_all_bodies(run, "walker", "acceleration") - weight
+    force = sum(run.ground_reactions[leg].force for leg in legs)
+    np.testing.assert_allclose(force, needed, rtol=0, atol=1e-7)
+    pressure = run.ground_reactions["left"].center_of_pressure
+    stones = np.unique(np.round(pressure[np.isfinite(pressure[:, 0]), 0] / stride, 6))
     assert run.impacts.contact.tolist() == ["second.2", "third.2"]
     steps = np.diff([0.0, *times]) * np.sqrt(9.81)
     assert steps == pytest.approx(np.full(2, 3.812092 + 1.579129 * slope ** (2 / 3)), rel=1e-3)
@@ -311,9 +319,9 @@ def test_walker_walks_in_the_limit_cycle_of_its_source():
 
 def test_spun_up_beam_stretches_as_published():
     # expected: Simo and Vu-Quoc (1986): steady extension of 5.14e-4 m; the tip lags by about 0.58 m in their figure
-    with mbdkit.run("spin-up-beam") as run:
-        at = run.beams["blade"].position
-        late = run.time > 18.0
+    run = ran("spin-up-beam")
+    at = run.beams["blade"].position
+    late = run.time > 18.0
     along = np.hypot(at[late, -1, 0], at[late, -1, 1]) - 10.0
     assert along.mean() == pytest.approx(5.14e-4, abs=2e-6)
     lag = at[:, -1, 1] * np.cos(at[:, 0, 2]) - at[:, -1, 0] * np.sin(at[:, 0, 2])
@@ -322,18 +330,18 @@ def test_spun_up_beam_stretches_as_published():
 
 def test_flying_spaghetti_keeps_the_momentum_of_its_push_and_its_energy():
     # expected: the impulse of 8 N over 2.5 s, which falls to zero within 1 ms
-    with mbdkit.run("flying-spaghetti") as run:
-        masses = np.array([body.mass for body in load_spec("flying-spaghetti").mechanism().bodies.values()])
-        momentum = np.einsum("b,tbi->ti", masses, run.array("trajectory/velocity")[:, :, :2])
-        free = run.time > 2.51
-        energy = run.energy.total[free]
+    run = ran("flying-spaghetti")
+    masses = np.array([body.mass for body in load_spec("flying-spaghetti").mechanism().bodies.values()])
+    momentum = np.einsum("b,tbi->ti", masses, run.array("trajectory/velocity")[:, :, :2])
+    free = run.time > 2.51
+    energy = run.energy.total[free]
     np.testing.assert_allclose(momentum[free], [[8 * 2.5005, 0.0]] * int(free.sum()), atol=1e-9)
     assert np.ptp(energy) < 1e-3 * abs(energy).max()
 
 
 def test_rolled_up_strip_is_a_circle():
-    with mbdkit.run("roll-up") as run:
-        x, y, angle = run.beams["strip"].position[-1].T
+    run = ran("roll-up")
+    x, y, angle = run.beams["strip"].position[-1].T
     assert angle[-1] == pytest.approx(2 * np.pi, abs=1e-4)
     # expected: the corners of a regular polygon of 16 sides of 1/16 m
     radius = np.hypot(x - x[:-1].mean(), y - y[:-1].mean())
@@ -343,8 +351,8 @@ def test_rolled_up_strip_is_a_circle():
 def test_slider_on_a_flexible_rod_ends_where_the_published_solution_ends():
     # expected: Test Set for IVP Solvers, "Slider crank": 0.169737 m; its rod has fewer modes along its axis, whose
     # oscillations stretch the rod by some 1e-5 m
-    with mbdkit.run("flexible-slider-crank") as run:
-        assert run["slider"].position[-1, 0] == pytest.approx(0.169737, abs=2e-5)
+    run = ran("flexible-slider-crank")
+    assert run["slider"].position[-1, 0] == pytest.approx(0.169737, abs=2e-5)
 
 
 def test_leaf_spring_has_the_stiffness_of_linear_theory_at_small_angles():
@@ -384,13 +392,13 @@ def test_leaf_spring_has_the_stiffness_of_the_elastica_at_60_degrees():
     # at the end, the motor also accelerates the shank
     torque, moment = elastica_across_a_knee(-np.pi / 3)
     inertia = (0.005 + 0.4 * 0.2**2) * np.pi / 6 * (np.pi / 5) ** 2
-    with mbdkit.run("leaf-spring") as run:
-        assert run.verdict in ("good", "unknown")
-        assert run.measures["torque"] == pytest.approx(abs(torque) - inertia, rel=1e-4)
-        assert run.measures["stiffness"] == pytest.approx((abs(torque) - inertia) / (np.pi / 3), rel=1e-4)
-        assert abs(run.joints["clamp"].reaction_torque[-1]) == pytest.approx(abs(moment), rel=1e-3)  # one inertia
-        stress = 6 * abs(moment) / (0.03 * 1.5e-3**2) / 1e6  # at the clamp; that of the example is half an element off
-        assert 0.9 * stress < run.measures["stress"] < stress
+    run = ran("leaf-spring")
+    assert run.verdict in ("good", "unknown")
+    assert run.measures["torque"] == pytest.approx(abs(torque) - inertia, rel=1e-4)
+    assert run.measures["stiffness"] == pytest.approx((abs(torque) - inertia) / (np.pi / 3), rel=1e-4)
+    assert abs(run.joints["clamp"].reaction_torque[-1]) == pytest.approx(abs(moment), rel=1e-3)  # one inertia
+    stress = 6 * abs(moment) / (0.03 * 1.5e-3**2) / 1e6  # at the clamp; that of the example is half an element off
+    assert 0.9 * stress < run.measures["stress"] < stress
 
 
 def test_the_series_elastic_actuator_moves_as_its_equations_say():

@@ -6,6 +6,7 @@ import re
 import shutil
 import subprocess
 from collections.abc import Callable
+from functools import cache
 from pathlib import Path
 from typing import Any, get_args
 
@@ -76,8 +77,14 @@ MECHANISMS: dict[str, Callable[[], Mechanism]] = {
     "slider-crank": lambda: load_spec("slider-crank").mechanism(),
     "every element": every_element,
 }
-mechanisms = pytest.mark.parametrize("name", MECHANISMS)
+mechanisms = pytest.mark.parametrize("name", ["slider-crank", "every element"])
 forms = pytest.mark.parametrize("numbers", [True, False], ids=["numbers", "symbols"])
+
+
+@cache
+def system(name: str, numbers: bool) -> SymbolicSystem:
+    """Return the equations of a mechanism, derived once for all tests."""
+    return MECHANISMS[name]().to_sympy(numbers=numbers)
 
 
 def random_state(m: Mechanism, seed: int) -> tuple[np.ndarray, np.ndarray]:
@@ -122,12 +129,12 @@ def engine(m: Mechanism, t: float, q: np.ndarray, v: np.ndarray) -> dict[str, np
 @forms
 @pytest.mark.parametrize("seed", STATES)
 def test_the_numbers_of_the_system_are_those_of_the_compiled_engine(name: str, numbers: bool, seed: int) -> None:
-    assert_same_numbers(MECHANISMS[name](), numbers, seed)
+    assert_same_numbers(MECHANISMS[name](), system(name, numbers), seed)
 
 
-def assert_same_numbers(m: Mechanism, numbers: bool, seed: int) -> None:
+def assert_same_numbers(m: Mechanism, symbolic: SymbolicSystem, seed: int) -> None:
     q, v = random_state(m, seed)
-    found, expected = m.to_sympy(numbers=numbers).evaluate(T, q[:-3], v[:-3]), engine(m, T, q, v)
+    found, expected = symbolic.evaluate(T, q[:-3], v[:-3]), engine(m, T, q, v)
     assert found.keys() == expected.keys()
     for array, value in expected.items():
         scale = np.max(np.abs(value))
@@ -137,9 +144,10 @@ def assert_same_numbers(m: Mechanism, numbers: bool, seed: int) -> None:
 @forms
 def test_beams_are_those_of_the_compiled_engine(numbers: bool) -> None:
     m = flexible(np.random.default_rng(5), elements=1)
-    assert_same_numbers(m, numbers, seed=1)
+    s = m.to_sympy(numbers=numbers)
+    assert_same_numbers(m, s, seed=1)
     if not numbers:
-        check_latex(m.to_sympy(numbers=numbers).latex())
+        check_latex(s.latex())
 
 
 @forms
@@ -153,7 +161,7 @@ def test_moving_centers_are_those_of_the_compiled_engine(numbers: bool) -> None:
     m.revolute("rolls", "plate", "wheel", points=((0.1, 0.9), (0.05, -0.1)), center=center)
     m.driver("lift", m.ground, m.body("weight", mass=1.0), coordinate="y", motion="0.1*sin(t)")
     for seed in STATES:
-        assert_same_numbers(m, numbers, seed)
+        assert_same_numbers(m, m.to_sympy(numbers=numbers), seed)
 
 
 def test_the_double_pendulum_prints_the_index_1_system_of_two_rods_on_pins() -> None:
@@ -219,7 +227,7 @@ def numbers_of(s: SymbolicSystem, expr: sp.Matrix, q: np.ndarray, v: np.ndarray)
 @mechanisms
 def test_jacobian_and_gamma_are_the_derivatives_of_the_whole_systems_constraints(name: str) -> None:
     m = MECHANISMS[name]()
-    s = m.to_sympy()
+    s = system(name, True)
     phi = s.constraints.applyfunc(lambda x: x.rewrite(sp.Piecewise))  # |x|, min and max without their corners
     q, v = (x[:-3] for x in random_state(m, 1))
     gamma = -by_time(s, by_time(s, phi))
@@ -231,8 +239,7 @@ def test_jacobian_and_gamma_are_the_derivatives_of_the_whole_systems_constraints
 
 @mechanisms
 def test_symbols_and_numbers_say_the_same_and_leave_no_symbol_without_a_value(name: str) -> None:
-    m = MECHANISMS[name]()
-    with_numbers, with_symbols = m.to_sympy(), m.to_sympy(numbers=False)
+    with_numbers, with_symbols = system(name, True), system(name, False)
     state = {with_numbers.t, *with_numbers.q, *with_numbers.v}
     assert not with_numbers.parameters
     assert with_symbols.parameters
@@ -290,7 +297,7 @@ def test_redundant_joints_have_accelerations_all_the_same() -> None:
 
 
 def test_a_state_that_is_not_one_is_refused() -> None:
-    s = every_element().to_sympy()
+    s = system("every element", True)
     with pytest.raises(ValueError, match="v should have 21 numbers, 3 for each of 7 bodies, not 2"):
         s.evaluate(0.0, np.zeros(21), [0.0, 1.0])
     m = Mechanism()
@@ -357,10 +364,10 @@ def awkward() -> Mechanism:
 PRINTED = {**MECHANISMS, "awkward names": awkward}
 
 
-@pytest.mark.parametrize("name", PRINTED)
+@pytest.mark.parametrize("name", ["every element", "awkward names"])
 @forms
 def test_the_latex_is_well_formed(name: str, numbers: bool) -> None:
-    check_latex(PRINTED[name]().to_sympy(numbers=numbers).latex())
+    check_latex((system(name, numbers) if name in MECHANISMS else awkward().to_sympy(numbers=numbers)).latex())
 
 
 @pytest.mark.slow
