@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import shutil
+from functools import lru_cache
 from pathlib import Path
 
 from mbdkit.archive import layout
@@ -20,6 +21,7 @@ SMALL = 2**22
 """For archives in memory up to this size [bytes], free memory is not checked, because querying it takes 0.1 ms."""
 
 
+@lru_cache(maxsize=16)
 def row_bytes(names: ArchiveNames, quantities: frozenset[str], kept: frozenset[str] | None = None) -> int:
     """Return the size of one recorded row, including the statistics of the interval that ends there [bytes].
 

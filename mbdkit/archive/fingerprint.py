@@ -85,21 +85,21 @@ def data_sha256(file: h5py.File) -> str:
 def attributes_sha256(
     file: h5py.File,
     known: Mapping[str, str] = MappingProxyType({}),
-    arrays: Mapping[str, Sequence[str]] = MappingProxyType({}),
+    unread: Mapping[str, Sequence[str]] = MappingProxyType({}),
 ) -> str:
     """Return the hash of everything that `data_sha256` does not cover: attributes, timings and estimated errors.
 
     Parameters
     ----------
     known
-        Known lines of attributes, by ``PATH@NAME``; these attributes are not read from the file.
-    arrays
-        Known lines of all attributes of arrays, by path; these arrays are not opened.
+        Known lines of attributes, by ``PATH@NAME``, and of arrays, by path; their values are not read from the file.
+    unread
+        Known lines of arrays and of groups with all that they contain, by path; these objects are not opened.
     """
-    lines = [one for known_lines in arrays.values() for one in known_lines]
-    for path, item in _identifiers(h5o.open(file.id, b"/"), "", arrays):
+    lines = [one for known_lines in unread.values() for one in known_lines]
+    for path, item in _identifiers(h5o.open(file.id, b"/"), "", unread):
         if isinstance(item, h5d.DatasetID) and not is_hashed(path):
-            lines.append(dataset_line(h5py.Dataset(item)))
+            lines.append(known.get(path) or dataset_line(h5py.Dataset(item)))
         lines += attribute_lines(item, path, known)
     return digest_lines(lines)
 
@@ -154,11 +154,12 @@ def _attribute_line(path: str, attribute: h5a.AttrID) -> str:
     return line(path, numbers.dtype.str, attribute.shape, hashlib.sha256(numbers.tobytes()).hexdigest())
 
 
-def attribute_line(path: str, value: str | np.generic) -> str:
-    """Return the line of an attribute, a string or a number, that has the path ``PATH@NAME``."""
-    if isinstance(value, str):
-        return line(path, TEXT, (), hashlib.sha256(text_bytes([value])).hexdigest())
-    return line(path, value.dtype.str, (), hashlib.sha256(value.tobytes()).hexdigest())
+def attribute_line(path: str, value: str | tuple[str, ...] | np.generic | np.ndarray) -> str:
+    """Return the line of an attribute with the path ``PATH@NAME``: a string, a number, or an array of either."""
+    if isinstance(value, np.generic | np.ndarray):
+        return line(path, value.dtype.str, value.shape, hashlib.sha256(value.tobytes()).hexdigest())
+    shape, texts = ((), (value,)) if isinstance(value, str) else ((len(value),), value)
+    return line(path, TEXT, shape, hashlib.sha256(text_bytes(texts)).hexdigest())
 
 
 @cache

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import math
 from collections.abc import Callable, Mapping, Sequence
 
 import h5py
@@ -10,7 +11,6 @@ import numpy as np
 
 from mbdkit.archive.fingerprint import line, text_bytes
 from mbdkit.archive.hdf5 import create
-from mbdkit.archive.layout import is_timing
 from mbdkit.quantities.array import TEXT, Array
 
 #: Size of the row buffers of a table [bytes]; they are written when they are full or when a flush is due.
@@ -33,10 +33,10 @@ class Series:
         self.array = array
         self.row_shape = row_shape
         self.dtype = np.dtype(object if array.dtype == TEXT else array.dtype)
-        self.row_bytes = self.dtype.itemsize * int(np.prod(row_shape))
+        self.row_bytes = self.dtype.itemsize * math.prod(row_shape)
         self.dataset: h5py.Dataset | None = None
         self._rows = 0
-        self._sha = None if is_timing(array.path) else hashlib.sha256()
+        self._sha = hashlib.sha256()
 
     def create(self, file: h5py.File, values: np.ndarray, *, more: bool) -> None:
         """Create the dataset with its first rows: chunked if more rows will follow (`more`), otherwise of fixed
@@ -71,14 +71,11 @@ class Series:
 
     def take(self, values: np.ndarray) -> None:
         """Add rows to the hash."""
-        if self._sha is not None:
-            self._sha.update(text_bytes(values) if self.array.dtype == TEXT else values.data)
+        self._sha.update(text_bytes(values) if self.array.dtype == TEXT else values.data)
         self._rows += len(values)
 
-    def line(self) -> str | None:
-        """Return the line of the array for `data_sha256`; None for a timing."""
-        if self._sha is None:
-            return None
+    def line(self) -> str:
+        """Return the line of the array in the hashes."""
         return line(self.array.path, self.array.dtype, (self._rows, *self.row_shape), self._sha.hexdigest())
 
 

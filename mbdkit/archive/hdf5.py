@@ -6,6 +6,7 @@ The low-level API of h5py takes half the time of the high-level one.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import cache
 
 import h5py
 import numpy as np
@@ -16,6 +17,7 @@ from mbdkit.quantities.array import TEXT, Array
 _STRING = h5t.py_create(h5py.string_dtype(), logical=True)  # in the file
 _STR = h5t.py_create(h5py.string_dtype())  # in memory: references to Python strings
 _SCALAR = h5s.create(h5s.SCALAR)
+_type_of = cache(h5t.py_create)  # the type of numbers in HDF5
 
 
 def set_text(target: h5py.Group | h5py.Dataset, name: str, value: str) -> None:
@@ -31,14 +33,17 @@ def set_texts(target: h5py.Group, name: str, values: Sequence[str]) -> None:
         attribute.write(np.array(values, dtype=object), mtype=_STR)
 
 
-def set_number(target: h5py.Group, name: str, value: np.int64 | np.float64) -> None:
-    """Add a number as an attribute to a group."""
-    h5a.create(target.id, name.encode(), h5t.py_create(value.dtype), _SCALAR).write(np.asarray(value))
+def set_numbers(target: h5py.Group | h5py.Dataset, name: str, value: np.generic | np.ndarray) -> None:
+    """Add a number or an array of numbers as an attribute to a group or an array."""
+    kind, space = _type_of(value.dtype), h5s.create_simple(value.shape) if value.shape else _SCALAR
+    attribute = h5a.create(target.id, name.encode(), kind, space)
+    if value.size:
+        attribute.write(np.asarray(value), mtype=kind)
 
 
 def replace_number(target: h5py.Group, name: str, value: np.int64 | np.float64) -> None:
     """Replace the value of an attribute of a group by a number of the same type, at the same place in the file."""
-    h5a.open(target.id, name.encode()).write(np.asarray(value))
+    h5a.open(target.id, name.encode()).write(np.asarray(value), mtype=_type_of(value.dtype))
 
 
 def create(
@@ -73,7 +78,7 @@ def create(
         plan.set_chunk(chunks)
         # HDF5 rejects chunks longer than a fixed axis. Axes of length zero must therefore be unlimited.
         limits = (h5s.UNLIMITED, *(size or h5s.UNLIMITED for size in values.shape[1:]))
-    kind, of_values = (_STRING, _STR) if array.dtype == TEXT else 2 * (h5t.py_create(np.dtype(array.dtype)),)
+    kind, of_values = (_STRING, _STR) if array.dtype == TEXT else 2 * (_type_of(np.dtype(array.dtype)),)
     identifier = h5d.create(
         file.id, f"{under}{array.path}".encode(), kind, h5s.create_simple(values.shape, limits), plan
     )

@@ -185,7 +185,7 @@ class ArchiveContents(RunContents):
         assert path is not None
         assert ending is not None
         header = Header(
-            writer.root_attributes(ending),
+            writer.head,
             ReadOnlyDict(origin.provenance),
             ending.judgement.level,
             tuple(ending.judgement.reasons),

@@ -7,6 +7,8 @@ to write the values. The archives of runs of one mechanism often differ in their
 from __future__ import annotations
 
 import itertools
+import math
+from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
@@ -15,8 +17,8 @@ import h5py
 import numpy as np
 from h5py import h5f, h5p
 
-from mbdkit.archive.fingerprint import attribute_lines, layout_lines
-from mbdkit.archive.hdf5 import create, fill_text
+from mbdkit.archive.fingerprint import attribute_line, attribute_lines, layout_lines
+from mbdkit.archive.hdf5 import create, fill_text, set_numbers, set_text, set_texts
 from mbdkit.archive.layout import GROUPS, SHARED, is_hashed, name_texts
 from mbdkit.archive.part_file import LIBVER
 from mbdkit.quantities.array import TEXT, Array
@@ -29,13 +31,13 @@ LARGEST = 1 << 20
 _IN_MEMORY = itertools.count(1)
 
 
-_AT_THE_END = frozenset(("joints/misalignment", *SHARED))
-"""Arrays to which attributes are added when a run ends."""
+_VARYING = "assembly"
+"""Attribute of the provenance that differs between the runs of a process."""
 
 
 @dataclass(frozen=True)
 class Skeleton:
-    """An HDF5 file with the groups, arrays and names of an archive.
+    """An HDF5 file with the groups, arrays and names of an archive, and the provenance that all runs share.
 
     Parameters
     ----------
@@ -45,15 +47,15 @@ class Skeleton:
         The arrays of strings over time.
     places
         Where the values of arrays of numbers over time begin in `image`, by path.
-    attributes
-        Lines of the attributes of an array in `attributes_sha256`, by path of the array. Arrays that get further
-        attributes when a run ends, and arrays that `data_sha256` does not cover, are left out.
+    unread, known
+        Lines in `attributes_sha256`: see there. Timings are left out.
     """
 
     image: bytes
     texts: tuple[Array, ...]
     places: Mapping[str, int]
-    attributes: Mapping[str, Sequence[str]]
+    unread: Mapping[str, Sequence[str]]
+    known: Mapping[str, str]
 
     def file(self, values: Mapping[str, np.ndarray]) -> h5py.File:
         """Return a new file in memory with the values of the arrays over time, by path."""
@@ -91,7 +93,37 @@ def begin_file(file: h5py.File, names: ArchiveNames, arrays: tuple[Array, ...]) 
         create(file, array, np.array(tuple(texts[array.path]), dtype=object))
 
 
-def skeleton_of(names: ArchiveNames, arrays: tuple[Array, ...], rows: tuple[tuple[str, int], ...]) -> Skeleton:
+Attribute = str | tuple[str, ...] | int | float | np.ndarray
+"""Value of an attribute."""
+
+
+def add_attributes(file: h5py.File, path: str, values: Mapping[str, Attribute]) -> dict[str, str]:
+    """Add attributes to the group or the array at `path`, and return their lines in `attributes_sha256`, by
+    ``PATH@NAME``.
+    """
+    target, lines = file[path] if path else file, {}
+    for name, value in values.items():
+        known: str | tuple[str, ...] | np.generic | np.ndarray
+        if isinstance(value, str):
+            known = value
+            set_text(target, name, known)
+        elif isinstance(value, tuple):
+            known = value
+            set_texts(target, name, known)
+        else:
+            is_whole = isinstance(value, int | np.integer)
+            known = value if isinstance(value, np.ndarray) else np.int64(value) if is_whole else np.float64(value)
+            set_numbers(target, name, known)
+        lines[f"{path}@{name}"] = attribute_line(f"{path}@{name}", known)
+    return lines
+
+
+def skeleton_of(
+    names: ArchiveNames,
+    arrays: tuple[Array, ...],
+    rows: tuple[tuple[str, int], ...],
+    provenance: Mapping[str, str | int | float],
+) -> Skeleton:
     """Return the skeleton of an archive.
 
     Parameters
@@ -100,13 +132,21 @@ def skeleton_of(names: ArchiveNames, arrays: tuple[Array, ...], rows: tuple[tupl
         Names of the elements of the mechanism, and the arrays that its runs record.
     rows
         Numbers of rows along the growing axes, by name.
+    provenance
+        Attributes of ``/provenance``.
     """
     sizes = sizes_of(names) | dict(rows)
-    values = sum(np.prod([sizes[dim] for dim in array.dims]) for array in arrays if array.grows)
-    return (_cached if 8 * values <= LARGEST else _made)(names, arrays, rows)
+    values = sum(math.prod([sizes[dim] for dim in array.dims]) for array in arrays if array.grows)
+    shared = tuple(one for one in provenance.items() if one[0] != _VARYING)
+    return (_cached if 8 * values <= LARGEST else _made)(names, arrays, rows, shared)
 
 
-def _made(names: ArchiveNames, arrays: tuple[Array, ...], rows: tuple[tuple[str, int], ...]) -> Skeleton:
+def _made(
+    names: ArchiveNames,
+    arrays: tuple[Array, ...],
+    rows: tuple[tuple[str, int], ...],
+    provenance: tuple[tuple[str, str | int | float], ...],
+) -> Skeleton:
     sizes = sizes_of(names) | dict(rows)
     growing = sorted((one for one in arrays if one.grows), key=lambda one: not one.is_scale)
     with memory_file() as file:
@@ -116,14 +156,17 @@ def _made(names: ArchiveNames, arrays: tuple[Array, ...], rows: tuple[tuple[str,
             create(file, array, np.full(shape, "", object) if array.dtype == TEXT else np.zeros(shape, array.dtype))
         texts = tuple(one for one in growing if one.dtype == TEXT)
         places = {one.path: file[one.path].id.get_offset() for one in growing if one not in texts}
-        attributes = {
-            one.path: attribute_lines(file[one.path].id, one.path, layout_lines())
-            for one in arrays
-            if is_hashed(one.path) and one.path not in _AT_THE_END
-        }
+        # Groups with timings, or to whose arrays a run adds attributes at its end, have to be opened then.
+        opened = {"joints", *(one.group for one in arrays if one.path in SHARED or not is_hashed(one.path))}
+        unread: dict[str, list[str]] = defaultdict(list)
+        for one in arrays:
+            if is_hashed(one.path):
+                lines = attribute_lines(file[one.path].id, one.path, layout_lines())
+                unread[one.path if one.group in opened else one.group] += lines
+        known = add_attributes(file, "provenance", dict(provenance))
         file.flush()
         filled = {path: place for path, place in places.items() if place is not None}  # empty arrays have no offset
-        return Skeleton(file.id.get_file_image(), texts, filled, attributes)
+        return Skeleton(file.id.get_file_image(), texts, filled, unread, known)
 
 
 _cached = lru_cache(maxsize=16)(_made)

@@ -15,14 +15,14 @@ import numpy as np
 
 from mbdkit.archive import layout
 from mbdkit.archive.checkpoint import Checkpoint, StoredRows
-from mbdkit.archive.fingerprint import attribute_line, attributes_sha256, digest_lines, layout_lines
+from mbdkit.archive.fingerprint import attributes_sha256, digest_lines, layout_lines
 from mbdkit.archive.growing_array import Table
-from mbdkit.archive.hdf5 import replace_number, set_number, set_text, set_texts
+from mbdkit.archive.hdf5 import replace_number, set_text
 from mbdkit.archive.hdf5_errors import cause
 from mbdkit.archive.measured_values import integrals_json
 from mbdkit.archive.part_file import Target
 from mbdkit.archive.run_writer import Ending, Origin, RunWriter, SharedForces, name_lines, utc_now
-from mbdkit.archive.skeleton import begin_file, memory_file, skeleton_of
+from mbdkit.archive.skeleton import Attribute, add_attributes, begin_file, memory_file, skeleton_of
 from mbdkit.base.errors import MbdkitError, ResourceError
 from mbdkit.quantities.array import FLOAT, GROWING, Array
 from mbdkit.quantities.names import ArchiveNames
@@ -61,8 +61,8 @@ class ArchiveWriter(RunWriter):
 
     Attributes
     ----------
-    ending
-        How the run has ended; None while it is in progress.
+    ending, head
+        How the run has ended, and the root attributes; None and empty while it is in progress.
 
     Raises
     ------
@@ -100,7 +100,8 @@ class ArchiveWriter(RunWriter):
         #: from an image in memory; until then, its ``.part`` is empty.
         self._file: h5py.File | None = None
         self.ending: Ending | None = None
-        self._known: dict[str, str] = {}  # lines of attributes for `attributes_sha256`, by ``PATH@NAME``
+        self.head: Mapping[str, str] = {}
+        self._known: dict[str, str] = {}  # see `attributes_sha256`
 
     @property
     def row_keys(self) -> frozenset[str]:
@@ -142,8 +143,12 @@ class ArchiveWriter(RunWriter):
 
         `data_sha256` is the hash of these lines and those of the arrays of names.
         """
-        grown = (series.line() for table in self._tables.values() for series in table.series)
-        return tuple(sorted(filter(None, grown)))
+        return tuple(sorted(self._grown(timings=False).values()))
+
+    def _grown(self, *, timings: bool) -> dict[str, str]:
+        """Return the lines of the timings, or of the other arrays with rows, by path."""
+        every = ((one.array.path, one) for table in self._tables.values() for one in table.series)
+        return {path: one.line() for path, one in every if layout.is_timing(path) is timings}
 
     def keep_checkpoint(self, state: Mapping[str, Any]) -> None:
         """Write the buffered rows, and the state from which a run can continue after them."""
@@ -194,29 +199,27 @@ class ArchiveWriter(RunWriter):
         """Write the remaining rows, the hash and the status, and rename the archive to its final name."""
         started = time.perf_counter()
         accuracy = ending.accuracy
-        misalignment_max = np.asarray(ending.misalignment_max, FLOAT)
         with self._storing():
             errors = 0 if accuracy is None else accuracy.size_in_bytes + _ATTRIBUTE_BYTES
-            with self._room(more=False, also=_ATTRIBUTE_BYTES + 16 * len(misalignment_max) + errors):
+            with self._room(more=False, also=_ATTRIBUTE_BYTES + 16 * len(ending.misalignment_max) + errors):
                 is_begun = self._file is not None
-                file, before = self._with_all_rows()
+                file, unread = self._with_all_rows()
                 if accuracy is not None:
                     accuracy.write(file, self.names.bodies, self.names.joints)
-                self._write_end(file, {**ending.stats, "finish_s": 0.0}, misalignment_max)
+                self._write_end(file, ending)
                 self._write_verdict(file, ending.judgement, ending.warnings)
                 if ending.integrals:
                     set_text(file, layout.INTEGRALS, integrals_json(ending.integrals))
+                self.head = self._root_attributes(ending)
                 if is_begun:
-                    self._change_head(file, ending)
+                    self._change_head(file)
                 else:
-                    self._write_head(file, ending)
+                    self._write_head(file, self.head)
                 if measured is not None:
                     set_text(file, layout.MEASURES, measured(file))
-                # Computed from the file, so that the hash covers all of its contents. Attributes prescribed by the
-                # layout are not read.
-                set_text(
-                    file, layout.ATTRIBUTES_HASH, attributes_sha256(file, {**layout_lines(), **self._known}, before)
-                )
+                # Computed from the file, so that the hash covers all of its contents, except for known lines.
+                known = {**layout_lines(), **self._grown(timings=True), **self._known}
+                set_text(file, layout.ATTRIBUTES_HASH, attributes_sha256(file, known, unread))
             if self._target is not None:
                 self._publish(self._target, file, started, ending)
                 return None
@@ -226,19 +229,19 @@ class ArchiveWriter(RunWriter):
             return file
 
     def _with_all_rows(self) -> tuple[h5py.File, Mapping[str, Sequence[str]]]:
-        """Return the file with all rows, and lines of attributes for `attributes_sha256`, by path of the array, as far
-        as they are known.
-        """
+        """Return the file with all rows, and the objects that `attributes_sha256` need not read."""
         if self._file is not None:
             self._write_tables(self._file, more=False)
             self._file.flush()
             del self._file["trajectory"].attrs[layout.ROWS_FLUSHED]  # all rows have been written
             return self._file, {}
         rows = tuple((dim, table.rows) for dim, table in self._tables.items())
-        skeleton = skeleton_of(self.names, self.arrays, rows)
+        skeleton = skeleton_of(self.names, self.arrays, rows, self.origin.provenance)
         values = {path: rows for table in self._tables.values() for path, rows in table.taken().items()}
         self._file = skeleton.file(values)
-        return self._file, skeleton.attributes
+        self._known |= skeleton.known
+        changed = {"joints/misalignment", *(() if self.shared is None else layout.SHARED)}  # by `_write_end`
+        return self._file, {path: lines for path, lines in skeleton.unread.items() if path not in changed}
 
     def _publish(self, target: Target, file: h5py.File, started: float, ending: Ending) -> None:
         """Rename the finished file; a file in memory is written first."""
@@ -283,42 +286,33 @@ class ArchiveWriter(RunWriter):
             text = len(self.origin.spec_json) + 64 * sum(len(one.texts(names)) for one in self.arrays if one.texts)
             with self._room(more=False, also=_ATTRIBUTE_BYTES + text):
                 begin_file(self._file, names, self.arrays)
-                self._write_head(self._file)
+                self._write_head(self._file, self._root_attributes(None))
                 self._file["trajectory"].attrs[layout.ROWS_FLUSHED] = np.zeros(len(GROWING), np.int64)
         return self._file
 
-    def _write_head(self, file: h5py.File, ending: Ending | None = None) -> None:
-        self._set(file, "", self.root_attributes(ending))
-        self._set(file, "provenance", self.origin.provenance)
+    def _write_head(self, file: h5py.File, head: Mapping[str, str]) -> None:
+        self._add(file, "", head)
+        given = self.origin.provenance
+        self._add(file, "provenance", {name: given[name] for name in given if f"provenance@{name}" not in self._known})
         if self.shared is not None:
             length = float(self.shared.length)
-            self._set(file, "joints", {"redundancy": self.shared.redundancy, "characteristic_length": length})
+            self._add(file, "joints", {"redundancy": self.shared.redundancy, "characteristic_length": length})
 
-    def _set(self, file: h5py.File, path: str, values: Mapping[str, str | int | float]) -> None:
-        """Add strings and numbers as attributes to a group, and store their lines, which `attributes_sha256` needs."""
-        group = file[path] if path else file
-        for name, value in values.items():
-            known: str | np.int64 | np.float64
-            if isinstance(value, str):
-                known = value
-                set_text(group, name, known)
-            else:
-                known = np.int64(value) if isinstance(value, int | np.integer) else np.float64(value)
-                set_number(group, name, known)
-            self._known[f"{path}@{name}"] = attribute_line(f"{path}@{name}", known)
+    def _add(self, file: h5py.File, path: str, values: Mapping[str, Attribute]) -> None:
+        """Add attributes to a group or an array, and store their lines, which `attributes_sha256` needs."""
+        self._known |= add_attributes(file, path, values)
 
-    def _change_head(self, file: h5py.File, ending: Ending) -> None:
+    def _change_head(self, file: h5py.File) -> None:
         """Change those root attributes of a file begun earlier that depend on how the run has ended."""
-        known = self.root_attributes(ending)
         for name in ("data_sha256", "status_reason"):
-            file.attrs.modify(name, known[name])
+            file.attrs.modify(name, self.head[name])
         file.flush()
         # Written after all results, because it marks them as valid; only measures, hash and duration follow.
-        file.attrs.modify("status", ending.status)
+        file.attrs.modify("status", self.head["status"])
         for name in ("data_sha256", "status_reason", "status"):
             self._known.pop(f"@{name}")
 
-    def root_attributes(self, ending: Ending | None) -> dict[str, str]:
+    def _root_attributes(self, ending: Ending | None) -> dict[str, str]:
         """Return `layout.ROOT_ATTRIBUTES` with their values at the end of a run, or while it is in progress."""
         origin = self.origin
         status, reason, digest = "running", "", ""
@@ -331,22 +325,21 @@ class ArchiveWriter(RunWriter):
         )  # fmt: skip
         return dict(zip(layout.ROOT_ATTRIBUTES, values, strict=True))
 
-    def _write_end(self, file: h5py.File, stats: Mapping[str, int | float], misalignment_max: np.ndarray) -> None:
-        self._set(file, "stats", stats)
-        joints = file["joints"]
-        joints.attrs["misalignment_max"] = misalignment_max
-        if "misalignment" in joints:
-            joints["misalignment"].attrs["misalignment_max"] = misalignment_max
+    def _write_end(self, file: h5py.File, ending: Ending) -> None:
+        self._add(file, "stats", {**ending.stats, "finish_s": 0.0})
+        largest = {"misalignment_max": np.asarray(ending.misalignment_max, FLOAT)}
+        self._add(file, "joints", largest)
+        if any(array.path == "joints/misalignment" for array in self.arrays):
+            self._add(file, "joints/misalignment", largest)
         if self.shared is not None:
             for path in layout.SHARED:
                 names = self.shared.drivers if path == "joints/driver_power" else self.shared.joints
                 if path in file and names:
-                    set_text(file[path], "not_unique", ", ".join(names))
+                    self._add(file, path, {"not_unique": ", ".join(names)})
 
     def _write_verdict(self, file: h5py.File, judgement: Judgement, warnings: Sequence[str]) -> None:
-        self._set(file, "", {"verdict": judgement.level})
-        set_texts(file, "verdict_reasons", judgement.reasons)
-        set_texts(file, "warnings", warnings)
+        reasons = tuple(judgement.reasons)
+        self._add(file, "", {"verdict": judgement.level, "verdict_reasons": reasons, "warnings": tuple(warnings)})
 
     def _write_duration(self, file: h5py.File, started: float, ending: Ending) -> None:
         """Store the duration of `finish` so far."""

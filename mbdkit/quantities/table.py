@@ -505,10 +505,15 @@ RECORDED: Mapping[str, Recorded] = {
 """Arrays with a value for each recorded state, by `Array.key`."""
 
 
+_NAMES_ALONG = {
+    array.name: array.texts for kind in KINDS for array in kind.arrays if array.is_scale and array.texts is not None
+}
+"""Functions that return the names along the axes that do not grow, by name of the axis."""
+
+
 def sizes_of(names: ArchiveNames) -> dict[str, int]:
     """Return the lengths of the axes that do not grow, by name."""
-    arrays = (array for kind in KINDS for array in kind.arrays if array.is_scale)
-    return {array.name: len(array.texts(names)) for array in arrays if array.texts is not None}
+    return {name: len(texts(names)) for name, texts in _NAMES_ALONG.items()}
 
 
 def quantities_of_events() -> str:

@@ -14,10 +14,10 @@ import h5py
 import numpy as np
 import pytest
 
-from mbdkit.archive.fingerprint import data_sha256
+from mbdkit.archive.fingerprint import attributes_sha256, data_sha256
 from mbdkit.archive.finished_run import ArrayHash, SharedDigests
 from mbdkit.archive.layout import LAYOUT, is_timing
-from mbdkit.archive.run_writer import Ending
+from mbdkit.archive.run_writer import Ending, SharedForces
 from mbdkit.quantities.array import TEXT
 
 from .making import fill, largest, make, names, rows, steps, writer
@@ -133,6 +133,15 @@ def test_attributes_have_the_hash_that_the_document_defines(archive: Path) -> No
                 lines.append(f"{path}@{name} {kind} {shape} {hashlib.sha256(content).hexdigest()}\n")
         expected = hashlib.sha256("".join(sorted(lines)).encode()).hexdigest()
         assert file.attrs["attributes_sha256"] == expected
+
+
+def test_attributes_of_arrays_with_redundant_joints_are_covered(tmp_path: Path) -> None:
+    into = writer(tmp_path / "run.h5", shared=SharedForces("1 redundant row: joint J1", ("J1",), 1.0, ("J1",)))
+    fill(into, 3)
+    into.finish(Ending("complete", "", {}, largest(3, names())))
+    with h5py.File(tmp_path / "run.h5") as file:
+        assert file["constraints/multiplier"].attrs["not_unique"] == "J1"
+        assert file.attrs["attributes_sha256"] == attributes_sha256(file)
 
 
 def test_only_digests_of_arrays_with_equal_bits_are_shared() -> None:
