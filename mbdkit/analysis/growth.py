@@ -9,7 +9,6 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from scipy.optimize import minimize_scalar
 
 from mbdkit.archive.run import Run
 
@@ -194,6 +193,8 @@ def _bounded(s: np.ndarray, y: np.ndarray) -> _Found:
 
 def _power(p: int) -> Callable[[np.ndarray, np.ndarray], _Found]:
     def fit(s: np.ndarray, y: np.ndarray) -> _Found:
+        from scipy.optimize import minimize_scalar  # takes a quarter of a second to load
+
         def shape(log_offset: float) -> np.ndarray:
             return np.asarray(np.log(math.exp(log_offset) + s**p))
 
