@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property, lru_cache
+from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -60,6 +60,11 @@ class RunGroup:
         """(R,) whether a run reached its end."""
         return np.array([run.status == "complete" for run in self.runs])
 
+    @cached_property
+    def trends(self) -> list[Trend]:
+        """Trend of the energy balance of each run; raises ValueError if there are too few rows."""
+        return trends(self.time, self.array("energy/balance"))
+
     def records(self, path: str) -> bool:
         """Return whether the runs recorded the array with this path in the layout of archives."""
         return self.first.records(path)
@@ -67,13 +72,18 @@ class RunGroup:
     def array(self, path: str) -> np.ndarray:
         """Return the array with this path, stacked for all runs, (R, T, ...)."""
         if path not in self._arrays:
-            key = BY_PATH[path].key
-            if self._recorded and key in self._recorded[0]:
-                arrays = [one[key] for one in self._recorded]
-            else:
-                arrays = [run.array(path) for run in self.runs]
-            self._arrays[path] = np.stack(arrays)
+            self._arrays[path] = np.stack(self._each(path))
         return self._arrays[path]
+
+    def first_rows(self, path: str) -> np.ndarray:
+        """Return the first row of the array with this path for each run, (R, ...)."""
+        return np.stack([values[0] for values in self._each(path)])
+
+    def _each(self, path: str) -> list[np.ndarray]:
+        key = BY_PATH[path].key
+        if self._recorded and key in self._recorded[0]:
+            return [one[key] for one in self._recorded]
+        return [run.array(path) for run in self.runs]
 
     def everywhere(self, value: float) -> np.ndarray:
         """Return an array (R,) with the same value for each run."""
@@ -230,12 +240,6 @@ def _own_multipliers(group: RunGroup) -> np.ndarray:
     return group.everywhere(own)
 
 
-@lru_cache(maxsize=1)
-def _trends_of(group: RunGroup) -> list[Trend]:
-    """Return the trend of the energy balance of each run; cached for all measures that are based on it."""
-    return trends(group.time, group.array("energy/balance"))
-
-
 def _trend(value: Callable[[Trend], float]) -> Callable[[RunGroup], np.ndarray]:
     """Return a function for `Measure.take`: a value that is based on the trend of the energy balance.
 
@@ -246,7 +250,7 @@ def _trend(value: Callable[[Trend], float]) -> Callable[[RunGroup], np.ndarray]:
         if not group.complete.any() or not group.records("energy/balance"):
             return group.everywhere(math.nan)
         try:
-            return np.where(group.complete, [value(one) for one in _trends_of(group)], math.nan)
+            return np.where(group.complete, [value(one) for one in group.trends], math.nan)
         except ValueError:
             return group.everywhere(math.nan)
 
@@ -264,7 +268,7 @@ def _size(group: RunGroup) -> np.ndarray:
         mechanisms = [run.run_spec.mechanism() for run in group.runs]
     except MbdkitError:  # the plugin of the model is not installed here
         return group.everywhere(math.nan)
-    return mechanism_sizes(mechanisms, group.array("trajectory/position")[:, 0])
+    return mechanism_sizes(mechanisms, group.first_rows("trajectory/position"))
 
 
 _XY, _THETA = slice(0, 2), slice(2, 3)
