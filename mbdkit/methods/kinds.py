@@ -245,7 +245,7 @@ class ImplicitRungeKutta(Method):
             suits_stiff=True,
             iterates_without_tangents=self.stage_solver == "fixed-point",
             own_multipliers="where solved for",
-            has_lanes=is_together and not is_controlled,
+            has_lanes=is_together,
             has_derivatives=is_together,
             why_no_checkpoint="" if is_together else in_python,
         )

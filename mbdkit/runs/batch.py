@@ -48,8 +48,8 @@ def simulate_batch(
     """Run validated specs, and yield the result of each, in the order of `specs`.
 
     The numbers, and therefore `FinishedRun.data_sha256`, are equal to those of `simulate` for the same spec. Runs on
-    index-1 equations with explicit methods, or with fixed steps of Gauss and Radau IIA methods, are vectorized; see
-    `mbdkit.runs.lane_runs` for the exceptions. All others are computed one after another.
+    index-1 equations with explicit, Gauss and Radau IIA methods are vectorized; see `mbdkit.runs.lane_runs` for the
+    exceptions. All others are computed one after another.
 
     Parameters
     ----------

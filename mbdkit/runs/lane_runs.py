@@ -327,7 +327,7 @@ def _stepper(first: LaneMember, workspace: Workspace) -> LaneStepper:
     """Return the loop that advances runs with the mechanism and method of `first`."""
     method: Any = first.method  # a method with a loop for lanes
     if first.method.traits.tolerances:
-        return ControlledLaneStepper(method, workspace)
+        return ControlledLaneStepper(method, workspace, first.pivots)
     rows = 1 + -(-first.table.steps // first.table.every)
     return LaneStepper(method, workspace, rows, first.pivots)
 

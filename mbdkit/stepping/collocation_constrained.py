@@ -339,7 +339,7 @@ def attempt(run, method, t, h, want_error):
 def dense(run, method, t, h, theta):
     """Write state and multipliers at ``t + theta h`` within the last attempt, by its collocation polynomial."""
     c, m = load_run_state(run), load_stages(method)
-    state_inside(c, m, h, theta)
+    state_inside(c, m, h, theta, c)
     extrapolation_weights(theta, 0.0, m.rk.c, m.weights)  # each row has the weights of the polynomial at theta
     m.pairs[:, :] = 0.0
     for i in range(len(m.rk.c)):

@@ -185,7 +185,8 @@ def attempt(run, method, t, h, want_error):
 @entry
 def dense(run, method, t, h, theta):
     """Write the state at ``t + theta h`` within the last attempt, by its collocation polynomial."""
-    state_inside(load_run_state(run), load_stages(method), h, theta)
+    c = load_run_state(run)
+    state_inside(c, load_stages(method), h, theta, c)
     return OK
 
 

@@ -343,7 +343,7 @@ def dense(run, method, t, h, theta):
     relative = m.on_tree.relative
     vectors = relative.vectors
     _take_coordinates(c, m)
-    state_inside(c, m, h, theta)
+    state_inside(c, m, h, theta, c)
     _restore_bodies(c, m)
     copy(c.point_q, vectors[Y])
     copy(c.point_v, vectors[Y_RATES])

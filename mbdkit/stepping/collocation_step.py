@@ -47,14 +47,16 @@ from mbdkit.stepping.turning_beams import predict_turned, take_middle_stage, tur
 def _predict(m, t, h):
     """Extrapolate the stages of the previous step, or use free flight; return whether free flight is used.
 
-    In free flight, accelerations are zero. They are not set to the acceleration at the start of the step, because a
-    stiff force may be far from constant over the step. If the tangents turn with beams, values of the previous step
-    are used as they are, except for the nodes of beams (`mbdkit.stepping.turning_beams`).
+    In lanes, return whether it is used in all of them. In free flight, accelerations are zero. They are not set to the
+    acceleration at the start of the step, because a stiff force may be far from constant over the step. If the tangents
+    turn with beams, values of the previous step are used as they are, except for the nodes of beams
+    (`mbdkit.stepping.turning_beams`).
     """
     size = m.previous.size[0]
-    if turns_stages(m) and any_of(abs(size) > 0.0):
+    known = abs(size) > 0.0
+    if turns_stages(m) and any_of(known):
         return False
-    if not any_of(abs(size) > 0.0):
+    if not any_of(known):
         fill_rows(m.acc, 0.0)
         for i in range(len(m.lam)):
             fill_rows(m.lam[i], 0.0)
@@ -65,6 +67,9 @@ def _predict(m, t, h):
         return True
     extrapolation_weights((t - m.previous.begin[0]) / size, h / size, m.rk.c, m.weights)
     extrapolate(m.weights, m.acc, m.spread)
+    for i in range(len(m.acc)):
+        for d in range(len(m.acc[0])):
+            m.acc[i, d] = renewed(m.acc[i, d], 0.0, known)
     extrapolate(m.weights, m.states.rate, m.states.z)
     if solves_multipliers(m):  # otherwise, multipliers follow from accelerations
         extrapolate_pairs(m.weights, m.lam, m.constraints.phi)
@@ -130,8 +135,11 @@ def every_change_is_idle(now):
 
 
 @inlined
-def solve_stages(c, m, t, h, careful, kernels):
-    """Solve the stage equations by simplified Newton, or fixed-point iteration; return a status."""
+def solve_stages(c, m, t, h, careful, wanted, kernels):
+    """Solve the stage equations by simplified Newton, or fixed-point iteration; return a status.
+
+    In lanes, equations are solved only where `wanted`.
+    """
     if m.solved_apart[0] > 0:
         c.counts[ITERATIONS] += m.solved_apart[0]
         m.solved_apart[0] = 0
@@ -144,7 +152,7 @@ def solve_stages(c, m, t, h, careful, kernels):
     m.previous.begin[0], m.previous.size[0] = t, np.nan  # stages of a failed attempt must not be extrapolated
     kernels.evaluate(c, m, h)
     settings = m.settings
-    strategy = careful, turns_stages(m), free_flight
+    strategy = careful, turns_stages(m), free_flight, wanted
     status = iterate(c, m, t, h, (settings.limit, settings.tolerance[0]), strategy, kernels)
     if status == OK and turns_stages(m) and turns_far(c, m):
         c.report[0] = np.inf
@@ -156,7 +164,7 @@ def solve_stages(c, m, t, h, careful, kernels):
         c.report[0] = np.inf
         return DIVERGED
     m.acc[0, 0] = usable(m.acc[0, 0], near)
-    m.previous.size[0] = h
+    m.previous.size[0] = usable(h, abs(m.acc[0, 0]) < np.inf)  # unknown in lanes that have failed
     return OK
 
 
@@ -237,8 +245,8 @@ def keep(run, method, t, h, unused):
 
 
 @inlined
-def _estimate(c, m, h, kernels):
-    """Write estimates of the local error of positions and velocities.
+def estimate_errors(c, m, h, out, kernels):
+    """Write estimates of the local error of positions and velocities into arrays of `out`.
 
     They are computed by the embedded formula of Hairer and Wanner (1996), IV.8: ``h gamma0`` times the difference
     between the acceleration at the beginning and that of the collocation polynomial there, filtered by the system of
@@ -250,16 +258,16 @@ def _estimate(c, m, h, kernels):
         gap = m.first.acc[d]
         for i in range(len(m.rk.c)):
             gap -= m.weights[0, i] * m.acc[i, d]
-        c.est_v[d] = rate * gap
+        out.est_v[d] = rate * gap
     if m.settings.solver[0] == NEWTON:
-        filter_estimate(c, m, kernels.estimate_side, c.est_v)
+        filter_estimate(c, m, kernels.estimate_side, out.est_v)
     for d in range(len(c.q) - 3):
-        c.est_q[d] = rate * c.est_v[d]
+        out.est_q[d] = rate * out.est_v[d]
     for e in range(len(c.z)):
         gap = m.states.first_rate[e]
         for i in range(len(m.rk.c)):
             gap -= m.weights[0, i] * m.states.rate[i, e]
-        c.est_z[e] = rate * gap / (1.0 - rate * min(m.states.slope[e], 0.0))
+        out.est_z[e] = rate * gap / (1.0 - rate * min(m.states.slope[e], 0.0))
 
 
 @inlined
@@ -289,7 +297,7 @@ def try_step(c, m, t, h, want_error, kernels):
             status = kernels.first_acceleration(c, m, t)
             if status != OK:
                 return status
-        status = solve_stages(c, m, t, h, careful, kernels)
+        status = solve_stages(c, m, t, h, careful, True, kernels)
         if status != DIVERGED or careful or m.settings.solver[0] != NEWTON or turns_stages(m):
             break
         careful = True
@@ -307,37 +315,39 @@ def try_step(c, m, t, h, want_error, kernels):
         status = kernels.first_acceleration(c, m, t)
         if status != OK:
             return status
-        _estimate(c, m, h, kernels)
+        estimate_errors(c, m, h, c, kernels)
     return OK
 
 
 @subkernel
-def state_inside(c, m, h, theta):
-    """Write state and energies at the time ``t + theta h`` in the last attempt, from its collocation polynomial."""
+def state_inside(c, m, h, theta, out):
+    """Write state and energies at the time ``t + theta h`` in the last attempt, from its collocation polynomial, into
+    arrays of `out`.
+    """
     n3 = len(c.q) - 3
     weights = m.dense_weights
-    c.point_q[:] = 0.0
-    c.point_v[:] = 0.0
+    fill(out.point_q, 0.0)
+    fill(out.point_v, 0.0)
     weights_at(m.rk.dense_q, theta, weights)
     for i in range(len(m.rk.c)):
         w = h * h * weights[i]
         for d in range(n3):
-            c.point_q[d] += w * m.acc[i, d]
+            out.point_q[d] += w * m.acc[i, d]
     weights_at(m.rk.dense_v, theta, weights)
     for i in range(len(m.rk.c)):
         w = h * weights[i]
         for d in range(n3):
-            c.point_v[d] += w * m.acc[i, d]
-    for e in range(len(c.point_z)):
+            out.point_v[d] += w * m.acc[i, d]
+    for e in range(len(out.point_z)):
         total = 0.0
         for i in range(len(m.rk.c)):
             total += weights[i] * m.states.rate[i, e]
-        c.point_z[e] = c.from_z[e] + h * total
+        out.point_z[e] = c.from_z[e] + h * total
     for d in range(len(c.q)):
-        c.point_q[d] += c.from_q[d] + theta * h * c.from_v[d]
-        c.point_v[d] += c.from_v[d]
+        out.point_q[d] += c.from_q[d] + theta * h * c.from_v[d]
+        out.point_v[d] += c.from_v[d]
     for i in range(len(m.constraints.shift)):
         w = h * weights[i]
         for d in range(n3):
-            c.point_q[d] -= w * m.constraints.shift[i, d]
-    dense_gains(h, weights, m.power, c.point_gain)
+            out.point_q[d] -= w * m.constraints.shift[i, d]
+    dense_gains(h, weights, m.power, out.point_gain)

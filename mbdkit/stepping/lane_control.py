@@ -3,13 +3,14 @@
 A *lane* is one of several runs that advance together in the elements of SIMD vectors. In each turn of the loop, every
 lane attempts one step of its own; some lanes accept their step, others reject it. Lanes that have reached their end do
 not change until the last one has ended. The functions of a step and of its control are those of single runs, compiled
-for lanes; masks replace branches. A run that needs a projection, or whose step fails for other reasons than its error,
-is lost (repeated alone); see `mbdkit.stepping.lane_loop`.
+for lanes; masks replace branches. A method provides its step as `LaneStep`. A run that needs a projection, or whose
+step fails for other reasons than its error or the divergence of its stage equations, is lost (repeated alone); see
+`mbdkit.stepping.lane_loop`.
 """
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -25,7 +26,7 @@ from mbdkit.stepping.explicit import add_up_stages, estimate_errors, evaluate_po
 from mbdkit.stepping.lane_loop import lose, observe_row, watch_branches
 from mbdkit.stepping.lane_run import LaneRun, example_lane_run, load_guards
 from mbdkit.stepping.run_plan import NEAR
-from mbdkit.stepping.run_state import FACTORIZATIONS, RHS
+from mbdkit.stepping.run_state import FACTORIZATIONS, ITERATIONS, RHS
 from mbdkit.stepping.step_control import (
     MIN_LAST_ERROR,
     Control,
@@ -46,6 +47,19 @@ STEPS, SIZE, REJECTED = range(3)
 
 ENDED, FULL = 0, 1
 """Results of `drive_controlled`: all runs have ended, or the buffer of recorded states is full."""
+
+
+class LaneStep(NamedTuple):
+    """The parts of a method that `drive_controlled` calls; `s` is the `LaneControl`."""
+
+    attempt: Any
+    """``(s, t, h, running)``: write the increments of the steps of size `h` from `t`, the estimates of their errors,
+    and the distance to singularity if joints close a loop. Counts change only where `running`. Return in which lanes
+    the stage equations have not been solved, so that single runs reject the step."""
+    evaluate_further: Any
+    """``(s, t, h, due)``: evaluate what only dense output needs, and count it where it is `due`."""
+    evaluate_point: Any
+    """``(c, m, t, h, theta, s)``: write the state of the run at the share `theta` of its step into arrays of `s`."""
 
 
 class LaneProgress(NamedTuple):
@@ -126,6 +140,8 @@ def _write_rows(s, due, t, q, v, z, gain):
             c.row_z[row, d] = put_in(c.row_z[row, d], lane, number_in(z[d], lane))
         for k in range(2):
             c.row_energy[row, k] = put_in(c.row_energy[row, k], lane, number_in(c.energy[k] + gain[k], lane))
+            c.row_interval[row, k] = put_in(c.row_interval[row, k], lane, number_in(c.interval[k], lane))
+            c.interval[k] = put_in(c.interval[k], lane, 0.0)
         for k in range(len(s.work)):
             s.row_work[row, k] = put_in(s.row_work[row, k], lane, number_in(s.work[k], lane))
             s.work[k] = put_in(s.work[k], lane, 0.0)
@@ -133,7 +149,7 @@ def _write_rows(s, due, t, q, v, z, gain):
 
 
 @subkernel
-def _evaluate(s, t, h, running):
+def _attempt_explicit(s, t, h, running):
     """Evaluate the stages of a step of each lane, add them up, and count evaluations as a single run would."""
     c, m = s.run, s.run.method
     stages, first = len(m.b), 0
@@ -155,6 +171,9 @@ def _evaluate(s, t, h, running):
     c.counts[FACTORIZATIONS] = where(running, c.counts[FACTORIZATIONS] - factorized, factorizations)
     add_up_stages(c, m, t, h)
     estimate_errors(c, m, t, h, s)
+    if c.watch.has_loops[0] != 0:
+        c.watch.distance[0] = distance_by_pivots(c.solver.schur)
+    return running & False
 
 
 @subkernel
@@ -195,13 +214,13 @@ def _check_energy(s, at, accepted):
 
 
 @subkernel
-def _choose_sizes(s, t, h, error, accepted, rejected):
+def _choose_sizes(s, t, h, error, unsolved, accepted, rejected):
     """Choose the size of the next step of each lane, and count the steps."""
     control, progress = s.control, s.progress
     after = factor_after_acceptance(control, error, progress.last_error[0], progress.retrying[0]) * h
     goes_on = accepted & (t + h < s.run.times.end[0])
     size = where(goes_on, after, progress.next_size[0])
-    progress.next_size[0] = where(rejected, factor_after_rejection(control, True, error) * h, size)
+    progress.next_size[0] = where(rejected, factor_after_rejection(control, not unsolved, error) * h, size)
     progress.last_error[0] = where(accepted, max(error, MIN_LAST_ERROR), progress.last_error[0])
     progress.retrying[0] = where(rejected, 1.0, where(accepted, 0.0, progress.retrying[0]))
     progress.rejected[0] += where(rejected, 1.0, 0.0)
@@ -212,16 +231,16 @@ def _choose_sizes(s, t, h, error, accepted, rejected):
 
 
 @subkernel
-def _write_inner_rows(s, t, h, reached, accepted):
+def _write_inner_rows(s, step, t, h, reached, accepted):
     """Write the rows by interval within the accepted steps by dense output."""
     c, m, progress, interval = s.run, s.run.method, s.progress, s.interval[0]
     start, last = c.times.start[0], c.times.end[0] - ROW_MARGIN * interval
     at = start + progress.next_row[0] * interval
     due = accepted & (at <= reached) & (at < last)
     if any_of(due):
-        _evaluate_further(s, t, h, due)
+        step.evaluate_further(s, t, h, due)
     while any_of(due):
-        evaluate_point(c, m, t, h, min(1.0, (at - t) / h), s)
+        step.evaluate_point(c, m, t, h, min(1.0, (at - t) / h), s)
         _write_rows(s, where(due, 1.0, 0.0), at, s.point_q, s.point_v, s.point_z, s.point_gain)
         progress.next_row[0] += where(due, 1.0, 0.0)
         at = start + progress.next_row[0] * interval
@@ -249,7 +268,7 @@ def _advance(s, at, ended, accepted):
 
 
 @subkernel
-def _attempt(s):
+def _attempt(s, step):
     """Attempt a step in each lane that is running."""
     c, control, progress = s.run, s.control, s.progress
     end, every = c.times.end[0], c.times.every[0]
@@ -258,13 +277,17 @@ def _attempt(s):
     h = fitted_size(t, min(progress.next_size[0], control.max_size[0]), end)
     lose(c, running & is_too_small(control, t, h, end))
     progress.size[0] = h = where(running, h, 0.0)
-    _evaluate(s, t, h, running)
-    lose(c, running & (not (stays_finite(c.q, c.dq) & stays_finite(c.v, c.dv))))
+    iterations = c.counts[ITERATIONS]
+    unsolved = step.attempt(s, t, h, running)
+    iterations = c.counts[ITERATIONS] - iterations
+    solved = running & (not unsolved)
+    lose(c, solved & (not (stays_finite(c.q, c.dq) & stays_finite(c.v, c.dv))))
     error = local_error(control, s, c)
-    lose(c, running & (not error < np.inf))
-    accepted, rejected = running & (error <= 1.0), running & (error > 1.0)
+    lose(c, solved & (not error < np.inf))
+    accepted, rejected = solved & (error <= 1.0), running & (unsolved | (error > 1.0))
+    c.interval[0] += iterations
+    c.interval[1] = where(accepted, max(c.interval[1], iterations), c.interval[1])
     if c.watch.has_loops[0] != 0:
-        c.watch.distance[0] = where(accepted, distance_by_pivots(c.solver.schur), c.watch.distance[0])
         _lose_near_singularities(s, where(accepted, 1.0, 0.0))
     for d in range(len(c.q)):
         s.new_q[d] = c.q[d] + c.dq[d]
@@ -272,9 +295,9 @@ def _attempt(s):
     ended = t + h >= end
     reached = where(ended, end, t + h)
     _check_energy(s, reached, accepted)
-    _choose_sizes(s, t, h, error, accepted, rejected)
+    _choose_sizes(s, t, h, error, unsolved, accepted, rejected)
     if every == 0:
-        _write_inner_rows(s, t, h, reached, accepted)
+        _write_inner_rows(s, step, t, h, reached, accepted)
     _advance(s, reached, ended, accepted)
     due = accepted & ended
     if every > 0:
@@ -312,13 +335,12 @@ def accelerate(address: int) -> None:
     solve_accelerations(c.top, c.w, c.solver, c.q, c.v, m.accelerations[0], m.lam, True)
 
 
-@kernel
-def drive_controlled(address: int) -> int:
+@subkernel
+def drive_controlled(s, step):
     """Take steps until all runs in a `LaneControl` have ended or the buffer is full; return ENDED or FULL.
 
-    If all runs have ended, the values of the recorded states are computed.
+    If all runs have ended, the values of the recorded states are computed. `step` is the `LaneStep` of the method.
     """
-    s = load_lane_control(address)
     c = s.run
     if s.attempts[0] == 0:
         begin_energy(c, c.guards, s.progress.time[0], c.q, c.v)
@@ -327,10 +349,19 @@ def drive_controlled(address: int) -> int:
     while any_of(s.progress.running[0] != 0.0):
         if _is_full(s):
             return FULL
-        _attempt(s)
+        _attempt(s, step)
     for r in range(_most_rows(s)):
         observe_row(c, r)
     return ENDED
+
+
+EXPLICIT = LaneStep(_attempt_explicit, _evaluate_further, evaluate_point)
+
+
+@kernel
+def drive_explicit_controlled(address: int) -> int:
+    """Take the steps of an explicit method; see `drive_controlled`."""
+    return drive_controlled(load_lane_control(address), EXPLICIT)
 
 
 def control_in_lanes(control: Control) -> ControlData:

@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Protocol
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 
@@ -22,7 +22,7 @@ from mbdkit.engine.native.levels import WIDTH
 from mbdkit.engine.native.machine_code import IN_PYTHON
 from mbdkit.engine.native.number_arrays import Lanes, new_lanes
 from mbdkit.engine.workspace import Workspace
-from mbdkit.methods.kinds import ExplicitRungeKutta, Method
+from mbdkit.methods.kinds import Method
 from mbdkit.quantities.names import archive_names
 from mbdkit.stepping.interface import StepEvidence, Timetable
 from mbdkit.stepping.lane_collocation import (
@@ -30,9 +30,10 @@ from mbdkit.stepping.lane_collocation import (
     StagePivots,
     collocation_in_lanes,
     drive_collocation,
+    drive_collocation_controlled,
     load_stage_pivots,
 )
-from mbdkit.stepping.lane_control import ENDED, accelerate, drive_controlled, new_lane_control
+from mbdkit.stepping.lane_control import ENDED, accelerate, drive_explicit_controlled, new_lane_control
 from mbdkit.stepping.lane_loop import drive_explicit
 from mbdkit.stepping.lane_run import BY_LANE, explicit_in_lanes, new_lane_run
 from mbdkit.stepping.run_plan import guard_limits, smallest_step
@@ -129,13 +130,25 @@ def suits_lanes(method: Method, mechanism: CompiledMechanism, table: Timetable) 
     )
 
 
-IN_LANES: dict[str, tuple[Callable[[int], object], Callable[..., Any]]] = {
-    "explicit": (drive_explicit, lambda method, workspace, pivots: explicit_in_lanes(method, workspace)),
-    "collocation": (drive_collocation, collocation_in_lanes),
+class InLanes(NamedTuple):
+    """The vectorized form of a family of methods."""
+
+    drive: Callable[[int], Any]
+    """Loop over fixed steps, and over controlled ones."""
+    drive_controlled: Callable[[int], Any]
+    bundle: Callable[..., Any]
+    """Returns the bundle of the method, from the method, a workspace, pivots, and the control of the step size."""
+
+
+IN_LANES: dict[str, InLanes] = {
+    "explicit": InLanes(
+        drive_explicit,
+        drive_explicit_controlled,
+        lambda method, workspace, *others: explicit_in_lanes(method, workspace),
+    ),
+    "collocation": InLanes(drive_collocation, drive_collocation_controlled, collocation_in_lanes),
 }
-"""For each family of methods, the loop over fixed steps in lanes, and the function that creates the bundle of the
-method.
-"""
+"""Vectorized methods by their family."""
 
 
 class LaneStepper:
@@ -151,8 +164,9 @@ class LaneStepper:
         rows: int,
         pivots: StagePivots | None = None,
     ):
-        self._drive, in_lanes = IN_LANES[method.traits.family]
-        self.run = new_lane_run(in_lanes(method, workspace, pivots), workspace, rows)
+        self._in_lanes = IN_LANES[method.traits.family]
+        control = step_control(method.traits, workspace.mechanism)
+        self.run = new_lane_run(self._in_lanes.bundle(method, workspace, pivots, control), workspace, rows)
         self._pinned = PinnedBundle(self.run)
         self._topologies: list[Topology | None] = [None] * WIDTH
         self._guards = [new_guard_state(workspace.mechanism) for _ in range(WIDTH)]
@@ -175,9 +189,8 @@ class LaneStepper:
         lanes = [*range(count), *[0] * (WIDTH - count)]  # idle lanes repeat the first run
         self.load([starts[lane] for lane in lanes], [tables[lane] for lane in lanes])
         self._load_steps([tables[lane] for lane in lanes])
-        if chosen := [one for one in pivots if one is not None]:
-            load_stage_pivots(self.run.method, [chosen[lane] for lane in lanes])
-        self._drive(self._pinned.address)
+        self._load_pivots(pivots, lanes)
+        self._in_lanes.drive(self._pinned.address)
         steps = int(self.run.times.steps[0])
         made = [Counters(steps=steps, accepted=steps)] * count
         return self.results(made, np.full(count, len(self.run.row_time)))
@@ -210,6 +223,14 @@ class LaneStepper:
             for guards, mechanism in zip(self._guards, mechanisms, strict=True):
                 for array, fresh in zip(guards, new_guard_state(mechanism), strict=True):
                     array[...] = fresh
+
+    def _load_pivots(self, pivots: Sequence[StagePivots | None], lanes: list[int]) -> list[StagePivots]:
+        """Copy the pivots of the run of each lane; return them, or an empty list if the method is explicit."""
+        chosen = [one for one in pivots if one is not None]
+        by_lane = [chosen[lane] for lane in lanes if chosen]
+        if by_lane:
+            load_stage_pivots(self.run.method, by_lane)
+        return by_lane
 
     def _load_steps(self, tables: list[Timetable]) -> None:
         times = self.run.times
@@ -267,14 +288,17 @@ class PivotsAtStart:
         """
         if method.traits.is_explicit:
             return None
-        assert table.step is not None
         shared = method, start.mechanism, table.start
         if self._latest is None or any(a is not b for a, b in zip(shared, self._latest[0], strict=True)):
             workspace = Workspace(start.mechanism, table.start, start.q0, start.v0)
             self._latest = shared, StagePivoting(method, workspace)
-        pivoting = self._latest[1]
+        pivoting, size = self._latest[1], table.step
+        control = step_control(method.traits, start.mechanism)
+        if control is not None:
+            size = pivoting.first_step(start.q0, start.v0, size, table.end - table.start, control)
+        assert size is not None
         try:
-            return pivoting.pivots(start.q0, start.v0, table.step)
+            return pivoting.pivots(start.q0, start.v0, size)
         except SingularSystemError:
             self._latest = None
             raise
@@ -322,8 +346,8 @@ class ControlledLaneStepper(LaneStepper):
     `topology_of` must be equal for the mechanisms of all runs.
     """
 
-    def __init__(self, method: ExplicitRungeKutta, workspace: Workspace):
-        super().__init__(method, workspace, FEW_ROWS)
+    def __init__(self, method: Method, workspace: Workspace, pivots: StagePivots | None = None):
+        super().__init__(method, workspace, FEW_ROWS, pivots)
         self.method = method
         self.runs = new_lane_control(self.run, self._control(workspace.mechanism))
         self._pinned = PinnedBundle(self.runs)
@@ -338,8 +362,9 @@ class ControlledLaneStepper(LaneStepper):
         while max(map(_rows_by_interval, planned)) > len(self.runs.row_work):
             self._grow()
         self.load(chosen, planned)
-        self._load_control([one.mechanism for one in chosen], planned)
-        while drive_controlled(self._pinned.address) != ENDED:
+        sizes = [one.size for one in self._load_pivots(pivots, lanes)]
+        self._load_control([one.mechanism for one in chosen], planned, sizes)
+        while self._in_lanes.drive_controlled(self._pinned.address) != ENDED:
             self._grow()
         accepted, rejected = (
             x[0, :count].astype(int).tolist() for x in (self.runs.progress.accepted, self.runs.progress.rejected)
@@ -353,8 +378,10 @@ class ControlledLaneStepper(LaneStepper):
         assert control is not None
         return control
 
-    def _load_control(self, mechanisms: list[CompiledMechanism], tables: list[Timetable]) -> None:
-        """Initialize the step-size control of all runs."""
+    def _load_control(
+        self, mechanisms: list[CompiledMechanism], tables: list[Timetable], sizes: Sequence[float]
+    ) -> None:
+        """Initialize the step-size control of all runs; `sizes` are those of the first steps, if they are known [s]."""
         runs, c = self.runs, self.run
         controls = [self._control(one) for one in mechanisms]
         for lane, (control, table) in enumerate(zip(controls, tables, strict=True)):
@@ -369,7 +396,7 @@ class ControlledLaneStepper(LaneStepper):
         runs.progress.running[...] = 1.0
         runs.progress.next_row[...] = 1.0
         runs.progress.time[...] = c.times.start
-        runs.progress.next_size[0] = self._first_sizes(controls, tables)
+        runs.progress.next_size[0] = sizes or self._first_sizes(controls, tables)
 
     def _first_sizes(self, controls: list[Control], tables: list[Timetable]) -> list[float]:
         """Return the sizes of the first steps of all runs [s]."""

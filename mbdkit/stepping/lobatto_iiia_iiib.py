@@ -278,7 +278,7 @@ def attempt(run, method, t, h, want_error):
     n3 = len(c.q) - 3
     _predict(m, t, h)
     stage_states(c, m, h)
-    status = iterate(c, m, t, h, (m.limit, m.tolerance[0]), (False, False, False), _KERNELS)
+    status = iterate(c, m, t, h, (m.limit, m.tolerance[0]), (False, False, False, True), _KERNELS)
     if status == OK:
         status = _finish(c, m, t, h)
     if status != OK:

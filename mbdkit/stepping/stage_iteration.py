@@ -8,7 +8,7 @@ from __future__ import annotations
 import numpy as np
 
 from mbdkit.engine.kernels.system import DIVERGED, OK
-from mbdkit.engine.native.arithmetic import any_of, is_lanes, is_refused, renewed, usable, where
+from mbdkit.engine.native.arithmetic import any_of, is_lanes, is_refused, renewed, where
 from mbdkit.engine.native.functions import inlined, overload, subkernel
 from mbdkit.stepping.convergence import (
     FEWEST_WITH_ONE_TANGENT,
@@ -35,6 +35,19 @@ def hold_finished(c, m, active):
     """Restore the values that an iteration has changed in lanes that are not `active`: multipliers, distance to
     singularity, and counts.
     """
+
+
+def note_failures(m, now, goes_on):
+    """Note in which lanes the iteration does not go on, and make their accelerations NaN.
+
+    Only the failure of a change `now` that is finite is noted: others may have causes to which single runs react.
+    """
+
+
+@subkernel
+def _note_failures(m, now, goes_on):
+    m.kept.diverged[0] = where(goes_on | (not now < np.inf), m.kept.diverged[0], 1.0)
+    m.acc[0, 0] = where(goes_on, m.acc[0, 0], np.nan)
 
 
 @subkernel
@@ -69,6 +82,13 @@ def _finished(c, m, active):
     return lambda c, m, active: None
 
 
+@overload(note_failures)
+def _failures(m, now, goes_on):
+    if is_lanes(goes_on):
+        return lambda m, now, goes_on: _note_failures(m, now, goes_on)
+    return lambda m, now, goes_on: None
+
+
 @inlined
 def iterate(c, m, t, h, until, strategy, kernels):
     """Solve the equations of the stages, which have been predicted and evaluated; return a status.
@@ -87,8 +107,8 @@ def iterate(c, m, t, h, until, strategy, kernels):
     stages far from the solution contain forces of stiff beams that are not in balance. These can make a free motion
     appear stiff, so that its error hardly changes and the iteration seems to converge.
 
-    In lanes, the iteration continues until every lane has converged. A lane that has converged keeps its stages, so
-    that it makes the same iterations as the single run; the accelerations of a lane that fails become NaN.
+    In lanes, the iteration continues until every lane has converged or failed. A lane that has converged keeps its
+    stages, so that it makes the same iterations as the single run; the accelerations of a lane that fails become NaN.
 
     Parameters
     ----------
@@ -99,13 +119,14 @@ def iterate(c, m, t, h, until, strategy, kernels):
     until
         The `IterationLimit`, and the relative change at which the iteration ends.
     strategy
-        Whether the iteration is careful, whether it is eager, and whether the stages are predicted by free flight.
+        Whether the iteration is careful, whether it is eager, whether the stages are predicted by free flight, and, in
+        lanes, which ones take a step.
     kernels
         The equations of the stages (`mbdkit.stepping.collocation_stages.StageKernels`).
     """
     limit, tolerance = until
-    careful, eager, free_flight = strategy
-    active = stale = True
+    careful, eager, free_flight, active = strategy
+    stale = active
     taken_at = idle = 0.0
     n = 0
     before = earlier = np.inf
@@ -150,7 +171,7 @@ def iterate(c, m, t, h, until, strategy, kernels):
         if is_refused(goes_on):
             report_divergence(c, n, m.change, len(m.change))
             return DIVERGED
-        m.acc[0, 0] = usable(m.acc[0, 0], goes_on)
+        note_failures(m, now, goes_on)
         active = active & goes_on
         if n % STEADY == 0:
             earlier, peak = peak, 0.0

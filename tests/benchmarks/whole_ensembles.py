@@ -41,6 +41,7 @@ BASE: dict[str, Any] = {
     "time": {"end": END, "step": END / STEPS},
 }
 GAUSS: dict[str, Any] = {"integrator": {"name": "gauss", "stages": 2}, "time": {"end": 5.0, "step": 0.01}}
+RADAU: dict[str, Any] = {"integrator": {"name": "radau-iia", "adaptive": True, "rtol": 1e-8}, "time": {"end": 5.0}}
 
 
 def angles(runs: int) -> np.ndarray:
@@ -131,6 +132,7 @@ def contenders(runs: int) -> dict[str, tuple[int, Callable[[], float]]]:
         "rk4, store hashes": (runs, functools.partial(by_ensemble, runs, "hashes")),
         "rk4, store all": (4 * few, functools.partial(by_ensemble, 4 * few, "all")),
         "gauss 2, 500 steps, summary": (2 * few, functools.partial(by_ensemble, 2 * few, "summary", **GAUSS)),
+        "radau-iia, adaptive, 5 s, summary": (2 * few, functools.partial(by_ensemble, 2 * few, "summary", **RADAU)),
         "pool of processes, mbdkit.run": (few, functools.partial(by_pool, few, _single)),
         "pool of processes, SciPy DOP853": (few, functools.partial(by_pool, few, _by_solve_ivp)),
     }

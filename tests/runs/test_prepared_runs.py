@@ -32,6 +32,7 @@ CASES: list[tuple[Any, dict[str, Any], str, float]] = [
     (DOUBLE, {"stabilization": "projection", "integrator": {"name": "dop853"}}, "model.lengths.0", 2.0),
     (DOUBLE, {"integrator": {"name": "dop853"}, "check": True}, "model.rates.1", -1.0),
     (DOUBLE, {"integrator": {"name": "gauss"}, "time": {"end": 0.2, "step": 0.02}}, "time.step", 0.01),
+    (DOUBLE, {"integrator": {"name": "radau-iia", "adaptive": True}}, "model.lengths.0", 2.0),
     ("knee", {"time": {"end": 0.02, "step": 0.0025}}, "model.springs.support.stiffness", 900.0),
     ("jump", {"time": {"end": 0.02, "step": 0.005}}, "duration", 0.2),  # rigid contacts, events, named parameters
     ("delayed-balance", {"time": {"end": 0.1, "step": 0.002}}, "lean", 0.02),  # a sampled controller
