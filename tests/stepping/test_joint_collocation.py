@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -37,6 +38,7 @@ def driven_rods(stiffness: float = 4.0, damping: float = 0.3) -> Mechanism:
     return m
 
 
+@cache
 def second_rod(end: float, stiffness: float = 4.0, damping: float = 0.3) -> np.ndarray:
     """Return angle and rate of the second rod at a time, by its moment balance on the moving pin, solved by SciPy."""
 

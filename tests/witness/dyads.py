@@ -168,6 +168,7 @@ class Linkage:
         inertia, slope, force = self.equation(phi)
         return (force + self.torque(time) - slope * rate**2 / 2) / inertia
 
+    @ode.solved_once
     def solve(self, phi: float, rate: float, times: Any) -> Any:
         """Return (phi [rad], phi' [rad/s], work of the motor [J]) at `times` [s], shape (T, 3), by DOP853."""
 

@@ -201,6 +201,7 @@ class FourBar:
             total += spring.stiffness * (length - spring.free_length) ** 2 / 2
         return total
 
+    @ode.solved_once
     def solve(self, phi: float, rate: float, times: Array) -> Array:
         """Return (phi [rad], phi' [rad/s], dissipated energy [J]) at `times` [s], shape (T, 3)."""
 

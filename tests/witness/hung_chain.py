@@ -45,6 +45,7 @@ class HungChain:
         joints["end"] = {"type": "revolute", "bodies": ["ground", before], "points": [pin, point]}
         return {"name": "mechanism", "gravity": [0.0, -self.gravity], "bodies": bodies, "joints": joints}
 
+    @ode.solved_once
     def solve(self, times: Array) -> Array:
         """Return the angles at `times` [s], (T, n)."""
         n = len(self.masses)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import partial
+from functools import cache, partial
 from typing import Any
 
 import numpy as np
@@ -388,9 +388,10 @@ def trammel(end: float, step: float) -> Known:
     return _known("trammel", system, ["rod", "x", "y"], joints, {}, end, step)
 
 
-def known_motions() -> list[Known]:
+@cache
+def known_motions() -> tuple[Known, ...]:
     """Return all problems."""
-    return [
+    return (
         pendulum("pendulum", 0.0, 0.0, 10.0, 0.02),
         pendulum("pendulum going round", 0.0, 9.0, 10.0, 0.02),
         rods("double pendulum, small", [1.0, 1.0], [1.0, 1.0], [-1.2, -1.0], 10.0, 0.02),
@@ -412,4 +413,4 @@ def known_motions() -> list[Known]:
         spinning_bodies(5.0, 0.01),
         beam_pendulum(3.0, 0.005),
         trammel(5.0, 0.01),
-    ]
+    )

@@ -115,6 +115,7 @@ class MovingGuide:
         """Return the torque of spring and damper on the guide [N m]."""
         return -self.stiffness * (psi - self.free_angle) - self.damping * rate
 
+    @ode.solved_once
     def solve(self, coordinates: Array, rates: Array, times: Array) -> Any:
         """Return (phi, psi, phi', psi', work of the motor, dissipated energy) at `times`, by DOP853, shape (T, 6)."""
 

@@ -57,6 +57,7 @@ class Parallelogram:
         weight = self.gravity * self.length * (cranks / 2 + self.coupler)
         return float((self.torque(time) - weight * np.cos(phi)) / inertia)
 
+    @ode.solved_once
     def solve(self, phi: float, rate: float, times: Array) -> Array:
         """Return (phi, phi') at `times` [s], shape (T, 2)."""
 

@@ -110,6 +110,7 @@ class TwoRods:
         lost, power = self.powers(time, angles, rates)
         return np.array([*rates, *self.accelerations(time, angles, rates), lost, power], dtype=state.dtype)
 
+    @ode.solved_once
     def solve(self, angles: tuple[float, float], rates: tuple[float, float], times: Array) -> Array:
         """Return (theta1, theta2, theta1', theta2', dissipated [J], work [J]) at `times` [s], shape (T, 6)."""
         return ode.dop853(self.right_side, np.array([*angles, *rates, 0.0, 0.0]), times)
@@ -154,6 +155,7 @@ class DrivenRods:
         lost, power = self.rods.powers(time, angles, rates)
         return np.array([state[1], second, lost, power + torque * rate], dtype=state.dtype)
 
+    @ode.solved_once
     def solve(self, angle: float, rate: float, times: Array) -> Array:
         """Return (theta1, theta2, theta1', theta2', dissipated [J], work [J], driver torque [N m]), shape (T, 7)."""
         inner = ode.dop853(self.right_side, np.array([angle, rate, 0.0, 0.0]), times)

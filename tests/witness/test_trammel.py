@@ -8,6 +8,7 @@ the accelerations of the rest are not unique.
 from __future__ import annotations
 
 import math
+from functools import cache
 
 import numpy as np
 import pytest
@@ -53,6 +54,7 @@ def trammel(order: str) -> mbdkit.Mechanism:
     return m
 
 
+@cache
 def angle_at_end() -> float:
     """Return the crank's angle at the end: all bodies move as one pendulum of constant inertia."""
     inertia = ROD[0] + ROD[1] + CRANK[0] / 4 + CRANK[1] + 4 * SLIDE[0]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -29,6 +30,7 @@ def swinging(integrator: str, stages: int, formulation: str, steps: int) -> mbdk
     return mbdkit.run(m, integrator=method, formulation=formulation, time=time).check()
 
 
+@cache
 def rigid_angle() -> float:
     """Return the angle of the rigid rod at the end, with the masses of the nodes: half of an element's at the ends."""
     mass, radius = np.full(LAST + 1, 1.0 / LAST), np.linspace(0.0, 1.0, LAST + 1)
