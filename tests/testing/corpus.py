@@ -351,6 +351,13 @@ def offer_law(function: Any, *, potential: bool = True, passive: bool = True) ->
     return _with(mbdkit_force_laws=mbdkit.ForceLawPlugin("mine", "A law", NoOptions, law, ("@misc{acme}",)))
 
 
+@functools.cache
+def _ours() -> tuple[importlib.metadata.EntryPoint, ...]:
+    """Return the entry points of mbdkit, without those of its plugins."""
+    found = importlib.metadata.entry_points(group="mbdkit")
+    return tuple(one for one in found if one.dist and one.dist.name == "mbdkit")
+
+
 def _with(**hooks: Any) -> Registry:
     def answering(name: str, item: Any) -> Any:
         def hook() -> Any:
@@ -360,10 +367,9 @@ def _with(**hooks: Any) -> Registry:
         return mbdkit.hookimpl(hook)
 
     module = SimpleNamespace(**{name: answering(name, item) for name, item in hooks.items()})
-    ours = [ep for ep in importlib.metadata.entry_points(group="mbdkit") if ep.dist and ep.dist.name == "mbdkit"]
     dist = SimpleNamespace(name="acme", version="1.0")
     mine: Any = SimpleNamespace(name="mine", value="acme", dist=dist, load=lambda: module)
-    return load_registry([*ours, mine])
+    return load_registry([*_ours(), mine])
 
 
 # --- what is wrong away from the defaults ----------------------------------------------------------------------------
