@@ -72,7 +72,7 @@ def test_both_ways_agree_on_the_beginning_of_the_chains_motion() -> None:
 def test_collocation_of_two_rods_leads_to_the_digits_of_the_double_pendulum() -> None:
     assert HORIZONTAL.start_angle == DOUBLE_PENDULUM.angle
     start = DOUBLE_PENDULUM.start.astype(np.longdouble)
-    state = collocate(DOUBLE_PENDULUM.rods.by_joint_forces, start, DOUBLE_PENDULUM.end, 800, stages=6)
+    state = collocate(DOUBLE_PENDULUM.rods.by_joint_forces, start, DOUBLE_PENDULUM.end, 500, stages=6)
     assert DOUBLE_PENDULUM.miss(DOUBLE_PENDULUM.rods.centres(state[:2])) < 2e-14
 
 

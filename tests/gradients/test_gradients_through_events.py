@@ -117,7 +117,7 @@ def test_parameters_and_forces_in_the_expression_of_an_event() -> None:
 def test_an_event_that_does_not_happen_has_no_derivative() -> None:
     spec = pendulum("note")
     spec["events"]["low"]["when"] = "bob.angle + 20"
-    found = mbdkit.gradient(spec, "events.low.time", "L")
+    found = mbdkit.gradient(spec, "events.low.time", "L", check=False)
     assert np.isnan(found.jacobian[0, 0])
     assert "does not happen" in found.doubts[0]
 

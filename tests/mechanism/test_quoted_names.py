@@ -78,8 +78,10 @@ def test_keys_of_a_study_a_gradient_and_the_command_line_name_it(name: str, tmp_
     heavier = mbdkit.run(spec(name), model=_heavier(name)).measures["peak"]
     assert study.to_frame()["peak"].iloc[1] == heavier
     assert study.select(f"{key} == 2")["peak"].tolist() == [heavier]
-    gradient = mbdkit.gradient(_smooth(name), {"peak": f"max(abs(joints[{at}].force))"}, [key])
-    usual = mbdkit.gradient(_smooth("rod"), {"peak": "max(abs(joints.rod.force))"}, ["model.bodies.rod.mass"])
+    gradient = mbdkit.gradient(_smooth(name), {"peak": f"max(abs(joints[{at}].force))"}, [key], check=False)
+    usual = mbdkit.gradient(
+        _smooth("rod"), {"peak": "max(abs(joints.rod.force))"}, ["model.bodies.rod.mass"], check=False
+    )
     np.testing.assert_array_equal(gradient.jacobian, usual.jacobian)
     (tmp_path / "spec.json").write_text(json.dumps(spec(name)))
     run, report = tmp_path / "run.h5", tmp_path / "report.html"

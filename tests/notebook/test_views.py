@@ -176,6 +176,6 @@ def test_joints_accuracy_workload_and_gradient_are_tables() -> None:
     assert "19.62" in joints.text  # 2 kg at rest
     assert "reaction force" in elements(run.accuracy).text
     assert "1.962" in elements(mbdkit.workload(run)).text  # for 0.1 s
-    gradient = mbdkit.gradient(hanging, {"force": "max(abs(joints.J1.force))"}, "model.mass")
+    gradient = mbdkit.gradient(hanging, {"force": "max(abs(joints.J1.force))"}, "model.mass", check=False)
     assert "by model.mass" in elements(gradient).text
     assert "9.81" in elements(gradient).text

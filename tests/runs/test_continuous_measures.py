@@ -172,7 +172,7 @@ def test_gradients_are_exact_and_those_of_the_numbers(
 def test_the_time_of_a_kinked_peak_moves_with_the_parameters() -> None:
     # min(t, p - t/2) has its peak 2 p / 3 at t = 2 p / 3
     spec = oscillator({"name": "rk4"}, 0.1, parameters={"p": 1.0})
-    found = mbdkit.gradient(spec, {"top": {"value": "max(min(t, p - t/2))", "unit": "s"}}, "p")
+    found = mbdkit.gradient(spec, {"top": {"value": "max(min(t, p - t/2))", "unit": "s"}}, "p", check=False)
     assert found.value[0] == pytest.approx(2 / 3, abs=1e-12)
     assert found.jacobian[0, 0] == pytest.approx(2 / 3, abs=1e-9)
 

@@ -227,7 +227,7 @@ def test_a_run_and_its_gradient_have_the_same_numbers(measure: str) -> None:
 def test_the_gradient_of_an_integral_of_an_integral_has_a_closed_form() -> None:
     # the spread of the velocity -2 a sin(2 t) is proportional to the amplitude a, which is 1 and follows from x(0)
     spec = oscillator({"name": "gauss", "stages": 3}, 0.02, "rms(slider.vx - mean(slider.vx))")
-    found = mbdkit.gradient(spec, "found", "model.bodies.slider.position.0")
+    found = mbdkit.gradient(spec, "found", "model.bodies.slider.position.0", check=False)
     exact = np.sqrt(4 * (0.5 - np.sin(4.0) / 8) - (np.cos(2.0) - 1) ** 2)
     assert found.value[0] == pytest.approx(exact, rel=1e-9)
     assert found.jacobian[0, 0] == pytest.approx(exact, rel=1e-8)

@@ -25,8 +25,6 @@ METHODS: list[dict[str, Any]] = [
     {"name": "gauss", "stages": 3, "adaptive": True, "rtol": 1e-8},
     {"name": "radau-iia", "adaptive": True, "rtol": 1e-8},
     {"name": "scipy-radau"},
-    {"name": "scipy-dop853"},
-    {"name": "scipy-lsoda"},
 ]
 
 

@@ -19,9 +19,10 @@ from mbdkit.studies.folder_lock import Shard
 from mbdkit.studies.study_folder import StudyFolder
 from mbdkit.studies.unfinished_block import UnfinishedBlock, pieces_of
 
-from .test_blocks import GRID
+from .test_blocks import BASE, GRID
 
 ONE_BLOCK = GRID | {"block": 15, "measures": ["misalignment_max", {"low": "min(rod2.y)"}]}
+ONE_BLOCK["base"] = BASE | {"time": {"end": 0.1, "step": 0.01}, "limits": {"max_steps": 20}}
 COMPUTED = 10
 """Runs of the grid that are computed; the other five have a step of -1 s."""
 
