@@ -172,6 +172,7 @@ class Target:
 
     def open(self) -> h5py.File:
         """Open the .part as an HDF5 file, for a run that writes rows before its end."""
+        self._end_if_forked()
         try:
             self.file = h5py.File(self.part, "w", libver=LIBVER, locking=False)
         except BlockingIOError:  # HDF5_USE_FILE_LOCKING=TRUE: HDF5 locks the file itself
