@@ -28,6 +28,7 @@ from mbdkit.base.text import counted, listed, shown
 from mbdkit.mechanism.beams import beam_of
 from mbdkit.mechanism.contacts import STICK
 from mbdkit.mechanism.mechanism import gravity_text
+from mbdkit.spec.formulation_choice import name_of
 from mbdkit.spec.named_actuators import RESERVE
 from mbdkit.trust.criteria import NOTHING_SUSPICIOUS, rounding
 
@@ -169,7 +170,7 @@ def _method(spec: Mapping[str, Any]) -> str:
     if step is not None:
         parts.append(f"step {step:g} s")
     if spec.get("formulation") is not None:
-        parts.append(str(spec["formulation"]))
+        parts.append(name_of(spec["formulation"]))
     return ", ".join(parts)
 
 

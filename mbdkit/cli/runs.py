@@ -160,7 +160,6 @@ def validate(spec: AnySpecName, assignments: Set = None, debug: Debug = False) -
         return
     checked = load_spec(document, assignments or ())
     from mbdkit.base.errors import SpecError
-    from mbdkit.engine.formulation import FORMULATIONS
     from mbdkit.engine.spanning_tree import cut_joints
     from mbdkit.mechanism.mechanism import gravity_text
     from mbdkit.runs.corners import check_jumps
@@ -189,9 +188,10 @@ def validate(spec: AnySpecName, assignments: Set = None, debug: Debug = False) -
     if chosen:
         show(f"accuracy     {checked.accuracy:g} of the mechanism's size: the run chooses {chosen}")
     if checked.choose != "method":
-        show(f"integrator   {checked.integrator_item.id}, {checked.formulation}")
-    if FORMULATIONS[checked.formulation].coordinates == "joint":
-        show(f"cut joints   {listed(cut_joints(problem.mechanism)) or 'none'}")
+        show(f"integrator   {checked.integrator_item.id}, {checked.formulated.name}")
+    if checked.formulated.coordinates == "joint":
+        without = "none, so that `loops` has no effect" if checked.formulated.solves_multipliers else "none"
+        show(f"cut joints   {listed(cut_joints(problem.mechanism)) or without}")
     if checked.stabilized.kind != "none":
         show(f"stabilized   {checked.stabilized.describe()}")
     if checked.events:

@@ -5,8 +5,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal
 
+Level = Literal["position", "velocity", "acceleration"]
+
 FormulationName = Literal["index-1", "index-2", "index-3", "ggl", "joint-coordinates"]
-"""Names of `FORMULATIONS`, as specs write them."""
+"""Names of formulations in specs."""
+
+LoopsName = Literal["index-1", "index-2", "index-3", "ggl"]
+"""Names of the ways to impose the constraints of cut joints in joint coordinates."""
 
 
 @dataclass(frozen=True)
@@ -16,16 +21,16 @@ class Formulation:
     Parameters
     ----------
     name
-        Its name in specs.
+        Its name in messages and in the claims of integrators; see `formulation_name`.
     holds
-        Levels at which the integrated equations impose the constraints.
+        Levels at which the integrated equations impose the constraints, in joint coordinates those of the cut joints.
     coordinates
         Coordinates that are integrated: those of all bodies, or those of the joints of a spanning tree
         (`mbdkit.engine.spanning_tree`). In the latter case the constraints of these joints hold exactly in every state.
     """
 
-    name: FormulationName
-    holds: tuple[Literal["position", "velocity", "acceleration"], ...]
+    name: str
+    holds: tuple[Level, ...]
     coordinates: Literal["absolute", "joint"] = "absolute"
 
     @property
@@ -39,16 +44,25 @@ class Formulation:
         return "acceleration" not in self.holds
 
 
+def formulation_name(name: str, loops: str | None = None) -> str:
+    """Return the name of a formulation whose cut joints, in joint coordinates, are imposed as in `loops`."""
+    return name if loops in (None, "index-1") else f"{name} (loops: {loops})"
+
+
 INDEX_1 = Formulation("index-1", ("acceleration",))
+
+_HOLDS: dict[LoopsName, tuple[Level, ...]] = {
+    "index-1": INDEX_1.holds,
+    "index-2": ("velocity",),
+    "index-3": ("position",),
+    "ggl": ("position", "velocity"),
+}
 
 FORMULATIONS: dict[str, Formulation] = {
     one.name: one
     for one in (
-        INDEX_1,
-        Formulation("index-2", ("velocity",)),
-        Formulation("index-3", ("position",)),
-        Formulation("ggl", ("position", "velocity")),
-        Formulation("joint-coordinates", ("acceleration",), "joint"),
+        *(Formulation(name, holds) for name, holds in _HOLDS.items()),
+        *(Formulation(formulation_name("joint-coordinates", name), holds, "joint") for name, holds in _HOLDS.items()),
     )
 }
 """All formulations by name. The stage equations of each are those of `mbdkit.stepping.collocation`."""

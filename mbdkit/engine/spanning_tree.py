@@ -1,7 +1,8 @@
 """The spanning tree of a mechanism, whose joints give the coordinates of the formulation ``joint-coordinates``.
 
 Pins, slots, slides, welds, moving centers and drivers of angles can be part of the tree. All other constraints, and
-those that close loops, are cut: they are imposed on the accelerations, as in index-1.
+those that close loops, are cut: they are imposed at the levels that the formulation holds, by default on the
+accelerations, as in index-1.
 """
 
 from __future__ import annotations

@@ -186,7 +186,7 @@ def plain_run(spec: RunSpec) -> DifferentiatedRun:
 def refuse(spec: RunSpec, method: Method) -> None:
     """Raise SpecError if runs of a spec with this method cannot be differentiated."""
     try:
-        require_derivatives(method, FORMULATIONS[spec.formulation], spec.stabilized)
+        require_derivatives(method, spec.formulated, spec.stabilized)
     except NoDerivativeError as error:
         message = f"{spec.integrator_item.id} has no derivatives with respect to parameters here: {error}"
         raise SpecError(message, key="integrator") from None

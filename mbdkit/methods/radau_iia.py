@@ -11,7 +11,7 @@ from typing import Literal
 
 import mpmath
 
-from mbdkit.engine.formulation import FORMULATIONS, ORDINARY
+from mbdkit.engine.formulation import FORMULATIONS, ORDINARY, formulation_name
 from mbdkit.methods.method_options import HAIRER_WANNER, OF_TREES, ORDER_DRIFT, TOLERANCE_DRIFT, ImplicitOptions
 from mbdkit.methods.tableau import ButcherTableau, collocation
 from mbdkit.registry.items import Claims, IntegratorPlugin, Orders
@@ -63,6 +63,8 @@ _DRIFT_BY_FORMULATION = (
     "with index-2 grows with time, that of velocities with index-3 does not"
 )
 
+_OF_LOOPS = ", and joints that close loops satisfy the constraints as with the formulation that `loops` names"
+
 
 def _claims(options: RadauOptions) -> Claims:
     # Hairer, Lubich and Roche (1989) prove the orders of index 2 for all s, and those of index 3 for s >= 3.
@@ -70,12 +72,13 @@ def _claims(options: RadauOptions) -> Claims:
     fixed = not options.adaptive
     newton = options.stage_solver == "newton"
     orders = {"index-2": Orders(order, order, s), "index-3": Orders(order, s, s - 1), "ggl": Orders(order, order, s)}
+    orders |= {formulation_name("joint-coordinates", name): one for name, one in orders.items()}
     index_1 = ORDER_DRIFT if fixed else TOLERANCE_DRIFT
     return Claims(
         order=order if fixed else None,
         stages=s,
         adaptive=options.adaptive,
-        drift=(_DRIFT_BY_FORMULATION if newton else index_1) + OF_TREES,
+        drift=_DRIFT_BY_FORMULATION + OF_TREES + _OF_LOOPS if newton else index_1 + OF_TREES,
         needs=("tangents",) if newton else ("accelerations",),
         formulations=tuple(FORMULATIONS) if newton else ORDINARY,
         orders=orders if newton and fixed else {},

@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
+from mbdkit.spec.formulation_choice import name_of
 from mbdkit.spec.spec_kinds import is_inverse
 
 if TYPE_CHECKING:
@@ -69,6 +70,8 @@ def plain_name(choice: Any, default: str) -> str:
     """Return the name of a formulation or stabilization of a spec, such as ``symmetric projection``."""
     if not isinstance(choice, Mapping):
         return str(choice)
+    if "loops" in choice:
+        return name_of(choice)
     return f"{'symmetric ' * bool(choice.get('symmetric'))}{choice.get('name', default)}"
 
 

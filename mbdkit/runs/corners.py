@@ -196,7 +196,7 @@ def _needs_stop(spec: RunSpec, corner: Corner, motion: Motion) -> bool:
     if spec.claims.adaptive or step is None or not (corner.is_knot and corner.is_smooth):
         return True
     if isinstance(motion, Table) and motion.interpolation == "quintic":
-        orders = spec.claims.orders_on(spec.formulation)
+        orders = spec.claims.orders_on(spec.formulated.name)
         if orders is not None and max(orders.positions, orders.velocities) <= QUINTIC_ORDER:
             return False
     place = (corner.time - spec.time.start) / step

@@ -19,7 +19,6 @@ from mbdkit.archive.finished_run import ArrayHash, FinishedRun, SharedDigests
 from mbdkit.base.logs import logger_of
 from mbdkit.engine.compiled_mechanism import CompiledMechanism
 from mbdkit.engine.consistent_start import CompiledForStarts, MechanismAtStart, Starts
-from mbdkit.engine.formulation import FORMULATIONS
 from mbdkit.engine.joint_sums import joint_sums
 from mbdkit.engine.kernels.observe import Observed
 from mbdkit.engine.native.levels import WIDTH
@@ -103,7 +102,7 @@ def why_alone(spec: RunSpec, measures: Sequence[str] = ()) -> str:
         See `LaneRuns`.
     """
     reasons = (
-        (FORMULATIONS[spec.formulation].solves_multipliers, f"their formulation is {spec.formulation}"),
+        (spec.formulated.solves_multipliers, f"their formulation is {spec.formulated.name}"),
         (spec.stabilized.kind != "none", f"their stabilization is {spec.stabilized.kind}"),
         (bool(spec.events), "they have events"),
         (spec.is_to_be_chosen, "`accuracy` chooses a method or step for each of them"),
@@ -125,7 +124,7 @@ def why_alone(spec: RunSpec, measures: Sequence[str] = ()) -> str:
     method = make_method(spec)
     if not method.traits.has_lanes or spec.claims.adaptive != (method.traits.tolerances is not None):
         return f"{spec.integrator_item.id} cannot be vectorized with these options"
-    if FORMULATIONS[spec.formulation].coordinates == "joint" and not method.traits.is_explicit:
+    if spec.formulated.coordinates == "joint" and not method.traits.is_explicit:
         return f"{spec.integrator_item.id} cannot be vectorized in joint coordinates"
     return ""
 
@@ -344,7 +343,7 @@ class _Group:
     def __init__(self, first: LaneMember):
         mechanism, spec = first.start.mechanism, first.spec
         start = first.start
-        workspace = Workspace(mechanism, first.table.start, start.q0, start.v0, formulation=spec.formulation)
+        workspace = Workspace(mechanism, first.table.start, start.q0, start.v0, formulation=spec.formulated.name)
         self.stepper = _stepper(first, workspace)
         self.mechanism, self.joints = mechanism, joint_sums(mechanism)
         self.names: ArchiveNames = archive_names(mechanism)

@@ -19,7 +19,6 @@ from mbdkit.base.errors import PluginError, SpecError, StepError, blaming, with_
 from mbdkit.engine.assembly import AssembledState
 from mbdkit.engine.compiled_mechanism import CompiledMechanism
 from mbdkit.engine.consistent_start import MechanismAtStart, Starts, within_double_precision, workspace_at_start
-from mbdkit.engine.formulation import FORMULATIONS
 from mbdkit.engine.redundancy import require_unique_start
 from mbdkit.engine.workspace import Workspace
 from mbdkit.measures.take import check_measures
@@ -82,7 +81,7 @@ def build(spec: RunSpec, starts: Starts | None = None) -> tuple[Workspace, Assem
             mechanism,
             spec.time.start,
             spec.time.final,
-            formulation=spec.formulation,
+            formulation=spec.formulated.name,
             stabilization=spec.stabilized,
             starts=starts,
         )
@@ -173,7 +172,7 @@ def _check_treatment(spec: RunSpec, method: Method) -> None:
     if treatment == "event-driven" and not (traits.is_explicit and traits.tableau and traits.tolerances is None):
         message = "the treatment event-driven needs an explicit Runge-Kutta method with fixed steps, such as dop853"
         raise spec.placed(SpecError(message, key="integrator"))
-    if FORMULATIONS[spec.formulation].coordinates == "joint":
+    if spec.formulated.coordinates == "joint":
         message = "rigid contacts are not available in joint coordinates; use index-1, or compliant contacts"
         raise spec.placed(SpecError(message, key="formulation"))
     if spec.stabilized.kind != "none":
@@ -187,7 +186,7 @@ def _check_treatment(spec: RunSpec, method: Method) -> None:
 def recorded_arrays(spec: RunSpec, method: Method, mechanism: CompiledMechanism) -> tuple[Array, ...]:
     """Return the arrays of the layout that a run records."""
     names = archive_names(mechanism)
-    carries_multipliers = method.traits.carries_multipliers(FORMULATIONS[spec.formulation])
+    carries_multipliers = method.traits.carries_multipliers(spec.formulated)
     optional = [
         *(["constraints/method_multiplier"] if carries_multipliers else []),
         *of_elements(names),

@@ -36,7 +36,7 @@ class Sections(TypedDict, total=False):
     title: str
     parameters: Mapping[str, float | str]
     model: Section
-    formulation: FormulationName
+    formulation: FormulationName | Section
     stabilization: Section
     integrator: Section
     time: Section

@@ -12,13 +12,14 @@ from mbdkit.base.errors import PluginError, SpecError, blaming
 from mbdkit.base.plain_data import canonical, canonical_text, quoted
 from mbdkit.base.strict_model import description
 from mbdkit.base.text import listed
-from mbdkit.engine.formulation import FORMULATIONS, FormulationName
+from mbdkit.engine.formulation import FORMULATIONS, Formulation
 from mbdkit.engine.stabilization import Stabilization
 from mbdkit.mechanism.joints import joint_with_friction
 from mbdkit.muscles.acting_muscles import check_acting
 from mbdkit.registry.catalogue import Kind, Registered, Registry, item_of
 from mbdkit.registry.items import Claims, IntegratorPlugin
 from mbdkit.spec.choices import Choice, choice_of
+from mbdkit.spec.formulation_choice import BY_ACCELERATIONS, FormulationChoice, formulation_of, name_of
 from mbdkit.spec.model_spec import ModelSpec
 from mbdkit.spec.sections import (
     LARGEST_COUNT,
@@ -79,7 +80,7 @@ def _first_method(data: Mapping[str, Any]) -> Mapping[str, Any]:
         isinstance(stabilization, Mapping) and stabilization.get("symmetric")
     ):
         return FIRST_SYMMETRIC
-    formulation = FORMULATIONS.get(str(data.get("formulation", "index-1")))
+    formulation = FORMULATIONS.get(name_of(data.get("formulation", BY_ACCELERATIONS)))
     return FIRST_IMPLICIT if formulation is None or formulation.solves_multipliers else FIRST_EXPLICIT
 
 
@@ -112,10 +113,10 @@ class RunSpec(ModelSpec):
         "accept",
     )
 
-    formulation: FormulationName = "index-1"
-    """Equations of motion with constraints on accelerations (index-1), velocities (index-2), positions (index-3), or on
-    positions and velocities (ggl), all in the coordinates of the bodies; or index-1 in the coordinates of the joints of
-    a spanning tree (joint-coordinates)."""
+    formulation: FormulationChoice = BY_ACCELERATIONS
+    """Equations of motion with constraints on accelerations (index-1, the default), velocities (index-2), positions
+    (index-3), or on positions and velocities (ggl), all in the coordinates of the bodies; or equations in the
+    coordinates of the joints of a spanning tree (joint-coordinates). A name, or a name and its options."""
     stabilization: StabilizationChoice = UNSTABILIZED
     """Method against constraint drift: a name, or a name and its options."""
     integrator: Annotated[BaseModel, Choice("integrator")]
@@ -164,12 +165,12 @@ class RunSpec(ModelSpec):
 
     @model_validator(mode="after")
     def _suits_the_method(self) -> RunSpec:
-        item, claims = self.integrator_item, self.claims
-        if self.formulation not in claims.formulations:
+        item, claims, formulation = self.integrator_item, self.claims, self.formulated.name
+        if formulation not in claims.formulations:
             raise SpecError(
-                f"integrator '{item.name}' does not support the formulation '{self.formulation}', "
+                f"integrator '{item.name}' does not support the formulation '{formulation}', "
                 f"only {listed(claims.formulations, 'and')}; "
-                f"{self._able(lambda other: self.formulation in other.formulations)}",
+                f"{self._able(lambda other: formulation in other.formulations)}",
                 key="formulation",
             )
         self._check_stabilization(item, claims)
@@ -203,13 +204,13 @@ class RunSpec(ModelSpec):
     def _check_stabilization(self, item: Registered, claims: Claims) -> None:
         """Raise SpecError if the stabilization is incompatible with the formulation or the integrator."""
         chosen = self.stabilized
-        if chosen.kind == "baumgarte" and FORMULATIONS[self.formulation].solves_multipliers:
+        if chosen.kind == "baumgarte" and self.formulated.solves_multipliers:
             raise SpecError(
                 f"Baumgarte stabilization modifies the acceleration constraints, which the formulation "
-                f"'{self.formulation}' does not have; use index-1, or another stabilization",
+                f"'{self.formulated.name}' does not have; use index-1, or another stabilization",
                 key="stabilization",
             )
-        if chosen.symmetric and FORMULATIONS[self.formulation].coordinates == "joint":
+        if chosen.symmetric and self.formulated.coordinates == "joint":
             raise SpecError(
                 "symmetric projection moves bodies off their joints within a step, which joint coordinates cannot "
                 "express; omit `symmetric`",
@@ -288,6 +289,11 @@ class RunSpec(ModelSpec):
             "_canonical": canonical_text(canonical(model)).join(self._around_model),
         }
         return spec
+
+    @property
+    def formulated(self) -> Formulation:
+        """The formulation, in the form that the engine uses."""
+        return formulation_of(self.formulation)
 
     @property
     def stabilized(self) -> Stabilization:

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import inspect
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from typing import Annotated, Any, ClassVar, Literal, get_args
 
 from pydantic import AfterValidator, BeforeValidator, Field, GetJsonSchemaHandler, PlainSerializer, model_validator
@@ -277,23 +278,32 @@ class Projection(Section):
 NAMES = ("none", "baumgarte", "projection")
 
 
-class _OrName:
-    """Adds the name alone, without options, to the JSON schema."""
+@dataclass(frozen=True)
+class OrName:
+    """Adds the name alone, without options, to the JSON schema.
+
+    Parameters
+    ----------
+    names
+        The names that may stand alone.
+    """
+
+    names: tuple[str, ...]
 
     def __get_pydantic_json_schema__(self, core: CoreSchema, handler: GetJsonSchemaHandler) -> JsonSchemaValue:
-        return {"anyOf": [{"enum": list(NAMES), "type": "string"}, handler(core)]}
+        return {"anyOf": [{"enum": list(self.names), "type": "string"}, handler(core)]}
 
 
-def _named(given: Any) -> Any:
-    """Convert a name to a mapping with this name; raise SpecError if the value does not name a stabilization."""
+def named(given: Any, names: Sequence[str], what: str) -> Any:
+    """Convert a name to a mapping with this name; raise SpecError if the value does not name one of `what`."""
     name = given.get("name") if isinstance(given, Mapping) else given
-    if isinstance(name, str) and name in NAMES:
+    if isinstance(name, str) and name in names:
         return {"name": name} if given is name else given
     if isinstance(given, Mapping) and "name" not in given:
-        raise SpecError(f"is missing; it should be the name of a stabilization: {listed(NAMES, 'or')}", key="name")
-    hint = did_you_mean(name, NAMES) if isinstance(name, str) else ""
+        raise SpecError(f"is missing; it should be the name of a {what}: {listed(names, 'or')}", key="name")
+    hint = did_you_mean(name, names) if isinstance(name, str) else ""
     raise SpecError(
-        f"should be {listed((repr(known) for known in NAMES), 'or')}, not {value_text(name)}{hint}",
+        f"should be {listed((repr(known) for known in names), 'or')}, not {value_text(name)}{hint}",
         key="name" if isinstance(given, Mapping) else "",
     )
 
@@ -306,10 +316,10 @@ def _plainly(chosen: Any) -> Any:
 StabilizationChoice = Annotated[
     NoStabilization | Baumgarte | Projection,
     Field(discriminator="name"),
-    BeforeValidator(_named),
+    BeforeValidator(lambda given: named(given, NAMES, "stabilization")),
     AfterValidator(_plainly),
     PlainSerializer(canonical),
-    _OrName(),
+    OrName(NAMES),
 ]
 """Type of the key `stabilization` of a spec; its value is the string ``none``, or a model with options."""
 

@@ -16,7 +16,7 @@ from mbdkit.engine.kernels.equations import GAMMA_V, STIFFNESS
 from mbdkit.engine.kernels.observe import tangents_at
 from mbdkit.engine.native.bundle import PinnedBundle
 from mbdkit.engine.spanning_tree import spanning_tree
-from mbdkit.stepping import collocation_constrained, collocation_index1, collocation_joint
+from mbdkit.stepping import collocation_constrained, collocation_index1, collocation_joint, collocation_loops
 from mbdkit.stepping.collocation_joint import JointStages, joint_stages
 from mbdkit.stepping.collocation_stages import (
     FIXED_POINT,
@@ -169,7 +169,7 @@ class CompiledCollocation(CompiledMethod):
 def equations_of(formulation: Formulation) -> StageEquations:
     """Return the stage equations of a formulation."""
     if formulation.coordinates == "joint":
-        return collocation_joint.EQUATIONS
+        return (collocation_loops if formulation.solves_multipliers else collocation_joint).EQUATIONS
     return (collocation_constrained if formulation.solves_multipliers else collocation_index1).EQUATIONS
 
 

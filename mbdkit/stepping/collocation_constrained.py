@@ -7,7 +7,8 @@ Stage i, in second-order form, with A the tableau and its last row the weights o
 
 index-3 imposes Phi(t_i, q_i) = 0 and index-2 imposes Phi_q v_i + Phi_t = 0, both with mu = 0. ggl imposes both (Gear,
 Leimkuhler and Gupta 1985), with multipliers mu that vanish for the exact motion. The factor M^-1, which their paper
-omits, makes w the smallest change in the mass metric, independent of the units of lengths and angles.
+omits, makes w the smallest change in the mass metric, independent of the units of lengths and angles. The change of w
+comes first in every iteration (`mbdkit.stepping.shifted_positions`).
 
 Simplified Newton with one tangent for all stages decouples along the eigenvectors of A, as on the index-1 equations
 (`mbdkit.stepping.collocation_index1`). With r = h mu of an eigenvalue, the changes of accelerations and multipliers
@@ -19,11 +20,6 @@ solve
 with g = 0 (index 3), or r / 2 because d(Phi_q v + Phi_t)/dq is -gamma_v / 2 (index 2, ggl). The rows are scaled by
 powers of r, so that the matrix is as well conditioned as that of index 1 for any small step; the round-off of index-3
 multipliers, about eps / h^2 of a coordinate, is inherent in the formulation.
-
-In ggl the change of w comes first. Both constraints together require ``Phi_q dw_i = sum_j (A^-1)_ij Phi_j / h - (Phi_q
-v + Phi_t)_i`` up to terms of O(h): with dw_i in the range of M^-1 Phi_q^T that is an index-1 system for each stage. The
-change of positions by dw enters the equations above with the exact K and gamma_v, so that stiff springs do not slow the
-iteration.
 """
 
 from __future__ import annotations
@@ -43,7 +39,6 @@ from mbdkit.engine.kernels.system import (
     evaluate_powers,
     evaluate_tangents,
     prepare,
-    solve_system,
     solved_rows,
     unfold_multipliers,
 )
@@ -74,7 +69,8 @@ from mbdkit.stepping.convergence import (
     relative_to_state,
 )
 from mbdkit.stepping.element_states import solve_states
-from mbdkit.stepping.run_state import FACTORIZATIONS, RHS, load_run_state
+from mbdkit.stepping.run_state import RHS, load_run_state
+from mbdkit.stepping.shifted_positions import change_shift
 from mbdkit.stepping.simplified_newton import factorize_all, newton_changes
 from mbdkit.stepping.stage_polynomials import extrapolation_weights
 from mbdkit.stepping.turning_beams import turn_residual_back, turns_stages
@@ -98,8 +94,11 @@ def _tangents(c, m, t, h, at_start, wanted):
 
 
 @separate
-def evaluate_residual(c, m, t, h):
-    """Evaluate the residual of the equations of motion and of the constraints of every stage into ``m.residual``."""
+def evaluate_residual(c, m, acc, t, h):
+    """Evaluate the residual of the equations of motion and of the constraints of every stage into ``m.residual``.
+
+    `acc` (s, 3 (B + 1)) are the accelerations of the bodies in the stages.
+    """
     top, w = c.top, c.w
     n3 = len(c.q) - 3
     has_forces = any_forces(top)
@@ -108,9 +107,9 @@ def evaluate_residual(c, m, t, h):
         position_rows(top, w, t + m.rk.c[i] * h, q)
         solved_rows(top, w, q, v)
         for b in range(len(top.mass) - 1):
-            lack[3 * b] = top.mass[b, 0] * (m.acc[i, 3 * b] - top.gravity[0])
-            lack[3 * b + 1] = top.mass[b, 1] * (m.acc[i, 3 * b + 1] - top.gravity[1])
-            lack[3 * b + 2] = top.mass[b, 2] * m.acc[i, 3 * b + 2]
+            lack[3 * b] = top.mass[b, 0] * (acc[i, 3 * b] - top.gravity[0])
+            lack[3 * b + 1] = top.mass[b, 1] * (acc[i, 3 * b + 1] - top.gravity[1])
+            lack[3 * b + 2] = top.mass[b, 2] * acc[i, 3 * b + 2]
         if has_forces:
             take_states(top, w, m.states.z[i])
             take_multipliers(top, w, m.lam[i])
@@ -132,58 +131,6 @@ def evaluate_residual(c, m, t, h):
     c.counts[RHS] += len(m.rk.c)
 
 
-@separate
-def change_shift(c, m, h, source, acc):
-    """Change mu so that both constraints can be satisfied, and add the effect of the resulting change of positions to
-    the residual (ggl).
-
-    The terms of the tangents are in `source`; `acc` (3 (B + 1),) is a work array.
-    """
-    top, w = c.top, c.w
-    room = m.constraints
-    shift, shift_change = room.shift, room.shift_change
-    s = len(m.rk.c)
-    n3 = len(c.q) - 3
-    for i in range(s):
-        for k in range(len(top.pairs)):
-            copy(room.jac[i, k], w.jac[k])
-            w.gamma[k, 0] = w.gamma[k, 1] = 0.0
-            for r in range(top.rows[k]):
-                total = -m.residual[i, c.solver.row_index[k, r]]
-                for j in range(s):
-                    total += m.rk.inverse[i, j] / h * room.phi[j, k, r]
-                w.gamma[k, r] = total
-        status = solve_system(c.still, w, c.solver, False, acc, m.pairs, False)
-        if status != OK:
-            return status
-        for d in range(n3):
-            shift_change[i, d] = -shift[i, d]
-            shift[i, d] = 0.0
-        for k in range(len(top.pairs)):
-            for r in range(top.rows[k]):
-                room.mu[i, k, r] -= m.pairs[k, r]
-                for side in range(2):
-                    b = top.pairs[k, 1 + side]
-                    if 3 * b < n3:
-                        for d in range(3):
-                            g = top.weight[b, d] * w.jac[k, 6 * r + 3 * side + d]
-                            shift[i, 3 * b + d] += g * room.mu[i, k, r]
-        for d in range(n3):
-            shift_change[i, d] += shift[i, d]
-    c.counts[FACTORIZATIONS] += s
-    for i in range(s):
-        for d in range(n3):
-            total = 0.0
-            for j in range(s):
-                total -= h * m.rk.a[i, j] * shift_change[j, d]
-            m.spread[i, d] = total
-        terms = room.by_position
-        for e in range(len(terms)):
-            factor = 1.0 if terms[e, 3] == STIFFNESS else -0.5
-            m.residual[i, terms[e, 1]] += factor * source[terms[e, 0]] * m.spread[i, terms[e, 2]]
-    return OK
-
-
 @inlined
 def right_side(c, m, weights, rate, z, b):
     """Write the transformed residual with its constraint rows scaled by ``rate = h mu``."""
@@ -196,23 +143,29 @@ def right_side(c, m, weights, rate, z, b):
 
 
 @subkernel
+def change_by_newton(c, m, h):
+    """Write the change of accelerations and multipliers into ``m.change``, and change the multipliers."""
+    newton_changes(c, m, h, right_side)
+    for i in range(len(m.rk.c)):
+        for k in range(len(c.top.pairs)):
+            for r in range(c.top.rows[k]):
+                m.lam[i, k, r] += m.change[i, c.solver.row_index[k, r]]
+
+
+@subkernel
 def _changes(c, m, t, h, before):
     """Write the change of accelerations and multipliers by one iteration, and change the multipliers."""
     status = solve_states(c, m, t, h)
     if status != OK:
         return status
-    evaluate_residual(c, m, t, h)
+    evaluate_residual(c, m, m.acc, t, h)
     if turns_stages(m):
         turn_residual_back(m)
     if is_shifted(m):
         status = change_shift(c, m, h, c.w.source, m.tangent.acc)
         if status != OK:
             return status
-    newton_changes(c, m, h, right_side)
-    for i in range(len(m.rk.c)):
-        for k in range(len(c.top.pairs)):
-            for r in range(c.top.rows[k]):
-                m.lam[i, k, r] += m.change[i, c.solver.row_index[k, r]]
+    change_by_newton(c, m, h)
     return OK
 
 
@@ -242,8 +195,8 @@ def _change_of_velocities(c, m, h):
 
 
 @subkernel
-def _sizes(c, m, h):
-    """Return the relative change of the state, and that of the positions.
+def sizes_of_state(c, m, h, rates):
+    """Return the relative change of the state, whose velocities in the stages are `rates`, and that of the positions.
 
     With index 3 only positions have to converge, because constraints on positions determine velocities only to the
     round-off of positions over h.
@@ -253,13 +206,19 @@ def _sizes(c, m, h):
     now = moved = relative_to_state(m.spread, c.from_q, bodies)
     if not solves_positions_only(m):
         _change_of_velocities(c, m, h)
-        now = max(now, relative_to_state(m.spread, m.v_stage[len(m.rk.c) - 1], bodies))
+        now = max(now, relative_to_state(m.spread, rates[len(m.rk.c) - 1], bodies))
         moved = max(moved, h * relative_to_state(m.spread, c.from_q, bodies))
     return now, moved
 
 
 @subkernel
-def _round_off(c, m, h, now, moved, idle):
+def _sizes(c, m, h):
+    """Return the relative change of the state, and that of the positions."""
+    return sizes_of_state(c, m, h, m.v_stage)
+
+
+@subkernel
+def round_off(c, m, h, now, moved, idle):
     """Return whether a change that no longer decreases is the round-off of positions or of single forces.
 
     The round-off of forces is large where forces of stiff springs cancel. It is accepted only if positions change by at
@@ -298,7 +257,7 @@ def stage_powers(c, m, t, h):
 
 
 @inlined
-def _estimate_side(c, m, z, b):
+def estimate_side(c, m, z, b):
     """Write ``[M z, 0]``: components of `z` that violate the constraints are omitted, because they do not accumulate as
     errors.
     """
@@ -309,29 +268,47 @@ def _estimate_side(c, m, z, b):
         b[d] = 0.0
 
 
-_KERNELS = StageKernels(
+KERNELS = StageKernels(
     _tangents,
     _changes,
     move_stages,
     _sizes,
     every_change_is_idle,
-    _round_off,
+    round_off,
     stage_powers,
     right_side,
-    _estimate_side,
+    estimate_side,
     evaluate_stages,
     first_acceleration,
 )
+
+
+@subkernel
+def multipliers_at_end(c, m, t):
+    """Write the multipliers at the end `t` of the step, which are those of the last stage."""
+    last = len(m.rk.c) - 1
+    unfold(c, t, m.q_stage[last], m.lam[last], c.own_lam)
+
+
+@subkernel
+def multipliers_inside(c, m, t, theta):
+    """Write the multipliers at the time `t`, which is ``theta h`` after the beginning of the step; needs the state."""
+    extrapolation_weights(theta, 0.0, m.rk.c, m.weights)  # each row has the weights of the polynomial at theta
+    m.pairs[:, :] = 0.0
+    for i in range(len(m.rk.c)):
+        for k in range(len(m.pairs)):
+            for r in range(2):
+                m.pairs[k, r] += m.weights[0, i] * m.lam[i, k, r]
+    unfold(c, t, c.point_q, m.pairs, c.point_lam)
 
 
 @entry
 def attempt(run, method, t, h, want_error):
     """Try a step from the base state; see `mbdkit.stepping.step_loop`."""
     c, m = load_run_state(run), load_stages(method)
-    status = try_step(c, m, t, h, want_error, _KERNELS)
+    status = try_step(c, m, t, h, want_error, KERNELS)
     if status == OK:
-        last = len(m.rk.c) - 1
-        unfold(c, t + h, m.q_stage[last], m.lam[last], c.own_lam)
+        multipliers_at_end(c, m, t + h)
     return status
 
 
@@ -340,17 +317,11 @@ def dense(run, method, t, h, theta):
     """Write state and multipliers at ``t + theta h`` within the last attempt, by its collocation polynomial."""
     c, m = load_run_state(run), load_stages(method)
     state_inside(c, m, h, theta, c)
-    extrapolation_weights(theta, 0.0, m.rk.c, m.weights)  # each row has the weights of the polynomial at theta
-    m.pairs[:, :] = 0.0
-    for i in range(len(m.rk.c)):
-        for k in range(len(m.pairs)):
-            for r in range(2):
-                m.pairs[k, r] += m.weights[0, i] * m.lam[i, k, r]
-    unfold(c, t + theta * h, c.point_q, m.pairs, c.point_lam)
+    multipliers_inside(c, m, t + theta * h, theta)
     return OK
 
 
-def _choose_pivots(workspace: Workspace, rate: complex | None) -> tuple[Pattern, Scatter]:
+def choose_pivots(workspace: Workspace, rate: complex | None) -> tuple[Pattern, Scatter]:
     """Choose pivots for stage matrices with ``rate = h mu``.
 
     In rows of constraints on velocities, -gamma_v has the factor ``h mu / 2``.
@@ -367,4 +338,4 @@ def _choose_pivots(workspace: Workspace, rate: complex | None) -> tuple[Pattern,
     return pivots.pattern, Scatter(*(np.ascontiguousarray(pivots.scatter[some, :2]) for some in chosen))
 
 
-EQUATIONS = StageEquations(attempt, dense, _choose_pivots, keep)
+EQUATIONS = StageEquations(attempt, dense, choose_pivots, keep)

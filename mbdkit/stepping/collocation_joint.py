@@ -159,7 +159,7 @@ def _place_stages(c, m, h):
 
 
 @subkernel
-def _evaluate(c, m, h):
+def evaluate(c, m, h):
     """Evaluate coordinates and first-order states of every stage, and place the bodies."""
     evaluate_stages(c, m, h)
     _place_stages(c, m, h)
@@ -173,7 +173,7 @@ def _move(c, m, h, active):
 
 
 @subkernel
-def _choose_tangent_state(c, m, t, h, at_start):
+def choose_tangent_state(c, m, t, h, at_start):
     """Choose the state where the tangents are taken: the start of the step, or the mean of all stages."""
     tangent, o = m.tangent, m.on_tree
     if at_start:
@@ -200,7 +200,7 @@ def _tangents(c, m, t, h, at_start, wanted):
     """Evaluate and factorize the matrices of all eigenvalues unless Newton's method is not used; return a status."""
     if m.settings.solver[0] != NEWTON:
         return OK
-    _choose_tangent_state(c, m, t, h, at_start)
+    choose_tangent_state(c, m, t, h, at_start)
     top, w, tangent, o = c.top, c.w, m.tangent, m.on_tree
     take_states(top, w, m.states.z[len(m.rk.c) - 1])
     evaluate_tangents(top, w, tangent.time[0], tangent.q, tangent.v, tangent.acc, tangent.lam)
@@ -272,7 +272,7 @@ def _powers(c, m, t, h):
 
 
 @separate
-def _first_acceleration(c, m, t):
+def first_acceleration(c, m, t):
     """Solve for the accelerations at the beginning of a step unless they are known; return a status."""
     first, o = m.first, m.on_tree
     if first.known[0] != 0:
@@ -297,13 +297,13 @@ _KERNELS = collocation_index1.KERNELS._replace(
     powers=_powers,
     right_side=_right_side,
     estimate_side=_estimate_side,
-    evaluate=_evaluate,
-    first_acceleration=_first_acceleration,
+    evaluate=evaluate,
+    first_acceleration=first_acceleration,
 )
 
 
 @subkernel
-def _end_of_step(c, m, t, h, want_error):
+def _bodies_at_end(c, m, t, h, want_error):
     """Replace increments and errors of the coordinates by those of the bodies at the end `t` of the step."""
     o = m.on_tree
     relative = o.relative
@@ -319,35 +319,45 @@ def _end_of_step(c, m, t, h, want_error):
         errors_of_bodies(c, relative, t, c.est_q, c.est_v, m.spread[0], relative.vectors[V_STAGE])
 
 
-@entry
-def attempt(run, method, t, h, want_error):
-    """Try a step from the base state; see `mbdkit.stepping.step_loop`."""
-    c, m = load_run_state(run), load_joint_stages(method)
+@inlined
+def try_on_tree(c, m, t, h, want_error, kernels):
+    """Try a step in the coordinates of the tree from the base state of the bodies; return a status."""
     o = m.on_tree
     if c.base_state[0] == AT_END_OF_LAST:  # valid if ``m.first`` is taken over as well, and otherwise overwritten
         copy(o.acc[len(o.acc) - 1], o.first_acc)
     if not abs(m.previous.size[0]) > 0.0:  # free flight, as in `mbdkit.stepping.collocation_step`
         fill_rows(o.acc, 0.0)
     _take_coordinates(c, m)
-    status = try_step(c, m, t, h, want_error, _KERNELS)
+    status = try_step(c, m, t, h, want_error, kernels)
     _restore_bodies(c, m)
     if status == OK:
-        _end_of_step(c, m, t + h, h, want_error)
+        _bodies_at_end(c, m, t + h, h, want_error)
     return status
 
 
 @entry
-def dense(run, method, t, h, theta):
-    """Write the state at ``t + theta h`` within the last attempt, by the collocation polynomial of the coordinates."""
-    c, m = load_run_state(run), load_joint_stages(method)
-    relative = m.on_tree.relative
-    vectors = relative.vectors
+def attempt(run, method, t, h, want_error):
+    """Try a step from the base state; see `mbdkit.stepping.step_loop`."""
+    return try_on_tree(load_run_state(run), load_joint_stages(method), t, h, want_error, _KERNELS)
+
+
+@subkernel
+def bodies_inside(c, m, t, h, theta):
+    """Write the state of the bodies at ``t + theta h`` within the last attempt."""
+    vectors = m.on_tree.relative.vectors
     _take_coordinates(c, m)
     state_inside(c, m, h, theta, c)
     _restore_bodies(c, m)
     copy(c.point_q, vectors[Y])
     copy(c.point_v, vectors[Y_RATES])
-    place_bodies(c.top, c.w, relative.tree, t + theta * h, vectors[Y], vectors[Y_RATES], c.point_q, c.point_v)
+    tree = m.on_tree.relative.tree
+    place_bodies(c.top, c.w, tree, t + theta * h, vectors[Y], vectors[Y_RATES], c.point_q, c.point_v)
+
+
+@entry
+def dense(run, method, t, h, theta):
+    """Write the state at ``t + theta h`` within the last attempt, by the collocation polynomial of the coordinates."""
+    bodies_inside(load_run_state(run), load_joint_stages(method), t, h, theta)
     return OK
 
 
@@ -356,7 +366,7 @@ def keep(run, method, t, h, unused):
     """Store the stages of the last attempt as quadrature nodes; see `mbdkit.stepping.step_loop`."""
     c, m = load_run_state(run), load_joint_stages(method)
     _take_coordinates(c, m)
-    _evaluate(c, m, h)
+    evaluate(c, m, h)
     _restore_bodies(c, m)
     keep_stages(c, m, t, h)
     return OK

@@ -41,6 +41,7 @@ from mbdkit.stepping.element_states import (
 )
 from mbdkit.stepping.explicit import Explicit, new_explicit
 from mbdkit.stepping.run_state import load_run_state
+from mbdkit.stepping.shifted_positions import change_shift
 from mbdkit.stepping.simplified_newton import newton_changes
 from mbdkit.stepping.stage_polynomials import extrapolate, extrapolation_weights
 from mbdkit.stepping.turning_beams import turn_accelerations_back, turn_residual_back, turns_stages
@@ -282,11 +283,11 @@ def _index1_changes(c, n, m, k, t, h):
 @subkernel
 def _constrained_changes(c, n, m, k, t, h):
     """Write the changes of the derivatives of the stages by one iteration, and change the multipliers."""
-    collocation_constrained.evaluate_residual(c, m, t, h)
+    collocation_constrained.evaluate_residual(c, m, m.acc, t, h)
     if turns_stages(m):
         turn_residual_back(m)
     if is_shifted(m):
-        status = collocation_constrained.change_shift(c, m, h, n.w.source, c.push)
+        status = change_shift(c, m, h, n.w.source, c.push)
         if status != OK:
             return status
         _take_shifts(m, k)

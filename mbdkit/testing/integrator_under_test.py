@@ -19,6 +19,7 @@ from mbdkit.registry.items import Claims, IntegratorPlugin
 from mbdkit.runs.preparation import build
 from mbdkit.runs.simulated_run import Progress
 from mbdkit.runs.simulation import simulate
+from mbdkit.spec.formulation_choice import choice_of
 from mbdkit.spec.run_spec import RunSpec, spec_type
 from mbdkit.stepping.interface import Stepper, Timetable
 from mbdkit.stepping.start import start_method
@@ -96,16 +97,18 @@ class IntegratorUnderTest:
         return method
 
     def spec(self, model: Mapping[str, Any], time: Mapping[str, Any], **sections: Any) -> RunSpec:
-        """Return the spec of a run; ``options`` among the `sections` changes options of the integrator."""
+        """Return the spec of a run; ``options`` among the `sections` changes options of the integrator, and
+        ``formulation`` is a name from the claims.
+        """
         options = sections.pop("options", {})
         data: dict[str, Any] = {
             "mbdkit": 1,
             "model": model,
             "integrator": {"name": self.item.id, **self.options, **options},
             "time": time,
-            "formulation": self.formulation,
             "limits": {"wall_time": WALL_TIME},
         }
+        data["formulation"] = choice_of(sections.pop("formulation", self.formulation))
         return self.spec_type(**data | sections)
 
     def run(

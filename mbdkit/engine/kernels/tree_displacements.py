@@ -1,4 +1,5 @@
-"""Small displacements of the bodies of a spanning tree, and the changes of its coordinates that cause them.
+"""Small displacements of the bodies of a spanning tree, and the changes of its coordinates that cause them; and the
+accelerations of the bodies.
 
 If the angles of the two bodies of a joint change by alpha and beta, and the travel along its line by s, then the
 displacements of their centers of mass satisfy
@@ -18,7 +19,7 @@ from mbdkit.engine.native.functions import subkernel
 AX, AY, BX, BY, UX, UY, ARMS = range(7)
 """Columns of the arms of a tree (B, 6), whose rows are those of the tree."""
 
-_LINE, _CENTER = KINDS["point_on_line"], KINDS["moving_center"]
+_LINE, _DRIVER, _CENTER = KINDS["point_on_line"], KINDS["driver_angle"], KINDS["moving_center"]
 
 
 @subkernel
@@ -76,3 +77,44 @@ def take_changes(top, tree, arms, x):
             x[3 * i], x[3 * i + 1] = travel, 0.0
         if tree[n, TURN] >= 0:
             x[3 * i + 2] = 0.0
+
+
+@subkernel
+def accelerate_bodies(top, w, tree, y, rates, v, acc):
+    """Replace the accelerations of the coordinates in `acc` by those of the bodies: the inverse of
+    `mbdkit.engine.kernels.tree.accelerate_coordinates`.
+
+    `y` and `rates` are the coordinates and their rates, `v` the velocities of the bodies; needs `place_bodies`.
+    """
+    p, cs, u = top.pair_parameters, w.cs, w.u
+    for n in range(len(tree)):
+        i, k, side = tree[n, BODY], tree[n, TURN], tree[n, TURN_SIDE]
+        if k >= 0:
+            acc[3 * i + 2] = acc[3 * top.pairs[k, 2 - side] + 2]
+            if top.pairs[k, 0] == _DRIVER:
+                acc[3 * i + 2] += (2.0 * side - 1.0) * u[top.pairs[k, 3], 2]
+    for n in range(len(tree)):
+        i, k, side = tree[n, BODY], tree[n, PLACE], tree[n, PLACE_SIDE]
+        if k < 0:
+            continue
+        a, b, m, sign = top.pairs[k, 1], top.pairs[k, 2], top.pairs[k, 3], 2.0 * side - 1.0
+        wa, wb, da, db = v[3 * a + 2], v[3 * b + 2], acc[3 * a + 2], acc[3 * b + 2]
+        ax, ay = turned(cs[a, 0], cs[a, 1], p[k, 0], p[k, 1])
+        bx, by = turned(cs[b, 0], cs[b, 1], p[k, 2], p[k, 3])
+        x = db * by + wb * wb * bx - da * ay - wa * wa * ax
+        z = wb * wb * by - db * bx + da * ax - wa * wa * ay
+        if top.pairs[k, 0] == _LINE:
+            ux, uy = turned(cs[a, 0], cs[a, 1], p[k, 4], p[k, 5])
+            s = y[3 * i]
+            along, across = acc[3 * i] - wa * wa * s, 2.0 * wa * rates[3 * i] + da * s
+            x += along * ux - across * uy
+            z += along * uy + across * ux
+        elif top.pairs[k, 0] == _CENTER:
+            hx, hy = turned(cs[a, 0], cs[a, 1], u[m, 0], u[m + 2, 0])
+            tx, ty = turned(cs[a, 0], cs[a, 1], u[m, 1], u[m + 2, 1])
+            cx, cy = turned(cs[a, 0], cs[a, 1], u[m, 2], u[m + 2, 2])
+            turn = wb - wa
+            x += (db - da) * tx + turn * turn * cx - 2.0 * wa * turn * ty - da * hy - wa * wa * hx
+            z += (db - da) * ty + turn * turn * cy + 2.0 * wa * turn * tx + da * hx - wa * wa * hy
+        other = top.pairs[k, 2 - side]
+        acc[3 * i], acc[3 * i + 1] = acc[3 * other] + sign * x, acc[3 * other + 1] + sign * z

@@ -122,7 +122,7 @@ def choose_companions(spec: RunSpec, method: Method, workspace: Workspace, times
                 f"step {table.step:.4g} s",
                 partial(make_method, spec),
                 table,
-                spec.formulation,
+                spec.formulated.name,
                 spec.stabilized,
                 within_steps=False,
             )
@@ -162,7 +162,7 @@ def _event_driven_guards(
             f"event-driven {name}",
             partial(ExplicitRungeKutta, tableaux[name]()),
             finer(plan, times, factor),
-            spec.formulation,
+            spec.formulated.name,
             spec.stabilized,
             within_steps=False,
             treatment=workspace.mechanism.contact_treatment._replace(kind="event-driven"),
@@ -189,7 +189,7 @@ def _tighter(spec: RunSpec, method: Method, workspace: Workspace, within: Timeta
             update = {"rtol": tolerances.rtol, "atol": None if given.by_size else tolerances.atol}
             create: Callable[[], Method] = partial(spec.integrator_plugin.create, options.model_copy(update=update))
             name = f"tolerance {tolerances.rtol:.2g}"
-            run: tuple[str, Stabilization] = (spec.formulation, spec.stabilized)
+            run: tuple[str, Stabilization] = (spec.formulated.name, spec.stabilized)
         else:
             create = partial(_radau, tolerances)
             name = f"adaptive radau-iia with tolerance {tolerances.rtol:.2g}"

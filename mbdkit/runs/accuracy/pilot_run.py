@@ -78,7 +78,7 @@ def run_pilot(spec: RunSpec, setting: float, workspace: Workspace, most_steps: i
     most_steps
         Steps after which the pilot stops with the failure ``max-steps``.
     """
-    own = workspace.for_another_run(spec.formulation, spec.stabilized)
+    own = workspace.for_another_run(spec.formulated.name, spec.stabilized)
     method = make_method(spec)
     start, end = spec.time.start, spec.time.final
     samples = np.linspace(start, end, SAMPLES + 1)
@@ -172,7 +172,7 @@ class RecordedPilot:
         progress: Callable[[float, float], None] | None = None,
     ):
         self.setting = setting
-        self.workspace = workspace.for_another_run(spec.formulation, spec.stabilized)
+        self.workspace = workspace.for_another_run(spec.formulated.name, spec.stabilized)
         method = make_method(spec)
         given = timetable(spec, guards(spec, size_at_start(spec, workspace)))
         kept = MOST_VALUES // len(workspace.q0)

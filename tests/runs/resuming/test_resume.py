@@ -117,6 +117,13 @@ SPECS = {
     "gauss, adaptive, joint-coordinates": spec_of(
         {"name": "gauss", **TIGHT}, {"end": 5.0}, output={"interval": 0.01}, formulation="joint-coordinates"
     ),
+    "radau-iia, ggl in joint-coordinates": spec_of(
+        {"name": "radau-iia", **TIGHT},
+        {"end": 10.0},
+        {"name": "four-bar-knee"},
+        output={"interval": 0.01},
+        formulation={"name": "joint-coordinates", "loops": "ggl"},
+    ),
     "radau-iia, index-3": spec_of(
         {"name": "radau-iia", "stages": 2}, {"steps": 1500, "step": 1e-3}, formulation="index-3"
     ),
