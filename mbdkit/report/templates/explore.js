@@ -16,7 +16,7 @@ function valueOf(index) {
   return at === place(one) ? one.value : Number((one.low + (one.high - one.low) * at / 1000).toPrecision(6));
 }
 function label(index) {
-  const value = String(valueOf(index)), { unit } = sliders[index];
+  const value = String(Number(valueOf(index).toPrecision(6))), { unit } = sliders[index];
   inputs[index].previousElementSibling.textContent = value;
   inputs[index].setAttribute("aria-valuetext", unit ? `${value} ${unit}` : value);
 }
