@@ -177,9 +177,33 @@ def test_an_error_of_the_discretization_fails_the_check() -> None:
     assert gradient_check.check_gradient(direction, *given).is_passed
     found = gradient_check.check_gradient(direction, *given, lambda settings: [settings[0][1] ** 2])
     assert not found.is_passed
+    assert "agrees with differences of runs" in str(found)
+    assert "another method DISAGREES and gives 1.99999" in str(found)
     assert found.reference[0] == pytest.approx(2.0, rel=1e-7)
     (doubt,) = gradient_check.check_doubts(found, [True])
     assert "differs by 4.8 % from that of runs with another method and fails its check" in doubt
+
+
+@pytest.mark.parametrize(
+    ("derivative", "reference", "passes"),
+    [(2.0001, 2.00002, True), (2.0001, 2.0, False), (2.002, 2.00002, False), (2.002, 2.002, False)],
+    ids=["discretization", "no-discretization", "wrong", "wrong-like-reference"],
+)
+def test_a_derivative_may_deviate_by_the_discretization_error(
+    derivative: float, reference: float, passes: bool
+) -> None:
+    # the derivative of k^2 at 1 is 2
+    spec = mbdkit.RunSpec(**SLIDER_CRANK, **PENDULUM)
+    found = gradient_check.check_gradient(
+        gradient_check.Direction(resolved(spec, ["k"]), np.array([1.0]), False),
+        lambda settings: [settings[0][1] ** 2],
+        {"square": 1.0},
+        np.array([1.0]),
+        np.array([[derivative]]),
+        lambda settings: [settings[0][1] ** reference],
+    )
+    assert found.is_passed == passes
+    assert ("DISAGREES with differences" in str(found)) != passes
 
 
 def test_another_method_whose_differences_scatter_causes_no_doubt() -> None:
