@@ -39,9 +39,9 @@ median.
 FORCE, MOMENT = 0.05, 0.02
 """Residual forces and moments from which the balance is doubtful.
 
-Forces are given as a share of the largest load, moments as a share of that load times the height of the mechanism.
-J. L. Hicks et al. (Journal of Biomechanical Engineering 137, 2015, 020905) recommend at most 0.05 for peak forces, and
-0.01 for the root mean square of moments.
+Forces are given as a share of the largest load or, if it is larger, the weight of the mechanism; moments as a share of
+this force times the height of the mechanism. J. L. Hicks et al. (Journal of Biomechanical Engineering 137, 2015,
+020905) recommend at most 0.05 for peak forces, and 0.01 for the root mean square of moments.
 """
 
 NOISY = 0.8
@@ -233,11 +233,12 @@ def _balance(result: Inverse, bars: ErrorBars | None) -> Iterator[Doubt]:
     """Yield a doubt if the loads and the motion of a mechanism with one free root contradict Newton's second law."""
     mechanism = result.problem.names.mechanism
     roots = free_roots(mechanism)
-    load = result.loads.force.sum(axis=1)
-    largest = float(np.max(np.linalg.norm(load, axis=1), initial=0.0))
+    load = float(np.max(np.linalg.norm(result.loads.force.sum(axis=1), axis=1), initial=0.0))
+    weight = sum(body.mass for body in mechanism.bodies.values()) * float(np.linalg.norm(mechanism.gravity))
+    largest = max(load, weight)
     if len(roots) != 1 or not largest > 0:
         return
-    residual, noise = _residual_wrench(result, roots[0], bars)
+    residual, noise = _residual_wrench(result, roots[0], bars, only_residuals=load == 0)
     height = max(result.problem.fitter.manifold.length, float(np.mean(np.ptp(result.motion.q[:, 1::3], axis=1))))
     limits = np.array([FORCE, FORCE, MOMENT * height]) * largest
     ends = len(residual) // 20  # derivatives are inaccurate at the ends
@@ -247,23 +248,34 @@ def _balance(result: Inverse, bars: ErrorBars | None) -> Iterator[Doubt]:
     if np.any(over):
         peak = np.max(np.abs(residual)[inside], axis=0)
         told = [f"{peak[axis]:.4g} {('N along x', 'N along y', 'N m')[axis]}" for axis in np.flatnonzero(over)]
-        limit = f"doubtful above {limits[0]:.3g} N or {limits[2]:.3g} N m, {FORCE:g} of the largest load and {MOMENT:g}"
+        of = "largest load" if load >= weight else "weight"
+        limit = f"doubtful above {limits[0]:.3g} N or {limits[2]:.3g} N m, {FORCE:g} of the {of} and {MOMENT:g}"
+        if load > 0:
+            cause = _cause(result, residual / [1, 1, height], height, inside)
+        else:
+            carried = float(np.max(np.linalg.norm(residual[inside, :2], axis=1)))
+            share = f"{100 * carried / weight:.3g} % of the weight"
+            cause = f"Without loads, they carry up to {carried:.4g} N, {share}: is the load of a force plate missing?"
         yield Doubt(
             "residuals",
             f"motion and loads contradict Newton's second law: the residual actuators of {roots[0]} reach "
-            f"{listed(told, 'and')} ({limit} of its moment at the height of the mechanism). "
-            f"{_cause(result, residual / [1, 1, height], height, inside)}",
+            f"{listed(told, 'and')} ({limit} of its moment at the height of the mechanism). {cause}",
         )
 
 
-def _residual_wrench(result: Inverse, root: str, bars: ErrorBars | None) -> tuple[np.ndarray, np.ndarray]:
-    """Return the forces x, y and the moment of the residual actuators of a root, and their error bars, (T, 3) each.
+def _residual_wrench(
+    result: Inverse, root: str, bars: ErrorBars | None, *, only_residuals: bool
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return the forces x, y and the moment of the actuators of a root, and their error bars, (T, 3) each.
 
-    Error bars that are not known are zero.
+    Error bars that are not known are zero. If `only_residuals`, actuators that the spec declares, which may carry the
+    mechanism if there is no load, are left out.
     """
     body = list(result.problem.names.mechanism.bodies).index(root)
     values, noise = np.zeros((2, len(result.motion.time), 3))
     for place, actuator in enumerate(result.problem.actuators):
+        if only_residuals and not actuator.is_residual:
+            continue
         on = without_scale(actuator.quantity)
         if isinstance(on, Coordinate | MarkerCoordinate):
             own = on.body if isinstance(on, Coordinate) else on.point.body

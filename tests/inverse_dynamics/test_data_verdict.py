@@ -228,6 +228,22 @@ def test_a_load_that_contradicts_the_motion_of_a_free_body_is_explained(
     assert any(cause in reason for reason in run.verdict_reasons) == bool(cause)
 
 
+@pytest.mark.parametrize(
+    ("fall", "carried"), [pytest.param(0.0, True, id="stands"), pytest.param(9.81, False, id="flies")]
+)
+def test_the_weight_of_a_free_body_without_loads_is_doubted_except_in_flight(fall: float, carried: bool) -> None:
+    m = mbdkit.Mechanism()
+    m.body("box", mass=2.0, inertia=0.1)
+    data = {"time": T, "box.x": T, "box.y": 5 * T - fall / 2 * T**2 + 0.01 * NOISE[0], "box.angle": 0.5 * T}
+    spec = {"mbdkit": 1, "model": m.to_spec(), "motion": {"data": data, "smooth": SMOOTH}}
+    run = mbdkit.inverse(spec)
+    assert told(run) == ({"residuals"} if carried else set())
+    cause = " % of the weight: is the load of a force plate missing?"
+    assert any(cause in reason for reason in run.verdict_reasons) == carried
+    declared = {"lift": {"body": "box", "coordinate": "y"}}
+    assert "residuals" not in told(mbdkit.inverse(spec | {"actuators": declared}))
+
+
 def late(delay: float) -> dict[str, Any]:
     """Return the load of the example `walking` with a delay [s]."""
     lines = [line for line in (example_table("walking") or "").splitlines() if not line.startswith("#")]
