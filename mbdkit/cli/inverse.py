@@ -116,6 +116,7 @@ def validate_inverse(source: str | Document, name: str, assignments: list[str]) 
     """Check a spec of inverse dynamics, its data and their first frame, and print what would be computed."""
     from mbdkit.inverse_dynamics.compute import InverseProblem, check
     from mbdkit.inverse_dynamics.data_verdict import doubts_before_computation
+    from mbdkit.inverse_dynamics.inverse_run import causes_named
     from mbdkit.measures.take import check_measures
     from mbdkit.mechanism.mechanism import gravity_text
     from mbdkit.spec import load_inverse_spec
@@ -124,7 +125,8 @@ def validate_inverse(source: str | Document, name: str, assignments: list[str]) 
     spec = load_inverse_spec(source, assignments)
     problem = InverseProblem.of(spec)
     check_measures(spec)
-    check(problem)
+    with causes_named(problem):
+        check(problem)
     measured, time = problem.measured, problem.measured.time
     for warning in (*problem.warnings, *doubts_before_computation(problem).open):
         say(f"warning: {warning}")

@@ -11,6 +11,7 @@ import numpy as np
 
 from mbdkit.base.text import listed, shown
 from mbdkit.inverse_dynamics.compute import Inverse
+from mbdkit.inverse_dynamics.marker_distances import far_apart, unlike_distances
 from mbdkit.inverse_dynamics.measured import Measured
 from mbdkit.spec.inverse_sections import Criterion, NoSmoothing, QuinticSpline
 
@@ -149,10 +150,12 @@ def doubts_before_fit(measured: Measured, length: float) -> Iterator[Doubt]:
     for index, name in enumerate(measured.names):
         yield from _outliers(measured, index, name)
         yield from _units(measured, index, name, length)
+    if sentence := unlike_distances(measured, length):
+        yield Doubt("units", sentence)
 
 
 def suspicious_columns(measured: Measured, length: float, *, no_pose: bool) -> list[str]:
-    """Return sentences, without full stops, about columns that may be the cause of an error.
+    """Return sentences, without full stops, about columns and markers that may be the cause of an error.
 
     Wrong units may cause any error. If no pose fits the data, the cause may also be outliers or, if there are none, a
     column with a very large range.
@@ -170,6 +173,8 @@ def suspicious_columns(measured: Measured, length: float, *, no_pose: bool) -> l
         for doubt in (*_outliers(measured, index, name), *_units(measured, index, name, length))
         if no_pose or doubt.criterion == "units"
     ]
+    if sentence := unlike_distances(measured, length) or (far_apart(measured, length) if no_pose else None):
+        doubts.append(sentence.rstrip("."))
     if doubts or not no_pose:
         return doubts
     scale = np.where(measured.quantities.is_angle, 1.0, length) * measured.quantities.scale

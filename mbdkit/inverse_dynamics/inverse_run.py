@@ -6,6 +6,8 @@ The archive has the groups of a forward run, and additional groups of the motion
 from __future__ import annotations
 
 import time
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -87,6 +89,17 @@ def inverse(
     return result
 
 
+@contextmanager
+def causes_named(problem: InverseProblem) -> Iterator[None]:
+    """Add columns and markers that may be the cause to the message of a `RunError`."""
+    try:
+        yield
+    except RunError as error:
+        length, no_pose = problem.fitter.manifold.length, isinstance(error, FitError)
+        suspicious = suspicious_columns(problem.measured, length, no_pose=no_pose)[:MOST_NAMED]
+        raise RunError("; ".join([str(error), *suspicious])) from error
+
+
 def compute_run(spec: InverseSpec, *, path: Path | None = None, overwrite: bool = False) -> Run:
     """Compute a validated spec; see `inverse`.
 
@@ -104,12 +117,8 @@ def compute_run(spec: InverseSpec, *, path: Path | None = None, overwrite: bool 
     check_measures(spec)  # before the computation, so that wrong expressions are found early
     setup, wall, cpu = time.perf_counter() - begin, time.perf_counter(), time.process_time()
     with one_thread_of_linear_algebra():
-        try:
+        with causes_named(problem):
             result = compute(problem)
-        except RunError as error:
-            length, no_pose = problem.fitter.manifold.length, isinstance(error, FitError)
-            suspicious = suspicious_columns(problem.measured, length, no_pose=no_pose)[:MOST_NAMED]
-            raise RunError("; ".join([str(error), *suspicious])) from error
         timings = {"setup_s": setup, "wall_s": time.perf_counter() - wall, "cpu_s": time.process_time() - cpu}
         bars = error_bars(result)
         doubts = doubts_about_data(result, bars)

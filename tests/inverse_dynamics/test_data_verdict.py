@@ -116,6 +116,34 @@ def test_the_refusal_of_a_fit_names_the_suspicious_column(
         mbdkit.inverse(spec)
 
 
+@pytest.mark.parametrize("second_body", [pytest.param("rod", id="one-body"), pytest.param("other", id="two-bodies")])
+def test_a_table_of_markers_in_another_unit_than_it_states_is_refused_with_a_hint(
+    second_body: str, tmp_path: Path
+) -> None:
+    # a rod with a second rod pinned to its end, in millimetres although the file states metres
+    m = mbdkit.Mechanism()
+    m.body("rod", mass=1.0, inertia=0.1)
+    m.body("other", mass=1.0, inertia=0.1, position=(0.5, 0.0))
+    m.revolute("pin", "rod", "other", at=(0.25, 0.0))
+    m.marker("A", "rod", point=(-0.2, 0.0))
+    m.marker("B", second_body, point=(0.2, 0.0))
+    b = 200.0 if second_body == "rod" else 700.0
+    rows = "\n".join(f"{i + 1}\t{0.01 * i:.2f}\t-200\t{i}\t0\t{b:g}\t{i}\t0" for i in range(20))
+    counts = "100\t100\t20\t2\tm\t100\t1\t20"
+    head = "DataRate\tCameraRate\tNumFrames\tNumMarkers\tUnits\tOrigDataRate\tOrigDataStartFrame\tOrigNumFrames"
+    names = "Frame#\tTime\tA\t\t\tB\t\t\n\t\tX1\tY1\tZ1\tX2\tY2\tZ2"
+    file = tmp_path / "m.trc"
+    file.write_text(f"PathFileType\t4\t(X/Y/Z)\tm.trc\n{head}\n{counts}\n{names}\n\n{rows}\n")
+    spec = {"mbdkit": 1, "model": m.to_spec(), "motion": {"file": str(file), "smooth": "none"}}
+    problem = InverseProblem.of(load_inverse_spec(spec, ()))
+    (hint,) = suspicious_columns(problem.measured, problem.fitter.manifold.length, no_pose=True)
+    assert hint.endswith("check the unit of the markers")
+    (tmp_path / "right.trc").write_text(file.read_text().replace("\tm\t", "\tmm\t"))
+    spec["motion"]["file"] = str(tmp_path / "right.trc")
+    problem = InverseProblem.of(load_inverse_spec(spec, ()))
+    assert not suspicious_columns(problem.measured, problem.fitter.manifold.length, no_pose=True)
+
+
 def test_only_wrong_units_are_named_as_causes_of_errors_other_than_those_of_the_fit() -> None:
     # the knee has the largest range, and an outlier
     data = {
