@@ -28,6 +28,7 @@ from mbdkit.base.plain_data import (
     value_text,
     without_collection,
 )
+from mbdkit.base.text import did_you_mean
 from mbdkit.spec.yaml_reader import LARGEST, read_data, read_yaml
 
 
@@ -313,12 +314,12 @@ def read_assignments(assignments: Iterable[str]) -> dict[str, Any]:
 
 
 def put(data: dict[str, Any], path: Path, value: Any) -> None:
-    """Set the value at `path` in plain data; missing mappings along the path are created.
+    """Set the value at `path` in plain data; missing mappings along the path are created, except elements.
 
     Raises
     ------
     SpecError
-        If a value along the path is not a mapping or list with the next key.
+        If a value along the path is not a mapping or list with the next key, or if it is a mapping of other elements.
     """
     place: Any = data
     for index, part in enumerate(path):
@@ -331,6 +332,7 @@ def put(data: dict[str, Any], path: Path, value: Any) -> None:
                 raise SpecError(f"{here} has {len(place)} items, counted from 0", key=path_text(path))
         elif isinstance(place, dict) and isinstance(part, str):
             if not last and place.get(part) is None and isinstance(path[index + 1], str):
+                _refuse_other_element(place, path, index)
                 place[part] = {}
         else:
             here = path_text(path[:index]) or "the spec"
@@ -339,6 +341,26 @@ def put(data: dict[str, Any], path: Path, value: Any) -> None:
             place[part] = value
         else:
             place = place.get(part) if isinstance(place, dict) else place[part]
+
+
+def _refuse_other_element(elements: Mapping[str, Any], path: Path, index: int) -> None:
+    """Refuse a path to one key of an element that does not exist, whose name is probably misspelt.
+
+    Parameters
+    ----------
+    elements
+        Mapping at ``path[:index]``. It contains elements, such as bodies or loads, if all of its values are mappings.
+    path, index
+        Path of a key, and the index of the name in it.
+    """
+    is_named = (index == 2 and path[0] == "model") or (index == 1 and path[0] in ("columns", "events", "loads"))
+    if is_named and elements and all(isinstance(one, Mapping) for one in elements.values()):
+        name, here = str(path[index]), path_text(path[:index])
+        raise SpecError(
+            f"{here} has no '{name}'{did_you_mean(name, map(str, elements))}; to add it, give all its keys at once, as "
+            f"in {path_text(path[: index + 1])}={{...}}",
+            key=path_text(path),
+        )
 
 
 @lru_cache(maxsize=1024)
