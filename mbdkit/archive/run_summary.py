@@ -219,10 +219,11 @@ def accuracy_sentence(run: Run, *, with_force: bool = True) -> str:
     if not accuracy.rows_known:
         return f"errors unknown: {accuracy.unknown or UNCONFIRMED}"
     position = f"positions known to {accuracy.position_error_max:.2g} m and {accuracy.angle_error_max:.2g} rad"
+    position += " for this mesh of beams" if run.beams else ""
     if accuracy.is_complete:
         return "; ".join(filter(None, (_largest_force(run) if with_force else "", position)))
     until = f" until {accuracy.known_until:.4g} s"
-    force = _largest_known_force(run, accuracy.rows_known)
+    force = _largest_known_force(run, accuracy.rows_known) if accuracy.rows_known > 1 else ""
     why = f": {accuracy.unknown}" if accuracy.unknown else ""
     return "; ".join(filter(None, (force and force + until, position + until, f"errors unknown afterwards{why}")))
 

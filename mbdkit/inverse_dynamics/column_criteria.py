@@ -231,8 +231,9 @@ def _unit_of_time(result: Inverse) -> Iterator[Doubt]:
     rows = f"the median interval of the rows is {interval:.4g} s, {interval / natural:.3g} times sqrt(length / gravity)"
     if interval > COARSE * natural and np.max(share) < SLOW:
         column = result.problem.spec.motion.time
+        frames = " (if they are numbers of frames, divide them by the frame rate)" if round(interval, 9) == 1.0 else ""
         cause = (
-            f"they look like milliseconds; write `time: {{column: {shown(column.column)}, unit: ms}}`"
+            f"they look like milliseconds; write `time: {{column: {shown(column.column)}, unit: ms}}`{frames}"
             if column.factor == 1.0
             else f"are the times in {shown(column.unit)}?"
         )

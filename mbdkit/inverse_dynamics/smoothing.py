@@ -251,7 +251,11 @@ def _check_cutoff(given: float, once: float, interval: float) -> None:
     """
     highest = 0.5 / interval * given / once
     if given >= highest:
-        cause = "; if the times are in milliseconds, write `time: {column: NAME, unit: ms}`" if interval > SLOW else ""
+        cause = ""
+        if interval > SLOW:
+            cause = "; if the times are in milliseconds, write `time: {column: NAME, unit: ms}`"
+        if round(interval, 9) == 1.0:
+            cause += "; if they are numbers of frames, divide them by the frame rate"
         raise SpecError(
             f"{given:g} Hz is too high: with {1 / interval:.6g} samples per second, it should be below {highest:.4g} "
             f"Hz{cause}",

@@ -21,6 +21,7 @@ from mbdkit.mechanism.joints import Driver, Revolute
 from mbdkit.mechanism.mechanism import Mechanism
 from mbdkit.mechanism.parameters import evaluate, names_in, parameters_in_use
 from mbdkit.mechanism.size import mechanism_size
+from mbdkit.mechanism.values import Table
 from mbdkit.muscles.acting_muscles import acting_muscles
 from mbdkit.spec import RunSpec
 
@@ -36,6 +37,9 @@ DIGITS = 3
 """Angles above one turn with at most this many decimals are assumed to be degrees; radians rarely have so few
 decimals.
 """
+
+TABLE_DIGITS = 1
+"""As `DIGITS`, for all values of a table, one of which is above one turn."""
 
 FEWEST_PER_PERIOD = 2
 """Smallest number of steps per period that resolves an oscillation."""
@@ -176,6 +180,7 @@ def center_warnings(mechanism: Mechanism, reached: np.ndarray) -> tuple[str, ...
 def _improbable(spec: RunSpec) -> Iterator[str]:
     """Yield warnings about values that probably have another unit."""
     yield from angles_in_degrees(spec)
+    yield from tables_in_degrees(spec)
     yield from improbable_inertias(spec.mechanism())
     yield from improbable_frictions(spec.mechanism())
 
@@ -196,6 +201,20 @@ def angles_in_degrees(spec: RunSpec) -> Iterator[str]:
             yield (
                 f"the angle of {value:g} rad at {path_text(path)}{origin} is more than a full rotation; if degrees "
                 f"are intended, write degrees({degrees}), otherwise an expression such as {value / math.pi:.6g}*pi"
+            )
+
+
+def tables_in_degrees(spec: RunSpec) -> Iterator[str]:
+    """Yield a warning for each driver of an angle whose table of radians is probably meant in degrees."""
+    for name, driver in spec.mechanism().joints.items():
+        if not isinstance(driver, Driver) or driver.coordinate != "angle" or not isinstance(driver.motion, Table):
+            continue
+        values = np.array(driver.motion.table[1])
+        largest = float(np.max(np.abs(values)))
+        if largest > 2.0 * math.pi and np.array_equal(np.round(values, TABLE_DIGITS), values):
+            yield (
+                f"the table of driver '{name}' reaches {largest:g} rad, which is more than a full rotation; if degrees "
+                f"are intended, convert its values to radians, otherwise give them with more decimals"
             )
 
 

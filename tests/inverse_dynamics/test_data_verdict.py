@@ -66,7 +66,8 @@ def test_degrees_without_a_unit_are_doubted_until_the_unit_is_given() -> None:
 def test_milliseconds_without_a_unit_are_doubted_until_the_unit_is_given() -> None:
     data = {"t": 1e3 * T, **ANGLES}
     with pytest.raises(
-        SpecError, match=r"1 samples per second, .*in milliseconds, write `time: {column: NAME, unit: m"
+        SpecError,
+        match=r"1 samples per second, .*in milliseconds, write `time: .*; if they are numbers of frames, divide",
     ):
         leg(motion={"data": {**data, "t": 1e2 * T}, "time": "t"})
     columns = {"columns": {name: name for name in ANGLES}, "smooth": "quintic", "time": "t", "data": data}

@@ -64,6 +64,10 @@ DRIVER = {"type": "driver", "bodies": ["ground", "rod"], "coordinate": "angle"}
             {"parameters": {"tilt": 90}, "model": {"name": "double-pendulum", "angles": [0.3, "tilt"]}},
             "parameters.tilt",
         ),
+        (
+            {"model__joints__D": {**DRIVER, "motion": {"table": [[0, 1], [0, 90]]}}},
+            "the table of driver 'D' reaches 90 rad, which is more than a full rotation; if degrees are intended",
+        ),
         ({"parameters": {"tilt": 90}, "model__joints__D": {**DRIVER, "motion": "tilt"}}, "write degrees(tilt)"),
         ({"model__bodies__rod__inertia": 3920}, "the inertia of 3920 kg m^2 at model.bodies.rod.inertia"),
         (

@@ -73,3 +73,14 @@ def test_values_of_the_model_do_not_validate_the_whole_spec(monkeypatch: pytest.
         varied.spec([(("model", "angle"), 0.25)]).canonical_json()
         == RunSpec(**base | {"model": {"name": "single-pendulum", "angle": 0.25}}).canonical_json()
     )
+
+
+def test_a_key_of_a_misspelt_element_does_not_add_an_element() -> None:
+    data: dict[str, Any] = {"model": {"name": "mechanism", "bodies": {"shank": {"mass": 3.0}}, "limits": {"low": 1.0}}}
+    with pytest.raises(SpecError, match=r"model\.bodies has no 'shnk' \(did you mean 'shank'\?\); to add it, give all"):
+        put(data, ("model", "bodies", "shnk", "mass"), 5.0)
+    assert data["model"]["bodies"] == {"shank": {"mass": 3.0}}
+    put(data, ("model", "bodies", "foot"), {"mass": 1.0})
+    put(data, ("model", "springs", "cuff", "stiffness"), 100.0)  # the first of its kind
+    put(data, ("model", "limits", "high", "value"), 2.0)  # not a mapping of elements
+    assert list(data["model"]["bodies"]) == ["shank", "foot"]
