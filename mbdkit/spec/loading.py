@@ -50,6 +50,7 @@ class Sections(TypedDict, total=False):
     choose: Literal["method", "step", "nothing"] | None
     impacts: Literal["refuse", "allow"]
     contact: Section
+    accept: list[str]
 
 
 VERSION = 1
