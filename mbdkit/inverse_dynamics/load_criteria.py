@@ -21,6 +21,13 @@ this share of the extent of the body.
 OFTEN = 0.1
 """Share of the force, summed over time, that must act outside the outline to cause a doubt."""
 
+ON_OTHER, FARTHER = 0.9, 0.03
+"""A load seems to act on another body if, for at least the share `ON_OTHER` of its force, its point lies inside the
+outline of that body and farther from its own body than `FARTHER` times the extent of the other one.
+
+In 45 clean data sets drawn at random, this share is at most 0.78.
+"""
+
 ROD = np.sqrt(3.0)
 """Each body is assumed to extend from its centre of mass by at least this multiple of its radius of gyration.
 
@@ -145,7 +152,10 @@ def _point(result: Inverse, index: int, name: str, outlines: np.ndarray) -> Iter
         far = _outside(result, point, series.body, outlines[series.body])
         return float(np.sum(size[far > OUTSIDE]) / np.sum(size))
 
-    if not np.any(size > 0) or share_outside(centre) <= OFTEN:
+    if not np.any(size > 0):
+        return
+    if share_outside(centre) <= OFTEN:
+        yield from _on_other_body(result, index, name, centre, outlines)
         return
     bodies, rows = result.problem.fitter.bodies, size > 0.1 * np.max(size)
     distance = [float(np.mean(_outside(result, centre, body, outlines[body])[rows])) for body in range(len(bodies))]
@@ -168,6 +178,26 @@ def _point(result: Inverse, index: int, name: str, outlines: np.ndarray) -> Iter
         f"load '{name}' acts outside of {bodies[series.body]}, up to {np.max(far[rows]):.2g} of its extent from its "
         f"outline (doubtful above {OUTSIDE:g}): {cause}",
     )
+
+
+def _on_other_body(result: Inverse, index: int, name: str, centre: np.ndarray, outlines: np.ndarray) -> Iterator[Doubt]:
+    """Yield a doubt if a load acts near its body, but inside the outline of another body."""
+    size, own = np.linalg.norm(result.loads.force[:, index], axis=1), result.problem.loads[name].body
+    extent, bodies = np.linalg.norm(outlines[:, 1] - outlines[:, 0], axis=1), result.problem.fitter.bodies
+    off, rows = extent[own] * _outside(result, centre, own, outlines[own]), size > 0
+    share = np.zeros(len(bodies))
+    for body in np.flatnonzero(extent > 0).tolist():
+        inside = _outside(result, centre, body, outlines[body]) == 0
+        share[body] = np.sum(size[inside & (off > FARTHER * extent[body])]) / np.sum(size)
+    other = int(np.argmax(share))
+    if share[other] >= ON_OTHER:
+        yield Doubt(
+            "load-point",
+            f"the point of load '{name}' is {np.average(off[rows], weights=size[rows]):.2g} m on average from the "
+            f"outline of {bodies[own]}, on which it acts, but on the outline of {bodies[other]} for "
+            f"{100 * share[other]:.3g} % of its force (doubtful from {100 * ON_OTHER:g} %): does the load act on "
+            f"{bodies[other]}?",
+        )
 
 
 def _lag(result: Inverse, index: int, name: str) -> Iterator[Doubt]:

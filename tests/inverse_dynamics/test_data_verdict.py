@@ -220,6 +220,15 @@ def test_a_load_on_another_body_is_found_on_the_outline_of_its_own() -> None:
     assert "it is on the outline of foot: does the load act on that body?" in reason
 
 
+def test_a_load_near_its_body_but_on_another_one_is_doubted() -> None:
+    # the plate of the example, near the ankle of the shank, to which it is given
+    for body, criteria in (("foot", set()), ("shank", {"load-point"})):
+        spec = load_inverse_spec("walking", [f"loads.ground.body={body}"])
+        doubts = doubts_about_data(compute(InverseProblem.of(spec)), None)
+        assert {one.partition(":")[0] for one in doubts.open} == criteria
+        assert all("does the load act on foot?" in one for one in doubts.open)
+
+
 def test_the_force_on_the_plate_is_not_that_on_the_body() -> None:
     load = stance()["ground"]["data"]
     assert told(leg(loads=stance(fx=-load["fx"], fy=-load["fy"]))) == {"load-sign"}
