@@ -27,6 +27,9 @@ NEGLIGIBLE = 1e-5
 FLAT = 1e-2
 """The end of another search counts as a smooth minimum if the model decreases by at most this share of the cost per
 radius. The cost is that at this end, but at least a tenth of the cost at the start of the design."""
+SOLVED = 1e-6
+"""A smaller decrease of the model, relative to the largest change of the cost in the trust region, counts as zero,
+because the linear program is solved to 1e-7."""
 
 JUMP = 0.1
 """Derivatives at neighbouring points that differ by more than this share of the largest derivative indicate a kink."""
@@ -123,7 +126,7 @@ def bundle_search(
         if share > 0.7:
             radius = max(radius, 2.0 * size)
         elif share < 0.1:
-            radius = min(0.7 * radius, 2.0 * size)
+            radius = min(0.7 * radius, max(2.0 * size, 0.1 * radius))
         if share > 0.0:
             best = trial
     return OptimizeResult(x=best.point, message=message, success=is_least, is_least=is_least, linearizations=bundle)
@@ -169,6 +172,8 @@ def _slopes_jump(one: Linearization, other: Linearization) -> bool:
 def _model_step(center: Linearization, bundle: list[Linearization], radius: float) -> tuple[np.ndarray, float]:
     """Return the step (n,) that minimises the model of the merit in a box, and the decrease of the model.
 
+    Both are zero if the decrease is within the accuracy of the linear program.
+
     The unknowns of the linear program are the step relative to the radius, and the changes of cost and violation
     relative to the largest change of the cost in the box, because its solver has absolute tolerances.
     """
@@ -187,7 +192,6 @@ def _model_step(center: Linearization, bundle: list[Linearization], radius: floa
     low, high = np.maximum(-1.0, -center.point / radius), np.minimum(1.0, (1.0 - center.point) / radius)
     box = [*zip(low, high, strict=True), (None, None), (0.0, None)]
     solved = linprog([*np.zeros(n), 1.0, PENALTY], np.array(rows), np.array(limits), bounds=box)
-    if not solved.success:
-        return np.zeros(n), 0.0
     violation = -float(np.min(center.margins, initial=0.0))
-    return radius * solved.x[:n], PENALTY * violation - size * float(solved.fun)
+    decrease = PENALTY * violation - size * float(solved.fun) if solved.success else 0.0
+    return (radius * solved.x[:n], decrease) if decrease > SOLVED * size else (np.zeros(n), 0.0)
