@@ -128,8 +128,8 @@ def study(
     ------
     SpecError
         If an argument, the study or one of its runs is invalid, or if the folder belongs to another study or contains
-        other files. Nothing is written in this case. If runs are stored in files of many runs, an invalid run counts as
-        a failed run, unless all of the few runs that are checked beforehand are invalid.
+        other files. Nothing is written in this case. If runs are stored in files of many runs, up to eight of
+        them are checked beforehand; any other invalid run counts as a failed run.
     ResourceError
         If the folder cannot be written to, is in use by another call, or no process can be started.
 

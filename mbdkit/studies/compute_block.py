@@ -75,8 +75,8 @@ class BlockMeasures:
 
     @property
     def is_checked(self) -> bool:
-        """Whether the spec of the first run requests error estimates."""
-        return any(point.spec.estimates_errors for point in self.plan.samples[:1] if not point.lacking)
+        """Whether the spec of the first valid sample of the plan requests error estimates."""
+        return any(spec.estimates_errors for _, spec in self.plan.valid_samples[:1])
 
     def of(self, results: Sequence[tuple[FinishedRun, RunSpec]]) -> list[dict[str, float] | Refused]:
         """Return, for each run, its measures by name or the reason why they could not be computed."""

@@ -68,7 +68,7 @@ class StudyPlan:
             if point.reference is not None:
                 references[point.reference_id] = point.reference
         self.runs: Mapping[str, RunSpec] = references | runs
-        self.defined = describe_measures(spec, self._valid_samples() if spec.in_blocks else distinct_runs(planned))
+        self.defined = describe_measures(spec, self.valid_samples if spec.in_blocks else distinct_runs(planned))
 
     @cached_property
     def blocks(self) -> StudyBlocks:
@@ -82,10 +82,9 @@ class StudyPlan:
         places = dict.fromkeys(last * number // max(1, SAMPLES - 1) for number in range(SAMPLES))
         return [self.points[place] for place in places]
 
-    def _valid_samples(self) -> list[tuple[str, RunSpec]]:
-        """Return the valid specs of the samples, with names for error messages; raise SpecError if no sample is
-        valid.
-        """
+    @cached_property
+    def valid_samples(self) -> list[tuple[str, RunSpec]]:
+        """The valid specs of the samples, with names for error messages; SpecError is raised if no sample is valid."""
         valid, errors = [], []
         for point in self.samples:
             if point.lacking:
@@ -98,16 +97,22 @@ class StudyPlan:
             raise errors[0]
         return valid
 
+    def require_valid_samples(self) -> None:
+        """Raise SpecError if a sample is invalid."""
+        for point in self.samples:
+            if not point.lacking:
+                point.spec  # noqa: B018  # raises the error
+
     def warnings(self) -> list[str]:
         """Return the warnings about the validated specs of runs, and about initial values that the runs vary.
 
         If several differ only in numbers, the first one is returned.
         """
-        specs = [spec for _, spec in self._valid_samples()] if self.spec.in_blocks else self.runs.values()
+        specs = [spec for _, spec in self.valid_samples] if self.spec.in_blocks else self.runs.values()
         found: dict[str, str] = {}
         for warning in (one for spec in specs for one in caution(spec)):
             found.setdefault(without_numbers(warning), warning)
-        of_starts = start_warnings_of_study(spec for _, spec in self._valid_samples())
+        of_starts = start_warnings_of_study(spec for _, spec in self.valid_samples)
         return [*found.values(), *of_starts, *self.warnings_of_sample()]
 
     def warnings_of_sample(self) -> list[str]:
@@ -116,7 +121,7 @@ class StudyPlan:
         The warning recognizes angles with few decimals. Values that are drawn from distributions have many decimals, so
         that limits and means of the distributions are checked instead.
         """
-        specs = (spec for _, spec in self._valid_samples()) if self.spec.in_blocks else iter(self.runs.values())
+        specs = (spec for _, spec in self.valid_samples) if self.spec.in_blocks else iter(self.runs.values())
         if self.spec.sample is None or (spec := next(specs, None)) is None:
             return []
         varied = VariedSpecs(spec.canonical_json())
@@ -140,16 +145,20 @@ class StudyPlan:
 def plan_study(spec: StudySpec) -> StudyPlan:
     """Return the plan of a study, after validating the specs of its runs and building their mechanisms.
 
-    For a study in blocks, only some runs are validated.
+    For a study in blocks, only some runs are validated. An invalid one is an error unless the study is an ensemble,
+    which begins if at least one of these runs is valid.
 
     Raises
     ------
     SpecError
-        If the study, one of its runs (in blocks, all runs that are validated) or one of its measures is invalid.
+        If the study, one of the runs that are validated (for an ensemble, all of them) or a measure is invalid.
     """
     check_verdict(spec)
     check_column_names(spec)
-    return StudyPlan(spec)
+    plan = StudyPlan(spec)
+    if spec.in_blocks and (spec.members is None or spec.sample is not None):
+        plan.require_valid_samples()
+    return plan
 
 
 def describe_measures(spec: StudySpec, runs: Iterable[tuple[str, RunSpec]]) -> dict[str, Description]:
