@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from scipy.integrate import cumulative_simpson
@@ -15,7 +15,7 @@ from mbdkit.inverse_dynamics.dynamics import Dynamics, largest_unbalanced, requi
 from mbdkit.inverse_dynamics.fit import Fitter
 from mbdkit.inverse_dynamics.loads import Loads, LoadSeries, loads_on, read_loads
 from mbdkit.inverse_dynamics.manifold import Manifold
-from mbdkit.inverse_dynamics.measured import Measured, read_motion
+from mbdkit.inverse_dynamics.measured import Measured, misspelt_markers, read_motion
 from mbdkit.inverse_dynamics.recruited import Recruited
 from mbdkit.inverse_dynamics.recruitment import Recruiter
 from mbdkit.inverse_dynamics.reduced_motion import (
@@ -59,6 +59,8 @@ class InverseProblem:
         The actuators, with residual ones last.
     recruiter
         Recruits the muscles; None without `recruitment`.
+    unused
+        Markers of the table that probably are markers of the model, but have other names; see `misspelt_markers`.
     """
 
     spec: InverseSpec
@@ -69,6 +71,7 @@ class InverseProblem:
     loads: dict[str, LoadSeries]
     actuators: list[NamedActuator]
     recruiter: Recruiter | None = None
+    unused: dict[str, str] = field(default_factory=dict)
 
     @property
     def recorded_actuators(self) -> list[NamedActuator]:
@@ -81,6 +84,11 @@ class InverseProblem:
         told = [f"{warning}." for warning in self.names.mechanism.warnings]
         if self.names.mechanism.muscles and self.recruiter is None:
             told.append("the model has muscles, which exert no force because the spec has no `recruitment`.")
+        if self.unused:
+            told.append(
+                f"markers {listed(self.unused, 'and')} of the table are not used, because the model has no markers "
+                f"with these names: did you mean {listed(self.unused.values(), 'and')}?"
+            )
         if any(actuator.is_residual for actuator in self.actuators):
             told += [f"{warning}." for warning in light_roots(self.names.mechanism)]
         return tuple(told)
@@ -105,7 +113,8 @@ class InverseProblem:
             raise spec.placed(error) from error
         prepared = AssembledMechanism.at(spec, float(measured.time[0]), float(measured.time[-1]))
         fitter = Fitter(Manifold(prepared), prepared.workspace.mechanism.bodies)
-        return cls(spec, prepared, fitter, names, measured, loads, actuators, recruiter)
+        unused = {} if table is None or spec.motion.columns is not None else misspelt_markers(table, names)
+        return cls(spec, prepared, fitter, names, measured, loads, actuators, recruiter, unused)
 
 
 @dataclass(frozen=True)

@@ -15,6 +15,8 @@ import mbdkit
 from mbdkit import MbdkitError, SpecError
 from mbdkit.cli import app
 from mbdkit.inverse_dynamics import table_files
+from mbdkit.inverse_dynamics.compute import InverseProblem
+from mbdkit.spec import load_inverse_spec
 
 ROWS = ["time,hip,text", *(f"{0.01 * i:.2f},{0.1 * i:.3f},a" for i in range(20))]
 
@@ -280,3 +282,19 @@ def test_a_rerun_reads_no_file_outside_of_the_folder_of_the_archive(tmp_path: Pa
         done = CliRunner().invoke(app, ["rerun", str(tmp_path / "sub" / "out.h5")], prog_name="mbdkit")
         assert done.exit_code == 2
         assert "which is not in the folder of the archive" in done.stderr.replace("\n", " ")
+
+
+def test_a_marker_whose_name_in_the_table_differs_in_punctuation_is_named() -> None:
+    m = mbdkit.Mechanism()
+    m.body("rod", mass=1.0, inertia=0.1)
+    for name, at in (("R.HIP", -0.2), ("R.KNEE", 0.2), ("R.SHIN", 0.1)):
+        m.marker(name, "rod", point=(at, 0.0))
+    t = np.linspace(0.0, 1.0, 101)
+    places = {"R.HIP": -0.2, "R.KNEE": 0.2, "r_shin": 0.1, "L.SHIN": 0.1}
+    columns = {f"{name}.{axis}": 0 * t + at * (axis == "x") for name, at in places.items() for axis in "xy"}
+    motion = {"data": {"time": t} | columns, "smooth": "none"}
+    (warning,) = InverseProblem.of(
+        load_inverse_spec({"mbdkit": 1, "model": m.to_spec(), "motion": motion}, ())
+    ).warnings
+    assert "markers r_shin of the table are not used" in warning
+    assert warning.endswith("did you mean R.SHIN?")
