@@ -229,6 +229,7 @@ class PythonStepper:
                 self._before = before
                 ends = (*self._with_ground(before.state), *self._with_ground(self.now.state))
                 is_over_step = self.contact_state is not None and self.contact_state.is_over_step
+                is_over_step |= before.state.memory is None  # forces and modes at the start of a run are unknown
                 states = (self._held.of(one.state.memory) for one in (self.now if is_over_step else before, self.now))
                 self.last_step = StepTaken(before.time, self.now.time, *ends, *states)
             if table.single or time.perf_counter() > until:

@@ -531,12 +531,13 @@ def test_a_body_that_slides_begins_to_roll(inertia: float, time: float, speed: f
             "integrator": {"name": "dop853"},
             "contact": {"treatment": "event-driven"},
             "time": {"end": 0.4, "step": 0.05},
-            "events": {"rolls": event},
+            "events": {"rolls": event, "mode": {"when": "contacts.floor.mode - 1.5"}},
         }
     )
     # slip is linear in time, with the slope mu g (1 + 1/inertia): 1e-6 m/s is reached that much earlier
     early = 1e-6 / (0.2 * G * (1 + 1 / inertia))
     assert found.events.of_name("rolls").time == pytest.approx([time * 2.0 / (0.2 * G) - early], abs=1e-9)
+    assert found.events.of_name("mode").time == pytest.approx([time * 2.0 / (0.2 * G)], abs=1e-9)  # not at the start
     assert found["body"].velocity[-1, 0] == pytest.approx(speed * 2.0, abs=1e-9)
     assert not found.warnings
 
