@@ -78,15 +78,15 @@ inconsistent, the run has certainly left its branch, and stops with the reason `
   last recorded time before that time, and the summary and the verdict give the reason. The summary prints, for example,
   `largest force in J1 24.5250 +- 1.1e-06 N`. Plots draw the errors as bands, and the group `accuracy` of the archive
   contains them. A force may have its peak between two recorded times. A check therefore determines the largest forces
-  and torques between recorded times as well. The difference from the largest recorded value is part of the error and
-  counts in the verdict, unless a measure such as `max(abs(joints.J1.force))` gives the largest force of the joint. To
-  reduce this error, use smaller steps or, if not every step is recorded (`output.every`, `output.interval`), record
-  more of them. The errors of the largest normal forces of compliant contacts are estimated like those of
-  [measures](measures.md#errors), and count in the verdict with the limits for joint forces. A check takes at least a
-  second, and about ten times as long as the run (twenty times with compliant contacts, 60 to 140 times with
-  time-stepping methods). In 504 runs of 21 mechanisms with known motions (6 methods, with 4 steps or tolerances each),
-  errors are known for 95 % of the time, and all true errors are 0.39 to 1.08 times their estimates
-  (`python -m tests.benchmarks.error_bars`).
+  and torques between recorded times as well. By how much they exceed the largest recorded values is part of the errors
+  of these values, and counts in the verdict. It does not count for a joint whose largest force is a measure, such as
+  `max(abs(joints.J1.force))`. To reduce this error, use smaller steps or, if not every step is recorded
+  (`output.every`, `output.interval`), record more of them. The errors of the largest normal forces of compliant
+  contacts are estimated like those of [measures](measures.md#errors), and count in the verdict with the limits for
+  joint forces. A check takes at least a second, and about ten times as long as the run (twenty times with compliant
+  contacts, 60 to 140 times with time-stepping methods). In 504 runs of 21 mechanisms with known motions (6 methods,
+  with 4 steps or tolerances each), errors are known for 95 % of the time, and all true errors are 0.39 to 1.08 times
+  their estimates (`python -m tests.benchmarks.error_bars`).
 - **`mbdkit run SPEC --accuracy 1e-6`** (`accuracy: 1e-6`) requests that all positions over the whole run are accurate
   to this fraction of the mechanism's size. mbdkit chooses the method and the step from short trial runs (*pilots*), and
   confirms the accuracy by a check. The error of an angle counts as a displacement: it is multiplied by the distance
