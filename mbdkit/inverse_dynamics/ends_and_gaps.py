@@ -5,6 +5,11 @@ reflection, and smoothing splines end with a vanishing second derivative. Both a
 end vanishes. The response of the smoothing to parabolas shows what an acceleration of 1 at an end changes in each
 frame. The acceleration at an end is not known; it is assumed to be no larger than the largest one of the record.
 
+The natural quintic spline through all samples ends with a vanishing third derivative instead, which is wrong by an
+error of first order in the interval. The third derivative at an end is estimated by its root mean square over the
+record, minus the part that noise causes. Other end conditions, such as those of splines without knots beside the ends,
+are exact to higher order, but amplify noise in the accelerations at both ends eight times as much.
+
 A gap longer than half a period of the cutoff can hide an oscillation that the smoothing would preserve. Its values
 are then unknown in the gap. How much the motion may deviate there is estimated by smooth curves that vanish, with
 their rates, at the samples beside the gap, and whose largest acceleration is that of the record.
@@ -20,11 +25,21 @@ import numpy as np
 from mbdkit.base.text import listed
 from mbdkit.inverse_dynamics.compute import Inverse
 from mbdkit.inverse_dynamics.noise import NoisePath
-from mbdkit.inverse_dynamics.smoothing import Smoothed, cutoff_of, fixed, smoothed_each
-from mbdkit.spec.inverse_sections import Smoothing
+from mbdkit.inverse_dynamics.smoothing import Smoothed, cutoff_of, fixed, smoothed_each, spline_of_ends
+from mbdkit.spec.inverse_sections import QuinticSpline, Smoothing
 
 NAMED = 4
 """Largest number of columns, actuators and joints that are named."""
+
+DRAWS = 20
+"""Number of samples of noise used to estimate the part of the third derivatives that noise causes."""
+
+END_FACTOR = 1.96
+"""Ratio of the bound of the third derivative at an end, with a probability of 95 %, to its root mean square."""
+
+DECAY = 8
+"""After this number of intervals, the effect of the ends of a quintic spline has decayed to a few parts in a thousand.
+"""
 
 
 @dataclass(frozen=True)
@@ -72,10 +87,11 @@ def long_gaps(result: Inverse) -> list[LongGap]:
 
 
 def longest_period(result: Inverse) -> float:
-    """Return one period of the lowest cutoff of the smoothed coordinates [s], after which the effect of the ends has
-    decayed to a few parts in a thousand.
+    """Return the time [s] after which the effect of the ends has decayed to a few parts in a thousand: one period of
+    the lowest cutoff of the smoothed coordinates, or `DECAY` intervals without cutoff.
     """
-    return 1 / min(_cutoffs(result))
+    time = result.motion.time
+    return 1 / min(_cutoffs(result)) or DECAY * float(time[-1] - time[0]) / (len(time) - 1)
 
 
 def _cutoffs(result: Inverse) -> list[float]:
@@ -106,9 +122,12 @@ def changes_in_gaps(result: Inverse, path: NoisePath, gaps: Sequence[LongGap]) -
     return path.smoothed(changes)
 
 
-def changes_at_ends(time: np.ndarray, series: Smoothed, how: Sequence[Smoothing]) -> Smoothed:
+def changes_at_ends(
+    time: np.ndarray, series: Smoothed, how: Sequence[Smoothing], path: NoisePath, deviation: np.ndarray
+) -> Smoothed:
     """Return changes (T, U, 2) of the coordinates and their derivatives, which an acceleration at the start and at the
-    end of the record that is as large as the largest one causes.
+    end of the record that is as large as the largest one causes; for quintic splines, changes (T, U, 2 U), which U
+    independent typical third derivatives at each end cause.
 
     Parameters
     ----------
@@ -117,8 +136,15 @@ def changes_at_ends(time: np.ndarray, series: Smoothed, how: Sequence[Smoothing]
     series
         (T, U) the coordinates.
     how
-        Smoothing of each coordinate, with fixed parameters.
+        Smoothing of each coordinate, with fixed parameters; the same method for all of them.
+    path
+        Propagation of noise.
+    deviation
+        (K,) standard deviations of the noise of the observed quantities.
     """
+    if isinstance(how[0], QuinticSpline):
+        third, spline = _third_derivatives(time, series, path, deviation), spline_of_ends(time)
+        return Smoothed(*(np.kron(spline(time, order)[:, None], third) for order in range(3)))
     largest = np.max(np.abs(series.acceleration), axis=0)[:, None]
     from_middle = time - 0.5 * (time[0] + time[-1])
     shape = (*series.value.shape, 1)
@@ -130,6 +156,22 @@ def changes_at_ends(time: np.ndarray, series: Smoothed, how: Sequence[Smoothing]
         (getattr(found, name) - getattr(parabola, name)) * sides * largest for name in ("value", "rate", "acceleration")
     )
     return Smoothed(value, rate, acceleration)
+
+
+def _third_derivatives(time: np.ndarray, series: Smoothed, path: NoisePath, deviation: np.ndarray) -> np.ndarray:
+    """Return bounds (U, U) of the third derivatives at an end: `END_FACTOR` times a root of the matrix of their mean
+    products over the record, minus that of noise.
+    """
+
+    def products(acceleration: np.ndarray) -> np.ndarray:
+        slope = np.diff(acceleration, axis=0) / np.diff(time)[:, None, None]  # (T - 1, U, S)
+        return np.asarray(np.einsum("tis,tjs->ij", slope, slope)) / len(slope)
+
+    blocks = path.samples(deviation, DRAWS, np.random.default_rng(0))
+    noise = sum(products(path.smoothed(block).acceleration) for block in blocks) / DRAWS
+    square, direction = np.linalg.eigh(products(series.acceleration[:, :, None]) - noise)
+    found: np.ndarray = END_FACTOR * direction * np.sqrt(np.maximum(0.0, square))
+    return found
 
 
 def told_gaps(result: Inverse, gaps: Sequence[LongGap]) -> dict[tuple[float, float], str]:

@@ -157,7 +157,7 @@ def error_bars(result: Inverse) -> ErrorBars | None:
             ):
                 beyond[index] += (change**2 - noise) / len(group)
         squares = [square + np.maximum(0.0, more) for square, more in zip(squares, beyond, strict=True)]
-    of_ends = _squares_of_changes(sensitivity, changes_at_ends(times, series, how))
+    of_ends = _squares_of_changes(sensitivity, changes_at_ends(times, series, how, path, deviation))
     squares = [square + more for square, more in zip(squares, of_ends, strict=True)]
     of_muscles = _muscle_squares(result, random)
     if of_muscles is not None:
@@ -427,9 +427,13 @@ def _method(
     effects = [
         f", and the mean square change of the result with {change}, minus that caused by noise," for change in changed
     ]
-    ends = "" if isinstance(result.problem.spec.motion.smooth, NoSmoothing | QuinticSpline) else (
-        "; the accelerations at the ends of the record, which the smoothing takes for zero, are assumed to be at most "
-        "the largest ones of the record"
+    smooth = result.problem.spec.motion.smooth
+    zero, most = ("third derivatives", "typical of") if isinstance(smooth, QuinticSpline) else (
+        "accelerations", "at most the largest ones of"
+    )  # fmt: skip
+    ends = "" if isinstance(smooth, NoSmoothing) else (
+        f"; the {zero} at the ends of the record, which the smoothing takes for zero, are assumed to be {most} the "
+        "record"
     )  # fmt: skip
     unknown = "".join(f" Unknown (nan) in {one}." for one in told_gaps(result, gaps).values())
     return (

@@ -12,6 +12,7 @@ from mbdkit.inverse_dynamics.column_criteria import Doubt
 from mbdkit.inverse_dynamics.compute import Inverse, recorded_states
 from mbdkit.inverse_dynamics.ends_and_gaps import NAMED, long_gaps, longest_period, told_gaps
 from mbdkit.inverse_dynamics.error_bars import ErrorBars
+from mbdkit.spec.inverse_sections import QuinticSpline
 
 OF_ENDS = 0.1
 """A largest value is doubtful if the part of its error bar due to the ends of the record exceeds this share of it."""
@@ -60,13 +61,16 @@ def record_doubts(result: Inverse, bars: ErrorBars | None) -> Iterator[Doubt]:
         near = [one for one in peaks if one.of_ends > OF_ENDS * one.value and (one.row < len(time) // 2) == at_start]
         if near:
             worst = max(near, key=lambda one: one.of_ends / one.value)
+            cutoff = (
+                "" if isinstance(result.problem.spec.motion.smooth, QuinticSpline) else ", one period of the cutoff"
+            )
             side, beyond = ("start", "before") if at_start else ("end", "after")
             yield Doubt(
                 "ends",
                 f"the largest values of {_some([one.told(time) for one in near])} are so close to the {side} of the "
                 f"record that the smoothing may change that of {worst.label} by {worst.of_ends:.2g} {worst.unit} "
                 f"(doubtful above {OF_ENDS:g} of the value): record at least {longest_period(result):.2g} s more "
-                f"{beyond} them, one period of the cutoff, or move `time.{side}` if it cuts the data there.",
+                f"{beyond} them{cutoff}, or move `time.{side}` if it cuts the data there.",
             )
 
 

@@ -149,6 +149,15 @@ def quintic_spline(time: np.ndarray, series: np.ndarray) -> BSpline:
     return make_interp_spline(time, series, k=5, bc_type=(ends, ends))
 
 
+def spline_of_ends(time: np.ndarray) -> BSpline:
+    """Return the errors of natural quintic splines if the third derivative of the true function is 1 at the start
+    (first column) or at the end (second column). The errors are quintic splines that vanish at all samples.
+    """
+    zeros = np.zeros(2)
+    start, end = ([(3, -one), (4, zeros)] for one in np.eye(2))
+    return make_interp_spline(time, np.zeros((len(time), 2)), k=5, bc_type=(start, end))
+
+
 def _of_spline(spline: BSpline, time: np.ndarray) -> Smoothed:
     return Smoothed(spline(time), spline(time, 1), spline(time, 2))
 

@@ -110,6 +110,17 @@ def test_errors_in_a_long_gap_are_unknown_and_a_peak_there_is_doubted(monkeypatc
     assert not any("the largest values of hip (" in one for one in run.verdict_reasons)
 
 
+def test_bars_at_the_ends_of_a_quintic_spline_cover_the_truth_for_nearly_exact_data() -> None:
+    columns = {"hip.angle": {"column": "hip", "deviation": 1e-9}}
+    near, covered = np.r_[0:5, 196:201], []
+    for seed in range(30, 38):
+        angle, torque, random = swing(seed)
+        run = measured(angle, random, deviation=1e-9, measures={}, smooth="quintic", columns=columns)
+        one = run.actuators["hip"]
+        covered.append(np.mean((np.abs(one.value - torque) <= one.value_error)[near]))
+    assert np.mean(covered) > 0.9
+
+
 @pytest.mark.parametrize("smooth", ["none", "quintic"])
 def test_without_smoothing_the_ends_have_no_effect_of_their_own(smooth: str) -> None:
     angle, torque, random = swing(3)

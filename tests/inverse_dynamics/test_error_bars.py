@@ -96,7 +96,7 @@ def test_bars_are_those_of_noise_that_passes_through_the_whole_computation() -> 
         values.append(one.dynamics.value[:, 0])
     error = np.array(values) - bars.actuators["knee"].value
     expected = bars.actuators["knee"].value_error / 1.959964
-    ratio = np.mean(error**2, axis=0) / expected**2
+    ratio = (np.mean(error**2, axis=0) / expected**2)[8:-8]  # near the ends, bars also contain the effect of the ends
     assert abs(np.mean(ratio) - 1) < 0.15
     assert np.all((ratio > 0.4) & (ratio < 1.8))
 
@@ -214,10 +214,11 @@ def test_noise_of_loads_has_the_bars_of_its_lever() -> None:
     run = mbdkit.inverse(spec)
     variance = (0.4 * 0.2) ** 2 + (0.3 * 0.3) ** 2 + (2 * push * 0.01) ** 2 + (push * 0.02) ** 2 + 0.05**2
     expected = 1.959964 * np.sqrt(np.where(push > 0, variance, 0.0))
-    np.testing.assert_allclose(run.actuators["hip"].value_error, expected, rtol=1e-3, atol=1e-4)
+    inner = slice(16, -16)  # without the effect of the ends
+    np.testing.assert_allclose(run.actuators["hip"].value_error[inner], expected[inner], rtol=1e-3, atol=1e-4)
     assert run.accuracy is not None
     assert "push.force.x 0.2 N, push.force.y 0.3 N, push.torque 0.05 N m, push.point.x 0.01 m" in run.accuracy.method
-    assert run.accuracy.reaction_error[0, 0] == pytest.approx(1.96 * 0.3, rel=0.1)  # F_y has the larger noise
+    assert run.accuracy.reaction_error[16, 0] == pytest.approx(1.96 * 0.3, rel=0.1)  # F_y has the larger noise
     assert "deviation" in run.spec["loads"]["push"]["torque"]
     assert "count as exact" not in run.summary() + mbdkit.workload(run).text()
     spec["loads"]["push"]["torque"] = "m"
