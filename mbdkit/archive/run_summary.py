@@ -219,7 +219,7 @@ def accuracy_sentence(run: Run, *, with_force: bool = True) -> str:
     if not accuracy.rows_known:
         return f"errors unknown: {accuracy.unknown or UNCONFIRMED}"
     position = f"positions known to {accuracy.position_error_max:.2g} m and {accuracy.angle_error_max:.2g} rad"
-    position += " for this mesh of beams" if run.beams else ""
+    position += " for this mesh of beams" if any(map(beam_of, run.bodies)) else ""
     if accuracy.is_complete:
         return "; ".join(filter(None, (_largest_force(run) if with_force else "", position)))
     until = f" until {accuracy.known_until:.4g} s"
