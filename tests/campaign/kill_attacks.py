@@ -31,6 +31,7 @@ import mbdkit.studies.unfinished_block
 from mbdkit.archive.archive_check import check
 from mbdkit.archive.blocks import Block
 from mbdkit.archive.layout import LAYOUT, is_timing
+from mbdkit.archive.part_file import checkpoint_path
 from mbdkit.archive.run import Run
 from mbdkit.base.errors import MbdkitError
 from mbdkit.cli import main
@@ -503,8 +504,8 @@ def stop_study(random: np.random.Generator, folder: Path) -> list[str]:
     found = []
     if status not in (0, 130) and (folder / "out").exists():
         found.append(f"it ended with exit status {status}: {said(folder)}")
-    if list((folder / "out" / "runs").glob("*.part")):
-        found.append("it left an unfinished archive")
+    if any(not checkpoint_path(part).is_file() for part in (folder / "out" / "runs").glob("*.part")):
+        found.append("it left an unfinished archive that no call can continue")
     there = {path.stem for path in (folder / "out" / "runs").glob("*.h5")}
     if there:
         study = mbdkit.load_study(folder / "out")
