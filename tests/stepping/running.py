@@ -16,6 +16,7 @@ DOUBLE = {"name": "double-pendulum", "angles": [-1.0, -0.4]}
 EXPLICIT = [{"name": "rk4"}, {"name": "rk-gill"}]
 IMPLICIT = [{"name": "gauss", "stages": s} for s in range(1, 5)]
 FIXED = EXPLICIT + IMPLICIT
+EPS = float(np.finfo(float).eps)
 
 
 def run(model: Any, integrator: dict[str, Any], **time: float) -> mbdkit.Run:
@@ -35,6 +36,21 @@ def spec_run(model: Any, integrator: dict[str, Any], time: dict[str, Any], **sec
 def workspace_of(m: Mechanism, t0: float = 0.0) -> Workspace:
     """Return the workspace of a mechanism at its assembled start."""
     return workspace_at_start(m, t0)[0]
+
+
+def assert_same_end(ours: mbdkit.Run, theirs: mbdkit.Run) -> float:
+    """Compare motion, reaction forces and torques at the end; return the largest coordinate [m], at least 1."""
+    ours.check()
+    for name, body in theirs.bodies.items():
+        for part in ("position", "angle", "velocity", "angular_velocity"):
+            expected = getattr(body, part)[-1]
+            np.testing.assert_allclose(getattr(ours.bodies[name], part)[-1], expected, rtol=1e-9, atol=1e-9)
+    force = max(float(np.max(np.abs(joint.reaction_force))) for joint in theirs.joints.values())
+    for name, joint in theirs.joints.items():
+        for part in ("reaction_force", "reaction_torque"):
+            found, expected = (getattr(one, part)[-1] for one in (ours.joints[name], joint))
+            np.testing.assert_allclose(found, expected, rtol=0, atol=1e-9 * force, err_msg=name)
+    return max(1.0, max(float(np.max(np.abs(body.position))) for body in ours.bodies.values()))
 
 
 def driven_chain(stiffness: float = 50.0, damping: float = 1.0) -> Mechanism:

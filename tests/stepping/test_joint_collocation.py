@@ -16,7 +16,8 @@ from mbdkit.runs.lane_runs import why_alone
 from mbdkit.spec import load_spec
 from tests.engine.random_mechanisms import flexible
 
-from .test_joint_coordinates import EPS, JOINT, KINDS, forced_pendulum, lagrange
+from .running import EPS, assert_same_end
+from .test_joint_coordinates import JOINT, KINDS, forced_pendulum, lagrange
 
 RADAU: dict[str, Any] = {"name": "radau-iia"}
 
@@ -71,16 +72,8 @@ def test_motion_and_reactions_are_those_in_the_coordinates_of_the_bodies(kind: s
     make, cut = (flexible, set()) if kind == "flexible" else KINDS[kind][:2]
     steps: dict[str, Any] = {"integrator": {**RADAU, "stages": 5}, "time": {"end": 0.05, "step": 0.0025}}
     ours, theirs = (mbdkit.run(make(np.random.default_rng(1)), formulation=one, **steps) for one in (JOINT, "index-1"))
-    ours.check()
-    size = max(1.0, max(float(np.max(np.abs(body.position))) for body in ours.bodies.values()))
-    for name, body in theirs.bodies.items():
-        for part in ("position", "angle", "velocity", "angular_velocity"):
-            expected = getattr(body, part)[-1]
-            np.testing.assert_allclose(getattr(ours.bodies[name], part)[-1], expected, rtol=1e-9, atol=1e-9)
-    largest = max(float(np.max(np.abs(joint.reaction_force))) for joint in theirs.joints.values())
-    for name, joint in theirs.joints.items():
-        mine = ours.joints[name]
-        np.testing.assert_allclose(mine.reaction_force[-1], joint.reaction_force[-1], rtol=0, atol=1e-9 * largest)
+    size = assert_same_end(ours, theirs)
+    for name, mine in ours.joints.items():
         if name not in cut:
             assert np.max(mine.misalignment[1:]) <= 4 * EPS * size, name
             assert np.max(np.abs(mine.velocity_misalignment[1:])) <= 1e-13 * size

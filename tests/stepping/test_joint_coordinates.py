@@ -21,11 +21,10 @@ from mbdkit.mechanism.mechanism import Mechanism
 from tests.engine.random_mechanisms import add_rod, chain, driven_frame, loop, slides, tree
 
 from . import test_lanes
-from .running import driven_chain
+from .running import EPS, assert_same_end, driven_chain
 
 TIGHT = {"name": "dop853", "adaptive": True, "rtol": 1e-12, "atol": 1e-12}
 JOINT = "joint-coordinates"
-EPS = float(np.finfo(float).eps)
 
 
 def floating(rng: np.random.Generator) -> Mechanism:
@@ -77,17 +76,8 @@ def test_motion_and_every_reaction_are_those_in_the_coordinates_of_the_bodies(ki
     ours, theirs = (
         mbdkit.run(make(np.random.default_rng(1)), formulation=one, **settings) for one in (JOINT, "index-1")
     )
-    ours.check()
-    size = max(1.0, max(float(np.max(np.abs(body.position))) for body in ours.bodies.values()))
-    for name, body in theirs.bodies.items():
-        for part in ("position", "angle", "velocity", "angular_velocity"):
-            expected = getattr(body, part)[-1]
-            np.testing.assert_allclose(getattr(ours.bodies[name], part)[-1], expected, rtol=1e-9, atol=1e-9)
-    largest = max(float(np.max(np.abs(joint.reaction_force))) for joint in theirs.joints.values())
-    for name, joint in theirs.joints.items():
-        mine = ours.joints[name]
-        np.testing.assert_allclose(mine.reaction_force[-1], joint.reaction_force[-1], rtol=0, atol=1e-9 * largest)
-        np.testing.assert_allclose(mine.reaction_torque[-1], joint.reaction_torque[-1], rtol=0, atol=1e-9 * largest)
+    size = assert_same_end(ours, theirs)
+    for name, mine in ours.joints.items():
         if name not in cut:
             assert np.max(mine.misalignment[1:]) <= 4 * EPS * size, name
             assert np.max(np.abs(mine.velocity_misalignment[1:])) <= 1e-13 * size

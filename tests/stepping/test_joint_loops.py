@@ -15,7 +15,8 @@ from mbdkit.plot.caption import plain_name
 from mbdkit.spec import load_spec
 from tests.engine.random_mechanisms import ladder
 
-from .test_joint_coordinates import EPS, KINDS
+from .running import EPS, assert_same_end
+from .test_joint_coordinates import KINDS
 
 LOOPS = {"index-2": ("velocity",), "index-3": ("position",), "ggl": ("position", "velocity")}
 """Levels at which cut joints hold."""
@@ -57,16 +58,8 @@ def test_motion_and_reactions_are_those_in_the_coordinates_of_the_bodies(kind: s
     ours, theirs = (
         mbdkit.run(make(np.random.default_rng(1)), formulation=one, **steps) for one in (joint(loops), loops)
     )
-    ours.check()
-    size = max(1.0, max(float(np.max(np.abs(body.position))) for body in ours.bodies.values()))
-    for name, body in theirs.bodies.items():
-        for part in ("position", "angle", "velocity", "angular_velocity"):
-            expected = getattr(body, part)[-1]
-            np.testing.assert_allclose(getattr(ours.bodies[name], part)[-1], expected, rtol=1e-9, atol=1e-9)
-    largest = max(float(np.max(np.abs(one.reaction_force))) for one in theirs.joints.values())
-    for name, one in theirs.joints.items():
-        mine = ours.joints[name]
-        np.testing.assert_allclose(mine.reaction_force[-1], one.reaction_force[-1], rtol=0, atol=1e-9 * largest)
+    size = assert_same_end(ours, theirs)
+    for name, mine in ours.joints.items():
         in_tree = cut is not None and name not in cut
         if in_tree or "position" in LOOPS[loops]:
             assert np.max(mine.misalignment[1:]) <= (4 if in_tree else 40) * EPS * size, name
