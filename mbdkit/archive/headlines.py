@@ -88,7 +88,8 @@ def plus_minus(value: float, error: float, sign: str = "+-") -> str:
     """Return a value and its error as text, such as ``368.2 +- 0.3``.
 
     The value is rounded to the place of the error's first digit. If the error is 10 or more and the value is printed
-    without an exponent, it is rounded to the place of the error's second digit, as in ``3600 +- 210``.
+    without an exponent, it is rounded to the place of the error's second digit, as in ``3600 +- 210``. A value that is
+    smaller than its error keeps as many digits of its own, as in ``430 +- 1800``, so that it is not rounded to zero.
 
     Parameters
     ----------
@@ -101,13 +102,15 @@ def plus_minus(value: float, error: float, sign: str = "+-") -> str:
         return f"{value:.4g} (error unknown)"
     if error <= 0:
         return f"{value:.{MOST_DIGITS}g} {sign} 0"
-    first, last = math.floor(math.log10(max(abs(value), error))), math.floor(math.log10(error))
-    last = max(last, first - MOST_DIGITS + 1)
+    of_error = math.floor(math.log10(error))
+    own = math.floor(math.log10(abs(value))) if value else of_error
+    first = max(own, of_error)
     if not SMALLEST_PLACE <= first <= LARGEST_PLACE:
-        return f"{value:.{first - last}e} {sign} {error:.2g}"
-    if last > 0:
-        return f"{round(value, 1 - last):.0f} {sign} {round(error, 1 - last):.0f}"
-    return f"{value:.{-last}f} {sign} {error:.2g}"
+        return f"{value:.{min(first - of_error, MOST_DIGITS - 1)}e} {sign} {error:.2g}"
+    last = max(min(own, of_error), first - MOST_DIGITS + 1)
+    last -= of_error > 0 or last > 0
+    error_text = f"{round(error, 1 - of_error):.0f}" if of_error > 0 else f"{error:.2g}"
+    return f"{round(value, -last):.{max(0, -last)}f} {sign} {error_text}"
 
 
 def headlines(run: Run, most: int = MOST) -> list[Headline]:

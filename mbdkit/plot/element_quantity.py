@@ -11,6 +11,7 @@ import numpy as np
 from matplotlib.axes import Axes
 
 from mbdkit.archive.history import UnknownNameError
+from mbdkit.archive.headlines import plus_minus
 from mbdkit.archive.peak_errors import errors_of_frames, whole_peak_errors
 from mbdkit.archive.run_views import Names
 from mbdkit.figures.beam_curves import distributed_loads
@@ -306,8 +307,7 @@ def draw_elements(axes: Axes, quantity: ElementQuantity, what: str, *, log: bool
         title = f"{quantity.name}: there are no {what}"
     elif not title:
         column, most = quantity.largest
-        text = f"{value_text(most, quantity.unit)}{_known_to(quantity, column)}"
-        title = f"{quantity.name}: largest {text} ({elements[column]})"
+        title = f"{quantity.name}: largest {_with_error(quantity, column, most)} ({elements[column]})"
     handles += draw_panel(axes, chart, title)
     axes.set_ylabel(f"{quantity.name}\n[{quantity.unit}]")
     legend(axes, handles, [*labels, *few.elements])
@@ -319,14 +319,16 @@ def draw_elements(axes: Axes, quantity: ElementQuantity, what: str, *, log: bool
             axes.set_ylim(bottom=0.0)
 
 
-def _known_to(quantity: ElementQuantity, column: int) -> str:
-    """Return the estimated error of the largest value of an element as text, such as `` ± 0.3 N`` or ``, error
-    unknown``; empty if no errors were estimated.
+def _with_error(quantity: ElementQuantity, column: int, largest: float) -> str:
+    """Return the largest value of an element with its estimated error, such as ``368.2 ± 0.3 N``; without an error if
+    no errors were estimated.
     """
-    if quantity.peak_errors is None:
-        return ""
+    if quantity.peak_errors is None or not np.isfinite(largest):
+        return value_text(largest, quantity.unit)
     error = float(quantity.peak_errors[column])
-    return f" ± {error:.2g} {quantity.unit}" if np.isfinite(error) else ", error unknown"
+    if not np.isfinite(error):
+        return f"{value_text(largest, quantity.unit)}, error unknown"
+    return f"{plus_minus(largest, error, '±')} {quantity.unit}"
 
 
 def value_text(value: float, unit: str) -> str:
