@@ -36,7 +36,7 @@ from mbdkit.runs.integrals import RunIntegrals, functionals_of
 from mbdkit.runs.law_ranges import LawRanges, has_ranges, steps_are_rows
 from mbdkit.runs.preparation import caution, guards, make_method, recorded_arrays, timetable
 from mbdkit.runs.recorded_states import recorded_states
-from mbdkit.runs.warnings import accepted_doubts, center_warnings, doubts, start_warnings
+from mbdkit.runs.warnings import accepted_doubts, center_warnings, doubts, passivity_warnings, start_warnings
 from mbdkit.spec import RunSpec
 from mbdkit.stepping.interface import Guards, StepEvidence, Stretch, Timetable
 from mbdkit.stepping.lane_collocation import StagePivots
@@ -386,6 +386,7 @@ class _Group:
                 reached = np.stack([angles.min(axis=0), angles.max(axis=0)])
                 warnings = (*warnings, *center_warnings(mechanism, reached))
             warnings = (*warnings, *(() if ranges is None else ranges.warnings()))
+            warnings = (*warnings, *passivity_warnings(mechanism, recorded[lane][1].energies))
             coarse = CoarseBeams.of(mechanism, member.start.mechanism)
             if coarse is not None:
                 coarse.add(results.q[lane, :rows], results.observed.beams[lane, :rows])

@@ -346,13 +346,12 @@ class Recorder:
 
     def stored(self) -> dict[str, Any]:
         """Return the state on which later rows depend, as plain values for a checkpoint."""
-        energies = self.energies
         return {
             "start_energy": self._start_energy,
             "largest": self.largest,
             "largest_angle": self.largest_angle,
             "reached": self.reached,
-            "energies": [energies.kinetic, energies.energy, energies.balance],
+            "energies": [*self.energies.values],
             "last_time": self.last_time,
             "events": {name: np.array(times) for name, times in self.event_times.items()},
             "near": self._observer.kept,
@@ -368,8 +367,7 @@ class Recorder:
         fill(self.largest, state["largest"])
         fill(self.largest_angle, state["largest_angle"])
         fill(self.reached, state["reached"])
-        energies = self.energies
-        energies.kinetic, energies.energy, energies.balance = map(float, state["energies"])
+        self.energies.values = state["energies"]
         self.last_time = float(state["last_time"])
         self.event_times = {name: np.asarray(times).tolist() for name, times in state["events"].items()}
         fill(self._observer.kept, state["near"])

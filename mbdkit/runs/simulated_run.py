@@ -52,7 +52,7 @@ from mbdkit.runs.recorded_states import ObservedRows
 from mbdkit.runs.recorder import Recorder
 from mbdkit.runs.run_checkpoint import TIMES, Checkpoints, Continuation, Parts, why_without
 from mbdkit.runs.run_in_memory import measured_values, run_in_memory
-from mbdkit.runs.warnings import accepted_doubts, center_warnings, doubts, step_advice
+from mbdkit.runs.warnings import accepted_doubts, center_warnings, doubts, passivity_warnings, step_advice
 from mbdkit.spec import RunSpec
 from mbdkit.stepping.compiled_stepper import CompiledStepper
 from mbdkit.stepping.contact_state import ContactState
@@ -448,7 +448,8 @@ class SimulatedRun:
         # if a run stops where a law leaves its range, the reason of its failure says so
         left = () if ranges is None or ranges.stops else ranges.warnings()
         centers, coarse = center_warnings(mechanism, self.recorder.reached), self.recorder.coarse
-        self.warnings = (*self.warnings, *centers, *left, *(() if coarse is None else coarse.warnings()))
+        supplying = passivity_warnings(mechanism, self.recorder.energies)
+        self.warnings = (*self.warnings, *centers, *left, *supplying, *(() if coarse is None else coarse.warnings()))
         if self.becomes_run and self.spec.gradients and status == "complete" and not self.interrupted:
             self.gradients = higher_layers.gradients_json(self.spec)
         questions = (*doubts(self.spec, self.warnings), *self.doubtful_gradients())

@@ -18,12 +18,15 @@ from mbdkit.base.text import counted, did_you_mean, listed
 from mbdkit.engine.assembly import AssembledState
 from mbdkit.mechanism.improbable_values import improbable_frictions, improbable_inertias
 from mbdkit.mechanism.joints import Driver, Revolute
+from mbdkit.mechanism.law_element import Law
 from mbdkit.mechanism.mechanism import Mechanism
 from mbdkit.mechanism.parameters import evaluate, names_in, parameters_in_use
 from mbdkit.mechanism.size import mechanism_size
 from mbdkit.mechanism.values import Table
 from mbdkit.muscles.acting_muscles import acting_muscles
 from mbdkit.spec import RunSpec
+from mbdkit.trust.criteria import rounding
+from mbdkit.trust.energy_record import EnergyRecord
 
 FAR = 0.1
 """Share of the mechanism's size by which assembly may change the initial positions without a warning."""
@@ -46,6 +49,9 @@ FEWEST_PER_PERIOD = 2
 
 LONGEST_TURN = 0.2
 """Angle [rad] by which a stiff beam may turn in an implicit step; measured, see the page `beams`."""
+
+REGAINED = 10.0
+"""A decrease of the dissipated energy up to this multiple of the largest energy balance may be an integration error."""
 
 _SLIP = re.compile(r"contacts(\.\w+|\[[^\]]+\])\.slip")
 _ANGLE = re.compile(r"\[(m or )?rad\]")
@@ -175,6 +181,24 @@ def center_warnings(mechanism: Mechanism, reached: np.ndarray) -> tuple[str, ...
                     f"extrapolated there by its first or last polynomial"
                 )
     return tuple(warnings)
+
+
+def passivity_warnings(mechanism: Mechanism, energies: EnergyRecord) -> tuple[str, ...]:
+    """Return a warning about passive force laws if the dissipated energy of a run has decreased."""
+    least = max(REGAINED * energies.balance, rounding(energies.energy))
+    laws = [
+        f"{force.law_id} of force '{name}'"
+        for name, force in mechanism.forces.items()
+        if isinstance(force, Law) and force.force_law.passive
+    ]
+    if not laws or not energies.regained > least:
+        return ()
+    which = f"one of the laws {listed(laws, 'and')}" if len(laws) > 1 else f"the law {laws[0]}"
+    return (
+        f"the dissipated energy decreases by up to {energies.regained:.3g} J, because {which} supplies energy although "
+        f"it is declared passive; correct its options, or declare it without `passive`, so that its power counts as "
+        f"work",
+    )
 
 
 def _improbable(spec: RunSpec) -> Iterator[str]:

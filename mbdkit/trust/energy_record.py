@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+
 import numpy as np
 
 
@@ -14,10 +16,21 @@ class EnergyRecord:
         Largest kinetic energy, and largest absolute value of any energy [J].
     balance
         Largest absolute energy balance [J].
+    dissipated, regained
+        Largest dissipated energy, and its largest decrease below an earlier value [J].
     """
 
     def __init__(self) -> None:
-        self.kinetic = self.energy = self.balance = 0.0
+        self.kinetic = self.energy = self.balance = self.dissipated = self.regained = 0.0
+
+    @property
+    def values(self) -> tuple[float, ...]:
+        """All attributes, in the order of their description."""
+        return self.kinetic, self.energy, self.balance, self.dissipated, self.regained
+
+    @values.setter
+    def values(self, values: Iterable[float]) -> None:
+        self.kinetic, self.energy, self.balance, self.dissipated, self.regained = map(float, values)
 
     def add(self, kinetic: np.ndarray, others: np.ndarray, balance: np.ndarray) -> None:
         """Update the largest values with further rows.
@@ -31,11 +44,13 @@ class EnergyRecord:
         """
         if not len(kinetic):
             return
+        others = np.hstack([np.full((len(others), 1), self.dissipated), others])
         (new,) = EnergyRecord.of_runs(kinetic[None], others[:, None], balance[None])
         # np.max, because max would ignore nan
         self.kinetic = float(np.max([self.kinetic, new.kinetic]))
         self.energy = float(np.max([self.energy, self.kinetic, new.energy]))
         self.balance = float(np.max([self.balance, new.balance]))
+        self.dissipated, self.regained = new.dissipated, float(np.max([self.regained, new.regained]))
 
     @classmethod
     def of_runs(cls, kinetic: np.ndarray, others: np.ndarray, balance: np.ndarray) -> list[EnergyRecord]:
@@ -50,14 +65,17 @@ class EnergyRecord:
         """
         largest = np.max(kinetic, axis=1, initial=0.0)
         energy = np.max(np.abs(others), axis=(0, 2), initial=0.0)
+        peaks = np.maximum.accumulate(others[-1], axis=1)
+        columns = (
+            largest,
+            np.maximum(largest, energy),
+            np.max(np.abs(balance), axis=1, initial=0.0),
+            peaks.max(axis=1, initial=0.0),
+            np.max(peaks - others[-1], axis=1, initial=0.0),
+        )
         records = []
-        for values in zip(
-            largest.tolist(),
-            np.maximum(largest, energy).tolist(),
-            np.max(np.abs(balance), axis=1, initial=0.0).tolist(),
-            strict=True,
-        ):
+        for values in zip(*(column.tolist() for column in columns), strict=True):
             record = cls()
-            record.kinetic, record.energy, record.balance = values
+            record.values = values
             records.append(record)
         return records

@@ -11,6 +11,9 @@ from scipy.interpolate import CubicSpline
 
 import mbdkit
 from mbdkit import Mechanism, Run
+from mbdkit.runs.batch import simulate_batch
+from mbdkit.runs.lane_runs import why_alone
+from mbdkit.spec import load_spec
 
 GAUSS = {"name": "gauss", "stages": 3}
 RK4 = {"name": "rk4"}
@@ -278,3 +281,23 @@ def test_gradients_doubt_laws_whose_corners_are_not_known(law: str, is_known: bo
     assert expected.doubts == ()
     assert bool(found.doubts) != is_known
     assert is_known or "the law of the force 's' is a function" in found.doubts[0]
+
+
+def test_passive_laws_that_supply_energy_are_named() -> None:
+    # expected: a damper of -0.5 N s/m supplies the energy by which that of the mass increases
+    specs = []
+    for damping in (0.5, -0.5):
+        m = mass_on_a_line(1.0, 2.0)
+        m.law("spring", m.ground, "mass", law="linear-sympy", along="x", damping=damping)
+        m.law("stop", m.ground, "mass", law="one-sided", along="x", stiffness=1.0, acts="compression")
+        specs.append({"mbdkit": 1, "model": m.to_spec(), "integrator": RK4, "time": {"end": 1.0, "step": 0.01}})
+    sound, wrong = (mbdkit.run(spec) for spec in specs)
+    assert sound.warnings == []
+    (told,) = wrong.verdict_reasons
+    supplied = 0.5 * 2.0**2 * (math.exp(1.0) - 1.0)
+    assert told.startswith(
+        f"the dissipated energy decreases by up to {supplied:.3g} J, because one of the laws acme:linear-sympy of force "
+        f"'spring' and mbdkit:one-sided of force 'stop' supplies energy although it is declared passive"
+    )
+    assert not why_alone(load_spec(specs[0]))
+    assert [one.warnings for one in simulate_batch([load_spec(spec) for spec in specs])] == [(), (told,)]
