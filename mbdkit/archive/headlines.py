@@ -140,7 +140,8 @@ def largest_forces(run: Run) -> list[Headline]:
     """Return the largest force of each joint in descending order, without those that count as zero."""
     if not run.joint_names or not run.records("joints/reaction_force"):
         return []
-    force = np.linalg.norm(run.array("joints/reaction_force"), axis=2)
+    vectors = run.array("joints/reaction_force")
+    force = np.hypot(vectors[..., 0], vectors[..., 1])  # does not overflow after a motion that flew apart
     errors = _errors(run, "reaction_error", force)
     missed = missed_between_rows(run, "joints.force", run.joint_names, force)
     return _largest("force in", run, run.joint_names, force, "N", errors, missed)

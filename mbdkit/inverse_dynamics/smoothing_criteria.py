@@ -49,9 +49,12 @@ def cutoff_doubts(result: Inverse) -> Iterator[Doubt]:
     if np.sum(high) < FEWEST_HIGH:
         return
     noise = np.median(removed[high], axis=0) / np.log(2)  # the median of exponentially distributed densities
-    excess = np.mean(removed[near], axis=0) / np.maximum(noise, np.finfo(float).tiny)
+    tiny = np.finfo(float).tiny
+    excess = np.mean(removed[near], axis=0) / np.maximum(noise, tiny)
     weight = (frequency**4 * (frequency < 2 * cutoff))[:, None]
-    share = np.sqrt(np.sum(weight * np.maximum(0.0, removed - noise), axis=0) / np.sum(weight * kept, axis=0))
+    share = np.sqrt(
+        np.sum(weight * np.maximum(0.0, removed - noise), axis=0) / np.maximum(np.sum(weight * kept, axis=0), tiny)
+    )
     low = np.flatnonzero((excess > EXCESS) & (share > REMOVED))
     if low.size:
         told = [f"{share[index]:.2g} of that of {independent.names[index]}" for index in low[:4]]
