@@ -93,7 +93,7 @@ def _read_csv(file: str, lines: list[str]) -> Table:
     """
     first = next((line for line in lines if _is_row(line)), None)
     if first is None:
-        raise SpecError("this table is empty; its first line should hold the headings of the columns", file=file)
+        raise _empty(file)
     if is_qualisys(first):
         return _of_program(file, read_qualisys(file, _rows_of(file, lines, "\t")))
     if is_vicon(first):
@@ -101,6 +101,8 @@ def _read_csv(file: str, lines: list[str]) -> Table:
         return _of_program(file, read_vicon(file, _rows_of(file, lines, delimiter)))
     delimiter, begin = _data_in(lines) or (max(",;\t", key=first.count), 0)
     rows = [(number, cells) for number, cells in _rows_of(file, lines, delimiter) if _stripped(cells)]
+    if not rows:
+        raise _empty(file)
     begin = next((index for index, (number, _) in enumerate(rows) if number > begin), 0)
     if begin == 0 and _is_data(rows[0][1], delimiter):
         raise SpecError("this table has no headings: its first line has numbers", file=file, line=rows[0][0])
@@ -172,16 +174,14 @@ def _stripped(cells: Sequence[str]) -> Sequence[str]:
 def _without_units(headings: Sequence[str]) -> tuple[list[str], dict[str, str]]:
     """Return headings without the units at their ends, and these units by heading: ``hip [deg]`` is ``hip`` in deg.
 
-    Headings that would be equal to others are returned unchanged.
+    Headings that would then be equal to others keep their units.
     """
     parts = [_HEADING_WITH_UNIT.fullmatch(heading) for heading in headings]
-    short = [
-        part[1] if part and part[2] != "1" and _is_unit(_usual(part[2])) else heading
-        for part, heading in zip(parts, headings, strict=True)
-    ]
+    given = [_usual(part[2]) if part and part[2] != "1" else "" for part in parts]
+    stated = [unit if _is_unit(unit) else "" for unit in given]
+    short = [part[1] if part and unit else one for part, unit, one in zip(parts, stated, headings, strict=True)]
     names = [name if short.count(name) == 1 else heading for name, heading in zip(short, headings, strict=True)]
-    units = {name: _usual(part[2]) for name, part in zip(names, parts, strict=True) if part and name == part[1]}
-    return names, units
+    return names, {name: unit for name, unit in zip(names, stated, strict=True) if unit}
 
 
 def _usual(unit: str) -> str:
@@ -268,6 +268,10 @@ def _within(file: str, rows: Iterable[tuple[int, list[str]]]) -> Iterator[tuple[
         if count > MOST_CELLS:
             raise _too_many_cells(file)
         yield line, cells
+
+
+def _empty(file: str) -> SpecError:
+    return SpecError("this table is empty; its first line should hold the headings of the columns", file=file)
 
 
 def _too_many_cells(file: str) -> SpecError:

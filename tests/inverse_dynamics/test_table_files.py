@@ -58,6 +58,8 @@ def test_units_in_headings_apply_to_times_and_may_be_part_of_the_name(tmp_path: 
     assert table.headings == ["Time", "F", "F [V]", "leg (1)", "left hip"]
     for heading, first in (("F [N]", 1), ("F", 1), ("F [V]", 2), ("leg (1)", 3), ("left hip", 4)):
         assert table.column(heading, "")[0] == first
+    both = read(tmp_path, ["time,hip [rad],hip [deg]", "0,1,57.3", "1,2,114.6"])
+    assert [both.unit(heading) for heading in ("hip [rad]", "hip [deg]")] == ["rad", "deg"]
 
 
 def test_the_header_of_a_force_plate_program_is_left_out(tmp_path: Path) -> None:
@@ -80,9 +82,10 @@ def test_all_spellings_of_a_missing_value_are_gaps(tmp_path: Path, text: str) ->
         (["time,hip,knee", *ROWS, "mean,0.5,1"], "t.csv:5: column 'time': 'mean' is not a number; write nan for"),
         (["time left hip", "0.0 1", "0.5 2"], "there are 3 headings and 2 columns of numbers; separate the cells"),
         (["t,hip", "0.0,1"], "no column 'time'; its columns: t, hip; name the column with the times in `motion.time`"),
+        ([",,", ",,,"], "t.csv: this table is empty"),
         (["PK\x03\x04"], "this is a workbook or an archive, not a text; save the table as .csv"),
     ],
-    ids=["no-headings", "thousands", "footer", "blanks", "no-time", "workbook"],
+    ids=["no-headings", "thousands", "footer", "blanks", "no-time", "delimiters", "workbook"],
 )
 def test_other_tables_are_refused_in_one_sentence(tmp_path: Path, lines: list[str], message: str) -> None:
     with pytest.raises(SpecError) as refused:
