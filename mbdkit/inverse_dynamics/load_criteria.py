@@ -343,7 +343,8 @@ def _cause(result: Inverse, residual: np.ndarray, height: float, inside: slice) 
 
     if explains(-load):
         return "The loads seem to have the wrong sign."
-    factor = float(np.sum((needed * load)[inside]) / np.sum(load[inside] ** 2))
+    square = float(np.sum(load[inside] ** 2))
+    factor = float(np.sum((needed * load)[inside])) / square if square > 0 else 0.0
     if 0.02 < factor < PART_OF_BODY and explains(factor * load):
         mass = sum(body.mass for body in result.problem.names.mechanism.bodies.values())
         return (

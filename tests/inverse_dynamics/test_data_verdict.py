@@ -282,6 +282,16 @@ def test_the_weight_of_a_free_body_without_loads_is_doubted_except_in_flight(fal
     assert "residuals" not in told(mbdkit.inverse(spec | {"actuators": declared}))
 
 
+def test_a_body_at_rest_with_a_load_at_the_start_only_is_doubted_without_dividing_by_zero() -> None:
+    m = mbdkit.Mechanism()
+    m.body("box", mass=2.0, inertia=0.1)
+    motion = {"data": {"time": T, "box.x": 0 * T, "box.y": 0 * T, "box.angle": 0 * T}, "smooth": SMOOTH}
+    load = {"body": "box", "data": {"time": T, "fy": np.where(T < 0.03, 10.0, 0.0)}, "force": [0.0, "fy"]}
+    assert "residuals" in told(
+        mbdkit.inverse({"mbdkit": 1, "model": m.to_spec(), "motion": motion, "loads": {"hand": load}})
+    )
+
+
 def late(delay: float) -> dict[str, Any]:
     """Return the load of the example `walking` with a delay [s]."""
     lines = [line for line in (example_table("walking") or "").splitlines() if not line.startswith("#")]
