@@ -353,7 +353,7 @@ def _refuse_other_element(elements: Mapping[str, Any], path: Path, index: int) -
     path, index
         Path of a key, and the index of the name in it.
     """
-    is_named = (index == 2 and path[0] == "model") or (index == 1 and path[0] in ("columns", "events", "loads"))
+    is_named = (index == 2 and path[0] == "model") or path[:index] in (("events",), ("loads",), ("motion", "columns"))
     if is_named and elements and all(isinstance(one, Mapping) for one in elements.values()):
         name, here = str(path[index]), path_text(path[:index])
         raise SpecError(

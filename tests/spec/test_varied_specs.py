@@ -84,3 +84,5 @@ def test_a_key_of_a_misspelt_element_does_not_add_an_element() -> None:
     put(data, ("model", "springs", "cuff", "stiffness"), 100.0)  # the first of its kind
     put(data, ("model", "limits", "high", "value"), 2.0)  # not a mapping of elements
     assert list(data["model"]["bodies"]) == ["shank", "foot"]
+    with pytest.raises(SpecError, match=r"motion\.columns has no 'kne' \(did you mean 'knee'\?\)"):
+        put({"motion": {"columns": {"knee": {"column": "a"}}}}, ("motion", "columns", "kne", "unit"), "deg")
