@@ -13,7 +13,7 @@ from mbdkit.base.text import did_you_mean, listed
 from mbdkit.mechanism.parameters import names_in
 from mbdkit.spec.loading import read_source
 from mbdkit.spec.model_spec import ModelSpec
-from mbdkit.spec.reading import Document, parse_key, put
+from mbdkit.spec.reading import parse_key, put
 
 MOST_PARAMETERS = 50
 """Largest number of parameters of one gradient."""
@@ -45,17 +45,16 @@ class Parameter:
 def read_names(source: Any, names: Any, parameters: Any, sections: dict[str, Any]) -> tuple[Any, list[str]]:
     """Return the source of a spec, with the values of parameters if `names` is a mapping, and the names as a list.
 
-    If there are no names, `parameters` are the names; else they are added to the `sections`.
+    If there are no names, `parameters` are the names; else they are added to the `sections`, and values of `names`
+    replace theirs.
 
     Raises
     ------
     SpecError
-        If the names are anything else than names, or for values: see `_with_values`.
+        If the names are anything else than names, or for values: see `_put_values`.
     """
     if names is None:
-        names = parameters
-    elif parameters is not None:
-        sections["parameters"] = parameters
+        names, parameters = parameters, None
     found = [names] if isinstance(names, str) or not isinstance(names, Iterable) else list(names)
     for name in found:
         if not isinstance(name, str):
@@ -63,29 +62,32 @@ def read_names(source: Any, names: Any, parameters: Any, sections: dict[str, Any
             raise _refused(
                 f"a gradient needs names of parameters, such as 'stiffness' or 'model.bodies.rod.mass', not {given}"
             )
-    texts = [str(name) for name in found]  # NumPy has its own type of text
-    return (_with_values(source, names) if isinstance(names, Mapping) else source), texts
+    if parameters is not None:
+        sections["parameters"] = plain(parameters, ("parameters",))
+    if isinstance(names, Mapping):
+        source = read_source(source)
+        _put_values(source.data if parameters is None else sections, names)
+    return source, [str(name) for name in found]  # NumPy has its own type of text
 
 
-def _with_values(source: Any, values: Mapping[str, Any]) -> Document:
-    """Return a spec with other values of its named parameters.
+def _put_values(data: dict[str, Any], values: Mapping[str, Any]) -> None:
+    """Change the values of named parameters in the section `parameters` of a spec.
 
     Raises
     ------
     SpecError
         If a key is a key path, if the spec has named parameters, but not one of these, or if a value is not plain data.
     """
-    document = read_source(source)
-    known = document.data.get("parameters")
+    given = data.get("parameters")
+    known = list(given) if isinstance(given, dict) else None
     for name, value in values.items():
         path = parse_key(name)
         if path[:1] == ("model",) and len(path) > 1:
             raise _refused(f"the value of '{name}' cannot be given here, only its name; change the spec instead")
         path = ("parameters", *path[path[:1] == ("parameters",) :])
-        if len(path) != 2 or (isinstance(known, dict) and path[1] not in known):
-            raise _unknown(list(known or ()), name)
-        put(document.data, path, plain(value, path))
-    return document
+        if len(path) != 2 or (known is not None and path[1] not in known):
+            raise _unknown(known or [], name)
+        put(data, path, plain(value, path))
 
 
 def resolved(spec: ModelSpec, names: Sequence[str]) -> tuple[Parameter, ...]:

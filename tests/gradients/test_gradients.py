@@ -87,6 +87,7 @@ def test_values_of_parameters_may_be_given_with_their_names() -> None:
     )
     for found in (
         mbdkit.gradient(spec, measure, {"k": 2.0}, check=False),
+        mbdkit.gradient(spec, measure, {"k": 2.0}, parameters={"k": 9.0, "c": 1.0}, check=False),
         mbdkit.gradient(spec, measure, "k", parameters=values, check=False),
     ):
         assert found.parameters == ("k",)
