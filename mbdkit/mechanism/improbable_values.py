@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 
 from mbdkit.base.plain_data import quoted
 from mbdkit.mechanism.bodies import GROUND
@@ -37,9 +37,7 @@ def improbable_inertias(mechanism: Mechanism) -> Iterator[str]:
 
     The limit is that of `FAR_MASS`, which flywheels, gears and rotors satisfy, too.
     """
-    heaviest = max((body.mass for body in mechanism.bodies.values()), default=0.0)
-    limits = {name: FAR_MASS * math.sqrt(heaviest / body.mass) for name, body in mechanism.bodies.items() if body.mass}
-    yield from _too_wide(mechanism, limits)
+    yield from _too_wide(mechanism, math.inf)
 
 
 def improbable_radii(mechanism: Mechanism) -> Iterator[str]:
@@ -47,21 +45,21 @@ def improbable_radii(mechanism: Mechanism) -> Iterator[str]:
 
     The limit is that of `WIDE`, for measured mechanisms, whose bodies are mostly limbs and rods.
     """
+    yield from _too_wide(mechanism, STAND_IN)
+
+
+def _too_wide(mechanism: Mechanism, share: float) -> Iterator[str]:
+    """Yield a sentence for each body whose radius of gyration is too large.
+
+    The limit is `WIDE` for bodies with at least this share of the mass of the heaviest one, and `FAR_MASS` for others.
+    """
     heaviest = max((body.mass for body in mechanism.bodies.values()), default=0.0)
     limits = {
-        name: WIDE if body.mass >= STAND_IN * heaviest else FAR_MASS * math.sqrt(heaviest / body.mass)
+        name: WIDE if body.mass >= share * heaviest else FAR_MASS * math.sqrt(heaviest / body.mass)
         for name, body in mechanism.bodies.items()
-        if body.mass
     }
-    yield from _too_wide(mechanism, limits)
-
-
-def _too_wide(mechanism: Mechanism, limits: Mapping[str, float]) -> Iterator[str]:
-    """Yield a sentence for each body whose radius of gyration exceeds its limit, in sizes of the mechanism."""
     radii = {
-        name: math.sqrt(body.inertia / body.mass)
-        for name, body in mechanism.bodies.items()
-        if name in limits and body.inertia is not None
+        name: math.sqrt(body.inertia / body.mass) for name, body in mechanism.bodies.items() if body.inertia is not None
     }
     # The size takes longer to compute, and is at least the extent of the centres of mass. If no radius is too large
     # for this extent, none is too large for the size.
