@@ -16,6 +16,7 @@ from mbdkit.inverse_dynamics.load_criteria import load_doubts
 from mbdkit.inverse_dynamics.model_criteria import mechanism_doubts, model_doubts
 from mbdkit.inverse_dynamics.record_criteria import record_doubts
 from mbdkit.inverse_dynamics.smoothing_criteria import cutoff_doubts
+from mbdkit.inverse_dynamics.stated_deviations import large_deviations
 from mbdkit.spec.inverse_sections import Criterion
 from mbdkit.trust.criteria import Evidence, Judgement, judge
 
@@ -29,17 +30,21 @@ class DataDoubts(NamedTuple):
         Doubts that the spec does not accept.
     accepted
         Doubts that the spec accepts.
+    remarks
+        Sentences on the data that do not change the verdict.
     """
 
     open: tuple[str, ...] = ()
     accepted: tuple[str, ...] = ()
+    remarks: tuple[str, ...] = ()
 
 
 def doubts_about_data(result: Inverse, bars: ErrorBars | None) -> DataDoubts:
-    """Return the doubts about the data and the model of a result."""
+    """Return the doubts about the data and the model of a result, and remarks on the data."""
     found = [*column_doubts(result), *cutoff_doubts(result), *load_doubts(result, bars), *model_doubts(result)]
     found += record_doubts(result, bars)
-    return _sorted(found, result.problem.spec.accept)
+    remarks = tuple(large_deviations(result, bars))
+    return _sorted(found, result.problem.spec.accept)._replace(remarks=remarks)
 
 
 def doubts_before_computation(problem: InverseProblem) -> DataDoubts:

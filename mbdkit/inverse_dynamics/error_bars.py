@@ -29,7 +29,7 @@ from mbdkit.base.text import listed
 from mbdkit.inverse_dynamics.compute import Inverse, forces_of, recorded_states
 from mbdkit.inverse_dynamics.ends_and_gaps import LongGap, changes_at_ends, changes_in_gaps, long_gaps, told_gaps
 from mbdkit.inverse_dynamics.muscle_samples import PROPERTIES, forces_with, known_mean, with_drawn_muscles
-from mbdkit.inverse_dynamics.noise import NoisePath, noise_deviation
+from mbdkit.inverse_dynamics.noise import Noise, NoisePath, noise_of
 from mbdkit.inverse_dynamics.reduced_motion import Independent, motion_of_series, other_coordinates
 from mbdkit.inverse_dynamics.smoothing import Smoothed, fixed, smoothed, smoothed_each, with_cutoff
 from mbdkit.spec.inverse_sections import ErrorBars as Asked
@@ -54,8 +54,8 @@ class ErrorBars:
 
     Attributes
     ----------
-    deviation
-        (K,) standard deviations of the noise of the observed quantities.
+    noise
+        Standard deviations of the noise of the observed quantities.
     actuators
         (T, U) bounds of the values of the actuators and reserves.
     muscles
@@ -68,7 +68,7 @@ class ErrorBars:
         Changes of actuators (T, U) and of reaction forces (T, J) that long gaps may hide.
     """
 
-    deviation: np.ndarray
+    noise: Noise
     actuators: np.ndarray
     muscles: np.ndarray
     accuracy: Accuracy
@@ -140,7 +140,8 @@ def error_bars(result: Inverse) -> ErrorBars | None:
     how = fixed(times, coordinates, problem.spec.motion.smooth)
     path = NoisePath(result, independent, how)
     left = measured.raw - measured.quantities.values(result.motion.q)
-    deviation = noise_deviation(path, left, measured.deviation, random)
+    seen = noise_of(path, left, measured.deviation, random)
+    deviation = seen.deviation
     if np.any(np.isnan(deviation)):
         return None
     response = _Response(result, independent)
@@ -169,7 +170,7 @@ def error_bars(result: Inverse) -> ErrorBars | None:
     method = _method(result, deviation, *([one.name for one in group] for group in groups), gaps=gaps)
     actuators, force, torque, position, velocity, muscles = (np.sqrt(square) for square in squares)
     return ErrorBars(
-        deviation,
+        seen,
         actuators,
         muscles,
         Accuracy(

@@ -123,7 +123,7 @@ def compute_run(spec: InverseSpec, *, path: Path | None = None, overwrite: bool 
         bars = error_bars(result)
         doubts = doubts_about_data(result, bars)
         errors = {} if bars is None else errors_of_measures(result)
-    for warning in (*result.warnings, *doubts.open):
+    for warning in (*result.warnings, *doubts.remarks, *doubts.open):
         _LOG.warning("%s", warning)
     file = archive_of(result, bars, doubts, path, overwrite=overwrite, timings=timings, errors=errors)
     if file is not None:

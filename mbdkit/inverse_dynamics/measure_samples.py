@@ -20,7 +20,7 @@ from mbdkit.inverse_dynamics.ends_and_gaps import changes_at_ends, changes_in_ga
 from mbdkit.inverse_dynamics.error_bars import CUTOFFS, HIDDEN, LEVEL
 from mbdkit.inverse_dynamics.loads import LoadSeries
 from mbdkit.inverse_dynamics.muscle_samples import forces_with, known_mean, with_drawn_muscles
-from mbdkit.inverse_dynamics.noise import NoisePath, noise_deviation
+from mbdkit.inverse_dynamics.noise import NoisePath, noise_of
 from mbdkit.inverse_dynamics.record import run_of
 from mbdkit.inverse_dynamics.reduced_motion import Independent, motion_of_series
 from mbdkit.inverse_dynamics.smoothing import Smoothed, fixed, smoothed_each, with_cutoff
@@ -136,7 +136,7 @@ def samples_of(result: Inverse, measures: Sequence[str]) -> SampledMeasures | No
     how = fixed(times, coordinates, spec.motion.smooth)
     path, gaps = NoisePath(result, independent, how), long_gaps(result)
     left = measured.raw - measured.quantities.values(result.motion.q)
-    deviation = noise_deviation(path, left, measured.deviation, random)
+    deviation = noise_of(path, left, measured.deviation, random).deviation
     if np.any(np.isnan(deviation)):
         return None
     series = smoothed_each(times, coordinates, how)

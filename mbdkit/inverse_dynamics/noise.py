@@ -6,6 +6,7 @@ The fit is linearised at the fitted poses; smoothing with fixed parameters is li
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from typing import NamedTuple
 
 import numpy as np
 
@@ -128,15 +129,29 @@ def _solved(directions: Directions, observed: np.ndarray, values: np.ndarray) ->
     return np.stack(columns, axis=2) if columns else np.zeros((*observed.shape[::2], 0))
 
 
-def noise_deviation(
-    path: NoisePath, residual: np.ndarray, stated: np.ndarray, random: np.random.Generator
-) -> np.ndarray:
-    """Return the standard deviations (K,) of the noise; nan if neither stated nor estimable from the residuals.
+class Noise(NamedTuple):
+    """Standard deviations of the noise of K observed quantities.
+
+    Attributes
+    ----------
+    deviation
+        (K,) the stated deviations and, for other quantities, those seen in the residuals; nan if neither is known.
+    seen
+        (K,) deviations that the residuals show if none is stated; nan if the noise does not appear in the residuals.
+    excess
+        (K,) ratios of the root mean square residuals that are expected with `deviation` to the actual ones.
+    """
+
+    deviation: np.ndarray
+    seen: np.ndarray
+    excess: np.ndarray
+
+
+def noise_of(path: NoisePath, residual: np.ndarray, stated: np.ndarray, random: np.random.Generator) -> Noise:
+    """Return the standard deviations of the noise, stated or estimated from the residuals.
 
     A part of the noise remains in the smoothed motion, the rest in the residuals. Samples show how much noise of each
-    column appears in the residuals of each column. The variances for which the expected mean squares of all residuals
-    equal the actual ones are then computed by Richardson-Lucy iteration, which keeps variances positive and distributes
-    them evenly over columns that the residuals cannot distinguish.
+    column appears in the residuals of each column.
 
     Parameters
     ----------
@@ -153,10 +168,32 @@ def noise_deviation(
         one[index] = 1.0
         squares = [np.sum(path.residual(noise) ** 2, axis=2) for noise in path.samples(one, DRAWS, random)]
         share[:, index] = np.mean(np.sum(squares, axis=0), axis=0, where=known_rows) / DRAWS
+    actual = np.nanmean(residual**2, axis=0)
+    deviation, seen = _estimated(share, actual, stated), _estimated(share, actual, np.full_like(stated, np.nan))
+    expected = share @ np.nan_to_num(deviation) ** 2
+    excess = np.sqrt(np.divide(expected, actual, out=np.full_like(actual, np.inf), where=actual > 0))
+    return Noise(deviation, seen, excess)
+
+
+def _estimated(share: np.ndarray, actual: np.ndarray, stated: np.ndarray) -> np.ndarray:
+    """Return deviations (K,), those that are stated or those for which the expected mean squares of all residuals equal
+    the actual ones; nan for columns that have neither.
+
+    Richardson-Lucy iteration keeps the variances positive and distributes them evenly over columns that the residuals
+    cannot distinguish.
+
+    Parameters
+    ----------
+    share
+        (K, K) mean squares of the residuals of each column due to noise of each column with a deviation of 1.
+    actual
+        (K,) mean squares of the residuals.
+    stated
+        (K,) deviations that are known; nan for the others.
+    """
     known = ~np.isnan(stated)
     seen = ~known & (np.sum(share, axis=0) > LEAST_SHARE)
     variance = np.where(known, stated, 0.0) ** 2
-    actual = np.nanmean(residual**2, axis=0)
     if np.any(seen) and np.any(actual > 0):
         given, rest = share[:, known] @ variance[known], share[:, seen]
         found = np.full(int(np.sum(seen)), max(0.0, np.sum(actual - given)) / np.sum(rest))

@@ -94,7 +94,7 @@ def archive_of(
             {**counters, **timings},
             misalignment,
             judgement=verdict_on_data(result, misalignment, doubts),
-            warnings=(*result.warnings, *doubts.open),
+            warnings=(*result.warnings, *doubts.remarks, *doubts.open),
             accuracy=None if bars is None else bars.accuracy,
         )
         return writer.finish(ending, measured=partial(_measured, result, errors or {}) if spec.measures else None)

@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from matplotlib.axes import Axes
 
-from mbdkit.archive.history import UnknownNameError
 from mbdkit.archive.headlines import plus_minus
+from mbdkit.archive.history import UnknownNameError
 from mbdkit.archive.peak_errors import errors_of_frames, whole_peak_errors
 from mbdkit.archive.run_views import Names
 from mbdkit.figures.beam_curves import distributed_loads

@@ -381,6 +381,21 @@ def test_a_stated_noise_that_the_smoothing_contradicts_is_doubted() -> None:
     assert reason.startswith("noise: data and smoothed motion differ by more than 10 times the stated noise: hip_flex")
 
 
+def test_a_stated_noise_far_above_that_of_the_data_is_told_with_the_noise_seen() -> None:
+    # the noise of all columns has a deviation of 1e-3 rad, and the load has a peak of 600 N
+    columns = {name: {"column": name, "deviation": 0.02 if name == "hip_flexion" else 2e-3} for name in ANGLES}
+    loads = stance()
+    loads["ground"]["force"] = ["fx", {"column": "fy", "deviation": 5e3}]
+    run = leg(motion={"columns": columns, "errors": {"samples": 20}}, loads=loads)
+    assert (run.verdict, run.verdict_reasons) == ("unknown", [])
+    noise, load = run.warnings
+    assert noise.count("seen") == 2
+    named, seen = noise.partition("hip_flexion 0.02 rad (seen ")[::2]
+    assert named.endswith("too wide: ")
+    assert float(seen.split()[0]) == pytest.approx(1e-3, rel=0.3)
+    assert "ground.force.y 5e+03 N (root mean square 4" in load  # 600 N / sqrt(2)
+
+
 @pytest.mark.parametrize(
     ("cell", "message"),
     [
