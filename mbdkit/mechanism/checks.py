@@ -126,8 +126,8 @@ def check_springs(forces: Mapping[str, Force], placed: Callable[[str], Body]) ->
         Function that returns the body with a given name, at its position after assembly.
     """
     for name, force in forces.items():
-        line = _line(force)
-        if line is None or (isinstance(force, SpringDamper) and force.stiffness * force.free_length == 0):
+        line = line_of_undefined_direction(force)
+        if line is None:
             continue
         a, b = (point if body == GROUND else placed(body).to_global(point) for _, body, point in line.attachments())
         if math.dist(a, b) <= COINCIDENT * max(1.0, *map(abs, (*a, *b))):
@@ -136,6 +136,15 @@ def check_springs(forces: Mapping[str, Force], placed: Callable[[str], Body]) ->
                 "undefined; move one of the points, or use a spring-damper with free_length 0",
                 key=f"model.forces.{quoted(name)}.{line.pathway_key}points",
             )
+
+
+def line_of_undefined_direction(force: Element) -> SpringDamper | Law | None:
+    """Return the element if it is a force along the line between two points whose direction is undefined where the
+    points coincide, otherwise None. The force of a spring-damper whose stiffness or free length is zero vanishes there.
+    """
+    if isinstance(force, SpringDamper) and force.stiffness * force.free_length == 0:
+        return None
+    return _line(force)
 
 
 def check_name(name: object, key: str) -> None:

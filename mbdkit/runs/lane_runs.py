@@ -11,6 +11,7 @@ from collections import defaultdict
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
+from itertools import chain
 from typing import Any
 
 import numpy as np
@@ -30,6 +31,7 @@ from mbdkit.quantities.names import ArchiveNames, archive_names
 from mbdkit.quantities.states import States
 from mbdkit.quantities.table import RECORDED
 from mbdkit.runs.coarse_beams import CoarseBeams
+from mbdkit.runs.coincident_ends import CoincidentEnds
 from mbdkit.runs.corners import check_jumps
 from mbdkit.runs.evidence import evidence_of_run
 from mbdkit.runs.integrals import RunIntegrals, functionals_of
@@ -385,12 +387,13 @@ class _Group:
                 angles = results.observed.joints[lane, :rows, :, 0]
                 reached = np.stack([angles.min(axis=0), angles.max(axis=0)])
                 warnings = (*warnings, *center_warnings(mechanism, reached))
-            warnings = (*warnings, *(() if ranges is None else ranges.warnings()))
             warnings = (*warnings, *passivity_warnings(mechanism, recorded[lane][1].energies))
-            coarse = CoarseBeams.of(mechanism, member.start.mechanism)
-            if coarse is not None:
+            if (ends := CoincidentEnds.of(member.spec, member.start.mechanism)) is not None:
+                ends.add(results.time[lane, :rows], results.observed.forces[lane, :rows])
+            if (coarse := CoarseBeams.of(mechanism, member.start.mechanism)) is not None:
                 coarse.add(results.q[lane, :rows], results.observed.beams[lane, :rows])
-                warnings = (*warnings, *coarse.warnings())
+            watched = [one.warnings() for one in (ranges, ends, coarse) if one is not None]
+            warnings = (*warnings, *chain(*watched))
             counters = vars(results.counters[lane]).copy()
             # The mechanism was factorized once more when the pivots of the stage matrix were chosen.
             counters["factorizations"] += int(member.pivots is not None)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from itertools import chain
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -21,13 +22,16 @@ from mbdkit.measures.measured_quantities import of_event
 from mbdkit.quantities.quantity import Quantity
 from mbdkit.quantities.table import RECORDED
 from mbdkit.runs.coarse_beams import CoarseBeams
+from mbdkit.runs.coincident_ends import CoincidentEnds
 from mbdkit.runs.law_ranges import LawRanges
 from mbdkit.runs.recorded_states import ObservedRows, recorded_states
+from mbdkit.runs.warnings import center_warnings, passivity_warnings
 from mbdkit.stepping.interface import Failure, Guards, Stretch
 from mbdkit.trust.energy_record import EnergyRecord
 
 if TYPE_CHECKING:
     from mbdkit.events.watch import Found
+    from mbdkit.mechanism.mechanism import Mechanism
     from mbdkit.stepping.contact_state import ContactImpact
     from mbdkit.stepping.impulse import DriverImpulse
 
@@ -75,6 +79,8 @@ class Recorder:
         Checks force laws that declare a range; None if there are none.
     coarse
         Checks whether the elements of beams are fine enough; None without beams.
+    ends
+        Checks whether the ends of forces meet; None without such forces.
 
     Attributes
     ----------
@@ -97,6 +103,7 @@ class Recorder:
         guards: Guards = NO_GUARDS,
         ranges: LawRanges | None = None,
         coarse: CoarseBeams | None = None,
+        ends: CoincidentEnds | None = None,
     ):
         # The number of steps between two calls depends on wall time. If the recorder shared its pivots with the
         # stepper, the rounding errors of steps and of recorded rows would depend on it too.
@@ -112,7 +119,7 @@ class Recorder:
         self.last_time = workspace.t0
         self.event_times: dict[str, list[float]] = {}
         self.kept: list[ObservedRows] | None = None
-        self.ranges, self.coarse = ranges, coarse
+        self.ranges, self.coarse, self.ends = ranges, coarse, ends
 
     @property
     def mechanism(self) -> CompiledMechanism:
@@ -266,6 +273,8 @@ class Recorder:
             self.reached[1] = np.maximum(self.reached[1], coordinates.max(axis=0))
         if self.coarse is not None:
             self.coarse.add(stretch.q, observed.beams)
+        if self.ends is not None:
+            self.ends.add(stretch.time, observed.forces)
         others = np.array([observed.potential, stretch.work, stretch.dissipated])
         self.last_time = float(stretch.time[-1])
         self.energies.add(observed.kinetic, others, states.balance)
@@ -359,6 +368,7 @@ class Recorder:
             "pivotings": self.workspace.pivotings,
             "ranges": None if self.ranges is None else self.ranges.stored(),
             "coarse": None if self.coarse is None else self.coarse.stored(),
+            "ends": None if self.ends is None else self.ends.stored(),
         }
 
     def restore(self, state: Mapping[str, Any]) -> None:
@@ -377,6 +387,16 @@ class Recorder:
             self.ranges.restore(state["ranges"])
         if self.coarse is not None:
             self.coarse.restore(state["coarse"])
+        if self.ends is not None:
+            self.ends.restore(state["ends"])
+
+    def warnings(self, mechanism: Mechanism) -> tuple[str, ...]:
+        """Return the warnings about the recorded states of a mechanism."""
+        centers, supplying = center_warnings(mechanism, self.reached), passivity_warnings(mechanism, self.energies)
+        # if a run stops where a law leaves its range, the reason of its failure says so
+        ranges = None if self.ranges is None or self.ranges.stops else self.ranges
+        watched = [one.warnings() for one in (ranges, self.ends, self.coarse) if one is not None]
+        return (*centers, *supplying, *chain(*watched))
 
     def misalignment_max(self, worst_pairs: np.ndarray) -> np.ndarray:
         """Return the largest misalignment of each joint over all steps, recorded or not, (J,) [m].

@@ -38,6 +38,7 @@ from mbdkit.runs.accuracy.compared_measures import compared_measures
 from mbdkit.runs.accuracy.pilot_run import Replay
 from mbdkit.runs.accuracy.position_measure import PositionMeasure
 from mbdkit.runs.coarse_beams import CoarseBeams
+from mbdkit.runs.coincident_ends import CoincidentEnds
 from mbdkit.runs.corners import stops_of
 from mbdkit.runs.evidence import estimated_errors, evidence_of_run
 from mbdkit.runs.integrals import RunIntegrals, compared_loads
@@ -52,7 +53,7 @@ from mbdkit.runs.recorded_states import ObservedRows
 from mbdkit.runs.recorder import Recorder
 from mbdkit.runs.run_checkpoint import TIMES, Checkpoints, Continuation, Parts, why_without
 from mbdkit.runs.run_in_memory import measured_values, run_in_memory
-from mbdkit.runs.warnings import accepted_doubts, center_warnings, doubts, passivity_warnings, step_advice
+from mbdkit.runs.warnings import accepted_doubts, doubts, step_advice
 from mbdkit.spec import RunSpec
 from mbdkit.stepping.compiled_stepper import CompiledStepper
 from mbdkit.stepping.contact_state import ContactState
@@ -157,7 +158,8 @@ class SimulatedRun:
         stops = spec.limits.law_range == "stop"
         ranges = LawRanges.of(spec.mechanism(), workspace.mechanism, between, stops=stops)
         coarse = CoarseBeams.of(spec.mechanism(), workspace.mechanism)
-        self.recorder = Recorder(workspace, writer, self.guards, ranges, coarse)
+        meeting = CoincidentEnds.of(spec, workspace.mechanism)
+        self.recorder = Recorder(workspace, writer, self.guards, ranges, coarse, meeting)
         self.table = timetable(spec, self.guards)
         self.integrals: RunIntegrals | None = None
         if functionals:
@@ -443,13 +445,7 @@ class SimulatedRun:
         of_drivers = [] if steps is None else [one for one in steps.impacts if isinstance(one, DriverImpulse)]
         drivers = stops_of(self.spec).impacts if of_drivers else {}
         self.recorder.record_impacts(() if contacts is None else contacts.impacts, of_drivers, drivers)
-        mechanism = self.spec.mechanism()
-        ranges = self.recorder.ranges
-        # if a run stops where a law leaves its range, the reason of its failure says so
-        left = () if ranges is None or ranges.stops else ranges.warnings()
-        centers, coarse = center_warnings(mechanism, self.recorder.reached), self.recorder.coarse
-        supplying = passivity_warnings(mechanism, self.recorder.energies)
-        self.warnings = (*self.warnings, *centers, *left, *supplying, *(() if coarse is None else coarse.warnings()))
+        self.warnings = (*self.warnings, *self.recorder.warnings(self.spec.mechanism()))
         if self.becomes_run and self.spec.gradients and status == "complete" and not self.interrupted:
             self.gradients = higher_layers.gradients_json(self.spec)
         questions = (*doubts(self.spec, self.warnings), *self.doubtful_gradients())

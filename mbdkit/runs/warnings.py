@@ -194,11 +194,12 @@ def passivity_warnings(mechanism: Mechanism, energies: EnergyRecord) -> tuple[st
     if not laws or not energies.regained > least:
         return ()
     which = f"one of the laws {listed(laws, 'and')}" if len(laws) > 1 else f"the law {laws[0]}"
-    return (
+    sentence = (
         f"the dissipated energy decreases by up to {energies.regained:.3g} J, because {which} supplies energy although "
         f"it is declared passive; correct its options, or declare it without `passive`, so that its power counts as "
-        f"work",
+        f"work"
     )
+    return (sentence,)
 
 
 def _improbable(spec: RunSpec) -> Iterator[str]:

@@ -296,8 +296,8 @@ def test_passive_laws_that_supply_energy_are_named() -> None:
     (told,) = wrong.verdict_reasons
     supplied = 0.5 * 2.0**2 * (math.exp(1.0) - 1.0)
     assert told.startswith(
-        f"the dissipated energy decreases by up to {supplied:.3g} J, because one of the laws acme:linear-sympy of force "
-        f"'spring' and mbdkit:one-sided of force 'stop' supplies energy although it is declared passive"
+        f"the dissipated energy decreases by up to {supplied:.3g} J, because one of the laws acme:linear-sympy of "
+        "force 'spring' and mbdkit:one-sided of force 'stop' supplies energy although it is declared passive"
     )
     assert not why_alone(load_spec(specs[0]))
     assert [one.warnings for one in simulate_batch([load_spec(spec) for spec in specs])] == [(), (told,)]
