@@ -54,6 +54,9 @@ SINGULAR = 0.1
 UNCONFIRMED = "the comparison runs of the check agree neither with this run nor with each other"
 """Why errors are unknown, in archives of earlier versions, which do not contain the reason."""
 
+UNUSED_DATA = {"unobserved_markers": "no data", "unused_columns": "not used"}
+"""Labels of entries of the provenance of inverse dynamics: markers without data, and columns that are not used."""
+
 _COUNTERS = {
     "rhs_evaluations": "right-hand sides",
     "jacobian_evaluations": "Jacobians",
@@ -103,6 +106,7 @@ def summary_lines(run: Run) -> list[tuple[str, str]]:
         ("energy", _energy(run)),
         ("drivers", _drivers(run)),
         ("fit", _fit(run)),
+        *((label, str(run.provenance.get(key, ""))) for key, label in UNUSED_DATA.items()),
         ("gaps", _gaps(run)),
         ("raw data", _raw_misalignment(run)),
         ("actuators", _actuators(run)),

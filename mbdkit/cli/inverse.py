@@ -114,6 +114,7 @@ def repeated_inverse(before: Run, archive: Path, output: Path | None, *, overwri
 
 def validate_inverse(source: str | Document, name: str, assignments: list[str]) -> None:
     """Check a spec of inverse dynamics, its data and their first frame, and print what would be computed."""
+    from mbdkit.archive.run_summary import UNUSED_DATA
     from mbdkit.inverse_dynamics.compute import InverseProblem, check
     from mbdkit.inverse_dynamics.data_verdict import doubts_before_computation
     from mbdkit.inverse_dynamics.inverse_run import causes_named
@@ -135,6 +136,8 @@ def validate_inverse(source: str | Document, name: str, assignments: list[str]) 
     show(f"gravity      {gravity_text(spec.mechanism().gravity)}")
     show(f"freedom      {problem.prepared.workspace.mechanism.freedoms()}")
     show(f"motion       {counted(len(time), 'row')} from {time[0]:g} to {time[-1]:g} s: {', '.join(measured.names)}")
+    for key, text in problem.unused.notes.items():
+        show(f"{UNUSED_DATA[key]:<12} {text}")
     if problem.loads:
         show(f"loads        {', '.join(problem.loads)}")
     show(f"actuators    {', '.join(actuator.name for actuator in problem.recorded_actuators) or 'none'}")

@@ -15,7 +15,7 @@ from mbdkit.inverse_dynamics.dynamics import Dynamics, largest_unbalanced, requi
 from mbdkit.inverse_dynamics.fit import Fitter
 from mbdkit.inverse_dynamics.loads import Loads, LoadSeries, loads_on, read_loads
 from mbdkit.inverse_dynamics.manifold import Manifold
-from mbdkit.inverse_dynamics.measured import Measured, misspelt_markers, read_motion
+from mbdkit.inverse_dynamics.measured import Measured, read_motion
 from mbdkit.inverse_dynamics.recruited import Recruited
 from mbdkit.inverse_dynamics.recruitment import Recruiter
 from mbdkit.inverse_dynamics.reduced_motion import (
@@ -26,6 +26,7 @@ from mbdkit.inverse_dynamics.reduced_motion import (
     motion_of_series,
 )
 from mbdkit.inverse_dynamics.smoothing import smoothed
+from mbdkit.inverse_dynamics.unused_data import UnusedData
 from mbdkit.mechanics.source import AssembledMechanism
 from mbdkit.mechanism.quantity_names import QuantityNames
 from mbdkit.quantities.states import Muscles, States
@@ -60,7 +61,7 @@ class InverseProblem:
     recruiter
         Recruits the muscles; None without `recruitment`.
     unused
-        Markers of the table that probably are markers of the model, but have other names; see `misspelt_markers`.
+        Markers of the model without data, and columns of the table that are not used.
     """
 
     spec: InverseSpec
@@ -71,7 +72,7 @@ class InverseProblem:
     loads: dict[str, LoadSeries]
     actuators: list[NamedActuator]
     recruiter: Recruiter | None = None
-    unused: dict[str, str] = field(default_factory=dict)
+    unused: UnusedData = field(default_factory=UnusedData)
 
     @property
     def recorded_actuators(self) -> list[NamedActuator]:
@@ -84,11 +85,7 @@ class InverseProblem:
         told = [f"{warning}." for warning in self.names.mechanism.warnings]
         if self.names.mechanism.muscles and self.recruiter is None:
             told.append("the model has muscles, which exert no force because the spec has no `recruitment`.")
-        if self.unused:
-            told.append(
-                f"markers {listed(self.unused, 'and')} of the table are not used, because the model has no markers "
-                f"with these names: did you mean {listed(self.unused.values(), 'and')}?"
-            )
+        told += self.unused.warnings
         if any(actuator.is_residual for actuator in self.actuators):
             told += [f"{warning}." for warning in light_roots(self.names.mechanism)]
         return tuple(told)
@@ -113,7 +110,7 @@ class InverseProblem:
             raise spec.placed(error) from error
         prepared = AssembledMechanism.at(spec, float(measured.time[0]), float(measured.time[-1]))
         fitter = Fitter(Manifold(prepared), prepared.workspace.mechanism.bodies)
-        unused = {} if table is None or spec.motion.columns is not None else misspelt_markers(table, names)
+        unused = UnusedData.of(spec, names, measured, table)
         return cls(spec, prepared, fitter, names, measured, loads, actuators, recruiter, unused)
 
 

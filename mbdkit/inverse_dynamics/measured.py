@@ -167,21 +167,6 @@ def _columns(motion: MeasuredMotion, table: Table, names: QuantityNames) -> Mapp
     return found
 
 
-def misspelt_markers(table: Table, names: QuantityNames) -> dict[str, str]:
-    """Return markers of a table that the model does not have, and the markers without columns that they probably are.
-
-    Their names differ only in letter case and in characters that are neither letters nor digits.
-    """
-
-    def plain(name: str) -> str:
-        return "".join(filter(str.isalnum, name)).casefold()
-
-    headings = set(table.headings)
-    lacking = {plain(name): name for name in names.mechanism.markers if not headings & {f"{name}.x", f"{name}.y"}}
-    found = {heading[:-2] for heading in headings if heading.endswith((".x", ".y")) and not names.knows(heading)}
-    return {name: lacking[plain(name)] for name in sorted(found) if plain(name) in lacking}
-
-
 def _require_all_or_none(
     motion: MeasuredMotion, columns: Mapping[str, ObservedColumn], has_derivatives: list[bool]
 ) -> None:

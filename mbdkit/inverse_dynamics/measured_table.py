@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -85,6 +85,12 @@ class Table:
         line = self.lines[row] if row is not None and row < len(self.lines) else None
         where = f"row {row + 1}: " if row is not None and line is None else ""
         return SpecError(f"{where}{message}", key=key, file=self.file or None, line=line)
+
+    def resolved(self, headings: Iterable[str]) -> set[str]:
+        """Return the headings, as in the table, of the columns to which other headings may refer, such as those without
+        a subject; headings without a column are left out.
+        """
+        return {self.headings[self._place[heading]] for heading in headings if heading in self._place}
 
     def unit(self, heading: str) -> str | None:
         """Return the unit that the file states for a column; None if it states none."""

@@ -77,7 +77,7 @@ def archive_of(
     writer = ArchiveWriter(
         path,
         names,
-        Origin.of(spec, model_provenance(spec)),
+        Origin.of(spec, model_provenance(spec) | result.problem.unused.notes),
         arrays=layout.recorded_by(names, layout.QUANTITIES, frozenset(extra)),
         overwrite=overwrite,
         shared=shared_forces(mechanism),

@@ -298,3 +298,28 @@ def test_a_marker_whose_name_in_the_table_differs_in_punctuation_is_named() -> N
     ).warnings
     assert "markers r_shin of the table are not used" in warning
     assert warning.endswith("did you mean R.SHIN?")
+
+
+def test_markers_without_data_and_columns_that_are_not_used_are_told(tmp_path: Path) -> None:
+    m = mbdkit.Mechanism()
+    m.body("rod", mass=1.0, inertia=0.1)
+    for name, at in (("HIP", -0.2), ("KNEE", 0.2), ("SHIN", 0.1)):
+        m.marker(name, "rod", point=(at, 0.0))
+    t = np.linspace(0.0, 1.0, 21)
+    # the SHIN of the model is misspelt, the third coordinate of a marker in use is of no interest, and a load has `fx`
+    columns = {
+        f"{name}.{axis}": 0 * t + at * (axis == "x") for name, at in (("HIP", -0.2), ("KNEE", 0.2)) for axis in "xyz"
+    }
+    columns |= {"SHYN.x": t, "SHYN.y": t, "fx": t, "emg": t}
+    loads = {"push": {"body": "rod", "force": ["fx", 0.0]}}
+    motion = {"data": {"time": t.tolist()} | {name: x.tolist() for name, x in columns.items()}, "errors": "none"}
+    spec = {"mbdkit": 1, "model": m.to_spec(), "motion": motion, "loads": loads}
+    (tmp_path / "s.yaml").write_text(yaml.safe_dump(spec), encoding="utf-8")
+    for command in (["validate"], ["inverse", "-o", str(tmp_path / "out.h5")]):
+        done = CliRunner().invoke(app, [*command, str(tmp_path / "s.yaml")], prog_name="mbdkit")
+        assert [
+            line.split(maxsplit=2)[2] for line in done.stdout.splitlines() if line.startswith(("no data", "not used"))
+        ] == [
+            "markers SHIN of the model",
+            "columns SHYN and emg of the data",
+        ]
