@@ -97,6 +97,14 @@ def test_gradients_through_a_jump_of_the_force_are_those_of_the_motion(end: floa
     assert found.check.is_passed, str(found)
 
 
+def test_gradients_within_the_step_in_which_the_force_jumps() -> None:
+    # expected: the closed form; contact begins at 0.3778 s, and the derivatives of the velocity jump there
+    times = (0.3777, 0.3779, 0.3795)
+    measures = [f"at(ball.{value}, {time})" for time in times for value in ("y", "vy")]
+    found = mbdkit.gradient(ball(0.4, 0.01), measures, ["y", "k", "c"], check=False)
+    np.testing.assert_allclose(found.jacobian, np.vstack([expected(time) for time in times]), rtol=1e-5, atol=1e-9)
+
+
 def test_gradients_through_corners_have_the_order_of_the_method() -> None:
     # expected: the closed form; the force of a pad without damping has corners, but no jumps
     def error(step: float) -> float:
