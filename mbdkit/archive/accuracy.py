@@ -17,8 +17,11 @@ from mbdkit.base.html_view import HtmlView
 from mbdkit.quantities.array import COORDINATE_UNITS
 from mbdkit.quantities.names import COORDINATES
 
-SMALL_FORCE = 1e-9
-"""The force of a joint counts as a rounding error if it never exceeds this share of the largest force of all joints."""
+SMALL_FORCE = 1e-3
+"""Errors of the force of a joint are divided by its largest force, but at least by this share of the largest force of
+all joints. Otherwise, an error that is negligible in the mechanism would be large in a joint that carries almost
+nothing.
+"""
 
 
 @dataclass(frozen=True)
@@ -39,8 +42,9 @@ class JointAccuracy:
         By how much the largest force between recorded rows exceeds `peak` [N]; 0 if every step is recorded, nan if it
         is unknown.
     share
-        Sum of `error` and `missed`, divided by the sum of `peak_known` and `missed`, or by the largest such sum of all
-        joints if the force of this joint counts as a rounding error.
+        Sum of two shares: `error` divided by the sum of `peak_known` and `missed`, and `missed` divided by the sum of
+        `peak` and `missed`. Sums below the share `SMALL_FORCE` of the largest sum of all joints are replaced by this
+        share.
     """
 
     name: str
@@ -206,14 +210,11 @@ class Accuracy(HtmlView):
         peaks = np.max(size, axis=0, initial=0.0)
         known = np.max(size[:count], axis=0) if count else np.full(len(names), np.nan)
         errors = np.max(self.reaction_error[:count], axis=0) if count else np.full(len(names), np.nan)
-        largest = known + np.nan_to_num(beyond)
-        most = float(np.max(largest, initial=0.0)) if count else math.nan
+        scales = _scales(known + np.nan_to_num(beyond)), _scales(peaks + np.nan_to_num(beyond))
+        shares = _shares(errors, scales[0]) + _shares(beyond, scales[1])
         figures = []
         for index, name in enumerate(names):
-            over = largest[index] if largest[index] > SMALL_FORCE * most else most
-            whole = errors[index] + beyond[index]
-            share = whole / over if over > 0 else 0.0 * whole
-            numbers = peaks[index], known[index], errors[index], beyond[index], share
+            numbers = peaks[index], known[index], errors[index], beyond[index], shares[index]
             figures.append(JointAccuracy(name, *map(float, numbers)))
         return tuple(figures)
 
@@ -268,6 +269,16 @@ class Accuracy(HtmlView):
         values |= {name: str(group.attrs.get(name, "")) for name in _TEXTS}
         values[_COMPARED] = compared_from_json(str(group.attrs.get(_COMPARED, "{}")))
         return cls(**values)
+
+
+def _scales(largest: np.ndarray) -> np.ndarray:
+    """Return the forces (J,) by which errors are divided, from the largest forces of the joints; see `SMALL_FORCE`."""
+    return np.asarray(np.fmax(largest, SMALL_FORCE * np.max(largest, initial=0.0)))
+
+
+def _shares(errors: np.ndarray, scales: np.ndarray) -> np.ndarray:
+    """Return errors (J,) divided by `scales`; 0 without forces, and nan where an error is unknown."""
+    return np.asarray(np.divide(errors, scales, out=0.0 * errors, where=scales > 0))
 
 
 def largest_known(errors: np.ndarray) -> float:

@@ -117,8 +117,8 @@ class EstimatedErrors:
         Largest error of a position, as a share of the mechanism's size. The error of an angle is multiplied by the
         distance of the farthest joint point of the body.
     reaction
-        Largest error of a joint's force, as a share of the largest force in that joint; nan if rows skip steps and the
-        force between them is unknown.
+        Largest error of a joint's force, as a share of the largest force in that joint, or of a thousandth of the
+        largest force of all joints, if that is larger; nan if rows skip steps and the force between them is unknown.
     known_until
         Time up to which the errors are known [s]; nan if no error is known.
     asked, reached

@@ -9,6 +9,7 @@ import pytest
 from scipy.optimize import brentq
 
 import mbdkit
+from mbdkit.archive.accuracy import Accuracy
 from mbdkit.archive.headlines import Headline, headlines, largest_loads
 from mbdkit.archive.peak_errors import BETWEEN, excess_between_rows, jumps, peak_errors
 from mbdkit.archive.run_summary import accuracy_sentence, summary, summary_lines
@@ -35,6 +36,17 @@ def test_rows_at_equal_times_and_few_rows_are_no_peaks() -> None:
     time = np.array([0.0, 1.0, 1.0, 2.0])
     assert excess_between_rows(time, np.array([[0.0], [1.0], [1.0], [2.0]]))[0] == 0.0
     assert excess_between_rows(time[:2], np.array([[0.0], [1.0]]))[0] == 0.0
+
+
+@pytest.mark.parametrize(("size", "share"), [(1.0, 0.02), (0.05, 0.01)], ids=["1 %", "0.05 %"])
+def test_errors_are_shares_of_the_force_of_a_joint_or_of_a_thousandth_of_the_largest(size: float, share: float) -> None:
+    # joint B carries `size` beside 100 N, with an error of 2 % of its force
+    errors, zeros = np.array([[0.0, 0.02 * size]] * 2), np.zeros((2, 0, 3))
+    found = Accuracy(np.array([0.0, 1.0]), zeros, zeros, errors, errors, 1.0, 4.0, "", 0.0)
+    force = np.array([[[100.0, 0.0], [size, 0.0]]] * 2)
+    worst = found.figures(["A", "B"], force).worst_joint
+    assert worst is not None
+    assert worst.share == pytest.approx(share)
 
 
 @pytest.mark.parametrize("step", [0.05, 0.11, 0.17])

@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 
 import mbdkit
+from mbdkit.archive.accuracy import SMALL_FORCE
 from mbdkit.runs.accuracy.companion_choice import LOOKS
 from mbdkit.runs.accuracy.position_measure import PositionMeasure
 from mbdkit.runs.preparation import build
@@ -51,6 +52,9 @@ good; an example is a chaotic double pendulum after a few seconds.
 | quantity | doubtful above | bad above |
 |---|---|---|
 {criteria}
+
+Errors of joint forces are divided by at least {small:g} of the largest force of all joints. Joints that carry almost no
+force therefore do not make a run `doubtful`.
 
 Energy errors below {rounding:g} times the rounding error of the largest energy count as zero. A run that fails before
 its end is `bad`, and a run that was interrupted is at least `doubtful`: its summary says up to which time its results
@@ -224,6 +228,7 @@ def page() -> str:
             print(rows[-1], file=sys.stderr, flush=True)
     return OUTLINE.format(
         criteria="\n".join(criteria_rows()),
+        small=SMALL_FORCE,
         rounding=criteria.ROUNDING,
         angle=criteria.BRANCH_ANGLE,
         ratio=criteria.BRANCH_RATIO,
