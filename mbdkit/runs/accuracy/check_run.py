@@ -15,6 +15,7 @@ import numpy as np
 from mbdkit.archive.accuracy import Accuracy
 from mbdkit.base.text import listed
 from mbdkit.engine.workspace import Workspace
+from mbdkit.mechanism.mechanism import Mechanism
 from mbdkit.methods.kinds import Method
 from mbdkit.runs.accuracy.chosen_method import Candidate, Choice
 from mbdkit.runs.accuracy.coarser_estimate import estimate_from_coarser
@@ -81,7 +82,7 @@ def check_run(
     units = units_of(workspace, rows)
     errors = estimate_errors((rows, runs[0].rows, runs[1].rows), guarded.rows, units, chosen.refinement)
     pairs = [*zip(chosen.finer, runs, strict=True), (guard, guarded)]
-    description, unknown = _sentence(chosen, pairs), why_unknown(errors, rows.time, pairs)
+    description, unknown = _sentence(chosen, pairs), why_unknown(errors, rows.time, spec.mechanism(), pairs)
     if contacts is not None:
         until, why = _same_impacts([contacts, *(one.contacts for _, one in pairs if one.contacts is not None)])
         if contacts.cut and spec.contact.rest_energy > NEGLIGIBLE_BOUNCES and contacts.cut_time < until:
@@ -95,7 +96,12 @@ def check_run(
     return as_accuracy(rows, errors, description, begin, unknown)
 
 
-def why_unknown(errors: ErrorEstimate, time: np.ndarray, runs: Sequence[tuple[Companion, CompanionRows]] = ()) -> str:
+def why_unknown(
+    errors: ErrorEstimate,
+    time: np.ndarray,
+    mechanism: Mechanism,
+    runs: Sequence[tuple[Companion, CompanionRows]] = (),
+) -> str:
     """Return a clause that says why errors are unknown after `errors.known_until`; empty if all are known."""
     if not errors.unknown:
         return ""
@@ -104,8 +110,22 @@ def why_unknown(errors: ErrorEstimate, time: np.ndarray, runs: Sequence[tuple[Co
     )
     for companion, one in runs:
         if one.failure and _reached(one) < following:
-            return f"the comparison run with {companion.name} ended at {_reached(one):.6g} s: {one.failure}"
-    return f"{listed(errors.unknown, 'and')} of the comparison runs do not converge, or differ too much from the run"
+            why = f"the comparison run with {companion.name} ended at {_reached(one):.6g} s: {one.failure}"
+            break
+    else:
+        why = f"{listed(errors.unknown, 'and')} of the comparison runs do not converge, or differ too much from the run"
+    return f"{why}{_undamped(mechanism)}"
+
+
+def _undamped(mechanism: Mechanism) -> str:
+    """Return a clause about a beam without damping, whose fast vibrations no step size resolves; empty without one."""
+    for name, beam in mechanism.beams.items():
+        if not beam.damping:
+            return (
+                f"; the fast vibrations of beam '{name}' never decay, because it has no `damping`: give it a value of "
+                f"about a tenth of the step (see `mbdkit guide beams`)"
+            )
+    return ""
 
 
 def _clause(sentence: str) -> str:
@@ -246,7 +266,7 @@ def check_by_pilots(
     runs = "a coarser run" if len(pilots) == 1 else "coarser runs"
     method = f"Difference from {runs} of the same method with tolerance{'s' * (len(pilots) > 1)} {text}, extrapolated"
     method += "." if len(pilots) > 1 else " with the expected exponent of the tolerance."
-    unknown = why_unknown(errors, rows.time)
+    unknown = why_unknown(errors, rows.time, spec.mechanism())
     until = resolved_until(spec, pilots[-1].time)
     if until < rows.time[-1]:
         why = f" After {until:.6g} s, a motion or load changes between the evaluations of a step."

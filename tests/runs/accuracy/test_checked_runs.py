@@ -261,3 +261,16 @@ def test_a_thin_leaf_is_checked_by_a_guard_on_the_index_2_equations() -> None:
     with mbdkit.run(spec, time={"end": 2.5, "step": 0.005}, output={"every": 20}, check=True) as run:
         assert run.verdict == "good"
         assert "confirmed by a run with adaptive radau-iia of order 9 and index 2" in run.accuracy.method
+
+
+@pytest.mark.parametrize("damping", [0.0, 1e-3], ids=["undamped", "damped"])
+def test_unknown_errors_of_a_beam_under_a_sudden_load_name_its_missing_damping(damping: float) -> None:
+    m = mbdkit.Mechanism()
+    steel = {"E": 2.1e11, "nu": 0.3, "A": 1e-4, "I": 2.1e-10, "density": 7850.0}
+    blade = m.beam("blade", a=(0.0, 0.0), b=(1.0, 0.0), elements=5, damping=damping, **steel)
+    m.weld("clamp", m.ground, blade[0], at=(0.0, 0.0))
+    m.force("load", blade[-1], value=(0.0, -30.0))
+    method, time = {"name": "radau-iia", "stages": 3}, {"end": 0.04, "step": 5e-3}
+    result = mbdkit.run(m, integrator=method, time=time, check=True)
+    advice = "of beam 'blade' never decay, because it has no `damping`"
+    assert any(advice in reason for reason in result.verdict_reasons) == (not damping)
