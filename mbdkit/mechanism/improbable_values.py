@@ -31,6 +31,24 @@ ROUGHEST = 5.0
 and percentages are usually larger.
 """
 
+SOFTEST, SOFT, METAL = 1e3, 5e5, 2500.0
+"""A Young's modulus [Pa] below `SOFTEST`, that of the softest tissues, is improbable, and so is one below `SOFT`, that
+of soft rubber, if the density [kg/m^3] is above `METAL`.
+
+Moduli of hard materials in GPa are at most 1200, and those of metals in MPa at most 4.1e5. A beam of E = 7e5 and 5540
+kg/m^3 is a common test of flexible pendulums.
+"""
+
+LIGHTEST = 20.0
+"""A density below this [kg/m^3] is improbable. Light foams have about 30, and all metals less than 23 g/cm^3."""
+
+WIDEST = 100.0
+"""A cross-section is improbable if it is deeper than the beam is long, or this many times as wide as the beam is long.
+
+Flexure hinges may be wide and short. An area in mm^2 makes the width of a rectangle of given I wrong by a factor of
+1e9, and an area in cm^2 by 1e6.
+"""
+
 
 def improbable_inertias(mechanism: Mechanism) -> Iterator[str]:
     """Yield a sentence without a full stop for each body whose inertia is too large for the mechanism.
@@ -117,3 +135,34 @@ def improbable_frictions(mechanism: Mechanism) -> Iterator[str]:
                 f"the coefficient of friction of {max(coefficients):g} at {key} is above {ROUGHEST:g}; if it is in "
                 f"percent, write {max(coefficients) / 100:g}"
             )
+
+
+def improbable_beams(mechanism: Mechanism) -> Iterator[str]:
+    """Yield a sentence without a full stop for each modulus, density and cross-section of a beam that is improbable."""
+    advice = "if it is in another unit, write it with the unit, for example"
+    for name, beam in mechanism.beams.items():
+        key = f"model.beams.{quoted(name)}"
+        if beam.E is not None and beam.E < SOFTEST:
+            yield (
+                f"Young's modulus of {beam.E:g} Pa at {key}.E is below {SOFTEST:g} Pa, that of the softest "
+                f"tissues; {advice} `{beam.E:g} GPa`"
+            )
+        elif beam.E is not None and beam.E < SOFT and (beam.density or 0.0) > METAL:
+            yield (
+                f"Young's modulus of {beam.E:g} Pa at {key}.E is that of soft rubber, but the density of "
+                f"{beam.density:g} kg/m^3 is that of a metal; {advice} `{beam.E:g} MPa`"
+            )
+        if beam.density is not None and beam.density < LIGHTEST:
+            yield (
+                f"the density of {beam.density:g} kg/m^3 at {key}.density is below that of light foams; "
+                f"{advice} `{beam.density:g} g/cm^3`"
+            )
+        if beam.A is not None and beam.I is not None:
+            depth = math.sqrt(12.0 * beam.I / beam.A)
+            width = beam.A / depth
+            if depth > beam.length or width > WIDEST * beam.length:
+                yield (
+                    f"a rectangle with A = {beam.A:g} m^2 and I = {beam.I:g} m^4 at {key} is {depth:.3g} m deep and "
+                    f"{width:.3g} m wide, but the beam is {beam.length:.3g} m long; if A or I is in another unit, "
+                    f"write it with the unit, for example `A: {beam.A:g} mm^2`, `I: {beam.I:g} mm^4`"
+                )

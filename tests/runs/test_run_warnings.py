@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 
 import mbdkit
-from mbdkit.mechanism.improbable_values import improbable_frictions, improbable_inertias
+from mbdkit.mechanism.improbable_values import improbable_beams, improbable_frictions, improbable_inertias
 from mbdkit.runs.preparation import build
 from mbdkit.runs.warnings import spec_warnings, start_warnings
 from mbdkit.spec import load_spec
@@ -140,9 +140,40 @@ def test_the_size_of_a_body_without_joints_follows_from_its_points(element: dict
     assert f"the mechanism has a size of {size:g} m" in told[0]
 
 
-def test_no_inertia_or_friction_of_the_packaged_examples_is_improbable() -> None:
+def test_no_inertia_friction_or_beam_of_the_packaged_examples_is_improbable() -> None:
     mechanisms = [load_spec(name).mechanism() for name in example_names("run")]
-    assert [text for one in mechanisms for text in (*improbable_inertias(one), *improbable_frictions(one))] == []
+    found = [(*improbable_inertias(one), *improbable_frictions(one), *improbable_beams(one)) for one in mechanisms]
+    assert not any(found)
+
+
+SECTION = {"A": 1e-4, "I": 2.1e-10}
+STEEL: dict[str, Any] = {"a": (0.0, 0.0), "b": (1.0, 0.0), "E": 2.1e11, "nu": 0.3, "density": 7850.0, **SECTION}
+
+
+@pytest.mark.parametrize(
+    ("values", "advice"),
+    [
+        pytest.param({"E": 210.0}, "`210 GPa`", id="GPa"),
+        pytest.param({"E": 2.1e5}, "`210000 MPa`", id="MPa"),
+        pytest.param({"density": 7.85}, "`7.85 g/cm^3`", id="g/cm^3"),
+        pytest.param({"A": 100.0, "I": 210.0}, "`I: 210 mm^4`", id="mm"),
+        pytest.param({"A": 100.0}, "`A: 100 mm^2`", id="mm^2"),
+        pytest.param({"I": 210.0}, "`I: 210 mm^4`", id="mm^4"),
+        pytest.param({}, "", id="steel"),
+        pytest.param({"E": 1e3, "density": 1000.0, "A": 1e-3, "I": 1e-7}, "", id="tissue"),
+        pytest.param({"E": 1e6, "density": 1100.0}, "", id="rubber"),
+        pytest.param({"E": 1e10, "density": 500.0, "A": 0.02, "I": 6.7e-5}, "", id="wood"),
+        pytest.param({"E": 1.4e11, "density": 1600.0}, "", id="carbon fibre"),
+        pytest.param({"E": 7e5, "density": 5540.0, "A": 1.8e-3, "I": 1.215e-8}, "", id="flexible pendulum"),
+        pytest.param({"b": (0.002, 0.0), "A": 5e-5, "I": 1e-12}, "", id="flexure hinge"),
+    ],
+)
+def test_units_of_beams_are_doubted(values: dict[str, Any], advice: str) -> None:
+    m = mbdkit.Mechanism()
+    m.beam("blade", **STEEL | values)
+    found = list(improbable_beams(m))
+    assert len(found) == bool(advice)
+    assert all("model.beams.blade" in text and advice in text for text in found)
 
 
 @pytest.mark.parametrize(
