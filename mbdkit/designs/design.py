@@ -19,7 +19,7 @@ from mbdkit.designs.gains import Gain, gains, goal_words, violations
 from mbdkit.designs.identifiability import sentence, undetermined
 from mbdkit.designs.point import DesignPoint, numbers, point_of
 from mbdkit.designs.problem import Problem
-from mbdkit.designs.search import Search, searches
+from mbdkit.designs.search import Search, advice, searches
 from mbdkit.designs.stages import Stages
 from mbdkit.designs.trust import Trust, certified
 from mbdkit.spec import DesignSpec, RunSpec
@@ -181,8 +181,8 @@ class Design:
             return f"No point that satisfies all limits was found; this one violates them least{wrong and ': '}{wrong}."
         if not self.is_converged:
             return (
-                f"This point may not be an optimum: the search ended early ({self.message.rstrip('.')}). Raise "
-                "`optimizer.max_iterations`, or try several `starts` or another optimizer."
+                f"This point may not be an optimum: the search ended early ({self.message.rstrip('.')}). "
+                f"{advice(self.message)}"
             )
         if not self.unconfirmed:
             return ""

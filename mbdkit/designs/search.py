@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import warnings
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -14,10 +15,13 @@ from scipy.optimize import NonlinearConstraint, OptimizeResult, differential_evo
 from scipy.stats import qmc
 
 from mbdkit.base.errors import SpecError
-from mbdkit.designs.bundle_search import beyond_kink, bundle_search
+from mbdkit.designs.bundle_search import STUCK, beyond_kink, bundle_search
 from mbdkit.designs.problem import Problem
 from mbdkit.spec import DesignSpec
 from mbdkit.spec.design_spec import EvolutionStrategy, GlobalOptimizer, LocalOptimizer, Optimizer
+
+_RAN_OUT = re.compile(r"limit of iterations|iteration limit|maximum number|maxiter", re.IGNORECASE)
+"""What the messages of optimisers have in common that ended at their largest number of iterations."""
 
 
 @dataclass(frozen=True)
@@ -77,6 +81,19 @@ def searches(problem: Problem, optimizer: Optimizer, first: np.ndarray) -> list[
     method = _squares if problem.sums_squares else _descent
     found = [_search(problem, start, partial(method, problem, optimizer, start)) for start in _starts(optimizer, first)]
     return sorted(found, key=lambda one: (one.violation, one.cost))
+
+
+def advice(message: str) -> str:
+    """Return a sentence that says what to do after a search that ended with this message without converging."""
+    others = "try several `starts` or another optimizer."
+    if _RAN_OUT.search(message):
+        return f"Raise `optimizer.max_iterations`, or {others}"
+    if STUCK in message:
+        return (
+            f"Goals and limits do not change as their derivatives promise there: make the runs more accurate, replace "
+            f"goals and limits that jump, or {others}"
+        )
+    return f"More iterations do not help: {others}"
 
 
 def _starts(optimizer: LocalOptimizer, first: np.ndarray) -> list[np.ndarray]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any, cast
 
 import numpy as np
@@ -9,7 +10,7 @@ import pytest
 from scipy.optimize import OptimizeResult, linprog
 
 import mbdkit
-from mbdkit.designs.bundle_search import beyond_kink, bundle_search
+from mbdkit.designs.bundle_search import STUCK, beyond_kink, bundle_search
 from mbdkit.designs.design import Design
 from mbdkit.designs.problem import Problem
 from tests.designs.swinging_shank import ANGLE, BRACE, design_of, moments, swing
@@ -102,6 +103,9 @@ def test_a_search_that_is_cut_short_says_first_that_its_result_may_not_be_an_opt
     assert not found.is_converged
     assert found.summary().startswith("This point may not be an optimum: the search ended early (the bundle method")
     assert not Design.from_dict(found.spec, found.to_dict()).is_converged
+    assert "Raise `optimizer.max_iterations`" in found.doubt
+    for message in (STUCK, "Positive directional derivative for linesearch"):
+        assert "max_iterations" not in replace(found, message=message).doubt
 
 
 class RaisedArm(LargestOf):
