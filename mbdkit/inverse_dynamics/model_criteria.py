@@ -12,7 +12,7 @@ from mbdkit.archive.run_summary import PULLING
 from mbdkit.inverse_dynamics.column_criteria import Doubt
 from mbdkit.inverse_dynamics.compute import Inverse, recorded_states
 from mbdkit.inverse_dynamics.recruited import Recruited
-from mbdkit.mechanism.improbable_values import improbable_radii
+from mbdkit.mechanism.improbable_values import improbable_lengths, improbable_radii
 from mbdkit.mechanism.mechanism import Mechanism
 from mbdkit.runs.coarse_beams import CoarseBeams
 from mbdkit.spec.named_actuators import RESERVE
@@ -56,11 +56,13 @@ def model_doubts(result: Inverse) -> Iterator[Doubt]:
 
 
 def mechanism_doubts(mechanism: Mechanism) -> Iterator[Doubt]:
-    """Yield a doubt for each body whose inertia seems to have another unit, and for effects that the mechanism
-    lacks.
+    """Yield a doubt for each inertia, free length and optimal length that seems to have another unit, and for effects
+    that the mechanism lacks.
     """
     for sentence in improbable_radii(mechanism):
         yield Doubt("inertia", f"{sentence}.")
+    for sentence in improbable_lengths(mechanism):
+        yield Doubt("units", f"{sentence}.")
     for sentence in mechanism.left_out:
         yield Doubt("left-out", f"{sentence}.")
 

@@ -1,4 +1,4 @@
-"""Values of a mechanism that are valid but improbable, such as inertias in kg mm^2 and friction in percent."""
+"""Values of a mechanism that are valid but improbable, such as inertias in kg mm^2 and free lengths in mm."""
 
 from __future__ import annotations
 
@@ -8,6 +8,8 @@ from collections.abc import Iterator, Sequence
 from mbdkit.base.plain_data import quoted
 from mbdkit.mechanism.bodies import GROUND
 from mbdkit.mechanism.contacts import Contact
+from mbdkit.mechanism.forces import SpringDamper
+from mbdkit.mechanism.law_element import Law
 from mbdkit.mechanism.mechanism import Mechanism
 
 FAR_MASS = 10.0
@@ -49,6 +51,20 @@ Flexure hinges may be wide and short. An area in mm^2 makes the width of a recta
 1e9, and an area in cm^2 by 1e6.
 """
 
+LONGEST = 100.0
+"""The free length of a spring is improbable if it exceeds this many lengths of the spring at the start, and `LARGE`
+sizes of the mechanism.
+
+Free lengths in mm are too large by a factor of 1000. In all packaged examples, free lengths are at most 1.3 times the
+length at the start.
+"""
+
+LARGE = 10.0
+"""The optimal length of a muscle is improbable if it exceeds this many sizes of the mechanism.
+
+In all packaged examples, optimal lengths are at most 0.21 sizes.
+"""
+
 
 def improbable_inertias(mechanism: Mechanism) -> Iterator[str]:
     """Yield a sentence without a full stop for each body whose inertia is too large for the mechanism.
@@ -79,14 +95,9 @@ def _too_wide(mechanism: Mechanism, share: float) -> Iterator[str]:
     radii = {
         name: math.sqrt(body.inertia / body.mass) for name, body in mechanism.bodies.items() if body.inertia is not None
     }
-    # The size takes longer to compute, and is at least the extent of the centres of mass. If no radius is too large
-    # for this extent, none is too large for the size.
-    centres = [body.position for body in mechanism.bodies.values()]
-    if not radii or all(radius <= limits[name] * _extent(centres) for name, radius in radii.items()):
-        return
-    size = _extent([*centres, *_points(mechanism)])
+    size = _size_if_below(mechanism, max((radius / limits[name] for name, radius in radii.items()), default=0.0))
     for name, radius in radii.items():
-        if size > 0 and radius > limits[name] * size:
+        if radius > limits[name] * size > 0:
             body = mechanism.bodies[name]
             key = f"model.bodies.{quoted(name)}.inertia" if mechanism.name == "mechanism" else f"model, body {name}"
             yield (
@@ -94,6 +105,15 @@ def _too_wide(mechanism: Mechanism, share: float) -> Iterator[str]:
                 f"distance of {radius:.3g} m, but the mechanism has a size of {size:.3g} m; if it is in "
                 f"another unit, write it with the unit, for example `{body.inertia:g} kg*mm^2`"
             )
+
+
+def _size_if_below(mechanism: Mechanism, limit: float) -> float:
+    """Return the size of a mechanism if it may be below `limit`, otherwise a lower bound of the size, which takes less
+    time to compute [m].
+    """
+    centres = [body.position for body in mechanism.bodies.values()]
+    least = _extent(centres) if centres else 0.0
+    return least if limit <= least else _extent([*centres, *_points(mechanism)])
 
 
 def _extent(points: Sequence[tuple[float, float]]) -> float:
@@ -166,3 +186,26 @@ def improbable_beams(mechanism: Mechanism) -> Iterator[str]:
                     f"{width:.3g} m wide, but the beam is {beam.length:.3g} m long; if A or I is in another unit, "
                     f"write it with the unit, for example `A: {beam.A:g} mm^2`, `I: {beam.I:g} mm^4`"
                 )
+
+
+def improbable_lengths(mechanism: Mechanism) -> Iterator[str]:
+    """Yield a sentence without a full stop for each spring whose free length is too large for its length at the start
+    and for the mechanism, and for each muscle whose optimal length is too large for the mechanism.
+    """
+    found = []
+    for name, force in mechanism.forces.items():
+        free = getattr(force, "free_length", None)
+        if free is not None and isinstance(force, SpringDamper | Law) and force.pathway.is_line:
+            length = math.dist(*(mechanism.to_global(body, point) for _, body, point in force.attachments()))
+            if free > LONGEST * length:
+                found.append(("forces", name, "free_length", free, f" and the spring is {length:.3g} m long"))
+    found += [("muscles", name, "optimal_length", one.optimal_length, "") for name, one in mechanism.muscles.items()]
+    size = _size_if_below(mechanism, max((value / LARGE for *_, value, _ in found), default=0.0))
+    for kind, name, key, value, also in found:
+        if value > LARGE * size > 0:
+            is_given = mechanism.name == "mechanism"
+            place = f"model.{kind}.{quoted(name)}.{key}" if is_given else f"model, {kind.removesuffix('s')} {name}"
+            yield (
+                f"the {key.replace('_', ' ')} of {value:g} m at {place} is improbable: at the start, the mechanism has "
+                f"a size of {size:.3g} m{also}; if it is in mm, write `{value:g} mm`"
+            )

@@ -16,7 +16,12 @@ from mbdkit.base.plain_data import Path, path_text, quoted
 from mbdkit.base.strict_model import description
 from mbdkit.base.text import counted, did_you_mean, listed
 from mbdkit.engine.assembly import AssembledState
-from mbdkit.mechanism.improbable_values import improbable_beams, improbable_frictions, improbable_inertias
+from mbdkit.mechanism.improbable_values import (
+    improbable_beams,
+    improbable_frictions,
+    improbable_inertias,
+    improbable_lengths,
+)
 from mbdkit.mechanism.joints import Driver, Revolute
 from mbdkit.mechanism.law_element import Law
 from mbdkit.mechanism.mechanism import Mechanism
@@ -209,6 +214,7 @@ def _improbable(spec: RunSpec) -> Iterator[str]:
     yield from improbable_inertias(spec.mechanism())
     yield from improbable_frictions(spec.mechanism())
     yield from improbable_beams(spec.mechanism())
+    yield from improbable_lengths(spec.mechanism())
 
 
 def angles_in_degrees(spec: RunSpec) -> Iterator[str]:

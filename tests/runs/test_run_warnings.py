@@ -3,13 +3,20 @@
 from __future__ import annotations
 
 import copy
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
 import pytest
 
 import mbdkit
-from mbdkit.mechanism.improbable_values import improbable_beams, improbable_frictions, improbable_inertias
+from mbdkit.mechanism.improbable_values import (
+    improbable_beams,
+    improbable_frictions,
+    improbable_inertias,
+    improbable_lengths,
+)
+from mbdkit.mechanism.mechanism import Mechanism
 from mbdkit.runs.preparation import build
 from mbdkit.runs.warnings import spec_warnings, start_warnings
 from mbdkit.spec import load_spec
@@ -36,6 +43,9 @@ def warnings_of(**values: Any) -> tuple[str, ...]:
     return spec_warnings(load_spec(data))
 
 
+SPRING = {"type": "spring-damper", "bodies": ["ground", "rod"], "points": [[0.5, 0], [0.2, 0]], "stiffness": 9.0}
+PATH = [{"body": "ground", "point": [0, 0]}, {"body": "rod", "point": [0, 0]}]
+MUSCLE = {"path": PATH, "max_force": 9.0, "tendon_length": 0.1, "excitation": 0.1}
 DRIVER = {"type": "driver", "bodies": ["ground", "rod"], "coordinate": "angle"}
 
 
@@ -74,6 +84,14 @@ DRIVER = {"type": "driver", "bodies": ["ground", "rod"], "coordinate": "angle"}
             {"model__joints__A__friction": {"coefficient": 30, "radius": 0.01}},
             "the coefficient of friction of 30 at model.joints.A.friction is above 5; if it is in percent, write 0.3",
         ),
+        (
+            {"model__forces__s": {**SPRING, "free_length": 200}},
+            "has a size of 0.7 m and the spring is 0.2 m long; if it is in mm, write `200 mm`",
+        ),
+        (
+            {"model__muscles__m": {**MUSCLE, "optimal_length": 60}},
+            "the optimal length of 60 m at model.muscles.m.optimal_length is improbable: at the start, the mechanism",
+        ),
         ({"time__step": 1.0}, "the step of 1 s at time.step is longer than the run of 0.1 s"),
         ({"parameters": {"crank": 1, "crnk": 2}, "model__bodies__rod__mass": "crank"}, "parameters.crnk is not used"),
     ],
@@ -92,6 +110,8 @@ def test_a_value_that_is_probably_not_meant_is_told_with_its_key(values: dict[st
         {"model__bodies__rod__inertia": 20.0},  # at 4.5 m, 9 times the size of 0.5 m
         {"model__bodies__rod__inertia": 3920.0, "model__joints__A__points": [[0.5, 0], [0, 0]]},  # a rotor has no size
         {"model__joints__A__friction": {"coefficient": 0.3, "radius": 0.01}},
+        {"model__forces__s": {**SPRING, "free_length": 19}},  # 95 times the length of the spring
+        {"model__muscles__m": {**MUSCLE, "optimal_length": 0.06}},
         {"model__bodies__rod__angle": 7.853981633974483},
         {"model__bodies__rod__angle": "degrees(720)"},
         {"model__bodies__rod__angle": "4*pi"},
@@ -140,10 +160,11 @@ def test_the_size_of_a_body_without_joints_follows_from_its_points(element: dict
     assert f"the mechanism has a size of {size:g} m" in told[0]
 
 
-def test_no_inertia_friction_or_beam_of_the_packaged_examples_is_improbable() -> None:
-    mechanisms = [load_spec(name).mechanism() for name in example_names("run")]
-    found = [(*improbable_inertias(one), *improbable_frictions(one), *improbable_beams(one)) for one in mechanisms]
-    assert not any(found)
+@pytest.mark.parametrize(
+    "improbable", [improbable_inertias, improbable_frictions, improbable_beams, improbable_lengths]
+)
+def test_no_value_of_the_packaged_examples_is_improbable(improbable: Callable[[Mechanism], Iterator[str]]) -> None:
+    assert [text for name in example_names("run") for text in improbable(load_spec(name).mechanism())] == []
 
 
 SECTION = {"A": 1e-4, "I": 2.1e-10}
