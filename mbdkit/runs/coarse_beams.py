@@ -208,8 +208,9 @@ def coarse_modes(beams: Mapping[str, Beam], bodies: Sequence[str], rates: np.nda
         varied = np.sum(np.abs(np.diff(curvature, axis=1)) ** 2, axis=1) * beam.elements / (beam.elements - 1)
         stiffness = beam.section_stiffness.bending * beam.element_length
         # the strain energy of a mode of unit mass is at most that of its motion, rate^2 / 2
-        shares = stiffness * total / np.maximum(rates**2, stiffness * total)
-        errors = np.divide(varied * shares, 12.0 * total, out=np.zeros_like(total), where=total > 0)
+        energy = 12.0 * total * np.maximum(rates**2, stiffness * total)
+        is_bent = (rates > 0) & (energy > 0)  # not a motion of rigid bodies, and with this beam
+        errors = np.divide(varied * stiffness * total, energy, out=np.zeros_like(total), where=is_bent)
         wrong = np.flatnonzero(errors > VARIATION)
         if len(wrong):
             first = int(wrong[0])

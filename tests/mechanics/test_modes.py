@@ -282,3 +282,20 @@ def test_modes_say_which_elements_of_a_beam_are_too_coarse(elements: int, nodes:
         estimate = float(told.partition("up to about ")[2].partition(" %")[0]) / 100
         assert error < estimate < 2 * error
         assert "too coarse for mode 1: " in told
+
+
+def test_motions_of_rigid_bodies_are_not_modes_for_which_elements_are_too_coarse() -> None:
+    m = mbdkit.Mechanism(gravity=(0.0, 0.0))
+    m.body("apart", mass=1.0, inertia=0.1, position=(5.0, 0.0))
+    m.beam(
+        "blade",
+        a=(0, 0),
+        b=(2, 0),
+        elements=4,
+        mass_per_length=0.5,
+        stiffness={"axial": 1e4, "shear": 1e4, "bending": 4.0},
+    )
+    found = mbdkit.modes(m, at="start")
+    first = 1 + int(np.argmax(found.natural_frequency > 1e-6))
+    assert first == 7
+    assert f"too coarse for mode {first} " in found.warnings[0]
