@@ -73,10 +73,10 @@ def robustness(evaluator: Evaluator, best: np.ndarray) -> list[Deviation]:
     for path in moved[0]:
         if all(path in one for one in moved):
             size = f"{1000 * MOVED:g} mm" if path[1] in _ELEMENTS else f"{100 * OFF:g} %"
-            words = key_words(path)
+            head, of, body = key_words(path).partition(" of ")
             if len(moved[0][path][0]) > 1:
-                words = words.replace(str(key := _mass_key(path)), f"{key} and {_INERTIA[key]}", 1)
-            cases.append((words, size, [one[path] for one in moved]))
+                head += f" and {key_words(_inertia_of(path)).partition(' of ')[0]}"
+            cases.append((f"{head}{of}{body}", size, [one[path] for one in moved]))
     jobs = [
         Job(scenario, [*settings, *both[side]])
         for _, _, by_scenario in cases
@@ -100,24 +100,22 @@ def _numbers(spec: ModelSpec, taken: Sequence[Path]) -> Iterator[tuple[Path, Seq
     found = [path for path in _paths(model, ("model",)) if not any(path[: len(one)] == one for one in taken)]
     masses = [path for path in found if path[1] not in _ELEMENTS and key_unit(path, [spec]) == "kg"]
     for path in sorted(masses, key=lambda path: -abs(_at(model, path)))[:MOST]:
-        paths = [path]
-        if (inertia := tuple(_INERTIA.get(str(part), part) for part in path)) != path and inertia in found:
-            paths.append(inertia)
-        yield (
-            path,
-            [
-                [one for both in paths for one in _setting(model, both, _at(model, both) * (1 + off))]
-                for off in (-OFF, OFF)
-            ],
-        )
+        paths = [path, *(one for one in found if one == _inertia_of(path))]
+        yield path, [_scaled(model, paths, 1 + off) for off in (-OFF, OFF)]
     for path in found:
         if path[1] in _ELEMENTS and any(key in path for key in _POINTS) and key_unit(path, [spec]) == "m":
             value = _at(model, path)
             yield path, [_setting(model, path, value + off) for off in (-MOVED, MOVED)]
 
 
-def _mass_key(path: Path) -> str:
-    return next(str(part) for part in path if part in _INERTIA)
+def _inertia_of(path: Path) -> Path:
+    """Return the path that the inertia beside a mass would have."""
+    place = max(place for place, part in enumerate(path) if isinstance(part, str))
+    return (*path[:place], _INERTIA.get(str(path[place]), ""), *path[place + 1 :])
+
+
+def _scaled(model: Any, paths: Sequence[Path], factor: float) -> Settings:
+    return [one for path in paths for one in _setting(model, path, factor * _at(model, path))]
 
 
 def _paths(holder: Any, path: Path) -> Iterator[Path]:

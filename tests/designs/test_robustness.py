@@ -74,3 +74,12 @@ def test_the_inertia_of_a_body_changes_with_its_mass(is_variable: bool) -> None:
     found = {one.words: one.goals[:, 0] for one in robustness(evaluator, np.array([0.0]))}
     words, torques = ("mass of rotor", [3.0, 3.0]) if is_variable else ("mass and inertia of rotor", [2.85, 3.15])
     assert found[words] == pytest.approx(torques, rel=1e-9)
+
+
+def test_masses_in_a_list_have_their_inertias_beside_them() -> None:
+    model = {"name": "double-pendulum", "masses": [1.0, 2.0], "inertias": [0.1, 0.2], "gravity": [0.0, -9.81]}
+    base = {**DESIGN["base"], "model": model}
+    variables = {"model.gravity.1": {"bounds": [-10.0, -9.0]}}
+    spec = {"mbdkit_design": 1, "base": base, "variables": variables, "minimize": "max(energy.kinetic)"}
+    found = [one.words for one in robustness(Evaluator(load_design_spec(spec)), np.array([0.0]))]
+    assert found[1:] == ["masses[1] and inertias[1]", "masses[0] and inertias[0]"]
