@@ -413,7 +413,12 @@ class ConstraintHistory(View, of="constraints"):
 
 
 class Energy(View, of="energy"):
-    """Energies of the whole mechanism."""
+    """Energies of the whole mechanism.
+
+    `dissipated` contains the losses of dampers, passive laws, joints with friction, beams and rigid contacts. `work`
+    contains the work of drivers, muscles and all other loads, among them the whole work of compliant contacts, whose
+    losses are negative work.
+    """
 
     # columns (python -m mbdkit.archive.history_columns mbdkit/archive/history.py)
     kinetic: np.ndarray

@@ -493,7 +493,7 @@ class Run(HtmlView):
 
     @property
     def energy(self) -> Energy:
-        """Energies of the mechanism."""
+        """Energies of the mechanism; `Energy` says which losses count as `dissipated` and which as `work`."""
         return Energy(self)
 
     @property

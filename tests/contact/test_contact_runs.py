@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+import yaml
 from scipy.integrate import solve_ivp
 from scipy.optimize import brentq
 
@@ -18,6 +19,7 @@ from mbdkit.mechanism.mechanism import Mechanism
 from mbdkit.spec import load_spec
 
 G = 9.81
+STIFF = {"stiffness": 1e9, "transition_speed": 1e-3}
 DOPRI5 = {"name": "dopri5", "adaptive": True, "rtol": 1e-12, "atol": 1e-13}
 
 
@@ -82,6 +84,23 @@ def test_the_largest_contact_force_does_not_depend_on_the_recorded_times() -> No
     done = run(ball(stiffness=1e6), 1.0, **more)
     assert done.contacts["floor"].normal_force.max() == 0.0
     np.testing.assert_allclose(list(done.measures.values()), 1e6 * overlap**1.5, rtol=1e-7)
+
+
+@pytest.mark.parametrize("dissipation", [0.0, 0.3])
+def test_the_energy_lost_in_contacts_is_measured_as_the_guide_says(dissipation: float) -> None:
+    # expected: friction stops the slip of a sliding ball, which takes 2/7 of the kinetic energy of its translation
+    m = Mechanism()
+    m.body("ball", mass=1.0, inertia=0.4 * 0.1**2, position=(0.0, 0.4), velocity=(0.3, 0.0))
+    shapes = [{"line": {"normal": (0, 1)}}, {"circle": {"radius": 0.1}}]
+    m.contact("floor", "ground", "ball", shapes=shapes, friction=0.3, compliance=STIFF | {"dissipation": dissipation})
+    guide = Path(mbdkit.__file__).with_name("guide") / "contact.md"
+    section = guide.read_text(encoding="utf-8").partition("## Energy lost in contacts")[2].partition("```yaml")[2]
+    done = run(m, 0.35, **yaml.safe_load(section.partition("```")[0]))
+    assert done.contacts["floor"].mode[-1] == 0
+    lost, by_friction = done.measures["lost"], done.measures["by_friction"]
+    assert lost == pytest.approx(done.energy.total[0] - done.energy.total[-1], abs=1e-9)
+    assert by_friction == pytest.approx(0.5 * 0.3**2 * 2 / 7, rel=0.01)
+    assert (lost == pytest.approx(by_friction, abs=1e-9)) == (dissipation == 0.0)
 
 
 def test_stiff_contacts_tend_to_a_rigid_impact() -> None:
