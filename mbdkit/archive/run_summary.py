@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import math
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
@@ -445,10 +446,11 @@ def _fit(run: Run) -> str:
 
 
 def _gaps(run: Run) -> str:
-    """Return the gaps of the measured columns, which are filled by interpolation, and whether errors are unknown there;
-    empty if there are none.
+    """Return the gaps of the measured columns, how they are filled, and whether errors are unknown there; empty if
+    there are none.
     """
-    texts: list[str] = []
+    texts: dict[str, list[str]] = {"by interpolation": [], "from the other columns": []}
+    placed = json.loads(str(run.provenance.get("placed_gaps", "{}")))
     errors = [] if run.accuracy is None else [run.accuracy.reaction_error]
     errors += [run.array("actuators/value_error")] if errors and run.records("actuators/value_error") else []
     for name, one in run.motion.items():
@@ -457,9 +459,14 @@ def _gaps(run: Run) -> str:
             span = f"from t = {run.time[first]:.6g} to {run.time[end - 1]:.6g} s"
             unknown = any(np.any(np.isnan(one[first:end])) for one in errors)
             told = ", where errors are unknown" if unknown else ""
-            texts.append(f"{name}, {counted(end - first, 'sample')} {span}{told}")
-    more = f"; {len(texts) - JOINTS_NAMED} more" if len(texts) > JOINTS_NAMED else ""
-    return f"filled by interpolation: {'; '.join(texts[:JOINTS_NAMED])}{more}" if texts else ""
+            how = "from the other columns" if first in placed.get(name, ()) else "by interpolation"
+            texts[how].append(f"{name}, {counted(end - first, 'sample')} {span}{told}")
+    return "; ".join(
+        f"filled {how}: {'; '.join(own[:JOINTS_NAMED])}"
+        + (f"; {len(own) - JOINTS_NAMED} more" if own[JOINTS_NAMED:] else "")
+        for how, own in texts.items()
+        if own
+    )
 
 
 def _raw_misalignment(run: Run) -> str:

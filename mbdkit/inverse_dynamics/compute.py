@@ -16,6 +16,7 @@ from mbdkit.inverse_dynamics.fit import Fitter
 from mbdkit.inverse_dynamics.loads import Loads, LoadSeries, loads_on, read_loads
 from mbdkit.inverse_dynamics.manifold import Manifold
 from mbdkit.inverse_dynamics.measured import Measured, read_motion
+from mbdkit.inverse_dynamics.placed_gaps import PlacedGaps, place_gaps
 from mbdkit.inverse_dynamics.recruited import Recruited
 from mbdkit.inverse_dynamics.recruitment import Recruiter
 from mbdkit.inverse_dynamics.reduced_motion import (
@@ -124,10 +125,13 @@ class Fitted:
         The measured motion, with angles shifted by full turns so that they agree with the pose in the first frame.
     q
         (T, n) poses that satisfy the constraints.
+    placed
+        Gaps of the motion that are filled by means of the other columns; None if there are none.
     """
 
     measured: Measured
     q: np.ndarray
+    placed: PlacedGaps | None = None
 
     @property
     def values(self) -> np.ndarray:
@@ -139,6 +143,12 @@ class Fitted:
         """(T, K) raw - fitted values; nan in gaps."""
         left: np.ndarray = self.measured.raw - self.values
         return left
+
+    @property
+    def interpolated(self) -> np.ndarray:
+        """(T, K) whether a value is missing and interpolated over time."""
+        missing = np.isnan(self.measured.raw)
+        return missing if self.placed is None else self.placed.interpolated(missing)
 
 
 @dataclass(frozen=True)
@@ -223,7 +233,7 @@ def fit(problem: InverseProblem) -> Fitted:
     fitter, measured = problem.fitter, problem.measured.turned(values)
     q = fitter.poses(measured.target, first)
     fitter.require_observed(measured.target, q, _COLUMNS)
-    return Fitted(measured, q)
+    return Fitted(*place_gaps(fitter, measured, q))
 
 
 def _first_pose(problem: InverseProblem) -> tuple[np.ndarray, np.ndarray]:

@@ -71,13 +71,15 @@ class LongGap:
 
 
 def long_gaps(result: Inverse) -> list[LongGap]:
-    """Return the gaps that are longer than half a period of the highest cutoff of the smoothed coordinates."""
-    raw, time, independent = result.fitted.measured.raw, result.motion.time, result.independent
-    if independent is None or not independent.names or not np.any(np.isnan(raw)):
+    """Return the interpolated gaps that are longer than half a period of the highest cutoff of the smoothed
+    coordinates.
+    """
+    interpolated, time, independent = result.fitted.interpolated, result.motion.time, result.independent
+    if independent is None or not independent.names or not np.any(interpolated):
         return []
     longest = 0.5 / max(_cutoffs(result))
     found = []
-    for column, missing in enumerate(np.isnan(raw).T):
+    for column, missing in enumerate(interpolated.T):
         borders = np.flatnonzero(np.diff(np.concatenate([[False], missing, [False]])))
         for first, last in borders.reshape(-1, 2).tolist():
             start, end = float(time[first - 1]), float(time[last])

@@ -58,7 +58,7 @@ class Target:
     values
         (T, K) their measured values [m, rad].
     root_weight
-        (K,) square roots of the weights of the squared residuals.
+        (K,) or (T, K) square roots of the weights of the squared residuals.
     """
 
     time: np.ndarray
@@ -68,7 +68,8 @@ class Target:
 
     def rows(self, part: slice | np.ndarray) -> Target:
         """Return the target in a selection of frames."""
-        return Target(self.time[part], self.quantities, self.values[part], self.root_weight)
+        weight = self.root_weight if self.root_weight.ndim == 1 else self.root_weight[part]
+        return Target(self.time[part], self.quantities, self.values[part], weight)
 
 
 class FitError(RunError):
@@ -173,7 +174,7 @@ class Fitter:
         """Return the Gauss-Newton step (T, n), shortened to a scaled size of at most `LONGEST`."""
         frames = self.manifold.frames(target.time, q)
         directions = self.manifold.directions(frames.jacobian)
-        observed = target.quantities.jacobian(q) * target.root_weight[:, None]
+        observed = target.quantities.jacobian(q) * target.root_weight[..., None]
         values = (target.values - target.quantities.values(q)) * target.root_weight
         try:
             step = directions.least_squares(-frames.phi, observed, values)

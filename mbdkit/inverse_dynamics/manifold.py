@@ -111,6 +111,10 @@ class Directions:
     free: np.ndarray
     triangle: np.ndarray
 
+    def rows(self, part: slice | np.ndarray) -> Directions:
+        """Return the directions in a selection of frames."""
+        return Directions(self.scale, self.held[part], self.free[part], self.triangle[part])
+
     def singular(self) -> np.ndarray:
         """Return the frames, (T,) bool, in which constraint rows are linearly dependent."""
         if not self.triangle.shape[1]:

@@ -53,11 +53,16 @@ class NoisePath:
         observed, coordinates = target.quantities.jacobian(q), independent.quantities.jacobian(q)
         moved = _solved(directions, observed * target.root_weight[:, None], np.diag(target.root_weight))
         self._fitted = coordinates @ moved  # (T, U, K)
+        self._placed = placed = result.fitted.placed
+        if placed is not None:  # effect of noise on the values according to the other columns, (R, K, K)
+            own, weight = directions.rows(placed.rows), placed.root_weight[..., None]
+            seen = observed[placed.rows]
+            self._predicted = seen @ _solved(own, seen * weight, weight * np.eye(seen.shape[1]))
         self._q, self._intervals = q, independent.intervals
         self._follow = np.zeros((len(q), manifold.n, len(independent.names)))
         for begin, end, places in independent.intervals:
             rows, columns = slice(begin, end), list(places)
-            own = Directions(*(part if part.ndim == 1 else part[rows] for part in _parts(directions)))
+            own = directions.rows(rows)
             self._follow[rows][:, :, columns] = _solved(own, coordinates[rows][:, columns], np.eye(len(columns)))
         self._seen = observed @ self._follow
 
@@ -98,7 +103,8 @@ class NoisePath:
     def samples(self, deviation: np.ndarray, count: int, random: np.random.Generator) -> Iterator[np.ndarray]:
         """Yield blocks (T, K, S) of Gaussian noise, independent at each time, with `count` samples in total.
 
-        In gaps, the noise is that of the values that fill them, interpolated from the noise of the other samples.
+        In gaps, the noise is that of the values that fill them, due to the noise of the samples from which these values
+        are computed.
 
         Parameters
         ----------
@@ -113,18 +119,23 @@ class NoisePath:
                 gaps = self._gaps[column]
                 assert gaps is not None
                 noise[:, column] = bridged(self._time, noise[:, column], self._missing[:, column], gaps)
+            if self._placed is not None:
+                predicted = self._predicted @ noise[self._placed.rows]
+                for gap in self._placed.gaps:
+                    own = predicted[self._placed.of(gap), gap.column]
+                    beside = noise[[gap.first - 1, gap.last], gap.column]
+                    noise[gap.first : gap.last, gap.column] = gap.filled(self._time, own, beside)
             yield noise
 
 
-def _parts(directions: Directions) -> tuple[np.ndarray, ...]:
-    return directions.scale, directions.held, directions.free, directions.triangle
-
-
 def _solved(directions: Directions, observed: np.ndarray, values: np.ndarray) -> np.ndarray:
-    """Return the displacements (T, n, K) along the manifold that change `observed` (T, k, n) by `values` (k, K)."""
+    """Return the displacements (T, n, K) along the manifold that change `observed` (T, k, n) by `values`, (k, K) or
+    (T, k, K).
+    """
     rows = np.zeros((len(observed), directions.triangle.shape[1]))
     columns = [
-        directions.least_squares(rows, observed, np.broadcast_to(one, (len(observed), len(one)))) for one in values.T
+        directions.least_squares(rows, observed, np.broadcast_to(one, observed.shape[:2]))
+        for one in np.moveaxis(values, -1, 0)
     ]
     return np.stack(columns, axis=2) if columns else np.zeros((*observed.shape[::2], 0))
 

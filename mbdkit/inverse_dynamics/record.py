@@ -77,7 +77,7 @@ def archive_of(
     writer = ArchiveWriter(
         path,
         names,
-        Origin.of(spec, model_provenance(spec) | result.problem.unused.notes),
+        Origin.of(spec, _provenance(result)),
         arrays=layout.recorded_by(names, layout.QUANTITIES, frozenset(extra)),
         overwrite=overwrite,
         shared=shared_forces(mechanism),
@@ -100,6 +100,13 @@ def archive_of(
         return writer.finish(ending, measured=partial(_measured, result, errors or {}) if spec.measures else None)
     finally:
         writer.abandon()
+
+
+def _provenance(result: Inverse) -> dict[str, str | int | float]:
+    """Return the provenance, with unused data and with gaps that are filled by means of other columns."""
+    fitted = result.fitted
+    gaps = {} if fitted.placed is None else {"placed_gaps": fitted.placed.to_json(fitted.measured.names)}
+    return model_provenance(result.problem.spec) | result.problem.unused.notes | gaps
 
 
 def _intervals(time: np.ndarray) -> dict[str, np.ndarray]:

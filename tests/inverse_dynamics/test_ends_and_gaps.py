@@ -14,6 +14,7 @@ import pytest
 
 import mbdkit
 from mbdkit.inverse_dynamics import measure_samples
+from tests.inverse_dynamics.drawn_mechanisms import Drawn, draw
 from tests.inverse_dynamics.test_error_bars import pendulum
 
 TIME = np.linspace(0.0, 2.0, 201)
@@ -132,3 +133,38 @@ def test_without_smoothing_the_ends_have_no_effect_of_their_own(smooth: str) -> 
     one = run.actuators["hip"]
     assert np.mean((np.abs(one.value - torque) <= one.value_error)[np.r_[0:10, 191:201]]) >= 0.9
     assert not any(reason.startswith("ends") for reason in run.verdict_reasons)
+
+
+def chain_with_gap(seed: int, rows: slice, offset: float = 0.0) -> tuple[Drawn, mbdkit.Run, mbdkit.Run]:
+    """Return a random chain, whose motion is measured by three markers on each link with noise of 1 mm, its inverse
+    dynamics from complete data, and that without a value of the last marker in some rows; the markers are off their
+    places by `offset` [m] in x and y.
+    """
+    random = np.random.default_rng(seed)
+    drawn = draw(random, "chain", "markers")
+    time = drawn.values["time"]
+    data = {"time": time}
+    for number, key in enumerate(one for one in drawn.values if one != "time"):
+        data[key] = drawn.values[key] + offset * (-1) ** number + 1e-3 * random.standard_normal(len(time))
+    columns = {key: {"column": key, "deviation": 1e-3} for key in data if key != "time"}
+    motion = {"data": data, "columns": columns, "smooth": {"name": "butterworth", "cutoff": 5 * drawn.highest}}
+    motion |= {"gaps": {"longest": 1.0}, "errors": {"samples": 60}}
+    spec = {"mbdkit": 1, "model": drawn.model, "actuators": drawn.actuators, "motion": motion}
+    complete = mbdkit.inverse(spec)
+    for key in list(data)[-2:]:
+        data[key] = data[key].copy()
+        data[key][rows] = np.nan
+    return drawn, complete, mbdkit.inverse(spec)
+
+
+@pytest.mark.parametrize("offset", [0.0, 0.01], ids=["markers in place", "markers off their bodies"])
+def test_gaps_of_a_marker_on_a_body_with_others_are_filled_by_its_pose(offset: float) -> None:
+    rows = slice(70, 106)  # 0.31 s, several periods of the cutoff, which interpolation over time cannot bridge
+    drawn, complete, run = chain_with_gap(3, rows, offset)
+    marker = list(drawn.model["markers"])[-1]
+    assert f"filled from the other columns: {marker}.x, 36 samples" in run.summary()
+    for name, torque in drawn.torques.items():
+        one, whole = run.actuators[name], complete.actuators[name]
+        expected = whole.value if offset else torque  # places that are wrong change the torques of complete data, too
+        assert np.mean((np.abs(one.value - expected) <= one.value_error)[rows]) > 0.9
+        assert np.max(one.value_error[rows]) < 4 * np.max(whole.value_error[rows])
