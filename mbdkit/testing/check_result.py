@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
+from textwrap import fill
 from typing import Any, Literal
 
-from mbdkit.base.text import counted, listed, table
+from mbdkit.base.text import counted, listed, shown, table
 from mbdkit.registry.catalogue import Kind
 
 Outcome = Literal["pass", "fail", "warn", "not claimed", "skip"]
@@ -145,8 +146,8 @@ class Report:
         """Duration of all checks [s]."""
         return sum(result.seconds for result in self.results)
 
-    def verdict(self) -> str:
-        """Return the outcome in one sentence."""
+    def verdict(self, *, names: bool = True) -> str:
+        """Return the outcome in one sentence, with the names of failed checks unless `names` is false."""
         counts = f"{counted(self.run, 'check')} run"
         if warnings := self.of("warn"):
             counts += f", {counted(len(warnings), 'warning')}"
@@ -157,30 +158,34 @@ class Report:
         if self.verified:
             return f"verified: {counts}"
         if failures := self.of("fail"):
-            return f"not verified: {len(failures)} failed ({listed(r.name for r in failures)}); {counts}"
+            named = f" ({listed(r.name for r in failures)})" if names else ""
+            return f"not verified: {len(failures)} failed{named}; {counts}"
         return f"not verified: no check of the group {self.missing} could be run; {counts}"
 
     def text(self) -> str:
-        """Return the report as a table with causes and measured values."""
-        told = [
-            (result, _told(result, told_by)) for result, told_by in zip(self.results, self._first_told(), strict=True)
-        ]
-        rows = [("CHECK", "OUTCOME", ""), *((result.name, result.outcome, text) for result, text in told)]
+        """Return the report as a table with causes and measured values, followed by the causes of several failures."""
+        shared = self._shared_causes()
+        told_below = {result.name for results in shared.values() for result in results}
+        rows = [("CHECK", "OUTCOME", "")]
+        rows += [(one.name, one.outcome, _told(one)) for one in self.results if one.name not in told_below]
         head = f"{self.id} {self.version} ({self.kind})"
         if self.options:
             head += " with " + listed(f"{key} = {value}" for key, value in self.options.items())
-        return f"{head}\n\n{table(rows, indent='  ')}\n\n{self.verdict()}, in {self.seconds:.0f} s"
+        parts = [table(rows, indent="  "), *(_paragraph(cause, results) for cause, results in shared.items())]
+        verdict = f"{self.verdict(names=not shared)}, in {self.seconds:.0f} s"
+        return "\n\n".join([head, *(parts if len(rows) > 1 else parts[1:]), verdict])
 
-    def _first_told(self) -> list[str]:
-        """Return, for each result, the name of the earlier check that failed for the same reason; otherwise an empty
-        text.
-        """
-        first: dict[str, str] = {}
-        names = []
+    def _shared_causes(self) -> dict[str, list[Result]]:
+        """Return the causes that several checks have in common, at least one of which failed, with their results."""
+        by_cause: dict[str, list[Result]] = {}
         for result in self.results:
-            known = first.setdefault(result.cause, result.name) if result.outcome == "fail" else result.name
-            names.append("" if known == result.name else known)
-        return names
+            if result.outcome in ("fail", "skip"):
+                by_cause.setdefault(_root(result.cause), []).append(result)
+        return {
+            results[0].cause: results
+            for results in by_cause.values()
+            if len(results) > 1 and any(result.outcome == "fail" for result in results)
+        }
 
     def to_dict(self) -> dict[str, Any]:
         """Return the report as JSON values; measured values that are not finite become None."""
@@ -205,15 +210,33 @@ class Report:
         }
 
 
-def _told(result: Result, first: str) -> str:
+_RAISED = re.compile(r"raised (\w+):.* \((.+, line \d+)\)")
+"""An exception of a plugin in a cause, with its type and the line of the plugin that raised it."""
+
+
+def _root(cause: str) -> str:
+    """Return a text that is equal for causes with the same root: an exception in a line of the plugin, or the cause."""
+    found = _RAISED.search(cause)
+    return cause if found is None else f"{found[1]} {found[2]}"
+
+
+def _paragraph(cause: str, results: Sequence[Result]) -> str:
+    """Return the cause of several results, with their number and names."""
+    found = _RAISED.search(cause)
+    failed, skips = ([one.name for one in results if one.outcome == what] for what in ("fail", "skip"))
+    skipped = f", {len(skips)} skipped" if skips else ""
+    told = shown(cause if found is None else f"the plugin {found[0]}")
+    lines = [f"{what}: {listed(names)}" for what, names in (("failed", failed), ("skipped", skips)) if names]
+    wrapped = [fill(one, 118, initial_indent="  ", subsequent_indent="    ", break_on_hyphens=False) for one in lines]
+    return "\n".join([f"{counted(len(failed), 'check')} failed{skipped}: {told}", *wrapped])
+
+
+def _told(result: Result) -> str:
     """Return the text of a result in the report: its cause, its measured values, and sometimes its requirement.
 
     The requirement is included for results without limits that passed or are not claimed, because the meaning of their
-    values is otherwise unclear. If `first` is the name of an earlier check that failed for the same reason, the text
-    is the beginning of the reason and refers to that check.
+    values is otherwise unclear.
     """
-    if first:
-        return f"{re.split('[:;]', result.cause)[0]}, as in {first}"
     required = result.what.rstrip(".") if result.outcome in ("pass", "not claimed") and not result.limits else ""
     return "; ".join(filter(None, [result.cause, figures_text(result), required]))
 

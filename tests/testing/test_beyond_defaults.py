@@ -72,11 +72,19 @@ def test_a_pass_says_what_was_compared_with_what() -> None:
     assert "The law's values are finite and repeatable" in lines["law.finite"]
 
 
-def test_one_error_is_told_once() -> None:
-    broken = Result("fail", "it raised LookupError: no table", name="order.four-bar", what="The order holds.")
-    report = Report("a:b", "integrator", "1", {}, {}, (broken, replace(broken, name="order.pendulum")))
-    assert report.text().count("no table") == 1
-    assert "it raised LookupError, as in order.four-bar" in report.text()
+def test_one_error_is_told_once_with_the_checks_that_failed() -> None:
+    error = "AttributeError: '{}' object has no attribute 'mass' (/plugin.py, line 29)"
+    raised = Result("fail", f"it raised {error.format('Equations')}", name="contract.inputs")
+    run = Result(
+        "fail", f"the run failed: plugin-error: rocket raised {error.format('Counted')}", name="order.four-bar"
+    )
+    left, other = replace(run, outcome="skip", name="drift.growth"), Result("fail", "order 1", name="state.free-fall")
+    text = Report("a:b", "integrator", "1", {}, {}, (raised, run, left, other)).text()
+    assert text.count("line 29") == text.count("order.four-bar") == text.count("state.free-fall") == 1
+    assert (
+        f"2 checks failed, 1 skipped: the plugin raised {error.format('Equations')}\n  failed: contract.inputs" in text
+    )
+    assert "not verified: 3 failed; " in text
 
 
 def test_an_exception_of_a_method_is_told_with_its_line_and_chained() -> None:
