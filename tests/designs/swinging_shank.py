@@ -31,7 +31,7 @@ def shank() -> mbdkit.Mechanism:
     return m
 
 
-def swing(amplitude: float = 0.5, mechanism: mbdkit.Mechanism | None = None, step: float = 0.05) -> dict[str, Any]:
+def swing(amplitude: float = 0.5, mechanism: mbdkit.Mechanism | None = None, step: float = 0.1) -> dict[str, Any]:
     """Return the spec of a run in which a motor swings the shank."""
     m = mechanism or shank()
     m.driver("motor", m.ground, "shank", coordinate="angle", motion=f"{ANGLE} + {amplitude}*sin(3*t)")

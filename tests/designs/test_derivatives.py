@@ -76,7 +76,7 @@ def test_a_result_at_a_corner_of_the_goal_is_an_optimum_if_no_side_descends() ->
     most = 20.0 * 0.7 + 1e-9
     goal = f"abs(max(abs(forces.brace.value)) - {most:.17g})"
     (name,) = ONE
-    found = mbdkit.design(design_of(swing(), variables={name: {**ONE[name], "start": 20.0}}, minimize=goal))
+    found = mbdkit.design(design_of(swing(step=0.05), variables={name: {**ONE[name], "start": 20.0}}, minimize=goal))
     assert found.best.variables[name] == pytest.approx(20.0, rel=1e-9)
     assert "at a kink; from there, no linearization of a nearby point leads to a lower cost" in found.message
     assert not found.doubt
