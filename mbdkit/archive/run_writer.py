@@ -9,7 +9,7 @@ from datetime import UTC, datetime
 from functools import lru_cache
 from hashlib import sha256
 from pathlib import Path
-from typing import Protocol
+from typing import TYPE_CHECKING, Protocol
 
 import h5py
 import numpy as np
@@ -18,9 +18,12 @@ from mbdkit.archive import layout
 from mbdkit.archive.accuracy import Accuracy
 from mbdkit.archive.fingerprint import line, text_bytes
 from mbdkit.archive.measured_values import Integrals
-from mbdkit.quantities.array import TEXT, Array
+from mbdkit.quantities.array import FLOAT, TEXT, Array
 from mbdkit.quantities.names import ArchiveNames
 from mbdkit.trust.criteria import Judgement
+
+if TYPE_CHECKING:
+    from mbdkit.mechanism.mechanism import Mechanism
 
 
 def utc_now() -> str:
@@ -85,6 +88,9 @@ class AnySpec(Protocol):
     def run_id(self) -> str:
         """Return the name of the run."""
 
+    def mechanism(self) -> Mechanism:
+        """Return its mechanism."""
+
 
 @dataclass(frozen=True)
 class Origin:
@@ -100,6 +106,8 @@ class Origin:
         Attributes of ``/provenance``: versions, platform, command.
     created_utc
         Time at which the run began, ISO 8601; by default now.
+    bodies
+        Attributes of ``/trajectory``: ``mass`` (B,) [kg] and ``inertia`` (B,) [kg m^2] of the bodies.
     """
 
     spec_json: str
@@ -107,11 +115,17 @@ class Origin:
     run_id: str
     provenance: Mapping[str, str | int | float]
     created_utc: str = ""
+    bodies: Mapping[str, np.ndarray] = field(default_factory=dict)
 
     @classmethod
     def of(cls, spec: AnySpec, provenance: Mapping[str, str | int | float]) -> Origin:
         """Return the origin of a run of a spec."""
-        return cls(spec.canonical_json(), spec.sha256(), spec.run_id(), provenance)
+        bodies = spec.mechanism().bodies.values()
+        masses = {
+            "mass": np.array([body.mass for body in bodies], FLOAT),
+            "inertia": np.array([body.inertia or 0.0 for body in bodies], FLOAT),
+        }
+        return cls(spec.canonical_json(), spec.sha256(), spec.run_id(), provenance, bodies=masses)
 
 
 @dataclass(frozen=True)

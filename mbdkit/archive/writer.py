@@ -283,7 +283,11 @@ class ArchiveWriter(RunWriter):
         if self._file is None:
             self._file = memory_file() if self._target is None else self._target.open()
             names = self.names
-            text = len(self.origin.spec_json) + 64 * sum(len(one.texts(names)) for one in self.arrays if one.texts)
+            text = (
+                len(self.origin.spec_json)
+                + 16 * len(names.bodies)
+                + 64 * sum(len(one.texts(names)) for one in self.arrays if one.texts)
+            )
             with self._room(more=False, also=_ATTRIBUTE_BYTES + text):
                 begin_file(self._file, names, self.arrays)
                 self._write_head(self._file, self._root_attributes(None))
@@ -294,6 +298,7 @@ class ArchiveWriter(RunWriter):
         self._add(file, "", head)
         given = self.origin.provenance
         self._add(file, "provenance", {name: given[name] for name in given if f"provenance@{name}" not in self._known})
+        self._add(file, "trajectory", self.origin.bodies)
         if self.shared is not None:
             length = float(self.shared.length)
             self._add(file, "joints", {"redundancy": self.shared.redundancy, "characteristic_length": length})

@@ -6,11 +6,14 @@ import inspect
 import pickle
 from pathlib import Path
 
+import h5py
 import numpy as np
 import pytest
 
+import mbdkit
 from mbdkit.archive import history
 from mbdkit.archive import run as run_module
+from mbdkit.archive.archive_check import check
 from mbdkit.archive.history import Column, NotRecordedError, UnknownNameError
 from mbdkit.archive.reader import load
 from mbdkit.archive.run import Run
@@ -215,3 +218,20 @@ def test_what_the_writer_knows_is_what_its_archive_says(tmp_path: Path) -> None:
     read = vars(ArchiveContents.open(tmp_path / "run.h5").header)
     np.testing.assert_array_equal(known.pop("misalignment_max"), read.pop("misalignment_max"))
     assert known == read
+
+
+@pytest.mark.parametrize("is_long", [False, True], ids=["written at once", "begun before its end"])
+def test_masses_of_bodies_of_a_model_are_in_the_archive(
+    is_long: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    if is_long:
+        monkeypatch.setattr("mbdkit.archive.writer.FLUSH_INTERVAL", 0.0)
+    model = {"name": "double-pendulum", "masses": [1.0, 3.0], "lengths": [1.0, 2.0]}
+    spec = {"mbdkit": 1, "model": model, "integrator": {"name": "rk4"}, "time": {"end": 0.05, "step": 0.01}}
+    mbdkit.run(spec, archive=tmp_path / "run.h5").close()
+    with h5py.File(tmp_path / "run.h5") as file:
+        bodies = file["trajectory"]
+        assert bodies["body"].asstr()[:].tolist() == ["rod1", "rod2"]
+        assert bodies.attrs["mass"].tolist() == [1.0, 3.0]
+        assert bodies.attrs["inertia"] == pytest.approx([1.0 / 12.0, 3.0 * 2.0**2 / 12.0])  # uniform rods
+    assert check(tmp_path / "run.h5") == []
