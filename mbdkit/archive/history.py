@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, fields
-from typing import Any, Protocol, TypeVar, overload
+from typing import Any, NamedTuple, Protocol, TypeVar, overload
 
 import numpy as np
 
@@ -16,6 +16,7 @@ from mbdkit.base.html_view import HtmlView
 from mbdkit.base.text import did_you_mean, listed
 from mbdkit.mechanism.beam_shape import places_with_ends, with_ends
 from mbdkit.mechanism.beams import beam_of, named_body
+from mbdkit.mechanism.contacts import MODES
 from mbdkit.quantities.array import COORDINATE_UNITS, MIXED, Array, Kind, Recorded
 from mbdkit.quantities.table import BY_GROUP
 
@@ -352,6 +353,22 @@ class MuscleHistory(View, of="muscles"):
     force_error: np.ndarray
 
 
+class Transition(NamedTuple):
+    """A change of the mode of a contact between two recorded rows.
+
+    Attributes
+    ----------
+    time
+        Time of the first row with the new mode, s.
+    before, after
+        Modes: ``open``, ``stick`` or ``slip``.
+    """
+
+    time: float
+    before: str
+    after: str
+
+
 class ContactHistory(View, of="contacts"):
     """Gap, forces, slip and mode of one contact.
 
@@ -367,6 +384,13 @@ class ContactHistory(View, of="contacts"):
     mode: np.ndarray
 
     bodies: tuple[str, str]
+
+    @property
+    def transitions(self) -> list[Transition]:
+        """Changes of the mode in the recorded rows, in order of time. Events on the mode give exact times."""
+        time, mode = self.source.array("contacts/time").tolist(), self.mode.astype(int).tolist()
+        changes = (row for row in range(1, len(mode)) if mode[row] != mode[row - 1])
+        return [Transition(time[row], MODES[mode[row - 1]], MODES[mode[row]]) for row in changes]
 
 
 class GroundReactionHistory(View, of="ground_reactions"):

@@ -22,6 +22,9 @@ Pair = tuple[float, float]
 OPEN, STICK, SLIP = range(3)
 """Modes of a contact: open, sticking (closed without slip) and slipping."""
 
+MODES = ("open", "stick", "slip")
+"""Names of the modes."""
+
 MOST_CORNERS = 16
 """Largest number of corners of a polygon; each force of a contact has all corners among its parameters."""
 

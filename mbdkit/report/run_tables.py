@@ -23,7 +23,7 @@ BODIES = 50
 JOINTS = 50
 """Largest number of rows in a table of joints or contacts."""
 EVENTS = 50
-"""Largest number of event crossings in the table."""
+"""Largest number of event crossings, and of changes of contacts, in their table."""
 _QUANTITIES = (
     ("velocity misalignment", "joints/velocity_misalignment", "m/s"),
     ("angle misalignment", "joints/angle_misalignment", "rad"),
@@ -34,7 +34,7 @@ def run_tables(run: Run) -> tuple[Table, ...]:
     """Return the tables of a run. The tables of events and of the cost come last."""
     tables = [_joints(run)] if run.joint_names else []
     if len(run.contacts):
-        tables.append(_contacts(run))
+        tables += [_contacts(run), *_transitions(run)]
     if run.joint_names and len(run.impacts) and np.any(np.isfinite(run.impacts.reaction_impulse)):
         tables.append(_impulses(run))
     if run.accuracy is not None and run.accuracy.rows_known:
@@ -105,6 +105,16 @@ def _contacts(run: Run) -> Table:
     if len(rows) > JOINTS:
         note += f" The {JOINTS} of {len(rows)} contacts with the largest overlap."
     return Table("contacts", "Overlap and creep of the contacts", columns, tuple(rows[:JOINTS]), note)
+
+
+def _transitions(run: Run) -> list[Table]:
+    """Return the table of the first `EVENTS` times at which contacts begin, end, stick or slip; none without them."""
+    every = sorted((one.time, name, one) for name, contact in run.contacts.items() for one in contact.transitions)
+    rows = [(name, one.time, one.before, one.after) for _, name, one in every[:EVENTS]]
+    more = f" The first {EVENTS} of {len(every)} changes." if len(every) > EVENTS else ""
+    note = f"The time is that of the first recorded row with the new mode.{more}"
+    columns = columns_of("contact; time [s]; before; after")
+    return [Table("transitions", "Changes of the contacts", columns, tuple(rows), note)] if rows else []
 
 
 def _impulses(run: Run) -> Table:

@@ -16,6 +16,7 @@ import mbdkit
 from mbdkit.archive.run import Run
 from mbdkit.figures.drawing_geometry import draw_mechanism
 from mbdkit.mechanism.mechanism import Mechanism
+from mbdkit.report.run_tables import run_tables
 from mbdkit.spec import load_spec
 
 G = 9.81
@@ -101,6 +102,28 @@ def test_the_energy_lost_in_contacts_is_measured_as_the_guide_says(dissipation: 
     assert lost == pytest.approx(done.energy.total[0] - done.energy.total[-1], abs=1e-9)
     assert by_friction == pytest.approx(0.5 * 0.3**2 * 2 / 7, rel=0.01)
     assert (lost == pytest.approx(by_friction, abs=1e-9)) == (dissipation == 0.0)
+
+
+@pytest.mark.parametrize("treatment", ["compliant", "event-driven"])
+def test_runs_list_the_times_at_which_a_contact_begins_rolls_and_ends(treatment: str) -> None:
+    # expected: a fall from 50 mm, slip until 2/7 v0/(mu g), and a force that lifts the ball when it equals the weight
+    m = Mechanism()
+    m.body("ball", mass=1.0, inertia=0.4 * 0.1**2, position=(0.0, 0.15), velocity=(2.0, 0.0))
+    m.force("crane", "ball", value=[0.0, "max(0, 100*(t - 0.4))"])
+    shapes = [{"line": {"normal": (0, 1)}}, {"circle": {"radius": 0.1}}]
+    compliance = {"law": "linear", "stiffness": 1e6, "dissipation": 1e5, "transition_speed": 1e-3}
+    kept = {"compliance": compliance} if treatment == "compliant" else {}
+    m.contact("floor", "ground", "ball", shapes=shapes, friction=0.2, **kept)
+    method = {"name": "radau-iia", "stages": 3, "adaptive": True} if kept else {"name": "dop853"}
+    more = {"contact": {"treatment": treatment}, "events": {"rolls": {"when": "contacts.floor.mode - 1.5"}}}
+    done = run(m, 0.55, method, step=0.01, **more)
+    changes = done.contacts["floor"].transitions
+    assert [(one.before, one.after) for one in changes] == [("open", "slip"), ("slip", "stick"), ("stick", "open")]
+    times = [math.sqrt(0.1 / G), 2 / 7 * 2.0 / (0.2 * G), 0.4 + G / 100]
+    assert [one.time for one in changes] == pytest.approx(times, abs=1e-3 if kept else 0.01)  # of the rows
+    assert done.events.time[done.events.direction < 0] == pytest.approx(times[1:2], abs=1e-3 if kept else 1e-9)
+    (table,) = (one for one in run_tables(done) if one.name == "transitions")
+    assert table.rows == tuple(("floor", *one) for one in changes)
 
 
 def test_stiff_contacts_tend_to_a_rigid_impact() -> None:
