@@ -141,8 +141,8 @@ def validate_inverse(source: str | Document, name: str, assignments: list[str]) 
     if problem.loads:
         show(f"loads        {', '.join(problem.loads)}")
     show(f"actuators    {', '.join(actuator.name for actuator in problem.recorded_actuators) or 'none'}")
-    if roots := free_roots(spec.mechanism()):
-        show(f"residuals    on {', '.join(roots)}")
+    if any(actuator.is_residual for actuator in problem.actuators):
+        show(f"residuals    on {', '.join(free_roots(spec.mechanism()))}")
     if problem.recruiter is not None:
         show(f"muscles      {', '.join(problem.recruiter.muscles)}")
     show("not checked  rows after the first, smoothed motion, loads and results, which `mbdkit inverse` checks")

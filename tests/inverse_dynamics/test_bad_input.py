@@ -18,6 +18,7 @@ from mbdkit.inverse_dynamics import table_files
 from mbdkit.inverse_dynamics.compute import InverseProblem
 from mbdkit.spec import load_inverse_spec
 
+AXES = ("x", "y", "angle")
 ROWS = ["time,hip,text", *(f"{0.01 * i:.2f},{0.1 * i:.3f},a" for i in range(20))]
 
 
@@ -239,6 +240,18 @@ def test_validate_gives_the_warnings_that_need_no_computation(tmp_path: Path) ->
     assert units in of_inverse
     assert outlier in of_inverse
     assert told("validate", ["units", "outliers"]) == []
+
+
+@pytest.mark.parametrize("is_declared", [False, True], ids=["residuals", "declared"])
+def test_validate_names_the_body_with_residual_actuators_if_there_are_any(tmp_path: Path, is_declared: bool) -> None:
+    m = mbdkit.Mechanism()
+    m.body("rod", mass=1.0, inertia=0.1)
+    data = {"time": [0.1 * i for i in range(20)], **{f"rod.{name}": [0.1 * i for i in range(20)] for name in AXES}}
+    spec = {"mbdkit": 1, "model": m.to_spec(), "motion": {"data": data}}
+    spec["actuators"] = {name: {"body": "rod", "coordinate": name} for name in AXES} if is_declared else {}
+    (tmp_path / "s.yaml").write_text(yaml.safe_dump(spec), encoding="utf-8")
+    done = CliRunner().invoke(app, ["validate", str(tmp_path / "s.yaml")])
+    assert ("residuals    on rod" in done.output) != is_declared
 
 
 def test_commands_compute_check_and_print(tmp_path: Path) -> None:
