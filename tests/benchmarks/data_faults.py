@@ -1,7 +1,7 @@
 """How often the verdict of inverse dynamics finds faults in measured data, and how often it doubts clean data.
 
-``python -m tests.benchmarks.data_faults [FAULT ...] [--sets N] [--workers N]`` draws data sets, of chains, closed
-loops, chains on a force plate and bipeds on two plates, and puts each fault into each of them. It counts
+``python -m tests.benchmarks.data_faults [FAULT ...] [--sets N] [--first N] [--workers N]`` draws data sets, of chains,
+closed loops, chains on a force plate and bipeds on two plates, and puts each fault into each of them. It counts
 
 ``refused``, ``flagged``
     an error that names the place, or a doubtful verdict;
@@ -31,6 +31,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(prog="python -m tests.benchmarks.data_faults")
     parser.add_argument("faults", nargs="*", metavar="FAULT", help=f"{', '.join(FAULTS)}; all by default")
     parser.add_argument("--sets", type=int, default=40)
+    parser.add_argument("--first", type=int, default=0, help="number of the first data set")
     parser.add_argument("--workers", type=int, default=2)
     asked = parser.parse_args()
     chosen = asked.faults or list(FAULTS)
@@ -38,7 +39,7 @@ def main() -> None:
         parser.error(f"there is no fault {unknown[0]!r}")
     with ProcessPoolExecutor(asked.workers) as pool:
         found = []
-        for one in pool.map(partial(outcomes, faults=chosen), range(asked.sets)):
+        for one in pool.map(partial(outcomes, faults=chosen), range(asked.first, asked.first + asked.sets)):
             found.append(one)
             print(f"\r{len(found)} of {asked.sets} sets", end="", file=sys.stderr, flush=True)
     total: Counter[str] = Counter()
