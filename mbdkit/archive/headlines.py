@@ -90,6 +90,7 @@ def plus_minus(value: float, error: float, sign: str = "+-") -> str:
     The value is rounded to the place of the error's first digit. If the error is 10 or more and the value is printed
     without an exponent, it is rounded to the place of the error's second digit, as in ``3600 +- 210``. A value that is
     smaller than its error keeps as many digits of its own, as in ``430 +- 1800``, so that it is not rounded to zero.
+    A value that is not finite has no known error.
 
     Parameters
     ----------
@@ -98,7 +99,7 @@ def plus_minus(value: float, error: float, sign: str = "+-") -> str:
     sign
         Sign between the value and the error.
     """
-    if not math.isfinite(error):
+    if not (math.isfinite(value) and math.isfinite(error)):
         return f"{value:.4g} (error unknown)"
     if error <= 0:
         return f"{value:.{MOST_DIGITS}g} {sign} 0"

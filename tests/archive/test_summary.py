@@ -141,6 +141,7 @@ def test_summary_says_how_near_a_run_came_to_a_singular_position() -> None:
         (-2.0, 1e-30, "-2.00000 +- 1e-30"),
         (1.234567e-6, 2e-9, "1.235e-06 +- 2e-09"),
         (1.0, math.nan, "1 (error unknown)"),
+        (math.inf, 1.0, "inf (error unknown)"),
     ],
 )
 def test_a_value_is_printed_with_the_digits_that_its_error_leaves(value: float, error: float, text: str) -> None:
