@@ -181,7 +181,7 @@ def _noisy(
     for block in path.samples(deviation, SAMPLES, random):
         change = path.smoothed(block)
         for own in np.eye(block.shape[2]):
-            ends = random.uniform(-1.0, 1.0, at_ends.value.shape[1:])  # (U, 2)
+            ends = random.uniform(-1.0, 1.0, at_ends.value.shape[1:])  # (U, C)
             moved = _added(_added(series, change, own), at_ends, ends)
             yield moved, {name: load.with_noise(random) for name, load in result.problem.loads.items()}
 

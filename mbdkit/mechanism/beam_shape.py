@@ -122,8 +122,8 @@ def with_ends(forces: np.ndarray, angles: np.ndarray, length: float) -> np.ndarr
     parabola through the values of the three nearest elements, linearly from two elements, or as a constant from a
     single element. The moment at an end follows by equilibrium from the moment in the middle of the outermost element:
     m' = -r' x n, where m is the moment, n the force, and r' the derivative of the position with respect to the arc
-    length. With any number of elements, the moment at the clamp of a cantilever under its own weight then agrees with
-    beam theory.
+    length. With any number of two-node elements, or with at least two elements of three nodes, the moment at the clamp
+    of a cantilever under its own weight then agrees with beam theory.
 
     Parameters
     ----------
