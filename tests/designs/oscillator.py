@@ -20,7 +20,7 @@ def tuned(**sections: Any) -> dict[str, Any]:
     m.body("wheel", mass=1.0, inertia=1.0, angle=1.0)
     m.revolute("pin", m.ground, "wheel", at=(0, 0))
     m.torsion_spring("spring", m.ground, "wheel", stiffness=1.0, free_angle=0.0)
-    method = {"integrator": {"name": "dop853"}, "time": {"end": 1.0, "step": 0.02}}
+    method = {"integrator": {"name": "dop853"}, "time": {"end": 1.0, "step": 0.1}}
     return {
         "mbdkit_design": 1,
         "base": {"mbdkit": 1, "model": m.to_spec(), **method},

@@ -22,7 +22,7 @@ def test_the_best_torsion_spring_is_the_regression_of_the_moment(optimizer: str,
     angle, moment = moments()
     matrix = [[mean(angle**2), -mean(angle)], [-mean(angle), 1.0]]
     k, k_free = np.linalg.solve(matrix, [-mean(angle * moment), mean(moment)])
-    found = mbdkit.design(design_of(swing(), optimizer={"name": optimizer, "tolerance": 1e-12, "starts": starts}))
+    found = mbdkit.design(design_of(swing(), optimizer={"name": optimizer, "tolerance": 1e-9, "starts": starts}))
     assert found.best.variables[f"{BRACE}.stiffness"] == pytest.approx(k, rel=1e-4)
     assert found.best.variables[f"{BRACE}.free_angle"] == pytest.approx(k_free / k, rel=1e-4)
     assert found.best.goals["goal"] == pytest.approx(mean((moment - k_free + k * angle) ** 2), abs=1e-6)
@@ -66,9 +66,9 @@ def test_a_limit_that_is_active_holds_at_the_best_point(optimizer: str) -> None:
     # expected: the brace may exert 3 N m at most, at the largest angle
     spec, most = swing(), 0.7  # the angle is 0.2 + 0.5 sin(3 t)
     limits = {"torque": {"value": "max(abs(forces.brace.value))", "max": 3.0}}
-    options: dict[str, Any] = {"name": optimizer, "tolerance": 1e-9}
+    options: dict[str, Any] = {"name": optimizer, "tolerance": 1e-4 if "evolution" in optimizer else 1e-9}
     if optimizer == "differential-evolution":
-        options |= {"population": 8, "tolerance": 1e-4, "max_iterations": 60}
+        options |= {"population": 8, "max_iterations": 60}
     found = mbdkit.design(design_of(spec, variables=ONE, subject_to=limits, optimizer=options))
     rel = 1e-5 if optimizer == "slsqp" else 1e-2
     assert found.is_feasible
@@ -113,7 +113,7 @@ def test_a_design_of_runs_finds_the_balance_of_an_arm_and_certifies_it() -> None
     assert found.trust.is_gain["goal"]
 
 
-def pendulum(step: float = 0.01, **variables: Any) -> dict[str, Any]:
+def pendulum(step: float = 0.05, **variables: Any) -> dict[str, Any]:
     base = {"time": {"end": 1.0, "step": step}, "integrator": {"name": "gauss", "stages": 1}}
     spec = {"mbdkit": 1, "model": {"name": "single-pendulum", "angle": 0.0}, **base}
     return {"mbdkit_design": 1, "base": spec, "variables": variables, "minimize": "final(rod1.y)"}

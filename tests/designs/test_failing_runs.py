@@ -34,6 +34,7 @@ def sledge(**sections: Any) -> dict[str, Any]:
         "base": {"mbdkit": 1, "parameters": {"x": 1.0}, "model": model, **method},
         "variables": {"x": {"bounds": [0.0, 10.0], "start": 0.5}},
         "minimize": "final(sledge.x)",
+        "optimizer": {"name": "slsqp", "max_iterations": 20},
         **sections,
     }
 
@@ -41,7 +42,7 @@ def sledge(**sections: Any) -> dict[str, Any]:
 @pytest.mark.parametrize("optimizer", ["slsqp", "trust-constr"])
 def test_the_best_point_is_none_whose_run_fails(optimizer: str) -> None:
     # the goal falls up to the value at which runs begin to fail; trust-constr ends beyond it
-    found = mbdkit.design(sledge(optimizer={"name": optimizer}))
+    found = mbdkit.design(sledge(optimizer={"name": optimizer, "max_iterations": 20}))
     x = found.best.variables["x"]
     assert x < LIMIT
     assert found.best.goals["goal"] == pytest.approx(-0.5 / (LIMIT - x), rel=1e-6)

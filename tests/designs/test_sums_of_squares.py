@@ -15,11 +15,11 @@ STRAP = "model.forces.strap"
 BOTH = {f"{name}.stiffness": {"bounds": [0.0, 200.0], "start": 20.0 + k} for k, name in enumerate((BRACE, STRAP))}
 
 
-def strapped(step: float = 0.05) -> dict[str, Any]:
+def strapped() -> dict[str, Any]:
     """Return the swing with a second spring in parallel to the brace."""
     m = shank()
     m.torsion_spring("strap", m.ground, "shank", stiffness=1.0, free_angle=0.0)
-    return swing(mechanism=m, step=step)
+    return swing(mechanism=m)
 
 
 def test_least_squares_finds_the_spring_of_given_moments() -> None:
@@ -34,7 +34,7 @@ def test_least_squares_finds_the_spring_of_given_moments() -> None:
         for k, moment in zip(places, given, strict=True)
     }
     options = {"name": "least-squares", "tolerance": 1e-15}
-    found = mbdkit.design(design_of(swing(step=0.01), minimize=terms, optimizer=options))
+    found = mbdkit.design(design_of(swing(step=0.02), minimize=terms, optimizer=options))
     assert found.best.variables[f"{BRACE}.stiffness"] == pytest.approx(stiffness, rel=1e-10)
     assert found.best.variables[f"{BRACE}.free_angle"] == pytest.approx(preload / stiffness, rel=1e-10)
     assert list(found.best.goals) == ["goal"]
@@ -49,7 +49,7 @@ def test_of_two_springs_in_parallel_only_the_sum_is_determined(optimizer: str) -
     total, base = -mean(moment * angle) / mean(angle**2), strapped()
     goal: Any = {"slsqp": "mean(joints.motor.torque**2)"}.get(optimizer)
     if goal is None:  # torques that a spring of 30 N m/rad exerts
-        base, (angle, moment) = strapped(step=0.01), moments(at=T)
+        angle, moment = moments(at=T)
         total, goal = 30.0, {f"at_{k}": f"at(joints.motor.torque, {T[k]:.2f}) - ({moment[k] + 30 * angle[k]:.17g})"
                              for k in (30, 80, 170)}  # fmt: skip
     found = mbdkit.design(design_of(base, variables=BOTH, minimize=goal, optimizer={"name": optimizer}))
@@ -61,12 +61,13 @@ def test_of_two_springs_in_parallel_only_the_sum_is_determined(optimizer: str) -
 
 
 def test_a_limit_or_a_bound_determines_one_of_two_springs() -> None:
+    rough = {"name": "slsqp", "tolerance": 1e-9}
     limited = {"strap": {"value": "max(abs(forces.strap.value))", "max": 2.0, "min": 2.0}}
     angle, _ = moments()
-    assert not mbdkit.design(design_of(strapped(), variables=BOTH, subject_to=limited)).undetermined
+    assert not mbdkit.design(design_of(strapped(), variables=BOTH, subject_to=limited, optimizer=rough)).undetermined
     held = BOTH | {f"{STRAP}.stiffness": {"bounds": [0.0, 5.0]}}
-    found = mbdkit.design(design_of(strapped(), variables=held, minimize=f"mean(joints.motor.torque**2)"
-                                    f" + mean((forces.strap.value + 50*{mean(angle):.3f})**2)"))  # fmt: skip
+    goal = f"mean(joints.motor.torque**2) + mean((forces.strap.value + 50*{mean(angle):.3f})**2)"
+    found = mbdkit.design(design_of(strapped(), variables=held, minimize=goal, optimizer=rough))
     assert found.best.variables[f"{STRAP}.stiffness"] == pytest.approx(5.0, rel=1e-6)
     assert not found.undetermined
 
