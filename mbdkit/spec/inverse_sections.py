@@ -83,7 +83,8 @@ class Gaps(Section):
     longest: Positive
     """Longest time between the samples on both sides of a gap [s]; a longer gap is refused."""
     interpolation: Literal["linear", "cubic"] = "cubic"
-    """`linear`, or `cubic`: the cubic spline through the other samples of the column."""
+    """`linear`, or `cubic`: the cubic spline through the other samples of the column. The interpolation is used only if
+    the other columns do not determine the pose in the gap."""
 
 
 class ObservedColumn(ColumnOfTable):
