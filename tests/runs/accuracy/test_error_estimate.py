@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from mbdkit.mechanism.mechanism import Mechanism
 from mbdkit.runs.accuracy.check_run import why_unknown
 from mbdkit.runs.accuracy.companion import Companion, CompanionRows
 from mbdkit.runs.accuracy.error_estimate import LARGEST_ERROR, ErrorEstimate, Units, estimate_errors
@@ -132,10 +133,10 @@ def test_the_reason_is_a_comparison_run_that_ended_early_or_quantities_that_do_n
     ended = CompanionRows(rows(0.0, until=6.0), "it needs more than 9 steps")
     found = estimate_errors((first, second, third), ended.rows, UNITS)
     guard = Companion("dop853", None, None, None, None, within_steps=False)
-    why = why_unknown(found, TIME, [(guard, ended)])
+    why = why_unknown(found, TIME, Mechanism(), [(guard, ended)])
     assert why == "the comparison run with dop853 ended at 6 s: it needs more than 9 steps"
     chaos = replace(rows(0.0), force=rows(TIME > 7.0).force)
     found = estimate_errors((first, second, third), chaos, UNITS)
     assert found.unknown == ("reactions",)
-    assert why_unknown(found, TIME).startswith("reactions of the comparison runs do not converge")
-    assert why_unknown(estimate_errors((first, second, third), rows(0.0), UNITS), TIME) == ""
+    assert why_unknown(found, TIME, Mechanism()).startswith("reactions of the comparison runs do not converge")
+    assert why_unknown(estimate_errors((first, second, third), rows(0.0), UNITS), TIME, Mechanism()) == ""
