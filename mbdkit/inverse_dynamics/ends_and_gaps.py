@@ -4,6 +4,7 @@ Near an end, a smoothed coordinate depends on how the smoothing continues the re
 reflection, and smoothing splines end with a vanishing second derivative. Both are wrong unless the acceleration at the
 end vanishes. The response of the smoothing to parabolas shows what an acceleration of 1 at an end changes in each
 frame. The acceleration at an end is not known; it is assumed to be no larger than the largest one of the record.
+Accelerations of several coordinates are assumed to be correlated at an end as they are over the record.
 
 The natural quintic spline through all samples ends with a vanishing third derivative instead, which is wrong by an
 error of first order in the interval. The third derivative at an end is estimated by its root mean square over the
@@ -127,9 +128,9 @@ def changes_in_gaps(result: Inverse, path: NoisePath, gaps: Sequence[LongGap]) -
 def changes_at_ends(
     time: np.ndarray, series: Smoothed, how: Sequence[Smoothing], path: NoisePath, deviation: np.ndarray
 ) -> Smoothed:
-    """Return changes (T, U, 2) of the coordinates and their derivatives, which an acceleration at the start and at the
-    end of the record that is as large as the largest one causes; for quintic splines, changes (T, U, 2 U), which U
-    independent typical third derivatives at each end cause.
+    """Return changes (T, U, 2 U) of the coordinates and their derivatives by what the smoothing takes for zero at the
+    ends, each the effect of one of U independent combinations of the coordinates at one end: accelerations that are as
+    large as the largest ones of the record or, for quintic splines, typical third derivatives.
 
     Parameters
     ----------
@@ -147,17 +148,32 @@ def changes_at_ends(
     if isinstance(how[0], QuinticSpline):
         third, spline = _third_derivatives(time, series, path, deviation), spline_of_ends(time)
         return Smoothed(*(np.kron(spline(time, order)[:, None], third) for order in range(3)))
-    largest = np.max(np.abs(series.acceleration), axis=0)[:, None]
     from_middle = time - 0.5 * (time[0] + time[-1])
     shape = (*series.value.shape, 1)
     parabola = Smoothed(*(np.broadcast_to(x[:, None, None], shape) for x in
                           (0.5 * from_middle**2, from_middle, np.ones_like(time))))  # fmt: skip
-    found = smoothed_each(time, parabola.value, how)
-    sides = np.stack([from_middle < 0, from_middle >= 0], axis=1)[:, None]
-    value, rate, acceleration = (
-        (getattr(found, name) - getattr(parabola, name)) * sides * largest for name in ("value", "rate", "acceleration")
+    found, size = smoothed_each(time, parabola.value, how), _largest_accelerations(series.acceleration)
+
+    def change(smoothed: np.ndarray, exact: np.ndarray) -> np.ndarray:
+        of_both, at_start = (smoothed - exact) * size, (from_middle < 0)[:, None, None]
+        return np.concatenate([of_both * at_start, of_both * ~at_start], axis=2)
+
+    return Smoothed(
+        change(found.value, parabola.value),
+        change(found.rate, parabola.rate),
+        change(found.acceleration, parabola.acceleration),
     )
-    return Smoothed(value, rate, acceleration)
+
+
+def _largest_accelerations(acceleration: np.ndarray) -> np.ndarray:
+    """Return the largest accelerations of the coordinates, from all accelerations (T, U), times a root (U, U) of the
+    matrix of their correlations.
+    """
+    length = np.linalg.norm(acceleration, axis=0)
+    unit = acceleration / np.where(length > 0, length, 1.0)
+    square, direction = np.linalg.eigh(unit.T @ unit)
+    largest = np.max(np.abs(acceleration), axis=0)[:, None]
+    return np.asarray(largest * direction * np.sqrt(np.maximum(0.0, square)))
 
 
 def _third_derivatives(time: np.ndarray, series: Smoothed, path: NoisePath, deviation: np.ndarray) -> np.ndarray:

@@ -181,17 +181,17 @@ def _noisy(
     for block in path.samples(deviation, SAMPLES, random):
         change = path.smoothed(block)
         for own in np.eye(block.shape[2]):
-            ends = random.uniform(-1.0, 1.0, at_ends.value.shape[1:])  # (U, C)
+            ends = random.uniform(-1.0, 1.0, at_ends.value.shape[2:])
             moved = _added(_added(series, change, own), at_ends, ends)
             yield moved, {name: load.with_noise(random) for name, load in result.problem.loads.items()}
 
 
-def _added(series: Smoothed, changes: Smoothed, shares: np.ndarray | Sequence[float]) -> Smoothed:
-    """Return series (T, U) plus the sums over C of changes (T, U, C) times `shares`, (C,) or (U, C)."""
+def _added(series: Smoothed, changes: Smoothed, shares: np.ndarray) -> Smoothed:
+    """Return series (T, U) plus changes (T, U, C) times `shares` (C,)."""
     return Smoothed(
-        series.value + np.sum(changes.value * shares, axis=2),
-        series.rate + np.sum(changes.rate * shares, axis=2),
-        series.acceleration + np.sum(changes.acceleration * shares, axis=2),
+        series.value + changes.value @ shares,
+        series.rate + changes.rate @ shares,
+        series.acceleration + changes.acceleration @ shares,
     )
 
 
