@@ -220,6 +220,9 @@ def _improbable(spec: RunSpec) -> Iterator[str]:
 def angles_in_degrees(spec: RunSpec) -> Iterator[str]:
     """Yield a warning for each angle of the model that is given in radians, but probably meant in degrees."""
     for path, angle in _angles(spec.model, ("model",)):
+        if not isinstance(angle, _SCALARS):
+            yield from _column_in_degrees(f"the column of angles at {path_text(path)}", angle)
+            continue
         if not isinstance(angle, str) and abs(angle) <= 2.0 * math.pi:
             continue
         written = spec.written.get(path)
@@ -241,32 +244,44 @@ def tables_in_degrees(spec: RunSpec) -> Iterator[str]:
     for name, driver in spec.mechanism().joints.items():
         if not isinstance(driver, Driver) or driver.coordinate != "angle" or not isinstance(driver.motion, Table):
             continue
-        values = np.array(driver.motion.table[1])
-        largest = float(np.max(np.abs(values)))
-        if largest > 2.0 * math.pi and np.array_equal(np.round(values, TABLE_DIGITS), values):
-            yield (
-                f"the table of driver '{name}' reaches {largest:g} rad, which is more than a full rotation; if degrees "
-                f"are intended, convert its values to radians, otherwise give them with more decimals"
-            )
+        yield from _column_in_degrees(f"the table of driver '{name}'", driver.motion.table[1])
+
+
+def _column_in_degrees(what: str, angles: Sequence[float]) -> Iterator[str]:
+    """Yield a warning if a column of a table in radians is probably meant in degrees; `what` names the column."""
+    values = np.array(angles)
+    largest = float(np.max(np.abs(values), initial=0.0))
+    if largest > 2.0 * math.pi and np.array_equal(np.round(values, TABLE_DIGITS), values):
+        yield (
+            f"{what} reaches {largest:g} rad, which is more than a full rotation; if degrees are intended, convert its "
+            f"values to radians, otherwise give them with more decimals"
+        )
 
 
 _SCALARS = (int, float, str)
 
 
-def _angles(value: object, path: Path, *, is_angle: bool = False) -> Iterator[tuple[Path, float | str]]:
+def _angles(
+    value: object, path: Path, *, is_angle: bool = False
+) -> Iterator[tuple[Path, float | str | Sequence[float]]]:
     """Yield the key path and the number or text of each option of a model that is an angle in radians.
 
-    Lists of angles of at most one turn are left out.
+    Of a table with two columns, only the first contains angles; it is yielded as a whole. Lists of angles of at most
+    one turn are left out.
     """
     if isinstance(value, _SCALARS):  # compared first, because tests for abstract classes are slow
         if is_angle:
             yield path, value
     elif isinstance(value, list | tuple):
-        if not _is_flat(value) or (is_angle and any(abs(one) > 2.0 * math.pi for one in value)):
+        if is_angle and len(value) == 2 and all(isinstance(column, list | tuple) for column in value):
+            yield (*path, 0), value[0]
+        elif not _is_flat(value) or (is_angle and any(abs(one) > 2.0 * math.pi for one in value)):
             for index, item in enumerate(value):
                 yield from _angles(item, (*path, index), is_angle=is_angle)
     elif isinstance(value, BaseModel):
-        is_length = isinstance(value, Driver) and value.coordinate != "angle"
+        is_length = (isinstance(value, Driver) and value.coordinate != "angle") or (
+            isinstance(value, Law) and value.pathway.length_unit != "rad"
+        )
         for name, is_angular in _fields(type(value)):
             item = getattr(value, name)
             if not is_angular and (item is None or isinstance(item, _SCALARS)):

@@ -46,6 +46,8 @@ def warnings_of(**values: Any) -> tuple[str, ...]:
 SPRING = {"type": "spring-damper", "bodies": ["ground", "rod"], "points": [[0.5, 0], [0.2, 0]], "stiffness": 9.0}
 PATH = [{"body": "ground", "point": [0, 0]}, {"body": "rod", "point": [0, 0]}]
 MUSCLE = {"path": PATH, "max_force": 9.0, "tendon_length": 0.1, "excitation": 0.1}
+TABLE = {"type": "law", "law": "table", "pathway": {"type": "relative-angle", "bodies": ["ground", "rod"]}}
+PULL = {**TABLE, "pathway": {"type": "two-points", "bodies": ["ground", "rod"], "points": [[0.5, 0], [0.2, 0]]}}
 DRIVER = {"type": "driver", "bodies": ["ground", "rod"], "coordinate": "angle"}
 
 
@@ -79,6 +81,10 @@ DRIVER = {"type": "driver", "bodies": ["ground", "rod"], "coordinate": "angle"}
             "the table of driver 'D' reaches 90 rad, which is more than a full rotation; if degrees are intended",
         ),
         ({"parameters": {"tilt": 90}, "model__joints__D": {**DRIVER, "motion": "tilt"}}, "write degrees(tilt)"),
+        (
+            {"model__forces__s": {**TABLE, "table": [[-30, 0, 30], [-900, 0, 400]]}},
+            "the column of angles at model.forces.s.table[0] reaches 30 rad",
+        ),
         ({"model__bodies__rod__inertia": 3920}, "the inertia of 3920 kg m^2 at model.bodies.rod.inertia"),
         (
             {"model__joints__A__friction": {"coefficient": 30, "radius": 0.01}},
@@ -120,6 +126,8 @@ def test_a_value_that_is_probably_not_meant_is_told_with_its_key(values: dict[st
         {"model__bodies__rod__angular_velocity": 90},
         {"parameters": {"rate": 90}, "model__joints__D": {**DRIVER, "motion": "rate*t"}},
         {"model__joints__D": {**DRIVER, "motion": "8"}},
+        {"model__forces__s": {**TABLE, "table": [[-0.5, 0, 0.5], [-900, 0, 400]]}},
+        {"model__forces__s": {**PULL, "table": [[1, 20, 30], [-900, 0, 400]]}},
         {"model__joints__D": {**DRIVER, "coordinate": "x", "motion": 30}},
         {"time__step": 0.1},
         {"parameters": {"a": 1, "b": "a"}, "model__bodies__rod__mass": "b"},
