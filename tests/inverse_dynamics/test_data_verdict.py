@@ -48,6 +48,14 @@ def told(run: mbdkit.Run) -> set[str]:
     return {reason.partition(":")[0] for reason in run.verdict_reasons}
 
 
+def not_of_ends(run: mbdkit.Run) -> list[str]:
+    """Return the reasons for a verdict without those about largest values near the ends of the record.
+
+    Without a load, the torque of the ankle is largest at the start, where its value is uncertain.
+    """
+    return [reason for reason in run.verdict_reasons if not reason.startswith("ends: ")]
+
+
 def test_plausible_data_are_not_doubted() -> None:
     run = leg(loads=stance())
     assert (run.verdict, run.verdict_reasons, run.warnings) == ("unknown", [], [])
@@ -60,7 +68,7 @@ def test_degrees_without_a_unit_are_doubted_until_the_unit_is_given() -> None:
     assert "units" in told(run)
     assert "they look like degrees; write `unit: deg`" in run.verdict_reasons[0]
     columns = {name: {"column": name, "unit": "deg"} for name in degrees}
-    assert leg(degrees, motion={"columns": columns}).verdict == "unknown"
+    assert told(leg(degrees, motion={"columns": columns})) <= {"ends"}
 
 
 def test_milliseconds_without_a_unit_are_doubted_until_the_unit_is_given() -> None:
@@ -216,7 +224,7 @@ def test_a_plate_may_lack_the_centre_of_pressure_while_its_force_is_small() -> N
 def test_a_load_on_another_body_is_found_on_the_outline_of_its_own() -> None:
     load = stance()
     load["ground"]["body"] = "thigh"
-    (reason,) = leg(loads=load).verdict_reasons
+    (reason,) = not_of_ends(leg(loads=load))
     assert "it is on the outline of foot: does the load act on that body?" in reason
 
 
@@ -377,7 +385,7 @@ def test_samples_at_uneven_times_are_not_doubted() -> None:
 
 def test_a_stated_noise_that_the_smoothing_contradicts_is_doubted() -> None:
     columns = {name: {"column": name, "deviation": 2e-5 if name == "hip_flexion" else 1e-3} for name in ANGLES}
-    (reason,) = leg(motion={"columns": columns}).verdict_reasons
+    (reason,) = not_of_ends(leg(motion={"columns": columns}))
     assert reason.startswith("noise: data and smoothed motion differ by more than 10 times the stated noise: hip_flex")
 
 
