@@ -10,6 +10,7 @@ import numpy as np
 from mbdkit.analysis.growth import Growth, growth_law
 from mbdkit.analysis.verdict import Answer, Claim, Verdict
 from mbdkit.archive.run_summary import accuracy_sentence, without_suspicion
+from mbdkit.base.errors import MbdkitError
 from mbdkit.figures.curves import bands, take
 from mbdkit.figures.drawing_geometry import draw_spec
 from mbdkit.figures.quantity_text import count, duration, length, proportion
@@ -17,6 +18,7 @@ from mbdkit.plot.element_quantity import ElementQuantity, angle_misalignment, jo
 from mbdkit.report.run_charts import run_charts
 from mbdkit.report.run_tables import run_tables
 from mbdkit.trust.criteria import ENERGY, MISALIGNMENT, ROUND_OFF, Level, rounding
+from mbdkit.trust.energy_record import gravity_level
 
 if TYPE_CHECKING:
     from mbdkit.archive.run import Run
@@ -197,9 +199,15 @@ def _energy(run: Run) -> Claim:
 
 
 def _largest_energy(run: Run) -> float:
-    """Return the largest absolute value of the potential energy, the work and the dissipated energy [J]."""
+    """Return the largest absolute value of the energies whose rounding errors the energy balance contains [J]."""
     names = ("potential", "work", "dissipated")
-    return max(float(np.max(np.abs(run.dataset(f"energy/{name}")[:]), initial=0.0)) for name in names)
+    largest = max(float(np.max(np.abs(run.dataset(f"energy/{name}")[:]), initial=0.0)) for name in names)
+    try:
+        model = run.mechanism
+    except MbdkitError:  # a plugin is not installed
+        return largest
+    mass, inertia = np.array([(body.mass, body.inertia or 0.0) for body in model.bodies.values()]).T
+    return max(largest, gravity_level(mass, inertia, np.asarray(model.gravity)))
 
 
 def mechanism_size(run: Run) -> float:

@@ -17,7 +17,7 @@ from mbdkit.runs.recorded_states import ObservedRows
 from mbdkit.runs.recorder import Recorder
 from mbdkit.stepping.interface import StepEvidence
 from mbdkit.trust.criteria import EstimatedErrors, Evidence
-from mbdkit.trust.energy_record import EnergyRecord
+from mbdkit.trust.energy_record import EnergyRecord, gravity_level
 
 
 class Recorded(Protocol):
@@ -73,7 +73,7 @@ def evidence_of_run(
         Warnings that would cast doubt on the result, but are accepted by the spec.
     """
     steps = steps or StepEvidence(0.0, 0.0, 0.0)
-    energies = recorder.energies
+    energies, mass, gravity = recorder.energies, recorder.mechanism.topology.mass[:-1], recorder.mechanism.topology.gravity
     misalignment, joint = _largest(recorder, misalignment_max)
     angle_misalignment, angle_joint = _largest(recorder, recorder.largest_angle)
     return Evidence(
@@ -86,7 +86,7 @@ def evidence_of_run(
         angle_misalignment=angle_misalignment,
         angle_joint=angle_joint,
         kinetic=max(energies.kinetic, steps.kinetic),
-        energy=energies.energy,
+        energy=float(np.max([energies.energy, gravity_level(mass[:, 0], mass[:, 2], gravity)])),  # max ignores nan
         balance=energies.balance,
         energy_jump=steps.energy_jump,
         energy_jump_time=steps.energy_jump_time,

@@ -7,6 +7,22 @@ from collections.abc import Iterable
 import numpy as np
 
 
+def gravity_level(mass: np.ndarray, inertia: np.ndarray, gravity: np.ndarray) -> float:
+    """Return the potential energy of bodies at the height of their radii of gyration [J].
+
+    Joints round the coordinates of a body even if these are zero. The rounding errors of its potential energy are
+    therefore not smaller than those of this energy.
+
+    Parameters
+    ----------
+    mass, inertia
+        (B,) masses [kg] and moments of inertia [kg m^2].
+    gravity
+        (2,) gravity [m/s^2].
+    """
+    return float(np.sum(np.sqrt(mass * inertia)) * np.sum(np.abs(gravity)))
+
+
 class EnergyRecord:
     """Collects the energies of consecutive rows.
 

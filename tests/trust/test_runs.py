@@ -12,11 +12,13 @@ import numpy as np
 import pytest
 
 import mbdkit
+from mbdkit.analysis.verdict import Answer
 from mbdkit.archive.archive_check import check
 from mbdkit.archive.fingerprint import attributes_sha256, data_sha256
 from mbdkit.archive.info import describe
 from mbdkit.methods.kinds import StepMethod, StepState
 from mbdkit.report.run_report import run_report
+from mbdkit.report.run_verdict import run_verdict
 from mbdkit.runs.preparation import guards, size_at_start
 from mbdkit.spec import load_spec
 
@@ -162,6 +164,16 @@ def test_a_mechanism_at_rest_is_not_flagged_for_rounding() -> None:
     for integrator in (RK4, {"name": "gauss", "stages": 2}, {"name": "scipy-radau"}):
         with mbdkit.run(spec(hanging, integrator, 1.0, 0.01)) as run:
             assert run.verdict_reasons == []
+
+
+def test_a_mechanism_at_rest_with_its_centre_of_mass_at_the_origin_is_not_flagged_for_rounding() -> None:
+    # the potential energy is zero, so that only the lengths of the rod give the level of rounding errors
+    rod = {"mass": 10, "inertia": 0.1, "position": [0, 0], "angle": -1.2}
+    pin = {"type": "revolute", "bodies": ["ground", "rod"], "at": [0, 0.5]}
+    model = {"name": "mechanism", "bodies": {"rod": rod}, "joints": {"pin": pin}}
+    run = mbdkit.run(spec(model, {"name": "gauss", "stages": 2}, 0.5, 0.001), check=True)
+    assert (run.verdict, run.verdict_reasons) == ("good", [])
+    assert [claim.answer for claim in run_verdict(run).claims if claim.name == "energy"] == [Answer.YES]
 
 
 def test_a_warning_is_kept_and_makes_the_run_doubtful_at_least(capfd: pytest.CaptureFixture[str]) -> None:

@@ -7,6 +7,8 @@ add it to the free accelerations.
 
 from __future__ import annotations
 
+from math import sqrt
+
 import numpy as np
 
 from mbdkit.engine.kernels import element_kernels as e
@@ -479,7 +481,8 @@ def powers(top, w, v, lam):
 def potential_energy(top, w, q):
     """Return the potential energy of gravity, force elements and beams, and the level of its rounding errors [J].
 
-    The level is the sum of the absolute values from which the energy is computed. The rounding error of the energy is
+    The level is the sum of the absolute values from which the energy is computed; coordinates of a body count with at
+    least its radius of gyration, because joints round them even if they are zero. The rounding error of the energy is
     a few eps times the level. The potential of gravity is zero at the global origin, and that of a linear spring at its
     free length; other laws define their own zero. Requires `applied_forces` or `force_tangents` at the same state.
     """
@@ -489,6 +492,7 @@ def potential_energy(top, w, q):
         x, y = gravity[0] * q[3 * b], gravity[1] * q[3 * b + 1]
         energy -= mass[b, 0] * (x + y)
         level += mass[b, 0] * (abs(x) + abs(y))
+        level += sqrt(mass[b, 0] * mass[b, 2]) * (abs(gravity[0]) + abs(gravity[1]))
     for k in range(len(springs)):
         law = springs[k, 3]
         if springs[k, 5] > 0 and (law < 0 or laws[law, 2] & HAS_POTENTIAL != 0):
