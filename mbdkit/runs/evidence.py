@@ -73,7 +73,8 @@ def evidence_of_run(
         Warnings that would cast doubt on the result, but are accepted by the spec.
     """
     steps = steps or StepEvidence(0.0, 0.0, 0.0)
-    energies, mass, gravity = recorder.energies, recorder.mechanism.topology.mass[:-1], recorder.mechanism.topology.gravity
+    energies, topology = recorder.energies, recorder.mechanism.topology
+    level = gravity_level(topology.mass[:-1, 0], topology.mass[:-1, 2], topology.gravity)
     misalignment, joint = _largest(recorder, misalignment_max)
     angle_misalignment, angle_joint = _largest(recorder, recorder.largest_angle)
     return Evidence(
@@ -86,7 +87,7 @@ def evidence_of_run(
         angle_misalignment=angle_misalignment,
         angle_joint=angle_joint,
         kinetic=max(energies.kinetic, steps.kinetic),
-        energy=float(np.max([energies.energy, gravity_level(mass[:, 0], mass[:, 2], gravity)])),  # max ignores nan
+        energy=float(np.maximum(energies.energy, level)),  # nan if the energies are not known
         balance=energies.balance,
         energy_jump=steps.energy_jump,
         energy_jump_time=steps.energy_jump_time,
