@@ -680,7 +680,7 @@ def answer_lines(run: Run) -> list[tuple[str, str]]:
         lines.append(("" if lines else "measures", f"{name} {text}{remark}"))
     told = "; ".join(f"{one.label} {one.text()}" for one in headlines(run)) if not lines else ""
     lines = lines or ([("answer", told)] if told else [])
-    if lines and run.status in ("failed", "interrupted"):
+    if lines and len(run.time) and run.status in ("failed", "interrupted"):
         lines.append(("", f"these values cover the motion until t = {run.time[-1]:.6g} s, at which the run stopped"))
     return lines
 

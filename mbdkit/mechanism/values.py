@@ -6,6 +6,7 @@ import re
 import sys
 from collections.abc import Callable, Mapping
 from functools import lru_cache
+from itertools import pairwise
 from typing import Annotated, Any, ClassVar, Literal, get_args
 
 import numpy as np
@@ -126,8 +127,10 @@ def columns_of(value: Any, key: str = "", *, at: str = "times", of: str = "value
         raise SpecError(f"a table needs two points or more, not {len(times)}", key=key)
     for row in range(1, len(times)):
         if not times[row - 1] < times[row]:
+            falls = all(before > after for before, after in pairwise(times))
+            advice = f"; reverse the order of both the {at} and the {of}" if falls else ""
             raise SpecError(
-                f"{at} must increase: {times[row]!r} comes after {times[row - 1]!r}", key=f"{key}[0][{row}]"
+                f"{at} must increase: {times[row]!r} comes after {times[row - 1]!r}{advice}", key=f"{key}[0][{row}]"
             )
     return times, values
 

@@ -238,10 +238,14 @@ class LawRanges:
 
     def failure(self) -> Failure:
         """Return the failure of a run that is stopped because a force law has left its range."""
-        k, argument, _ = np.unravel_index(np.argmin(self._first), self._first.shape)
-        law, what = self.laws[int(k)], ARGUMENTS[argument]
-        leaves = f"the {what} of {law.name} leaves the range in which {law.held(int(argument))}"
-        return Failure("out-of-range", f"at t = {self._first.min():.6g} s {leaves}.")
+        place = k, argument, side = np.unravel_index(np.argmin(self._first), self._first.shape)
+        law, what, first = self.laws[int(k)], ARGUMENTS[argument], float(self._first.min())
+        if self._worst_time[place] == first:  # at the start
+            value = f"{self._sides[side] * self._worst[place]:.6g} {law.units[argument]}"
+            left = f"is {value}, outside the range in which {law.held(int(argument))}"
+        else:
+            left = f"leaves the range in which {law.held(int(argument))}"
+        return Failure("out-of-range", f"at t = {first:.6g} s the {what} of {law.name} {left}.")
 
     def stored(self) -> dict[str, Any]:
         """Return the state as plain values, for a checkpoint."""

@@ -108,9 +108,10 @@ def test_a_run_stops_where_a_law_leaves_its_range_if_that_is_wanted(output: dict
 
 def test_a_start_outside_of_the_range_stops_the_run_before_its_first_step() -> None:
     law = FREE | {"table": [[1.0, 2.0], [0.0, 0.0]]}
-    run = mbdkit.run(thrown(law, limits={"law_range": "stop"}))
-    assert run.status_reason.startswith("out-of-range: at t = 0 s")
+    run = mbdkit.run(thrown(law, limits={"law_range": "stop"}, measures={"highest": {"value": "max(mass.y)"}}))
+    assert run.status_reason.startswith("out-of-range: at t = 0 s the length of force 'spring' is 0 m, outside the")
     assert len(run.time) == 0
+    assert "no row recorded" in run.summary()
     run = mbdkit.run(thrown(law))
     assert "at t = 0 s, and reaches" in run.warnings[0]
 

@@ -99,6 +99,7 @@ WRONG = {
     ),
     "unknown coordinate": (coordinate("coordinate: x", "coordinate: z"), 15, "pathway.coordinate", "'x' or 'y'"),
     "table not increasing": (table("[[0, 2, 1], [0, 1, 2]]"), 13, "table[0][2]", "lengths must increase: 1.0 comes"),
+    "table falling": (table("[[2, 1, 0], [0, 1, 2]]"), 13, "table[0][1]", "reverse the order of both the lengths and"),
     "table with a hole": (table("[[0, 1], [0, .nan]]"), 13, "table[1][1]", "finite"),
     "table of one point": (table("[[0], [0]]"), 13, "table", "two points or more"),
     "table with a force too few": (table("[[0, 1], [0]]"), 13, "table", "as many forces as lengths"),
