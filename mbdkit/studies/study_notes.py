@@ -113,15 +113,17 @@ def _grouped(points: Sequence[StudyPoint], reasons: Iterable[tuple[int, str]]) -
     for place, reason in reasons:
         code = _CODE.match(reason)
         groups.setdefault(code[0] if code else without_numbers(reason), []).append((place, reason))
-    ordered = sorted(groups.values(), key=lambda one: -len(one))
+    ordered = sorted(groups.values(), key=lambda one: -len({place for place, _ in one}))
     for group in ordered[:MOST_REASONS]:
         first, reason = points[group[0][0]], group[0][1].rstrip(".")
         kind = "reference" if first.is_reference else "run"
-        numbers = ", ".join(str(points[place].number) for place, _ in group[:MOST_RUNS])
+        places = [*dict.fromkeys(place for place, _ in group)]  # a run may have several reasons of one group
+        numbers = ", ".join(str(points[place].number) for place in places[:MOST_RUNS])
         values = ", ".join(filter(None, (first.family, *first.label.split("; "))))
-        example = ": ".join(filter(None, (f"{kind} {first.number}" if len(group) > 1 else "", values)))
+        example = ": ".join(filter(None, (f"{kind} {first.number}" if len(places) > 1 else "", values)))
         told = f"; {reason}{f' ({example})' if example else ''}" if reason else ""
-        more = ", ..." if len(group) > MOST_RUNS else ""
-        yield (f"{counted(len(group), kind)} ({numbers}{more})" if len(group) > 1 else f"{kind} {numbers}"), told
+        more = ", ..." if len(places) > MOST_RUNS else ""
+        yield (f"{counted(len(places), kind)} ({numbers}{more})" if len(places) > 1 else f"{kind} {numbers}"), told
     if len(ordered) > MOST_REASONS:
-        yield f"{counted(sum(map(len, ordered[MOST_REASONS:])), 'run')} for other reasons", ""
+        others = {place for group in ordered[MOST_REASONS:] for place, _ in group}
+        yield f"{counted(len(others), 'run')} for other reasons", ""

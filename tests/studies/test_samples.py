@@ -342,6 +342,20 @@ def test_reasons_of_several_sentences_are_counted_whole(tmp_path: Path, store: s
     assert sum(several.rstrip(".") in one for one in told) == 1
 
 
+def test_runs_with_several_reasons_of_one_kind_are_counted_once(tmp_path: Path) -> None:
+    spec = {
+        "mbdkit_study": 1,
+        "base": {
+            "model": {"name": "double-pendulum", "angles": [45, 60]},
+            "integrator": {"name": "rk4"},
+            "time": {"end": 0.01, "step": 0.001},
+        },
+        "axes": [{"time.step": [0.001, 0.002]}],
+    }
+    told = [text for label, text in notes(mbdkit.study(spec, out=tmp_path / "s")) if label == "doubtful"]
+    assert [text.partition(";")[0] for text in told] == ["2 runs (1, 2)"]
+
+
 def test_quantiles_over_time_are_those_of_the_closed_form(thrown: mbdkit.Study) -> None:
     bands = thrown.quantiles("ball.x", [0.1, 0.5])
     speeds = thrown.to_frame()[SPEED]
