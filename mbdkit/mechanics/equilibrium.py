@@ -145,7 +145,7 @@ class Equilibrium(HtmlView):
     mechanism
         The mechanism; notebooks use it to draw the equilibrium.
     warnings
-        Warnings about beams whose elements are too coarse, as sentences.
+        Warnings about force laws outside their ranges, and about beams whose elements are too coarse, as sentences.
     """
 
     time: float
@@ -229,6 +229,8 @@ def equilibrium(source: RunSource, **sections: Unpack[Sections]) -> Equilibrium:
     ------
     SpecError
         If the input is wrong, or no equilibrium is found from this start.
+    RunError
+        If a force law is outside its range in the equilibrium, and ``limits.law_range`` is ``stop``.
 
     Examples
     --------
@@ -267,6 +269,7 @@ def equilibrium_of(prepared: PreparedMechanism) -> Equilibrium:
         force, torque = joint_reactions(prepared, p.t0, found.q, rows)
         residual = float(np.max(np.abs(p.constraints(p.t0, found.q)), initial=0.0))
     mechanism = prepared.spec.mechanism()
+    outside = dynamic.laws_out_of_range(p.t0, found.q, p.v0 * 0.0)
     forces, warnings = _internal_forces(prepared, found) if mechanism.beams else ({}, ())
     return Equilibrium(
         time=p.t0,
@@ -288,7 +291,7 @@ def equilibrium_of(prepared: PreparedMechanism) -> Equilibrium:
         beams=forces,
         displacement=(found.q - p.q0).reshape(-1, 3),
         mechanism=mechanism,
-        warnings=warnings,
+        warnings=(*outside, *warnings),
     )
 
 

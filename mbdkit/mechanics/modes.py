@@ -100,6 +100,8 @@ class Modes(HtmlView):
         Number of degrees of freedom; driven coordinates are not free.
     mechanism
         The mechanism; notebooks use it to draw the modes.
+    out_of_range
+        Warnings about force laws outside their ranges, as sentences.
     """
 
     time: float
@@ -111,12 +113,15 @@ class Modes(HtmlView):
     shapes: np.ndarray
     freedoms: int
     mechanism: Mechanism | None = field(default=None, repr=False, compare=False)
+    out_of_range: tuple[str, ...] = ()
 
     @property
     def warnings(self) -> list[str]:
-        """Warnings about beams whose elements are too coarse for some modes."""
+        """Warnings about force laws outside their ranges, and about beams whose elements are too coarse for some
+        modes.
+        """
         beams = {} if self.mechanism is None else self.mechanism.beams
-        return coarse_modes(beams, self.bodies, self.natural_frequency, self.shapes)
+        return [*self.out_of_range, *coarse_modes(beams, self.bodies, self.natural_frequency, self.shapes)]
 
     @property
     def natural_frequency(self) -> np.ndarray:
@@ -179,6 +184,8 @@ def linearize(source: RunSource, *, at: Where = "equilibrium", **sections: Unpac
     SpecError
         If the input is wrong, no equilibrium is found, or the mechanism has no degrees of freedom or more than 500
         bodies.
+    RunError
+        If a force law is outside its range in this state, and ``limits.law_range`` is ``stop``.
 
     Examples
     --------
@@ -202,6 +209,7 @@ def linearize(source: RunSource, *, at: Where = "equilibrium", **sections: Unpac
         )
     with prepared.as_spec_errors():
         small, states = _reduced(prepared, *state)
+    warn_on_stderr(prepared.laws_out_of_range(state[0].t, state[0].q, state[0].v))
     return Linearization(
         state[0].t, prepared.equations.bodies, *_seen(state[0]), small.basis, small.stiffness, small.damping, states
     )
@@ -233,6 +241,8 @@ def modes(
     ------
     SpecError
         If the input is wrong, no equilibrium is found, or the mechanism has no degrees of freedom.
+    RunError
+        If a force law is outside its range in this state, and ``limits.law_range`` is ``stop``.
 
     Examples
     --------
@@ -272,8 +282,10 @@ def modes_of(prepared: PreparedMechanism, at: Where = "equilibrium", count: int 
     order = np.lexsort((-values.imag, -values.real, np.round(np.abs(values), 12)))[:count]
     values, shapes = values[order], _normalised(shapes[:, order], prepared.equations.mass)
     shapes = shapes.T.reshape(len(values), -1, 3)
-    mechanism = prepared.spec.mechanism()
-    return Modes(state.t, prepared.equations.bodies, *_seen(state), values, shapes, prepared.freedoms, mechanism)
+    mechanism, outside = prepared.spec.mechanism(), prepared.laws_out_of_range(state.t, state.q, state.v)
+    return Modes(
+        state.t, prepared.equations.bodies, *_seen(state), values, shapes, prepared.freedoms, mechanism, outside
+    )
 
 
 def _reduced(prepared: PreparedMechanism, state: State, z: np.ndarray) -> tuple[Reduced, CoupledStates | None]:

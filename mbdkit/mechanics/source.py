@@ -9,15 +9,17 @@ from typing import Any
 
 import numpy as np
 
-from mbdkit.base.errors import SpecError, StepError
+from mbdkit.base.errors import RunError, SpecError, StepError
 from mbdkit.engine.consistent_start import workspace_at_start
 from mbdkit.engine.equations_of_motion import EquationsOfMotion
 from mbdkit.engine.stabilization import NONE
 from mbdkit.engine.workspace import Workspace
 from mbdkit.mechanism.mechanism import Mechanism
+from mbdkit.runs.law_ranges import LawRanges
 from mbdkit.runs.preparation import build
 from mbdkit.spec import InverseSpec, RunSpec, load_spec
 from mbdkit.spec.model_spec import ModelSpec
+from mbdkit.stepping.interface import Nodes
 
 UNUSED = {"integrator": {"name": "rk4"}, "time": {"end": 1.0, "step": 1.0}}
 """Sections that a run spec requires, for a `Mechanism` without a spec; most of these analyses do not use them."""
@@ -104,3 +106,30 @@ class PreparedMechanism(AssembledMechanism):
         workspace, _ = build(spec)
         workspace = replace(workspace, stabilization=NONE)  # Baumgarte terms would change the equations
         return cls(spec, workspace, EquationsOfMotion(workspace))
+
+    def laws_out_of_range(self, time: float, q: np.ndarray, v: np.ndarray) -> tuple[str, ...]:
+        """Return a sentence for each argument of a force law that is outside its range in a state.
+
+        Parameters
+        ----------
+        time
+            Time of the state [s].
+        q, v
+            (n,) position and velocity of all bodies.
+
+        Raises
+        ------
+        RunError
+            If there is such an argument and ``limits.law_range`` is ``stop``.
+        """
+        compiled = self.workspace.mechanism
+        ranges = LawRanges.of(self.spec.mechanism(), compiled, self.workspace)
+        if ranges is None:
+            return ()
+        q, v = (np.append(x, np.zeros(3))[None] for x in (q, v))
+        ranges.add_between(Nodes(np.array([time]), np.zeros(1), q, v))
+        ranges.add(np.zeros(0), np.zeros((0, len(compiled.forces) + len(compiled.muscles), 5)))
+        found = ranges.in_one_state()
+        if found and self.spec.limits.law_range == "stop":
+            raise RunError(f"out-of-range: {'; '.join(found)}. Write `limits: {{law_range: warn}}` to get a result")
+        return found

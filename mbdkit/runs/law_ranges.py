@@ -238,14 +238,22 @@ class LawRanges:
 
     def failure(self) -> Failure:
         """Return the failure of a run that is stopped because a force law has left its range."""
-        place = k, argument, side = np.unravel_index(np.argmin(self._first), self._first.shape)
+        place = k, argument, _ = np.unravel_index(np.argmin(self._first), self._first.shape)
         law, what, first = self.laws[int(k)], ARGUMENTS[argument], float(self._first.min())
-        if self._worst_time[place] == first:  # at the start
-            value = f"{self._sides[side] * self._worst[place]:.6g} {law.units[argument]}"
-            left = f"is {value}, outside the range in which {law.held(int(argument))}"
-        else:
-            left = f"leaves the range in which {law.held(int(argument))}"
-        return Failure("out-of-range", f"at t = {first:.6g} s the {what} of {law.name} {left}.")
+        leaves = f"the {what} of {law.name} leaves the range in which {law.held(int(argument))}"
+        clause = self._outside(*map(int, place)) if self._worst_time[place] == first else leaves
+        return Failure("out-of-range", f"at t = {first:.6g} s {clause}.")
+
+    def in_one_state(self) -> tuple[str, ...]:
+        """Return one clause for each argument that is out of range, with its value, if only one state was added."""
+        return tuple(self._outside(*place) for place in np.argwhere(np.isfinite(self._first)).tolist())
+
+    def _outside(self, k: int, argument: int, side: int) -> str:
+        law, value = self.laws[k], self._sides[side] * self._worst[k, argument, side]
+        return (
+            f"the {ARGUMENTS[argument]} of {law.name} is {value:.6g} {law.units[argument]}, outside the range in which "
+            f"{law.held(argument)}"
+        )
 
     def stored(self) -> dict[str, Any]:
         """Return the state as plain values, for a checkpoint."""

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 import mbdkit
+from mbdkit.base.errors import RunError
 from mbdkit.mechanism.law_parameters import law_range
 from mbdkit.registry.manager import registry
 from mbdkit.runs.batch import simulate_batch
@@ -114,6 +115,26 @@ def test_a_start_outside_of_the_range_stops_the_run_before_its_first_step() -> N
     assert "no row recorded" in run.summary()
     run = mbdkit.run(thrown(law))
     assert "at t = 0 s, and reaches" in run.warnings[0]
+
+
+def test_equilibrium_and_modes_outside_of_the_range_are_told_or_refused() -> None:
+    # expected: the force 2 - 10 (y + 1) of the table carries the weight of 9.81 N at y = -1.781 m, below the table
+    law = FREE | {"table": [[-1.0, 1.0], [-2.0, 18.0]]}
+    told = (
+        "the length of force 'spring' is -1.781 m, outside the range in which its law mbdkit:table holds, from -1 m to "
+        "1 m"
+    )
+    spec = thrown(law, 0.0)
+    spec["model"]["joints"] = {
+        "rail": {"type": "prismatic", "bodies": ["ground", "mass"], "at": [0, 0], "axis": [0, 1]}
+    }
+    spec["model"]["bodies"]["mass"]["inertia"] = 1.0
+    assert mbdkit.equilibrium(spec).warnings == (told,)
+    assert mbdkit.modes(spec).warnings == [told]
+    assert mbdkit.modes(spec, at="start").warnings == []
+    for analysis in (mbdkit.equilibrium, mbdkit.modes, mbdkit.linearize):
+        with pytest.raises(RunError, match=f"out-of-range: {told}"):
+            analysis(spec | {"limits": {"law_range": "stop"}})
 
 
 def test_a_gas_spring_beyond_its_stroke_or_its_extended_length_is_doubtful() -> None:
