@@ -54,7 +54,7 @@ class InverseProblem:
     names
         Quantities of the mechanism by name.
     measured
-        The measured motion.
+        The measured motion; angles begin within half a turn of the initial pose of the mechanism.
     loads
         The measured loads by name.
     actuators
@@ -110,6 +110,7 @@ class InverseProblem:
         except SpecError as error:
             raise spec.placed(error) from error
         prepared = AssembledMechanism.at(spec, float(measured.time[0]), float(measured.time[-1]))
+        measured = measured.near(prepared.equations.q0)
         fitter = Fitter(Manifold(prepared), prepared.workspace.mechanism.bodies)
         unused = UnusedData.of(spec, names, measured, table)
         return cls(spec, prepared, fitter, names, measured, loads, actuators, recruiter, unused)

@@ -17,6 +17,7 @@ from mbdkit.inverse_dynamics.model_criteria import mechanism_doubts, model_doubt
 from mbdkit.inverse_dynamics.record_criteria import record_doubts
 from mbdkit.inverse_dynamics.smoothing_criteria import cutoff_doubts
 from mbdkit.inverse_dynamics.stated_deviations import large_deviations
+from mbdkit.inverse_dynamics.turn_criteria import turn_doubts, uncertain_turns
 from mbdkit.spec.inverse_sections import Criterion
 from mbdkit.trust.criteria import Evidence, Judgement, judge
 
@@ -42,8 +43,8 @@ class DataDoubts(NamedTuple):
 def doubts_about_data(result: Inverse, bars: ErrorBars | None) -> DataDoubts:
     """Return the doubts about the data and the model of a result, and remarks on the data."""
     found = [*column_doubts(result), *cutoff_doubts(result), *load_doubts(result, bars), *model_doubts(result)]
-    found += record_doubts(result, bars)
-    remarks = tuple(large_deviations(result, bars))
+    found += [*turn_doubts(result), *record_doubts(result, bars)]
+    remarks = (*uncertain_turns(result), *large_deviations(result, bars))
     return _sorted(found, result.problem.spec.accept)._replace(remarks=remarks)
 
 

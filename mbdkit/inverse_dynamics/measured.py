@@ -34,6 +34,9 @@ LARGEST = 1e30
 SHORTEST, LONGEST = 1e-9, 1e9
 """Shortest and longest interval between two rows [s]."""
 
+ROUNDED = 1e-6
+"""Share of a turn by which the values of an angle within one turn may exceed it, because they are rounded."""
+
 SI = {"m": "m", "rad": "rad", "N": "N", "N m": "N m"}
 
 
@@ -65,6 +68,9 @@ class Measured:
         (K,) whether the spec or the file states the unit of the column.
     is_declared_in_degrees
         (K,) whether the spec states that the column is in degrees.
+    may_turn
+        (K,) whether the column is an angle whose number of full turns is not known: all its values in the table are
+        within one turn.
     """
 
     time: np.ndarray
@@ -78,11 +84,20 @@ class Measured:
     given: np.ndarray
     has_unit: np.ndarray
     is_declared_in_degrees: np.ndarray
+    may_turn: np.ndarray
 
     @property
     def target(self) -> Target:
         """The values as a target of a fit."""
         return Target(self.time, self.quantities, self.values, np.sqrt(self.weight))
+
+    def near(self, pose: np.ndarray) -> Measured:
+        """Return the motion with the columns `may_turn` shifted by full turns, so that they begin as near as
+        possible to the values in a pose (n,).
+        """
+        turn = 2 * np.pi * self.quantities.scale
+        turns = np.round((self.quantities.values(pose[None])[0] - self.values[0]) / turn)
+        return self.turned(self.values[0] + turn * np.where(self.may_turn, turns, 0.0))
 
     def turned(self, first: np.ndarray) -> Measured:
         """Return the motion shifted by constants, so that it begins with the values `first` (K,), which differ from
@@ -101,7 +116,8 @@ def read_motion(spec: InverseSpec, names: QuantityNames) -> tuple[Measured, Tabl
         If the table lacks a column, contains anything but numbers, has gaps that may not be bridged, or has no rows.
     """
     motion = spec.motion
-    if motion.file is not None and Path(motion.file).suffix.lower() == ".h5":
+    if motion.is_run:
+        assert motion.file is not None
         return _of_run(spec, names, spec.folder / motion.file), None
     table = source_table(motion, spec.folder, "motion")
     assert table is not None
@@ -110,16 +126,18 @@ def read_motion(spec: InverseSpec, names: QuantityNames) -> tuple[Measured, Tabl
     quantities = Quantities([names.find(name, f"motion.columns.{quoted(name)}") for name in columns])
     raw = np.empty((len(time), len(columns)))
     values = raw.copy()
-    as_given, has_unit = raw.copy(), np.zeros(len(columns), dtype=bool)
+    as_given, has_unit, may_turn = raw.copy(), *np.zeros((2, len(columns)), dtype=bool)
     derivatives, deviation = np.empty((2, *raw.shape)), np.full(len(columns), np.nan)
     has_derivatives = [column.rate is not None for column in columns.values()]
     _require_all_or_none(motion, columns, has_derivatives)
     for index, (name, column) in enumerate(columns.items()):
         key, unit = f"motion.columns.{quoted(name)}", quantities.quantities[index].unit
         factor, where = unit_factor(column, table, unit, key), (table, column.column, kept)
-        given = as_given[:, index] = si_values(column, table, unit, key)[kept]
+        every = si_values(column, table, unit, key)
+        period, given = 2 * np.pi * quantities.scale[index], every[kept]
+        as_given[:, index], may_turn[index] = given, unit == "rad" and _range(every) <= period * (1 + ROUNDED)
         has_unit[index] = (column.unit or table.unit(column.column)) is not None or (unit == "rad" and table.in_degrees)
-        raw[:, index] = given if unit == "m" else _continued(time, given, 2 * np.pi * quantities.scale[index], where)
+        raw[:, index] = given if unit == "m" else _continued(time, given, period, where)
         values[:, index] = _bridged(time, raw[:, index], motion.gaps_of(name), where)
         if column.deviation is not None:
             deviation[index] = abs(factor) * column.deviation
@@ -143,6 +161,7 @@ def read_motion(spec: InverseSpec, names: QuantityNames) -> tuple[Measured, Tabl
             as_given,
             has_unit,
             in_degrees,
+            may_turn,
         ),
         table,
     )
@@ -153,6 +172,12 @@ def source_table(section: MeasuredMotion | Load, folder: Path, key: str) -> Tabl
     if section.data is not None:
         return table_of(section.data, f"{key}.data")
     return None if section.file is None else read_table(folder / section.file, f"{key}.file")
+
+
+def _range(values: np.ndarray) -> float:
+    """Return the range of values with gaps; 0 if there are none."""
+    known = values[~np.isnan(values)]
+    return float(np.ptp(known)) if known.size else 0.0
 
 
 def _columns(motion: MeasuredMotion, table: Table, names: QuantityNames) -> Mapping[str, ObservedColumn]:
@@ -383,7 +408,7 @@ def _of_run(spec: InverseSpec, names: QuantityNames, path: Path) -> Measured:
     derivatives = np.stack([rate, acceleration]) if motion.smooth.name == "none" else None
     weight = np.array([column.weight for column in wanted.values()])
     deviation = np.array([column.deviation or np.nan for column in wanted.values()])
-    has_unit = np.ones(len(wanted), dtype=bool)
+    yes = np.ones(len(wanted), dtype=bool)
     return Measured(
-        time, tuple(found), quantities, values, values, weight, derivatives, deviation, values, has_unit, ~has_unit
+        time, tuple(found), quantities, values, values, weight, derivatives, deviation, values, yes, ~yes, ~yes
     )

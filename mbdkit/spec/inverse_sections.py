@@ -256,6 +256,11 @@ class MeasuredMotion(Section):
             raise SpecError("should have at least one column", key="columns")
         return self
 
+    @property
+    def is_run(self) -> bool:
+        """Whether the file is the archive of a run."""
+        return self.file is not None and self.file.lower().endswith(".h5")
+
     def gaps_of(self, name: str) -> Gaps | None:
         """Return how gaps in the column of an observed quantity are bridged; None if they are refused."""
         column = None if self.columns is None else self.columns[name]

@@ -155,3 +155,30 @@ def test_a_gap_of_an_angle_that_does_not_turn_is_bridged() -> None:
     data = {"hip": with_gap(angle, slice(60, 80))}
     run = inverse(pendulum(), data, columns=columns, smooth="quintic", gaps={"longest": 0.5})
     assert np.max(np.abs(run["rod"].angle)) < 1.5
+
+
+def test_wrapped_angles_begin_near_the_pose_of_the_model() -> None:
+    # a leg that lies along -x, with a spring at its knee; segment angles from arctan2, on both sides of the wrap
+    knee = 0.15 + 0.08 * np.sin(2 * T)
+    angles = {"thigh": np.pi - 0.05 + 0.02 * np.sin(3 * T)}
+    angles["shank"] = angles["thigh"] + knee
+    data = {f"{name}.angle": np.arctan2(np.sin(angle), np.cos(angle)) for name, angle in angles.items()}
+
+    def lying(angle: float) -> mbdkit.Run:
+        m = mbdkit.Mechanism()
+        m.body("thigh", mass=7.5, inertia=0.13, position=(-0.2, 0.0), angle=angle)
+        m.body("shank", mass=3.5, inertia=0.05, position=(-0.6, 0.0), angle=angle)
+        m.revolute("hip", m.ground, "thigh", at=(0.0, 0.0))
+        m.revolute("knee", "thigh", "shank", at=(-0.4, 0.0))
+        m.torsion_spring("brace", "thigh", "shank", stiffness=20.0)
+        actuators = {name: {"joint": name} for name in ("hip", "knee")}
+        motion = {"data": {"time": T, **data}, "smooth": "quintic", "errors": "none"}
+        return mbdkit.inverse({"mbdkit": 1, "model": m.to_spec(), "motion": motion, "actuators": actuators})
+
+    run = lying(np.pi)
+    np.testing.assert_allclose(run.forces["brace"].value, -20.0 * knee, rtol=0, atol=1e-9)
+    assert (run.verdict, run.warnings) == ("unknown", [])
+    # drawn along +x, half a turn from the data, which then leave the turns open
+    (reason,) = lying(0.0).verdict_reasons
+    assert reason.startswith("turns: force 'brace' depends on the angle between thigh and shank")
+    assert "(columns of thigh.angle and shank.angle)" in reason
