@@ -559,7 +559,8 @@ def spec_at(prepared: PreparedMechanism, found: Equilibrium) -> dict[str, Any]:
             model["forces"][element][state] = value
     for name, body in model["bodies"].items():
         x, y, angle = places[name]
-        body |= {"position": [x, y], "angle": angle}
+        # As an expression, an angle above a full rotation is not taken for degrees.
+        body |= {"position": [x, y], "angle": angle if abs(angle) <= 2.0 * np.pi else f"{angle / np.pi!r}*pi"}
     for name, beam in model.get("beams", {}).items():
         beam["start"] = [places[node] for node in mechanism.beams[name].node_names(name)]
     for element in (*model["bodies"].values(), *model.get("beams", {}).values()):

@@ -42,8 +42,8 @@ three digits, which is at most 0.005 of it.
 """
 
 DIGITS = 3
-"""Angles above one turn with at most this many decimals are assumed to be degrees; radians rarely have so few
-decimals.
+"""Angles above one turn that are computed from parameters are assumed to be degrees if they have at most this many
+decimals; radians rarely have so few. Angles given as numbers may have any number of decimals.
 """
 
 TABLE_DIGITS = 1
@@ -218,7 +218,10 @@ def _improbable(spec: RunSpec) -> Iterator[str]:
 
 
 def angles_in_degrees(spec: RunSpec) -> Iterator[str]:
-    """Yield a warning for each angle of the model that is given in radians, but probably meant in degrees."""
+    """Yield a warning for each angle of the model above one turn that is probably meant in degrees.
+
+    Whole numbers of degrees, converted to radians by a script, and expressions are assumed to be meant in radians.
+    """
     for path, angle in _angles(spec.model, ("model",)):
         if not isinstance(angle, _SCALARS):
             yield from _column_in_degrees(f"the column of angles at {path_text(path)}", angle)
@@ -230,13 +233,21 @@ def angles_in_degrees(spec: RunSpec) -> Iterator[str]:
         if "t" in names_in(written) or (not used and (written is not None or isinstance(angle, str))):
             continue  # functions of time and expressions of numbers are assumed to be in radians
         value = evaluate(angle, {}) if isinstance(angle, str) else float(angle)
-        if abs(value) > 2.0 * math.pi and round(value, DIGITS) == value:
+        is_number = written is None or isinstance(spec.parameters.get(written), int | float)
+        if abs(value) <= 2.0 * math.pi or _is_whole(math.degrees(value)):
+            continue
+        if is_number or round(value, DIGITS) == value:
             origin = f" (from {listed((f'parameters.{name}' for name in used), 'and')})" if used else ""
-            degrees = written or f"{value:g}"
+            degrees = written or f"{value:.16g}"
             yield (
                 f"the angle of {value:g} rad at {path_text(path)}{origin} is more than a full rotation; if degrees "
                 f"are intended, write degrees({degrees}), otherwise an expression such as {value / math.pi:.6g}*pi"
             )
+
+
+def _is_whole(value: float) -> bool:
+    """Return whether a number is an integer, up to the rounding errors of a conversion of units."""
+    return abs(value - round(value)) <= 1e-14 * abs(value)
 
 
 def tables_in_degrees(spec: RunSpec) -> Iterator[str]:

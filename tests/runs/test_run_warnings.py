@@ -55,6 +55,8 @@ DRIVER = {"type": "driver", "bodies": ["ground", "rod"], "coordinate": "angle"}
     ("values", "place"),
     [
         ({"model__bodies__rod__angle": 45}, "45 rad at model.bodies.rod.angle"),
+        ({"model__bodies__rod__angle": 29.999999999999996}, "30 rad at model.bodies.rod.angle"),
+        ({"model__bodies__rod__angle": 28.64788975654116}, "write degrees(28.64788975654116)"),
         ({"model__bodies__rod__angle": -22.5}, "-22.5 rad at model.bodies.rod.angle"),
         ({"model__joints__A": {**SPEC["model"]["joints"]["A"], "type": "weld", "angle": 90}}, "model.joints.A.angle"),
         ({"model__joints__D": {**DRIVER, "motion": 30}}, "30 rad at model.joints.D.motion"),
@@ -123,6 +125,7 @@ def test_a_value_that_is_probably_not_meant_is_told_with_its_key(values: dict[st
         {"model__bodies__rod__angle": "4*pi"},
         {"parameters": {"tilt": 90}, "model__bodies__rod__angle": "degrees(tilt)"},
         {"parameters": {"tilt": "degrees(450)"}, "model__bodies__rod__angle": "tilt"},
+        {"parameters": {"turns": 2.3}, "model__bodies__rod__angle": "2*pi*turns"},
         {"model__bodies__rod__angular_velocity": 90},
         {"parameters": {"rate": 90}, "model__joints__D": {**DRIVER, "motion": "rate*t"}},
         {"model__joints__D": {**DRIVER, "motion": "8"}},
