@@ -13,7 +13,7 @@ from mbdkit.inverse_dynamics.column_criteria import Doubt, column_doubts, doubts
 from mbdkit.inverse_dynamics.compute import Inverse, InverseProblem
 from mbdkit.inverse_dynamics.error_bars import ErrorBars
 from mbdkit.inverse_dynamics.load_criteria import load_doubts
-from mbdkit.inverse_dynamics.model_criteria import mechanism_doubts, model_doubts
+from mbdkit.inverse_dynamics.model_criteria import model_doubts, spec_doubts
 from mbdkit.inverse_dynamics.record_criteria import record_doubts
 from mbdkit.inverse_dynamics.smoothing_criteria import cutoff_doubts
 from mbdkit.inverse_dynamics.stated_deviations import large_deviations
@@ -51,7 +51,7 @@ def doubts_about_data(result: Inverse, bars: ErrorBars | None) -> DataDoubts:
 def doubts_before_computation(problem: InverseProblem) -> DataDoubts:
     """Return those doubts about the data and the model that do not depend on the computed motion and forces."""
     columns = doubts_before_fit(problem.measured, problem.fitter.manifold.length)
-    return _sorted([*columns, *mechanism_doubts(problem.names.mechanism)], problem.spec.accept)
+    return _sorted([*columns, *spec_doubts(problem.spec)], problem.spec.accept)
 
 
 def _sorted(found: Sequence[Doubt], accepted: Sequence[Criterion]) -> DataDoubts:

@@ -25,13 +25,14 @@ from mbdkit.inverse_dynamics.fit import FitError
 from mbdkit.inverse_dynamics.measure_samples import errors_of_measures
 from mbdkit.inverse_dynamics.record import archive_of
 from mbdkit.measures.take import check_measures
+from mbdkit.runs.warnings import angles_in_degrees
 from mbdkit.spec import InverseSpec, load_inverse_spec
 from mbdkit.spec.inverse_loading import InverseSource
 
 _LOG = logger_of(__name__)
 
 MOST_NAMED = 3
-"""Largest number of columns that are named as possible causes of an error."""
+"""Largest number of angles and columns that are named as possible causes of an error."""
 
 
 def inverse(
@@ -91,13 +92,14 @@ def inverse(
 
 @contextmanager
 def causes_named(problem: InverseProblem) -> Iterator[None]:
-    """Add columns and markers that may be the cause to the message of a `RunError`."""
+    """Add angles of the model, columns and markers that may be the cause to the message of a `RunError`."""
     try:
         yield
     except RunError as error:
         length, no_pose = problem.fitter.manifold.length, isinstance(error, FitError)
-        suspicious = suspicious_columns(problem.measured, length, no_pose=no_pose)[:MOST_NAMED]
-        raise RunError("; ".join([str(error), *suspicious])) from error
+        suspicious = suspicious_columns(problem.measured, length, no_pose=no_pose)
+        angles = angles_in_degrees(problem.spec)
+        raise RunError("; ".join([str(error), *[*angles, *suspicious][:MOST_NAMED]])) from error
 
 
 def compute_run(spec: InverseSpec, *, path: Path | None = None, overwrite: bool = False) -> Run:

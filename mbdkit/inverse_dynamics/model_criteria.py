@@ -15,6 +15,8 @@ from mbdkit.inverse_dynamics.recruited import Recruited
 from mbdkit.mechanism.improbable_values import improbable_lengths, improbable_radii
 from mbdkit.mechanism.mechanism import Mechanism
 from mbdkit.runs.coarse_beams import CoarseBeams
+from mbdkit.runs.warnings import angles_in_degrees
+from mbdkit.spec import InverseSpec
 from mbdkit.spec.named_actuators import RESERVE
 
 RESERVE_SHARE = 0.1
@@ -41,7 +43,7 @@ AT_REST = 1e-9
 
 def model_doubts(result: Inverse) -> Iterator[Doubt]:
     """Yield doubts about the masses, beams, muscles and reserves of the model."""
-    yield from mechanism_doubts(result.problem.names.mechanism)
+    yield from spec_doubts(result.problem.spec)
     workspace = result.problem.prepared.workspace
     coarse = CoarseBeams.of(result.problem.names.mechanism, workspace.mechanism)
     if coarse is not None:
@@ -53,6 +55,13 @@ def model_doubts(result: Inverse) -> Iterator[Doubt]:
         yield from _fibers(result, result.recruited)
         yield from _reserves(result, result.recruited)
         yield from _weak_muscles(result, result.recruited)
+
+
+def spec_doubts(spec: InverseSpec) -> Iterator[Doubt]:
+    """Yield a doubt for each angle of the model that is probably in degrees, and those of `mechanism_doubts`."""
+    for sentence in angles_in_degrees(spec):
+        yield Doubt("units", f"{sentence}.")
+    yield from mechanism_doubts(spec.mechanism())
 
 
 def mechanism_doubts(mechanism: Mechanism) -> Iterator[Doubt]:

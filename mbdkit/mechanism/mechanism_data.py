@@ -40,7 +40,7 @@ class NamedCoordinate(StrictModel):
     scale: Number = 1.0
     """Ratio of the change of the coordinate to the change of the quantity; must not be zero."""
     offset: Number = 0.0
-    """Value of the coordinate when the quantity is zero [rad or m]."""
+    """Value of the coordinate when the quantity is zero [m or rad]."""
 
 
 def _named(value: Any) -> Any:

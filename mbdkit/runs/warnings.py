@@ -26,10 +26,12 @@ from mbdkit.mechanism.joints import Driver, Revolute
 from mbdkit.mechanism.law_element import Law
 from mbdkit.mechanism.mechanism import Mechanism
 from mbdkit.mechanism.parameters import evaluate, names_in, parameters_in_use
+from mbdkit.mechanism.quantity_names import QuantityNames
 from mbdkit.mechanism.size import mechanism_size
 from mbdkit.mechanism.values import Table
 from mbdkit.muscles.acting_muscles import acting_muscles
 from mbdkit.spec import RunSpec
+from mbdkit.spec.model_spec import ModelSpec
 from mbdkit.trust.criteria import rounding
 from mbdkit.trust.energy_record import EnergyRecord
 
@@ -217,7 +219,7 @@ def _improbable(spec: RunSpec) -> Iterator[str]:
     yield from improbable_lengths(spec.mechanism())
 
 
-def angles_in_degrees(spec: RunSpec) -> Iterator[str]:
+def angles_in_degrees(spec: ModelSpec) -> Iterator[str]:
     """Yield a warning for each angle of the model above one turn that is probably meant in degrees.
 
     Whole numbers of degrees, converted to radians by a script, and expressions are assumed to be meant in radians.
@@ -230,6 +232,8 @@ def angles_in_degrees(spec: RunSpec) -> Iterator[str]:
             continue
         written = spec.written.get(path)
         used = [name for name in spec.parameters if name in names_in(written)]
+        if _is_length(spec, path):
+            continue
         if "t" in names_in(written) or (not used and (written is not None or isinstance(angle, str))):
             continue  # functions of time and expressions of numbers are assumed to be in radians
         value = evaluate(angle, {}) if isinstance(angle, str) else float(angle)
@@ -248,6 +252,14 @@ def angles_in_degrees(spec: RunSpec) -> Iterator[str]:
 def _is_whole(value: float) -> bool:
     """Return whether a number is an integer, up to the rounding errors of a conversion of units."""
     return abs(value - round(value)) <= 1e-14 * abs(value)
+
+
+def _is_length(spec: ModelSpec, path: Path) -> bool:
+    """Return whether a path is that of the offset of a named coordinate that is a length."""
+    if path[1] != "coordinates" or path[-1] != "offset":
+        return False
+    mechanism, name = spec.mechanism(), str(path[2])
+    return name in mechanism.coordinates and QuantityNames(mechanism).coordinate(name).unit == "m"
 
 
 def tables_in_degrees(spec: RunSpec) -> Iterator[str]:

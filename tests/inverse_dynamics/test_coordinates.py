@@ -124,3 +124,16 @@ def test_wrong_names_are_refused_with_those_that_there_are(sections: Any, key: s
         inverse({"name": "leg", "root": "trunk"}, ANGLES | ROOT, **sections)
     assert error.value.key == key
     assert message in str(error.value)
+
+
+def test_an_offset_in_degrees_is_doubted_but_not_one_in_metres() -> None:
+    m = mbdkit.Mechanism()
+    m.body("cart", mass=1.0, inertia=0.1)
+    m.body("rod", mass=1.0, inertia=0.1, position=(0.5, 0.0))
+    m.prismatic("rail", m.ground, "cart", at=(0, 0), axis=(1, 0))
+    m.revolute("hip", "cart", "rod", at=(0, 0))
+    m.coordinate("place", "rail.angle", offset=40.0)
+    m.coordinate("flexion", "hip.angle", offset=170.0)
+    run = inverse(m.to_spec(), {"place": 40.0 + 0.1 * T, "flexion": 3.0 + 0.1 * T}, accept=["ends"])
+    (reason,) = (one for one in run.verdict_reasons if one.startswith("units"))
+    assert "the angle of 170 rad at model.coordinates.flexion.offset is more than a full rotation" in reason
