@@ -192,6 +192,7 @@ Criterion = Literal[
     "outliers",
     "constant",
     "units",
+    "shared-column",
     "turns",
     "fit",
     "noise",

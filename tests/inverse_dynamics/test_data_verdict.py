@@ -199,6 +199,24 @@ def test_a_crank_that_turns_in_radians_is_not_taken_for_degrees() -> None:
     assert told(mbdkit.inverse(spec)) == {"turns"}
 
 
+def test_a_column_that_is_used_twice_is_doubted_unless_the_mechanism_ties_its_quantities() -> None:
+    wrong = {"hip_flexion": "knee_flexion", "knee_flexion": "knee_flexion", "ankle_dorsiflexion": "ankle_dorsiflexion"}
+    run = leg(motion={"columns": wrong, "errors": "none"})
+    assert run.verdict_reasons[0].startswith(
+        "shared-column: column 'knee_flexion' is used for hip_flexion and knee_flexion: is another column meant?"
+    )
+    copied = leg({"hip_flexion": ANGLES["knee_flexion"]}, motion={"errors": "none"})
+    assert "shared-column" not in told(copied)
+    assert any("the same values: hip_flexion and knee_flexion." in warning for warning in copied.warnings)
+    tied = {name: name for name in ANGLES} | {"knee.angle": {"column": "knee_flexion", "scale": -1.0}}
+    assert "shared-column" not in told(leg(motion={"columns": tied, "errors": "none"}))
+    plate = stance()
+    assert "shared-column" not in told(leg(loads=plate, motion={"errors": "none"}))
+    plate["ground"]["force"] = ["fy", "fy"]
+    reasons = leg(loads=plate, motion={"errors": "none"}).verdict_reasons
+    assert any("'fy' is used for loads.ground.force[0] and loads.ground.force[1]" in reason for reason in reasons)
+
+
 def test_a_centre_of_pressure_in_the_frame_of_the_laboratory_is_doubted() -> None:
     load = stance()
     far = stance(x=load["ground"]["data"]["x"] + 1.2)
