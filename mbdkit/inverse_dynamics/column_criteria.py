@@ -145,6 +145,7 @@ def doubts_before_fit(measured: Measured, length: float) -> Iterator[Doubt]:
     length
         Longest link of the mechanism [m].
     """
+    yield from (Doubt("units", f"{sentence}.") for sentence in measured.contradictions)
     yield from _of_times(measured)
     yield from _radians(measured)
     for index, name in enumerate(measured.names):
@@ -167,7 +168,8 @@ def suspicious_columns(measured: Measured, length: float, *, no_pose: bool) -> l
     no_pose
         Whether the error is that no pose fits the data.
     """
-    doubts = [
+    doubts = list(measured.contradictions)
+    doubts += [
         doubt.sentence.rstrip(".")
         for index, name in enumerate(measured.names)
         for doubt in (*_outliers(measured, index, name), *_units(measured, index, name, length))

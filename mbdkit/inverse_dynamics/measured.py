@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -15,6 +16,7 @@ from mbdkit.base.errors import SpecError
 from mbdkit.base.plain_data import quoted
 from mbdkit.base.text import counted, listed, shown
 from mbdkit.base.units import Unit, read_unit
+from mbdkit.inverse_dynamics.continued_angles import continued
 from mbdkit.inverse_dynamics.fit import Target
 from mbdkit.inverse_dynamics.measured_table import Table, table_of
 from mbdkit.inverse_dynamics.table_files import read_table
@@ -22,11 +24,6 @@ from mbdkit.mechanism.mechanism_quantities import Quantities, Quantity
 from mbdkit.mechanism.quantity_names import QuantityNames
 from mbdkit.spec import InverseSpec
 from mbdkit.spec.inverse_sections import ColumnOfTable, Gaps, Load, MeasuredMotion, ObservedColumn, TimeColumn
-
-RATE_SAMPLES = 5
-"""Largest number of intervals next to a gap from which the rate of an angle is computed; with fewer intervals, noise
-would have a greater effect.
-"""
 
 LARGEST = 1e30
 """Largest value of a column in SI units; squares and products of larger values may overflow."""
@@ -71,6 +68,8 @@ class Measured:
     may_turn
         (K,) whether the column is an angle whose number of full turns is not known: all its values in the table are
         within one turn.
+    contradictions
+        Sentences, without full stops, on units in the spec that differ from those in the file.
     """
 
     time: np.ndarray
@@ -85,6 +84,7 @@ class Measured:
     has_unit: np.ndarray
     is_declared_in_degrees: np.ndarray
     may_turn: np.ndarray
+    contradictions: tuple[str, ...] = ()
 
     @property
     def target(self) -> Target:
@@ -137,7 +137,7 @@ def read_motion(spec: InverseSpec, names: QuantityNames) -> tuple[Measured, Tabl
         period, given = 2 * np.pi * quantities.scale[index], every[kept]
         as_given[:, index], may_turn[index] = given, unit == "rad" and _range(every) <= period * (1 + ROUNDED)
         has_unit[index] = (column.unit or table.unit(column.column)) is not None or (unit == "rad" and table.in_degrees)
-        raw[:, index] = given if unit == "m" else _continued(time, given, period, where)
+        raw[:, index] = given if unit == "m" else continued(time, given, period, where)
         values[:, index] = _bridged(time, raw[:, index], motion.gaps_of(name), where)
         if column.deviation is not None:
             deviation[index] = abs(factor) * column.deviation
@@ -162,6 +162,7 @@ def read_motion(spec: InverseSpec, names: QuantityNames) -> tuple[Measured, Tabl
             has_unit,
             in_degrees,
             may_turn,
+            tuple(_contradictions(motion, columns, table, quantities)),
         ),
         table,
     )
@@ -227,6 +228,26 @@ def unit_factor(column: ColumnOfTable, table: Table, unit: str, key: str) -> flo
     return given.factor * column.scale
 
 
+def _contradictions(
+    motion: MeasuredMotion, columns: Mapping[str, ObservedColumn], table: Table, quantities: Quantities
+) -> Iterator[str]:
+    """Yield a sentence for each unit of a column in the spec that differs from the unit in the file."""
+    time = motion.time.unit if "unit" in motion.time.model_fields_set else None
+    found = [("motion.time", motion.time.column, time, "s")]
+    for (name, column), quantity in zip(columns.items(), quantities.quantities, strict=True):
+        found.append((f"motion.columns.{quoted(name)}", column.column, column.unit, quantity.unit))
+    for key, heading, unit, wanted in found:
+        in_file = table.unit(heading) or ("deg" if wanted == "rad" and table.in_degrees else None)
+        if unit is None or in_file is None:
+            continue
+        with suppress(SpecError):  # the file has a unit that is not known, which may be the reason for `unit`
+            if read_unit(unit).factor != read_unit(in_file).factor:
+                yield (
+                    f"the unit {shown(unit)} at {key}.unit contradicts the unit of column '{shown(heading)}' in the "
+                    f"file, {shown(in_file)}; leave out `unit` if the file is right"
+                )
+
+
 def _unit_in_file(table: Table, heading: str, text: str, key: str) -> Unit:
     """Return the unit that a file states for a column; raise SpecError if it is not known."""
     try:
@@ -284,55 +305,6 @@ def rows_within(spec: InverseSpec, times: np.ndarray) -> np.ndarray:
             f"leaves no row of the motion, which lasts from {times[0]:.6g} to {times[-1]:.6g} s", key="time"
         )
     return kept
-
-
-def _continued(time: np.ndarray, values: np.ndarray, period: float, where: tuple[Table, str, np.ndarray]) -> np.ndarray:
-    """Return an angle (T,) continued over full turns, from sample to sample and across gaps, which remain nan.
-
-    Between neighbouring samples, the angle changes by at most half a turn. Across a gap, the number of turns is chosen
-    that agrees best with the rates on both sides.
-
-    Raises
-    ------
-    SpecError
-        If the number of turns during a gap is uncertain.
-    """
-    known = np.flatnonzero(~np.isnan(values))
-    turned = np.unwrap(values[known], period=period)
-    if known.size and np.ptp(values[known]) > period / 2:  # otherwise, the angle does not turn
-        gap = np.diff(known) > 1
-        change = np.diff(turned)
-        for place in np.flatnonzero(gap).tolist():
-            lasts = time[known[place + 1]] - time[known[place]]
-            sides = [_rate_beside(time[known], change, gap, place, step) for step in (-1, 1)]
-            expected = [rate * lasts for rate in sides if rate is not None]
-            off = float(np.mean(expected)) - change[place] if expected else 0.0
-            turns = np.round(off / period)
-            turned[place + 1 :] += period * turns
-            if not expected or abs(off - period * turns) > period / 4 or np.ptp(expected) > period / 2:
-                table, heading, rows = where
-                raise table.error(
-                    f"column '{shown(heading)}': the number of full turns during a gap of {lasts:.4g} s is not "
-                    "certain; fill the gap, or cut the motion with `time.start` and `time.end`",
-                    row=int(rows[known[place] + 1]),
-                )
-    continued = values.copy()
-    continued[known] = turned
-    return continued
-
-
-def _rate_beside(time: np.ndarray, change: np.ndarray, gap: np.ndarray, place: int, step: int) -> float | None:
-    """Return the mean rate of a column before (`step` -1) or after (`step` 1) a gap; None if it is not known.
-
-    At most `RATE_SAMPLES` intervals are used, none of which lies beyond another gap.
-    """
-    last = place
-    while abs(last - place) < RATE_SAMPLES and 0 <= last + step < len(change) and not gap[last + step]:
-        last += step
-    if last == place:
-        return None
-    first, end = (last, place) if step < 0 else (place + 1, last + 1)
-    return float(np.sum(change[first:end]) / (time[end] - time[first]))
 
 
 def _bridged(

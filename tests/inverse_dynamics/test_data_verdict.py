@@ -13,7 +13,7 @@ import mbdkit
 from mbdkit import SpecError
 from mbdkit.inverse_dynamics.column_criteria import suspicious_columns
 from mbdkit.inverse_dynamics.compute import InverseProblem, compute
-from mbdkit.inverse_dynamics.data_verdict import doubts_about_data
+from mbdkit.inverse_dynamics.data_verdict import doubts_about_data, doubts_before_computation
 from mbdkit.spec import load_inverse_spec
 from mbdkit.spec.loading import example_table
 from tests.inverse_dynamics.drawn_faults import FAULTS, outcomes
@@ -197,6 +197,23 @@ def test_a_crank_that_turns_in_radians_is_not_taken_for_degrees() -> None:
     assert mbdkit.inverse(spec).verdict == "unknown"
     motion["data"] = motion["data"] | {"hip.angle": 150 * T}
     assert told(mbdkit.inverse(spec)) == {"turns"}
+
+
+def test_a_unit_that_contradicts_the_file_is_named(tmp_path: Path) -> None:
+    table = np.column_stack([T, *(np.degrees(x) for x in ANGLES.values())])
+    (tmp_path / "t.csv").write_text(f"time,{','.join(ANGLES)}\ns,deg,deg,deg\n")
+    with (tmp_path / "t.csv").open("a") as file:
+        np.savetxt(file, table, delimiter=",")
+    spec = {"mbdkit": 1, "model": {"name": "leg"}, "motion": {"file": str(tmp_path / "t.csv"), "smooth": SMOOTH}}
+    right = InverseProblem.of(load_inverse_spec(spec))
+    assert not right.measured.contradictions
+    columns = {name: {"column": name, "unit": "rad"} for name in ANGLES}
+    wrong = InverseProblem.of(load_inverse_spec(spec | {"motion": spec["motion"] | {"columns": columns}}))
+    (first, *_) = doubts_before_computation(wrong).open
+    assert first.startswith(
+        "units: the unit rad at motion.columns.hip_flexion.unit contradicts the unit of column 'hip_flexion' in the "
+        "file, deg"
+    )
 
 
 def test_a_column_that_is_used_twice_is_doubted_unless_the_mechanism_ties_its_quantities() -> None:
