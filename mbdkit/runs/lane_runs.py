@@ -38,6 +38,7 @@ from mbdkit.runs.integrals import RunIntegrals, functionals_of
 from mbdkit.runs.law_ranges import LawRanges, has_ranges, steps_are_rows
 from mbdkit.runs.preparation import caution, guards, make_method, recorded_arrays, timetable
 from mbdkit.runs.recorded_states import recorded_states
+from mbdkit.runs.slow_friction import SlowFriction
 from mbdkit.runs.warnings import accepted_doubts, center_warnings, doubts, passivity_warnings, start_warnings
 from mbdkit.spec import RunSpec
 from mbdkit.stepping.interface import Guards, StepEvidence, Stretch, Timetable
@@ -382,16 +383,20 @@ class _Group:
                 if left is not None and ranges.stops:
                     finished.append(None)
                     continue
-            warnings = member.warnings
+            warnings, energies = member.warnings, recorded[lane][1].energies
             if len(member.start.mechanism.topology.centers):
                 angles = results.observed.joints[lane, :rows, :, 0]
                 reached = np.stack([angles.min(axis=0), angles.max(axis=0)])
                 warnings = (*warnings, *center_warnings(mechanism, reached))
-            warnings = (*warnings, *passivity_warnings(mechanism, recorded[lane][1].energies))
+            warnings = (*warnings, *passivity_warnings(mechanism, energies))
             if (ends := CoincidentEnds.of(member.spec, member.start.mechanism)) is not None:
                 ends.add(results.time[lane, :rows], results.observed.forces[lane, :rows])
             if (coarse := CoarseBeams.of(mechanism, member.start.mechanism)) is not None:
                 coarse.add(results.q[lane, :rows], results.observed.beams[lane, :rows])
+            if (slow := SlowFriction.of(mechanism, member.start.mechanism, member.size)) is not None:
+                none = np.zeros((rows, 0))
+                slow.add(results.time[lane, :rows], results.observed.forces[lane, :rows], none, none)
+                warnings = (*warnings, *slow.warnings(energies.kinetic))
             watched = [one.warnings() for one in (ranges, ends, coarse) if one is not None]
             warnings = (*warnings, *chain(*watched))
             counters = vars(results.counters[lane]).copy()

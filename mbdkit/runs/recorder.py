@@ -25,6 +25,7 @@ from mbdkit.runs.coarse_beams import CoarseBeams
 from mbdkit.runs.coincident_ends import CoincidentEnds
 from mbdkit.runs.law_ranges import LawRanges
 from mbdkit.runs.recorded_states import ObservedRows, recorded_states
+from mbdkit.runs.slow_friction import SlowFriction
 from mbdkit.runs.warnings import center_warnings, passivity_warnings
 from mbdkit.stepping.interface import Failure, Guards, Stretch
 from mbdkit.trust.energy_record import EnergyRecord
@@ -81,6 +82,8 @@ class Recorder:
         Checks whether the elements of beams are fine enough; None without beams.
     ends
         Checks whether the ends of forces meet; None without such forces.
+    friction
+        Checks whether dry friction acts above its transition speed; None without such friction.
 
     Attributes
     ----------
@@ -104,6 +107,7 @@ class Recorder:
         ranges: LawRanges | None = None,
         coarse: CoarseBeams | None = None,
         ends: CoincidentEnds | None = None,
+        friction: SlowFriction | None = None,
     ):
         # The number of steps between two calls depends on wall time. If the recorder shared its pivots with the
         # stepper, the rounding errors of steps and of recorded rows would depend on it too.
@@ -119,7 +123,7 @@ class Recorder:
         self.last_time = workspace.t0
         self.event_times: dict[str, list[float]] = {}
         self.kept: list[ObservedRows] | None = None
-        self.ranges, self.coarse, self.ends = ranges, coarse, ends
+        self.ranges, self.coarse, self.ends, self.friction = ranges, coarse, ends, friction
 
     @property
     def mechanism(self) -> CompiledMechanism:
@@ -275,6 +279,11 @@ class Recorder:
             self.coarse.add(stretch.q, observed.beams)
         if self.ends is not None:
             self.ends.add(stretch.time, observed.forces)
+        if self.friction is not None:
+            slip, force = (
+                states.of_contacts(name).reshape(len(stretch.time), -1) for name in ("slip", "friction_force")
+            )
+            self.friction.add(stretch.time, observed.forces, slip, force)
         others = np.array([observed.potential, stretch.work, stretch.dissipated])
         self.last_time = float(stretch.time[-1])
         self.energies.add(observed.kinetic, others, states.balance)
@@ -369,6 +378,7 @@ class Recorder:
             "ranges": None if self.ranges is None else self.ranges.stored(),
             "coarse": None if self.coarse is None else self.coarse.stored(),
             "ends": None if self.ends is None else self.ends.stored(),
+            "friction": None if self.friction is None else self.friction.stored(),
         }
 
     def restore(self, state: Mapping[str, Any]) -> None:
@@ -389,6 +399,8 @@ class Recorder:
             self.coarse.restore(state["coarse"])
         if self.ends is not None:
             self.ends.restore(state["ends"])
+        if self.friction is not None:
+            self.friction.restore(state["friction"])
 
     def warnings(self, mechanism: Mechanism) -> tuple[str, ...]:
         """Return the warnings about the recorded states of a mechanism."""
@@ -396,7 +408,8 @@ class Recorder:
         # if a run stops where a law leaves its range, the reason of its failure says so
         ranges = None if self.ranges is None or self.ranges.stops else self.ranges
         watched = [one.warnings() for one in (ranges, self.ends, self.coarse) if one is not None]
-        return (*centers, *supplying, *chain(*watched))
+        slow = () if self.friction is None else self.friction.warnings(self.energies.kinetic)
+        return (*centers, *supplying, *slow, *chain(*watched))
 
     def misalignment_max(self, worst_pairs: np.ndarray) -> np.ndarray:
         """Return the largest misalignment of each joint over all steps, recorded or not, (J,) [m].

@@ -53,6 +53,7 @@ from mbdkit.runs.recorded_states import ObservedRows
 from mbdkit.runs.recorder import Recorder
 from mbdkit.runs.run_checkpoint import TIMES, Checkpoints, Continuation, Parts, why_without
 from mbdkit.runs.run_in_memory import measured_values, run_in_memory
+from mbdkit.runs.slow_friction import SlowFriction
 from mbdkit.runs.warnings import accepted_doubts, doubts, step_advice
 from mbdkit.spec import RunSpec
 from mbdkit.stepping.compiled_stepper import CompiledStepper
@@ -159,7 +160,8 @@ class SimulatedRun:
         ranges = LawRanges.of(spec.mechanism(), workspace.mechanism, between, stops=stops)
         coarse = CoarseBeams.of(spec.mechanism(), workspace.mechanism)
         meeting = CoincidentEnds.of(spec, workspace.mechanism)
-        self.recorder = Recorder(workspace, writer, self.guards, ranges, coarse, meeting)
+        slow = SlowFriction.of(spec.mechanism(), workspace.mechanism, self.size)
+        self.recorder = Recorder(workspace, writer, self.guards, ranges, coarse, meeting, slow)
         self.table = timetable(spec, self.guards)
         self.integrals: RunIntegrals | None = None
         if functionals:

@@ -375,16 +375,24 @@ def _unresolved_beams(spec: RunSpec) -> Iterator[str]:
 
 
 def step_advice(spec: RunSpec, code: str) -> str:
-    """Return a sentence that attributes the failure of a step to the beams of the mechanism; empty if it does not
-    apply.
+    """Return sentences that attribute the failure of a step to the beams or the dry friction of the mechanism; empty if
+    neither applies.
     """
-    step = spec.time.step
-    if code != "newton-failed" or step is None or not spec.mechanism().beams:
+    step, mechanism = spec.time.step, spec.mechanism()
+    if code != "newton-failed" or step is None:
         return ""
-    return (
-        f" Stiff beams may turn by at most about {LONGEST_TURN:g} rad in an implicit step; with the step of this run, "
-        f"this is a rate of {LONGEST_TURN / step:.3g} rad/s (see `mbdkit guide beams`)."
-    )
+    advice = ""
+    if mechanism.beams:
+        advice += (
+            f" Stiff beams may turn by at most about {LONGEST_TURN:g} rad in an implicit step; with the step of this "
+            f"run, this is a rate of {LONGEST_TURN / step:.3g} rad/s (see `mbdkit guide beams`)."
+        )
+    if any(getattr(joint, "friction", None) is not None for joint in mechanism.joints.values()):
+        advice += (
+            " If a joint with friction comes to rest in this step, use an implicit method with `adaptive: true`, or a "
+            "larger `transition_speed`."
+        )
+    return advice
 
 
 def _unused_parameters(spec: RunSpec) -> Iterator[str]:
