@@ -81,8 +81,8 @@ class SlowFriction:
     @classmethod
     def of(cls, mechanism: Mechanism, compiled: CompiledMechanism, size: float) -> SlowFriction | None:
         """Return the `SlowFriction` of a mechanism; None if it has no friction that depends on the slip velocity."""
-        found = cls(mechanism, compiled, size)
-        return found if found._elements else None
+        has_contacts = bool(mechanism.contacts) and not compiled.contact_treatment.is_rigid
+        return cls(mechanism, compiled, size) if compiled.friction or has_contacts else None
 
     def add(self, time: np.ndarray, forces: np.ndarray, slip: np.ndarray, friction: np.ndarray) -> None:
         """Take note of recorded states.

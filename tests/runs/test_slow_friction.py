@@ -7,6 +7,9 @@ from typing import Any
 import pytest
 
 import mbdkit
+from mbdkit.archive.finished_run import FinishedRun
+from mbdkit.runs.batch import simulate_batch
+from mbdkit.spec import load_spec
 
 
 def pin(transition: float, step: float = 0.005) -> dict[str, Any]:
@@ -35,6 +38,13 @@ def test_friction_of_a_pin_that_turns_more_slowly_than_its_transition_speed_is_d
     assert "joint 'knee' is weaker than Coulomb friction, because 100% of its path" in told
     assert "transition speed of 0.01 m/s (fastest slip 0.008 m/s, at 1 rad/s), and lacks 60% of its work" in told
     assert "lower model.joints.knee.friction.transition_speed" in told
+
+
+def test_vectorized_runs_tell_the_same_as_single_runs() -> None:
+    specs = [load_spec(pin(transition) | {"integrator": {"name": "rk4"}}) for transition in (0.01, 0.02)]
+    told = [tuple(mbdkit.run(spec).warnings) for spec in specs]
+    assert [len(one) for one in told] == [1, 1]
+    assert [run.warnings for run in simulate_batch(specs) if isinstance(run, FinishedRun)] == told
 
 
 def test_friction_that_reaches_its_transition_speed_until_the_stop_is_not_told() -> None:
