@@ -12,6 +12,7 @@ import numpy as np
 from mbdkit.inverse_dynamics.column_criteria import Doubt, column_doubts, doubts_before_fit
 from mbdkit.inverse_dynamics.compute import Inverse, InverseProblem
 from mbdkit.inverse_dynamics.error_bars import ErrorBars
+from mbdkit.inverse_dynamics.knee_criterion import knee_doubts
 from mbdkit.inverse_dynamics.load_criteria import load_doubts
 from mbdkit.inverse_dynamics.model_criteria import model_doubts, spec_doubts
 from mbdkit.inverse_dynamics.record_criteria import record_doubts
@@ -45,7 +46,7 @@ def doubts_about_data(result: Inverse, bars: ErrorBars | None) -> DataDoubts:
     """Return the doubts about the data and the model of a result, and remarks on the data."""
     shared = shared_columns(result.problem)
     found = [*shared, *column_doubts(result), *cutoff_doubts(result), *load_doubts(result, bars), *model_doubts(result)]
-    found += [*turn_doubts(result), *record_doubts(result, bars)]
+    found += [*turn_doubts(result), *knee_doubts(result), *record_doubts(result, bars)]
     remarks = (*equal_columns(result.problem), *uncertain_turns(result), *large_deviations(result, bars))
     return _sorted(found, result.problem.spec.accept)._replace(remarks=remarks)
 

@@ -194,6 +194,7 @@ Criterion = Literal[
     "units",
     "shared-column",
     "turns",
+    "knee",
     "fit",
     "noise",
     "cutoff",

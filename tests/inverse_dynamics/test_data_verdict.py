@@ -216,6 +216,12 @@ def test_a_unit_that_contradicts_the_file_is_named(tmp_path: Path) -> None:
     )
 
 
+def test_knee_flexion_with_the_wrong_sign_is_doubted() -> None:
+    run = leg({"knee_flexion": -ANGLES["knee_flexion"]}, motion={"errors": "none"})
+    assert told(run) == {"knee"}
+    assert "write `scale: -1`" in run.verdict_reasons[0]
+
+
 def test_a_column_that_is_used_twice_is_doubted_unless_the_mechanism_ties_its_quantities() -> None:
     wrong = {"hip_flexion": "knee_flexion", "knee_flexion": "knee_flexion", "ankle_dorsiflexion": "ankle_dorsiflexion"}
     run = leg(motion={"columns": wrong, "errors": "none"})
