@@ -89,8 +89,8 @@ def largest_loads_of(spec: RunSpec, contacts: Sequence[str]) -> tuple[str, ...]:
 def compared_loads(spec: RunSpec, integrals: Integrals, contacts: Sequence[str]) -> tuple[str, ...]:
     """Return expressions of the largest loads whose errors are estimated from comparison runs, like those of measures.
 
-    These are the normal forces of the compliant contacts with the largest ones. The forces of joints have errors in
-    every row, and those of rigid contacts include impulses if a step contains an impact.
+    These are the normal forces of the contacts with the largest ones. The forces of joints have errors in every row,
+    and those of contacts in time-stepping runs include impulses if a step contains an impact.
 
     Parameters
     ----------
@@ -99,7 +99,7 @@ def compared_loads(spec: RunSpec, integrals: Integrals, contacts: Sequence[str])
     contacts
         Names of the contacts.
     """
-    if spec.has_rigid_contacts:
+    if spec.contact.treatment == "time-stepping":
         return ()
     largest = {name: integrals.get(expression_of_largest("contacts.normal_force", name), 0.0) for name in contacts}
     pressed = [name for name, force in largest.items() if isinstance(force, float) and force > 0.0]

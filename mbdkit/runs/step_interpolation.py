@@ -8,9 +8,11 @@ below that of the steps (1e-5 of it for steps of an eighth of a period).
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from itertools import pairwise
 
 import numpy as np
+from scipy.interpolate import BSpline, make_interp_spline
 
 from mbdkit.engine.observed_states import StateObserver
 from mbdkit.engine.workspace import Workspace
@@ -42,10 +44,10 @@ class StepEnds:
         stiff mechanisms they amplify the errors of positions. All three arrays may have an additional last axis of
         derivatives.
     held
-        (N, Z) forces of rigid contacts, which have no rates and are linear over each step; None without them.
+        (N, Z) forces of rigid contacts, which have no rates; None without them.
     is_linear
-        Whether positions and velocities are linear over each step too, as in time-stepping methods, whose steps contain
-        impacts: polynomials of a higher degree would overshoot there.
+        Whether all states are linear over each step, as in time-stepping methods, whose steps contain impacts:
+        polynomials of a higher degree would overshoot there.
     """
 
     time: np.ndarray
@@ -56,8 +58,27 @@ class StepEnds:
     is_linear: bool = False
 
     def held_at(self, times: np.ndarray) -> np.ndarray:
-        """Return the forces of rigid contacts at times (T,) [s]: (T, Z)."""
-        return self._linear(times, np.zeros((len(self.time), 0)) if self.held is None else self.held)
+        """Return the forces of rigid contacts at times (T,) [s]: (T, Z).
+
+        Between two events, at which steps end, they are splines through the ends of the steps.
+        """
+        held = np.zeros((len(self.time), 0)) if self.held is None else self.held
+        if self.is_linear or not held.shape[1]:
+            return self._linear(times, held)
+        return np.asarray(self._spline(times))
+
+    @cached_property
+    def _spline(self) -> BSpline:
+        """The spline of degree 5, or less with few ends, through the forces at ends that are not too close."""
+        assert self.held is not None
+        least, used = LEAST_DISTANCE * float(np.median(np.diff(self.time))), [0]
+        for end in range(1, len(self.time)):
+            is_close = self.time[end] - self.time[used[-1]] < least
+            if end == len(self.time) - 1 and is_close and len(used) > 1:
+                used.pop()
+            if end == len(self.time) - 1 or not is_close:
+                used.append(end)
+        return make_interp_spline(self.time[used], self.held[used], k=min(5, len(used) - 1))
 
     def _linear(self, times: np.ndarray, values: np.ndarray) -> np.ndarray:
         columns = [np.interp(times, self.time, column) for column in values.T]

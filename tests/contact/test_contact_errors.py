@@ -6,7 +6,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from scipy.optimize import brentq
+from scipy.integrate import solve_ivp
+from scipy.optimize import brentq, minimize_scalar
 
 import mbdkit
 from mbdkit.archive.headlines import headlines
@@ -46,6 +47,32 @@ def test_errors_of_time_stepping_are_known_from_an_event_driven_run() -> None:
     assert run.accuracy.is_complete
     error = abs(run.array("trajectory/position")[-1, 0, 1] - true)
     assert 0.2 * error <= run.accuracy.position_error[-1, 0, 1] <= 5.0 * error
+
+
+def test_errors_of_the_largest_normal_force_of_event_driven_runs_are_the_true_ones() -> None:
+    # a rod of 1 m and 3 kg slides on a floor without friction: (I + m h^2) w' = m h w^2 s/2 - m g h with h = cos(a)/2
+    def rates(_: float, y: np.ndarray) -> list[float]:
+        h, s = 0.5 * np.cos(y[0]), 0.5 * np.sin(y[0])
+        return [y[1], 3.0 * h * (s * y[1] ** 2 - 9.81) / (0.25 + 3.0 * h**2)]
+
+    motion = solve_ivp(rates, (0.0, 0.5), [0.6, 2.0], "DOP853", rtol=1e-12, atol=1e-12, dense_output=True).sol
+
+    def pull(t: float) -> float:
+        y = motion(t)
+        return -3.0 * (9.81 + 0.5 * (np.cos(y[0]) * rates(t, y)[1] - np.sin(y[0]) * y[1] ** 2))
+
+    true = -minimize_scalar(pull, bounds=(0.05, 0.25), method="bounded", options={"xatol": 1e-9}).fun
+    rod = {"mass": 3.0, "inertia": 0.25, "position": [0.0, 0.5 * np.sin(0.6)], "angle": 0.6, "angular_velocity": 2.0}
+    rod["velocity"] = [0.0, np.cos(0.6)]
+    floor = {"bodies": ["ground", "body"], "shapes": [FLOOR, {"point": [-0.5, 0.0]}]}
+    run = mbdkit.run(
+        {"mbdkit": 1, "model": {"name": "mechanism", "bodies": {"body": rod}, "contacts": {"floor": floor}}},
+        integrator={"name": "rk4"}, time={"end": 0.5, "step": 0.01}, contact={"treatment": "event-driven"}, check=True,
+    )  # fmt: skip
+    (largest,) = headlines(run)
+    error = largest.error - largest.missed  # of the largest force at any time
+    assert 0.0 < error < 1e-7 * true
+    assert abs(largest.largest - true) == pytest.approx(error, rel=0.12)
 
 
 def test_errors_are_unknown_after_contacts_that_close_at_once() -> None:
