@@ -55,9 +55,10 @@ def uncertain_turns(result: Inverse) -> Iterator[str]:
     if columns:
         told = listed([f"{measured.names[index]} {off[index]:.3g} rad" for index in columns], "and")
         yield (
-            f"the first values of columns differ by about half a turn from those of the model ({told}), so that their "
-            "numbers of full turns are not certain; if these matter, give the bodies in the model about the angles "
-            "that they have in the first row."
+            f"the first values of columns differ by about half a turn from those of the model ({told}). If these "
+            "angles have another zero than in the model, correct it with the `offset` of a named coordinate; otherwise "
+            "give the bodies in the model about the angles that they have in the first row, because the numbers of "
+            "full turns are not certain."
         )
 
 
