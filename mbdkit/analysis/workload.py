@@ -10,10 +10,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from mbdkit.analysis.cycles import Normalized, contacts, normalized
+from mbdkit.archive.accuracy_summary import exact_loads
 from mbdkit.archive.headlines import ROUND_OFF, plus_minus
 from mbdkit.archive.history import UnknownNameError
 from mbdkit.archive.peak_errors import errors_of_frames, peak_errors
-from mbdkit.archive.run_summary import exact_loads
 from mbdkit.base.errors import SpecError
 from mbdkit.base.html_view import HtmlView
 from mbdkit.base.text import table

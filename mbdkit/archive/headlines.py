@@ -31,6 +31,12 @@ SMALLEST_PLACE, LARGEST_PLACE = -3, 8
 #: up to this share of the largest force in a joint [N].
 ROUND_OFF = 1e-10
 
+#: Largest number of joints, contacts, muscles or other elements that one line lists; the rest are only counted.
+JOINTS_NAMED = 4
+
+#: Residuals [m or rad], overlaps [m] and creep [m/s] up to this value are rounding errors.
+EXACT = 1e-12
+
 
 class Headline(NamedTuple):
     """A number of a run with its unit and its estimated error, which is nan if unknown.

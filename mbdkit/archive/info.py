@@ -9,6 +9,7 @@ from typing import Any
 
 import h5py
 
+from mbdkit.archive.accuracy_summary import accuracy_sentence
 from mbdkit.archive.archive_check import blaming_damage
 from mbdkit.archive.fingerprint import datasets, is_text
 from mbdkit.archive.hdf5 import dims
@@ -16,7 +17,7 @@ from mbdkit.archive.hdf5_errors import reading
 from mbdkit.archive.layout import COUNTERS, TIMINGS
 from mbdkit.archive.reader import load
 from mbdkit.archive.run import Run
-from mbdkit.archive.run_summary import accuracy_sentence, corrections
+from mbdkit.archive.run_summary import corrections
 from mbdkit.base.text import shown
 from mbdkit.quantities.array import TEXT
 

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from mbdkit.archive.accuracy_summary import accuracy_sentence, asked_sentence
 from mbdkit.archive.headlines import (
+    EXACT,
+    JOINTS_NAMED,
     MISSED,
     ROUND_OFF,
     Headline,
@@ -18,27 +20,19 @@ from mbdkit.archive.headlines import (
     largest_torques,
     plus_minus,
 )
-from mbdkit.archive.peak_errors import (
-    errors_of_frames,
-    measures_of_largest,
-    missed_between_rows,
-    peak_errors,
-)
+from mbdkit.archive.inverse_summary import inverse_lines
+from mbdkit.archive.peak_errors import missed_between_rows, peak_errors
 from mbdkit.base.errors import MbdkitError
-from mbdkit.base.text import counted, listed, shown
+from mbdkit.base.text import counted, shown
 from mbdkit.mechanism.beams import beam_of
 from mbdkit.mechanism.contacts import STICK
 from mbdkit.mechanism.mechanism import gravity_text
 from mbdkit.spec.formulation_choice import name_of
-from mbdkit.spec.named_actuators import RESERVE
 from mbdkit.trust.criteria import NOTHING_SUSPICIOUS, rounding
 
 if TYPE_CHECKING:
     from mbdkit.archive.history import Impacts
     from mbdkit.archive.run import Run
-
-#: Largest number of joints, contacts, muscles or other elements that one line lists; the rest are only counted.
-JOINTS_NAMED = 4
 
 #: Largest number of events listed.
 EVENTS_NAMED = 4
@@ -46,17 +40,8 @@ EVENTS_NAMED = 4
 #: Range of the lengths of fibres, in optimal lengths, outside of which their active force is almost zero.
 PULLING = (0.4, 1.6)
 
-#: Residuals [m or rad], overlaps [m] and creep [m/s] up to this value are rounding errors.
-EXACT = 1e-12
-
 #: The summary reports the distance from a singular position if it is below this value.
 SINGULAR = 0.1
-
-UNCONFIRMED = "the comparison runs of the check agree neither with this run nor with each other"
-"""Why errors are unknown, in archives of earlier versions, which do not contain the reason."""
-
-UNUSED_DATA = {"unobserved_markers": "no data", "unused_columns": "not used"}
-"""Labels of entries of the provenance of inverse dynamics: markers without data, and columns that are not used."""
 
 _COUNTERS = {
     "rhs_evaluations": "right-hand sides",
@@ -106,18 +91,12 @@ def summary_lines(run: Run) -> list[tuple[str, str]]:
         ("singularity", _singularity(run)),
         ("energy", _energy(run)),
         ("drivers", _drivers(run)),
-        ("fit", _fit(run)),
-        *((label, str(run.provenance.get(key, ""))) for key, label in UNUSED_DATA.items()),
-        ("gaps", _gaps(run)),
-        ("raw data", _raw_misalignment(run)),
-        ("actuators", _actuators(run)),
-        ("residuals", _actuators(run, residual=True)),
+        *inverse_lines(run),
         ("muscles", _muscles(run)),
         ("", _far_fibers(run)),
         ("contact", _contact_forces(run)),
         ("contacts", _contacts(run)),
         ("impacts", _impacts(run)),
-        ("reserves", _reserves(run)),
         ("events", _events(run)),
         *_gradients(run),
         ("counters", _counters(run.stats)),
@@ -201,148 +180,6 @@ def corrections(run: Run) -> str:
     if run.records("steps/acceleration_correction"):
         parts.append(f"terms of at most {np.max(run.steps.acceleration_correction, initial=0.0):.3g} m/s^2")
     return ", ".join(parts)
-
-
-def accuracy_sentence(run: Run, *, with_force: bool = True) -> str:
-    """Return a sentence on the estimated errors of a run: of the largest reaction force, and of the positions.
-
-    In inverse dynamics, it states the largest reaction force with its error bar.
-
-    Parameters
-    ----------
-    run
-        The run. The sentence is empty if the run has no rows, or if its errors were not estimated; in inverse dynamics,
-        it is also empty without joints.
-    with_force
-        Whether to state the largest force of a simulated run whose errors are all known.
-    """
-    accuracy = run.accuracy
-    if run.kind == "inverse":
-        return _error_bars(run)
-    if accuracy is None or not len(run.time):
-        return ""
-    if not accuracy.rows_known:
-        return f"errors unknown: {accuracy.unknown or UNCONFIRMED}"
-    position = f"positions known to {accuracy.position_error_max:.2g} m and {accuracy.angle_error_max:.2g} rad"
-    position += " for this mesh of beams" if any(map(beam_of, run.bodies)) else ""
-    if accuracy.is_complete:
-        return "; ".join(filter(None, (_largest_force(run) if with_force else "", position)))
-    until = f" until {accuracy.known_until:.4g} s"
-    force = _largest_known_force(run, accuracy.rows_known) if accuracy.rows_known > 1 else ""
-    why = f": {accuracy.unknown}" if accuracy.unknown else ""
-    return "; ".join(filter(None, (force and force + until, position + until, f"errors unknown afterwards{why}")))
-
-
-def _largest_force(run: Run) -> str:
-    """Return the largest force of all joints with its error, as headlines state it or, if it is a measure, as that one;
-    empty if there is none or its error is unknown.
-    """
-    largest = next(iter(largest_forces(run)), None)
-    if largest is None:
-        return ""
-    measure = measures_of_largest(run.spec.get("measures") or {}, "joints.force").get(largest.element, "")
-    if run.measures.units.get(measure) == "N":
-        largest = Headline(largest.label, run.measures[measure], "N", run.measure_errors[measure])
-    return "" if math.isnan(largest.error) else f"{largest.label} {largest.text()}"
-
-
-def _largest_known_force(run: Run, count: int) -> str:
-    """Return the largest force of all joints in the first `count` rows with its error; empty if there is none or its
-    error is unknown.
-    """
-    if not run.joints or not run.records("joints/reaction_force"):
-        return ""
-    size = np.linalg.norm(run.array("joints/reaction_force"), axis=2)[:count]
-    errors = peak_errors(run, "reaction_error", size, count)
-    joint = int(np.argmax(np.max(size, axis=0)))
-    largest = float(np.max(size[:, joint]))
-    if errors is None or math.isnan(errors[joint]) or largest <= 0:
-        return ""
-    return f"largest force in {run.joint_names[joint]} {plus_minus(largest, float(errors[joint]))} N"
-
-
-def _why_no_error_bars(spec: Mapping[str, Any]) -> str:
-    """Return the reason why a run of inverse dynamics has no error bars; empty if none were requested."""
-    motion = spec.get("motion", {})
-    if motion.get("errors") == "none":
-        return ""
-    of_run = str(motion.get("file", "")).lower().endswith(".h5") and motion.get("smooth", {}).get("name") == "none"
-    if of_run or any(one.get("rate") is not None for one in (motion.get("columns") or {}).values()):
-        where = "the archive" if of_run else "columns"
-        return (
-            f"velocities and accelerations are those of {where}, whose errors are not known; without them, mbdkit "
-            "differentiates the positions and estimates errors"
-        )
-    if (spec.get("recruitment") or {}).get("dynamics") == "activation":
-        return "they are not estimated with `dynamics: activation`, which couples the frames"
-    return (
-        "the noise cannot be estimated from residuals of a smoothed motion; state the `deviation` of each column, or "
-        "smooth the motion"
-    )
-
-
-def _error_bars(run: Run) -> str:
-    """Return a sentence on the error bar of the largest reaction force of inverse dynamics, or on why it is unknown.
-
-    The sentence is empty if no error bars were requested, or if there are no joints.
-    """
-    accuracy = run.accuracy
-    if accuracy is None:
-        why = _why_no_error_bars(run.spec)
-        return f"errors unknown: {why}" if why else ""
-    size = np.linalg.norm(run.array("joints/reaction_force"), axis=2)
-    if not size.size:
-        return ""
-    row, joint = (int(place) for place in np.unravel_index(np.argmax(size), size.shape))
-    errors = peak_errors(run, "reaction_error", size, len(run.time))
-    assert errors is not None
-    error = float(errors[joint])
-    told = f"; {exact}" if (exact := exact_loads(run)) else ""
-    if not math.isfinite(error):
-        known = f"{size[row, joint]:.4g} N at {run.time[row]:.4g} s, error unknown"
-        return f"largest force in {run.joint_names[joint]} {known}{told}"
-    value = plus_minus(float(size[row, joint]), error)
-    return f"largest force in {run.joint_names[joint]} {value} N (95 %) at {run.time[row]:.4g} s{told}"
-
-
-def exact_loads(run: Run) -> str:
-    """Return a clause on the measured loads that error bars of inverse dynamics count as exact; empty if there are none
-    or no error bars.
-    """
-    names = (
-        []
-        if run.accuracy is None
-        else [name for name, load in (run.spec.get("loads") or {}).items() if any(map(_is_exact, _measured(load)))]
-    )
-    return f"loads count as exact where columns have no `deviation`: {listed(names, 'and')}" if names else ""
-
-
-def _measured(load: Mapping[str, Any]) -> list[Any]:
-    """Return the columns of data that a measured load refers to, without components that are constant numbers."""
-    every = [*(load.get("force") or ()), *(load.get("point") or ()), load.get("torque")]
-    return [one for one in every if one is not None and not isinstance(one, int | float)]
-
-
-def _is_exact(column: Any) -> bool:
-    return not (isinstance(column, Mapping) and column.get("deviation"))
-
-
-def asked_sentence(run: Run) -> str:
-    """Return sentences on the requested accuracy, the accuracy reached, and the choice of method; empty if none was
-    requested.
-
-    Parameters
-    ----------
-    run
-        The run.
-    """
-    accuracy = run.accuracy
-    if accuracy is None or math.isnan(accuracy.asked):
-        return ""
-    reached = "unknown" if math.isnan(accuracy.reached) else f"{accuracy.reached:.2g}"
-    until = "" if accuracy.is_complete or math.isnan(accuracy.reached) else f" until {accuracy.known_until:.4g} s"
-    text = f"{accuracy.asked:g} of the mechanism's size, reached by estimate {reached}{until}"
-    return f"{text}; chosen: {accuracy.chosen}. {accuracy.why}"
 
 
 def _time(run: Run) -> str:
@@ -429,81 +266,6 @@ def _smoothing(spec: Mapping[str, Any]) -> str:
     chosen = spec.get("motion", {}).get("smooth", {})
     words = [f"{key} {value}" for key, value in chosen.items() if key != "name" and value is not None]
     return ", ".join([*([str(chosen["name"])] if chosen else []), *words])
-
-
-def _fit(run: Run) -> str:
-    """Return the largest root mean squares of the residuals of observed quantities, in descending order."""
-    parts = []
-    for name, one in run.motion.items():
-        known = one.residual[np.isfinite(one.residual)]
-        parts.append((float(np.sqrt(np.mean(known**2))) if known.size else math.nan, name, one.units))
-    parts.sort(reverse=True)
-    if parts and parts[0][0] <= EXACT:
-        return "exact to round-off"
-    text = ", ".join(f"{name} {size:.3g} {units}" for size, name, units in parts[:JOINTS_NAMED])
-    more = f", {len(parts) - JOINTS_NAMED} more" if len(parts) > JOINTS_NAMED else ""
-    return f"residuals (rms) {text}{more}" if parts else ""
-
-
-def _gaps(run: Run) -> str:
-    """Return the gaps of the measured columns, how they are filled, and whether errors are unknown there; empty if
-    there are none.
-    """
-    texts: dict[str, list[str]] = {"by interpolation": [], "from the other columns": []}
-    placed = json.loads(str(run.provenance.get("placed_gaps", "{}")))
-    errors = [] if run.accuracy is None else [run.accuracy.reaction_error]
-    errors += [run.array("actuators/value_error")] if errors and run.records("actuators/value_error") else []
-    for name, one in run.motion.items():
-        missing = np.concatenate([[False], np.isnan(one.raw), [False]])
-        for first, end in np.flatnonzero(np.diff(missing)).reshape(-1, 2).tolist():
-            span = f"from t = {run.time[first]:.6g} to {run.time[end - 1]:.6g} s"
-            unknown = any(np.any(np.isnan(one[first:end])) for one in errors)
-            told = ", where errors are unknown" if unknown else ""
-            how = "from the other columns" if first in placed.get(name, ()) else "by interpolation"
-            texts[how].append(f"{name}, {counted(end - first, 'sample')} {span}{told}")
-    return "; ".join(
-        f"filled {how}: {'; '.join(own[:JOINTS_NAMED])}"
-        + (f"; {len(own) - JOINTS_NAMED} more" if own[JOINTS_NAMED:] else "")
-        for how, own in texts.items()
-        if own
-    )
-
-
-def _raw_misalignment(run: Run) -> str:
-    """Return the largest misalignments of joints if bodies are placed by the measured data alone.
-
-    Empty if the data determine none.
-    """
-    if not run.records("motion/raw_misalignment"):
-        return ""
-    gaps = run.raw_misalignment
-    largest = np.max(np.where(np.isfinite(gaps), gaps, -1.0), axis=0, initial=-1.0)
-    order = [int(k) for k in np.argsort(-largest, kind="stable")[:JOINTS_NAMED] if largest[k] >= 0]
-    text = ", ".join(f"{run.joint_names[k]} {largest[k]:.2g} m" for k in order)
-    return f"misaligned by at most {text}" if text else ""
-
-
-def _actuators(run: Run, *, residual: bool = False) -> str:
-    """Return the largest value of each actuator with its error bar and time: the largest of these, in descending order.
-
-    With `residual`, return those of the residual loads instead.
-    """
-    if not run.actuators:
-        return ""
-    values, peaks, known = run.array("actuators/value"), [], run.accuracy is not None
-    names = list(run.actuators)
-    bars = run.array("actuators/value_error") if known else np.zeros_like(values)
-    errors = errors_of_frames(run, "actuators.value", names, np.abs(values), bars)
-    for (name, actuator), error in zip(run.actuators.items(), errors.tolist(), strict=True):
-        if (actuator.kind == "residual") != residual:
-            continue
-        row = int(np.argmax(np.abs(actuator.value)))
-        value = plus_minus(float(actuator.value[row]), error) if known else f"{actuator.value[row]:.4g}"
-        peaks.append((abs(float(actuator.value[row])), f"{name} {value} {actuator.units} at {run.time[row]:.4g} s"))
-    peaks.sort(key=lambda peak: -peak[0])
-    return "; ".join(text for _, text in peaks[:JOINTS_NAMED]) + (
-        f"; {len(peaks) - JOINTS_NAMED} more" if len(peaks) > JOINTS_NAMED else ""
-    )
 
 
 def _muscles(run: Run) -> str:
@@ -626,33 +388,6 @@ def _contact_forces(run: Run) -> str:
             parts.append((largest, f"{name} {with_muscles} N, {most:.4g} N without muscles"))
     parts.sort(key=lambda one: -one[0])
     return "; ".join(text for _, text in parts[:JOINTS_NAMED])
-
-
-def _reserves(run: Run) -> str:
-    """Return the root mean square of each reserve as a share of that of the total moment.
-
-    Empty without recruitment.
-    """
-    if not run.records("muscles/certificate"):
-        return ""
-    shares = reserve_shares(run)
-    return ", ".join(f"{name} {share:.2%}" for name, share in shares.items()) or "none"
-
-
-def reserve_shares(run: Run) -> dict[str, float]:
-    """Return the root mean square of each reserve relative to that of the total moment of its actuator, by actuator.
-
-    Reserves that are not used are left out.
-    """
-    shares = {}
-    for name, reserve in run.actuators.items():
-        actuator = name.removeprefix(RESERVE)
-        if name == actuator or actuator not in run.actuators:
-            continue
-        own, whole = (float(np.sqrt(np.mean(one.value**2))) for one in (reserve, run.actuators[actuator]))
-        if own > 0:  # otherwise no muscle acts on this actuator
-            shares[actuator] = own / whole if whole > 0 else 0.0
-    return shares
 
 
 def _events(run: Run) -> str:

@@ -114,7 +114,7 @@ def repeated_inverse(before: Run, archive: Path, output: Path | None, *, overwri
 
 def validate_inverse(source: str | Document, name: str, assignments: list[str]) -> None:
     """Check a spec of inverse dynamics, its data and their first frame, and print what would be computed."""
-    from mbdkit.archive.run_summary import UNUSED_DATA
+    from mbdkit.archive.inverse_summary import UNUSED_DATA
     from mbdkit.inverse_dynamics.compute import InverseProblem, check
     from mbdkit.inverse_dynamics.data_verdict import doubts_before_computation
     from mbdkit.inverse_dynamics.inverse_run import causes_named

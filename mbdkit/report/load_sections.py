@@ -10,7 +10,8 @@ import numpy as np
 from markupsafe import Markup
 
 from mbdkit.analysis.workload import ElementWorkload, workload
-from mbdkit.archive.run_summary import EXACT, reserve_shares
+from mbdkit.archive.headlines import EXACT
+from mbdkit.archive.inverse_summary import reserve_shares
 from mbdkit.base.text import listed
 from mbdkit.figures.curves import bands
 from mbdkit.figures.mechanism_drawing import NARROW, WIDE, short_name

@@ -9,7 +9,8 @@ import numpy as np
 
 from mbdkit.analysis.growth import Growth, growth_law
 from mbdkit.analysis.verdict import Answer, Claim, Verdict
-from mbdkit.archive.run_summary import accuracy_sentence, without_suspicion
+from mbdkit.archive.accuracy_summary import accuracy_sentence
+from mbdkit.archive.run_summary import without_suspicion
 from mbdkit.base.errors import MbdkitError
 from mbdkit.figures.curves import bands, take
 from mbdkit.figures.drawing_geometry import draw_spec

@@ -10,9 +10,10 @@ from scipy.optimize import brentq
 
 import mbdkit
 from mbdkit.archive.accuracy import Accuracy
+from mbdkit.archive.accuracy_summary import accuracy_sentence
 from mbdkit.archive.headlines import Headline, headlines, largest_loads
 from mbdkit.archive.peak_errors import BETWEEN, excess_between_rows, jumps, peak_errors
-from mbdkit.archive.run_summary import accuracy_sentence, summary, summary_lines
+from mbdkit.archive.run_summary import summary, summary_lines
 
 
 @pytest.mark.parametrize(("rows", "share"), [(4, 0.08), (6, 0.02), (10, 0.003)])
