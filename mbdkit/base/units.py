@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Container
+from collections.abc import Container, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from decimal import Decimal
@@ -56,11 +56,20 @@ class Unit:
     def fits(self, wanted: Unit) -> bool:
         """Return whether a number with this unit can be given where a number in the unit `wanted` is expected.
 
-        rad may be left out, as in N m for N m/rad, but 10 Hz is not an angular velocity, and 2 deg is not a length.
+        rad may be left out, as in N m for N m/rad, but 10 Hz and 10 1/min are not angular velocities, and 2 deg is not
+        a length.
         """
+        if self.is_frequency and wanted.counts[0]:
+            return False
         return self.is_like(wanted) and all(
             own in (0, other) for own, other in zip(self.counts, wanted.counts, strict=True)
         )
+
+    @property
+    def is_frequency(self) -> bool:
+        """Whether the unit usually counts cycles per time, as Hz and 1/min do. 1/s may be an angular velocity."""
+        is_rate = self.exponents == (0, 0, -1) and not any(self.counts) and self.factor != 1.0
+        return is_rate or self.counts[1] != 0
 
     def times(self, other: Unit, power: Fraction = Fraction(1)) -> Unit:
         """Return the SI unit of the product of a quantity in this unit and a quantity in `other` raised to `power`."""
@@ -108,6 +117,7 @@ _SYMBOLS: dict[str, tuple[Exponents, float]] = {
 }
 """Exponents and SI factor of each symbol."""
 _COUNTS = {"rad": (1, 0, 0), "mrad": (1, 0, 0), "deg": (1, 0, 0), "rev": (1, 0, 0), "Hz": (0, 1, 0), "%": (0, 0, 1)}
+_RPM = re.compile(r"(/\s*)?\brpm\b((?:\^|\*\*)-?\d{1,2}(?:\.5)?)?")
 _SI = {"kg": "kg", "g": "kg", "min": "s", "Hz": "Hz", "deg": "rad", "rev": "rad", "mrad": "rad", "%": "1"}
 """SI symbols of the units for which removing the prefix does not give the SI symbol."""
 
@@ -167,7 +177,7 @@ def read_unit(text: str) -> Unit:
         If the text is not a unit.
     """
     exponents, factor, counts, si = list(_NONE), 1.0, list(_NONE), ""
-    sign, place, written = 1, 0, text.strip()
+    sign, place, written = 1, 0, _RPM.sub(_in_revolutions, text.strip())
     if not written:
         raise SpecError("should be a unit such as N, N m, mm or deg, not an empty text")
     while place < len(written):
@@ -178,7 +188,7 @@ def read_unit(text: str) -> Unit:
         if symbol not in _SYMBOLS:
             apart = (f" (did you mean '{symbol[:i]} {symbol[i:]}'?)" for i in range(1, len(symbol))
                      if symbol[0] == "N" and symbol[:i] in _SYMBOLS and symbol[i:] in _SYMBOLS)  # fmt: skip
-            hint = next(apart, "") or did_you_mean(symbol, _SYMBOLS) or f"; known: {listed(_SYMBOLS)}"
+            hint = next(apart, "") or did_you_mean(symbol, _SYMBOLS) or f"; known: {listed([*_SYMBOLS, 'rpm'])}"
             raise SpecError(f"'{_short(symbol)}' is not a known unit{hint}")
         of_symbol, size = _SYMBOLS[symbol]
         exponents = [total + power * one for total, one in zip(exponents, of_symbol, strict=True)]
@@ -197,12 +207,18 @@ def read_unit(text: str) -> Unit:
         if place == found.end():
             break
     return Unit(
-        " ".join(written.split()),
+        " ".join(text.split()),
         (exponents[0], exponents[1], exponents[2]),
         factor,
         (counts[0], counts[1], counts[2]),
         " ".join(si.split()),
     )
+
+
+def _in_revolutions(found: re.Match[str]) -> str:
+    """Return the text of a power of rpm in terms of rev/min; the match includes a preceding ``/``."""
+    slash, power = found[1] or "", found[2] or ""
+    return f"{slash}rev{power}{'*' if slash else '/'}min{power}"
 
 
 def read_quantity(text: object, names: Container[str] = ()) -> tuple[float, Unit] | None:
@@ -245,8 +261,17 @@ def number_in(value: float | str, unit: str) -> float:
             raise SpecError(f"should be a number, or a number with a unit such as '1 {unit}', not '{_short(value)}'")
         return float(value)
     if not quantity[1].fits(read_unit(unit)):
-        raise SpecError(f"'{_short(str(value))}' has the unit {quantity[1]}, but this is a number in {unit}")
+        raise SpecError(misfit(_short(str(value)), quantity[1], (unit,)))
     return quantity[0]
+
+
+def misfit(text: str, unit: Unit, wanted: Sequence[str]) -> str:
+    """Return a message about a text whose unit is none of the wanted ones; without these, a number has no unit."""
+    takes = f"in {listed(wanted, 'or')}" if wanted else "without a unit"
+    hint = ""
+    if unit.is_frequency and "rad/s" in wanted:
+        hint = f"; if these are revolutions, write {'rev/s' if unit.factor == 1.0 else 'rev/min (or rpm)'}"
+    return f"'{text}' has the unit {unit}, but this is a number {takes}{hint}"
 
 
 @cache

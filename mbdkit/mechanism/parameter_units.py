@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import ast
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from fractions import Fraction
 
 from mbdkit.base.errors import SpecError
@@ -34,8 +34,8 @@ def unit_of_expression(text: str, units: Mapping[str, Unit], *, of_time: bool = 
     Raises
     ------
     SpecError
-        If quantities of different kinds are added or subtracted, or if a frequency in Hz is used as an angular
-        velocity.
+        If quantities of different kinds are added or subtracted, or if a frequency, such as one in Hz or 1/min, is used
+        as an angular velocity.
     """
     try:
         tree = ast.parse(text.strip(), mode="eval").body
@@ -62,6 +62,14 @@ def _is_time(node: ast.AST) -> bool:
 
 def _has_units(tree: ast.expr, units: Mapping[str, Unit]) -> bool:
     return any(isinstance(node, ast.Name) and node.id in units for node in ast.walk(tree))
+
+
+def _outside_pure_functions(node: ast.AST) -> Iterator[ast.AST]:
+    """Yield a node and the nodes below it, except the arguments of functions such as ``exp``, which are no angles."""
+    yield node
+    if not (isinstance(node, ast.Call) and isinstance(node.func, ast.Name) and node.func.id in _PURE):
+        for child in ast.iter_child_nodes(node):
+            yield from _outside_pure_functions(child)
 
 
 def is_turn(node: ast.expr) -> bool:
@@ -134,18 +142,19 @@ class _Derived:
         return left
 
     def check_cycles(self, node: ast.expr) -> None:
-        """Raise SpecError for a product of the time and a frequency in Hz that is used as an angle in radians."""
-        names = [one.id for one in ast.walk(node) if isinstance(one, ast.Name)]
-        has_number = "pi" in names or any(isinstance(one, ast.Constant) for one in ast.walk(node))
-        cycles = [name for name in names if name in self.units and self.units[name].counts[1]]
+        """Raise SpecError for a product of the time and a frequency that is used as an angle in radians."""
+        parts = [*_outside_pure_functions(node)]
+        names = [one.id for one in parts if isinstance(one, ast.Name)]
+        has_number = "pi" in names or any(isinstance(one, ast.Constant) for one in parts)
+        cycles = [name for name in names if name in self.units and self.units[name].is_frequency]
         if not self.is_of_time or has_number or not cycles or "t" not in names:
             return
         unit = self.unit(node)
         if unit is not None and unit.is_like(_NUMBER):
             name = cycles[0]
             raise SpecError(
-                f"'{ast.unparse(node)}' is a number of cycles, because {name} has the unit {self.units[name]}; an "
-                f"angle in radians is '2*pi*{ast.unparse(node)}'"
+                f"'{ast.unparse(node)}' is a number of cycles, because {name} has the unit {self.units[name]}; "
+                f"give {name} in rev/s or rev/min (rpm), or write '2*pi*{ast.unparse(node)}'"
             )
 
 

@@ -24,7 +24,7 @@ from mbdkit.base.errors import SpecError
 from mbdkit.base.plain_data import Path, parse_path, path_text, value_text
 from mbdkit.base.strict_model import StrictModel, description
 from mbdkit.base.text import did_you_mean, listed
-from mbdkit.base.units import PLAIN, Unit, described_units, read_quantity, read_unit
+from mbdkit.base.units import PLAIN, Unit, described_units, misfit, read_quantity, read_unit
 from mbdkit.expressions.operations import FUNCTIONS
 from mbdkit.expressions.parser import Code, Compiler, ExpressionError
 from mbdkit.mechanism.angle_function import AngleCompiler, AngleExpressionError
@@ -357,8 +357,7 @@ def _in_si(value: float, unit: Unit, details: ErrorDetails, data: Any, root: Any
         raise SpecError(f"should be a finite number, not '{details['input']}'")
     units = _units_of(details["loc"], data, root, plugins)
     if units is not None and not any(unit.fits(read_unit(one) if one != "1" else PLAIN) for one in units or ("1",)):
-        takes = f"in {listed(units, 'or')}" if units else "without a unit"
-        raise SpecError(f"'{details['input']}' has the unit {unit}, but this is a number {takes}")
+        raise SpecError(misfit(details["input"], unit, units))
     return value
 
 
@@ -405,9 +404,8 @@ def _check_unit(
     alone = text.strip() in known  # in products and quotients, angles count as pure numbers
     fits = unit.fits if alone else unit.is_like
     if not any(fits(read_unit(one) if one != "1" else PLAIN) for one in units or ("1",)):
-        takes = f"in {listed(units, 'or')}" if units else "without a unit"
         hint = "; a factor with a unit should be a parameter" if re.search(r"(?<![\w.])\d", text) else ""
-        raise SpecError(f"'{text}' has the unit {unit}, but this is a number {takes}{hint}", key=path_text(path))
+        raise SpecError(f"{misfit(text, unit, units)}{hint}", key=path_text(path))
 
 
 def _field(owner: type[BaseModel], key: str | int) -> str:

@@ -99,7 +99,8 @@ def test_specs_and_mechanisms_keep_si_values_only() -> None:
         ("model.bodies.crank.inertia", "2 kg cm", r"unit kg cm, but this is a number in kg m\^2"),
         ("model.bodies.crank.position", ["30 deg", 0], r"position\[0\]: '30 deg' has the unit deg, .* in m"),
         ("model.bodies.crank.angle", "30 %", r"has the unit %, but this is a number in rad"),
-        ("model.bodies.crank.angular_velocity", "10 Hz", r"has the unit Hz, but this is a number in rad/s"),
+        ("model.bodies.crank.angular_velocity", "10 Hz", r"has the unit Hz, but this is a number in rad/s; .* rev/s$"),
+        ("model.bodies.crank.angular_velocity", "60 1/min", r"1/min, but .* rad/s; .* write rev/min \(or rpm\)"),
         ("model.joints.turn.motion", "30 mm", r"has the unit mm, but this is a number in rad"),
         ("model.joints.push.motion", "30 deg", r"has the unit deg, but this is a number in m"),
         ("model.forces.motor.value", "3 N", r"has the unit N, but this is a number in N m"),
@@ -244,6 +245,7 @@ def _driven(motion: str, load: str = "0", torque: str = "0", **parameters: str) 
     [
         ("w*t", "-F", "T*sin(w*t)", {"w": "360 deg/s", "F": "3 kN", "T": "2 N m"}),
         ("2*pi*f*t", "-F*(1 - exp(-t/0.1))", "F*a*cos(2*pi*f*t)", {"f": "6 Hz", "F": "3 N", "a": "5 mm"}),
+        ("w*t", "F*exp(-k*t)", "0", {"w": "120 rpm", "F": "3 N", "k": "60 1/min"}),
         ("a*t/0.5", "-m*g*min(t/0.5, 1)", "k*a", {"a": "30 deg", "m": "3 kg", "g": "9.81 m/s^2", "k": "2 N m"}),
         ("w*t", "-F", "F*a", {"w": "6", "F": "3 N", "a": "0.1"}),  # a number without a unit can be any quantity
         ("phi + t", "-F", "F*r", {"r": "90 mm", "d": "0.25", "phi": "max(0.1, atan2(d, r))", "F": "3 N"}),
@@ -258,6 +260,7 @@ def test_functions_of_time_accept_units_that_fit(motion: str, load: str, torque:
     ("motion", "load", "torque", "parameters", "message"),
     [
         ("w*t", "0", "0", {"w": "6 Hz"}, r"motor\.motion.*is a number of cycles.*2\*pi\*w \* t"),
+        ("w*t", "0", "0", {"w": "120 min^-1"}, r"motor\.motion: 'w \* t' is a number of cycles.*2\*pi\*w \* t"),
         ("w*t", "0", "0", {"w": "6 m/s"}, r"motor\.motion: 'w\*t' has the unit m, but this is a number in rad"),
         ("a*sin(3*t)", "0", "0", {"a": "300 mm"}, r"motor\.motion: .* has the unit m"),
         ("0", "-F", "0", {"F": "3 kg"}, r"load\.value\[1\]: '-F' has the unit kg, but this is a number in N"),
