@@ -188,7 +188,7 @@ def read_unit(text: str) -> Unit:
         if symbol not in _SYMBOLS:
             apart = (f" (did you mean '{symbol[:i]} {symbol[i:]}'?)" for i in range(1, len(symbol))
                      if symbol[0] == "N" and symbol[:i] in _SYMBOLS and symbol[i:] in _SYMBOLS)  # fmt: skip
-            hint = next(apart, "") or did_you_mean(symbol, _SYMBOLS) or f"; known: {listed([*_SYMBOLS, 'rpm'])}"
+            hint = next(apart, "") or did_you_mean(symbol, known := [*_SYMBOLS, "rpm"]) or f"; known: {listed(known)}"
             raise SpecError(f"'{_short(symbol)}' is not a known unit{hint}")
         of_symbol, size = _SYMBOLS[symbol]
         exponents = [total + power * one for total, one in zip(exponents, of_symbol, strict=True)]

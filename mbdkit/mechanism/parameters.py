@@ -401,7 +401,7 @@ def _check_unit(
     units = None if unit is None else _units_of(location, data, root, plugins)
     if unit is None or units is None:
         return
-    alone = text.strip() in known  # in products and quotients, angles count as pure numbers
+    alone = text.strip().lstrip("+- ") in known  # in products and quotients, angles count as pure numbers
     fits = unit.fits if alone else unit.is_like
     if not any(fits(read_unit(one) if one != "1" else PLAIN) for one in units or ("1",)):
         hint = "; a factor with a unit should be a parameter" if re.search(r"(?<![\w.])\d", text) else ""

@@ -23,7 +23,7 @@ from mbdkit.studies.planned_points import PlannedPoints
 
 SPEC: dict[str, Any] = {
     "mbdkit": 1,
-    "parameters": {"k": "2 N/mm", "half": "25 cm"},
+    "parameters": {"k": "2 N/mm", "half": "25 cm", "rate": "10 Hz"},
     "model": {
         "name": "mechanism",
         "gravity": [0, "-981 cm/s^2"],
@@ -76,7 +76,7 @@ def test_values_are_those_of_the_definitions_of_the_units() -> None:
     assert values == pytest.approx([2000, 360 / math.pi], rel=1e-15)
     assert (spec.time.end, spec.time.step, spec.limits.energy_jump) == (0.5, 1e-4, 0.05)
     assert (spec.integrator.atol, spec.limits.misalignment) == (1e-6, 0.01)
-    assert spec.parameters == {"k": 2000.0, "half": 0.25}
+    assert spec.parameters == {"k": 2000.0, "half": 0.25, "rate": 10.0}
 
 
 def test_specs_and_mechanisms_keep_si_values_only() -> None:
@@ -101,6 +101,8 @@ def test_specs_and_mechanisms_keep_si_values_only() -> None:
         ("model.bodies.crank.angle", "30 %", r"has the unit %, but this is a number in rad"),
         ("model.bodies.crank.angular_velocity", "10 Hz", r"has the unit Hz, but this is a number in rad/s; .* rev/s$"),
         ("model.bodies.crank.angular_velocity", "60 1/min", r"1/min, but .* rad/s; .* write rev/min \(or rpm\)"),
+        ("model.bodies.crank.angular_velocity", "-rate", r"'-rate' has the unit Hz, but this is a number in rad/s"),
+        ("model.bodies.crank.angular_velocity", "60 RPM", r"'RPM' is not a known unit \(did you mean 'rpm'\?\)"),
         ("model.joints.turn.motion", "30 mm", r"has the unit mm, but this is a number in rad"),
         ("model.joints.push.motion", "30 deg", r"has the unit deg, but this is a number in m"),
         ("model.forces.motor.value", "3 N", r"has the unit N, but this is a number in N m"),
