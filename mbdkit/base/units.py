@@ -68,8 +68,9 @@ class Unit:
     @property
     def is_frequency(self) -> bool:
         """Whether the unit usually counts cycles per time, as Hz and 1/min do. 1/s may be an angular velocity."""
-        is_rate = self.exponents == (0, 0, -1) and not any(self.counts) and self.factor != 1.0
-        return is_rate or self.counts[1] != 0
+        length, mass, time = self.exponents
+        is_rate = time == -1 and not any((length, mass, *self.counts))
+        return (is_rate and self.factor != 1.0) or self.counts[1] != 0
 
     def times(self, other: Unit, power: Fraction = Fraction(1)) -> Unit:
         """Return the SI unit of the product of a quantity in this unit and a quantity in `other` raised to `power`."""
