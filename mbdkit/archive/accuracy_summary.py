@@ -8,10 +8,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from mbdkit.archive.headlines import Headline, largest_forces, plus_minus
+from mbdkit.archive.headlines import Headline, excluded_error, largest_forces, plus_minus
 from mbdkit.archive.peak_errors import measures_of_largest, peak_errors
 from mbdkit.base.text import listed
-from mbdkit.mechanism.beams import beam_of
 
 if TYPE_CHECKING:
     from mbdkit.archive.run import Run
@@ -41,7 +40,7 @@ def accuracy_sentence(run: Run, *, with_force: bool = True) -> str:
     if not accuracy.rows_known:
         return f"errors unknown: {accuracy.unknown or UNCONFIRMED}"
     position = f"positions known to {accuracy.position_error_max:.2g} m and {accuracy.angle_error_max:.2g} rad"
-    position += " for this mesh of beams" if any(map(beam_of, run.bodies)) else ""
+    position += " for this mesh of beams" if excluded_error(run) else ""
     if accuracy.is_complete:
         return "; ".join(filter(None, (_largest_force(run) if with_force else "", position)))
     until = f" until {accuracy.known_until:.4g} s"

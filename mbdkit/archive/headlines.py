@@ -34,6 +34,9 @@ ROUND_OFF = 1e-10
 #: Largest number of joints, contacts, muscles or other elements that one line lists; the rest are only counted.
 JOINTS_NAMED = 4
 
+MESH_ERROR = "the error of the mesh of beams"
+"""What error bars of runs with beams do not include."""
+
 #: Residuals [m or rad], overlaps [m] and creep [m/s] up to this value are rounding errors.
 EXACT = 1e-12
 
@@ -90,6 +93,12 @@ class Headline(NamedTuple):
         return f"{value:.{MOST_DIGITS}g} {self._unit}".rstrip()
 
 
+def excluded_error(run: Run) -> str:
+    """Return the error that the estimates of a run do not include, that of the mesh of beams; empty without beams."""
+    has_beams = run.spec.get("model", {}).get("beams") or (run.records("beams/strain_energy") and run.beams)
+    return MESH_ERROR if has_beams else ""
+
+
 def plus_minus(value: float, error: float, sign: str = "+-") -> str:
     """Return a value and its error as text, such as ``368.2 +- 0.3``.
 
@@ -130,6 +139,22 @@ def headlines(run: Run, most: int = MOST) -> list[Headline]:
         if math.isfinite(value)
     ]
     return (measured or [*_activations(run), *_actuators(run), *_contacts(run), *largest_loads(run)])[:most]
+
+
+def headline_texts(run: Run, sign: str = "+-", most: int = MOST) -> list[tuple[str, str]]:
+    """Return label and text of up to `most` headlines. If any has an error bar, and the error bars do not include the
+    error of the mesh of beams, a last pair says so.
+
+    Parameters
+    ----------
+    sign
+        Sign between a number and its error.
+    """
+    every = headlines(run, most)
+    pairs = [(one.label, one.text(sign)) for one in every]
+    if (excluded := excluded_error(run)) and any(math.isfinite(one.error) for one in every):
+        pairs.append(("error bars", f"without {excluded}"))
+    return pairs
 
 
 def largest_loads(run: Run) -> list[Headline]:

@@ -15,6 +15,7 @@ from mbdkit.archive.headlines import (
     MISSED,
     ROUND_OFF,
     Headline,
+    excluded_error,
     headlines,
     largest_forces,
     largest_torques,
@@ -123,7 +124,10 @@ def verdict_lines(run: Run) -> list[tuple[str, str]]:
 def without_suspicion(run: Run) -> str:
     """Return a clause for a run whose verdict has no reasons."""
     estimated = run.verdict == "good" or (run.kind == "inverse" and run.accuracy is not None)
-    return "errors estimated, nothing suspicious seen" if estimated else NOTHING_SUSPICIOUS
+    if not estimated:
+        return NOTHING_SUSPICIOUS
+    excluded = excluded_error(run)
+    return f"errors estimated{f', except {excluded}; ' if excluded else ', '}nothing suspicious seen"
 
 
 def _named(spec: Mapping[str, Any], kind: str) -> str:
@@ -404,7 +408,7 @@ def _events(run: Run) -> str:
 
 def answer_lines(run: Run) -> list[tuple[str, str]]:
     """Return a line for each measure, with its value and unit or the reason why it has none; without measures, the
-    headlines. If the run stopped early, a last line says when.
+    headlines. Further lines name an error that the error bars do not include, and say when a run stopped early.
     """
     lines: list[tuple[str, str]] = []
     for name, value in run.measures.items():
@@ -415,6 +419,8 @@ def answer_lines(run: Run) -> list[tuple[str, str]]:
         lines.append(("" if lines else "measures", f"{name} {text}{remark}"))
     told = "; ".join(f"{one.label} {one.text()}" for one in headlines(run)) if not lines else ""
     lines = lines or ([("answer", told)] if told else [])
+    if (excluded := excluded_error(run)) and any(" +- " in text for _, text in lines):
+        lines.append(("", f"error bars do not include {excluded}"))
     if lines and len(run.time) and run.status in ("failed", "interrupted"):
         lines.append(("", f"these values cover the motion until t = {run.time[-1]:.6g} s, at which the run stopped"))
     return lines

@@ -79,9 +79,10 @@ def _accuracy(result: Run, accuracy: Accuracy) -> dict[str, Any]:
     """Return the estimated errors in numbers; None where they are unknown."""
     import numpy as np  # importing NumPy, like SciPy, would delay --help
 
+    from mbdkit.archive.headlines import excluded_error
     from mbdkit.archive.peak_errors import peak_errors
 
-    joints = {}
+    joints, excluded = {}, excluded_error(result)
     if result.records("joints/reaction_force") and len(result.time):
         size = np.linalg.norm(result.array("joints/reaction_force"), axis=2)
         errors = peak_errors(result, "reaction_error", size, len(result.time)) if accuracy.is_complete else None
@@ -97,6 +98,7 @@ def _accuracy(result: Run, accuracy: Accuracy) -> dict[str, Any]:
         "angle_error": _number(accuracy.angle_error_max),
         "joints": joints,
         "method": accuracy.method,
+        **({"not_included": excluded} if excluded else {}),
         **({} if math.isnan(accuracy.asked) else _asked(accuracy)),
     }
 

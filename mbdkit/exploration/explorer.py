@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from mbdkit.archive.headlines import MOST, headlines
+from mbdkit.archive.headlines import MOST, headline_texts
 from mbdkit.base.errors import MbdkitError
 from mbdkit.base.plain_data import copied, plain
 from mbdkit.base.text import shown
@@ -79,13 +79,13 @@ class Explorer:
         return inverse(load_inverse_spec(document))
 
     def _shown(self, made: Run, data: Mapping[str, Any]) -> dict[str, Any]:
-        every = headlines(made, max(MOST, len(made.measures)))  # all measures
+        every = headline_texts(made, "\u00b1", max(MOST, len(made.measures)))  # all measures
         return {
             "film": film_of(made, NUMBERS),
             "verdict": made.verdict if made.status == "complete" else f"{made.status}: {made.status_reason}",
             "reasons": [shown(one) for one in made.verdict_reasons],
             "tone": TONES.get(made.verdict, "") if made.status == "complete" else "alarm",
-            "headlines": [[shown(one.label), one.text("\u00b1")] for one in every],
+            "headlines": [[shown(label), text] for label, text in every],
             "curves": _curves(made),
             "spec": yaml_text(data),
         }

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from mbdkit.archive.headlines import ROUND_OFF, Headline, plus_minus
+from mbdkit.archive.headlines import ROUND_OFF, Headline, excluded_error, plus_minus
 from mbdkit.archive.peak_errors import missed_between_rows, peak_errors
 from mbdkit.figures.beam_curves import bending_moments, distributed_loads, has_beams
 from mbdkit.figures.curves import BEYOND, Array, blocks, take
@@ -212,6 +212,7 @@ def _table(run: Run, name: str, title: str, columns: Sequence[int], found: Seque
     if run.accuracy is not None and used:
         source = "by comparison runs" if run.kind == "forward" else "from the noise of the data and the cutoff"
         note = f"{note} Errors are estimated {source}{'; powers have none' if power is not None else ''}.".strip()
+        note += f" They do not include {excluded}." if (excluded := excluded_error(run)) else ""
     return Table(name, title, tuple(headings), tuple(rows), note)
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
-from mbdkit.archive.headlines import headlines
+from mbdkit.archive.headlines import headline_texts
 from mbdkit.figures.curves import require_rows
 from mbdkit.figures.drawing_geometry import build_mechanism
 from mbdkit.figures.page_model import Cell, Table, columns_of
@@ -47,10 +47,7 @@ def run_report(run: Run) -> ReportPage:
         title=head.title,
         settings=head.settings,
         alarm=_alarm(run, head.alarm),
-        headline=(
-            ("verdict", run.verdict),
-            *((one.label, one.text("\u00b1")) for one in headlines(run)),
-        ),
+        headline=(("verdict", run.verdict), *headline_texts(run, "\u00b1")),
         tone=TONES.get(run.verdict, ""),
         verdict=run_verdict(run),
         films=(film_of(run, _NUMBERS),),

@@ -11,9 +11,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from mbdkit.analysis.sample_statistics import CONFIDENCE
+from mbdkit.archive.headlines import MESH_ERROR
 from mbdkit.archive.measured_values import ERROR
 from mbdkit.base.text import counted, listed, without_numbers
 from mbdkit.studies.study_index import BETWEEN_REASONS, STATUSES
+from mbdkit.studies.study_point import valid_specs
 
 if TYPE_CHECKING:
     from mbdkit.studies.study import Study
@@ -57,7 +59,11 @@ def _use(study: Study) -> Iterator[tuple[str, str]]:
         else:
             how = f"as if the {sample.n} members were drawn at random: with {sample.method}, they are usually too wide"
         yield "intervals", f"{100 * CONFIDENCE:g} % confidence, {how}"
-    if "unknown" in study.verdicts() and not any(name + ERROR in study.columns() for name in defined):
+    if any(name + ERROR in study.columns() for name in defined):
+        first = next(valid_specs(study.points), None)
+        if first is not None and first.mechanism().beams:
+            yield "errors", f"those of the runs do not include {MESH_ERROR}"
+    elif "unknown" in study.verdicts():
         yield "errors", "not estimated; --set check=true, with another folder (-o), estimates those of the runs"
 
 

@@ -164,10 +164,11 @@ def value_words(key: str, point: StudyPoint, unit: str | None = None) -> str:
 
 def axis_unit(key: str, points: Iterable[StudyPoint]) -> str:
     """Return the unit of an axis; empty if the axis has no unit, or if no spec of the points is valid here."""
-    return key_unit(key, _valid_specs(points))
+    return key_unit(key, valid_specs(points))
 
 
-def _valid_specs(points: Iterable[StudyPoint]) -> Iterator[RunSpec]:
+def valid_specs(points: Iterable[StudyPoint]) -> Iterator[RunSpec]:
+    """Yield the specs of the runs of points, without those that are not valid here."""
     for point in points:
         with suppress(MbdkitError):  # for example, a plugin that the spec needs is not installed
             yield point.spec

@@ -132,6 +132,9 @@ inconsistent, the run has certainly left its branch, and stops with the reason `
   one is right. A sharp change of direction is reported; a smooth change of branch may remain unnoticed.
 - **Redundant joints.** Their reactions are not unique. The reactions of least norm are recorded.
 - **The model.** All estimates concern the numerical solution of the equations of the model, not the model itself.
+- **The mesh of beams.** Comparison runs have the same elements as the run, so that estimates do not include the error
+  of the mesh. Compare the run with one that has twice as many elements. Elements that are clearly too coarse cause a
+  warning and the verdict `doubtful` ([beams](beams.md#elements)).
 
 An estimate is not a bound. On the mechanisms below, with six methods and four steps each, the true error is between 1/5
 and 3 times the estimate for at least 95 % of all values with a known error, and never above ten times the estimate.

@@ -2,11 +2,16 @@
 
 from __future__ import annotations
 
+import json
+
 import numpy as np
 import pytest
 
 import mbdkit
+from mbdkit.cli.common_options import Printing
+from mbdkit.cli.outcome import tell
 from mbdkit.mechanism.mechanism import Mechanism
+from mbdkit.report.run_report import run_report
 
 
 def rotating_rod(elements: int, *, axial: float = 1e5, rate: float = 6.0) -> Mechanism:
@@ -81,3 +86,21 @@ def test_inverse_dynamics_doubts_a_beam_of_one_element() -> None:
     }  # fmt: skip
     run = mbdkit.inverse(spec)
     assert any(one.startswith("elements: the elements of beam 'bar' are too coarse") for one in run.verdict_reasons)
+
+
+def test_error_bars_of_a_beam_are_said_not_to_include_the_error_of_its_mesh(capsys: pytest.CaptureFixture[str]) -> None:
+    m = mbdkit.Mechanism(gravity=(0.0, 0.0))
+    stiffness = {"axial": 1e3, "bending": 1.0, "shear": 1e3}
+    bar = m.beam("bar", a=(0, 0), b=(1, 0), elements=2, stiffness=stiffness, mass_per_length=1.0, damping=1e-2)
+    m.weld("clamp", m.ground, bar[0], at=(0, 0))
+    m.force("tip", bar[-1], value=(0, "-0.1*t"))
+    integrator, time = {"name": "radau-iia", "stages": 3}, {"end": 0.02, "step": 2e-3}
+    measures = {"moment": "max(abs(joints.clamp.torque))"}
+    run = mbdkit.run(m, integrator=integrator, time=time, measures=measures, check=True)
+    assert run.measure_errors["moment"] > 0.0
+    assert "error bars do not include the error of the mesh of beams" in run.summary()
+    assert ("error bars", "without the error of the mesh of beams") in run_report(run).headline
+    assert "The error of the mesh of beams is not included." in str(run.accuracy)
+    capsys.readouterr()
+    tell(run, Printing(as_json=True))
+    assert json.loads(capsys.readouterr().out)["accuracy"]["not_included"] == "the error of the mesh of beams"

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from mbdkit.archive.accuracy import Accuracy
+from mbdkit.archive.headlines import MESH_ERROR
 from mbdkit.base.text import listed
 from mbdkit.engine.workspace import Workspace
 from mbdkit.mechanism.mechanism import Mechanism
@@ -93,7 +94,12 @@ def check_run(
         unknown = _clause(why) if not until >= errors.known_until else unknown
         errors = _cut(errors, rows.time, until)
         description += why
-    return as_accuracy(rows, errors, description, begin, unknown)
+    return as_accuracy(rows, errors, description + _excluded(spec.mechanism()), begin, unknown)
+
+
+def _excluded(mechanism: Mechanism) -> str:
+    """Return a sentence on the error that all runs of a mechanism with beams share; empty without beams."""
+    return f" {MESH_ERROR.capitalize()} is not included." if mechanism.beams else ""
 
 
 def why_unknown(
@@ -273,7 +279,7 @@ def check_by_pilots(
         unknown = _clause(why) if not until >= errors.known_until else unknown
         errors = _cut(errors, rows.time, until)
         method += why
-    return as_accuracy(rows, errors, method, begin, unknown)
+    return as_accuracy(rows, errors, method + _excluded(spec.mechanism()), begin, unknown)
 
 
 def _cut(errors: ErrorEstimate, times: np.ndarray, until: float) -> ErrorEstimate:
