@@ -278,9 +278,42 @@ def test_a_load_near_its_body_but_on_another_one_is_doubted() -> None:
         assert all("does the load act on foot?" in one for one in doubts.open)
 
 
+@pytest.mark.parametrize(("body", "criteria"), [("foot", set()), ("shank", {"load-point"})])
+def test_a_load_below_the_markers_of_a_foot_does_not_act_on_a_shank_as_wide_as_a_rod_is_long(
+    body: str, criteria: set[str]
+) -> None:
+    # the sole is 15 mm below the markers of the foot, and within half the length of the shank beside the ankle
+    m = mbdkit.Mechanism()
+    m.body("shank", mass=3.5, inertia=0.055, position=(0.0, 0.31))
+    m.body("foot", mass=1.1, inertia=0.004, position=(0.06, 0.02))
+    m.revolute("knee", m.ground, "shank", at=(0.0, 0.5))
+    m.revolute("ankle", "shank", "foot", at=(0.0, 0.065))
+    for name, x, y in (("heel", -0.11, -0.01), ("toe", 0.14, -0.02)):
+        m.marker(name, "foot", point=(x, y))
+    time = T[:100]
+    up = 700 * np.sin(np.pi * time) ** 2
+    data = {"time": time, "knee.angle": 0.1 * np.sin(3 * time), "ankle.angle": -0.1 * np.sin(3 * time)}
+    load = {"time": time, "fx": 0.1 * up, "fy": up, "x": -0.02 + 0.19 * time + 0.04 * np.sin(3 * time)}
+    plate = {"body": body, "data": load, "force": ["fx", "fy"], "point": ["x", -0.015]}
+    motion = {"data": data, "smooth": "quintic"}
+    spec = {"mbdkit": 1, "model": m.to_spec(), "motion": motion, "loads": {"plate": plate}}
+    doubts = doubts_about_data(compute(InverseProblem.of(load_inverse_spec(spec, ()))), None)
+    assert {one.partition(":")[0] for one in doubts.open} == criteria, doubts.open
+    assert all("does the load act on foot?" in one for one in doubts.open)
+
+
 def test_the_force_on_the_plate_is_not_that_on_the_body() -> None:
     load = stance()["ground"]["data"]
     assert told(leg(loads=stance(fx=-load["fx"], fy=-load["fy"]))) == {"load-sign"}
+    rounding = leg(loads=stance(fy=-3e-16 + 0 * T), motion={"errors": "none"})
+    assert "load-sign" not in told(rounding)
+
+
+def test_points_of_a_plate_that_are_declared_in_mm_but_look_like_metres_are_doubted() -> None:
+    load = stance()
+    load["ground"]["point"] = [{"column": "x", "unit": "mm"}, "y"]
+    reasons = leg(loads=load, motion={"errors": "none"}).verdict_reasons
+    assert any("in metres the same numbers are on foot: leave out the unit" in one for one in reasons), reasons
 
 
 def test_a_plate_with_an_offset_is_doubted() -> None:
@@ -325,7 +358,7 @@ def test_the_weight_of_a_free_body_without_loads_is_doubted_except_in_flight(fal
     spec = {"mbdkit": 1, "model": m.to_spec(), "motion": {"data": data, "smooth": SMOOTH}}
     run = mbdkit.inverse(spec)
     assert told(run) == ({"residuals"} if carried else set())
-    cause = " % of the weight: is the load of a force plate missing?"
+    cause = " times the weight of the model. Without loads, these forces carry the model: is the load of a force plate "
     assert any(cause in reason for reason in run.verdict_reasons) == carried
     declared = {"lift": {"body": "box", "coordinate": "y"}}
     assert "residuals" not in told(mbdkit.inverse(spec | {"actuators": declared}))
@@ -354,6 +387,19 @@ def late(delay: float) -> dict[str, Any]:
     return {"body": "foot", "data": data, "force": ["force_x", "force_y"], "point": ["pressure_x", 0.0]}
 
 
+def in_grams() -> dict[str, Any]:
+    """Return the model of the example `walking` with its masses in g, and its inertias in g m^2, in place of kg."""
+    model = load_inverse_spec("walking").mechanism().to_spec()
+    for body in model["bodies"].values():
+        body |= {"mass": 1e3 * body["mass"], "inertia": 1e3 * body["inertia"]}
+    return model
+
+
+def of_plate(x: Any, y: Any) -> dict[str, Any]:
+    """Return the loads of the example `walking` with other columns of the force."""
+    return {"loads": {"ground": late(0.0) | {"force": [x, y]}}}
+
+
 def heavy_foot() -> dict[str, Any]:
     """Return the model of the example `walking` with the inertia of the foot in kg cm^2 in place of kg m^2."""
     model = load_inverse_spec("walking").mechanism().to_spec()
@@ -368,6 +414,12 @@ def heavy_foot() -> dict[str, Any]:
         pytest.param({"loads": {"ground": late(0.0) | {"torque": "torque"}}}, {"load-point"}, id="torque-in-N-mm"),
         pytest.param({"loads": {"ground": late(0.1)}}, {"load-time"}, id="late"),
         pytest.param({"loads": {"ground": late(-0.1)}}, {"load-time"}, id="early"),
+        pytest.param(of_plate({"column": "force_x", "scale": -1}, "force_y"), {"load-sign"}, id="sign-of-x"),
+        pytest.param(of_plate("force_x", 0.0), {"load-direction"}, id="no-vertical-force"),
+        pytest.param(
+            of_plate(*({"column": f"force_{axis}", "unit": "kN"} for axis in "xy")), {"residual-size"}, id="N-as-kN"
+        ),
+        pytest.param({"model": in_grams()}, {"residual-size"}, id="masses-in-g"),
         pytest.param({"cutoff": 3.0}, {"cutoff"}, id="low-cutoff"),
         pytest.param({"model": heavy_foot()}, {"inertia"}, id="inertia-in-kg-cm2"),
     ],
@@ -380,6 +432,7 @@ def test_other_criteria_find_faults_of_loads_and_masses_if_residuals_are_accepte
     doubts = doubts_about_data(compute(InverseProblem.of(load_inverse_spec("walking", overrides, **given))), None)
     assert {one.partition(":")[0] for one in doubts.open} == criteria
     assert {one.partition(":")[0] for one in doubts.accepted} == {"residuals"}
+    assert all(" times the largest load and " in one for one in doubts.accepted)
     delays = [float(one.split()[7]) for one in doubts.open if one.startswith("load-time")]
     assert delays == pytest.approx([0.1] * len(delays), abs=0.01)
 
