@@ -15,6 +15,7 @@ from mbdkit.engine.compiled_mechanism import CompiledMechanism
 from mbdkit.engine.kernels.motions import OF_CENTER
 from mbdkit.engine.least_change import LeastChange
 from mbdkit.engine.workspace import finite_motions
+from mbdkit.mechanism.beams import written_key
 from mbdkit.mechanism.joints import Revolute
 from mbdkit.mechanism.mechanism import Mechanism
 from mbdkit.mechanism.values import Table
@@ -199,10 +200,8 @@ class _Assembly:
         for name, joint in self.mechanism.joints.items():
             written.append((f"model.joints.{quoted(name)}.motion", getattr(joint, "motion", None)))
         for name, force in self.mechanism.forces.items():
-            value = getattr(force, "value", None)
-            written += [
-                (f"model.forces.{quoted(name)}.value", x) for x in (value if isinstance(value, tuple) else [value])
-            ]
+            value, key = getattr(force, "value", None), written_key(self.mechanism.beams, "forces", name, "value")
+            written += [(key, x) for x in (value if isinstance(value, tuple) else [value])]
         # In `scratch.u`, rows of moving centers follow those of the motions, hence strict=False.
         values = dict(zip(self.compiled.motions, scratch.u, strict=False))
         for key, motion in written:

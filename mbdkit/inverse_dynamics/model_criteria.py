@@ -5,6 +5,7 @@ and reserves that share the moments.
 from __future__ import annotations
 
 from collections.abc import Iterator
+from itertools import chain
 
 import numpy as np
 
@@ -12,7 +13,7 @@ from mbdkit.archive.run_summary import PULLING
 from mbdkit.inverse_dynamics.column_criteria import Doubt
 from mbdkit.inverse_dynamics.compute import Inverse, recorded_states
 from mbdkit.inverse_dynamics.recruited import Recruited
-from mbdkit.mechanism.improbable_values import improbable_lengths, improbable_radii
+from mbdkit.mechanism.improbable_values import improbable_beams, improbable_lengths, improbable_radii
 from mbdkit.mechanism.mechanism import Mechanism
 from mbdkit.runs.coarse_beams import CoarseBeams
 from mbdkit.runs.warnings import angles_in_degrees
@@ -65,12 +66,12 @@ def spec_doubts(spec: InverseSpec) -> Iterator[Doubt]:
 
 
 def mechanism_doubts(mechanism: Mechanism) -> Iterator[Doubt]:
-    """Yield a doubt for each inertia, free length and optimal length that seems to have another unit, and for effects
-    that the mechanism lacks.
+    """Yield a doubt for each inertia, quantity of a beam, free length and optimal length that seems to have another
+    unit, and for effects that the mechanism lacks.
     """
     for sentence in improbable_radii(mechanism):
         yield Doubt("inertia", f"{sentence}.")
-    for sentence in improbable_lengths(mechanism):
+    for sentence in chain(improbable_beams(mechanism), improbable_lengths(mechanism)):
         yield Doubt("units", f"{sentence}.")
     for sentence in mechanism.left_out:
         yield Doubt("left-out", f"{sentence}.")

@@ -409,6 +409,15 @@ def parts_of(beams: Mapping[str, Beam]) -> frozenset[str]:
     return frozenset(part for name, beam in beams.items() for part in (*beam.node_names(name), *beam.loads(name)))
 
 
+def written_key(beams: Mapping[str, Beam], kind: str, name: str, key: str = "") -> str:
+    """Return the key path at which a spec states `key` of an element of a kind such as ``bodies``: for nodes and loads
+    that belong to a beam, the key path of the beam or of its `load`.
+    """
+    beam = beam_of(name.removesuffix(".load"))
+    path = (kind, quoted(name), key) if beam not in beams else ("beams", quoted(beam), "load" * (kind == "forces"))
+    return ".".join(filter(None, ("model", *path)))
+
+
 def _strains(places: list[Place], shape: tuple[float, ...], slope: tuple[float, ...]) -> tuple[float, float, float]:
     """Return axial strain plus 1, shear strain and curvature [1/m] of a cross-section with its nodes at `places`."""
     dx, dy, turn = (sum(s * x for s, x in zip(slope, values, strict=True)) for values in zip(*places, strict=True))

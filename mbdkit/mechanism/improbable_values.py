@@ -6,6 +6,7 @@ import math
 from collections.abc import Iterator, Sequence
 
 from mbdkit.base.plain_data import quoted
+from mbdkit.mechanism.beams import Beam, parts_of
 from mbdkit.mechanism.bodies import GROUND
 from mbdkit.mechanism.contacts import Contact
 from mbdkit.mechanism.forces import SpringDamper
@@ -51,6 +52,13 @@ Flexure hinges may be wide and short. An area in mm^2 makes the width of a recta
 1e9, and an area in cm^2 by 1e6.
 """
 
+THINNEST = 1e4
+"""If an improbable cross-section is more than this many times as deep as wide, its I has another unit, if it is more
+than this many times as wide as deep, its A, and otherwise both.
+
+A wrong unit of I alone or A alone changes the ratio of width to depth by a factor of 1e8 or more.
+"""
+
 LONGEST = 100.0
 """The free length of a spring is improbable if it exceeds this many lengths of the spring at the start, and `LARGE`
 sizes of the mechanism.
@@ -83,7 +91,7 @@ def improbable_radii(mechanism: Mechanism) -> Iterator[str]:
 
 
 def _too_wide(mechanism: Mechanism, share: float) -> Iterator[str]:
-    """Yield a sentence for each body whose radius of gyration is too large.
+    """Yield a sentence for each body whose radius of gyration is too large, except nodes of beams.
 
     The limit is `WIDE` for bodies with at least this share of the mass of the heaviest one, and `FAR_MASS` for others.
     """
@@ -92,8 +100,11 @@ def _too_wide(mechanism: Mechanism, share: float) -> Iterator[str]:
         name: WIDE if body.mass >= share * heaviest else FAR_MASS * math.sqrt(heaviest / body.mass)
         for name, body in mechanism.bodies.items()
     }
+    parts = parts_of(mechanism.beams)
     radii = {
-        name: math.sqrt(body.inertia / body.mass) for name, body in mechanism.bodies.items() if body.inertia is not None
+        name: math.sqrt(body.inertia / body.mass)
+        for name, body in mechanism.bodies.items()
+        if body.inertia is not None and name not in parts
     }
     size = _size_if_below(mechanism, max((radius / limits[name] for name, radius in radii.items()), default=0.0))
     for name, radius in radii.items():
@@ -158,34 +169,74 @@ def improbable_frictions(mechanism: Mechanism) -> Iterator[str]:
 
 
 def improbable_beams(mechanism: Mechanism) -> Iterator[str]:
-    """Yield a sentence without a full stop for each modulus, density and cross-section of a beam that is improbable."""
-    advice = "if it is in another unit, write it with the unit, for example"
+    """Yield a sentence without a full stop for each modulus, density, cross-section and rotary inertia of a beam that
+    is improbable.
+    """
     for name, beam in mechanism.beams.items():
-        key = f"model.beams.{quoted(name)}"
-        if beam.E is not None and beam.E < SOFTEST:
+        place = f"model.beams.{quoted(name)}" if mechanism.name == "mechanism" else f"model, beam {name}"
+        yield from _improbable_material(beam, place)
+        yield from _improbable_section(beam, place)
+
+
+_ADVICE = "if it is in another unit, write it with the unit, for example"
+
+
+def _improbable_material(beam: Beam, place: str) -> Iterator[str]:
+    if beam.E is not None and beam.E < SOFTEST:
+        yield (
+            f"Young's modulus of {beam.E:g} Pa at {place}.E is below {SOFTEST:g} Pa, that of the softest tissues; "
+            f"{_ADVICE} `{beam.E:g} GPa`"
+        )
+    elif beam.E is not None and beam.E < SOFT and (beam.density or 0.0) > METAL:
+        yield (
+            f"Young's modulus of {beam.E:g} Pa at {place}.E is that of soft rubber, but the density of "
+            f"{beam.density:g} kg/m^3 is that of a metal; {_ADVICE} `{beam.E:g} MPa`"
+        )
+    if beam.density is not None and beam.density < LIGHTEST:
+        yield (
+            f"the density of {beam.density:g} kg/m^3 at {place}.density is below that of light foams; "
+            f"{_ADVICE} `{beam.density:g} g/cm^3`"
+        )
+
+
+def _improbable_section(beam: Beam, place: str) -> Iterator[str]:
+    """Yield a sentence if the cross-section of a beam is too large for its length, or else if the rotary inertia is."""
+    if beam.A is not None and beam.I is not None:
+        depth = math.sqrt(12.0 * beam.I / beam.A)
+        width = beam.A / depth
+        if depth > beam.length or width > WIDEST * beam.length:
+            units = {"A": f"`A: {beam.A:g} mm^2`", "I": f"`I: {beam.I:g} mm^4`"}
+            if max(width, depth) > THINNEST * min(width, depth):
+                units.pop("A" if depth > width else "I")
+            key = f"{place}.{next(iter(units))}" if len(units) == 1 else place
             yield (
-                f"Young's modulus of {beam.E:g} Pa at {key}.E is below {SOFTEST:g} Pa, that of the softest "
-                f"tissues; {advice} `{beam.E:g} GPa`"
+                f"a rectangle with A = {beam.A:g} m^2 and I = {beam.I:g} m^4 at {key} is {depth:.3g} m deep and "
+                f"{width:.3g} m wide, but the beam is {beam.length:.3g} m long; if {' or '.join(units)} is in another "
+                f"unit, write it with the unit, for example {', '.join(units.values())}"
             )
-        elif beam.E is not None and beam.E < SOFT and (beam.density or 0.0) > METAL:
-            yield (
-                f"Young's modulus of {beam.E:g} Pa at {key}.E is that of soft rubber, but the density of "
-                f"{beam.density:g} kg/m^3 is that of a metal; {advice} `{beam.E:g} MPa`"
-            )
-        if beam.density is not None and beam.density < LIGHTEST:
-            yield (
-                f"the density of {beam.density:g} kg/m^3 at {key}.density is below that of light foams; "
-                f"{advice} `{beam.density:g} g/cm^3`"
-            )
-        if beam.A is not None and beam.I is not None:
-            depth = math.sqrt(12.0 * beam.I / beam.A)
-            width = beam.A / depth
-            if depth > beam.length or width > WIDEST * beam.length:
-                yield (
-                    f"a rectangle with A = {beam.A:g} m^2 and I = {beam.I:g} m^4 at {key} is {depth:.3g} m deep and "
-                    f"{width:.3g} m wide, but the beam is {beam.length:.3g} m long; if A or I is in another unit, "
-                    f"write it with the unit, for example `A: {beam.A:g} mm^2`, `I: {beam.I:g} mm^4`"
-                )
+            return
+    mass, inertia = beam.inertia_per_length
+    radius = math.sqrt(inertia / mass)
+    if radius > beam.length:
+        key, value, unit, example = _source_of_inertia(beam)
+        source = "" if key == "rotary_inertia" else f"that follows from {value:g} {unit} "
+        yield (
+            f"the rotary inertia of {inertia:g} kg m {source}at {place}.{key} is that of {mass:g} kg/m at a distance "
+            f"of {radius:.3g} m, but the beam is {beam.length:.3g} m long; {_ADVICE} `{value:g} {example}`"
+        )
+
+
+def _source_of_inertia(beam: Beam) -> tuple[str, float, str, str]:
+    """Return the key from which the rotary inertia of a beam follows, its value, its unit and an example of another
+    unit.
+    """
+    bending = None if beam.stiffness is None else beam.stiffness.bending
+    if beam.rotary_inertia is not None:
+        return "rotary_inertia", beam.rotary_inertia, "kg m", "kg*mm^2/m"
+    if beam.I is not None and (beam.density is not None or bending is None):
+        return "I", beam.I, "m^4", "mm^4"
+    assert bending is not None
+    return "stiffness.bending", bending, "N m^2", "N*mm^2"
 
 
 def improbable_lengths(mechanism: Mechanism) -> Iterator[str]:

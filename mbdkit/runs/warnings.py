@@ -16,6 +16,7 @@ from mbdkit.base.plain_data import Path, path_text, quoted
 from mbdkit.base.strict_model import description
 from mbdkit.base.text import counted, did_you_mean, listed
 from mbdkit.engine.assembly import AssembledState
+from mbdkit.mechanism.beams import written_key
 from mbdkit.mechanism.improbable_values import (
     improbable_beams,
     improbable_frictions,
@@ -137,7 +138,7 @@ def _changed_velocities(mechanism: Mechanism, start: AssembledState) -> Iterator
 
 
 def _key(mechanism: Mechanism, body: str) -> str:
-    return f"model.bodies.{quoted(body)}" if mechanism.name == "mechanism" else "model"
+    return written_key(mechanism.beams, "bodies", body) if mechanism.name == "mechanism" else "model"
 
 
 def doubts(spec: RunSpec, warnings: Sequence[str]) -> tuple[str, ...]:

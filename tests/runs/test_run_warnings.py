@@ -10,6 +10,7 @@ from typing import Any
 import pytest
 
 import mbdkit
+from mbdkit.base.errors import SpecError
 from mbdkit.mechanism.improbable_values import (
     improbable_beams,
     improbable_frictions,
@@ -183,29 +184,49 @@ STEEL: dict[str, Any] = {"a": (0.0, 0.0), "b": (1.0, 0.0), "E": 2.1e11, "nu": 0.
 
 
 @pytest.mark.parametrize(
-    ("values", "advice"),
+    ("values", "key", "advice"),
     [
-        pytest.param({"E": 210.0}, "`210 GPa`", id="GPa"),
-        pytest.param({"E": 2.1e5}, "`210000 MPa`", id="MPa"),
-        pytest.param({"density": 7.85}, "`7.85 g/cm^3`", id="g/cm^3"),
-        pytest.param({"A": 100.0, "I": 210.0}, "`I: 210 mm^4`", id="mm"),
-        pytest.param({"A": 100.0}, "`A: 100 mm^2`", id="mm^2"),
-        pytest.param({"I": 210.0}, "`I: 210 mm^4`", id="mm^4"),
-        pytest.param({}, "", id="steel"),
-        pytest.param({"E": 1e3, "density": 1000.0, "A": 1e-3, "I": 1e-7}, "", id="tissue"),
-        pytest.param({"E": 1e6, "density": 1100.0}, "", id="rubber"),
-        pytest.param({"E": 1e10, "density": 500.0, "A": 0.02, "I": 6.7e-5}, "", id="wood"),
-        pytest.param({"E": 1.4e11, "density": 1600.0}, "", id="carbon fibre"),
-        pytest.param({"E": 7e5, "density": 5540.0, "A": 1.8e-3, "I": 1.215e-8}, "", id="flexible pendulum"),
-        pytest.param({"b": (0.002, 0.0), "A": 5e-5, "I": 1e-12}, "", id="flexure hinge"),
+        pytest.param({"E": 210.0}, ".E", "`210 GPa`", id="GPa"),
+        pytest.param({"E": 2.1e5}, ".E", "`210000 MPa`", id="MPa"),
+        pytest.param({"density": 7.85}, ".density", "`7.85 g/cm^3`", id="g/cm^3"),
+        pytest.param({"A": 100.0, "I": 210.0}, "", "`I: 210 mm^4`", id="mm"),
+        pytest.param({"A": 100.0}, ".A", "`A: 100 mm^2`", id="mm^2"),
+        pytest.param({"I": 210.0}, ".I", "`I: 210 mm^4`", id="mm^4"),
+        pytest.param({"rotary_inertia": 1.6e3}, ".rotary_inertia", "`1600 kg*mm^2/m`", id="kg mm^2/m"),
+        pytest.param(
+            {"stiffness": {"axial": 2e7, "shear": "none", "bending": 4.4e7}, "I": None},
+            ".stiffness.bending",
+            "`4.4e+07 N*mm^2`",
+            id="N mm^2",
+        ),
+        pytest.param({}, "", "", id="steel"),
+        pytest.param({"E": 1e3, "density": 1000.0, "A": 1e-3, "I": 1e-7}, "", "", id="tissue"),
+        pytest.param({"E": 1e6, "density": 1100.0}, "", "", id="rubber"),
+        pytest.param({"E": 1e10, "density": 500.0, "A": 0.02, "I": 6.7e-5}, "", "", id="wood"),
+        pytest.param({"E": 1.4e11, "density": 1600.0}, "", "", id="carbon fibre"),
+        pytest.param({"E": 7e5, "density": 5540.0, "A": 1.8e-3, "I": 1.215e-8}, "", "", id="flexible pendulum"),
+        pytest.param({"b": (0.002, 0.0), "A": 5e-5, "I": 1e-12}, "", "", id="flexure hinge"),
     ],
 )
-def test_units_of_beams_are_doubted(values: dict[str, Any], advice: str) -> None:
+def test_units_of_beams_are_doubted_once_each_at_the_key_of_the_spec(
+    values: dict[str, Any], key: str, advice: str
+) -> None:
     m = mbdkit.Mechanism()
     m.beam("blade", **STEEL | values)
-    found = list(improbable_beams(m))
+    found = [*improbable_inertias(m), *improbable_beams(m)]
     assert len(found) == bool(advice)
-    assert all("model.beams.blade" in text and advice in text for text in found)
+    assert all(f"at model.beams.blade{key} " in text and advice in text for text in found)
+
+
+def test_messages_about_the_nodes_of_a_beam_name_its_keys() -> None:
+    model: dict[str, Any] = {"name": "mechanism", "beams": {"blade": {**STEEL, "angular_velocity": 3600.0}}}
+    model["joints"] = {"clamp": {"type": "weld", "bodies": ["ground", "blade.0"], "at": [0, 0]}}
+    spec = load_spec({**SPEC, "model": model})
+    (told,) = start_warnings(spec, build(spec)[1])
+    assert "check those at model.beams.blade and its neighbours" in told
+    model["beams"]["blade"]["load"] = ["1/t", 0]
+    with pytest.raises(SpecError, match=r"model.beams.blade.load: .* is not finite at the start"):
+        build(load_spec({**SPEC, "model": model}))
 
 
 @pytest.mark.parametrize(
