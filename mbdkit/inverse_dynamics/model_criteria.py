@@ -48,8 +48,7 @@ def model_doubts(result: Inverse) -> Iterator[Doubt]:
     workspace = result.problem.prepared.workspace
     coarse = CoarseBeams.of(result.problem.names.mechanism, workspace.mechanism)
     if coarse is not None:
-        states = recorded_states(result)
-        coarse.add(states.q, states.observed.beams)
+        coarse.add(recorded_states(result))
         for warning in coarse.warnings():
             yield Doubt("elements", f"{warning}.")
     if result.recruited is not None:

@@ -40,6 +40,7 @@ from mbdkit.mechanism.beam_shape import places_with_ends, with_ends
 from mbdkit.mechanism.beams import named_body
 from mbdkit.mechanism.mechanism import Mechanism
 from mbdkit.mechanism.parameters import parameters_in_use
+from mbdkit.quantities.states import States
 from mbdkit.runs.coarse_beams import CoarseBeams
 from mbdkit.spec.loading import RunSource, Sections
 
@@ -303,9 +304,10 @@ def _internal_forces(prepared: PreparedMechanism, found: Rest) -> tuple[dict[str
     observer = StateObserver(prepared.workspace.with_own_pivots())
     out = observer.arrays(1)
     q = np.append(found.q, np.zeros(3))[None]
-    observer.observe(np.array([prepared.equations.t0]), q, np.zeros_like(q), out, z=found.z[None])
+    observed_at = np.array([prepared.equations.t0])
+    observer.observe(observed_at, q, np.zeros_like(q), out, z=found.z[None])
     coarse = CoarseBeams(mechanism, compiled)
-    coarse.add(q, out.beams)
+    coarse.add(States(compiled, observed_at, q, np.zeros_like(q), lambda: out))
     forces = {}
     places = {body: i for i, body in enumerate(compiled.bodies)}
     for name, beam in mechanism.beams.items():

@@ -14,6 +14,8 @@ from mbdkit.mechanism.beams import Beam
 if TYPE_CHECKING:
     from mbdkit.engine.compiled_mechanism import CompiledMechanism
     from mbdkit.mechanism.mechanism import Mechanism
+    from mbdkit.quantities.states import States
+    from mbdkit.trust.energy_record import EnergyRecord
 
 TURN = 0.75
 """Largest angle [rad] by which bending may turn a node relative to its neighbour without a warning.
@@ -71,20 +73,12 @@ class CoarseBeams:
         """Return the `CoarseBeams` of a mechanism; None if it has no beams."""
         return cls(mechanism, compiled) if mechanism.beams else None
 
-    def add(self, q: np.ndarray, beams: np.ndarray) -> None:
-        """Take note of recorded states.
-
-        Parameters
-        ----------
-        q
-            (T, n) positions.
-        beams
-            (T, E, 3 or 4) axial force, shear force [N] and moment [N m] of all elements.
-        """
+    def add(self, states: States) -> None:
+        """Take note of states."""
         for beam in self._beams:
-            beam.add(q, beams)
+            beam.add(states.q, states.observed.beams)
 
-    def warnings(self) -> tuple[str, ...]:
+    def warnings(self, _energies: EnergyRecord | None = None) -> tuple[str, ...]:
         """Return a warning for each beam whose elements are too coarse."""
         return tuple(warning for beam in self._beams for warning in beam.warnings())
 
@@ -120,7 +114,7 @@ class _WatchedBeam:
         self.turns, self.largest = np.zeros(len(self.reference)), np.zeros(6)
 
     def add(self, q: np.ndarray, beams: np.ndarray) -> None:
-        """Take note of recorded states; see `CoarseBeams.add`."""
+        """Take note of positions (T, n), and of forces [N] and moments [N m] of all elements (T, E, 4)."""
         turns = np.abs(np.diff(q[:, self.angles], axis=1) - self.reference)
         np.maximum(self.turns, turns.max(axis=0, initial=0.0), out=self.turns)
         axial, shear, moment = np.moveaxis(beams[:, self.elements, :3], -1, 0)

@@ -18,7 +18,9 @@ from mbdkit.runs.law_ranges import steps_are_rows
 
 if TYPE_CHECKING:
     from mbdkit.engine.compiled_mechanism import CompiledMechanism
+    from mbdkit.quantities.states import States
     from mbdkit.spec import RunSpec
+    from mbdkit.trust.energy_record import EnergyRecord
 
 
 REVERSED = -0.866
@@ -53,23 +55,15 @@ class CoincidentEnds:
         names = [name for name, force in forces.items() if line_of_undefined_direction(force) is not None]
         return cls(names, [columns[name] for name in names]) if names and steps_are_rows(spec) else None
 
-    def add(self, time: np.ndarray, forces: np.ndarray) -> None:
-        """Take note of further states.
-
-        Parameters
-        ----------
-        time
-            (T,) times [s], later than those of earlier calls.
-        forces
-            (T, F, 5) values of all force elements, of which the first three are length, rate and force.
-        """
-        states = np.empty((len(time), len(self._names), 4))
-        states[..., :3], states[..., 3] = forces[:, self._columns, :3], time[:, None]
-        states = np.concatenate([self._last, states])
-        self._last = states[-1:].copy()
+    def add(self, states: States) -> None:
+        """Take note of states."""
+        values = np.empty((len(states.time), len(self._names), 4))  # length, rate, force, time
+        values[..., :3], values[..., 3] = states.observed.forces[:, self._columns, :3], states.time[:, None]
+        values = np.concatenate([self._last, values])
+        self._last = values[-1:].copy()
         (s0, rate0, force0, t0), (s1, rate1, force1, t1) = (
-            np.moveaxis(states[:-1], -1, 0),
-            np.moveaxis(states[1:], -1, 0),
+            np.moveaxis(values[:-1], -1, 0),
+            np.moveaxis(values[1:], -1, 0),
         )
         h = t1 - t0
         turned = (s0 + h * rate0 < REVERSED * s1) & (s1 - h * rate1 < REVERSED * s0) | (s1 == 0.0)
@@ -78,7 +72,7 @@ class CoincidentEnds:
             times = np.where(met, t0 + h * np.nan_to_num(s0 / (s0 + s1)), np.inf)
         self._first = np.minimum(self._first, times.min(axis=0, initial=np.inf))
 
-    def warnings(self) -> tuple[str, ...]:
+    def warnings(self, _energies: EnergyRecord) -> tuple[str, ...]:
         """Return a sentence for each force whose ends have met."""
         return tuple(
             f"the two ends of force '{name}' meet at t = {time:.6g} s, or pass each other too closely for the step; "

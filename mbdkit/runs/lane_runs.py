@@ -11,7 +11,6 @@ from collections import defaultdict
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
-from itertools import chain
 from typing import Any
 
 import numpy as np
@@ -30,16 +29,14 @@ from mbdkit.quantities.array import FLOAT
 from mbdkit.quantities.names import ArchiveNames, archive_names
 from mbdkit.quantities.states import States
 from mbdkit.quantities.table import RECORDED
-from mbdkit.runs.coarse_beams import CoarseBeams
-from mbdkit.runs.coincident_ends import CoincidentEnds
 from mbdkit.runs.corners import check_jumps
 from mbdkit.runs.evidence import evidence_of_run
 from mbdkit.runs.integrals import RunIntegrals, functionals_of
 from mbdkit.runs.law_ranges import LawRanges, has_ranges, steps_are_rows
 from mbdkit.runs.preparation import caution, guards, make_method, recorded_arrays, timetable
 from mbdkit.runs.recorded_states import recorded_states
-from mbdkit.runs.slow_friction import SlowFriction
-from mbdkit.runs.warnings import accepted_doubts, center_warnings, doubts, passivity_warnings, start_warnings
+from mbdkit.runs.state_watchers import StateWatchers
+from mbdkit.runs.warnings import accepted_doubts, doubts, start_warnings
 from mbdkit.spec import RunSpec
 from mbdkit.stepping.interface import Guards, StepEvidence, Stretch, Timetable
 from mbdkit.stepping.lane_collocation import StagePivots
@@ -325,6 +322,13 @@ def _by_cost(members: Sequence[LaneMember], places: Sequence[int]) -> list[int]:
     return [places[place] for place in np.argsort(energy, kind="stable")]
 
 
+def _states_of_lane(mechanism: CompiledMechanism, results: LaneResults, lane: int, rows: int) -> States:
+    """Return the recorded states of the run in a lane, as far as watchers need them."""
+    observed = Observed(*(values[lane, :rows] for values in results.observed))
+    time, q, v = (values[lane, :rows] for values in (results.time, results.q, results.v))
+    return States(mechanism, time, q, v, lambda: observed)
+
+
 def _stepper(first: LaneMember, workspace: Workspace) -> LaneStepper:
     """Return the loop that advances runs with the mechanism and method of `first`."""
     method: Any = first.method  # a method with a loop for lanes
@@ -383,22 +387,11 @@ class _Group:
                 if left is not None and ranges.stops:
                     finished.append(None)
                     continue
-            warnings, energies = member.warnings, recorded[lane][1].energies
-            if len(member.start.mechanism.topology.centers):
-                angles = results.observed.joints[lane, :rows, :, 0]
-                reached = np.stack([angles.min(axis=0), angles.max(axis=0)])
-                warnings = (*warnings, *center_warnings(mechanism, reached))
-            warnings = (*warnings, *passivity_warnings(mechanism, energies))
-            if (ends := CoincidentEnds.of(member.spec, member.start.mechanism)) is not None:
-                ends.add(results.time[lane, :rows], results.observed.forces[lane, :rows])
-            if (coarse := CoarseBeams.of(mechanism, member.start.mechanism)) is not None:
-                coarse.add(results.q[lane, :rows], results.observed.beams[lane, :rows])
-            if (slow := SlowFriction.of(mechanism, member.start.mechanism, member.size)) is not None:
-                none = np.zeros((rows, 0))
-                slow.add(results.time[lane, :rows], results.observed.forces[lane, :rows], none, none)
-                warnings = (*warnings, *slow.warnings(energies.kinetic))
-            watched = [one.warnings() for one in (ranges, ends, coarse) if one is not None]
-            warnings = (*warnings, *chain(*watched))
+            watchers = StateWatchers(member.spec, member.start.mechanism, member.size)
+            if watchers:
+                watchers.add(_states_of_lane(member.start.mechanism, results, lane, rows))
+            warnings = (*member.warnings, *watchers.warnings(recorded[lane][1].energies))
+            warnings = (*warnings, *(() if ranges is None else ranges.warnings()))
             counters = vars(results.counters[lane]).copy()
             # The mechanism was factorized once more when the pivots of the stage matrix were chosen.
             counters["factorizations"] += int(member.pivots is not None)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from itertools import chain
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -21,18 +20,14 @@ from mbdkit.engine.workspace import Workspace
 from mbdkit.measures.measured_quantities import of_event
 from mbdkit.quantities.quantity import Quantity
 from mbdkit.quantities.table import RECORDED
-from mbdkit.runs.coarse_beams import CoarseBeams
-from mbdkit.runs.coincident_ends import CoincidentEnds
 from mbdkit.runs.law_ranges import LawRanges
 from mbdkit.runs.recorded_states import ObservedRows, recorded_states
-from mbdkit.runs.slow_friction import SlowFriction
-from mbdkit.runs.warnings import center_warnings, passivity_warnings
+from mbdkit.runs.state_watchers import StateWatchers
 from mbdkit.stepping.interface import Failure, Guards, Stretch
 from mbdkit.trust.energy_record import EnergyRecord
 
 if TYPE_CHECKING:
     from mbdkit.events.watch import Found
-    from mbdkit.mechanism.mechanism import Mechanism
     from mbdkit.stepping.contact_state import ContactImpact
     from mbdkit.stepping.impulse import DriverImpulse
 
@@ -78,17 +73,11 @@ class Recorder:
         Limits of the misalignment of a recorded state.
     ranges
         Checks force laws that declare a range; None if there are none.
-    coarse
-        Checks whether the elements of beams are fine enough; None without beams.
-    ends
-        Checks whether the ends of forces meet; None without such forces.
-    friction
-        Checks whether dry friction acts above its transition speed; None without such friction.
+    watchers
+        Look at all recorded states; None to give no warnings.
 
     Attributes
     ----------
-    reached : (2, J) array
-        Smallest and largest recorded coordinate of each joint [rad or m].
     largest, largest_angle : (J,) arrays
         Largest misalignment [m] and angle misalignment [rad] of the recorded states.
     energies
@@ -105,9 +94,7 @@ class Recorder:
         writer: RunWriter,
         guards: Guards = NO_GUARDS,
         ranges: LawRanges | None = None,
-        coarse: CoarseBeams | None = None,
-        ends: CoincidentEnds | None = None,
-        friction: SlowFriction | None = None,
+        watchers: StateWatchers | None = None,
     ):
         # The number of steps between two calls depends on wall time. If the recorder shared its pivots with the
         # stepper, the rounding errors of steps and of recorded rows would depend on it too.
@@ -118,12 +105,11 @@ class Recorder:
         self._start_energy: float | None = None
         self._refused = False
         self.largest, self.largest_angle = np.zeros((2, len(mechanism.joints)))
-        self.reached = np.tile([[np.inf], [-np.inf]], len(mechanism.joints))
         self.energies = EnergyRecord()
         self.last_time = workspace.t0
         self.event_times: dict[str, list[float]] = {}
         self.kept: list[ObservedRows] | None = None
-        self.ranges, self.coarse, self.ends, self.friction = ranges, coarse, ends, friction
+        self.ranges, self.watchers = ranges, watchers
 
     @property
     def mechanism(self) -> CompiledMechanism:
@@ -271,19 +257,8 @@ class Recorder:
         # The largest residual of each row suffices here, because a joint has at most one row with an angle.
         peaks = np.abs(observed.phi).max(axis=0, keepdims=True)
         self.largest_angle = np.maximum(self.largest_angle, self._joints.angle_misalignment(peaks)[0])
-        if len(observed.joints):
-            coordinates = observed.joints[:, :, 0]
-            self.reached[0] = np.minimum(self.reached[0], coordinates.min(axis=0))
-            self.reached[1] = np.maximum(self.reached[1], coordinates.max(axis=0))
-        if self.coarse is not None:
-            self.coarse.add(stretch.q, observed.beams)
-        if self.ends is not None:
-            self.ends.add(stretch.time, observed.forces)
-        if self.friction is not None:
-            slip, force = (
-                states.of_contacts(name).reshape(len(stretch.time), -1) for name in ("slip", "friction_force")
-            )
-            self.friction.add(stretch.time, observed.forces, slip, force)
+        if self.watchers is not None:
+            self.watchers.add(states)
         others = np.array([observed.potential, stretch.work, stretch.dissipated])
         self.last_time = float(stretch.time[-1])
         self.energies.add(observed.kinetic, others, states.balance)
@@ -368,7 +343,6 @@ class Recorder:
             "start_energy": self._start_energy,
             "largest": self.largest,
             "largest_angle": self.largest_angle,
-            "reached": self.reached,
             "energies": [*self.energies.values],
             "last_time": self.last_time,
             "events": {name: np.array(times) for name, times in self.event_times.items()},
@@ -376,9 +350,7 @@ class Recorder:
             "solver": stored_solver(self.workspace.solver),
             "pivotings": self.workspace.pivotings,
             "ranges": None if self.ranges is None else self.ranges.stored(),
-            "coarse": None if self.coarse is None else self.coarse.stored(),
-            "ends": None if self.ends is None else self.ends.stored(),
-            "friction": None if self.friction is None else self.friction.stored(),
+            "watchers": None if self.watchers is None else self.watchers.stored(),
         }
 
     def restore(self, state: Mapping[str, Any]) -> None:
@@ -386,7 +358,6 @@ class Recorder:
         self._start_energy = float(state["start_energy"])
         fill(self.largest, state["largest"])
         fill(self.largest_angle, state["largest_angle"])
-        fill(self.reached, state["reached"])
         self.energies.values = state["energies"]
         self.last_time = float(state["last_time"])
         self.event_times = {name: np.asarray(times).tolist() for name, times in state["events"].items()}
@@ -395,21 +366,15 @@ class Recorder:
         self.workspace.pivotings = int(state["pivotings"])
         if self.ranges is not None:
             self.ranges.restore(state["ranges"])
-        if self.coarse is not None:
-            self.coarse.restore(state["coarse"])
-        if self.ends is not None:
-            self.ends.restore(state["ends"])
-        if self.friction is not None:
-            self.friction.restore(state["friction"])
+        if self.watchers is not None:
+            self.watchers.restore(state["watchers"])
 
-    def warnings(self, mechanism: Mechanism) -> tuple[str, ...]:
-        """Return the warnings about the recorded states of a mechanism."""
-        centers, supplying = center_warnings(mechanism, self.reached), passivity_warnings(mechanism, self.energies)
+    def warnings(self) -> tuple[str, ...]:
+        """Return the warnings about the recorded states."""
+        watched = () if self.watchers is None else self.watchers.warnings(self.energies)
         # if a run stops where a law leaves its range, the reason of its failure says so
-        ranges = None if self.ranges is None or self.ranges.stops else self.ranges
-        watched = [one.warnings() for one in (ranges, self.ends, self.coarse) if one is not None]
-        slow = () if self.friction is None else self.friction.warnings(self.energies.kinetic)
-        return (*centers, *supplying, *slow, *chain(*watched))
+        ranges = () if self.ranges is None or self.ranges.stops else self.ranges.warnings()
+        return (*watched, *ranges)
 
     def misalignment_max(self, worst_pairs: np.ndarray) -> np.ndarray:
         """Return the largest misalignment of each joint over all steps, recorded or not, (J,) [m].

@@ -37,8 +37,6 @@ from mbdkit.runs.accuracy.chosen_method import Choice
 from mbdkit.runs.accuracy.compared_measures import compared_measures
 from mbdkit.runs.accuracy.pilot_run import Replay
 from mbdkit.runs.accuracy.position_measure import PositionMeasure
-from mbdkit.runs.coarse_beams import CoarseBeams
-from mbdkit.runs.coincident_ends import CoincidentEnds
 from mbdkit.runs.corners import stops_of
 from mbdkit.runs.evidence import estimated_errors, evidence_of_run
 from mbdkit.runs.integrals import RunIntegrals, compared_loads
@@ -53,7 +51,7 @@ from mbdkit.runs.recorded_states import ObservedRows
 from mbdkit.runs.recorder import Recorder
 from mbdkit.runs.run_checkpoint import TIMES, Checkpoints, Continuation, Parts, why_without
 from mbdkit.runs.run_in_memory import measured_values, run_in_memory
-from mbdkit.runs.slow_friction import SlowFriction
+from mbdkit.runs.state_watchers import StateWatchers
 from mbdkit.runs.warnings import accepted_doubts, doubts, step_advice
 from mbdkit.spec import RunSpec
 from mbdkit.stepping.compiled_stepper import CompiledStepper
@@ -158,10 +156,8 @@ class SimulatedRun:
         between = None if steps_are_rows(spec) else workspace
         stops = spec.limits.law_range == "stop"
         ranges = LawRanges.of(spec.mechanism(), workspace.mechanism, between, stops=stops)
-        coarse = CoarseBeams.of(spec.mechanism(), workspace.mechanism)
-        meeting = CoincidentEnds.of(spec, workspace.mechanism)
-        slow = SlowFriction.of(spec.mechanism(), workspace.mechanism, self.size)
-        self.recorder = Recorder(workspace, writer, self.guards, ranges, coarse, meeting, slow)
+        watchers = StateWatchers(spec, workspace.mechanism, self.size)
+        self.recorder = Recorder(workspace, writer, self.guards, ranges, watchers)
         self.table = timetable(spec, self.guards)
         self.integrals: RunIntegrals | None = None
         if functionals:
@@ -447,7 +443,7 @@ class SimulatedRun:
         of_drivers = [] if steps is None else [one for one in steps.impacts if isinstance(one, DriverImpulse)]
         drivers = stops_of(self.spec).impacts if of_drivers else {}
         self.recorder.record_impacts(() if contacts is None else contacts.impacts, of_drivers, drivers)
-        self.warnings = (*self.warnings, *self.recorder.warnings(self.spec.mechanism()))
+        self.warnings = (*self.warnings, *self.recorder.warnings())
         if self.becomes_run and self.spec.gradients and status == "complete" and not self.interrupted:
             self.gradients = higher_layers.gradients_json(self.spec)
         questions = (*doubts(self.spec, self.warnings), *self.doubtful_gradients())

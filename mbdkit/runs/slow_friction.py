@@ -13,6 +13,8 @@ from mbdkit.mechanism.joint_friction import JointFriction, PinFriction
 if TYPE_CHECKING:
     from mbdkit.engine.compiled_mechanism import CompiledMechanism
     from mbdkit.mechanism.mechanism import Mechanism
+    from mbdkit.quantities.states import States
+    from mbdkit.trust.energy_record import EnergyRecord
 
 MISSING = 0.1
 """Share of the work of Coulomb friction that may be missing without a warning."""
@@ -84,19 +86,10 @@ class SlowFriction:
         has_contacts = bool(mechanism.contacts) and not compiled.contact_treatment.is_rigid
         return cls(mechanism, compiled, size) if compiled.friction or has_contacts else None
 
-    def add(self, time: np.ndarray, forces: np.ndarray, slip: np.ndarray, friction: np.ndarray) -> None:
-        """Take note of recorded states.
-
-        Parameters
-        ----------
-        time
-            (T,) times [s], later than those of earlier calls.
-        forces
-            (T, F, 5) values of all force elements, of which the second and the third are rate and force.
-        slip, friction
-            (T, C) slip velocities [m/s] and friction forces [N] of all contacts; not used if contacts are rigid.
-        """
-        count = len(self._contacts)
+    def add(self, states: States) -> None:
+        """Take note of states."""
+        time, forces, count = states.time, states.observed.forces, len(self._contacts)
+        slip, friction = (states.of_contacts(name).reshape(len(time), -1) for name in ("slip", "friction_force"))
         rate, value = forces[:, self._columns, 1], forces[:, self._columns, 2]
         speed = np.abs(np.hstack([rate * self._arm[: rate.shape[1]], slip[:, :count]]))
         power = np.abs(np.hstack([rate * value, (slip * friction)[:, :count]]))
@@ -105,22 +98,16 @@ class SlowFriction:
         coulomb = np.divide(power, share, out=np.zeros_like(power), where=share > 0.0)
         slow = np.where(share < 1.0, speed, 0.0)
         ones = np.broadcast_to(time[:, None], speed.shape)
-        states = np.concatenate([self._last, np.stack([coulomb, coulomb - power, speed, slow, ones], axis=1)])
-        self._last = states[-1:].copy()
-        h = np.diff(states[:, 4:], axis=0)
-        values = np.concatenate([states[:, :4], np.where(states[:, 3:4] + states[:, 2:3] > 0, 1.0, 0.0)], axis=1)
+        rows = np.concatenate([self._last, np.stack([coulomb, coulomb - power, speed, slow, ones], axis=1)])
+        self._last = rows[-1:].copy()
+        h = np.diff(rows[:, 4:], axis=0)
+        values = np.concatenate([rows[:, :4], np.where(rows[:, 3:4] + rows[:, 2:3] > 0, 1.0, 0.0)], axis=1)
         self._sums += np.sum(0.5 * h * (values[1:] + values[:-1]), axis=0)
 
-    def warnings(self, kinetic: float) -> tuple[str, ...]:
-        """Return a sentence for each element that lacks much of its friction.
-
-        Parameters
-        ----------
-        kinetic
-            Largest kinetic energy of the run [J].
-        """
+    def warnings(self, energies: EnergyRecord) -> tuple[str, ...]:
+        """Return a sentence for each element that lacks much of its friction."""
         work, missing, path, slow, lasted = self._sums
-        found = (missing > MISSING * work) & (missing > MATTERS * kinetic) & (slow > self._rest)
+        found = (missing > MISSING * work) & (missing > MATTERS * energies.kinetic) & (slow > self._rest)
         told = []
         for place in np.flatnonzero(found).tolist():
             one = self._elements[place]

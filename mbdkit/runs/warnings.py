@@ -23,7 +23,7 @@ from mbdkit.mechanism.improbable_values import (
     improbable_inertias,
     improbable_lengths,
 )
-from mbdkit.mechanism.joints import Driver, Revolute
+from mbdkit.mechanism.joints import Driver
 from mbdkit.mechanism.law_element import Law
 from mbdkit.mechanism.mechanism import Mechanism
 from mbdkit.mechanism.parameters import evaluate, names_in, parameters_in_use
@@ -164,31 +164,6 @@ def _left_out(spec: RunSpec) -> tuple[str, ...]:
 def _known(spec: RunSpec) -> tuple[str, ...]:
     """Return the warnings that do not question the result."""
     return (*spec.mechanism().warnings, *_unresolved_beams(spec), *_unused_parameters(spec))
-
-
-def center_warnings(mechanism: Mechanism, reached: np.ndarray) -> tuple[str, ...]:
-    """Return warnings about joints whose angle has left the tables of their moving centers.
-
-    Parameters
-    ----------
-    reached
-        (2, J) smallest and largest recorded coordinate of each joint [rad or m].
-    """
-    warnings = []
-    for (name, joint), (low, high) in zip(mechanism.joints.items(), reached.T.tolist(), strict=True):
-        if not isinstance(joint, Revolute) or joint.center is None:
-            continue
-        for angle in (low, high):
-            if math.isfinite(angle) and (outside := joint.center.outside(angle)) is not None:
-                key, table = outside
-                first, last = table.span
-                warnings.append(
-                    f"joint '{name}' turned to {angle:.6g} rad, beyond the table at "
-                    f"model.joints.{quoted(name)}.center.{key}, "
-                    f"which covers {first:.6g} rad to {last:.6g} rad and is "
-                    f"extrapolated there by its first or last polynomial"
-                )
-    return tuple(warnings)
 
 
 def passivity_warnings(mechanism: Mechanism, energies: EnergyRecord) -> tuple[str, ...]:

@@ -352,3 +352,19 @@ def test_a_given_rate_that_assembly_changes_by_five_percent_is_told_and_rounding
     warnings = start_warnings(spec, build(spec)[1])
     assert len(warnings) == (told is not None)
     assert told is None or told in warnings[0]
+
+
+@pytest.mark.parametrize("share", [0.45, 0.55])
+def test_a_circle_that_sinks_in_by_more_than_half_its_radius_is_doubted(share):
+    # a ball that is put on a linear spring sinks in by 2 m g / k
+    radius, ball = 0.1, {"mass": 1.0, "inertia": 0.004, "position": [0.0, 0.1]}
+    floor = {
+        "bodies": ["ground", "ball"],
+        "shapes": [{"line": {"normal": (0, 1)}}, {"circle": {"radius": radius}}],
+        "compliance": {"law": "linear", "stiffness": 2.0 * 9.81 / (share * radius)},
+    }
+    model = {"name": "mechanism", "bodies": {"ball": ball}, "contacts": {"floor": floor}}
+    run = mbdkit.run(copy.deepcopy(SPEC) | {"model": model, "time": {"end": 0.5, "step": 0.005}})
+    told = [one for one in run.warnings if one.startswith("contact 'floor' overlaps by 0.055 m")]
+    assert len(told) == (share > 0.5)
+    assert (run.verdict == "doubtful") == (share > 0.5)

@@ -1,0 +1,72 @@
+"""Warnings about circles that overlap another shape by a large share of their radius during a run."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from mbdkit.engine.stored_arrays import fill
+
+if TYPE_CHECKING:
+    from mbdkit.engine.compiled_mechanism import CompiledMechanism
+    from mbdkit.quantities.states import States
+    from mbdkit.trust.energy_record import EnergyRecord
+
+DEEP = 0.5
+"""Overlaps up to this share of the radius of a circle cause no warning.
+
+The laws of compliant contacts assume that overlaps are small. Feet of published models are softer: the spheres of
+OpenSim's examples, of 30 mm radius, overlap the ground by up to about a third of their radius.
+"""
+
+
+class DeepOverlaps:
+    """Largest overlaps of C contacts in the recorded states of a run.
+
+    Parameters
+    ----------
+    compiled
+        The compiled mechanism.
+    """
+
+    def __init__(self, compiled: CompiledMechanism):
+        self._pairs = [one.pair for one in compiled.contacts]
+        self._is_rigid = compiled.contact_treatment.is_rigid
+        self._depth, self._time = np.zeros((2, len(self._pairs)))
+
+    @classmethod
+    def of(cls, compiled: CompiledMechanism) -> DeepOverlaps | None:
+        """Return the `DeepOverlaps` of a mechanism; None if it has no contacts of circles."""
+        return cls(compiled) if any(one.pair.radius > 0.0 for one in compiled.contacts) else None
+
+    def add(self, states: States) -> None:
+        """Take note of states."""
+        if not len(states.time):
+            return
+        gap = states.of_contacts("gap")
+        row = np.argmin(gap, axis=0)
+        depth = -gap[row, np.arange(len(row))]
+        self._time = np.where(depth > self._depth, states.time[row], self._time)
+        self._depth = np.maximum(self._depth, depth)
+
+    def warnings(self, _energies: EnergyRecord) -> tuple[str, ...]:
+        """Return a sentence for each circle that overlaps too much."""
+        told = []
+        for pair, depth, time in zip(self._pairs, self._depth.tolist(), self._time.tolist(), strict=True):
+            if pair.radius > 0.0 and depth > DEEP * pair.radius:
+                advice = "use smaller steps" if self._is_rigid else f"increase {pair.key}.compliance.stiffness"
+                told.append(
+                    f"contact '{pair.name}' overlaps by {depth:.3g} m at t = {time:.6g} s, {depth / pair.radius:.0%} "
+                    f"of the radius of its circle, but contact laws assume small overlaps; {advice}"
+                )
+        return tuple(told)
+
+    def stored(self) -> dict[str, Any]:
+        """Return the state as plain values, for a checkpoint."""
+        return {"depth": self._depth, "time": self._time}
+
+    def restore(self, state: dict[str, Any]) -> None:
+        """Continue from a checkpoint; raise ValueError if its values are not valid for this run."""
+        fill(self._depth, state["depth"])
+        fill(self._time, state["time"])

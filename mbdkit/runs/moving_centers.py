@@ -1,0 +1,68 @@
+"""Warnings about joints whose angle leaves the tables of their moving centers during a run."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from mbdkit.base.plain_data import quoted
+from mbdkit.engine.stored_arrays import fill
+from mbdkit.mechanism.joints import Revolute
+
+if TYPE_CHECKING:
+    from mbdkit.engine.compiled_mechanism import CompiledMechanism
+    from mbdkit.mechanism.mechanism import Mechanism
+    from mbdkit.quantities.states import States
+    from mbdkit.trust.energy_record import EnergyRecord
+
+
+class MovingCenters:
+    """Smallest and largest coordinates of the joints in the recorded states of a run.
+
+    Parameters
+    ----------
+    mechanism
+        The mechanism.
+    """
+
+    def __init__(self, mechanism: Mechanism):
+        self._joints = mechanism.joints
+        self._reached = np.tile([[np.inf], [-np.inf]], len(self._joints))
+
+    @classmethod
+    def of(cls, mechanism: Mechanism, compiled: CompiledMechanism) -> MovingCenters | None:
+        """Return the `MovingCenters` of a mechanism; None if no joint has a moving center."""
+        return cls(mechanism) if len(compiled.topology.centers) else None
+
+    def add(self, states: States) -> None:
+        """Take note of states."""
+        low, high = self._reached
+        np.minimum(low, states.coordinate.min(axis=0, initial=np.inf), out=low)
+        np.maximum(high, states.coordinate.max(axis=0, initial=-np.inf), out=high)
+
+    def warnings(self, _energies: EnergyRecord) -> tuple[str, ...]:
+        """Return a sentence for each end of a table that was passed."""
+        warnings = []
+        for (name, joint), reached in zip(self._joints.items(), self._reached.T.tolist(), strict=True):
+            if not isinstance(joint, Revolute) or joint.center is None:
+                continue
+            for angle in reached:
+                if math.isfinite(angle) and (outside := joint.center.outside(angle)) is not None:
+                    key, table = outside
+                    first, last = table.span
+                    warnings.append(
+                        f"joint '{name}' turned to {angle:.6g} rad, beyond the table at "
+                        f"model.joints.{quoted(name)}.center.{key}, which covers {first:.6g} rad to {last:.6g} rad and "
+                        f"is extrapolated there by its first or last polynomial"
+                    )
+        return tuple(warnings)
+
+    def stored(self) -> dict[str, Any]:
+        """Return the state as plain values, for a checkpoint."""
+        return {"reached": self._reached}
+
+    def restore(self, state: dict[str, Any]) -> None:
+        """Continue from a checkpoint; raise ValueError if its values are not valid for this run."""
+        fill(self._reached, state["reached"])
