@@ -32,7 +32,7 @@ SHORTEST, LONGEST = 1e-9, 1e9
 """Shortest and longest interval between two rows [s]."""
 
 ROUNDED = 1e-6
-"""Share of a turn by which the values of an angle within one turn may exceed it, because they are rounded."""
+"""Share by which an angle may exceed one turn, and a gap its greatest length, because values are rounded."""
 
 SI = {"m": "m", "rad": "rad", "N": "N", "N m": "N m"}
 
@@ -329,7 +329,7 @@ def _bridged(
         raise table.error(f"{column}: a gap at an end of the motion cannot be bridged", row=int(rows[at]))
     widths = np.diff(time[known])
     worst = int(np.argmax(np.where(np.diff(known) > 1, widths, 0.0)))
-    if widths[worst] > gaps.longest:
+    if widths[worst] > gaps.longest * (1 + ROUNDED):
         raise table.error(
             f"{column}: a gap of {widths[worst]:.4g} s is longer than `gaps.longest` allows ({gaps.longest:.4g} s)",
             row=int(rows[known[worst] + 1]),

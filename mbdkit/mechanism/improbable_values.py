@@ -168,6 +168,19 @@ def improbable_frictions(mechanism: Mechanism) -> Iterator[str]:
             )
 
 
+def rolling_point_masses(mechanism: Mechanism) -> Iterator[str]:
+    """Yield a sentence without a full stop for each point mass with a round shape that friction cannot turn."""
+    for name, contact in mechanism.contacts.items():
+        for _, _, body, shape in contact.by_body:
+            circle = shape.circle
+            is_point_mass = body != GROUND and mechanism.bodies[body].inertia is None
+            if is_point_mass and circle is not None and circle.radius > 0 and max(contact.coefficients) > 0:
+                yield (
+                    f"body '{body}' is a point mass (it has no inertia), so that the friction of contact '{name}' does "
+                    f"not turn its circle of {circle.radius:g} m, and it slides instead of rolling; give `inertia`"
+                )
+
+
 def improbable_beams(mechanism: Mechanism) -> Iterator[str]:
     """Yield a sentence without a full stop for each modulus, density, cross-section and rotary inertia of a beam that
     is improbable.

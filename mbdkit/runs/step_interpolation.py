@@ -10,13 +10,16 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import pairwise
+from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy.interpolate import BSpline, make_interp_spline
 
 from mbdkit.engine.observed_states import StateObserver
 from mbdkit.engine.workspace import Workspace
 from mbdkit.stepping.interface import SAME_TIME
+
+if TYPE_CHECKING:
+    from scipy.interpolate import BSpline
 
 NODES = 4
 """Number of step ends that determine one polynomial; fewer next to a discontinuity of a motion."""
@@ -70,6 +73,8 @@ class StepEnds:
     @cached_property
     def _spline(self) -> BSpline:
         """The spline of degree 5, or less with few ends, through the forces at ends that are not too close."""
+        from scipy.interpolate import make_interp_spline  # most runs do not need it
+
         assert self.held is not None
         least, used = LEAST_DISTANCE * float(np.median(np.diff(self.time))), [0]
         for end in range(1, len(self.time)):

@@ -22,6 +22,7 @@ from mbdkit.mechanism.improbable_values import (
     improbable_frictions,
     improbable_inertias,
     improbable_lengths,
+    rolling_point_masses,
 )
 from mbdkit.mechanism.joints import Driver
 from mbdkit.mechanism.law_element import Law
@@ -186,11 +187,12 @@ def passivity_warnings(mechanism: Mechanism, energies: EnergyRecord) -> tuple[st
 
 
 def _improbable(spec: RunSpec) -> Iterator[str]:
-    """Yield warnings about values that probably have another unit."""
+    """Yield warnings about values that are valid but improbable, most of them because of another unit."""
     yield from angles_in_degrees(spec)
     yield from tables_in_degrees(spec)
     yield from improbable_inertias(spec.mechanism())
     yield from improbable_frictions(spec.mechanism())
+    yield from rolling_point_masses(spec.mechanism())
     yield from improbable_beams(spec.mechanism())
     yield from improbable_lengths(spec.mechanism())
 

@@ -21,7 +21,7 @@ from mbdkit.base.logs import logger_of
 from mbdkit.base.plain_data import plain, value_text
 from mbdkit.base.progress_bars import count_bar, in_notebook
 from mbdkit.base.terminal import say
-from mbdkit.base.text import counted, shown
+from mbdkit.base.text import counted, shown, without_numbers
 from mbdkit.spec.loading import RunSource, load_spec, read_source
 from mbdkit.spec.reading import parse_key
 from mbdkit.spec.study_loading import StudySource, load_study_spec
@@ -244,9 +244,16 @@ def _carried_out(spec: StudySpec, out: str | Path | None, engine: Engine, option
     try:
         is_shown = options.progress is None and in_notebook()
         with count_bar(spec.title or folder.path.name, quiet=not is_shown) as bar:
-            execution = Execution(spec, folder, replace(options, progress=options.progress or bar))
+            of_sample: dict[str, str] = {}
+
+            def notify(text: str) -> None:
+                if without_numbers(text.removeprefix("warning: ")) not in of_sample:
+                    options.notify(text)
+
+            execution = Execution(spec, folder, replace(options, progress=options.progress or bar, notify=notify))
             _LOG.info("study in %s begins: %s", shown(folder.path), counted(execution.store.count, "run"))
-            for warning in execution.store.plan.warnings_of_sample():
+            of_sample |= execution.store.plan.warnings_of_sample()
+            for warning in of_sample.values():
                 _LOG.warning("%s", warning)
                 options.notify(f"warning: {warning}")
             execution.run(engine)

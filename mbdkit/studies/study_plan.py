@@ -113,28 +113,30 @@ class StudyPlan:
         for warning in (one for spec in specs for one in caution(spec)):
             found.setdefault(without_numbers(warning), warning)
         of_starts = start_warnings_of_study(spec for _, spec in self.valid_samples)
-        return [*found.values(), *of_starts, *self.warnings_of_sample()]
+        of_sample = self.warnings_of_sample()
+        of_runs = (warning for text, warning in found.items() if text not in of_sample)
+        return [*of_runs, *of_starts, *of_sample.values()]
 
-    def warnings_of_sample(self) -> list[str]:
+    def warnings_of_sample(self) -> dict[str, str]:
         """Return warnings about distributions of angles that are probably meant in degrees.
 
-        The warning recognizes angles with few decimals. Values that are drawn from distributions have many decimals, so
-        that limits and means of the distributions are checked instead.
+        Limits and means of the distributions are checked, because drawn values have many decimals. The keys are the
+        warnings about single runs, without their numbers.
         """
         specs = (spec for _, spec in self.valid_samples) if self.spec.in_blocks else iter(self.runs.values())
         if self.spec.sample is None or (spec := next(specs, None)) is None:
-            return []
+            return {}
         varied = VariedSpecs(spec.canonical_json())
         found: dict[str, str] = {}
-        known = {without_numbers(warning) for warning in angles_in_degrees(spec)}
+        of_others = set(angles_in_degrees(spec))  # with the same numbers for each value of a variable
         for key, distribution in self.spec.sample.variables.items():
             for value in typical_values(distribution):
                 with suppress(SpecError):  # a limit may be invalid although all drawn values are valid
                     for warning in angles_in_degrees(varied.spec([(parse_key(key), value)])):
-                        if without_numbers(warning) not in known:
+                        if warning not in of_others:
                             place = path_text(("sample", "variables", key))
-                            found.setdefault(key, f"{place}: with {value:g}, {warning}")
-        return list(found.values())
+                            found.setdefault(without_numbers(warning), f"{place}: with {value:g}, {warning}")
+        return found
 
     @cached_property
     def expressions(self) -> tuple[str, ...]:

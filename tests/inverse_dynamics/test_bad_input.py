@@ -145,13 +145,15 @@ def test_gaps_are_bridged_when_asked(tmp_path: Path) -> None:
 
 def test_nan_in_data_from_python_is_a_gap_that_the_rule_of_its_column_bridges() -> None:
     t = 0.01 * np.arange(20)
-    hip = np.where(np.arange(20) == 3, np.nan, 10 * t)
-    spec = pendulum("", columns={"hip.angle": {"column": "hip", "gaps": {"longest": 0.05, "interpolation": "linear"}}})
+    place = int(np.argmax(t[2:] - t[:-2])) + 1  # where the gap of 0.02 s exceeds 0.02 s by rounding
+    assert t[place + 1] - t[place - 1] > 0.02
+    hip = np.where(np.arange(20) == place, np.nan, 10 * t)
+    spec = pendulum("", columns={"hip.angle": {"column": "hip", "gaps": {"longest": 0.02, "interpolation": "linear"}}})
     spec["motion"] |= {"file": None, "data": {"time": t, "hip": hip}, "gaps": {"longest": 0.01}}
     run = mbdkit.inverse(spec)
-    assert np.isnan(run.motion["hip.angle"].raw[3])
-    assert run.motion["hip.angle"].fitted[3] == pytest.approx(0.3, abs=1e-12)
-    assert run.spec["motion"]["data"]["hip"][3] is None
+    assert np.isnan(run.motion["hip.angle"].raw[place])
+    assert run.motion["hip.angle"].fitted[place] == pytest.approx(10 * t[place], abs=1e-12)
+    assert run.spec["motion"]["data"]["hip"][place] is None
 
 
 def test_storage_files_are_in_degrees_where_their_header_says_so(tmp_path: Path) -> None:

@@ -16,6 +16,7 @@ from mbdkit.mechanism.improbable_values import (
     improbable_frictions,
     improbable_inertias,
     improbable_lengths,
+    rolling_point_masses,
 )
 from mbdkit.mechanism.mechanism import Mechanism
 from mbdkit.runs.preparation import build
@@ -173,10 +174,25 @@ def test_the_size_of_a_body_without_joints_follows_from_its_points(element: dict
 
 
 @pytest.mark.parametrize(
-    "improbable", [improbable_inertias, improbable_frictions, improbable_beams, improbable_lengths]
+    "improbable",
+    [improbable_inertias, improbable_frictions, improbable_beams, improbable_lengths, rolling_point_masses],
 )
 def test_no_value_of_the_packaged_examples_is_improbable(improbable: Callable[[Mechanism], Iterator[str]]) -> None:
     assert [text for name in example_names("run") for text in improbable(load_spec(name).mechanism())] == []
+
+
+@pytest.mark.parametrize(("inertia", "friction", "count"), [(None, 0.3, 1), (0.004, 0.3, 0), (None, 0.0, 0)])
+def test_friction_that_cannot_turn_a_disc_without_inertia_is_told(
+    inertia: float | None, friction: float, count: int
+) -> None:
+    m = Mechanism()
+    m.body("disc", mass=1.0, inertia=inertia, position=(0, 0.1))
+    m.contact(
+        "floor", m.ground, "disc", shapes=[{"line": {"normal": (0, 1)}}, {"circle": {"radius": 0.1}}], friction=friction
+    )
+    told = list(rolling_point_masses(m))
+    assert len(told) == count
+    assert all("the friction of contact 'floor' does not turn its circle of 0.1 m" in text for text in told)
 
 
 SECTION = {"A": 1e-4, "I": 2.1e-10}
