@@ -12,7 +12,7 @@ from functools import lru_cache
 import numpy as np
 from pydantic import BaseModel
 
-from mbdkit.base.plain_data import Path, path_text, quoted
+from mbdkit.base.plain_data import Path, path_text
 from mbdkit.base.strict_model import description
 from mbdkit.base.text import counted, did_you_mean, listed
 from mbdkit.engine.assembly import AssembledState
