@@ -25,7 +25,7 @@ from mbdkit.inverse_dynamics.fit import FitError
 from mbdkit.inverse_dynamics.measure_samples import errors_of_measures
 from mbdkit.inverse_dynamics.record import archive_of
 from mbdkit.measures.take import check_measures
-from mbdkit.runs.warnings import angles_in_degrees
+from mbdkit.runs.angles_in_degrees import angles_in_degrees
 from mbdkit.spec import InverseSpec, load_inverse_spec
 from mbdkit.spec.inverse_loading import InverseSource
 

@@ -15,8 +15,8 @@ from mbdkit.inverse_dynamics.compute import Inverse, recorded_states
 from mbdkit.inverse_dynamics.recruited import Recruited
 from mbdkit.mechanism.improbable_values import improbable_beams, improbable_lengths, improbable_radii
 from mbdkit.mechanism.mechanism import Mechanism
+from mbdkit.runs.angles_in_degrees import angles_in_degrees
 from mbdkit.runs.coarse_beams import CoarseBeams
-from mbdkit.runs.warnings import angles_in_degrees
 from mbdkit.spec import InverseSpec
 from mbdkit.spec.named_actuators import RESERVE
 

@@ -64,12 +64,13 @@ def _has_units(tree: ast.expr, units: Mapping[str, Unit]) -> bool:
     return any(isinstance(node, ast.Name) and node.id in units for node in ast.walk(tree))
 
 
-def _outside_pure_functions(node: ast.AST) -> Iterator[ast.AST]:
+def outside_pure_functions(node: ast.AST) -> Iterator[ast.AST]:
     """Yield a node and the nodes below it, except the arguments of functions such as ``exp``, which are no angles."""
-    yield node
-    if not (isinstance(node, ast.Call) and isinstance(node.func, ast.Name) and node.func.id in _PURE):
-        for child in ast.iter_child_nodes(node):
-            yield from _outside_pure_functions(child)
+    remaining = [node]  # no recursion, because long sums are deeply nested
+    while remaining:
+        yield (node := remaining.pop())
+        if not (isinstance(node, ast.Call) and isinstance(node.func, ast.Name) and node.func.id in _PURE):
+            remaining.extend(ast.iter_child_nodes(node))
 
 
 def is_turn(node: ast.expr) -> bool:
@@ -143,7 +144,7 @@ class _Derived:
 
     def check_cycles(self, node: ast.expr) -> None:
         """Raise SpecError for a product of the time and a frequency that is used as an angle in radians."""
-        parts = [*_outside_pure_functions(node)]
+        parts = [*outside_pure_functions(node)]
         names = [one.id for one in parts if isinstance(one, ast.Name)]
         has_number = "pi" in names or any(isinstance(one, ast.Constant) for one in parts)
         cycles = [name for name in names if name in self.units and self.units[name].is_frequency]

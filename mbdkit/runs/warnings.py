@@ -6,14 +6,10 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterator, Mapping, Sequence
-from functools import lru_cache
+from collections.abc import Iterator, Sequence
 
 import numpy as np
-from pydantic import BaseModel
 
-from mbdkit.base.plain_data import Path, path_text
-from mbdkit.base.strict_model import description
 from mbdkit.base.text import counted, did_you_mean, listed
 from mbdkit.engine.assembly import AssembledState
 from mbdkit.mechanism.beams import written_key
@@ -24,16 +20,13 @@ from mbdkit.mechanism.improbable_values import (
     improbable_lengths,
     rolling_point_masses,
 )
-from mbdkit.mechanism.joints import Driver
 from mbdkit.mechanism.law_element import Law
 from mbdkit.mechanism.mechanism import Mechanism
-from mbdkit.mechanism.parameters import evaluate, names_in, parameters_in_use
-from mbdkit.mechanism.quantity_names import QuantityNames
+from mbdkit.mechanism.parameters import parameters_in_use
 from mbdkit.mechanism.size import mechanism_size
-from mbdkit.mechanism.values import Table
 from mbdkit.muscles.acting_muscles import acting_muscles
+from mbdkit.runs.angles_in_degrees import angles_in_degrees, motions_in_degrees
 from mbdkit.spec import RunSpec
-from mbdkit.spec.model_spec import ModelSpec
 from mbdkit.trust.criteria import rounding
 from mbdkit.trust.energy_record import EnergyRecord
 
@@ -45,14 +38,6 @@ CHANGED = 0.01
 three digits, which is at most 0.005 of it.
 """
 
-DIGITS = 3
-"""Angles above one turn that are computed from parameters are assumed to be degrees if they have at most this many
-decimals; radians rarely have so few. Angles given as numbers may have any number of decimals.
-"""
-
-TABLE_DIGITS = 1
-"""As `DIGITS`, for all values of a table, one of which is above one turn."""
-
 FEWEST_PER_PERIOD = 2
 """Smallest number of steps per period that resolves an oscillation."""
 
@@ -63,7 +48,6 @@ REGAINED = 10.0
 """A decrease of the dissipated energy up to this multiple of the largest energy balance may be an integration error."""
 
 _SLIP = re.compile(r"contacts(\.\w+|\[[^\]]+\])\.slip")
-_ANGLE = re.compile(r"\[(m or )?rad\]")
 
 
 def spec_warnings(spec: RunSpec) -> tuple[str, ...]:
@@ -189,120 +173,12 @@ def passivity_warnings(mechanism: Mechanism, energies: EnergyRecord) -> tuple[st
 def _improbable(spec: RunSpec) -> Iterator[str]:
     """Yield warnings about values that are valid but improbable, most of them because of another unit."""
     yield from angles_in_degrees(spec)
-    yield from tables_in_degrees(spec)
+    yield from motions_in_degrees(spec)
     yield from improbable_inertias(spec.mechanism())
     yield from improbable_frictions(spec.mechanism())
     yield from rolling_point_masses(spec.mechanism())
     yield from improbable_beams(spec.mechanism())
     yield from improbable_lengths(spec.mechanism())
-
-
-def angles_in_degrees(spec: ModelSpec) -> Iterator[str]:
-    """Yield a warning for each angle of the model above one turn that is probably meant in degrees.
-
-    Whole numbers of degrees, converted to radians by a script, and expressions are assumed to be meant in radians.
-    """
-    for path, angle in _angles(spec.model, ("model",)):
-        if not isinstance(angle, _SCALARS):
-            yield from _column_in_degrees(f"the column of angles at {path_text(path)}", angle)
-            continue
-        if not isinstance(angle, str) and abs(angle) <= 2.0 * math.pi:
-            continue
-        written = spec.written.get(path)
-        used = [name for name in spec.parameters if name in names_in(written)]
-        if _is_length(spec, path):
-            continue
-        if "t" in names_in(written) or (not used and (written is not None or isinstance(angle, str))):
-            continue  # functions of time and expressions of numbers are assumed to be in radians
-        value = evaluate(angle, {}) if isinstance(angle, str) else float(angle)
-        is_number = written is None or isinstance(spec.parameters.get(written), int | float)
-        if abs(value) <= 2.0 * math.pi or _is_whole(math.degrees(value)):
-            continue
-        if is_number or round(value, DIGITS) == value:
-            origin = f" (from {listed((f'parameters.{name}' for name in used), 'and')})" if used else ""
-            degrees = written or f"{value:.16g}"
-            yield (
-                f"the angle of {value:g} rad at {path_text(path)}{origin} is more than a full rotation; if degrees "
-                f"are intended, write degrees({degrees}), otherwise an expression such as {value / math.pi:.6g}*pi"
-            )
-
-
-def _is_whole(value: float) -> bool:
-    """Return whether a number is an integer, up to the rounding errors of a conversion of units."""
-    return abs(value - round(value)) <= 1e-14 * abs(value)
-
-
-def _is_length(spec: ModelSpec, path: Path) -> bool:
-    """Return whether a path is that of the offset of a named coordinate that is a length."""
-    if path[1] != "coordinates" or path[-1] != "offset":
-        return False
-    mechanism, name = spec.mechanism(), str(path[2])
-    return name in mechanism.coordinates and QuantityNames(mechanism).coordinate(name).unit == "m"
-
-
-def tables_in_degrees(spec: RunSpec) -> Iterator[str]:
-    """Yield a warning for each driver of an angle whose table of radians is probably meant in degrees."""
-    for name, driver in spec.mechanism().joints.items():
-        if not isinstance(driver, Driver) or driver.coordinate != "angle" or not isinstance(driver.motion, Table):
-            continue
-        yield from _column_in_degrees(f"the table of driver '{name}'", driver.motion.table[1])
-
-
-def _column_in_degrees(what: str, angles: Sequence[float]) -> Iterator[str]:
-    """Yield a warning if a column of a table in radians is probably meant in degrees; `what` names the column."""
-    values = np.array(angles)
-    largest = float(np.max(np.abs(values), initial=0.0))
-    if largest > 2.0 * math.pi and np.array_equal(np.round(values, TABLE_DIGITS), values):
-        yield (
-            f"{what} reaches {largest:g} rad, which is more than a full rotation; if degrees are intended, convert its "
-            f"values to radians, otherwise give them with more decimals"
-        )
-
-
-_SCALARS = (int, float, str)
-
-
-def _angles(
-    value: object, path: Path, *, is_angle: bool = False
-) -> Iterator[tuple[Path, float | str | Sequence[float]]]:
-    """Yield the key path and the number or text of each option of a model that is an angle in radians.
-
-    Of a table with two columns, only the first contains angles; it is yielded as a whole. Lists of angles of at most
-    one turn are left out.
-    """
-    if isinstance(value, _SCALARS):  # compared first, because tests for abstract classes are slow
-        if is_angle:
-            yield path, value
-    elif isinstance(value, list | tuple):
-        if is_angle and len(value) == 2 and all(isinstance(column, list | tuple) for column in value):
-            yield (*path, 0), value[0]
-        elif not _is_flat(value) or (is_angle and any(abs(one) > 2.0 * math.pi for one in value)):
-            for index, item in enumerate(value):
-                yield from _angles(item, (*path, index), is_angle=is_angle)
-    elif isinstance(value, BaseModel):
-        is_length = (isinstance(value, Driver) and value.coordinate != "angle") or (
-            isinstance(value, Law) and value.pathway.length_unit != "rad"
-        )
-        for name, is_angular in _fields(type(value)):
-            item = getattr(value, name)
-            if not is_angular and (item is None or isinstance(item, _SCALARS)):
-                continue
-            in_radians = is_angular and not is_length
-            yield from _angles(item, (*path, name), is_angle=in_radians)
-    elif isinstance(value, Mapping):
-        for name, item in value.items():
-            yield from _angles(item, (*path, name), is_angle=is_angle)
-
-
-def _is_flat(values: Sequence[object]) -> bool:
-    """Return whether a sequence consists of floats."""
-    return all(type(value) is float for value in values)
-
-
-@lru_cache(maxsize=256)
-def _fields(model: type[BaseModel]) -> tuple[tuple[str, bool], ...]:
-    """Return the names of the fields of a model, and whether their unit is the radian."""
-    return tuple((name, _ANGLE.search(description(model, name)) is not None) for name in model.model_fields)
 
 
 def _long_step(spec: RunSpec) -> Iterator[str]:

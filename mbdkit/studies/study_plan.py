@@ -12,8 +12,8 @@ from mbdkit.base.errors import SpecError
 from mbdkit.base.plain_data import Path, path_text
 from mbdkit.base.text import without_numbers
 from mbdkit.measures.take import Description, describe, has_error, is_taken
+from mbdkit.runs.angles_in_degrees import angles_in_degrees
 from mbdkit.runs.preparation import caution
-from mbdkit.runs.warnings import angles_in_degrees
 from mbdkit.spec import RunSpec
 from mbdkit.spec.reading import parse_key
 from mbdkit.spec.sample_section import typical_values

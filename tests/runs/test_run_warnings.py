@@ -85,6 +85,16 @@ DRIVER = {"type": "driver", "bodies": ["ground", "rod"], "coordinate": "angle"}
             "the table of driver 'D' reaches 90 rad, which is more than a full rotation; if degrees are intended",
         ),
         ({"parameters": {"tilt": 90}, "model__joints__D": {**DRIVER, "motion": "tilt"}}, "write degrees(tilt)"),
+        ({"model__joints__D": {**DRIVER, "motion": "45*sin(2*t)"}}, "driver 'D', 45*sin(2*t), swings by 90 rad"),
+        ({"model__joints__D": {**DRIVER, "motion": "1 + 5*(1 - cos(2*pi*t))"}}, "swings by 10 rad"),
+        (
+            {"parameters": {"a": 30, "w": "2*pi"}, "model__joints__D": {**DRIVER, "motion": "t + a*sin(w*t)"}},
+            "driver 'D', t + a*sin(w*t), swings by 60 rad",
+        ),
+        (
+            {"model__joints__D": {**DRIVER, "motion": "90*(3*(t/0.1)**2 - 2*(t/0.1)**3)"}},
+            "90 rad, which is more than a full rotation; if its angles are in degrees, write them as in degrees(45)",
+        ),
         (
             {"model__forces__s": {**TABLE, "table": [[-30, 0, 30], [-900, 0, 400]]}},
             "the column of angles at model.forces.s.table[0] reaches 30 rad",
@@ -141,6 +151,28 @@ def test_a_value_that_is_probably_not_meant_is_told_with_its_key(values: dict[st
 )
 def test_a_value_that_may_be_meant_is_not_told(values: dict[str, Any]) -> None:
     assert warnings_of(**values) == ()
+
+
+@pytest.mark.parametrize(
+    ("motion", "parameters"),
+    [
+        pytest.param("turns*sin(t)", {"turns": "4.3*pi"}, id="parameter"),
+        pytest.param("6.4*pi*sin(t)", {}, id="pi"),
+        pytest.param("degrees(45)*sin(t)", {}, id="degrees"),
+        pytest.param("12.566370614359172*sin(3*t)", {}, id="converted by a script"),
+        pytest.param("3*sin(2*t) + 6*t", {}, id="less than a rotation"),
+        pytest.param("300*t + 0.2*sin(300*t)", {}, id="fluctuating speed"),
+        pytest.param("500*t**2", {}, id="constant acceleration"),
+        pytest.param("1000*t - 5000*t**2", {}, id="braking to rest"),
+        pytest.param("90*(t + 0.01*exp(-t/0.01))", {}, id="start-up"),
+        pytest.param("asin(0.9*sin(9*t))", {}, id="nested"),
+        pytest.param("1000*(3*(t/0.1)**2 - 2*(t/0.1)**3)", {}, id="a run-up and stop of a motor"),
+        pytest.param("20*tanh(t)*min(t, 1)", {}, id="no sine"),
+        pytest.param("+".join(["0.001*t"] * 1000), {}, id="long sum"),
+    ],
+)
+def test_motions_that_may_be_in_radians_are_not_told(motion: str, parameters: dict[str, Any]) -> None:
+    assert warnings_of(parameters=parameters, model__joints__D={**DRIVER, "motion": motion}) == ()
 
 
 TRIANGLE = {"polygon": [[0, 0], [3, 0], [0, 1]]}
