@@ -184,10 +184,18 @@ def suspicious_columns(measured: Measured, length: float, *, no_pose: bool) -> l
     worst = int(np.argmax(ranges))
     if not ranges[worst] > ODD_RANGE * np.median(ranges):
         return []
-    usual = f"{np.median(ranges):.3g}, the median of the columns"
+    among = "; for this, lengths are divided by the longest link" if len(set(measured.quantities.is_angle)) > 1 else ""
+    times = f"{ranges[worst] / np.median(ranges):.3g} times the median range of the columns{among}"
     return [
-        f"column of {measured.names[worst]}: its range, {ranges[worst]:.3g} longest links or rad, is far above {usual}"
+        f"column of {measured.names[worst]}: its range of {_size(measured, worst, ranges[worst], length)} is {times}"
     ]
+
+
+def _size(measured: Measured, index: int, size: float, length: float) -> str:
+    """Return a size of values of a column, which is in rad or a share of the longest link `length`, with its unit."""
+    if measured.quantities.is_angle[index]:
+        return f"{size:.3g} rad"
+    return f"{size * length:.3g} m ({size:.3g} times the longest link)"
 
 
 def _of_times(measured: Measured) -> Iterator[Doubt]:
@@ -374,17 +382,19 @@ def _units(measured: Measured, index: int, name: str, length: float) -> Iterator
 def _fit(result: Inverse) -> Iterator[Doubt]:
     """Yield a doubt if the mechanism fits the data poorly, always or for some time."""
     measured, residual = result.fitted.measured, result.fitted.residual
-    size = (
-        np.where(measured.quantities.is_angle, 1.0, result.problem.fitter.manifold.length) * measured.quantities.scale
-    )
+    length = result.problem.fitter.manifold.length
+    size = np.where(measured.quantities.is_angle, 1.0, length) * measured.quantities.scale
     share = np.abs(residual) / size
     rms = np.sqrt(np.nanmean(share**2, axis=0))
     if np.any(rms > RESIDUAL):
-        worst = [measured.names[index] for index in np.argsort(-rms) if rms[index] > RESIDUAL][:4]
+        large = [index for index in np.argsort(-rms) if rms[index] > RESIDUAL][:4]
+        worst, first = [measured.names[index] for index in large], large[0]
+        limit = f"{RESIDUAL:g} {'rad' if measured.quantities.is_angle[first] else 'times the longest link'}"
         yield Doubt(
             "fit",
-            f"the mechanism does not fit the data: the root mean square residual of {worst[0]} is {rms.max():.2g} rad "
-            f"or longest links (doubtful above {RESIDUAL:g}); columns with large residuals: {listed(worst, 'and')}. "
+            f"the mechanism does not fit the data: the root mean square residual of {worst[0]} is "
+            f"{_size(measured, first, rms[first], length)} (doubtful above {limit}); columns with large residuals: "
+            f"{listed(worst, 'and')}. "
             "Likely causes: exchanged or mirrored columns, wrong units, another frame, or wrong lengths.",
         )
         return
