@@ -10,6 +10,7 @@ import typer
 
 from mbdkit.base.progress_bars import tally_bar
 from mbdkit.base.terminal import STOPPED_EARLY, say, show, show_json, silence
+from mbdkit.base.text import listed
 from mbdkit.cli.common_options import (
     Cluster,
     Printing,
@@ -126,9 +127,15 @@ def _show(result: Design, folder: Path, deviations: list[Deviation], page: Path 
     with suppress(MbdkitError), runs_of(result, folder) as pairs:  # archives may have been removed
         for cost in costs(pairs)[:LOADS_SHOWN]:
             show(f"elsewhere: {cost.text()}")
-        for warning in dict.fromkeys(text for pair in pairs.values() for text in pair["best"].warnings):
+        told: dict[str, list[str]] = {}
+        for scenario, pair in pairs.items():
+            for warning in pair["best"].warnings:
+                told.setdefault(warning, []).append(scenario)
+        for warning, scenarios in told.items():
             if warning not in summary:
-                show(f"warning: {warning}")
+                names = f"{'scenario' if len(scenarios) == 1 else 'scenarios'} {listed(scenarios, 'and')}"
+                where = "" if len(scenarios) == len(pairs) else f"{names}: "
+                show(f"warning: {where}{warning}")
     if deviations:
         show(robustness_text(result.spec, deviations))
     show(f"folder: {folder}{'' if page is None else f', report: {page}'}")

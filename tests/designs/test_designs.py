@@ -193,13 +193,16 @@ def test_the_command_writes_a_folder_once(tmp_path: Path, monkeypatch: pytest.Mo
 def test_limits_that_cannot_be_met_are_told_by_the_exit_status(tmp_path: Path) -> None:
     given = pendulum(**{"model.angle": {"bounds": [0.0, 0.1]}})
     given["subject_to"] = {"height": {"value": "final(rod1.y)", "min": 10.0}}
+    base = given.pop("base")
+    given["scenarios"] = {"plain": {"base": base}, "spare": {"base": base | {"parameters": {"T": 1.0}}}}
     file = tmp_path / "high.json"
     file.write_text(json.dumps(given), encoding="utf-8")
     done = CliRunner().invoke(app, ["design", str(file), "-o", str(tmp_path / "high")], prog_name="mbdkit")
     assert done.exit_code == 3
     assert "No point that satisfies all limits was found" in done.stdout
-    assert "violates them least: height is" in done.stdout
+    assert "violates them least: height in plain is" in done.stdout
     assert " below its limit of 10" in done.stdout
+    assert "warning: scenario spare: the parameter at parameters.T is not used" in done.stdout
 
 
 def test_a_design_names_an_initial_velocity_that_assembly_changes(tmp_path: Path) -> None:
