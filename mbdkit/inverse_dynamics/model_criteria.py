@@ -13,7 +13,13 @@ from mbdkit.archive.run_summary import PULLING
 from mbdkit.inverse_dynamics.column_criteria import Doubt
 from mbdkit.inverse_dynamics.compute import Inverse, recorded_states
 from mbdkit.inverse_dynamics.recruited import Recruited
-from mbdkit.mechanism.improbable_values import improbable_beams, improbable_lengths, improbable_radii
+from mbdkit.mechanism.improbable_values import (
+    improbable_beams,
+    improbable_bodies,
+    improbable_lengths,
+    improbable_people,
+    improbable_radii,
+)
 from mbdkit.mechanism.mechanism import Mechanism
 from mbdkit.runs.angles_in_degrees import angles_in_degrees
 from mbdkit.runs.coarse_beams import CoarseBeams
@@ -58,19 +64,21 @@ def model_doubts(result: Inverse) -> Iterator[Doubt]:
 
 
 def spec_doubts(spec: InverseSpec) -> Iterator[Doubt]:
-    """Yield a doubt for each angle of the model that is probably in degrees, and those of `mechanism_doubts`."""
-    for sentence in angles_in_degrees(spec):
+    """Yield a doubt for each angle of the model that is probably in degrees, for a body height and a body mass that no
+    person has, and those of `mechanism_doubts`.
+    """
+    for sentence in chain(angles_in_degrees(spec), improbable_people(spec.model)):
         yield Doubt("units", f"{sentence}.")
     yield from mechanism_doubts(spec.mechanism())
 
 
 def mechanism_doubts(mechanism: Mechanism) -> Iterator[Doubt]:
-    """Yield a doubt for each inertia, quantity of a beam, free length and optimal length that seems to have another
-    unit, and for effects that the mechanism lacks.
+    """Yield a doubt for each inertia, quantity of a beam, free length, optimal length and size of a body that seems to
+    have another unit, and for effects that the mechanism lacks.
     """
     for sentence in improbable_radii(mechanism):
         yield Doubt("inertia", f"{sentence}.")
-    for sentence in chain(improbable_beams(mechanism), improbable_lengths(mechanism)):
+    for sentence in chain(improbable_beams(mechanism), improbable_lengths(mechanism), improbable_bodies(mechanism)):
         yield Doubt("units", f"{sentence}.")
     for sentence in mechanism.left_out:
         yield Doubt("left-out", f"{sentence}.")

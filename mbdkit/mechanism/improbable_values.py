@@ -5,7 +5,10 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Sequence
 
+from pydantic import BaseModel
+
 from mbdkit.base.plain_data import quoted
+from mbdkit.base.text import listed
 from mbdkit.mechanism.beams import Beam, parts_of
 from mbdkit.mechanism.bodies import GROUND
 from mbdkit.mechanism.contacts import Contact
@@ -73,6 +76,16 @@ LARGE = 10.0
 In all packaged examples, optimal lengths are at most 0.21 sizes.
 """
 
+OUTSIZE = 300.0
+"""A body is improbable if its joints are this many times as far from its centre of mass as any point of the other
+bodies from theirs, or as their radii of gyration and the lengths of beams.
+
+A length in mm is too large by a factor of 1000. In all packaged examples, the ratio is at most 10.
+"""
+
+HEIGHTS, MASSES = (0.3, 3.0), (2.0, 400.0)
+"""Body heights [m] and body masses [kg] of people outside these ranges are improbable."""
+
 
 def improbable_inertias(mechanism: Mechanism) -> Iterator[str]:
     """Yield a sentence without a full stop for each body whose inertia is too large for the mechanism.
@@ -111,11 +124,53 @@ def _too_wide(mechanism: Mechanism, share: float) -> Iterator[str]:
         if radius > limits[name] * size > 0:
             body = mechanism.bodies[name]
             key = f"model.bodies.{quoted(name)}.inertia" if mechanism.name == "mechanism" else f"model, body {name}"
+            fits = [unit for unit, factor in (("cm", 1e-2), ("mm", 1e-3)) if factor * radius <= limits[name] * size]
+            proposals = listed([f"`{body.inertia:g} kg*{unit}^2`" for unit in fits or ["mm"]], "or")
             yield (
                 f"the inertia of {body.inertia:g} kg m^2 at {key} is that of its mass of {body.mass:g} kg at a "
                 f"distance of {radius:.3g} m, but the mechanism has a size of {size:.3g} m; if it is in "
-                f"another unit, write it with the unit, for example `{body.inertia:g} kg*mm^2`"
+                f"another unit, write it with the unit, for example {proposals}"
             )
+
+
+def improbable_bodies(mechanism: Mechanism) -> Iterator[str]:
+    """Yield a sentence without a full stop if a body is too large for the others; the limit is `OUTSIZE`."""
+    reach = dict.fromkeys(mechanism.bodies, 0.0)
+    for joint in mechanism.joints.values():
+        for _, name, point in joint.attachments():
+            if name != GROUND:
+                reach[name] = max(reach[name], math.hypot(*point))
+    if len(reach) < 2:
+        return
+    (second, _), (largest, name) = sorted((length, name) for name, length in reach.items())[-2:]
+    if not largest > OUTSIZE * second:
+        return  # before the size of all other elements is computed
+    sizes = [beam.length for beam in mechanism.beams.values()]
+    sizes += [math.sqrt((body.inertia or 0.0) / body.mass) for other, body in mechanism.bodies.items() if other != name]
+    sizes += [math.hypot(*point) for other, point in _points(mechanism) if other not in (name, GROUND)]
+    if largest > OUTSIZE * max(sizes) > 0.0:
+        place = f" at model.bodies.{quoted(name)}" if mechanism.name == "mechanism" else ""
+        yield (
+            f"the joints of body '{name}'{place} are up to {largest:.3g} m away from its centre of mass, but no other "
+            f"body is larger than {max(sizes):.2g} m; if a length is in mm, write it with the unit, for example "
+            f"`80 mm`"
+        )
+
+
+def improbable_people(model: BaseModel) -> Iterator[str]:
+    """Yield a sentence without a full stop for a body height and a body mass that no person has.
+
+    Models of people have the options `height` [m] and `body_mass` [kg].
+    """
+    height, mass = getattr(model, "height", None), getattr(model, "body_mass", None)
+    if height is None or mass is None:
+        return
+    if not HEIGHTS[0] <= height <= HEIGHTS[1]:
+        advice = f"; if it is in cm, write `{height:g} cm`" if height > HEIGHTS[1] else ""
+        yield f"the body height of {height:g} m at model.height is that of no person{advice}"
+    if not MASSES[0] <= mass <= MASSES[1]:
+        advice = f"; if it is in g, write `{mass:g} g`" if mass > MASSES[1] else ""
+        yield f"the body mass of {mass:g} kg at model.body_mass is that of no person{advice}"
 
 
 def _size_if_below(mechanism: Mechanism, limit: float) -> float:
@@ -124,7 +179,7 @@ def _size_if_below(mechanism: Mechanism, limit: float) -> float:
     """
     centres = [body.position for body in mechanism.bodies.values()]
     least = _extent(centres) if centres else 0.0
-    return least if limit <= least else _extent([*centres, *_points(mechanism)])
+    return least if limit <= least else _extent([*centres, *(mechanism.to_global(*one) for one in _points(mechanism))])
 
 
 def _extent(points: Sequence[tuple[float, float]]) -> float:
@@ -132,8 +187,8 @@ def _extent(points: Sequence[tuple[float, float]]) -> float:
     return float(max(max(x) - min(x) for x in zip(*points, strict=True)))
 
 
-def _points(mechanism: Mechanism) -> Iterator[tuple[float, float]]:
-    """Yield the global positions of the points of all elements at the start.
+def _points(mechanism: Mechanism) -> Iterator[tuple[str, tuple[float, float]]]:
+    """Yield the bodies of the points of all elements, and the points in the frames of these bodies.
 
     They include the corners of squares around the circles of contacts, but not the shapes of the ground, whose extent
     says nothing about the bodies.
@@ -142,14 +197,14 @@ def _points(mechanism: Mechanism) -> Iterator[tuple[float, float]]:
         for element in elements.values():
             if not isinstance(element, Contact):
                 for _, name, point in element.attachments():
-                    yield mechanism.to_global(name, point)
+                    yield name, point
                 continue
             for _, _, name, shape in element.by_body:
                 round_shape = shape.circle or shape.hole
                 radius = 0.0 if round_shape is None else round_shape.radius
                 for _, (x, y) in shape.points() if name != GROUND else ():
                     for side in (-radius, radius):
-                        yield mechanism.to_global(name, (x + side, y + side))
+                        yield name, (x + side, y + side)
 
 
 def improbable_frictions(mechanism: Mechanism) -> Iterator[str]:

@@ -8,16 +8,16 @@ import math
 import re
 from collections.abc import Iterator, Sequence
 
-import numpy as np
-
 from mbdkit.base.text import counted, did_you_mean, listed
 from mbdkit.engine.assembly import AssembledState
 from mbdkit.mechanism.beams import written_key
 from mbdkit.mechanism.improbable_values import (
     improbable_beams,
+    improbable_bodies,
     improbable_frictions,
     improbable_inertias,
     improbable_lengths,
+    improbable_people,
     rolling_point_masses,
 )
 from mbdkit.mechanism.law_element import Law
@@ -179,6 +179,8 @@ def _improbable(spec: RunSpec) -> Iterator[str]:
     yield from rolling_point_masses(spec.mechanism())
     yield from improbable_beams(spec.mechanism())
     yield from improbable_lengths(spec.mechanism())
+    yield from improbable_bodies(spec.mechanism())
+    yield from improbable_people(spec.model)
 
 
 def _long_step(spec: RunSpec) -> Iterator[str]:

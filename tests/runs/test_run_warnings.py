@@ -13,6 +13,7 @@ import mbdkit
 from mbdkit.base.errors import SpecError
 from mbdkit.mechanism.improbable_values import (
     improbable_beams,
+    improbable_bodies,
     improbable_frictions,
     improbable_inertias,
     improbable_lengths,
@@ -100,6 +101,7 @@ DRIVER = {"type": "driver", "bodies": ["ground", "rod"], "coordinate": "angle"}
             "the column of angles at model.forces.s.table[0] reaches 30 rad",
         ),
         ({"model__bodies__rod__inertia": 3920}, "the inertia of 3920 kg m^2 at model.bodies.rod.inertia"),
+        ({"model__bodies__rod__inertia": 9e5}, "for example `900000 kg*mm^2`"),
         (
             {"model__joints__A__friction": {"coefficient": 30, "radius": 0.01}},
             "the coefficient of friction of 30 at model.joints.A.friction is above 5; if it is in percent, write 0.3",
@@ -112,6 +114,9 @@ DRIVER = {"type": "driver", "bodies": ["ground", "rod"], "coordinate": "angle"}
             {"model__muscles__m": {**MUSCLE, "optimal_length": 60}},
             "the optimal length of 60 m at model.muscles.m.optimal_length is improbable: at the start, the mechanism",
         ),
+        ({"model": {"name": "four-bar-knee", "height": 178}}, "if it is in cm, write `178 cm`"),
+        ({"model": {"name": "leg", "body_mass": 75000}}, "the body mass of 75000 kg at model.body_mass is that of no"),
+        ({"model__bodies__rod__inertia": 144}, "for example `144 kg*cm^2` or `144 kg*mm^2`"),
         ({"time__step": 1.0}, "the step of 1 s at time.step is longer than the run of 0.1 s"),
         ({"parameters": {"crank": 1, "crnk": 2}, "model__bodies__rod__mass": "crank"}, "parameters.crnk is not used"),
     ],
@@ -225,6 +230,30 @@ def test_friction_that_cannot_turn_a_disc_without_inertia_is_told(
     told = list(rolling_point_masses(m))
     assert len(told) == count
     assert all("the friction of contact 'floor' does not turn its circle of 0.1 m" in text for text in told)
+
+
+@pytest.mark.parametrize(
+    ("length", "crank", "slider_inertia", "told"),
+    [
+        pytest.param(250.0, 0.08, 1e-4, "body 'rod' at model.bodies.rod are up to 125 m away", id="m for mm"),
+        pytest.param(20.0, 0.08, 1e-4, "", id="long rod"),
+        pytest.param(250.0, 0.08, 1.0, "", id="large slider"),
+        pytest.param(250.0, 0.0, None, "", id="points on a rope"),
+    ],
+)
+def test_a_body_much_larger_than_all_others_is_told(
+    length: float, crank: float, slider_inertia: float | None, told: str
+) -> None:
+    m = mbdkit.Mechanism()
+    m.body("crank", mass=1.0, inertia=1e-4 if crank else None, position=(crank / 2, 0))
+    m.body("rod", mass=1.0, inertia=length**2 / 12, position=(crank + length / 2, 0))
+    m.body("slider", mass=1.0, inertia=slider_inertia, position=(crank + length, 0))
+    m.revolute("A", m.ground, "crank", points=((0, 0), (-crank / 2, 0)))
+    m.revolute("B", "crank", "rod", points=((crank / 2, 0), (-length / 2, 0)))
+    m.revolute("C", "rod", "slider", points=((length / 2, 0), (0, 0)))
+    found = [*improbable_bodies(m)]
+    assert len(found) == bool(told)
+    assert all(told in text for text in found)
 
 
 SECTION = {"A": 1e-4, "I": 2.1e-10}
