@@ -163,7 +163,10 @@ class Report:
         return f"not verified: no check of the group {self.missing} could be run; {counts}"
 
     def text(self) -> str:
-        """Return the report as a table with causes and measured values, followed by the causes of several failures."""
+        """Return the report as a table with causes and measured values, followed by the causes of several failures.
+
+        Exceptions of the plugin that caused several failures come first.
+        """
         shared = self._shared_causes()
         told_below = {result.name for results in shared.values() for result in results}
         rows = [("CHECK", "OUTCOME", "")]
@@ -171,9 +174,12 @@ class Report:
         head = f"{self.id} {self.version} ({self.kind})"
         if self.options:
             head += " with " + listed(f"{key} = {value}" for key, value in self.options.items())
-        parts = [table(rows, indent="  "), *(_paragraph(cause, results) for cause, results in shared.items())]
+        raised = sorted(filter(_RAISED.search, shared), key=lambda cause: -len(shared[cause]))
+        others = [cause for cause in shared if cause not in raised]
+        told = {cause: _paragraph(cause, results) for cause, results in shared.items()}
+        parts = [*(told[cause] for cause in raised), *([table(rows, indent="  ")] if len(rows) > 1 else [])]
         verdict = f"{self.verdict(names=not shared)}, in {self.seconds:.0f} s"
-        return "\n\n".join([head, *(parts if len(rows) > 1 else parts[1:]), verdict])
+        return "\n\n".join([head, *parts, *(told[cause] for cause in others), verdict])
 
     def _shared_causes(self) -> dict[str, list[Result]]:
         """Return the causes that several checks have in common, at least one of which failed, with their results."""

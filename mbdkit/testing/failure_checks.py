@@ -10,7 +10,7 @@ from pydantic import ValidationError
 
 from mbdkit.archive.layout import REASONS
 from mbdkit.archive.run import Run
-from mbdkit.base.errors import MbdkitError, SpecError, StepError
+from mbdkit.base.errors import MbdkitError, PluginError, SpecError, StepError
 from mbdkit.engine.equations_of_motion import EquationsOfMotion
 from mbdkit.methods.kinds import StepMethod, StepState
 from mbdkit.testing.check import Skip, check
@@ -121,6 +121,8 @@ def impossible_tolerance(integrator: IntegratorUnderTest) -> Result:
         except (SpecError, ValidationError):
             outcomes.append("refused")
             continue
+        except PluginError as error:
+            return failed(f"with {name} = {value:g} {str(error).rstrip('.')}")
         with run:
             if fault := _fault(run):
                 return failed(f"with {name} = {value:g} {fault}")

@@ -117,8 +117,17 @@ class IntegratorUnderTest:
         """Run a model in memory, and return the run even if it failed.
 
         An interrupt raises KeyboardInterrupt, unless `progress` is given; a check may interrupt the run by `progress`.
+
+        Raises
+        ------
+        PluginError
+            If the integrator raised an exception other than StepError; no check then gives another reason.
         """
         run = simulate(self.spec(model, time, **sections), progress=progress)
+        code, _, sentence = run.status_reason.partition(": ")
+        if code == "plugin-error":
+            run.close()
+            raise PluginError(sentence)
         if run.status == "interrupted" and progress is None:
             run.close()
             raise KeyboardInterrupt

@@ -10,6 +10,7 @@ import pytest
 import mbdkit
 from mbdkit.base.errors import with_place
 from mbdkit.registry.manager import registry
+from mbdkit.runs.simulation import simulate
 from mbdkit.testing import Report, Result, checks_of, verify
 from mbdkit.testing.drift_checks import CHECKS as DRIFT
 from mbdkit.testing.kit import plugin_under_test
@@ -92,7 +93,7 @@ def test_an_exception_of_a_method_is_told_with_its_line_and_chained() -> None:
     under_test = plugin_under_test("integrator", "mine", {}, installed)
     lines, first = inspect.getsourcelines(corpus.Raises)
     line = first + next(i for i, text in enumerate(lines) if "raise LookupError" in text)
-    with under_test.run({"name": "double-pendulum"}, {"end": 0.1, "step": 0.01}) as run:
+    with simulate(under_test.spec({"name": "double-pendulum"}, {"end": 0.1, "step": 0.01})) as run:
         assert run.status_reason == (
             "plugin-error: integrator acme:mine raised LookupError: no table for this step "
             f"({corpus.__file__}, line {line})."
@@ -100,6 +101,14 @@ def test_an_exception_of_a_method_is_told_with_its_line_and_chained() -> None:
         with pytest.raises(mbdkit.RunError) as caught:
             run.check()
     assert isinstance(caught.value.__cause__, LookupError)
+
+
+def test_an_exception_in_a_step_is_told_first_and_is_the_cause_of_all_failures() -> None:
+    installed = corpus.offer_method(corpus.Raises, order=4, needs=("accelerations",))
+    report = verify("integrator", "acme:mine", installed=installed, quick=True)
+    text = report.text()
+    assert text.index("the plugin raised LookupError: no table for this step") < text.index("CHECK  ")
+    assert {one.name: one.cause for one in report.of("fail") if "LookupError" not in one.cause} == {}
 
 
 def test_an_exception_without_a_plugin_has_no_place() -> None:
