@@ -13,7 +13,7 @@ from mbdkit.base.plain_data import Path, parse_path, path_text
 from mbdkit.base.text import did_you_mean, listed
 from mbdkit.mechanism.parameters import ParameterValues
 from mbdkit.mechanism.unit_of_use import unit_of_use
-from mbdkit.spec.key_words import key_unit, key_words
+from mbdkit.spec.key_words import key_unit, key_words, keys_ending_in
 from mbdkit.spec.model_spec import ModelSpec
 
 MOST = 12
@@ -120,7 +120,9 @@ def _slider(spec: ModelSpec, data: Any, path: Path) -> Slider:
         try:
             holder = holder[int(part) if isinstance(holder, list) else part]
         except (KeyError, IndexError, TypeError, ValueError):
-            hint = did_you_mean(str(part), known) or f"; there are {listed(known)}"
+            keys = list(keys_ending_in(str(part), data["model"])) if len(path) == 1 else []
+            hint = f" (did you mean '{keys[0]}'?)" if keys else ""
+            hint = hint or did_you_mean(str(part), known) or f"; there are {listed(known)}"
             raise SpecError(f"the spec has no number '{path_text(path)}'{hint}") from None
     if isinstance(holder, bool) or not isinstance(holder, int | float):
         raise SpecError(f"'{path_text(path)}' is not a number of the spec")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Mapping
 from typing import Unpack
 
@@ -18,6 +19,7 @@ from mbdkit.runs.run_in_memory import run_in_memory
 from mbdkit.runs.simulation import simulate
 from mbdkit.spec import RunSpec, load_spec
 from mbdkit.spec.design_spec import variable_path
+from mbdkit.spec.key_words import keys_ending_in
 from mbdkit.spec.loading import RunSource, Sections
 from mbdkit.spec.varied_specs import VariedSpecs
 
@@ -114,11 +116,10 @@ class PreparedRun:
         path = variable_path(name)
         if path[:1] == ("parameters",) and path[1:] not in [(one,) for one in self.spec.parameters]:
             known = list(self.spec.parameters)
+            keys = list(keys_ending_in(name, json.loads(self.spec.canonical_json())["model"]))
             hint = did_you_mean(name, known) or (f"; parameters: {listed(known)}" if known else "")
-            raise SpecError(
-                f"the spec has no parameter '{name}'{hint}; numbers of the model have keys, such as model.mass",
-                key="parameters",
-            )
+            hint += f"; numbers of the model have dotted keys{f', such as {keys[0]}' if keys else ''}"
+            raise SpecError(f"the spec has no parameter '{name}'{hint}", key="parameters")
         return path
 
 

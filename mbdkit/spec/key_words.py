@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from typing import Any
 
 from pydantic import BaseModel
 
 from mbdkit.base.errors import MbdkitError
-from mbdkit.base.plain_data import Path
+from mbdkit.base.plain_data import Path, path_text
 from mbdkit.base.strict_model import description
 from mbdkit.base.units import described_units
 from mbdkit.mechanism.bodies import Element
@@ -108,3 +108,12 @@ def _field(holder: BaseModel, key: str) -> tuple[str, str]:
     fields = type(holder).model_fields
     name = {field.alias: name for name, field in fields.items()}.get(key, key)
     return name, description(type(holder), name)
+
+
+def keys_ending_in(name: str, holder: Any, path: Path = ("model",)) -> Iterator[str]:
+    """Yield the dotted keys in plain data, which is at `path`, whose last part is `name`."""
+    items = holder.items() if isinstance(holder, dict) else enumerate(holder) if isinstance(holder, list) else ()
+    for part, value in items:
+        if part == name:
+            yield path_text((*path, part))
+        yield from keys_ending_in(name, value, (*path, part))

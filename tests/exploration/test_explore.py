@@ -118,8 +118,7 @@ def test_motion_and_forces_follow_a_slider_in_two_browsers(knee: Exploration) ->
             assert page.inner_text("#headlines dd") != shown
         assert page.inner_text("#headlines") != before
         assert page.evaluate("document.getElementById('stage').toDataURL()") != drawn
-        first = page.locator("input").first
-        assert first.get_attribute("aria-label") == "body mass [kg]"
+        assert page.get_by_label("body mass [kg]", exact=True).get_attribute("data-key") == "model.body_mass"
         assert float(page.inner_text("#sliders output >> nth=0")) == posted[-1]["model.body_mass"]  # all digits
         assert "body_mass: 1" in page.evaluate("document.getElementById('spec').textContent")
         assert pages[1][0].inner_text("#headlines") == before  # the other window has sliders of its own

@@ -86,7 +86,7 @@ def test_a_start_with_given_values_closes_all_joints_and_is_that_of_the_spec_of_
 @pytest.mark.parametrize(
     ("parameters", "initial", "message"),
     [
-        ({"mass": 2.0}, {}, "the spec has no parameter 'mass'; numbers of the model have keys"),
+        ({"mass": 2.0}, {}, "the spec has no parameter 'mass'; numbers of the model have dotted keys"),
         ({"model.mases.0": 2.0}, {}, "did you mean 'masses'"),
         ({"model.masses.0": -1.0}, {}, "should be greater than 0"),
         ({}, {"rod9.angle": 1.0}, "no quantity 'rod9.angle'"),
