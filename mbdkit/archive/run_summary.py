@@ -21,7 +21,7 @@ from mbdkit.archive.headlines import (
     largest_torques,
     plus_minus,
 )
-from mbdkit.archive.inverse_summary import inverse_lines
+from mbdkit.archive.inverse_summary import inverse_lines, times_of_unknown_errors
 from mbdkit.archive.peak_errors import missed_between_rows, peak_errors
 from mbdkit.base.errors import MbdkitError
 from mbdkit.base.text import counted, shown
@@ -126,7 +126,8 @@ def without_suspicion(run: Run) -> str:
     estimated = run.verdict == "good" or (run.kind == "inverse" and run.accuracy is not None)
     if not estimated:
         return NOTHING_SUSPICIOUS
-    excluded = excluded_error(run)
+    unknown = f"those {times}" if run.kind == "inverse" and (times := times_of_unknown_errors(run)) else ""
+    excluded = " and ".join(filter(None, (excluded_error(run), unknown)))
     return f"errors estimated{f', except {excluded}; ' if excluded else ', '}nothing suspicious seen"
 
 

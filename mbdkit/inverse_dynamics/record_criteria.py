@@ -17,6 +17,9 @@ from mbdkit.spec.inverse_sections import QuinticSpline
 OF_ENDS = 0.1
 """A largest value is doubtful if the part of its error bar due to the ends of the record exceeds this share of it."""
 
+OF_GAPS = 0.1
+"""An element is doubtful if a long gap may hide a change of its value of more than this share of its largest value."""
+
 
 class _Peak(NamedTuple):
     """The largest value of an actuator or a joint.
@@ -31,6 +34,9 @@ class _Peak(NamedTuple):
         Part of its error bar due to the ends of the record.
     reached
         (T,) values that the data do not exclude where the error is unknown; otherwise, the values.
+    hidden
+        (T,) changes that long gaps may hide where the error is unknown; otherwise, 0. They are infinite without error
+        bars.
     """
 
     label: str
@@ -39,13 +45,20 @@ class _Peak(NamedTuple):
     row: int
     of_ends: float
     reached: np.ndarray
+    hidden: np.ndarray
 
     def told(self, time: np.ndarray) -> str:
         return f"{self.label} ({self.value:.4g} {self.unit} at t = {time[self.row]:.6g} s)"
 
+    def wrong_by(self, rows: np.ndarray) -> str:
+        most = float(np.max(self.hidden[rows]))
+        return f"{self.label} (by up to {most:.2g} {self.unit})" if np.isfinite(most) else self.label
+
 
 def record_doubts(result: Inverse, bars: ErrorBars | None) -> Iterator[Doubt]:
-    """Yield doubts about largest values of actuators and joint forces that lie in long gaps or near the ends."""
+    """Yield doubts about actuators and joint forces whose values in long gaps, or largest values near the ends, are
+    uncertain.
+    """
     time, peaks = result.motion.time, _peaks(result, bars)
     for (start, end), gap in told_gaps(result, long_gaps(result)).items():
         rows = (time > start) & (time < end)
@@ -56,6 +69,13 @@ def record_doubts(result: Inverse, bars: ErrorBars | None) -> Iterator[Doubt]:
                 f"the data do not determine the largest values of {_some([one.told(time) for one in open_peaks])}, "
                 f"because of {gap}: its values are interpolated, and larger ones are possible. Fill it with measured "
                 "values, or cut the motion with `time.start` or `time.end`.",
+            )
+        elif wrong := [one for one in peaks if np.any(one.hidden[rows] > OF_GAPS * one.value)]:
+            yield Doubt(
+                "gaps",
+                f"errors are unknown because of {gap}: values of {_some([one.wrong_by(rows) for one in wrong])} may be "
+                f"wrong there (doubtful above {OF_GAPS:g} of the largest value). Do not use values in the gap, or fill "
+                "it with measured values.",
             )
     for at_start in (True, False):
         near = [one for one in peaks if one.of_ends > OF_ENDS * one.value and (one.row < len(time) // 2) == at_start]
@@ -86,17 +106,20 @@ def _peaks(result: Inverse, bars: ErrorBars | None) -> list[_Peak]:
     of_ends = np.zeros_like(values)
     if bars is None:
         reached = values.copy()
+        hidden = np.zeros_like(values)
         for gap in long_gaps(result):  # what the gap may hide is not estimated
             reached[gap.rows] = np.nextafter(values[gap.rows], np.inf)
+            hidden[gap.rows] = np.inf
     else:
         of_ends, of_gaps = np.hstack(bars.of_ends), np.hstack(bars.of_gaps)
         unknown = np.isnan(np.hstack([bars.actuators, bars.accuracy.reaction_error]))
-        reached = np.where(unknown, values + of_gaps, values)
+        hidden = np.where(unknown, of_gaps, 0.0)
+        reached = values + hidden
     rows, found = np.argmax(values, axis=0).tolist(), []
     for column, ((label, unit), row) in enumerate(zip(named, rows, strict=True)):
         if unit and values[row, column] > 0:
             value, end = float(values[row, column]), float(of_ends[row, column])
-            found.append(_Peak(label, value, unit, row, end, reached[:, column]))
+            found.append(_Peak(label, value, unit, row, end, reached[:, column], hidden[:, column]))
     return found
 
 

@@ -383,6 +383,14 @@ def torque_unit(one: DataSet, random: np.random.Generator) -> bool | None:
     return True if one.loads else None
 
 
+def neighbouring_body(one: DataSet, random: np.random.Generator) -> bool | None:
+    """Loads on the neighbour of their body, as on a shank in place of its foot."""
+    bodies = list(one.drawn.poses)
+    for load in one.loads.values():
+        load["body"] = load["body"].replace("foot", "shank") if one.is_free else bodies[-2:][0]
+    return True if one.loads and len(bodies) > 1 else None
+
+
 def low_cutoff(one: DataSet, random: np.random.Generator) -> bool | None:
     """A cutoff of 0.3 to 0.6 times the highest frequency of the motion."""
     smooth = one.motion["smooth"]
@@ -417,6 +425,7 @@ FAULTS: dict[str, Fault] = {
         inertia_unit,
         torque_unit,
         low_cutoff,
+        neighbouring_body,
     )
 }
 

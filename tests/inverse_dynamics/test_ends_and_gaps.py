@@ -142,6 +142,22 @@ def test_errors_in_a_long_gap_are_unknown_and_a_peak_there_is_doubted(monkeypatc
     assert not any("the largest values of hip (" in one for one in run.verdict_reasons)
 
 
+@pytest.mark.parametrize(("swing_size", "verdict"), [(0.3, "doubtful"), (0.03, "unknown")])
+def test_values_in_a_long_gap_between_peaks_are_doubted_if_they_may_change_much(
+    swing_size: float, verdict: str
+) -> None:
+    # torque and force are largest at 0.21 and 1.79 s, where the acceleration is largest, and smallest at 1 s
+    angle = 1.57 + swing_size * np.cos(4 * (TIME - 1.0))
+    run = measured(angle, np.random.default_rng(5), slice(93, 108), 1e-5, {})
+    told = run.summary().splitlines()[0]
+    assert run.verdict == verdict
+    if verdict == "doubtful":
+        assert "gaps: errors are unknown because of the gap of hip.angle from 0.92 to 1.08 s, whose" in told
+        assert "values of hip (by up to " in told
+    else:
+        assert "unknown: errors estimated, except those from t = 0.78 to 1.2" in told
+
+
 def test_bars_at_the_ends_of_a_quintic_spline_cover_the_truth_for_nearly_exact_data() -> None:
     columns = {"hip.angle": {"column": "hip", "deviation": 1e-9}}
     near, covered = np.r_[0:5, 196:201], []
