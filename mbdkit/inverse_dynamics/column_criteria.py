@@ -11,6 +11,7 @@ import numpy as np
 
 from mbdkit.base.text import listed, shown
 from mbdkit.inverse_dynamics.compute import Inverse
+from mbdkit.inverse_dynamics.exchanged_markers import exchanged_markers
 from mbdkit.inverse_dynamics.marker_distances import far_apart, unlike_distances
 from mbdkit.inverse_dynamics.measured import Measured
 from mbdkit.spec.inverse_sections import Criterion, NoSmoothing, QuinticSpline
@@ -181,11 +182,12 @@ def suspicious_columns(measured: Measured, length: float, *, no_pose: bool) -> l
         return doubts
     scale = np.where(measured.quantities.is_angle, 1.0, length) * measured.quantities.scale
     ranges = np.ptp(measured.values, axis=0) / np.abs(scale)
-    worst = int(np.argmax(ranges))
-    if not ranges[worst] > ODD_RANGE * np.median(ranges):
+    axes = [getattr(one, "axis", None) for one in measured.quantities.quantities]
+    usual = np.array([np.median([size for size, own in zip(ranges, axes, strict=True) if own == one]) for one in axes])
+    worst = int(np.argmax(ranges / np.maximum(usual, np.finfo(float).tiny)))
+    if not ranges[worst] > ODD_RANGE * usual[worst]:
         return []
-    among = "; for this, lengths are divided by the longest link" if len(set(measured.quantities.is_angle)) > 1 else ""
-    times = f"{ranges[worst] / np.median(ranges):.3g} times the median range of the columns{among}"
+    times = f"{ranges[worst] / usual[worst]:.3g} times the median range of the columns along the same axis"
     return [
         f"column of {measured.names[worst]}: its range of {_size(measured, worst, ranges[worst], length)} is {times}"
     ]
@@ -394,8 +396,12 @@ def _fit(result: Inverse) -> Iterator[Doubt]:
             "fit",
             f"the mechanism does not fit the data: the root mean square residual of {worst[0]} is "
             f"{_size(measured, first, rms[first], length)} (doubtful above {limit}); columns with large residuals: "
-            f"{listed(worst, 'and')}. "
-            "Likely causes: exchanged or mirrored columns, wrong units, another frame, or wrong lengths.",
+            f"{listed(worst, 'and')}; "
+            + _cause_of_misfit(
+                result,
+                share,
+                "likely causes: exchanged or mirrored columns, wrong units, another frame, or wrong lengths.",
+            ),
         )
         return
     usual = np.maximum(SUDDEN * TO_DEVIATION * np.nanmedian(share, axis=0), LEAST_SUDDEN)
@@ -406,8 +412,15 @@ def _fit(result: Inverse) -> Iterator[Doubt]:
             "fit",
             f"the mechanism does not fit {len(rows)} rows between t = {measured.time[rows[0]]:.6g} and "
             f"{measured.time[rows[-1]]:.6g} s, with residuals above {SUDDEN:g} times the usual ones, of "
-            f"{listed(columns, 'and')}: exchanged markers or outliers.",
+            f"{listed(columns, 'and')}: " + _cause_of_misfit(result, share, "exchanged markers or outliers."),
         )
+
+
+def _cause_of_misfit(result: Inverse, share: np.ndarray, otherwise: str) -> str:
+    """Return a sentence on two markers that are probably exchanged where residuals `share` (T, K) are largest."""
+    row = int(np.argmax(np.nansum(share**2, axis=1)))
+    told = exchanged_markers(result.problem.fitter, result.fitted.measured, row, result.fitted.q[row])
+    return f"{told}." if told else otherwise
 
 
 def _noise(result: Inverse) -> Iterator[Doubt]:

@@ -73,7 +73,17 @@ class Target:
 
 
 class FitError(RunError):
-    """No pose of the mechanism fits the data."""
+    """No pose of the mechanism fits the data.
+
+    Attributes
+    ----------
+    time
+        Time of the frame without a pose [s].
+    """
+
+    def __init__(self, message: str, time: float = np.nan):
+        super().__init__(message)
+        self.time = time
 
 
 class Fitter:
@@ -167,7 +177,8 @@ class Fitter:
                 return q
         raise FitError(
             f"the mechanism cannot be fitted to the motion at t = {target.time[active[0]]:.6g} s: the iteration does "
-            "not converge; the measured values may belong to another configuration, or to a singular position"
+            "not converge; the measured values may belong to another configuration, or to a singular position",
+            float(target.time[active[0]]),
         )
 
     def _step(self, target: Target, q: np.ndarray) -> np.ndarray:
@@ -181,7 +192,8 @@ class Fitter:
         except np.linalg.LinAlgError:
             raise FitError(
                 f"the mechanism is in a singular position near t = {target.time[0]:.6g} s, where the motion that fits "
-                "the data is not unique"
+                "the data is not unique",
+                float(target.time[0]),
             ) from None
         size = self._size(step)
         shortened: np.ndarray = step * np.minimum(1.0, LONGEST / np.maximum(size, LONGEST))[:, None]

@@ -11,6 +11,8 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from mbdkit.archive.part_file import check_target
 from mbdkit.archive.reader import load
 from mbdkit.archive.run import Run
@@ -21,6 +23,7 @@ from mbdkit.inverse_dynamics.column_criteria import suspicious_columns
 from mbdkit.inverse_dynamics.compute import InverseProblem, compute
 from mbdkit.inverse_dynamics.data_verdict import doubts_about_data
 from mbdkit.inverse_dynamics.error_bars import error_bars
+from mbdkit.inverse_dynamics.exchanged_markers import exchanged_markers
 from mbdkit.inverse_dynamics.fit import FitError
 from mbdkit.inverse_dynamics.measure_samples import errors_of_measures
 from mbdkit.inverse_dynamics.record import archive_of
@@ -97,9 +100,16 @@ def causes_named(problem: InverseProblem) -> Iterator[None]:
         yield
     except RunError as error:
         length, no_pose = problem.fitter.manifold.length, isinstance(error, FitError)
-        suspicious = suspicious_columns(problem.measured, length, no_pose=no_pose)
+        exchanged = _exchanged(problem, error.time) if isinstance(error, FitError) else None
+        suspicious = [exchanged] if exchanged else suspicious_columns(problem.measured, length, no_pose=no_pose)
         angles = angles_in_degrees(problem.spec)
         raise RunError("; ".join([str(error), *[*angles, *suspicious][:MOST_NAMED]])) from error
+
+
+def _exchanged(problem: InverseProblem, time: float) -> str | None:
+    """Return a clause that names two markers that are probably exchanged at a time without a pose."""
+    row = int(np.argmin(np.abs(problem.measured.time - time)))
+    return exchanged_markers(problem.fitter, problem.measured, row, problem.prepared.equations.q0)
 
 
 def compute_run(spec: InverseSpec, *, path: Path | None = None, overwrite: bool = False) -> Run:

@@ -73,14 +73,18 @@ def far_apart(measured: Measured, length: float) -> str | None:
     )
 
 
-def _markers(measured: Measured) -> dict[Point, tuple[str, np.ndarray]]:
-    """Return the name and the measured positions (T, 2) of each marker whose x and y are measured."""
+def marker_columns(measured: Measured) -> dict[Point, list[int]]:
+    """Return the columns of x and y of each marker whose x and y are measured."""
     columns: dict[Point, dict[int, int]] = {}
     for index, quantity in enumerate(measured.quantities.quantities):
         if isinstance(quantity, MarkerCoordinate):
             columns.setdefault(quantity.point, {})[quantity.axis] = index
+    return {point: [axes[0], axes[1]] for point, axes in columns.items() if len(axes) == 2}
+
+
+def _markers(measured: Measured) -> dict[Point, tuple[str, np.ndarray]]:
+    """Return the name and the measured positions (T, 2) of each marker whose x and y are measured."""
     return {
-        point: (measured.names[axes[0]].removesuffix(".x"), measured.values[:, [axes[0], axes[1]]])
-        for point, axes in columns.items()
-        if len(axes) == 2
+        point: (measured.names[columns[0]].removesuffix(".x"), measured.values[:, columns])
+        for point, columns in marker_columns(measured).items()
     }

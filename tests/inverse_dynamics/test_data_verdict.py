@@ -25,6 +25,7 @@ ANGLES = {
     "knee_flexion": 0.6 - 0.5 * np.cos(4 * T) + NOISE[1],
     "ankle_dorsiflexion": 0.2 * np.sin(5 * T) + NOISE[2],
 }
+PARTS = {"x": "real", "y": "imag"}
 SMOOTH = {"name": "butterworth", "cutoff": 6.0}
 
 
@@ -103,7 +104,7 @@ def test_milliseconds_without_a_unit_are_doubted_until_the_unit_is_given() -> No
         ),
         (
             lambda x: 3.5 * x,
-            r"toe.x: its range of \S+ m \(\S+ times the longest link\) is \S+ times the median range of the columns$",
+            r"toe.x: its range of \S+ m \(\S+ times the longest link\) is \S+ times the median range of the columns along the same axis$",
         ),
     ],
 )
@@ -126,6 +127,37 @@ def test_the_refusal_of_a_fit_names_the_suspicious_column(
     spec = {"mbdkit": 1, "model": m.to_spec(), "motion": {"data": {"time": t, **data}, "smooth": "quintic"}}
     with pytest.raises(mbdkit.RunError, match=cause):
         mbdkit.inverse(spec)
+
+
+@pytest.mark.parametrize(
+    ("exchanged", "bodies"),
+    [pytest.param(("heel", "toe"), "foot", id="one-body"), pytest.param(("knee", "toe"), "shank and foot", id="two")],
+)
+def test_exchanged_markers_are_named(exchanged: tuple[str, str], bodies: str) -> None:
+    # a shank that hangs from a knee at the origin, and its foot, from their geometry
+    m = mbdkit.Mechanism()
+    m.body("shank", mass=3.0, inertia=0.05, position=(0.0, -0.2), angle=-np.pi / 2)
+    m.body("foot", mass=1.0, inertia=0.004, position=(0.06, -0.44))
+    m.revolute("knee_joint", m.ground, "shank", at=(0.0, 0.0))
+    m.revolute("ankle", "shank", "foot", at=(0.0, -0.4))
+    for name, body, point in (("knee", "shank", (-0.2, 0.0)), ("tibia", "shank", (0.0, 0.05))):
+        m.marker(name, body, point=point)
+    for name, point in (("heel", (-0.1, 0.0)), ("toe", (0.15, 0.0))):
+        m.marker(name, "foot", point=point)
+    shank, foot = np.exp(1j * (0.3 * np.sin(3 * T) - np.pi / 2)), np.exp(0.2j * np.cos(3 * T))
+    middle = 0.4 * shank + (0.06 - 0.04j) * foot
+    places = {"knee": 0 * T, "tibia": (0.2 + 0.05j) * shank, "heel": middle - 0.1 * foot, "toe": middle + 0.15 * foot}
+    one, other = exchanged
+    places[one], places[other] = places[other], places[one]
+    data = {f"{name}.{axis}": getattr(at, part) for name, at in places.items() for axis, part in PARTS.items()}
+    motion = {"data": {"time": T, **data}, "smooth": "quintic", "errors": "none"}
+    try:
+        spec = {"mbdkit": 1, "model": m.to_spec(), "motion": motion, "unbalanced": "report"}
+        said = mbdkit.inverse(spec).verdict_reasons
+    except mbdkit.RunError as error:
+        said = [str(error)]
+    sentence = f"markers {one} and {other} of {bodies} are probably exchanged: with the columns of the other one, the"
+    assert any(sentence in one for one in said), said
 
 
 @pytest.mark.parametrize("second_body", [pytest.param("rod", id="one-body"), pytest.param("other", id="two-bodies")])
