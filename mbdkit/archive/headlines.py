@@ -99,7 +99,7 @@ def excluded_error(run: Run) -> str:
     return MESH_ERROR if has_beams else ""
 
 
-def plus_minus(value: float, error: float, sign: str = "+-") -> str:
+def plus_minus(value: float, error: float, sign: str = "+-", digits: int = MOST_DIGITS) -> str:
     """Return a value and its error as text, such as ``368.2 +- 0.3``.
 
     The value is rounded to the place of the error's first digit. If the error is 10 or more and the value is printed
@@ -113,17 +113,19 @@ def plus_minus(value: float, error: float, sign: str = "+-") -> str:
         The value and its error, in the same unit; an error that is nan is unknown.
     sign
         Sign between the value and the error.
+    digits
+        Largest number of significant digits of the value.
     """
     if not (math.isfinite(value) and math.isfinite(error)):
         return f"{value:.4g} (error unknown)"
     if error <= 0:
-        return f"{value:.{MOST_DIGITS}g} {sign} 0"
+        return f"{value:.{digits}g} {sign} 0"
     of_error = math.floor(math.log10(error))
     own = math.floor(math.log10(abs(value))) if value else of_error
     first = max(own, of_error)
     if not SMALLEST_PLACE <= first <= LARGEST_PLACE:
-        return f"{value:.{min(first - of_error, MOST_DIGITS - 1)}e} {sign} {error:.2g}"
-    last = max(min(own, of_error), first - MOST_DIGITS + 1)
+        return f"{value:.{min(first - of_error, digits - 1)}e} {sign} {error:.2g}"
+    last = max(min(own, of_error), first - digits + 1)
     last -= of_error > 0 or last > 0
     error_text = f"{round(error, 1 - of_error):.0f}" if of_error > 0 else f"{error:.2g}"
     return f"{round(value, -last):.{max(0, -last)}f} {sign} {error_text}"

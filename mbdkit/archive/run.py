@@ -299,9 +299,9 @@ class Run(HtmlView):
     def gradients(self) -> Mapping[str, Mapping[str, Any]]:
         """Derivatives of measures with respect to the parameters that the spec lists under `gradients`.
 
-        The keys are the names of the measures. Each entry has its ``unit``, the ``derivatives`` by name of the
-        parameter, and a ``check`` by differences of runs. If there are no derivatives, it has a ``reason`` instead. The
-        mapping is empty if the spec has no `gradients`.
+        The keys are the names of the measures. Each entry has its ``unit``, the ``derivatives`` and their estimated
+        ``errors`` by name of the parameter, and a ``check`` by differences of runs. If there are no derivatives, it has
+        a ``reason`` instead. The mapping is empty if the spec has no `gradients`.
         """
         return self._contents.gradients()
 

@@ -449,8 +449,11 @@ def _gradients(run: Run) -> list[tuple[str, str]]:
     lines: list[tuple[str, str]] = []
     for name, gradient in run.gradients.items():
         texts = [gradient["reason"]] if "reason" in gradient else []
+        errors = gradient.get("errors", {})
         for parameter, value in gradient.get("derivatives", {}).items():
-            texts.append(f"by {parameter}: {'undefined' if value is None else f'{value:.6g}'}")
+            error = errors.get(parameter)
+            text = "undefined" if value is None else plus_minus(value, math.nan if error is None else error)
+            texts.append(f"by {parameter}: {text}")
         lines += [("" if lines or i else "gradients", f"{name} {text}") for i, text in enumerate(texts)]
     doubts = dict.fromkeys(doubt for one in run.gradients.values() for doubt in one.get("doubts", ()))
     return [*lines, *(("", doubt) for doubt in doubts)]

@@ -15,7 +15,7 @@ from mbdkit.base.plain_data import path_text
 from mbdkit.base.text import counted, told_apart
 from mbdkit.gradients.differentiated_expressions import definitions_of
 from mbdkit.gradients.gradient import Gradient, gradient_of_run_spec
-from mbdkit.gradients.gradient_check import GradientCheck
+from mbdkit.gradients.gradient_check import GradientCheck, inaccurate_entries
 from mbdkit.gradients.gradient_parameters import resolved
 from mbdkit.inverse_dynamics.inverse_gradient import gradient_of_inverse
 from mbdkit.spec import RunSpec
@@ -54,7 +54,7 @@ def differences(evaluator: Evaluator, x: np.ndarray) -> np.ndarray:
 
 
 def unconfirmed(evaluator: Evaluator, x: np.ndarray) -> tuple[str, ...]:
-    """Return a sentence for each goal or limit whose exact derivatives at a point disagree with differences of runs.
+    """Return a sentence for each goal or limit whose derivatives at a point fail their check.
 
     A frequent cause is a one-sided force law that begins to act exactly at a frame of a measured motion.
     """
@@ -70,19 +70,14 @@ def unconfirmed(evaluator: Evaluator, x: np.ndarray) -> tuple[str, ...]:
 
 
 def _disagreement(check: GradientCheck, m: int) -> str:
-    """Return what contradicts the derivative of a goal or limit: differences of runs, or a run of another method."""
-    name, exact, by_differences, other = (
-        check.names[m], check.derivative[m], check.extrapolated[m], check.reference[m]
-    )  # fmt: skip
-    if abs(exact - other) > abs(exact - by_differences):
-        return (
-            f"The derivative of {name} at the best point differs from that of runs of another method, "
-            f"{' and '.join(told_apart(exact, other, 4))} in a random direction: the steps may be too long, or {name} "
-            "may not be smooth there."
-        )
+    """Return a sentence that says why the check of the derivative of a goal or limit failed."""
+    name = check.names[m]
+    if check.is_like_steps[m]:
+        return f"At the best point, {inaccurate_entries(check, m)}, unless {name} is not smooth there."
+    exact, by_differences = told_apart(check.derivative[m], check.extrapolated[m], 4)
     return (
-        f"The derivative of {name} at the best point is not confirmed by differences, "
-        f"{' and '.join(told_apart(exact, by_differences, 4))} in a random direction: {name} may not be smooth there."
+        f"The derivative of {name} at the best point is not confirmed by differences, {exact} and {by_differences} in "
+        f"a random direction: {name} may not be smooth there."
     )
 
 

@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from mbdkit.archive.headlines import plus_minus
 from mbdkit.base.errors import MbdkitError, RunError, SpecError
 from mbdkit.base.html_view import HtmlView
 from mbdkit.base.one_thread import one_thread_of_linear_algebra
@@ -25,6 +26,7 @@ from mbdkit.gradients.differentiated_expressions import (
 from mbdkit.gradients.differentiated_run import DifferentiatedRun, Needs, differentiated_run, plain_run, refuse
 from mbdkit.gradients.differentiated_states import require_derivative
 from mbdkit.gradients.gradient_check import (
+    DIGITS,
     NATURAL,
     Direction,
     GradientCheck,
@@ -37,22 +39,18 @@ from mbdkit.gradients.gradient_parameters import Names, Parameter, read_names, r
 from mbdkit.gradients.measured_derivatives import MeasureOfRun, needs_of
 from mbdkit.gradients.parameter_differences import PreparedDerivatives
 from mbdkit.gradients.prepared_derivatives import prepared_derivatives
+from mbdkit.gradients.reference import Reference
 from mbdkit.gradients.start_doubts import start_doubts
 from mbdkit.measures.measure_expression import MeasureExpression
 from mbdkit.measures.natural_size import natural_scales, natural_size
 from mbdkit.methods.kinds import Method
-from mbdkit.runs.accuracy.compared_measures import other_methods
-from mbdkit.runs.preparation import build, caution, make_method
-from mbdkit.runs.simulation import measured_in
+from mbdkit.runs.preparation import build, caution
 from mbdkit.runs.warnings import doubts as questions
 from mbdkit.runs.warnings import start_warnings
 from mbdkit.spec import RunSpec, load_spec
 from mbdkit.spec.loading import RunSource
 from mbdkit.spec.varied_specs import VariedSpecs
 from mbdkit.stepping.dual_run import NO_SEEDS
-
-REFERENCE_STEPS = 2_000
-"""Assumed number of steps of a run, from which the step limit of the other method in a check is computed."""
 
 
 @dataclass(frozen=True)
@@ -77,7 +75,8 @@ class Gradient(HtmlView):
         largest of two equal peaks, about parameters that are initial values which assembly changes, and about checks
         that fail.
     check
-        Comparison of the gradient in one direction with differences of runs; None if it was not requested.
+        Comparison of the gradient with differences of runs and with the gradient of another method; None if it was not
+        requested.
     """
 
     measures: tuple[str, ...]
@@ -89,23 +88,39 @@ class Gradient(HtmlView):
     doubts: tuple[str, ...]
     check: GradientCheck | None
 
+    @property
+    def error(self) -> np.ndarray:
+        """(M, K) estimated errors of `jacobian`; nan where unknown, as without check.
+
+        They are distances from the derivatives of the exact motion, and include the discretization error.
+        """
+        return np.full(self.jacobian.shape, np.nan) if self.check is None else self.check.entry_error
+
+    def texts(self, measure: str, sign: str = "+-") -> list[str]:
+        """Return the derivatives of a measure as text, with their errors and as many digits as these justify."""
+        m = self.measures.index(measure)
+        if self.check is None:
+            return [f"{x:.{DIGITS}g}" for x in self.jacobian[m]]
+        return [plus_minus(x, e, sign, DIGITS) for x, e in zip(self.jacobian[m], self.error[m], strict=True)]
+
     def __getitem__(self, key: tuple[str, str]) -> float:
         measure, parameter = key
         return float(self.jacobian[self.measures.index(measure), self.parameters.index(parameter)])
 
     def described(self, measure: str) -> dict[str, Any]:
-        """Return unit, derivatives by name of the parameter, doubts if there are any, and check of one measure as
-        plain data. Numbers that are not finite become None.
+        """Return unit, derivatives and their errors by name of the parameter, doubts if there are any, and check of one
+        measure as plain data. Numbers that are not finite become None.
         """
         m = self.measures.index(measure)
         found: dict[str, Any] = {
             "unit": self.units[m],
-            "derivatives": {one: _finite(x) for one, x in zip(self.parameters, self.jacobian[m].tolist(), strict=True)},
+            "derivatives": dict(zip(self.parameters, map(_finite, self.jacobian[m]), strict=True)),
         }
         if self.doubts:
             found["doubts"] = list(self.doubts)
         if self.check is not None:
             check = self.check
+            found["errors"] = dict(zip(self.parameters, map(_finite, self.error[m]), strict=True))
             found["check"] = {
                 "derivative": _finite(check.derivative[m]),
                 "differences": [_finite(x) for x in check.differences[:, m]],
@@ -118,11 +133,12 @@ class Gradient(HtmlView):
 
     def __str__(self) -> str:
         lines = []
-        for m, (name, unit) in enumerate(zip(self.measures, self.units, strict=True)):
-            lines.append(f"{name} = {self.value[m]:.12g} {unit}".rstrip())
+        for name, unit, value in zip(self.measures, self.units, self.value, strict=True):
+            lines.append(f"{name} = {value:.12g} {unit}".rstrip())
             width = max(map(len, self.parameters))
             lines += [
-                f"  by {one:{width}}  {x: .10g}" for one, x in zip(self.parameters, self.jacobian[m], strict=True)
+                f"  by {one:{width}}  {'' if text.startswith('-') else ' '}{text}"
+                for one, text in zip(self.parameters, self.texts(name), strict=True)
             ]
         lines += self.doubts
         if self.check is not None:
@@ -162,7 +178,8 @@ def gradient(
     parameters
         With `names`, the section `parameters` of the spec, as in `mbdkit.run`. Without `names`, the names.
     check
-        Whether to check the gradient in one direction by differences of four runs, and of two runs by another method.
+        Whether to check the gradient, and to estimate the errors of its entries, by up to eight runs and a gradient by
+        another method.
     **sections
         Sections of the spec, such as ``time={"end": 1.0, "step": 0.01}``; they replace those of `source`.
 
@@ -262,48 +279,9 @@ def gradient_of_run_spec(
 
     if not check:
         return gradient_of_run(run, expressions, parameters, prepared, None)
-    reference = _Reference(spec, [text for text, _ in definitions.values()])
-
-    def by_another(settings: Settings) -> list[float]:
-        factors = [one.unit.factor for one in expressions.values()]
-        return [value / factor for value, factor in zip(reference.values(specs.spec(settings)), factors, strict=True)]
-
-    return gradient_of_run(run, expressions, parameters, prepared, measured, by_another)
-
-
-class _Reference:
-    """Measures of runs with small errors, computed by another method than that of a spec.
-
-    Parameters
-    ----------
-    spec
-        The spec. The same method is used for runs with other parameters.
-    expressions
-        The measures.
-    """
-
-    def __init__(self, spec: RunSpec, expressions: Sequence[str]):
-        self._expressions = expressions
-        self._method = make_method(spec)
-        self._chosen: int | None = None
-
-    def values(self, spec: RunSpec) -> Sequence[float]:
-        """Return the measures of a run in SI units; nan if no method reaches the end of the run."""
-        interval = _recorded_interval(spec)  # `at` may interpolate between recorded states
-        others = other_methods(spec, self._method, build(spec)[0], REFERENCE_STEPS, interval)
-        for place in range(len(others)) if self._chosen is None else [self._chosen]:
-            found = measured_in(self._expressions, others[place])
-            if found is not None:
-                self._chosen = place
-                return found
-        return [math.nan] * len(self._expressions)
-
-
-def _recorded_interval(spec: RunSpec) -> float | None:
-    """Return the interval of the recorded states of a run [s]; None if it depends on the step sizes."""
-    if spec.output.interval is not None or spec.time.step is None:
-        return spec.output.interval
-    return spec.time.step * (spec.output.every or 1)
+    step = spec.time.step or float(np.mean(run.sizes if run.sizes is not None else np.diff(run.rows.time)))
+    reference = Reference(spec, definitions, prepared, needs, step)
+    return gradient_of_run(run, expressions, parameters, prepared, measured, reference)
 
 
 def gradient_of_run(
@@ -312,7 +290,7 @@ def gradient_of_run(
     parameters: Sequence[Parameter],
     prepared: PreparedDerivatives,
     measured: Measured | None,
-    reference: Measured | None = None,
+    reference: Reference | None = None,
 ) -> Gradient:
     """Return the gradient of measures of a differentiated run.
 
@@ -327,7 +305,7 @@ def gradient_of_run(
     measured
         Function that returns the measures for other values of the parameters, for the check; None for no check.
     reference
-        Function that returns the measures by another method with small errors; None if there is none.
+        The measures by another, more accurate method; None if the computation has no steps.
     """
     values, slopes, sizes = [], [], {}
     doubts = list(run.doubts)
@@ -346,12 +324,9 @@ def gradient_of_run(
     check = None
     if measured is not None:
         direction = Direction.random(parameters, prepared)
-        check = check_gradient(direction, measured, sizes, value, jacobian, reference)
-        smooth = [
-            all(part.is_of_stages or (part.is_value and not part.has_switches) for part in one.functionals)
-            for one in expressions.values()
-        ]
-        doubts += check_doubts(check, smooth)
+        by_another = (None, None) if reference is None else (reference.values, reference.jacobian)
+        check = check_gradient(direction, measured, sizes, value, jacobian, *by_another)
+        doubts += check_doubts(check)
     return Gradient(
         tuple(expressions),
         tuple(expression.unit.text for expression in expressions.values()),

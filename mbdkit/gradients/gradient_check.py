@@ -1,7 +1,9 @@
-"""The check of a gradient: its derivative in one direction, compared with differences of runs at two distances.
+"""The check of a gradient, and the errors of its entries, the derivatives of one measure with respect to one parameter.
 
-Runs with the same steps reveal errors of the differentiation. Runs by another method with small errors, which do not
-have the same discretization error, show how far the derivative is from that of the exact motion.
+The derivative in one direction is compared with differences of runs at two distances. Runs with the same steps reveal
+errors of the differentiation. The gradient of a run by another, more accurate method, which does not have the same
+discretization error, shows how far each entry is from that of the exact motion. Differences of runs by the other method
+show in turn whether that gradient is right.
 
 Where a law or an extremum changes its form inside a step, the time of the change is differentiated along the motion
 between the ends of steps, not along that of the steps. The derivative then differs from the limit of the differences by
@@ -16,11 +18,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import compress
 
 import numpy as np
 
+from mbdkit.archive.headlines import plus_minus
 from mbdkit.base.plain_data import Path
-from mbdkit.base.text import told_apart
+from mbdkit.base.text import counted, listed, told_apart
 from mbdkit.gradients.gradient_parameters import Parameter
 from mbdkit.gradients.parameter_differences import PreparedDerivatives
 
@@ -63,20 +67,22 @@ SCATTER = 3.0
 The changes of runs that pass discontinuities of laws with adaptive steps are irregular: the errors of their measures
 depend on where steps fail. Measured at two links with a cable that goes slack twice.
 """
+SUSPECT = 5e-7
+"""Deviations of the other method's differences from its gradient above this share of the sum of terms, plus the
+estimated error of the differences, cause runs at twice the distance.
+"""
 UNSURE = 1e-4
 """Largest error of the other method's differences, and largest discretization error, for which deviations are excused,
 as a share of the sum of terms.
 """
 
-LARGEST_DISCRETIZATION = 1e-2
-"""Largest accepted difference from the derivative of the exact motion, as a share of the sum of the terms of the
-derivative.
-"""
+LARGEST_ERROR = 1e-2
+"""Largest accepted error of an entry, as a share of the entry."""
 
-NOTED = (5e-7, 5e-5)
-"""Differences from the derivative of the exact motion above these shares of the sum of the terms are noted.
+NEGLIGIBLE = 1e-6
+"""Largest error of an entry that is always accepted, as a share of the size of the measure.
 
-The first applies to smooth measures, the second to measures whose form changes inside steps.
+The error is that of the change of the measure if the parameter changes by its own size.
 """
 
 Settings = Sequence[tuple[Path, float]]
@@ -85,10 +91,16 @@ Settings = Sequence[tuple[Path, float]]
 Measured = Callable[[Settings], Sequence[float]]
 """Function that returns the measures of a run with these values; nan if the run stops early."""
 
+DIGITS = 10
+"""Largest number of printed digits of an entry."""
+
+MOST_NAMED = 3
+"""Largest number of parameters that a doubt about a measure names."""
+
 
 @dataclass(frozen=True)
 class GradientCheck:
-    """A gradient checked in one direction.
+    """A gradient checked in one direction, with the errors of its entries.
 
     Attributes
     ----------
@@ -108,14 +120,20 @@ class GradientCheck:
         (M,) the derivatives by differences of runs of another method with small errors; nan if no such run is complete.
     agrees
         (M,) whether the derivative agrees with the differences within their estimated error, the discretization error
-        and some tolerance, and with those of the other method within 1 %; true for measures without a derivative.
+        and some tolerance, and whether all entries are accurate; true for measures without a derivative.
     names
         Names of the measures.
-    reference_error
-        (M,) estimated errors of `reference`.
     terms
         (M,) sums of the magnitudes of the terms of the derivative, one term for each parameter: the scale with which
-        deviations are compared.
+        deviations in the direction are compared.
+    entry
+        (M, K) the entries of the gradient.
+    entry_error
+        (M, K) their estimated errors; nan if unknown.
+    is_accurate
+        (M, K) whether the error of the entry is at most 1 % of the entry or negligible; true if the error is unknown.
+    parameters
+        Names of the parameters.
     """
 
     direction: np.ndarray
@@ -127,12 +145,15 @@ class GradientCheck:
     agrees: np.ndarray
     names: tuple[str, ...]
     reference: np.ndarray
-    reference_error: np.ndarray
     terms: np.ndarray
+    entry: np.ndarray
+    entry_error: np.ndarray
+    is_accurate: np.ndarray
+    parameters: tuple[str, ...]
 
     @property
     def is_passed(self) -> bool:
-        """Whether all measures agree."""
+        """Whether the check has succeeded for all measures: see `agrees`."""
         return bool(np.all(self.agrees))
 
     @property
@@ -152,14 +173,15 @@ class GradientCheck:
         return (
             f"{name}: the derivative in a random direction, {self.derivative[m]:.10g}, {verb} differences of runs, "
             f"{self.extrapolated[m]:.10g} (estimated error {self.error[m]:.1g}; at the two distances "
-            f"{self.differences[0, m]:.10g} and {self.differences[1, m]:.10g}){self._reference(m)}"
+            f"{self.differences[0, m]:.10g} and {self.differences[1, m]:.10g}){self._others(m)}"
         )
 
-    def _reference(self, m: int) -> str:
-        if np.isnan(self.reference[m]):
-            return ""
-        verb = "gives" if self.agrees[m] or not self.is_like_steps[m] else "DISAGREES and gives"
-        return f"; another method {verb} {self.reference[m]:.10g}"
+    def _others(self, m: int) -> str:
+        """Return the derivative of a measure by another method, and its inaccurate entries, as text."""
+        by_another = "" if np.isnan(self.reference[m]) else f"; another method gives {self.reference[m]:.10g}"
+        if self.is_accurate[m].all():
+            return by_another
+        return f"{by_another}; INACCURATE with respect to {listed(compress(self.parameters, ~self.is_accurate[m]))}"
 
 
 @dataclass(frozen=True)
@@ -219,10 +241,9 @@ def check_gradient(
     value: np.ndarray,
     jacobian: np.ndarray,
     reference: Measured | None = None,
+    reference_jacobian: Callable[[], np.ndarray] | None = None,
 ) -> GradientCheck:
-    """Check a gradient by four runs with the same steps, and two or three runs by another method.
-
-    If the latter differ from the gradient, runs at twice their distance show how exact they are.
+    """Check a gradient by four runs with the same steps, and by two to four runs and the gradient of another method.
 
     Parameters
     ----------
@@ -232,31 +253,63 @@ def check_gradient(
         Magnitudes of the numbers from which the measures are computed, by name of the measure.
     value, jacobian
         (M,) the measures, and (M, K) their gradients.
-    reference
-        Function that returns the measures by another method with small errors; None if there is none.
+    reference, reference_jacobian
+        Functions that return the measures by another, more accurate method, and then their gradients (M, K), nan where
+        unknown; None if the computation has no discretization error.
     """
     differences = direction.differences(measured, value)
     ratio = (STEPS[1] / STEPS[0]) ** 2
     extrapolated = (ratio * differences[0] - differences[1]) / (ratio - 1.0)
     derivative = jacobian @ direction.change
-    error = np.abs(extrapolated - differences[0]) + ROUND_OFF * np.array([*sizes.values()]) / STEPS[0]
+    size = np.array([*sizes.values()])
+    error = np.abs(extrapolated - differences[0]) + ROUND_OFF * size / STEPS[0]
     terms = np.sum(np.abs(jacobian * direction.change), axis=1)
-    other, other_error = np.full(len(derivative), np.nan), np.zeros(len(derivative))
+    other, unexplained, witness = np.full(len(derivative), np.nan), np.abs(derivative - extrapolated) + error, jacobian
     if reference is not None:
         correction = _correction(extrapolated - differences[0])
         other = direction.of_reference(reference) + correction  # the error of the differences is removed
-        other_error = _reference_error(correction, sizes)
-        if np.any(np.abs(derivative - other) > NOTED[0] * terms + other_error):
-            wider = direction.of_reference(reference, 2.0 * REFERENCE_STEP) + 4.0 * correction
-            scatter = np.nan_to_num(SCATTER * np.abs(wider - other))
-            other_error = other_error + np.minimum(scatter, UNSURE * terms)
-    agrees = _is_like_steps(derivative, extrapolated, error, terms, other)
-    allowed = LARGEST_DISCRETIZATION * terms + other_error
-    agrees &= (np.abs(derivative - other) <= allowed) | np.isnan(other)
+        if reference_jacobian is not None:
+            found = reference_jacobian()
+            witness = np.where(np.isnan(found), jacobian, found)  # errors then follow from the direction alone
+        unexplained = _unexplained(direction, reference, witness, other, correction, size)
+    entry_error = np.abs(jacobian - witness) + unexplained[:, None] / np.abs(direction.change)
+    scaled = np.abs(direction.change) * np.stack([entry_error, np.abs(jacobian)])
+    is_accurate = ~(scaled[0] > np.maximum(LARGEST_ERROR * scaled[1], NEGLIGIBLE * size[:, None]))
+    agrees = _is_like_steps(derivative, extrapolated, error, terms, other) & is_accurate.all(axis=1)
     return GradientCheck(
         direction.change, np.array(STEPS), derivative, differences, extrapolated, error,
-        agrees | np.isnan(derivative), tuple(sizes), other, other_error, terms,
+        agrees | np.isnan(derivative), tuple(sizes), other, terms, jacobian, entry_error, is_accurate,
+        tuple(one.name for one in direction.parameters),
     )  # fmt: skip
+
+
+def _unexplained(
+    direction: Direction,
+    reference: Measured,
+    witness: np.ndarray,
+    other: np.ndarray,
+    correction: np.ndarray,
+    size: np.ndarray,
+) -> np.ndarray:
+    """Return the part (M,) of the deviation of another method's gradient from its differences that the estimated error
+    of the differences does not explain.
+
+    Parameters
+    ----------
+    witness, other
+        (M, K) gradient and (M,) corrected differences of the other method.
+    correction
+        (M,) the correction of the differences.
+    size
+        (M,) magnitudes of the numbers from which the measures are computed.
+    """
+    along, terms = witness @ direction.change, np.sum(np.abs(witness * direction.change), axis=1)
+    other_error = CORRECTED * np.abs(correction) + REFERENCE_ERROR * size / REFERENCE_STEP
+    if np.any(np.abs(along - other) > SUSPECT * terms + other_error):
+        wider = direction.of_reference(reference, 2.0 * REFERENCE_STEP) + 4.0 * correction
+        scatter = np.nan_to_num(SCATTER * np.abs(wider - other))
+        other_error = other_error + np.minimum(scatter, UNSURE * terms)
+    return np.asarray(np.maximum(np.abs(along - other) - other_error, 0.0))
 
 
 def _is_like_steps(
@@ -276,24 +329,10 @@ def _correction(of_smallest: np.ndarray) -> np.ndarray:
     return np.asarray((REFERENCE_STEP / STEPS[0]) ** 2 * of_smallest)
 
 
-def _reference_error(correction: np.ndarray, sizes: Mapping[str, float]) -> np.ndarray:
-    """Return the largest expected error of the other method's differences after a correction (M,)."""
-    return np.asarray(CORRECTED * np.abs(correction) + REFERENCE_ERROR * np.array([*sizes.values()]) / REFERENCE_STEP)
-
-
-def check_doubts(check: GradientCheck, smooth: Sequence[bool]) -> list[str]:
-    """Return a warning for each measure whose check fails, or whose derivative differs from that of runs with another
-    method by more than `NOTED` and their estimated error.
-
-    Parameters
-    ----------
-    smooth
-        Whether each measure is smooth inside the steps, which selects the limit in `NOTED`.
-    """
+def check_doubts(check: GradientCheck) -> list[str]:
+    """Return a warning for each measure whose check fails, or whose errors are unknown."""
     of_steps = np.abs(check.derivative - check.extrapolated)
-    away = np.abs(check.derivative - check.reference)
     is_alike = check.is_like_steps
-    is_noted = away > np.where(smooth, NOTED[0], NOTED[1]) * check.terms + check.reference_error
     doubts = []
     for m, name in enumerate(check.names):
         if np.isnan(check.derivative[m]):
@@ -309,14 +348,25 @@ def check_doubts(check: GradientCheck, smooth: Sequence[bool]) -> list[str]:
                 f"the derivative of '{name}' fails its check: in a random direction, it is {own}, but {other} by "
                 f"differences of runs, {_percent(of_steps[m], check.terms[m])} of its scale away"
             )
-        elif is_noted[m]:
-            failed = "" if check.agrees[m] else " and fails its check"
-            doubts.append(
-                f"the derivative of '{name}' differs by {_percent(away[m], check.terms[m])} from that of runs with "
-                f"another method{failed}; one of them is wrong by that much: use smaller steps or a smaller tolerance "
-                f"if this is too much"
-            )
+        elif not check.is_accurate[m].all():
+            doubts.append(inaccurate_entries(check, m))
+        elif np.isnan(check.entry_error[m]).any():
+            doubts.append(f"the errors of the derivatives of '{name}' are unknown: no other method completes the run")
     return doubts
+
+
+def inaccurate_entries(check: GradientCheck, m: int) -> str:
+    """Return a clause about the entries of a measure whose errors are too large, the largest relative errors first."""
+    size = np.maximum(np.abs(check.entry[m]), np.finfo(float).tiny)
+    worst_first = np.argsort(-check.entry_error[m] / size, kind="stable").tolist()
+    found = [k for k in worst_first if not check.is_accurate[m, k]]
+    texts = [plus_minus(check.entry[m, k], check.entry_error[m, k], digits=DIGITS) for k in found[:MOST_NAMED]]
+    named = [f"'{check.parameters[k]}', {text}" for k, text in zip(found, texts, strict=False)]
+    others = f"; and to {counted(len(found) - MOST_NAMED, 'other parameter')}" if len(found) > MOST_NAMED else ""
+    return (
+        f"the derivative of '{check.names[m]}' is inaccurate with respect to {'; '.join(named)}{others}: use smaller "
+        f"steps or a smaller tolerance"
+    )
 
 
 def _percent(deviation: float, scale: float) -> str:

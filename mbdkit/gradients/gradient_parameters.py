@@ -76,18 +76,27 @@ def _put_values(data: dict[str, Any], values: Mapping[str, Any]) -> None:
     Raises
     ------
     SpecError
-        If a key is a key path, if the spec has named parameters, but not one of these, or if a value is not plain data.
+        If a key is a key path, if a name is not one of the parameters of the spec (in a spec without parameters, if no
+        expression contains it), or if a value is not plain data.
     """
     given = data.get("parameters")
-    known = list(given) if isinstance(given, dict) else None
+    known = list(given) if isinstance(given, dict) else sorted(_names_in(data))
     for name, value in values.items():
         path = parse_key(name)
         if path[:1] == ("model",) and len(path) > 1:
             raise _refused(f"the value of '{name}' cannot be given here, only its name; change the spec instead")
         path = ("parameters", *path[path[:1] == ("parameters",) :])
-        if len(path) != 2 or (known is not None and path[1] not in known):
-            raise _unknown(known or [], name)
+        if len(path) != 2 or path[1] not in known:
+            raise _unknown(known if isinstance(given, dict) else [], name)
         put(data, path, plain(value, path))
+
+
+def _names_in(data: Any) -> set[str]:
+    """Return the names in all texts of plain data, such as those of expressions."""
+    if isinstance(data, str):
+        return names_in(data)
+    values = data.values() if isinstance(data, Mapping) else data if isinstance(data, list) else ()
+    return set().union(*map(_names_in, values))
 
 
 def resolved(spec: ModelSpec, names: Sequence[str]) -> tuple[Parameter, ...]:

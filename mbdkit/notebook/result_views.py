@@ -222,8 +222,8 @@ def _(found: Modes) -> View:
 def _(found: Gradient) -> View:
     columns = [*columns_of("measure; unit; value"), *(Column(f"by {name}") for name in found.parameters)]
     rows: list[tuple[Cell, ...]] = [
-        (name, unit, float(value), *map(float, slopes))
-        for name, unit, value, slopes in zip(found.measures, found.units, found.value, found.jacobian, strict=True)
+        (name, unit, float(value), *found.texts(name, "\u00b1"))
+        for name, unit, value in zip(found.measures, found.units, found.value, strict=True)
     ]
     check = () if found.check is None else (str(found.check),)
     note = "In the unit of the measure for each SI unit of the parameter."

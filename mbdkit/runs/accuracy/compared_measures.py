@@ -122,6 +122,24 @@ def other_methods(
     return [*found, _varied(spec, integrator=candidates[1], most_steps=most, interval=interval, **last)]
 
 
+def with_other_steps(spec: RunSpec, step: float, *, fixed: bool, tightest: float) -> RunSpec:
+    """Return the spec of a comparison run by the same adaptive method with other steps.
+
+    Parameters
+    ----------
+    step
+        Size of fixed steps, or largest size of adaptive ones [s].
+    tightest
+        Smallest tolerance of adaptive steps.
+    """
+    given = canonical(spec.integrator)
+    most = max(2 + round((spec.time.final - spec.time.start) / step), spec.limits.max_steps)
+    if fixed:
+        method = {key: given[key] for key in ("name", "stages") if key in given}
+        return _varied(spec, step=step, most_steps=most, integrator=method)
+    return _varied(spec, integrator=given | {"rtol": max(given["rtol"], tightest), "max_step": step}, most_steps=most)
+
+
 def _index_1(spec: RunSpec) -> dict[str, Any]:
     return {"formulation": "index-1", "stabilization": "none"}
 

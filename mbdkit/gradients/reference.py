@@ -1,0 +1,108 @@
+"""Measures of a run by another, more accurate method, and their gradient, from which the errors of derivatives follow.
+
+If force laws have discontinuities, the differentiated run has fixed steps, because adaptive steps do not end there.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from mbdkit.base.errors import MbdkitError
+from mbdkit.gradients.differentiated_expressions import Definitions, expressions_of, of_measure, slopes_of
+from mbdkit.gradients.differentiated_run import Needs, differentiated_run
+from mbdkit.gradients.gradient_check import Settings
+from mbdkit.gradients.law_corners import with_sides
+from mbdkit.gradients.measured_derivatives import MeasureOfRun
+from mbdkit.gradients.parameter_differences import PreparedDerivatives
+from mbdkit.runs.accuracy.compared_measures import other_methods, with_other_steps
+from mbdkit.runs.preparation import build, make_method
+from mbdkit.runs.simulation import measured_in
+from mbdkit.spec import RunSpec
+from mbdkit.spec.varied_specs import VariedSpecs
+
+ASSUMED_STEPS = 2_000
+"""Assumed number of steps of a run, from which the step limit of the other method is computed."""
+STEPS, TOLERANCE = 200, 1e-11
+"""Smallest number of steps and smallest tolerance of the differentiated run by the other method.
+
+They are not as strict as those of the runs for differences, which would show a short pulse that these steps miss.
+"""
+FINER = 4
+"""Smallest ratio of the sizes of the steps of a run to those of the other method, if the latter are fixed."""
+
+
+@dataclass
+class Reference:
+    """Measures by another, more accurate method than that of a run.
+
+    Parameters
+    ----------
+    spec, definitions
+        The run and its measures.
+    prepared
+        Derivatives of the preparation of the run.
+    needs
+        Data that the measures need.
+    step
+        Size of the steps of the run [s], on average.
+    """
+
+    spec: RunSpec
+    definitions: Definitions
+    prepared: PreparedDerivatives
+    needs: Needs
+    step: float
+
+    def __post_init__(self) -> None:
+        self._specs = VariedSpecs(self.spec.canonical_json())
+        self._method = make_method(self.spec)
+        self._has_sides = with_sides(build(self.spec)[0].mechanism) is not None
+        self._chosen: int | None = None
+
+    def values(self, settings: Settings) -> Sequence[float]:
+        """Return the measures (M,) of a run with other values of parameters; nan if no method reaches its end."""
+        spec, texts = self._specs.spec(settings), [text for text, _ in self.definitions.values()]
+        factors = [one.unit.factor for one in expressions_of(self.spec, self.definitions).values()]
+        others = self._others(spec, _recorded_interval(spec))  # `at` may interpolate between recorded states
+        for place in range(len(others)) if self._chosen is None else [self._chosen]:
+            found = measured_in(texts, others[place])
+            if found is not None:
+                self._chosen = place
+                return [value / factor for value, factor in zip(found, factors, strict=True)]
+        return [math.nan] * len(texts)
+
+    def jacobian(self) -> np.ndarray:
+        """Return the derivatives (M, K) of the measures by the method that `values` has chosen; nan if they are not
+        available.
+        """
+        expressions = expressions_of(self.spec, self.definitions)
+        unknown = np.full((len(expressions), self.prepared.seeds.count), np.nan)
+        if self._chosen is None:
+            return unknown
+        other = self._others(self.spec, None)[self._chosen]
+        step, fixed = (self.spec.time.final - self.spec.time.start) / STEPS, self._has_sides
+        step = min(step, self.step / FINER) if fixed else step
+        other = with_other_steps(other, step, fixed=fixed, tightest=TOLERANCE)
+        try:
+            measure = MeasureOfRun(differentiated_run(other, self.prepared.seeds, self.needs))
+            slopes = [
+                measure.of(one, slopes_of(one.program, self.prepared.seeds, of_measure(name)))[1]
+                for name, one in expressions.items()
+            ]
+        except (MbdkitError, ArithmeticError):
+            return unknown
+        return np.array(slopes).reshape(unknown.shape)
+
+    def _others(self, spec: RunSpec, interval: float | None) -> list[RunSpec]:
+        return other_methods(spec, self._method, build(spec)[0], ASSUMED_STEPS, interval)
+
+
+def _recorded_interval(spec: RunSpec) -> float | None:
+    """Return the interval of the recorded states of a run [s]; None if it depends on the step sizes."""
+    if spec.output.interval is not None or spec.time.step is None:
+        return spec.output.interval
+    return spec.time.step * (spec.output.every or 1)
