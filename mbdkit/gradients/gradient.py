@@ -37,9 +37,9 @@ from mbdkit.gradients.gradient_check import (
 )
 from mbdkit.gradients.gradient_parameters import Names, Parameter, read_names, resolved
 from mbdkit.gradients.measured_derivatives import MeasureOfRun, needs_of
+from mbdkit.gradients.other_method import Reference
 from mbdkit.gradients.parameter_differences import PreparedDerivatives
 from mbdkit.gradients.prepared_derivatives import prepared_derivatives
-from mbdkit.gradients.reference import Reference
 from mbdkit.gradients.start_doubts import start_doubts
 from mbdkit.measures.measure_expression import MeasureExpression
 from mbdkit.measures.natural_size import natural_scales, natural_size
@@ -178,7 +178,7 @@ def gradient(
     parameters
         With `names`, the section `parameters` of the spec, as in `mbdkit.run`. Without `names`, the names.
     check
-        Whether to check the gradient, and to estimate the errors of its entries, by up to eight runs and a gradient by
+        Whether to check the gradient, and to estimate the errors of its entries, by up to ten runs and a gradient by
         another method.
     **sections
         Sections of the spec, such as ``time={"end": 1.0, "step": 0.01}``; they replace those of `source`.

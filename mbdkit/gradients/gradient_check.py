@@ -57,9 +57,7 @@ REFERENCE_STEP = 5e-4
 REFERENCE_ERROR = 3e-12
 """Assumed relative error of a measure of one run by another method, due to its tolerance."""
 CORRECTED = 0.01
-"""Largest expected error of the other method's differences after correction by extrapolation, as a share of the
-correction.
-"""
+"""Largest expected error of differences after correction by extrapolation, as a share of the correction."""
 
 SCATTER = 3.0
 """Assumed error of the other method's differences, as a multiple of their change if the distance is doubled.
@@ -262,11 +260,14 @@ def check_gradient(
     extrapolated = (ratio * differences[0] - differences[1]) / (ratio - 1.0)
     derivative = jacobian @ direction.change
     size = np.array([*sizes.values()])
-    error = np.abs(extrapolated - differences[0]) + ROUND_OFF * size / STEPS[0]
+    rounding, correction = ROUND_OFF * size / STEPS[0], extrapolated - differences[0]
+    error = np.abs(correction) + rounding
     terms = np.sum(np.abs(jacobian * direction.change), axis=1)
-    other, unexplained, witness = np.full(len(derivative), np.nan), np.abs(derivative - extrapolated) + error, jacobian
-    if reference is not None:
-        correction = _correction(extrapolated - differences[0])
+    other, witness = np.full(len(derivative), np.nan), jacobian
+    if reference is None:
+        unexplained = np.abs(derivative - extrapolated) + CORRECTED * np.abs(correction) + rounding
+    else:
+        correction = (REFERENCE_STEP / STEPS[0]) ** 2 * correction
         other = direction.of_reference(reference) + correction  # the error of the differences is removed
         if reference_jacobian is not None:
             found = reference_jacobian()
@@ -319,14 +320,6 @@ def _is_like_steps(
     discretization = np.minimum(ALLOWED * np.nan_to_num(np.abs(extrapolated - other)), UNSURE * terms)
     allowed = ALLOWED * error + SMALLEST * terms + discretization
     return np.asarray(np.abs(derivative - extrapolated) <= allowed)
-
-
-def _correction(of_smallest: np.ndarray) -> np.ndarray:
-    """Return the correction (M,) of differences at the distance `REFERENCE_STEP`.
-
-    It follows from the correction `of_smallest` (M,) of differences at the distance `STEPS[0]`.
-    """
-    return np.asarray((REFERENCE_STEP / STEPS[0]) ** 2 * of_smallest)
 
 
 def check_doubts(check: GradientCheck) -> list[str]:
