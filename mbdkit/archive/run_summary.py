@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -442,6 +442,15 @@ def _elements(run: Run) -> list[str]:
     ]
 
 
+def derivative_texts(gradient: Mapping[str, Any], sign: str = "+-") -> Iterator[tuple[str, str]]:
+    """Yield each parameter of an entry of `Run.gradients`, and the derivative with its error as text."""
+    errors = gradient.get("errors", {})
+    for parameter, value in gradient.get("derivatives", {}).items():
+        error = errors.get(parameter)
+        error = math.nan if error is None else error
+        yield parameter, "undefined" if value is None else plus_minus(value, error, sign)
+
+
 def _gradients(run: Run) -> list[tuple[str, str]]:
     """Return a line for each derivative of a measure, each measure without derivatives, and each reason to doubt the
     derivatives.
@@ -449,11 +458,7 @@ def _gradients(run: Run) -> list[tuple[str, str]]:
     lines: list[tuple[str, str]] = []
     for name, gradient in run.gradients.items():
         texts = [gradient["reason"]] if "reason" in gradient else []
-        errors = gradient.get("errors", {})
-        for parameter, value in gradient.get("derivatives", {}).items():
-            error = errors.get(parameter)
-            text = "undefined" if value is None else plus_minus(value, math.nan if error is None else error)
-            texts.append(f"by {parameter}: {text}")
+        texts += [f"by {parameter}: {text}" for parameter, text in derivative_texts(gradient)]
         lines += [("" if lines or i else "gradients", f"{name} {text}") for i, text in enumerate(texts)]
     doubts = dict.fromkeys(doubt for one in run.gradients.values() for doubt in one.get("doubts", ()))
     return [*lines, *(("", doubt) for doubt in doubts)]

@@ -70,6 +70,7 @@ def _outcome(result: Run) -> dict[str, Any]:
         "misalignment_max": result.misalignment_max,
         "events": [asdict(event) for event in result.events],
         **({"measures": _measures(result)} if result.measures else {}),
+        **({"gradients": dict(result.gradients)} if result.gradients else {}),
         **({"measure_errors": errors} if (errors := _errors(result)) else {}),
         **({} if result.accuracy is None else {"accuracy": _accuracy(result, result.accuracy)}),
     }

@@ -1,5 +1,5 @@
-"""The section on the answer of a run: the largest forces in joints, force elements and beams, with their times. Those
-in joints also have estimated errors.
+"""The sections on the answer of a run: the largest forces in joints, force elements and beams with their times, and
+derivatives of measures. The forces in joints and the derivatives have estimated errors.
 """
 
 from __future__ import annotations
@@ -13,6 +13,7 @@ import numpy as np
 
 from mbdkit.archive.headlines import ROUND_OFF, Headline, excluded_error, plus_minus
 from mbdkit.archive.peak_errors import missed_between_rows, peak_errors
+from mbdkit.archive.run_summary import derivative_texts
 from mbdkit.figures.beam_curves import bending_moments, distributed_loads, has_beams
 from mbdkit.figures.curves import BEYOND, Array, blocks, take
 from mbdkit.figures.mechanism_drawing import NARROW, WIDE, NamedPose, mechanism_svg
@@ -144,6 +145,22 @@ def answer_section(run: Run) -> Section | None:
         tables.append(_of_forces(run))
     shown = tuple(table for table in tables if table.rows)
     return Section("answer", "Largest forces and torques", tuple(sentences), None, shown) if shown else None
+
+
+def gradient_section(run: Run) -> Section | None:
+    """Return the section on the derivatives of measures; None if there are none."""
+    rows: list[tuple[Cell, ...]] = [
+        (name, one["unit"], *texts) for name, one in run.gradients.items() for texts in derivative_texts(one, "\u00b1")
+    ]
+    if not rows:
+        return None
+    doubts = dict.fromkeys(doubt for one in run.gradients.values() for doubt in one.get("doubts", ()))
+    sentences = tuple(f"{doubt[:1].upper()}{doubt[1:].rstrip('.')}." for doubt in doubts)
+    note = "In the unit of the measure for each SI unit of the parameter."
+    table = Table(
+        "gradients", "Derivatives", columns_of("measure; unit; with respect to; derivative"), tuple(rows), note
+    )
+    return Section("gradients", "Derivatives of measures", sentences, None, (table,))
 
 
 def _of_joints(run: Run) -> tuple[list[Table], list[str]]:

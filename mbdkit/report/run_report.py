@@ -11,7 +11,7 @@ from mbdkit.figures.drawing_geometry import build_mechanism
 from mbdkit.figures.page_model import Cell, Table, columns_of
 from mbdkit.figures.player_data import film_data
 from mbdkit.plot.caption import caption
-from mbdkit.report.answer_section import answer_section, beam_section
+from mbdkit.report.answer_section import answer_section, beam_section, gradient_section
 from mbdkit.report.load_frames import with_arrows
 from mbdkit.report.load_sections import inverse_sections
 from mbdkit.report.methods_used import methods
@@ -41,7 +41,8 @@ def run_report(run: Run) -> ReportPage:
     require_rows(run)
     head = caption(run)
     mechanism = mechanism_of(run)
-    found = [*inverse_sections(run, mechanism), answer_section(run), beam_section(run, mechanism)]
+    beams, gradients = beam_section(run, mechanism), gradient_section(run)
+    found = [*inverse_sections(run, mechanism), answer_section(run), beams, gradients]
     command = "inverse" if run.kind == "inverse" else "run"
     return ReportPage(
         title=head.title,

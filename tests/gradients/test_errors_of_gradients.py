@@ -10,6 +10,7 @@ import pytest
 from scipy.integrate import solve_ivp
 
 import mbdkit
+from mbdkit.report.answer_section import gradient_section
 
 from .test_gradients_at_corners import MEASURES as OF_BALL
 from .test_gradients_at_corners import ball, expected
@@ -91,6 +92,10 @@ def test_a_small_derivative_with_the_wrong_sign_fails_the_check() -> None:
     run = mbdkit.run(LINKS, measures={"end": MEASURES["end"]}, gradients=["k"], **sections)
     assert run.gradients["end"]["errors"]["k"] == pytest.approx(found.error[0, 0], rel=1e-6)
     assert "end by k: 1e-07 +- 2.1e-07" in run.summary()
+    section = gradient_section(run)
+    assert section is not None
+    assert section.tables[0].rows == (("end", "m", "k", "1e-07 \u00b1 2.1e-07"),)
+    assert section.sentences[0].startswith("The derivative of 'end' is inaccurate")
 
 
 def test_errors_through_a_jump_of_a_force_are_true() -> None:
