@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -25,6 +26,7 @@ from mbdkit.cli.common_options import (
 if TYPE_CHECKING:
     from mbdkit.designs.design import Design
     from mbdkit.designs.robustness import Deviation
+    from mbdkit.spec import InverseSpec, RunSpec
     from mbdkit.spec.reading import Document
 
 
@@ -127,18 +129,36 @@ def _show(result: Design, folder: Path, deviations: list[Deviation], page: Path 
     with suppress(MbdkitError), runs_of(result, folder) as pairs:  # archives may have been removed
         for cost in costs(pairs)[:LOADS_SHOWN]:
             show(f"elsewhere: {cost.text()}")
-        told: dict[str, list[str]] = {}
-        for scenario, pair in pairs.items():
-            for warning in pair["best"].warnings:
-                told.setdefault(warning, []).append(scenario)
-        for warning, scenarios in told.items():
-            if warning not in summary:
-                names = f"{'scenario' if len(scenarios) == 1 else 'scenarios'} {listed(scenarios, 'and')}"
-                where = "" if len(scenarios) == len(pairs) else f"{names}: "
-                show(f"warning: {where}{warning}")
+        told = {name: [one for one in pair["best"].warnings if one not in summary] for name, pair in pairs.items()}
+        for warning in _of_scenarios(told):
+            show(f"warning: {warning}")
     if deviations:
         show(robustness_text(result.spec, deviations))
     show(f"folder: {folder}{'' if page is None else f', report: {page}'}")
+
+
+def _of_scenarios(told: Mapping[str, Iterable[str]]) -> Iterator[str]:
+    """Yield each warning about the specs of scenarios once, with their names unless it concerns all of them."""
+    found: dict[str, list[str]] = {}
+    for name, warnings in told.items():
+        for warning in warnings:
+            found.setdefault(warning, []).append(name)
+    for warning, names in found.items():
+        where = f"{'scenario' if len(names) == 1 else 'scenarios'} {listed(names, 'and')}: "
+        yield f"{'' if len(names) == len(told) else where}{warning}"
+
+
+def _cautions(spec: RunSpec | InverseSpec) -> Iterable[str]:
+    """Return the warnings about a spec before its run."""
+    from mbdkit.inverse_dynamics.compute import InverseProblem
+    from mbdkit.inverse_dynamics.data_verdict import doubts_before_computation
+    from mbdkit.runs.preparation import caution
+    from mbdkit.spec import RunSpec
+
+    if isinstance(spec, RunSpec):
+        return caution(spec)
+    problem = InverseProblem.of(spec)
+    return (*problem.warnings, *doubts_before_computation(problem).open)
 
 
 def validate_design(source: Document, name: str, assignments: list[str]) -> None:
@@ -152,6 +172,8 @@ def validate_design(source: Document, name: str, assignments: list[str]) -> None
     spec = load_design_spec(source, assignments)
     check_installed(spec)
     Evaluator(spec)
+    for warning in _of_scenarios({one: _cautions(base) for one, base in spec.specs.items()}):
+        say(f"warning: {warning}")
     show(f"{name}: this design is valid")
     show(f"variables    {', '.join(spec.variables)}")
     show(f"goals        {', '.join(spec.goals)}")

@@ -197,12 +197,14 @@ def test_limits_that_cannot_be_met_are_told_by_the_exit_status(tmp_path: Path) -
     given["scenarios"] = {"plain": {"base": base}, "spare": {"base": base | {"parameters": {"T": 1.0}}}}
     file = tmp_path / "high.json"
     file.write_text(json.dumps(given), encoding="utf-8")
+    told = "warning: scenario spare: the parameter at parameters.T is not used"
+    assert told in CliRunner().invoke(app, ["validate", str(file)], prog_name="mbdkit").stderr
     done = CliRunner().invoke(app, ["design", str(file), "-o", str(tmp_path / "high")], prog_name="mbdkit")
     assert done.exit_code == 3
     assert "No point that satisfies all limits was found" in done.stdout
     assert "violates them least: height in plain is" in done.stdout
     assert " below its limit of 10" in done.stdout
-    assert "warning: scenario spare: the parameter at parameters.T is not used" in done.stdout
+    assert told in done.stdout
 
 
 def test_a_design_names_an_initial_velocity_that_assembly_changes(tmp_path: Path) -> None:
