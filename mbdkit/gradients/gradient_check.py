@@ -78,9 +78,8 @@ LARGEST_ERROR = 1e-2
 """Largest accepted error of an entry, as a share of the entry."""
 
 NEGLIGIBLE = 1e-6
-"""Largest error of an entry that is always accepted, as a share of the size of the measure.
-
-The error is that of the change of the measure if the parameter changes by its own size.
+"""Largest error of an entry, times the size of the parameter, that is always accepted, as a share of the magnitude of
+the numbers from which the measure is computed.
 """
 
 Settings = Sequence[tuple[Path, float]]
