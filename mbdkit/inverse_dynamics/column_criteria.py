@@ -1,61 +1,19 @@
-"""Criteria of the verdict on measured motions: times and columns, each by itself, and compared with the fitted
-mechanism.
-"""
+"""Criteria of the verdict on measured motions: columns, each by itself, and compared with the fitted mechanism."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
-from mbdkit.base.text import listed, shown
+from mbdkit.base.text import listed
 from mbdkit.inverse_dynamics.compute import Inverse
+from mbdkit.inverse_dynamics.doubt import ROUND_OFF, TO_DEVIATION, Doubt
 from mbdkit.inverse_dynamics.exchanged_markers import exchanged_markers
 from mbdkit.inverse_dynamics.marker_distances import far_apart, unlike_distances
 from mbdkit.inverse_dynamics.measured import Measured
-from mbdkit.spec.inverse_sections import Criterion, NoSmoothing, QuinticSpline
-
-STANDARD_GRAVITY = 9.81
-"""Acceleration [m/s^2] with which the accelerations of a mechanism without gravity are compared."""
-
-MOVED = 0.1
-"""The unit of time is examined if a coordinate changes by at least this much, in longest links or radians."""
-
-COARSE, SLOW = 1.0, 1e-3
-"""Times look like milliseconds if the median interval exceeds `COARSE` times sqrt(length / gravity), while no
-acceleration exceeds `SLOW` times gravity.
-
-Samples so far apart do not resolve a motion under gravity, and yet the motion seems to be quasi-static.
-"""
-
-FINE, FAST = 1e-4, 1e3
-"""Times look too short if the median interval is below `FINE` times sqrt(length / gravity), while the root mean square
-of an acceleration exceeds `FAST` times gravity.
-"""
-
-UNEVEN = 0.01
-"""The times of the rows are examined if the longest and the shortest interval differ by more than this share of the
-mean interval.
-"""
-
-EVEN, CERTAIN = 0.5, 6.0
-"""Limits for implausible times.
-
-A share tells whether the columns fit the given times or evenly spaced times better. Apart from noise, it is 0 if the
-given times are right, and 1 if the evenly spaced times are right. The given times are implausible if the share exceeds
-both `EVEN` and `CERTAIN` times the standard deviation of the share due to noise.
-"""
-
-CERTAIN_OF_GRID = 3.0
-"""Replaces `CERTAIN` if the given times are rounded, evenly spaced times.
-
-This is the case if all times are multiples of an interval of `GRIDS`, and deviate from a straight line by less than 3/4
-of the interval, which happens for uneven samples only by chance.
-"""
-
-GRIDS = tuple(10.0**-digits for digits in range(1, 7))
-"""Intervals [s] of which rounded times are multiples."""
+from mbdkit.inverse_dynamics.time_criteria import off_neighbours, uneven_times, unit_of_time
+from mbdkit.spec.inverse_sections import NoSmoothing, QuinticSpline
 
 SPIKE, LEAST_SPIKE = 8.0, 0.005
 """Limits for outliers.
@@ -67,9 +25,6 @@ in 1e15 samples.
 
 FROZEN = 8
 """Number of equal consecutive values that a noisy sensor does not produce."""
-
-ROUND_OFF = 1e-9
-"""Change of a fitted quantity below which it counts as constant [m or rad]."""
 
 MOVING = 5.0
 """A column counts as changing in a sequence of rows if its range in these rows is more than this many times the
@@ -117,22 +72,11 @@ times as large.
 A low cutoff alone gives ratios of up to 5.
 """
 
-TO_DEVIATION = 1.4826
-"""Ratio of the standard deviation of Gaussian noise to the median of its absolute values."""
-
-
-@dataclass(frozen=True)
-class Doubt:
-    """A reason to doubt measured data: the criterion, and a sentence that names the likely cause."""
-
-    criterion: Criterion
-    sentence: str
-
 
 def column_doubts(result: Inverse) -> Iterator[Doubt]:
     """Yield doubts about the times and columns of a measured motion."""
     yield from doubts_before_fit(result.fitted.measured, result.problem.fitter.manifold.length)
-    yield from _unit_of_time(result)
+    yield from unit_of_time(result)
     yield from _constants(result)
     yield from _fit(result)
     yield from _noise(result)
@@ -147,7 +91,7 @@ def doubts_before_fit(measured: Measured, length: float) -> Iterator[Doubt]:
         Longest link of the mechanism [m].
     """
     yield from (Doubt("units", f"{sentence}.") for sentence in measured.contradictions)
-    yield from _of_times(measured)
+    yield from uneven_times(measured)
     yield from _radians(measured)
     for index, name in enumerate(measured.names):
         yield from _outliers(measured, index, name)
@@ -200,68 +144,6 @@ def _size(measured: Measured, index: int, size: float, length: float) -> str:
     return f"{size * length:.3g} m ({size:.3g} times the longest link)"
 
 
-def _of_times(measured: Measured) -> Iterator[Doubt]:
-    time, steps = measured.time, np.diff(measured.time)
-    if len(time) < 6 or np.ptp(steps) <= UNEVEN * np.mean(steps) or np.max(steps) > 1.9 * np.median(steps):
-        return  # evenly spaced, possibly with missing rows
-    even, product, square = np.linspace(time[0], time[-1], len(time)), 0.0, 0.0
-    for x in measured.values.T:
-        given, smooth = _off_neighbours(time, x), _off_neighbours(even, x)
-        if np.any(noise := np.mean(smooth**2)):
-            product += float(np.sum(given * (given - smooth)) / noise)
-            square += float(np.sum((given - smooth) ** 2) / noise)
-    grid = next((one for one in GRIDS if np.max(np.abs(time / one - np.round(time / one))) < 1e-6), None)
-    row = np.arange(len(time))
-    is_rounded = grid is not None and np.max(np.abs(time - np.polyval(np.polyfit(row, time, 1), row))) < 0.75 * grid
-    certain = CERTAIN_OF_GRID if is_rounded else CERTAIN
-    if not product > max(EVEN * square, certain * np.sqrt(square)):
-        return
-    cause = "they probably have jitter" if grid is None else f"they are probably rounded to {grid:g} s"
-    yield Doubt(
-        "times",
-        f"the columns fit evenly spaced times better than the given times, whose intervals vary from "
-        f"{steps.min():.6g} to {steps.max():.6g} s (share {product / square:.2g}, doubtful above {EVEN:g}; certain to "
-        f"{product / np.sqrt(square):.3g} standard deviations, doubtful above {certain:g}): {cause}; derivatives "
-        "depend on them.",
-    )
-
-
-def _unit_of_time(result: Inverse) -> Iterator[Doubt]:
-    """Yield a doubt if accelerations, compared with gravity, are so small or large that the times seem to have another
-    unit.
-    """
-    motion, length = result.motion, result.problem.fitter.manifold.length
-    if len(motion.time) < 3 or not length > 0:
-        return
-    moved = float(np.max(np.ptp(motion.q.reshape(len(motion.q), -1, 3), axis=0) / [length, length, 1.0]))
-    gravity = float(np.linalg.norm(result.problem.names.mechanism.gravity)) or STANDARD_GRAVITY
-    interval, natural = float(np.median(np.diff(motion.time))), float(np.sqrt(length / gravity))
-    share = np.abs(motion.a.reshape(len(motion.a), -1, 3)) * [1.0, 1.0, length] / gravity
-    rms = float(np.max(np.sqrt(np.mean(share**2, axis=0))))
-    if moved < MOVED:
-        return
-    rows = f"the median interval of the rows is {interval:.4g} s, {interval / natural:.3g} times sqrt(length / gravity)"
-    if interval > COARSE * natural and np.max(share) < SLOW:
-        column = result.problem.spec.motion.time
-        frames = " (if they are numbers of frames, divide them by the frame rate)" if round(interval, 9) == 1.0 else ""
-        cause = (
-            f"they look like milliseconds; write `time: {{column: {shown(column.column)}, unit: ms}}`{frames}"
-            if column.factor == 1.0
-            else f"are the times in {shown(column.unit)}?"
-        )
-        yield Doubt(
-            "time-unit",
-            f"{rows} (doubtful above {COARSE:g}), and no acceleration exceeds {np.max(share):.2g} of gravity (doubtful "
-            f"below {SLOW:g}), so that inertia has no effect: {cause}",
-        )
-    elif interval < FINE * natural and rms > FAST:
-        yield Doubt(
-            "time-unit",
-            f"{rows} (doubtful below {FINE:g}), and accelerations are {rms:.2g} times gravity (doubtful above "
-            f"{FAST:g}): are the times in {shown(result.problem.spec.motion.time.unit)}?",
-        )
-
-
 def _radians(measured: Measured) -> Iterator[Doubt]:
     """Yield a doubt if all angles that the spec declares in degrees look like radians.
 
@@ -283,25 +165,11 @@ def _radians(measured: Measured) -> Iterator[Doubt]:
         )
 
 
-def _off_neighbours(time: np.ndarray, x: np.ndarray) -> np.ndarray:
-    """Return the deviations (T - 4,) of samples from the cubic polynomials through two neighbours on both sides."""
-    count = len(time) - 4
-    near = [slice(shift, shift + count) for shift in (0, 1, 3, 4)]
-    at, found = time[2:-2], x[2:-2].copy()
-    for own in near:
-        weight = np.ones(count)
-        for other in near:
-            if other != own:
-                weight *= (at - time[other]) / (time[own] - time[other])
-        found -= weight * x[own]
-    return found
-
-
 def _outliers(measured: Measured, index: int, name: str) -> Iterator[Doubt]:
     x = measured.values[:, index]
     if len(x) < 12 or np.ptp(x) == 0:
         return
-    off = np.abs(_off_neighbours(measured.time, x))
+    off = np.abs(off_neighbours(measured.time, x))
     limit = max(SPIKE * TO_DEVIATION * float(np.median(off)), LEAST_SPIKE * float(np.ptp(x)))
     rows = np.flatnonzero(off > limit) + 2
     if rows.size:

@@ -9,8 +9,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from mbdkit.inverse_dynamics.column_criteria import Doubt, column_doubts, doubts_before_fit
+from mbdkit.inverse_dynamics.column_criteria import column_doubts, doubts_before_fit
 from mbdkit.inverse_dynamics.compute import Inverse, InverseProblem
+from mbdkit.inverse_dynamics.doubt import Doubt
 from mbdkit.inverse_dynamics.error_bars import ErrorBars
 from mbdkit.inverse_dynamics.knee_criterion import knee_doubts
 from mbdkit.inverse_dynamics.load_criteria import load_doubts

@@ -6,8 +6,8 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from mbdkit.inverse_dynamics.column_criteria import Doubt
 from mbdkit.inverse_dynamics.compute import Inverse
+from mbdkit.inverse_dynamics.doubt import Doubt
 
 KNEE = "knee_flexion"
 """Coordinates whose names begin with this are positive if the knee is bent."""

@@ -7,8 +7,8 @@ from collections.abc import Iterator
 import numpy as np
 
 from mbdkit.base.text import listed
-from mbdkit.inverse_dynamics.column_criteria import ROUND_OFF, TO_DEVIATION, Doubt
 from mbdkit.inverse_dynamics.compute import Inverse
+from mbdkit.inverse_dynamics.doubt import ROUND_OFF, TO_DEVIATION, Doubt
 from mbdkit.inverse_dynamics.error_bars import ErrorBars
 from mbdkit.inverse_dynamics.load_point_criterion import centre_of_pressure, load_point_doubts
 from mbdkit.mechanism.mechanism_quantities import Coordinate, MarkerCoordinate, without_scale

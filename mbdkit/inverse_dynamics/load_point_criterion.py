@@ -8,8 +8,8 @@ import numpy as np
 
 from mbdkit.base.text import listed
 from mbdkit.base.units import read_unit
-from mbdkit.inverse_dynamics.column_criteria import Doubt
 from mbdkit.inverse_dynamics.compute import Inverse
+from mbdkit.inverse_dynamics.doubt import Doubt
 from mbdkit.mechanism.bodies import GROUND
 
 OUTSIDE = 0.25

@@ -10,8 +10,8 @@ from itertools import chain
 import numpy as np
 
 from mbdkit.archive.run_summary import PULLING
-from mbdkit.inverse_dynamics.column_criteria import Doubt
 from mbdkit.inverse_dynamics.compute import Inverse, recorded_states
+from mbdkit.inverse_dynamics.doubt import Doubt
 from mbdkit.inverse_dynamics.recruited import Recruited
 from mbdkit.mechanism.improbable_values import (
     improbable_beams,

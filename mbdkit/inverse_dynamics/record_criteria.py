@@ -8,8 +8,8 @@ from typing import NamedTuple
 import numpy as np
 
 from mbdkit.base.text import listed
-from mbdkit.inverse_dynamics.column_criteria import Doubt
 from mbdkit.inverse_dynamics.compute import Inverse, recorded_states
+from mbdkit.inverse_dynamics.doubt import Doubt
 from mbdkit.inverse_dynamics.ends_and_gaps import NAMED, long_gaps, longest_period, told_gaps
 from mbdkit.inverse_dynamics.error_bars import ErrorBars
 from mbdkit.spec.inverse_sections import QuinticSpline

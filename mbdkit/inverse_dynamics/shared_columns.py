@@ -8,8 +8,8 @@ from itertools import combinations
 import numpy as np
 
 from mbdkit.base.text import listed, shown
-from mbdkit.inverse_dynamics.column_criteria import Doubt
 from mbdkit.inverse_dynamics.compute import InverseProblem
+from mbdkit.inverse_dynamics.doubt import Doubt
 from mbdkit.spec.inverse_sections import Load
 
 TIED = 1e-6

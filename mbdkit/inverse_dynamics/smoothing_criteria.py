@@ -8,8 +8,8 @@ import numpy as np
 from scipy.signal import periodogram
 
 from mbdkit.base.text import listed
-from mbdkit.inverse_dynamics.column_criteria import Doubt
 from mbdkit.inverse_dynamics.compute import Inverse
+from mbdkit.inverse_dynamics.doubt import Doubt
 from mbdkit.inverse_dynamics.smoothing import UNEVEN, cutoff_of
 from mbdkit.spec.inverse_sections import Butterworth, OpenSimFilter, SmoothingSpline
 

@@ -7,8 +7,8 @@ from collections.abc import Iterable, Iterator
 import numpy as np
 
 from mbdkit.base.text import listed
-from mbdkit.inverse_dynamics.column_criteria import Doubt
 from mbdkit.inverse_dynamics.compute import Inverse
+from mbdkit.inverse_dynamics.doubt import Doubt
 from mbdkit.mechanism.bodies import GROUND
 from mbdkit.mechanism.forces import TorsionSpring
 from mbdkit.mechanism.law_element import Law
