@@ -1,9 +1,11 @@
-"""Values of a mechanism that are valid but improbable, such as inertias in kg mm^2 and free lengths in mm."""
+"""Values of a mechanism that are valid but improbable, such as inertias in kg mm^2 and free lengths in cm."""
 
 from __future__ import annotations
 
 import math
+from collections import Counter
 from collections.abc import Iterator, Sequence
+from itertools import combinations
 
 from pydantic import BaseModel
 
@@ -15,6 +17,7 @@ from mbdkit.mechanism.contacts import Contact
 from mbdkit.mechanism.forces import SpringDamper
 from mbdkit.mechanism.law_element import Law
 from mbdkit.mechanism.mechanism import Mechanism
+from mbdkit.mechanism.values import Point
 
 FAR_MASS = 10.0
 """An inertia is improbable if it exceeds the mass of the heaviest body times the square of this many sizes of the
@@ -62,15 +65,15 @@ than this many times as wide as deep, its A, and otherwise both.
 A wrong unit of I alone or A alone changes the ratio of width to depth by a factor of 1e8 or more.
 """
 
-LONGEST = 100.0
+LONGEST = 10.0
 """The free length of a spring is improbable if it exceeds this many lengths of the spring at the start, and `LARGE`
 sizes of the mechanism.
 
-Free lengths in mm are too large by a factor of 1000. In all packaged examples, free lengths are at most 1.3 times the
+Free lengths in cm are too large by a factor of 100. In all packaged examples, free lengths are at most 1.3 times the
 length at the start.
 """
 
-LARGE = 10.0
+LARGE = 3.0
 """The optimal length of a muscle is improbable if it exceeds this many sizes of the mechanism.
 
 In all packaged examples, optimal lengths are at most 0.21 sizes.
@@ -81,6 +84,16 @@ OUTSIZE = 300.0
 bodies from theirs, or as their radii of gyration and the lengths of beams.
 
 A length in mm is too large by a factor of 1000. In all packaged examples, the ratio is at most 10.
+"""
+
+LONG, LIGHT, LINKS = 10.0, 5e-4, 3
+"""A rigid body longer than `LONG` [m] is improbable if its mass divided by the square of its length is below `LIGHT`
+[kg/m^2], unless at least `LINKS` bodies have the same mass and length.
+
+A steel bar of 100 m and 5 kg has a diameter of 2.8 mm and cannot be rigid. The limit depends on the square of the
+length because longer bars must be thicker to be equally rigid. Ropes and tethers are lighter, and may consist of equal
+links. A length in mm divides this ratio by 1e6, so that links of 80 mm are found up to 3.2 kg. The lightest long body
+of the packaged examples is an ideal rod of 20 m and 1 kg, at 5 times the limit.
 """
 
 HEIGHTS, MASSES = (0.3, 3.0), (2.0, 400.0)
@@ -124,8 +137,8 @@ def _too_wide(mechanism: Mechanism, share: float) -> Iterator[str]:
         if radius > limits[name] * size > 0:
             body = mechanism.bodies[name]
             key = f"model.bodies.{quoted(name)}.inertia" if mechanism.name == "mechanism" else f"model, body {name}"
-            fits = [unit for unit, factor in (("cm", 1e-2), ("mm", 1e-3)) if factor * radius <= limits[name] * size]
-            proposals = listed([f"`{body.inertia:g} kg*{unit}^2`" for unit in fits or ["mm"]], "or")
+            units = _smaller_units(radius, limits[name] * size)
+            proposals = listed([f"`{body.inertia:g} kg*{unit}^2`" for unit in units], "or")
             yield (
                 f"the inertia of {body.inertia:g} kg m^2 at {key} is that of its mass of {body.mass:g} kg at a "
                 f"distance of {radius:.3g} m, but the mechanism has a size of {size:.3g} m; if it is in "
@@ -134,27 +147,71 @@ def _too_wide(mechanism: Mechanism, share: float) -> Iterator[str]:
 
 
 def improbable_bodies(mechanism: Mechanism) -> Iterator[str]:
-    """Yield a sentence without a full stop if a body is too large for the others; the limit is `OUTSIZE`."""
-    reach = dict.fromkeys(mechanism.bodies, 0.0)
+    """Yield a sentence without a full stop if a body is too large for the others, or too light for its length.
+
+    The limits are `OUTSIZE` and, if no body exceeds it, `LONG` and `LIGHT`.
+    """
+    points: dict[str, list[Point]] = {name: [(0.0, 0.0)] for name in mechanism.bodies}
     for joint in mechanism.joints.values():
         for _, name, point in joint.attachments():
             if name != GROUND:
-                reach[name] = max(reach[name], math.hypot(*point))
+                points[name].append(point)
+    largest = _outsize(mechanism, {name: max(math.hypot(*one) for one in found) for name, found in points.items()})
+    if largest:
+        yield largest
+    else:
+        yield from _light(mechanism, points)
+
+
+def _outsize(mechanism: Mechanism, reach: dict[str, float]) -> str:
+    """Return a sentence if a body is too large for the others, otherwise an empty text.
+
+    `reach` is the largest distance of the joints of each body from its centre of mass [m].
+    """
     if len(reach) < 2:
-        return
+        return ""
     (second, _), (largest, name) = sorted((length, name) for name, length in reach.items())[-2:]
     if not largest > OUTSIZE * second:
-        return  # before the size of all other elements is computed
+        return ""  # before the size of all other elements is computed
     sizes = [beam.length for beam in mechanism.beams.values()]
     sizes += [math.sqrt((body.inertia or 0.0) / body.mass) for other, body in mechanism.bodies.items() if other != name]
     sizes += [math.hypot(*point) for other, point in _points(mechanism) if other not in (name, GROUND)]
-    if largest > OUTSIZE * max(sizes) > 0.0:
-        place = f" at model.bodies.{quoted(name)}" if mechanism.name == "mechanism" else ""
+    if not largest > OUTSIZE * max(sizes) > 0.0:
+        return ""
+    return (
+        f"the joints of body '{name}'{_place_of(mechanism, name)} are up to {largest:.3g} m away from its centre of "
+        f"mass, but no other body is larger than {max(sizes):.2g} m; if a length is in mm, write it with the unit, for "
+        f"example `80 mm`"
+    )
+
+
+def _light(mechanism: Mechanism, points: dict[str, list[Point]]) -> Iterator[str]:
+    """Yield a sentence about the lightest of the bodies that are too light for their lengths.
+
+    `points` are the joints and the centre of mass of each body in its frame [m]; their largest distance is its length.
+    """
+    lengths = {
+        name: max(math.dist(*pair) for pair in combinations(found, 2)) if len(found) > 1 else 0.0
+        for name, found in points.items()
+    }
+    links = Counter((mechanism.bodies[name].mass, round(length, 6)) for name, length in lengths.items())
+    light = {
+        name: mass / length**2
+        for name, length in lengths.items()
+        if length > LONG and (mass := mechanism.bodies[name].mass) < LIGHT * length**2
+        if links[mass, round(length, 6)] < LINKS
+    }
+    if light:
+        name = min(light, key=light.__getitem__)
         yield (
-            f"the joints of body '{name}'{place} are up to {largest:.3g} m away from its centre of mass, but no other "
-            f"body is larger than {max(sizes):.2g} m; if a length is in mm, write it with the unit, for example "
-            f"`80 mm`"
+            f"body '{name}'{_place_of(mechanism, name)} is {lengths[name]:.3g} m long, but has a mass of only "
+            f"{mechanism.bodies[name].mass:.3g} kg; if its length is in mm, write it with the unit, for example "
+            f"`{lengths[name]:.3g} mm`"
         )
+
+
+def _place_of(mechanism: Mechanism, body: str) -> str:
+    return f" at model.bodies.{quoted(body)}" if mechanism.name == "mechanism" else ""
 
 
 def improbable_people(model: BaseModel) -> Iterator[str]:
@@ -171,6 +228,11 @@ def improbable_people(model: BaseModel) -> Iterator[str]:
     if not MASSES[0] <= mass <= MASSES[1]:
         advice = f"; if it is in g, write `{mass:g} g`" if mass > MASSES[1] else ""
         yield f"the body mass of {mass:g} kg at model.body_mass is that of no person{advice}"
+
+
+def _smaller_units(length: float, limit: float) -> list[str]:
+    """Return those of cm and mm in which a length is at most `limit` metres; if there are none, mm."""
+    return [unit for unit, factor in (("cm", 1e-2), ("mm", 1e-3)) if factor * length <= limit] or ["mm"]
 
 
 def _size_if_below(mechanism: Mechanism, limit: float) -> float:
@@ -323,8 +385,9 @@ def improbable_lengths(mechanism: Mechanism) -> Iterator[str]:
     for kind, name, key, value, also in found:
         if value > LARGE * size > 0:
             is_given = mechanism.name == "mechanism"
+            proposals = listed([f"`{value:g} {unit}`" for unit in _smaller_units(value, LARGE * size)], "or")
             place = f"model.{kind}.{quoted(name)}.{key}" if is_given else f"model, {kind.removesuffix('s')} {name}"
             yield (
                 f"the {key.replace('_', ' ')} of {value:g} m at {place} is improbable: at the start, the mechanism has "
-                f"a size of {size:.3g} m{also}; if it is in mm, write `{value:g} mm`"
+                f"a size of {size:.3g} m{also}; {_ADVICE} {proposals}"
             )

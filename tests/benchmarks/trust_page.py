@@ -60,9 +60,11 @@ Energy errors below {rounding:g} times the rounding error of the largest energy 
 its end is `bad`, and a run that was interrupted is at least `doubtful`: its summary says up to which time its results
 are valid. Warnings that question the result make a run `doubtful`: for example, warnings about angles that look like
 degrees, a coefficient of friction above 5, and an inertia above m d^2, where m is the mass of the heaviest body and d
-is ten times the size of the mechanism. Other examples are the optimal length of a muscle above d, the free length of a
-spring above d and above 100 times its length at the start, a body whose joints are more than 300 times as far from its
-centre of mass as all other bodies are large, and a person taller than 3 m or heavier than 400 kg. A run whose
+is ten times the size of the mechanism. Other examples are the optimal length of a muscle above three times this size,
+the free length of a spring above three times this size and ten times its length at the start, a body whose joints are
+more than 300 times as far from its centre of mass as all other bodies are large, a body longer than 10 m whose mass is
+below 0.0005 kg/m^2 times the square of its length (at 100 m, below 5 kg), and a person taller than 3 m or heavier than
+400 kg. A rope or tether may be that light: three or more links of equal mass and length cause no doubt. A run whose
 [gradients](gradients.md) fail their check is doubtful as well.
 
 A model that is read from a file of another program may lack effects that the file describes and that change the motion.

@@ -107,8 +107,8 @@ DRIVER = {"type": "driver", "bodies": ["ground", "rod"], "coordinate": "angle"}
             "the coefficient of friction of 30 at model.joints.A.friction is above 5; if it is in percent, write 0.3",
         ),
         (
-            {"model__forces__s": {**SPRING, "free_length": 200}},
-            "has a size of 0.7 m and the spring is 0.2 m long; if it is in mm, write `200 mm`",
+            {"model__forces__s": {**SPRING, "free_length": 20}},
+            "0.2 m long; if it is in another unit, write it with the unit, for example `20 cm` or `20 mm`",
         ),
         (
             {"model__muscles__m": {**MUSCLE, "optimal_length": 60}},
@@ -135,7 +135,7 @@ def test_a_value_that_is_probably_not_meant_is_told_with_its_key(values: dict[st
         {"model__bodies__rod__inertia": 20.0},  # at 4.5 m, 9 times the size of 0.5 m
         {"model__bodies__rod__inertia": 3920.0, "model__joints__A__points": [[0.5, 0], [0, 0]]},  # a rotor has no size
         {"model__joints__A__friction": {"coefficient": 0.3, "radius": 0.01}},
-        {"model__forces__s": {**SPRING, "free_length": 19}},  # 95 times the length of the spring
+        {"model__forces__s": {**SPRING, "free_length": 2.05}},  # 10.25 lengths, 2.9 sizes
         {"model__muscles__m": {**MUSCLE, "optimal_length": 0.06}},
         {"model__bodies__rod__angle": 7.853981633974483},
         {"model__bodies__rod__angle": "degrees(720)"},
@@ -212,7 +212,14 @@ def test_the_size_of_a_body_without_joints_follows_from_its_points(element: dict
 
 @pytest.mark.parametrize(
     "improbable",
-    [improbable_inertias, improbable_frictions, improbable_beams, improbable_lengths, rolling_point_masses],
+    [
+        improbable_inertias,
+        improbable_frictions,
+        improbable_beams,
+        improbable_lengths,
+        improbable_bodies,
+        rolling_point_masses,
+    ],
 )
 def test_no_value_of_the_packaged_examples_is_improbable(improbable: Callable[[Mechanism], Iterator[str]]) -> None:
     assert [text for name in example_names("run") for text in improbable(load_spec(name).mechanism())] == []
@@ -236,17 +243,20 @@ def test_friction_that_cannot_turn_a_disc_without_inertia_is_told(
     ("length", "crank", "slider_inertia", "told"),
     [
         pytest.param(250.0, 0.08, 1e-4, "body 'rod' at model.bodies.rod are up to 125 m away", id="m for mm"),
+        pytest.param(
+            600.0, 80.0, 1e-4, "'rod' at model.bodies.rod is 600 m long, but has a mass of only", id="all in mm"
+        ),
         pytest.param(20.0, 0.08, 1e-4, "", id="long rod"),
         pytest.param(250.0, 0.08, 1.0, "", id="large slider"),
         pytest.param(250.0, 0.0, None, "", id="points on a rope"),
     ],
 )
-def test_a_body_much_larger_than_all_others_is_told(
+def test_a_body_much_larger_than_all_others_or_too_light_for_its_length_is_told(
     length: float, crank: float, slider_inertia: float | None, told: str
 ) -> None:
     m = mbdkit.Mechanism()
-    m.body("crank", mass=1.0, inertia=1e-4 if crank else None, position=(crank / 2, 0))
-    m.body("rod", mass=1.0, inertia=length**2 / 12, position=(crank + length / 2, 0))
+    m.body("crank", mass=20.0, inertia=1e-4 if crank else None, position=(crank / 2, 0))
+    m.body("rod", mass=100.0, inertia=length**2, position=(crank + length / 2, 0))
     m.body("slider", mass=1.0, inertia=slider_inertia, position=(crank + length, 0))
     m.revolute("A", m.ground, "crank", points=((0, 0), (-crank / 2, 0)))
     m.revolute("B", "crank", "rod", points=((crank / 2, 0), (-length / 2, 0)))
