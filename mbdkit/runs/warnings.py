@@ -26,6 +26,7 @@ from mbdkit.mechanism.parameters import parameters_in_use
 from mbdkit.mechanism.size import mechanism_size
 from mbdkit.muscles.acting_muscles import acting_muscles
 from mbdkit.runs.angles_in_degrees import angles_in_degrees, motions_in_degrees
+from mbdkit.runs.notes import short_runs, zero_reactions
 from mbdkit.spec import RunSpec
 from mbdkit.trust.criteria import rounding
 from mbdkit.trust.energy_record import EnergyRecord
@@ -52,7 +53,7 @@ _SLIP = re.compile(r"contacts(\.\w+|\[[^\]]+\])\.slip")
 
 def spec_warnings(spec: RunSpec) -> tuple[str, ...]:
     """Return the warnings of the model, and those about effects that it lacks, unresolved beams, unused parameters,
-    improbable values, long steps, excitations and events.
+    short runs, zero reactions, improbable values, long steps, excitations and events.
     """
     found = (*_known(spec), *_left_out(spec), *_improbable(spec), *_long_step(spec), *_excitations(spec))
     return (*found, *_slip_events(spec))
@@ -129,8 +130,8 @@ def _key(mechanism: Mechanism, body: str) -> str:
 def doubts(spec: RunSpec, warnings: Sequence[str]) -> tuple[str, ...]:
     """Return those warnings of a run that question its result.
 
-    Excluded are warnings about intended limits of model and step, about unused parameters, and those that the spec
-    accepts.
+    Excluded are warnings about intended limits of model and step, about unused parameters, short runs and reactions
+    that are always zero, and those that the spec accepts.
     """
     known: tuple[str, ...] = (*_known(spec), *accepted_doubts(spec)) if warnings else ()
     return tuple(warning for warning in warnings if warning not in known)
@@ -148,7 +149,8 @@ def _left_out(spec: RunSpec) -> tuple[str, ...]:
 
 def _known(spec: RunSpec) -> tuple[str, ...]:
     """Return the warnings that do not question the result."""
-    return (*spec.mechanism().warnings, *_unresolved_beams(spec), *_unused_parameters(spec))
+    notes = (*short_runs(spec), *zero_reactions(spec, spec.defined_measures()))
+    return (*spec.mechanism().warnings, *_unresolved_beams(spec), *_unused_parameters(spec), *notes)
 
 
 def passivity_warnings(mechanism: Mechanism, energies: EnergyRecord) -> tuple[str, ...]:

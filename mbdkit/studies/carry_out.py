@@ -253,7 +253,7 @@ def _carried_out(spec: StudySpec, out: str | Path | None, engine: Engine, option
             execution = Execution(spec, folder, replace(options, progress=options.progress or bar, notify=notify))
             _LOG.info("study in %s begins: %s", shown(folder.path), counted(execution.store.count, "run"))
             of_sample |= execution.store.plan.warnings_of_sample()
-            for warning in of_sample.values():
+            for warning in (*of_sample.values(), *execution.store.plan.notes()):
                 _LOG.warning("%s", warning)
                 options.notify(f"warning: {warning}")
             execution.run(engine)

@@ -6,6 +6,7 @@ import re
 from collections.abc import Iterable, Mapping
 from contextlib import suppress
 from functools import cached_property
+from itertools import islice
 
 from mbdkit.archive.measured_values import ERROR
 from mbdkit.base.errors import SpecError
@@ -13,6 +14,7 @@ from mbdkit.base.plain_data import Path, path_text
 from mbdkit.base.text import without_numbers
 from mbdkit.measures.take import Description, describe, has_error, is_taken
 from mbdkit.runs.angles_in_degrees import angles_in_degrees
+from mbdkit.runs.notes import zero_reactions
 from mbdkit.runs.preparation import caution
 from mbdkit.spec import RunSpec
 from mbdkit.spec.reading import parse_key
@@ -24,6 +26,7 @@ from mbdkit.studies.judge import check_verdict
 from mbdkit.studies.planned_points import PlannedPoint, PlannedPoints, distinct_runs, grids, plan_points
 from mbdkit.studies.study_blocks import StudyBlocks
 from mbdkit.studies.study_index import COLUMNS, axis_column
+from mbdkit.studies.varied_masses import varied_masses
 from mbdkit.studies.varied_starts import start_warnings_of_study
 
 SAMPLES = 8
@@ -104,7 +107,7 @@ class StudyPlan:
                 point.spec  # noqa: B018  # raises the error
 
     def warnings(self) -> list[str]:
-        """Return the warnings about the validated specs of runs, and about initial values that the runs vary.
+        """Return the warnings about the validated specs of runs, and about values that the runs vary.
 
         If several differ only in numbers, the first one is returned.
         """
@@ -115,7 +118,16 @@ class StudyPlan:
         of_starts = start_warnings_of_study(spec for _, spec in self.valid_samples)
         of_sample = self.warnings_of_sample()
         of_runs = (warning for text, warning in found.items() if text not in of_sample)
-        return [*of_runs, *of_starts, *of_sample.values()]
+        return [*of_runs, *of_starts, *of_sample.values(), *self.notes()]
+
+    def notes(self) -> list[str]:
+        """Return notes that the single runs do not give: on reactions that are always zero in measures of the study,
+        and on varied masses.
+        """
+        specs = (spec for _, spec in self.valid_samples) if self.spec.in_blocks else iter(self.runs.values())
+        own = [measure for measure in self.spec.defined_measures() if not measure.of_base]
+        of_measures = [note for spec in islice(specs, 1) for note in zero_reactions(spec, own)]
+        return [*of_measures, *varied_masses(self.spec)]
 
     def warnings_of_sample(self) -> dict[str, str]:
         """Return warnings about distributions of angles that are probably meant in degrees.

@@ -21,7 +21,7 @@ from mbdkit.mechanism.improbable_values import (
 )
 from mbdkit.mechanism.mechanism import Mechanism
 from mbdkit.runs.preparation import build
-from mbdkit.runs.warnings import spec_warnings, start_warnings
+from mbdkit.runs.warnings import doubts, spec_warnings, start_warnings
 from mbdkit.spec import load_spec
 from mbdkit.spec.loading import example_names
 from mbdkit.spec.reading import parse_key, put
@@ -82,7 +82,7 @@ DRIVER = {"type": "driver", "bodies": ["ground", "rod"], "coordinate": "angle"}
             "parameters.tilt",
         ),
         (
-            {"model__joints__D": {**DRIVER, "motion": {"table": [[0, 1], [0, 90]]}}},
+            {"model__joints__D": {**DRIVER, "motion": {"table": [[0, 0.1], [0, 90]]}}},
             "the table of driver 'D' reaches 90 rad, which is more than a full rotation; if degrees are intended",
         ),
         ({"parameters": {"tilt": 90}, "model__joints__D": {**DRIVER, "motion": "tilt"}}, "write degrees(tilt)"),
@@ -178,6 +178,62 @@ def test_a_value_that_may_be_meant_is_not_told(values: dict[str, Any]) -> None:
 )
 def test_motions_that_may_be_in_radians_are_not_told(motion: str, parameters: dict[str, Any]) -> None:
     assert warnings_of(parameters=parameters, model__joints__D={**DRIVER, "motion": motion}) == ()
+
+
+LINE = {"type": "point-on-line", "bodies": ["ground", "rod"], "at": [0, 0], "axis": [0, 1]}
+MOVED = {**DRIVER, "coordinate": "x", "motion": "0.5 + t**2"}
+
+
+@pytest.mark.parametrize(
+    ("values", "note"),
+    [
+        pytest.param(
+            {"model__joints__D": {**DRIVER, "motion": {"table": [[0, 0.21, 9], [0, 1, 1]]}}},
+            "the table at model.joints.D.motion changes from 0 s to 0.21 s, but the run goes from 0 s to 0.1 s",
+            id="short run",
+        ),
+        pytest.param({"model__joints__D": {**DRIVER, "motion": {"table": [[0, 0.2], [0, 1]]}}}, "", id="half a table"),
+        pytest.param(
+            {"measures": {"clamp": "max(abs(joints.A.torque))"}},
+            "joints.A.torque in measures.clamp is always zero, because a revolute joint transmits no torque",
+            id="pin",
+        ),
+        pytest.param({"measures": {"load": "max(abs(joints.A.force_x))"}}, "", id="force of a pin"),
+        pytest.param(
+            {"model__joints__A__center": {"x": "0.3*angle"}, "measures": {"m": "max(A.torque)"}}, "", id="moving centre"
+        ),
+        pytest.param(
+            {"model__joints__A": LINE, "measures": {"m": "max(A.force_y)"}},
+            "joints.A.force_y in measures.m is always zero, because a point-on-line joint transmits no force along its",
+            id="slot",
+        ),
+        pytest.param(
+            {"model__gravity": [1, 0], "model__joints__A": LINE, "measures": {"m": "max(A.force_x)"}},
+            "",
+            id="across a slot",
+        ),
+        pytest.param(
+            {"model__joints__A": {**DRIVER, "motion": "t"}, "measures": {"m": "max(abs(A.force))"}},
+            "a driver of angle transmits no force",
+            id="motor",
+        ),
+        pytest.param({"model__joints__A": MOVED, "measures": {"m": "max(A.force_y)"}}, "a driver of x", id="jack"),
+        pytest.param({"model__joints__A": MOVED, "measures": {"m": "max(A.force_x)"}}, "", id="along a jack"),
+    ],
+)
+def test_short_runs_and_reactions_that_are_always_zero_are_noted_without_doubt(
+    values: dict[str, Any], note: str
+) -> None:
+    data = copy.deepcopy(SPEC)
+    for key, value in values.items():
+        put(data, parse_key(key.replace("__", ".")), value)
+    spec = load_spec(data)
+    told = spec_warnings(spec)
+    assert len(told) == bool(note)
+    assert all(note in text for text in told)
+    assert doubts(spec, told) == ()
+    if "measures" in values:
+        assert (max(map(abs, mbdkit.run(spec).measures.values())) < 1e-14) == bool(note)
 
 
 TRIANGLE = {"polygon": [[0, 0], [3, 0], [0, 1]]}

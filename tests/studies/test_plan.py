@@ -214,7 +214,7 @@ def test_many_values_with_one_label_are_told_apart_soon(small):
     [
         ({"model.bodies.rod.angular_velocity": [1.0, 2.0]}, True),
         ({"model.bodies.rod.angular_velocity": [1.0, 2.0], "model.bodies.rod.velocity.1": [0.5, 1.0]}, False),
-        ({"model.bodies.rod.mass": [1.0, 2.0]}, False),
+        ({"model.bodies.rod.mass": [1.0, 2.0], "model.bodies.rod.inertia": [0.1, 0.2]}, False),
     ],
 )
 def test_varied_initial_values_that_assembly_changes_are_told(axis: dict[str, list[float]], told: bool) -> None:
@@ -226,3 +226,43 @@ def test_varied_initial_values_that_assembly_changes_are_told(axis: dict[str, li
     warnings = plan_study(load_study_spec({"mbdkit_study": 1, "base": base, "axes": [axis]})).warnings()
     assert len(warnings) == told
     assert not told or "angular_velocity from 1 to 2, but the start after assembly from 0.25 to 0.5" in warnings[0]
+
+
+@pytest.mark.parametrize(
+    ("mass", "inertia", "axis", "advice"),
+    [
+        pytest.param(1.0, 0.1, {"model.bodies.rod.mass": [1.0, 2.0]}, "write both as expressions", id="numbers"),
+        pytest.param(
+            "m",
+            "I",
+            {"model.bodies.rod.mass": [1.0, 2.0]},
+            "vary parameters.m instead",
+            id="expressions of a parameter",
+        ),
+        pytest.param(
+            "m",
+            "I",
+            {"case": [{"label": "heavy", "set": {"model.bodies.rod.mass": 2.0}}]},
+            "vary parameters.m",
+            id="several keys",
+        ),
+        pytest.param("m", "I", {"parameters.m": [1.0, 2.0]}, "", id="parameter"),
+        pytest.param(1.0, None, {"model.bodies.rod.mass": [1.0, 2.0]}, "", id="point mass"),
+    ],
+)
+def test_a_mass_that_varies_without_its_inertia_is_noted(
+    mass: Any, inertia: Any, axis: dict[str, list[Any]], advice: str
+) -> None:
+    model = {"name": "mechanism", "bodies": {"rod": {"mass": mass, "inertia": inertia}}}
+    base: dict[str, Any] = {"mbdkit": 1, "model": model, "integrator": {"name": "rk4"}, "time": {"end": 1, "step": 0.1}}
+    if isinstance(mass, str):
+        base["parameters"] = {"m": 1.0, "I": "m/12"}
+    notes = plan_study(load_study_spec({"mbdkit_study": 1, "base": base, "axes": [axis]})).warnings()
+    assert len(notes) == bool(advice)
+    assert all("not the inertia of body 'rod'" in note and advice in note for note in notes)
+
+
+def test_a_zero_reaction_in_a_measure_of_a_study_is_noted() -> None:
+    spec = {"mbdkit_study": 1, "base": "slider-crank", "axes": [{"model.bodies.crank.angle": [0.0]}]}
+    notes = plan_study(load_study_spec(spec | {"measures": {"clamp": "max(abs(joints.A.torque))"}})).notes()
+    assert ["joints.A.torque in measures.clamp is always zero" in note for note in notes] == [True]
