@@ -59,6 +59,68 @@ def test_elements_that_are_too_stiff_or_soft_in_bending_are_named(
     assert ["its moments or deflections" in warning for warning in found.warnings] == [True] * is_coarse
 
 
+def cantilever(
+    elements: int, nodes: int = 2, *, force: float = 0.0, load: float = 0.0, damping: float = 0.0
+) -> Mechanism:
+    """Return a beam with EI = L = 1 and unit mass, with a force across its tip and a distributed load."""
+    m = mbdkit.Mechanism(gravity=(0.0, 0.0))
+    stiffness = {"axial": 1e5, "bending": 1.0, "shear": "none"}
+    shape = {"a": (0, 0), "b": (1, 0), "elements": elements, "nodes": nodes, "load": (0, -load)}
+    bar = m.beam("bar", **shape, stiffness=stiffness, mass_per_length=1.0, damping=damping)
+    m.weld("clamp", m.ground, bar[0], at=(0, 0))
+    m.force("tip", bar[-1], value=(0, -force))
+    return m
+
+
+@pytest.mark.parametrize("elements", [1, 2, 3])
+def test_the_estimate_for_three_nodes_is_the_error_of_the_moments_under_a_distributed_load(elements: int) -> None:
+    # expected: the moment q (L - s)^2 / 2 of beam theory
+    found = mbdkit.equilibrium(cantilever(elements, nodes=3, load=0.01))
+    within = found.beams["bar"][1:-1]
+    errors = np.abs(within[:, 3] / 0.005 + (1.0 - within[:, 0]) ** 2)
+    assert (errors.max() > 0.01) == bool(found.warnings)
+    for warning in found.warnings:
+        assert float(warning.partition("about ")[2].partition(" %")[0]) == pytest.approx(100.0 * errors.max(), rel=0.05)
+
+
+@pytest.mark.parametrize(("elements", "is_coarse"), [(1, True), (3, False)])
+def test_a_run_with_one_element_of_three_nodes_under_a_sudden_force_is_doubtful(elements: int, is_coarse: bool) -> None:
+    # expected: damped modes of a clamped beam by Euler and Bernoulli, of frequencies b^2
+    damping, force = 4e-3, 0.01
+    m = cantilever(elements, nodes=3, force=force, damping=damping)
+    run = mbdkit.run(m, integrator={"name": "radau-iia", "stages": 3}, time={"end": 5.0, "step": 0.02})
+    expected = np.zeros(len(run.time))
+    for b in (1.8751040687, 4.6940911330, 7.8547574382, 10.995540735):
+        rate = complex(-(b**4) * damping / 2, b**2 * np.sqrt(1 - (b**2 * damping / 2) ** 2))
+        step = 1.0 - (np.exp(rate * run.time) * (1.0 + 1j * rate.real / rate.imag)).real
+        expected += 4.0 * force / b**4 * step
+    error = np.abs(run["bar.last"].position[:, 1] + expected).max() / expected.max()
+    assert (error > 0.01) == is_coarse == (run.verdict == "doubtful")
+
+
+def test_straight_and_curved_beams_of_three_nodes_that_move_freely_are_not_coarse() -> None:
+    m = mbdkit.Mechanism()
+    common = {"elements": 4, "nodes": 3, "mass_per_length": 1.0, "angular_velocity": 1.0,
+              "stiffness": {"axial": 1e6, "bending": 1e2, "shear": "none"}}  # fmt: skip
+    m.beam("rod", a=(30, 2), b=(31, 3), **common)
+    m.beam("hook", points=[(0, 0), (1, 0.5), (1, 1)], **{**common, "angular_velocity": 0.0})
+    run = mbdkit.run(m, integrator={"name": "radau-iia", "stages": 3}, time={"end": 0.1, "step": 0.05})
+    assert run.verdict_reasons == []
+
+
+@pytest.mark.parametrize("loads", [{"force": 0.1}, {"force": 30.0}, {"load": 1.0}], ids=["small", "large", "spread"])
+def test_the_recommended_number_of_elements_is_enough(loads: dict[str, float]) -> None:
+    for elements, nodes in ((1, 2), (3, 2), (1, 3)):
+        for warning in mbdkit.equilibrium(cantilever(elements, nodes, **loads)).warnings:
+            count = int(warning.rpartition("use about ")[2].partition(" ")[0])
+            assert mbdkit.equilibrium(cantilever(count, nodes, **loads)).warnings == ()
+
+
+def test_no_absurd_number_of_elements_is_recommended() -> None:
+    (warning,) = mbdkit.equilibrium(cantilever(8, force=1e4)).warnings
+    assert warning.endswith("; more than 200 elements would be needed, so check its stiffness and its loads")
+
+
 def test_inverse_dynamics_doubts_a_beam_of_one_element() -> None:
     # expected: the deflection F L^3 / (4 EI) of one element, 0.75 times that of beam theory
     t = np.linspace(0.0, 1.0, 21)
