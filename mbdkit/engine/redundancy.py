@@ -280,8 +280,13 @@ class _Analysis:
         names = self.joints_of(np.abs(part) > 0.1 * np.max(np.abs(part)))
         driven = [name for name in names if name in self.compiled.drivers]
         names = driven if len(driven) > 1 else names
+        others = [] if len(driven) > 1 else ["the points and axes of these joints"]
+        drivers = driven if len(driven) > 1 else sorted(self.compiled.drivers)
+        if drivers:
+            others.append(f"the motion{'s' * (len(drivers) > 1)} of {_named(drivers, 'driver')}")
         return SpecError(
-            f"{_named(names)} constrain the same motion and contradict each other: {what}; remove one of them",
+            f"{_named(names)} constrain the same motion and contradict each other: {what}; correct "
+            f"{listed(others, 'or')}, or remove one of these joints",
             key="model.joints",
         )
 
@@ -327,9 +332,9 @@ class _Analysis:
         )
 
 
-def _named(names: list[str]) -> str:
+def _named(names: list[str], kind: str = "joint") -> str:
     shown = [*names[:6], "..."] if len(names) > 6 else names
-    return f"joint{'s' * (len(names) > 1)} {listed(shown, 'and')}"
+    return f"{kind}{'s' * (len(names) > 1)} {listed(shown, 'and')}"
 
 
 def require_unique_start(workspace: Workspace) -> None:

@@ -281,6 +281,7 @@ def test_joints_that_contradict_each_other_are_refused_with_their_line(mbdkit, i
         "spec.yaml:11: model.joints: joints M and N constrain the same motion and contradict each other"
         in result.stderr
     )
+    assert "correct the motions of drivers M and N, or remove one of these joints" in result.stderr
     assert os.listdir() == ["spec.yaml"]
 
 

@@ -205,6 +205,20 @@ def test_drivers_that_contradict_each_other_are_named(second: str, why: str) -> 
     assert "pin" not in str(caught.value)
 
 
+def test_a_guide_across_the_path_of_a_slider_is_refused_with_what_to_correct() -> None:
+    m = Mechanism()
+    m.body("crank", mass=1.0, inertia=0.1, position=(0.0, -0.5), angle=-math.pi / 2)
+    m.body("rod", mass=1.0, inertia=0.1, position=(0.0, -2.0), angle=-math.pi / 2)
+    m.body("slider", mass=1.0, inertia=0.1, position=(0.0, -3.0))
+    m.revolute("A", m.ground, "crank", at=(0.0, 0.0))
+    m.revolute("B", "crank", "rod", at=(0.0, -1.0))
+    m.revolute("C", "rod", "slider", at=(0.0, -3.0))
+    m.prismatic("guide", m.ground, "slider", at=(0.0, -3.0), axis=(1.0, 0.0))
+    m.driver("motor", m.ground, "crank", coordinate="angle", motion="3*t - pi/2")
+    with pytest.raises(mbdkit.SpecError, match="points and axes of these joints or the motion of driver motor, or rem"):
+        mbdkit.run(m, integrator={"name": "rk4"}, time={"end": 0.1, "step": 0.01})
+
+
 def test_a_spare_rod_that_is_too_long_is_refused_by_name() -> None:
     m = parallelogram()
     m.distance("strut", m.ground, "coupler", points=((0.7, 0.0), (-0.3, 0.0)), length=1.001)
