@@ -60,6 +60,8 @@ ELEMENTS = {
     "point": ("markers", ""),
 }
 """Section of a mechanism and type of element that a user probably means by a wrong key (without its plural s)."""
+OUTSIDE_MODEL = frozenset({("time",), ("output",), ("limits",), ("integrator",)})
+"""Sections of a run spec whose numbers cannot be expressions."""
 EXPLAINED = 12
 """Largest number of problems that a message explains; further ones are only counted."""
 PYDANTIC_KINDS = frozenset(get_args(ErrorType))
@@ -171,7 +173,7 @@ def _complaint(details: ErrorDetails, path: Path, owner: type[BaseModel] | None,
         case "value_error" | "assertion_error" if isinstance(inner, Exception):  # raised by options of a plugin
             return message_of(inner) or f"is not valid: {value_text(given)}"
     if kind in WANTED:
-        return f"should be {WANTED[kind]}, not {value_text(given)}{_hint(kind, given)}"
+        return f"should be {WANTED[kind]}, not {value_text(given)}{_hint(kind, given, path)}"
     if kind in BOUNDS:
         return f"should be {BOUNDS[kind].format(*context.values())}, not {value_text(given)}"
     message = details["msg"]
@@ -213,19 +215,21 @@ def _purpose(owner: type[BaseModel] | None, key: str) -> str:
     return f": {text[:1].lower()}{text[1:]}" if text else ""
 
 
-def _hint(kind: str, given: Any) -> str:
+def _hint(kind: str, given: Any, path: Path) -> str:
     if not isinstance(given, str) or len(given) > 60 or not kind.startswith(("float", "int")):
         return ""
     if re.fullmatch(r"\s*[-+]?\d+,\d+\s*", given):
         return " (write the decimal comma as a point)"
     if re.fullmatch(r"\s*[-+]?(\d+(\.\d*)?|\.\d+)([eE][-+]?\d+)?\s*", given):
         return " (leave out the quotes)"
+    only = "only the model of a spec and its motions can have expressions"
     try:
         program = Expression.parse(given).program
     except SpecError:
-        return ""
+        has_name = re.search(r"(^|[-+*/(])\s*[A-Za-z_]\w*\s*($|[-+*/)])", given) is not None
+        return f" ({only})" if has_name and path[:1] in OUTSIDE_MODEL else ""
     if len(program) == 1 and program[0][0] == "const":
-        return f" (only the model of a spec and its motions can have expressions: write {program[0][1]!r})"
+        return f" ({only}: write {program[0][1]!r})"
     return ""
 
 

@@ -90,6 +90,12 @@ WRONG = {
     "option of another integrator": (small("gauss", "rk4"), 5, "integrator.stages", "belongs to"),
     "option of another model": (small("masses: [1.0, 1.0]", "mass: 1"), 4, "model.mass", "'single-pendulum'"),
     "text for a number": (small("step: 0.01", "step: fast"), 8, "time.step", "should be a number, not the text 'fast'"),
+    "a parameter outside the model": (
+        SMALL.replace("end: 1.0", "end: 2*period").replace("model:", "parameters: {period: 1}\nmodel:"),
+        8,
+        "time.end",
+        "(only the model of a spec and its motions can have expressions)",
+    ),
     "quoted number": (small("step: 0.01", "step: '0.01'"), 8, "time.step", "leave out the quotes"),
     "decimal comma": (small("step: 0.01", "step: 0,01"), 8, "time.step", "decimal comma"),
     "truth for a number": (small("step: 0.01", "step: true"), 8, "time.step", "should be a number, not true"),
