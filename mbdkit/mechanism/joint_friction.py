@@ -40,7 +40,7 @@ class JointFriction(StrictModel):
     ABSENT_BY_DEFAULT: ClassVar[tuple[str, ...]] = ("coefficient", "static", "kinetic")
 
     coefficient: NotNegative | None = None
-    """Coefficient of friction, both at rest and in motion."""
+    """Coefficient of friction, which is the same at rest and in motion."""
     static: NotNegative | None = None
     """Ratio of the largest friction force, which is reached at the transition speed, to the normal force. `static` and
     `kinetic` are an alternative to `coefficient`."""
