@@ -26,7 +26,7 @@ from mbdkit.archive.peak_errors import missed_between_rows, peak_errors
 from mbdkit.base.errors import MbdkitError
 from mbdkit.base.text import counted, shown
 from mbdkit.mechanism.beams import beam_of
-from mbdkit.mechanism.contacts import STICK
+from mbdkit.mechanism.contacts import SLIP, STICK
 from mbdkit.mechanism.mechanism import gravity_text
 from mbdkit.spec.formulation_choice import name_of
 from mbdkit.trust.criteria import NOTHING_SUSPICIOUS, rounding
@@ -310,9 +310,10 @@ def _far_fibers(run: Run) -> str:
 
 
 def _contacts(run: Run) -> str:
-    """Return the deepest overlaps of contacts with their times, and their largest creep (slip while they stick).
+    """Return the deepest overlaps of contacts with their times, their largest creep (slip while they stick), and how
+    far they slip otherwise.
 
-    The deepest overlap comes first; overlaps and creep that are rounding errors are left out.
+    The deepest overlap comes first; rounding errors are left out.
     """
     if not run.contacts:
         return ""
@@ -327,7 +328,10 @@ def _contacts(run: Run) -> str:
             when += " in the recorded rows" if np.isnan(unseen) else ""
             creep = np.max(np.abs(contact.slip[contact.mode == STICK]), initial=0.0)
             crept = f", creeps at up to {creep:.2g} m/s" if creep > EXACT else ""
-            parts.append((depth, f"{name} overlaps by up to {depth:.3g} m {when}{crept}"))
+            slip = np.where(contact.mode == SLIP, np.abs(contact.slip), 0.0)
+            path = float(np.trapezoid(slip, run.time))
+            slipped = f", slips {path:.2g} m" if path > EXACT else ""
+            parts.append((depth, f"{name} overlaps by up to {depth:.3g} m {when}{crept}{slipped}"))
     if not parts:
         return f"no overlap above {EXACT:g} m{' in the recorded rows' if np.any(np.isnan(beyond)) else ''}"
     parts.sort(key=lambda one: -one[0])

@@ -301,16 +301,18 @@ def check_start(
     values = contact_values(contacts, q[None], 0.0 * v[None], np.zeros((1, len(HELD) * len(contacts))))
     for i, one in enumerate(contacts):
         depth, push = -float(values["gap"][0, i]), float(values["normal_force"][0, i])
+        is_deep = depth > 0.5 * one.pair.radius > 0.0
+        remedy = "check the unit of the radius and the direction of the normal, or " if is_deep else ""
         if one.first_state >= 0 and depth > tolerance:
             raise SpecError(
                 f"the shapes of '{one.pair.name}' overlap by {depth:.4g} m at the start, more than "
-                f"`assembly.tolerance`, {tolerance:.4g} m; move the bodies apart",
+                f"`assembly.tolerance`, {tolerance:.4g} m; {remedy}move the bodies apart",
                 key=f"{one.pair.key}.shapes",
             )
         if depth > tolerance and push > HEAVY * weight:
             raise SpecError(
                 f"the shapes of '{one.pair.name}' overlap by {depth:.4g} m at the start, where they would push each "
-                f"other apart with {push:.4g} N, more than {HEAVY:g} times the weight of all bodies; move the bodies "
-                "apart",
+                f"other apart with {push:.4g} N, more than {HEAVY:g} times the weight of all bodies; "
+                f"{remedy}move the bodies apart",
                 key=f"{one.pair.key}.shapes",
             )
