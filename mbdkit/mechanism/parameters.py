@@ -404,11 +404,8 @@ def _check_unit(
     alone = text.strip().lstrip("+- ") in known  # in products and quotients, angles count as pure numbers
     fits = unit.fits if alone else unit.is_like
     if not any(fits(read_unit(one) if one != "1" else PLAIN) for one in units or ("1",)):
-        hint = (
-            "; give factors that have a unit as parameters, such as `m: 2 kg`"
-            if re.search(r"(?<![\w.])\d", text)
-            else ""
-        )
+        has_factor = re.search(r"(?<![\w.])\d", text)
+        hint = "; factors that have a unit should be parameters, such as `m: 2 kg`" if has_factor else ""
         raise SpecError(f"{misfit(text, unit, units)}{hint}", key=path_text(path))
 
 

@@ -116,7 +116,7 @@ def test_specs_and_mechanisms_keep_si_values_only() -> None:
         ("limits.energy_jump", "3 N", r"has the unit N, but this is a number without a unit"),
         ("parameters.k", "2 N", r"forces\.spring\.stiffness: 'k' has the unit N, but this is a number in N/m"),
         ("parameters.half", "2 s", r"joints\.A\.points\[1\]\[0\]: '-half' has the unit s, but this is a number in m"),
-        ("model.forces.wire.stiffness", "0.1*k*half", r"'0\.1\*k\*half' has the unit N, .* a factor with a unit"),
+        ("model.forces.wire.stiffness", "0.1*k*half", r"'0\.1\*k\*half' has the unit N, .* factors that have a unit"),
         ("model.forces.wire.stiffness", "k + half", r"'k \+ half' adds numbers in N/mm and in cm"),
         ("parameters.sum", "k + half", r"parameters\.sum: 'k \+ half' adds numbers in N/mm and in cm"),
         ("parameters.k", "2 kp", r"parameters\.k: '2 kp' is not a number with a unit: 'kp' is not a known unit"),
