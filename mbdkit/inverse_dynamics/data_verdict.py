@@ -15,6 +15,7 @@ from mbdkit.inverse_dynamics.doubt import Doubt
 from mbdkit.inverse_dynamics.error_bars import ErrorBars
 from mbdkit.inverse_dynamics.knee_criterion import knee_doubts
 from mbdkit.inverse_dynamics.load_criteria import load_doubts
+from mbdkit.inverse_dynamics.missing_points import forces_at_centres, missing_points
 from mbdkit.inverse_dynamics.model_criteria import model_doubts, spec_doubts
 from mbdkit.inverse_dynamics.record_criteria import record_doubts
 from mbdkit.inverse_dynamics.shared_columns import equal_columns, shared_columns
@@ -47,15 +48,21 @@ def doubts_about_data(result: Inverse, bars: ErrorBars | None) -> DataDoubts:
     """Return the doubts about the data and the model of a result, and remarks on the data."""
     shared = shared_columns(result.problem)
     found = [*shared, *column_doubts(result), *cutoff_doubts(result), *load_doubts(result, bars), *model_doubts(result)]
-    found += [*turn_doubts(result), *knee_doubts(result), *record_doubts(result, bars)]
-    remarks = (*equal_columns(result.problem), *uncertain_turns(result), *large_deviations(result, bars))
+    found += [*missing_points(result.problem), *turn_doubts(result), *knee_doubts(result), *record_doubts(result, bars)]
+    remarks = (
+        *equal_columns(result.problem),
+        *forces_at_centres(result.problem),
+        *uncertain_turns(result),
+        *large_deviations(result, bars),
+    )
     return _sorted(found, result.problem.spec.accept)._replace(remarks=remarks)
 
 
 def doubts_before_computation(problem: InverseProblem) -> DataDoubts:
     """Return those doubts about the data and the model that do not depend on the computed motion and forces."""
     columns = doubts_before_fit(problem.measured, problem.fitter.manifold.length)
-    return _sorted([*shared_columns(problem), *columns, *spec_doubts(problem.spec)], problem.spec.accept)
+    found = [*shared_columns(problem), *columns, *missing_points(problem), *spec_doubts(problem.spec)]
+    return _sorted(found, problem.spec.accept)
 
 
 def _sorted(found: Sequence[Doubt], accepted: Sequence[Criterion]) -> DataDoubts:

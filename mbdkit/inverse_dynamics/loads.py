@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from difflib import SequenceMatcher
 from typing import Any, Literal, TypeAlias
 
 import numpy as np
@@ -23,6 +25,12 @@ from mbdkit.spec.inverse_sections import ColumnOfTable, Load, TimeColumn
 UNLOADED, UNLOADED_SHARE = 10.0, 0.05
 """Forces below the first limit [N] and below this share of the largest force of a plate are too small to determine a
 centre of pressure."""
+
+AXIS = re.compile(r"([xyz])(\d*)$")
+"""The axis and the number of a plate at the end of a heading in lower case."""
+
+LIKE_POINT = re.compile(r"(?:^|[^a-z])(?:p|cp|cop|point|position|pressure)[^a-z0-9]?" + AXIS.pattern)
+"""Headings in lower case of points of application, such as ``ground_force_px``, ``plate1.point.x`` and ``COPx1``."""
 
 Component: TypeAlias = tuple[Literal["force", "point", "torque"], int | None]
 """A component of a `LoadSeries`: name of the array, and index along its last axis."""
@@ -51,6 +59,8 @@ class LoadSeries:
     deviation
         Standard deviations of the noise in SI units, for the components with noise. The keys are components, such as
         ("force", 0) for the x component of the force and ("torque", None) for the torque.
+    like_point
+        If there is no point, headings of columns that are not used and look like the point of application.
     """
 
     time: np.ndarray
@@ -61,6 +71,7 @@ class LoadSeries:
     torque: np.ndarray
     is_cubic: bool
     deviation: Mapping[Component, float] = field(default_factory=dict)
+    like_point: tuple[str, ...] = ()
 
     def moved(self, component: Component, by: float) -> LoadSeries:
         """Return the load with a component changed at all times at which the load acts."""
@@ -167,7 +178,30 @@ def _series(spec: InverseSpec, names: QuantityNames, key: str, load: Load, of_mo
             point[:, axis] = _required(table, column, "m", f"{key}.point[{axis}]", acts)
             deviation["point", axis] = _deviation(table, column, "m")
     noisy = {component: value for component, value in deviation.items() if value > 0}
-    return LoadSeries(time, body, force, point, frame, torque, load.interpolation == "cubic", noisy)
+    like_point = _like_point(spec, names, load, table) if point is None else ()
+    return LoadSeries(time, body, force, point, frame, torque, load.interpolation == "cubic", noisy, like_point)
+
+
+def _like_point(spec: InverseSpec, names: QuantityNames, load: Load, table: Table) -> tuple[str, ...]:
+    """Return the headings of unused columns that look like the point of application of a load without one.
+
+    If several plates share the table, they are those whose names are most like that of the force.
+    """
+    forces = [one.column for one in load.force or () if not isinstance(one, float)]
+    points = [one.column for other in spec.loads.values() for one in other.point or () if not isinstance(one, float)]
+    used = {*points, *(one.column for one in (spec.motion.columns or {}).values())}
+    found = [
+        (SequenceMatcher(None, heading, force).ratio(), heading)
+        for force in forces
+        for heading in table.headings
+        if heading not in used
+        and not names.knows(heading)
+        and (point := LIKE_POINT.search(heading.lower()))
+        and (own := AXIS.search(force.lower()))
+        and point.groups() == own.groups()
+    ]
+    most = max((alike for alike, _ in found), default=0.0)
+    return tuple(heading for alike, heading in found if alike == most)
 
 
 def _without_point(table: Table, point: tuple[ColumnOfTable | float, ...], force: np.ndarray, key: str) -> np.ndarray:

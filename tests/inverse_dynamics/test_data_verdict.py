@@ -14,6 +14,7 @@ from mbdkit import SpecError
 from mbdkit.inverse_dynamics.column_criteria import suspicious_columns
 from mbdkit.inverse_dynamics.compute import InverseProblem, compute
 from mbdkit.inverse_dynamics.data_verdict import doubts_about_data, doubts_before_computation
+from mbdkit.inverse_dynamics.missing_points import forces_at_centres, missing_points
 from mbdkit.spec import load_inverse_spec
 from mbdkit.spec.loading import example_table
 from tests.inverse_dynamics.drawn_faults import FAULTS, outcomes
@@ -286,6 +287,40 @@ def test_a_centre_of_pressure_in_the_frame_of_the_laboratory_is_doubted() -> Non
     assert accepting.verdict_reasons == [f"Accepted by the spec: {run.verdict_reasons[0]}"]
     far["ground"]["kind"] = "other"
     assert leg(loads=far).verdict == "unknown"
+
+
+def test_a_force_at_the_centre_of_mass_for_want_of_a_point_is_told() -> None:
+    (ground,) = stance().values()
+    del ground["point"]
+    data = {"time": T, "1_force_vy": ground["data"]["fy"], **{f"{plate}force_px": 0 * T for plate in ("", "1_")}}
+    found: dict[str, tuple[list[str], list[str]]] = {}
+    for case, load in {
+        "named": ground | {"data": data | {"1_force_vx": ground["data"]["fx"]}, "force": ["1_force_vx", "1_force_vy"]},
+        "free": {"data": ground["data"], "body": "foot", "force": ["fx", "fy"]},
+        "plate": ground | {"kind": "plate"},
+        "other": ground | {"kind": "other"},
+        "constant": ground | {"force": [3.0, 0.0]},
+    }.items():
+        problem = InverseProblem.of(
+            load_inverse_spec(
+                {
+                    "mbdkit": 1,
+                    "model": {"name": "leg"},
+                    "motion": {"data": {"time": T, **ANGLES}, "smooth": SMOOTH},
+                    "loads": {"ground": load},
+                }
+            )
+        )
+        found[case] = [one.sentence for one in missing_points(problem)], list(forces_at_centres(problem))
+    at = "load 'ground' has no `point`, so that its force acts at the centre of mass of foot"
+    otherwise = "give `point`, or write `kind: other` if the force does act at the centre of mass."
+    assert found == {
+        "named": ([f"{at}, but 1_force_px looks like its point of application: {otherwise}"], []),
+        "free": ([], [f"{at}. Give `point` if it acts elsewhere, or write `kind: other`."]),
+        "plate": ([f"{at}, although it is the load of a force plate: give `point`."], []),
+        "other": ([], []),
+        "constant": ([], []),
+    }
 
 
 def test_a_plate_may_lack_the_centre_of_pressure_while_its_force_is_small() -> None:
