@@ -156,10 +156,10 @@ def improbable_bodies(mechanism: Mechanism) -> Iterator[str]:
         for _, name, point in joint.attachments():
             if name != GROUND:
                 points[name].append(point)
-    largest = _outsize(mechanism, {name: max(math.hypot(*one) for one in found) for name, found in points.items()})
-    if largest:
+    reach = {name: max(math.hypot(*one) for one in found) for name, found in points.items()}
+    if largest := _outsize(mechanism, reach):
         yield largest
-    else:
+    elif 2.0 * max(reach.values(), default=0.0) > LONG:  # otherwise no body can be longer
         yield from _light(mechanism, points)
 
 
