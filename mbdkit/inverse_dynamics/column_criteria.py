@@ -12,6 +12,7 @@ from mbdkit.inverse_dynamics.doubt import ROUND_OFF, TO_DEVIATION, Doubt
 from mbdkit.inverse_dynamics.exchanged_markers import exchanged_markers
 from mbdkit.inverse_dynamics.marker_distances import far_apart, unlike_distances
 from mbdkit.inverse_dynamics.measured import Measured
+from mbdkit.inverse_dynamics.misplaced_marker import misplaced_marker
 from mbdkit.inverse_dynamics.time_criteria import off_neighbours, uneven_times, unit_of_time
 from mbdkit.spec.inverse_sections import NoSmoothing, QuinticSpline
 
@@ -62,7 +63,7 @@ For the links of a leg, this is 2 cm, the limit that OpenSim recommends for mark
 
 SUDDEN, LEAST_SUDDEN = 10.0, 0.01
 """The fit is poor for some time if residuals exceed both `SUDDEN` times their robust standard deviation, and
-`LEAST_SUDDEN` in the units of `RESIDUAL`.
+`LEAST_SUDDEN` in the units of `RESIDUAL`. Above `LEAST_SUDDEN`, a single marker may contradict the others.
 """
 
 BEYOND_NOISE = 10.0
@@ -272,6 +273,9 @@ def _fit(result: Inverse) -> Iterator[Doubt]:
             ),
         )
         return
+    if np.any(rms > LEAST_SUDDEN) and (told := misplaced_marker(result, share)):
+        yield Doubt("fit", told)
+        return
     usual = np.maximum(SUDDEN * TO_DEVIATION * np.nanmedian(share, axis=0), LEAST_SUDDEN)
     rows = np.flatnonzero(np.any(share > usual, axis=1))
     if rows.size:
@@ -285,10 +289,12 @@ def _fit(result: Inverse) -> Iterator[Doubt]:
 
 
 def _cause_of_misfit(result: Inverse, share: np.ndarray, otherwise: str) -> str:
-    """Return a sentence on two markers that are probably exchanged where residuals `share` (T, K) are largest."""
+    """Return a sentence on two markers that are probably exchanged where residuals `share` (T, K) are largest, or on
+    one marker that contradicts the others.
+    """
     row = int(np.argmax(np.nansum(share**2, axis=1)))
     told = exchanged_markers(result.problem.fitter, result.fitted.measured, row, result.fitted.q[row])
-    return f"{told}." if told else otherwise
+    return f"{told}." if told else misplaced_marker(result, share) or otherwise
 
 
 def _noise(result: Inverse) -> Iterator[Doubt]:

@@ -135,30 +135,50 @@ def test_the_refusal_of_a_fit_names_the_suspicious_column(
     [pytest.param(("heel", "toe"), "foot", id="one-body"), pytest.param(("knee", "toe"), "shank and foot", id="two")],
 )
 def test_exchanged_markers_are_named(exchanged: tuple[str, str], bodies: str) -> None:
-    # a shank that hangs from a knee at the origin, and its foot, from their geometry
+    m, places = shank_and_foot("shank", swing=0.3)
+    one, other = exchanged
+    places[one], places[other] = places[other], places[one]
+    sentence = f"markers {one} and {other} of {bodies} are probably exchanged: with the columns of the other one, the"
+    said = said_of_markers(m, places)
+    assert any(sentence in one for one in said), said
+
+
+@pytest.mark.parametrize("swing", [pytest.param(0.06, id="small-residuals"), pytest.param(0.3, id="large-residuals")])
+def test_a_marker_on_the_wrong_body_is_named_with_the_right_one(swing: float) -> None:
+    assert not said_of_markers(*shank_and_foot("shank", swing))
+    (reason,) = said_of_markers(*shank_and_foot("foot", swing))
+    assert ("does not fit the data" in reason) == (swing == 0.3)
+    assert "marker tibia of foot contradicts the others" in reason
+    assert "it seems to be on shank, where it moves by 0.00" in reason
+
+
+def shank_and_foot(body_of_tibia: str, swing: float) -> tuple[mbdkit.Mechanism, dict[str, np.ndarray]]:
+    """Return a shank that hangs from a knee at the origin, its foot, and the places of markers, from their geometry."""
     m = mbdkit.Mechanism()
     m.body("shank", mass=3.0, inertia=0.05, position=(0.0, -0.2), angle=-np.pi / 2)
     m.body("foot", mass=1.0, inertia=0.004, position=(0.06, -0.44))
     m.revolute("knee_joint", m.ground, "shank", at=(0.0, 0.0))
     m.revolute("ankle", "shank", "foot", at=(0.0, -0.4))
-    for name, body, point in (("knee", "shank", (-0.2, 0.0)), ("tibia", "shank", (0.0, 0.05))):
-        m.marker(name, body, point=point)
+    m.marker("knee", "shank", point=(-0.2, 0.0))
+    m.marker("tibia", body_of_tibia, point={"shank": (0.0, 0.05), "foot": (-0.01, 0.24)}[body_of_tibia])
     for name, point in (("heel", (-0.1, 0.0)), ("toe", (0.15, 0.0))):
         m.marker(name, "foot", point=point)
-    shank, foot = np.exp(1j * (0.3 * np.sin(3 * T) - np.pi / 2)), np.exp(0.2j * np.cos(3 * T))
+    shank, foot = np.exp(1j * (swing * np.sin(3 * T) - np.pi / 2)), np.exp(0.2j * np.cos(3 * T))
     middle = 0.4 * shank + (0.06 - 0.04j) * foot
     places = {"knee": 0 * T, "tibia": (0.2 + 0.05j) * shank, "heel": middle - 0.1 * foot, "toe": middle + 0.15 * foot}
-    one, other = exchanged
-    places[one], places[other] = places[other], places[one]
+    noise = 1e-3 * np.random.default_rng(4).standard_normal((2, len(places), len(T)))
+    return m, {name: at + real + 1j * imag for (name, at), real, imag in zip(places.items(), *noise, strict=True)}
+
+
+def said_of_markers(m: mbdkit.Mechanism, places: dict[str, np.ndarray]) -> list[str]:
+    """Return the reasons for the verdict on the places of markers, or the error."""
     data = {f"{name}.{axis}": getattr(at, part) for name, at in places.items() for axis, part in PARTS.items()}
     motion = {"data": {"time": T, **data}, "smooth": "quintic", "errors": "none"}
     try:
         spec = {"mbdkit": 1, "model": m.to_spec(), "motion": motion, "unbalanced": "report"}
-        said = mbdkit.inverse(spec).verdict_reasons
+        return mbdkit.inverse(spec).verdict_reasons
     except mbdkit.RunError as error:
-        said = [str(error)]
-    sentence = f"markers {one} and {other} of {bodies} are probably exchanged: with the columns of the other one, the"
-    assert any(sentence in one for one in said), said
+        return [str(error)]
 
 
 @pytest.mark.parametrize("second_body", [pytest.param("rod", id="one-body"), pytest.param("other", id="two-bodies")])
