@@ -14,6 +14,7 @@ from mbdkit.inverse_dynamics.compute import Inverse, InverseProblem
 from mbdkit.inverse_dynamics.doubt import Doubt
 from mbdkit.inverse_dynamics.error_bars import ErrorBars
 from mbdkit.inverse_dynamics.knee_criterion import knee_doubts
+from mbdkit.inverse_dynamics.large_errors import large_errors
 from mbdkit.inverse_dynamics.load_criteria import load_doubts
 from mbdkit.inverse_dynamics.missing_points import forces_at_centres, missing_points
 from mbdkit.inverse_dynamics.model_criteria import model_doubts, spec_doubts
@@ -49,6 +50,7 @@ def doubts_about_data(result: Inverse, bars: ErrorBars | None) -> DataDoubts:
     shared = shared_columns(result.problem)
     found = [*shared, *column_doubts(result), *cutoff_doubts(result), *load_doubts(result, bars), *model_doubts(result)]
     found += [*missing_points(result.problem), *turn_doubts(result), *knee_doubts(result), *record_doubts(result, bars)]
+    found += large_errors(result, bars)
     remarks = (
         *equal_columns(result.problem),
         *forces_at_centres(result.problem),

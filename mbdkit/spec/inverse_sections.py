@@ -200,6 +200,7 @@ Criterion = Literal[
     "cutoff",
     "gaps",
     "ends",
+    "large-errors",
     "load-point",
     "load-sign",
     "load-direction",

@@ -527,6 +527,31 @@ def test_other_criteria_find_faults_of_loads_and_masses_if_residuals_are_accepte
     assert delays == pytest.approx([0.1] * len(delays), abs=0.01)
 
 
+@pytest.mark.parametrize(
+    ("smooth", "other", "doubted"),
+    [
+        pytest.param("none", 0.01, True, id="noisy"),
+        pytest.param("none", 100.0, False, id="noisy-beside-a-large-one"),
+        pytest.param(SMOOTH, 0.01, False, id="smoothed"),
+    ],
+)
+def test_values_that_are_mostly_noise_are_doubted(smooth: Any, other: float, doubted: bool) -> None:
+    m = mbdkit.Mechanism()
+    for name, mass in (("light", 0.01), ("other", other)):
+        m.body(name, mass=mass, inertia=0.1 * mass, position=(0.5, 0.0))
+        m.revolute(f"{name}_hip", m.ground, name, at=(0, 0))
+    swing = 0.4 * np.sin(2 * T) - np.pi / 2
+    data = {"time": T, "light": swing + NOISE[0], "other": swing}
+    columns = {"light_hip.angle": ("light", 1e-3), "other_hip.angle": ("other", 1e-9)}
+    stated = {name: {"column": column, "deviation": noise} for name, (column, noise) in columns.items()}
+    run = mbdkit.inverse(
+        {"mbdkit": 1, "model": m.to_spec(), "motion": {"data": data, "columns": stated, "smooth": smooth}}
+    )
+    reasons = [one for one in run.verdict_reasons if one.startswith("large-errors: ")]
+    assert len(reasons) == doubted
+    assert all("light_hip (" in one and "other_hip" not in one and "`motion.smooth`" in one for one in reasons)
+
+
 def test_outliers_exchanged_and_constant_columns_are_doubted() -> None:
     knee = ANGLES["knee_flexion"]
     outlier = np.where(np.arange(len(T)) == 70, knee + 0.05, knee)
@@ -579,8 +604,8 @@ def test_a_stated_noise_far_above_that_of_the_data_is_told_with_the_noise_seen()
     loads = stance()
     loads["ground"]["force"] = ["fx", {"column": "fy", "deviation": 5e3}]
     run = leg(motion={"columns": columns, "errors": {"samples": 20}}, loads=loads)
-    assert (run.verdict, run.verdict_reasons) == ("unknown", [])
-    noise, load = run.warnings
+    assert told(run) == {"large-errors"}
+    noise, load, _ = run.warnings
     assert noise.count("seen") == 2
     named, seen = noise.partition("hip_flexion 0.02 rad (seen ")[::2]
     assert named.endswith("too wide: ")
