@@ -18,7 +18,7 @@ from mbdkit.base.text import counted, listed, shown
 from mbdkit.base.units import Unit, read_unit
 from mbdkit.inverse_dynamics.continued_angles import continued
 from mbdkit.inverse_dynamics.fit import Target
-from mbdkit.inverse_dynamics.measured_table import Table, table_of
+from mbdkit.inverse_dynamics.measured_table import Table, table_of, unit_of_time_as_cause
 from mbdkit.inverse_dynamics.table_files import read_table
 from mbdkit.mechanism.mechanism_quantities import Quantities, Quantity
 from mbdkit.mechanism.quantity_names import QuantityNames
@@ -331,7 +331,8 @@ def _bridged(
     worst = int(np.argmax(np.where(np.diff(known) > 1, widths, 0.0)))
     if widths[worst] > gaps.longest * (1 + ROUNDED):
         raise table.error(
-            f"{column}: a gap of {widths[worst]:.4g} s is longer than `gaps.longest` allows ({gaps.longest:.4g} s)",
+            f"{column}: a gap of {widths[worst]:.4g} s is longer than `gaps.longest` allows ({gaps.longest:.4g} s)"
+            f"{unit_of_time_as_cause(float(np.median(np.diff(time))))}",
             row=int(rows[known[worst] + 1]),
         )
     return bridged(time, values, missing, gaps)

@@ -25,6 +25,18 @@ GAPS = (
 HEADINGS_SHOWN = 30
 
 
+SLOW = 0.1
+"""If the interval between samples is longer than this [s], messages name a wrong unit of time as a possible cause."""
+
+
+def unit_of_time_as_cause(interval: float) -> str:
+    """Return clauses on the unit of time, for the end of a message, if an interval [s] between samples is long."""
+    cause = "; if the times are in milliseconds, write `time: {column: NAME, unit: ms}`" if interval > SLOW else ""
+    if round(interval, 9) == 1.0:
+        cause += "; if they are numbers of frames, divide them by the frame rate"
+    return cause
+
+
 @dataclass(frozen=True)
 class Table:
     """A table of numbers, whose cells are converted when a column is used.

@@ -12,6 +12,7 @@ from scipy.linalg import solveh_banded
 from scipy.signal import butter, filtfilt, lfilter, lfiltic
 
 from mbdkit.base.errors import SpecError
+from mbdkit.inverse_dynamics.measured_table import unit_of_time_as_cause
 from mbdkit.spec.inverse_sections import (
     Butterworth,
     NoSmoothing,
@@ -26,11 +27,6 @@ UNEVEN = 1e-3
 """
 
 KEY = "motion.smooth"
-
-SLOW = 0.1
-"""If the interval between samples is longer than this [s], the error message on a cutoff that is too high names a wrong
-unit of time as a possible cause.
-"""
 
 FEWEST = 6
 """Smallest number of samples for a quintic spline."""
@@ -260,14 +256,9 @@ def _check_cutoff(given: float, once: float, interval: float) -> None:
     """
     highest = 0.5 / interval * given / once
     if given >= highest:
-        cause = ""
-        if interval > SLOW:
-            cause = "; if the times are in milliseconds, write `time: {column: NAME, unit: ms}`"
-        if round(interval, 9) == 1.0:
-            cause += "; if they are numbers of frames, divide them by the frame rate"
         raise SpecError(
             f"{given:g} Hz is too high: with {1 / interval:.6g} samples per second, it should be below {highest:.4g} "
-            f"Hz{cause}",
+            f"Hz{unit_of_time_as_cause(interval)}",
             key=f"{KEY}.cutoff",
         )
 

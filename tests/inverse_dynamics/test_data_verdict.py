@@ -233,6 +233,20 @@ def test_a_load_takes_the_times_of_the_motion_from_its_table() -> None:
         leg(motion={**motion, "time": {"column": "t", "unit": "mm"}})
 
 
+@pytest.mark.parametrize(
+    ("unit", "hint"),
+    [
+        pytest.param(1.0, r"\)$", id="seconds"),
+        pytest.param(1e3, r"\); if the times are in milliseconds, write `time: [^;]*$", id="milliseconds"),
+        pytest.param(1e2, r"\); .* in milliseconds, .*; if they are numbers of frames, divide", id="frames"),
+    ],
+)
+def test_a_gap_that_is_too_long_because_of_the_unit_of_time_says_so(unit: float, hint: str) -> None:
+    hip = np.where((T > 0.5) & (T < 0.9), np.nan, ANGLES["hip_flexion"])
+    with pytest.raises(SpecError, match=r"a gap of \S+ s is longer than `gaps.longest` allows \(0.1 s" + hint):
+        leg({"time": unit * T, "hip_flexion": hip}, motion={"gaps": {"longest": 0.1}})
+
+
 def test_radians_declared_as_degrees_are_doubted_but_one_small_angle_is_not() -> None:
     columns = {name: {"column": name, "unit": "deg"} for name in ANGLES}
     (reason,) = leg(motion={"columns": columns}).verdict_reasons
