@@ -7,6 +7,7 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from mbdkit.base.text import listed
+from mbdkit.inverse_dynamics.changed_axes import changed_axes
 from mbdkit.inverse_dynamics.compute import Inverse
 from mbdkit.inverse_dynamics.doubt import ROUND_OFF, TO_DEVIATION, Doubt
 from mbdkit.inverse_dynamics.exchanged_markers import exchanged_markers
@@ -289,11 +290,11 @@ def _fit(result: Inverse) -> Iterator[Doubt]:
 
 
 def _cause_of_misfit(result: Inverse, share: np.ndarray, otherwise: str) -> str:
-    """Return a sentence on two markers that are probably exchanged where residuals `share` (T, K) are largest, or on
-    one marker that contradicts the others.
+    """Return a sentence on two markers that are probably exchanged where residuals `share` (T, K) are largest, on
+    wrong axes of all markers, or on one marker that contradicts the others.
     """
-    row = int(np.argmax(np.nansum(share**2, axis=1)))
-    told = exchanged_markers(result.problem.fitter, result.fitted.measured, row, result.fitted.q[row])
+    row, problem = int(np.argmax(np.nansum(share**2, axis=1))), result.problem
+    told = exchanged_markers(problem.fitter, result.fitted.measured, row, result.fitted.q[row]) or changed_axes(problem)
     return f"{told}." if told else misplaced_marker(result, share) or otherwise
 
 

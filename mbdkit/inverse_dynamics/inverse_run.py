@@ -19,6 +19,7 @@ from mbdkit.archive.run import Run
 from mbdkit.base.errors import RunError
 from mbdkit.base.logs import logger_of, warn_on_stderr
 from mbdkit.base.one_thread import one_thread_of_linear_algebra
+from mbdkit.inverse_dynamics.changed_axes import changed_axes
 from mbdkit.inverse_dynamics.column_criteria import suspicious_columns
 from mbdkit.inverse_dynamics.compute import InverseProblem, compute
 from mbdkit.inverse_dynamics.data_verdict import doubts_about_data
@@ -100,16 +101,17 @@ def causes_named(problem: InverseProblem) -> Iterator[None]:
         yield
     except RunError as error:
         length, no_pose = problem.fitter.manifold.length, isinstance(error, FitError)
-        exchanged = _exchanged(problem, error.time) if isinstance(error, FitError) else None
-        suspicious = [exchanged] if exchanged else suspicious_columns(problem.measured, length, no_pose=no_pose)
+        of_markers = _cause_in_markers(problem, error.time) if isinstance(error, FitError) else None
+        suspicious = [of_markers] if of_markers else suspicious_columns(problem.measured, length, no_pose=no_pose)
         angles = angles_in_degrees(problem.spec)
         raise RunError("; ".join([str(error), *[*angles, *suspicious][:MOST_NAMED]])) from error
 
 
-def _exchanged(problem: InverseProblem, time: float) -> str | None:
-    """Return a clause that names two markers that are probably exchanged at a time without a pose."""
+def _cause_in_markers(problem: InverseProblem, time: float) -> str | None:
+    """Return a clause on markers that are probably exchanged at a time without a pose, or on wrong axes of all."""
     row = int(np.argmin(np.abs(problem.measured.time - time)))
-    return exchanged_markers(problem.fitter, problem.measured, row, problem.prepared.equations.q0)
+    exchanged = exchanged_markers(problem.fitter, problem.measured, row, problem.prepared.equations.q0)
+    return exchanged or changed_axes(problem)
 
 
 def compute_run(spec: InverseSpec, *, path: Path | None = None, overwrite: bool = False) -> Run:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -152,28 +152,47 @@ def test_a_marker_on_the_wrong_body_is_named_with_the_right_one(swing: float) ->
     assert "it seems to be on shank, where it moves by 0.00" in reason
 
 
+@pytest.mark.parametrize(
+    ("change", "cause"),
+    [
+        pytest.param(lambda z: z.imag + 1j * z.real, "x and y exchanged", id="exchanged"),
+        pytest.param(np.conj, "the sign of y reversed", id="y-down"),
+        pytest.param(lambda z: -z.conj(), "the sign of x reversed", id="x-backwards"),
+        pytest.param(lambda z: z.real + 0.1j * np.abs(z), "z in place of y", id="z-up"),
+    ],
+)
+def test_wrong_axes_of_all_markers_are_named(change: Callable[[np.ndarray], np.ndarray], cause: str) -> None:
+    m, places = shank_and_foot("shank", swing=0.3)
+    upward = {f"{name}.z": at.imag for name, at in places.items()} if cause.startswith("z") else {}
+    (said,) = said_of_markers(m, {name: change(at) for name, at in places.items()}, upward)
+    assert said.rstrip(".").endswith(f"the axes of the markers are probably wrong: the mechanism fits with {cause}")
+
+
 def shank_and_foot(body_of_tibia: str, swing: float) -> tuple[mbdkit.Mechanism, dict[str, np.ndarray]]:
-    """Return a shank that hangs from a knee at the origin, its foot, and the places of markers, from their geometry."""
+    """Return a shank that hangs from its knee, its foot, and the places of markers, from their geometry."""
     m = mbdkit.Mechanism()
-    m.body("shank", mass=3.0, inertia=0.05, position=(0.0, -0.2), angle=-np.pi / 2)
-    m.body("foot", mass=1.0, inertia=0.004, position=(0.06, -0.44))
-    m.revolute("knee_joint", m.ground, "shank", at=(0.0, 0.0))
-    m.revolute("ankle", "shank", "foot", at=(0.0, -0.4))
+    m.body("shank", mass=3.0, inertia=0.05, position=(0.3, 0.0), angle=-np.pi / 2)
+    m.body("foot", mass=1.0, inertia=0.004, position=(0.36, -0.24))
+    m.revolute("knee_joint", m.ground, "shank", at=(0.3, 0.2))
+    m.revolute("ankle", "shank", "foot", at=(0.3, -0.2))
     m.marker("knee", "shank", point=(-0.2, 0.0))
     m.marker("tibia", body_of_tibia, point={"shank": (0.0, 0.05), "foot": (-0.01, 0.24)}[body_of_tibia])
     for name, point in (("heel", (-0.1, 0.0)), ("toe", (0.15, 0.0))):
         m.marker(name, "foot", point=point)
+    knee = 0.3 + 0.2j
     shank, foot = np.exp(1j * (swing * np.sin(3 * T) - np.pi / 2)), np.exp(0.2j * np.cos(3 * T))
     middle = 0.4 * shank + (0.06 - 0.04j) * foot
     places = {"knee": 0 * T, "tibia": (0.2 + 0.05j) * shank, "heel": middle - 0.1 * foot, "toe": middle + 0.15 * foot}
     noise = 1e-3 * np.random.default_rng(4).standard_normal((2, len(places), len(T)))
-    return m, {name: at + real + 1j * imag for (name, at), real, imag in zip(places.items(), *noise, strict=True)}
+    return m, {
+        name: knee + at + real + 1j * imag for (name, at), real, imag in zip(places.items(), *noise, strict=True)
+    }
 
 
-def said_of_markers(m: mbdkit.Mechanism, places: dict[str, np.ndarray]) -> list[str]:
-    """Return the reasons for the verdict on the places of markers, or the error."""
+def said_of_markers(m: mbdkit.Mechanism, places: dict[str, np.ndarray], more: Mapping[str, Any] = {}) -> list[str]:
+    """Return the reasons for the verdict on the places of markers, with more columns, or the error."""
     data = {f"{name}.{axis}": getattr(at, part) for name, at in places.items() for axis, part in PARTS.items()}
-    motion = {"data": {"time": T, **data}, "smooth": "quintic", "errors": "none"}
+    motion = {"data": {"time": T, **data, **more}, "smooth": "quintic", "errors": "none"}
     try:
         spec = {"mbdkit": 1, "model": m.to_spec(), "motion": motion, "unbalanced": "report"}
         return mbdkit.inverse(spec).verdict_reasons
