@@ -3,8 +3,10 @@
 Near an end, a smoothed coordinate depends on how the smoothing continues the record. Filters continue it by odd
 reflection, and smoothing splines end with a vanishing second derivative. Both are wrong unless the acceleration at the
 end vanishes. The response of the smoothing to parabolas shows what an acceleration of 1 at an end changes in each
-frame. The acceleration at an end is not known; it is assumed to be no larger than the largest one of the record.
-Accelerations of several coordinates are assumed to be correlated at an end as they are over the record.
+frame. To estimate the acceleration at an end, a cubic polynomial is fitted to the coordinates before smoothing over one
+period of the cutoff. The acceleration is assumed to be at most the largest one of the record or, if this is larger, the
+magnitude of the estimate plus the bound of its noise. Accelerations of several coordinates are assumed to be correlated
+at an end as they are over the record.
 
 The natural quintic spline through all samples ends with a vanishing third derivative instead, which is wrong by an
 error of first order in the interval. The third derivative at an end is estimated by its root mean square over the
@@ -27,16 +29,19 @@ from mbdkit.base.text import listed
 from mbdkit.inverse_dynamics.compute import Inverse
 from mbdkit.inverse_dynamics.noise import NoisePath
 from mbdkit.inverse_dynamics.smoothing import Smoothed, cutoff_of, fixed, smoothed_each, spline_of_ends
-from mbdkit.spec.inverse_sections import QuinticSpline, Smoothing
+from mbdkit.spec.inverse_sections import NoSmoothing, QuinticSpline, Smoothing
 
 NAMED = 4
 """Largest number of columns, actuators and joints that are named."""
 
 DRAWS = 20
-"""Number of samples of noise used to estimate the part of the third derivatives that noise causes."""
+"""Number of samples of noise used to estimate its effect on accelerations and third derivatives at the ends."""
 
 END_FACTOR = 1.96
-"""Ratio of the bound of the third derivative at an end, with a probability of 95 %, to its root mean square."""
+"""Ratio of the bound of a Gaussian variable, with a probability of 95 %, to its root mean square."""
+
+FEWEST_AT_END = 8
+"""The acceleration at an end is estimated from at least this number of samples."""
 
 DECAY = 8
 """After this number of intervals, the effect of the ends of a quintic spline has decayed to a few parts in a thousand.
@@ -126,18 +131,26 @@ def changes_in_gaps(result: Inverse, path: NoisePath, gaps: Sequence[LongGap]) -
 
 
 def changes_at_ends(
-    time: np.ndarray, series: Smoothed, how: Sequence[Smoothing], path: NoisePath, deviation: np.ndarray
+    time: np.ndarray,
+    coordinates: np.ndarray,
+    series: Smoothed,
+    how: Sequence[Smoothing],
+    path: NoisePath,
+    *,
+    deviation: np.ndarray,
 ) -> Smoothed:
     """Return changes (T, U, 2 U) of the coordinates and their derivatives by what the smoothing takes for zero at the
-    ends, each the effect of one of U independent combinations of the coordinates at one end: accelerations that are as
-    large as the largest ones of the record or, for quintic splines, typical third derivatives.
+    ends, each the effect of one of U independent combinations of the coordinates at one end: bounds of the
+    accelerations or, for quintic splines, typical third derivatives.
 
     Parameters
     ----------
     time
         (T,) [s].
+    coordinates
+        (T, U) the coordinates before smoothing.
     series
-        (T, U) the coordinates.
+        (T, U) the smoothed coordinates.
     how
         Smoothing of each coordinate, with fixed parameters; the same method for all of them.
     path
@@ -148,32 +161,62 @@ def changes_at_ends(
     if isinstance(how[0], QuinticSpline):
         third, spline = _third_derivatives(time, series, path, deviation), spline_of_ends(time)
         return Smoothed(*(np.kron(spline(time, order)[:, None], third) for order in range(3)))
-    from_middle = time - 0.5 * (time[0] + time[-1])
-    shape = (*series.value.shape, 1)
-    parabola = Smoothed(*(np.broadcast_to(x[:, None, None], shape) for x in
-                          (0.5 * from_middle**2, from_middle, np.ones_like(time))))  # fmt: skip
-    found, size = smoothed_each(time, parabola.value, how), _largest_accelerations(series.acceleration)
-
-    def change(smoothed: np.ndarray, exact: np.ndarray) -> np.ndarray:
-        of_both, at_start = (smoothed - exact) * size, (from_middle < 0)[:, None, None]
-        return np.concatenate([of_both * at_start, of_both * ~at_start], axis=2)
-
-    return Smoothed(
-        change(found.value, parabola.value),
-        change(found.rate, parabola.rate),
-        change(found.acceleration, parabola.acceleration),
-    )
+    blocks = path.samples(deviation, DRAWS, np.random.default_rng(0))
+    noise = np.concatenate([path.smoothed(one, [NoSmoothing()] * len(how)).value for one in blocks], axis=2)
+    scatter = np.sqrt(np.mean(_end_accelerations(time, noise, how) ** 2, axis=2))
+    bounds = np.abs(_end_accelerations(time, coordinates[:, :, None], how)[:, :, 0]) + END_FACTOR * scatter
+    largest = np.maximum(np.max(np.abs(series.acceleration), axis=0), bounds)
+    size, wrong = largest[:, :, None] * _correlation_root(series.acceleration), _response_to_ends(time, how)
+    return Smoothed(*(np.concatenate(list(part[..., None] * size[:, None]), axis=2) for part in wrong))
 
 
-def _largest_accelerations(acceleration: np.ndarray) -> np.ndarray:
-    """Return the largest accelerations of the coordinates, from all accelerations (T, U), times a root (U, U) of the
-    matrix of their correlations.
+def likely_at_ends(time: np.ndarray, coordinates: np.ndarray, series: Smoothed, how: Sequence[Smoothing]) -> Smoothed:
+    """Return the smoothed coordinates `series` (T, U) with the accelerations at both ends that the coordinates before
+    smoothing show, in place of zero; for quintic splines, `series` itself.
     """
+    if isinstance(how[0], QuinticSpline):
+        return series
+    estimate = _end_accelerations(time, coordinates[:, :, None], how)
+    parts = (series.value, series.rate, series.acceleration)
+    wrong = _response_to_ends(time, how)
+    return Smoothed(*(
+        part - np.einsum("etu,eu->tu", by, estimate[:, :, 0]) for part, by in zip(parts, wrong, strict=True)
+    ))  # fmt: skip
+
+
+def _response_to_ends(time: np.ndarray, how: Sequence[Smoothing]) -> list[np.ndarray]:
+    """Return the errors (2, T, U) of the coordinates, their rates and accelerations that the smoothing makes because of
+    an acceleration of 1 at the start, or at the end.
+    """
+    from_middle = time - 0.5 * (time[0] + time[-1])
+    exact = [np.repeat(one[:, None], len(how), axis=1) for one in
+             (0.5 * from_middle**2, from_middle, np.ones_like(time))]  # fmt: skip
+    found = smoothed_each(time, exact[0], how)
+    side = np.stack([from_middle < 0, from_middle >= 0])[:, :, None]
+    return [(one - true) * side for one, true in zip((found.value, found.rate, found.acceleration), exact, strict=True)]
+
+
+def _end_accelerations(time: np.ndarray, coordinates: np.ndarray, how: Sequence[Smoothing]) -> np.ndarray:
+    """Return estimates (2, U, S) of the accelerations at the start and at the end, from S samples of the coordinates
+    before smoothing (T, U, S): those of the cubic polynomials that fit them best over one period of the cutoff.
+    """
+    interval = float(time[-1] - time[0]) / (len(time) - 1)
+    found = np.zeros((2, *coordinates.shape[1:]))
+    for index, one in enumerate(how):
+        count = min(len(time), max(FEWEST_AT_END, int(np.ceil(1 / (cutoff_of(time, one) * interval))) + 1))
+        for side, (rows, end) in enumerate(((slice(count), time[0]), (slice(-count, None), time[-1]))):
+            place = (time[rows] - end) / (count * interval)
+            second = 2 * np.linalg.pinv(np.vander(place, 4, increasing=True))[2] / (count * interval) ** 2
+            found[side, index] = second @ coordinates[rows, index]
+    return found
+
+
+def _correlation_root(acceleration: np.ndarray) -> np.ndarray:
+    """Return a root (U, U) of the matrix of the correlations of accelerations (T, U)."""
     length = np.linalg.norm(acceleration, axis=0)
     unit = acceleration / np.where(length > 0, length, 1.0)
     square, direction = np.linalg.eigh(unit.T @ unit)
-    largest = np.max(np.abs(acceleration), axis=0)[:, None]
-    return np.asarray(largest * direction * np.sqrt(np.maximum(0.0, square)))
+    return np.asarray(direction * np.sqrt(np.maximum(0.0, square)))
 
 
 def _third_derivatives(time: np.ndarray, series: Smoothed, path: NoisePath, deviation: np.ndarray) -> np.ndarray:

@@ -27,7 +27,14 @@ from mbdkit.archive.accuracy import Accuracy
 from mbdkit.base.errors import RunError, SpecError
 from mbdkit.base.text import listed
 from mbdkit.inverse_dynamics.compute import Inverse, forces_of, recorded_states
-from mbdkit.inverse_dynamics.ends_and_gaps import LongGap, changes_at_ends, changes_in_gaps, long_gaps, told_gaps
+from mbdkit.inverse_dynamics.ends_and_gaps import (
+    LongGap,
+    changes_at_ends,
+    changes_in_gaps,
+    likely_at_ends,
+    long_gaps,
+    told_gaps,
+)
 from mbdkit.inverse_dynamics.muscle_samples import PROPERTIES, forces_with, known_mean, with_drawn_muscles
 from mbdkit.inverse_dynamics.noise import Noise, NoisePath, noise_of
 from mbdkit.inverse_dynamics.reduced_motion import Independent, motion_of_series, other_coordinates
@@ -66,6 +73,9 @@ class ErrorBars:
         Parts of the bounds of actuators (T, U) and of reaction forces (T, J) due to the ends of the record.
     of_gaps
         Changes of actuators (T, U) and of reaction forces (T, J) that long gaps may hide.
+    likely
+        Magnitudes of actuators (T, U) and of reaction forces (T, J) with the accelerations at both ends that the data
+        before smoothing show.
     """
 
     noise: Noise
@@ -74,6 +84,7 @@ class ErrorBars:
     accuracy: Accuracy
     of_ends: tuple[np.ndarray, np.ndarray]
     of_gaps: tuple[np.ndarray, np.ndarray]
+    likely: tuple[np.ndarray, np.ndarray]
 
 
 @dataclass(frozen=True)
@@ -158,7 +169,9 @@ def error_bars(result: Inverse) -> ErrorBars | None:
             ):
                 beyond[index] += (change**2 - noise) / len(group)
         squares = [square + np.maximum(0.0, more) for square, more in zip(squares, beyond, strict=True)]
-    of_ends = _squares_of_changes(sensitivity, changes_at_ends(times, series, how, path, deviation))
+    at_ends = changes_at_ends(times, coordinates, series, how, path, deviation=deviation)
+    of_ends = _squares_of_changes(sensitivity, at_ends)
+    likely = response(likely_at_ends(times, coordinates, series, how))
     squares = [square + more for square, more in zip(squares, of_ends, strict=True)]
     of_muscles = _muscle_squares(result, random)
     if of_muscles is not None:
@@ -178,6 +191,7 @@ def error_bars(result: Inverse) -> ErrorBars | None:
         ),
         (np.sqrt(of_ends[0]), np.sqrt(of_ends[1])),
         (np.sqrt(of_gaps[0]), np.sqrt(of_gaps[1])),
+        (np.abs(likely.actuators), np.linalg.norm(likely.reactions[:, :, :2], axis=2)),
     )
 
 
@@ -430,7 +444,7 @@ def _method(
     ]
     smooth = result.problem.spec.motion.smooth
     zero, most = ("third derivatives", "typical of") if isinstance(smooth, QuinticSpline) else (
-        "accelerations", "at most the largest ones of"
+        "accelerations", "at most those that the data before smoothing show there, or the largest ones of"
     )  # fmt: skip
     ends = "" if isinstance(smooth, NoSmoothing) else (
         f"; the {zero} at the ends of the record, which the smoothing takes for zero, are assumed to be {most} the "

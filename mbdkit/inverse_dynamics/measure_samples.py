@@ -140,7 +140,7 @@ def samples_of(result: Inverse, measures: Sequence[str]) -> SampledMeasures | No
     if np.any(np.isnan(deviation)):
         return None
     series = smoothed_each(times, coordinates, how)
-    at_ends = changes_at_ends(times, series, how, path, deviation)
+    at_ends = changes_at_ends(times, coordinates, series, how, path, deviation=deviation)
     noisy = [
         _measured(_moved(result, independent, one, loads), measures)
         for one, loads in _noisy(result, path, deviation, series, at_ends=at_ends, random=random)

@@ -15,7 +15,9 @@ from mbdkit.inverse_dynamics.error_bars import ErrorBars
 from mbdkit.spec.inverse_sections import QuinticSpline
 
 OF_ENDS = 0.1
-"""A largest value is doubtful if the part of its error bar due to the ends of the record exceeds this share of it."""
+"""A largest value is doubtful if the part of its error bar due to the ends of the record exceeds this share of it, or
+if the data before smoothing show values near an end that are larger by more than this share.
+"""
 
 OF_GAPS = 0.1
 """An element is doubtful if a long gap may hide a change of its value of more than this share of its largest value."""
@@ -32,6 +34,8 @@ class _Peak(NamedTuple):
         Row of the largest value.
     of_ends
         Part of its error bar due to the ends of the record.
+    likely
+        (T,) values with the accelerations at both ends that the data before smoothing show.
     reached
         (T,) values that the data do not exclude where the error is unknown; otherwise, the values.
     hidden
@@ -44,6 +48,7 @@ class _Peak(NamedTuple):
     unit: str
     row: int
     of_ends: float
+    likely: np.ndarray
     reached: np.ndarray
     hidden: np.ndarray
 
@@ -77,20 +82,40 @@ def record_doubts(result: Inverse, bars: ErrorBars | None) -> Iterator[Doubt]:
                 f"wrong there (doubtful above {OF_GAPS:g} of the largest value). Do not use values in the gap, or fill "
                 "it with measured values.",
             )
+    yield from _doubts_at_ends(result, peaks)
+
+
+def _doubts_at_ends(result: Inverse, peaks: Sequence[_Peak]) -> Iterator[Doubt]:
+    """Yield doubts about largest values near the ends, and about larger ones that the smoothing may have removed."""
+    time = result.motion.time
+    cutoff = "" if isinstance(result.problem.spec.motion.smooth, QuinticSpline) else ", one period of the cutoff"
     for at_start in (True, False):
+        half = slice(len(time) // 2) if at_start else slice(len(time) // 2, None)
         near = [one for one in peaks if one.of_ends > OF_ENDS * one.value and (one.row < len(time) // 2) == at_start]
+        doubted = {one.label for one in near}
+        lost = [(float(np.max(one.likely[half])), one) for one in peaks if one.label not in doubted]
+        lost = [(most, one) for most, one in lost if most > (1 + OF_ENDS) * one.value]
+        if not near and not lost:
+            continue
+        side, beyond = ("start", "before") if at_start else ("end", "after")
+        more = f"record at least {longest_period(result):.2g} s more {beyond}"
+        move = f"or move `time.{side}` if it cuts the data there."
         if near:
             worst = max(near, key=lambda one: one.of_ends / one.value)
-            cutoff = (
-                "" if isinstance(result.problem.spec.motion.smooth, QuinticSpline) else ", one period of the cutoff"
-            )
-            side, beyond = ("start", "before") if at_start else ("end", "after")
             yield Doubt(
                 "ends",
                 f"the largest values of {_some([one.told(time) for one in near])} are so close to the {side} of the "
                 f"record that the smoothing may change that of {worst.label} by {worst.of_ends:.2g} {worst.unit} "
-                f"(doubtful above {OF_ENDS:g} of the value): record at least {longest_period(result):.2g} s more "
-                f"{beyond} them{cutoff}, or move `time.{side}` if it cuts the data there.",
+                f"(doubtful above {OF_ENDS:g} of the value): {more} them{cutoff}, {move}",
+            )
+        if lost:
+            most, worst = max(lost, key=lambda pair: pair[0] / pair[1].value)
+            yield Doubt(
+                "ends",
+                f"the true largest values of {_some([one.told(time) for _, one in lost])} may lie at the {side} of the "
+                f"record, where the smoothing takes accelerations for zero: the data before smoothing show about "
+                f"{most:.2g} {worst.unit} for {worst.label} there (doubtful above {1 + OF_ENDS:g} times the largest "
+                f"value): {more} the motion{cutoff}, {move}",
             )
 
 
@@ -103,7 +128,7 @@ def _peaks(result: Inverse, bars: ErrorBars | None) -> list[_Peak]:
     named = [(one.name, "" if one.kind == "residual" else one.unit) for one in result.problem.recorded_actuators]
     named += [(f"the force in {name}", "N") for name in result.problem.prepared.workspace.mechanism.joints]
     values = np.nan_to_num(np.hstack([actuators, forces]))
-    of_ends = np.zeros_like(values)
+    of_ends, likely = np.zeros_like(values), values
     if bars is None:
         reached = values.copy()
         hidden = np.zeros_like(values)
@@ -111,7 +136,7 @@ def _peaks(result: Inverse, bars: ErrorBars | None) -> list[_Peak]:
             reached[gap.rows] = np.nextafter(values[gap.rows], np.inf)
             hidden[gap.rows] = np.inf
     else:
-        of_ends, of_gaps = np.hstack(bars.of_ends), np.hstack(bars.of_gaps)
+        of_ends, of_gaps, likely = np.hstack(bars.of_ends), np.hstack(bars.of_gaps), np.hstack(bars.likely)
         unknown = np.isnan(np.hstack([bars.actuators, bars.accuracy.reaction_error]))
         hidden = np.where(unknown, of_gaps, 0.0)
         reached = values + hidden
@@ -119,7 +144,7 @@ def _peaks(result: Inverse, bars: ErrorBars | None) -> list[_Peak]:
     for column, ((label, unit), row) in enumerate(zip(named, rows, strict=True)):
         if unit and values[row, column] > 0:
             value, end = float(values[row, column]), float(of_ends[row, column])
-            found.append(_Peak(label, value, unit, row, end, reached[:, column], hidden[:, column]))
+            found.append(_Peak(label, value, unit, row, end, likely[:, column], reached[:, column], hidden[:, column]))
     return found
 
 

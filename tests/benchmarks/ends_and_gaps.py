@@ -2,9 +2,9 @@
 
 ``python -m tests.benchmarks.ends_and_gaps [--motions N]`` compares a pendulum with random motions, whose torques are
 known in closed form, with inverse dynamics from noisy angles: for each smoothing, the share of frames within 0.1 s of
-an end whose bars cover the truth, and the share of largest torques that the errors of a measure cover; then, for gaps
-of several lengths, the share of frames whose errors are unknown, and the coverage of the others. Random chains with
-three markers on each link follow, of which one is missing for 0.3 s.
+an end whose bars cover the truth, and the share of largest torques that the errors of a measure cover, also for motions
+that start suddenly from rest; then, for gaps of several lengths, the share of frames whose errors are unknown, and the
+coverage of the others. Random chains with three markers on each link follow, of which one is missing for 0.3 s.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from tests.inverse_dynamics.test_ends_and_gaps import DEVIATION, FILTER, TIME, chain_with_gap, measured, swing
+from tests.inverse_dynamics.test_ends_and_gaps import DEVIATION, FILTER, TIME, chain_with_gap, measured, start, swing
 
 SMOOTHINGS: tuple[dict[str, Any], ...] = (
     FILTER,
@@ -25,6 +25,9 @@ SMOOTHINGS: tuple[dict[str, Any], ...] = (
 )
 COLUMNS = {"hip.angle": {"column": "hip", "deviation": DEVIATION}}
 """Without smoothing, the noise has to be stated."""
+STARTS = ((1.0, 1.0), (2.0, 1.0), (2.0, 0.8))
+"""Rates of decay [1/s] and frequencies [Hz] of the oscillations of motions that start suddenly from rest."""
+START_COLUMNS = {"hip.angle": {"column": "hip", "deviation": 1e-3}}
 GAPS = (3, 7, 16, 50)
 """Lengths of gaps [rows], with 100 rows per second; half a period of the cutoff has 8.3 rows."""
 
@@ -50,6 +53,8 @@ def main() -> None:
             f"{np.mean(doubts):.1%}",
             flush=True,
         )
+        if smooth["name"] != "quintic":
+            print_starts(smooth, len(motions) // len(STARTS))
     for rows in GAPS:
         known, inside = [], []
         for seed in motions:
@@ -64,6 +69,24 @@ def main() -> None:
         told = f"{np.mean(covered):.1%} of the others covered" if covered.size else ""
         print(f"gap of {rows / 100 + 0.01:g} s: {1 - share:.1%} unknown, {told}", flush=True)
     print_gaps_of_markers(motions)
+
+
+def print_starts(smooth: dict[str, Any], seeds: int) -> None:
+    """Print the coverage of motions that start suddenly from rest, within 0.1 s of the start and of their peaks."""
+    near, peaks, doubts = [], [], []
+    for decay, frequency in STARTS:
+        angle, torque = start(decay, frequency)
+        for seed in range(seeds):
+            run = measured(angle, np.random.default_rng(seed), deviation=1e-3, smooth=smooth, columns=START_COLUMNS)
+            one = run.actuators["hip"]
+            near.append(np.mean((np.abs(one.value - torque) <= one.value_error)[:10]))
+            peaks.append(abs(run.measures["peak"] - np.max(np.abs(torque))) <= run.measure_errors["peak"])
+            doubts.append(any(told.startswith("ends") for told in run.verdict_reasons))
+    print(
+        f"{smooth['name']}, starts from rest: near the start {np.mean(near):.1%}, largest torques "
+        f"{np.mean(peaks):.1%}, doubted {np.mean(doubts):.1%}",
+        flush=True,
+    )
 
 
 def print_gaps_of_markers(seeds: Iterable[int]) -> None:
