@@ -34,6 +34,9 @@ ROUND_OFF = 1e-10
 #: Largest number of joints, contacts, muscles or other elements that one line lists; the rest are only counted.
 JOINTS_NAMED = 4
 
+AT_END = 0.01
+"""A text says that a number is that at the end of a run if it exceeds the one at the start by more than this share."""
+
 MESH_ERROR = "the error of the mesh of beams"
 """What error bars of runs with beams do not include."""
 
@@ -58,6 +61,8 @@ class Headline(NamedTuple):
     """Time of the recorded row with the number [s]."""
     is_checked: bool = False
     """Whether the errors of the run were estimated, so that an unknown error is stated."""
+    is_at_end: bool = False
+    """Whether the number is that at the end of the run, so that a longer run may exceed it."""
 
     @property
     def largest(self) -> float:
@@ -79,7 +84,8 @@ class Headline(NamedTuple):
             between = self._with_error(self.largest, self.error - self.missed, sign)
             return f"{self.value:.4g} {self._unit}".rstrip() + f" in the recorded rows, {between} between them"
         of_rows = " in the recorded rows" if math.isnan(self.missed) else ""
-        return self._with_error(self.value, self.error, sign) + of_rows
+        at_end = " at the end of the run" if self.is_at_end else ""
+        return self._with_error(self.value, self.error, sign) + of_rows + at_end
 
     @property
     def _unit(self) -> str:
@@ -252,7 +258,10 @@ def _largest(
         error = math.nan if errors is None else float(errors[column])
         label = f"largest {words} {names[column]}" if words else names[column]
         value, at, is_checked = float(size[row, column]), float(run.time[row]), run.accuracy is not None
-        headlines.append(Headline(label, value, unit, error, float(beyond[column]), names[column], at, is_checked))
+        is_at_end = run.kind == "forward" and row == len(size) - 1 and size[0, column] < (1.0 - AT_END) * value
+        headlines.append(
+            Headline(label, value, unit, error, float(beyond[column]), names[column], at, is_checked, bool(is_at_end))
+        )
     most = max((headline.largest for headline in headlines), default=0.0)
     return sorted((one for one in headlines if one.largest > ROUND_OFF * most), key=lambda one: -one.largest)
 

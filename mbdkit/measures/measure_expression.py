@@ -56,6 +56,13 @@ _END: Program = (("t", 0.0), (REDUCE + "final", 0.0))
 BEYOND = 1e-6
 """A remark is issued if a recorded row exceeds an extremum by more than this share of the range of the quantity."""
 
+AT_END, ROUND_OFF = 0.01, 1e-9
+"""A remark is issued if the value at the end is an extremum and differs from the value at the start by more than the
+first share of the range of the quantity, and the second one of its largest magnitude.
+
+At the end of a period or in equilibrium, the values at start and end are equal.
+"""
+
 ALONG: Mapping[str, str] = {"max": "along_max", "min": "along_min"}
 """Functions that return the largest or smallest value of a quantity along a beam at each time, by the reductions that
 apply them first.
@@ -186,8 +193,10 @@ class MeasureExpression:
             return float("nan")
         return value if np.isfinite(value) else float("nan")
 
-    def exceeded(self, run: Run) -> list[str]:
-        """Return a remark, as a clause, for each extremum of the continuous motion that recorded rows exceed."""
+    def remarks(self, run: Run) -> list[str]:
+        """Return a remark, as a clause, for each extremum of the continuous motion that recorded rows exceed, and for
+        each at the end of the run, which a longer run may exceed.
+        """
         told: list[str] = []
         if not len(run.time) or not any(one.is_extremum for one in self.functionals):
             return told
@@ -200,12 +209,16 @@ class MeasureExpression:
                     f"the recorded row at t = {run.time[row]:.6g} s has {values[row]:.6g}, beyond the {name} of the "
                     f"motion between the ends of steps, {found[0]:.6g}: states between steps are less accurate there"
                 )
+            start, last = sign * values[0], sign * values[-1]
+            is_at_end = row == len(values) - 1 and last >= sign * found[0] - BEYOND * spread
+            if is_at_end and last - start > max(AT_END * spread, ROUND_OFF * float(np.max(np.abs(values)))):
+                told.append(f"{name} at the end of the run")
 
         try:
             self._values(run, compared)
         except NotRecordedError:
             return []
-        return told
+        return list(dict.fromkeys(told))
 
     def _values(
         self, run: Run, compared: Callable[[str, np.ndarray, np.ndarray], None] = lambda name, found, values: None

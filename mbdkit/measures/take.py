@@ -133,7 +133,7 @@ def take_all(run: Run, spec: RunSpec | InverseSpec) -> MeasuredValues:
         try:
             values[measure.name] = take(measure, run, spec)
             errors[measure.name] = error_of(measure, values[measure.name], run, spec)
-            told = [*_above(measure, run, spec), *_why_unknown(measure, errors[measure.name], run, spec)]
+            told = [*_of_extrema(measure, run, spec), *_why_unknown(measure, errors[measure.name], run, spec)]
             if told and math.isfinite(values[measure.name]):
                 remarks[measure.name] = "; ".join(told)
         except PluginError as error:
@@ -141,11 +141,13 @@ def take_all(run: Run, spec: RunSpec | InverseSpec) -> MeasuredValues:
     return MeasuredValues(values, units, reasons, errors, remarks)
 
 
-def _above(measure: DefinedMeasure, run: Run, spec: RunSpec | InverseSpec) -> list[str]:
-    """Return a remark if recorded rows exceed an extremum of the motion between the ends of steps."""
+def _of_extrema(measure: DefinedMeasure, run: Run, spec: RunSpec | InverseSpec) -> list[str]:
+    """Return a remark if recorded rows exceed an extremum of the motion between the ends of steps, or if an extremum
+    lies at the end of a run.
+    """
     if measure.item is not None:
         return []
-    return MeasureExpression.parse(measure.expression, spec, measure.unit).exceeded(run)
+    return MeasureExpression.parse(measure.expression, spec, measure.unit).remarks(run)
 
 
 def _why_unknown(measure: DefinedMeasure, error: float, run: Run, spec: RunSpec | InverseSpec) -> list[str]:

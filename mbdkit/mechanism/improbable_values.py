@@ -52,7 +52,8 @@ LIGHTEST = 20.0
 """A density below this [kg/m^3] is improbable. Light foams have about 30, and all metals less than 23 g/cm^3."""
 
 WIDEST = 100.0
-"""A cross-section is improbable if it is deeper than the beam is long, or this many times as wide as the beam is long.
+"""A cross-section is improbable if it is deeper than the beam is long, or this many times as wide as the beam is long,
+or wider than the beam is long and `THINNEST` times as wide as deep.
 
 Flexure hinges may be wide and short. An area in mm^2 makes the width of a rectangle of given I wrong by a factor of
 1e9, and an area in cm^2 by 1e6.
@@ -334,15 +335,16 @@ def _improbable_section(beam: Beam, place: str) -> Iterator[str]:
     if beam.A is not None and beam.I is not None:
         depth = math.sqrt(12.0 * beam.I / beam.A)
         width = beam.A / depth
-        if depth > beam.length or width > WIDEST * beam.length:
+        is_sheet = width > beam.length and width > THINNEST * depth
+        if depth > beam.length or width > WIDEST * beam.length or is_sheet:
             units = {"A": f"`A: {beam.A:g} mm^2`", "I": f"`I: {beam.I:g} mm^4`"}
             if max(width, depth) > THINNEST * min(width, depth):
                 units.pop("A" if depth > width else "I")
             key = f"{place}.{next(iter(units))}" if len(units) == 1 else place
             yield (
                 f"a rectangle with A = {beam.A:g} m^2 and I = {beam.I:g} m^4 at {key} is {depth:.3g} m deep and "
-                f"{width:.3g} m wide, but the beam is {beam.length:.3g} m long; if {' or '.join(units)} is in another "
-                f"unit, write it with the unit, for example {', '.join(units.values())}"
+                f"{width:.3g} m wide, but the beam is {beam.length:.3g} m long; check {' and '.join(units)}, "
+                f"and write values in other units with their units, for example {', '.join(units.values())}"
             )
             return
     mass, inertia = beam.inertia_per_length

@@ -26,7 +26,7 @@ from mbdkit.studies.judge import check_verdict
 from mbdkit.studies.planned_points import PlannedPoint, PlannedPoints, distinct_runs, grids, plan_points
 from mbdkit.studies.study_blocks import StudyBlocks
 from mbdkit.studies.study_index import COLUMNS, axis_column
-from mbdkit.studies.varied_masses import varied_masses
+from mbdkit.studies.varied_values import notes_on_varied_values
 from mbdkit.studies.varied_starts import start_warnings_of_study
 
 SAMPLES = 8
@@ -122,12 +122,12 @@ class StudyPlan:
 
     def notes(self) -> list[str]:
         """Return notes that the single runs do not give: on reactions that are always zero in measures of the study,
-        and on varied masses.
+        and on values that the study varies.
         """
         specs = (spec for _, spec in self.valid_samples) if self.spec.in_blocks else iter(self.runs.values())
         own = [measure for measure in self.spec.defined_measures() if not measure.of_base]
         of_measures = [note for spec in islice(specs, 1) for note in zero_reactions(spec, own)]
-        return [*of_measures, *varied_masses(self.spec)]
+        return [*of_measures, *notes_on_varied_values(self.spec)]
 
     def warnings_of_sample(self) -> dict[str, str]:
         """Return warnings about distributions of angles that are probably meant in degrees.

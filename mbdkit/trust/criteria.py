@@ -229,10 +229,10 @@ def judge(evidence: Evidence, accuracy: EstimatedErrors | None = None) -> Judgem
     """
     found = [
         *_ending(evidence),
+        *(("doubtful", warning) for warning in evidence.warnings),  # often the causes of the following
         *_joints(evidence),
         *_energies(evidence),
         *_branches(evidence),
-        *(("doubtful", warning) for warning in evidence.warnings),
         *(() if accuracy is None else _errors(evidence, accuracy)),
     ]
     best: Level = "unknown" if accuracy is None else "good"

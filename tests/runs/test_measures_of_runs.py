@@ -35,7 +35,7 @@ def test_measures_are_those_of_the_recorded_rows() -> None:
         "bend": pytest.approx(math.degrees(run["shank"].angle[-1])),
     }
     assert run.measures.units == {"peak_B": "kN", "bend": "deg"}
-    assert f"measures      peak_B {force.max() / 1000.0:.6g} kN\n" in run.summary()
+    assert f"measures      peak_B {force.max() / 1000.0:.6g} kN (max at the end of the run)\n" in run.summary()
 
 
 def test_they_are_kept_in_the_archive_outside_the_hash_of_the_data(tmp_path: Path) -> None:
@@ -61,6 +61,26 @@ def test_what_users_should_know_about_a_value_is_told(tmp_path: Path) -> None:
     made.save(tmp_path / "run.h5")
     with mbdkit.load(tmp_path / "run.h5") as kept:
         assert kept.measures.remarks == made.measures.remarks != {}
+
+
+@pytest.mark.parametrize(
+    ("end", "is_at_end"),
+    [
+        pytest.param(0.2, True, id="before the lowest point"),
+        pytest.param(0.5, False, id="after it"),
+        pytest.param(1.5, False, id="back near the start"),
+    ],
+)
+def test_a_largest_value_at_the_end_of_a_run_is_told(end: float, is_at_end: bool) -> None:
+    spec: dict[str, Any] = {
+        "mbdkit": 1,
+        "model": {"name": "single-pendulum", "length": 1.0, "angle": math.radians(-30.0)},
+        "integrator": {"name": "gauss", "stages": 3},
+        "time": {"end": end, "step": 0.01},
+    }
+    measured = mbdkit.run(spec | {"measures": {"peak": "max(abs(joints.J1.force))"}})
+    assert ("N (max at the end of the run)" in measured.summary()) == is_at_end
+    assert ("N at the end of the run" in mbdkit.run(spec).summary()) == is_at_end
 
 
 def test_values_that_are_not_finite_and_failures_survive_the_archive() -> None:

@@ -342,6 +342,7 @@ STEEL: dict[str, Any] = {"a": (0.0, 0.0), "b": (1.0, 0.0), "E": 2.1e11, "nu": 0.
             "`4.4e+07 N*mm^2`",
             id="N mm^2",
         ),
+        pytest.param({"A": 1e-2, "I": 2.08e-10}, ".A", "`A: 0.01 mm^2`", id="A 100 times too large"),
         pytest.param({}, "", "", id="steel"),
         pytest.param({"E": 1e3, "density": 1000.0, "A": 1e-3, "I": 1e-7}, "", "", id="tissue"),
         pytest.param({"E": 1e6, "density": 1100.0}, "", "", id="rubber"),

@@ -247,6 +247,10 @@ def test_varied_initial_values_that_assembly_changes_are_told(axis: dict[str, li
             id="several keys",
         ),
         pytest.param("m", "I", {"parameters.m": [1.0, 2.0]}, "", id="parameter"),
+        pytest.param("m", 0.1, {"parameters.m": [1.0, 2.0]}, "write the inertia as an expression", id="mass alone"),
+        pytest.param("2*n", "0.1*k", {"parameters.m": [1.0, 2.0]}, "through parameters.m", id="mass alone, indirectly"),
+        pytest.param("m", "0.1*k", {"parameters": [{"m": 1.0, "k": 2.0}]}, "", id="whole section"),
+        pytest.param("n", "I", {"parameters.k": [1.0, 2.0]}, "", id="parameter of neither"),
         pytest.param(1.0, None, {"model.bodies.rod.mass": [1.0, 2.0]}, "", id="point mass"),
     ],
 )
@@ -256,10 +260,36 @@ def test_a_mass_that_varies_without_its_inertia_is_noted(
     model = {"name": "mechanism", "bodies": {"rod": {"mass": mass, "inertia": inertia}}}
     base: dict[str, Any] = {"mbdkit": 1, "model": model, "integrator": {"name": "rk4"}, "time": {"end": 1, "step": 0.1}}
     if isinstance(mass, str):
-        base["parameters"] = {"m": 1.0, "I": "m/12"}
-    notes = plan_study(load_study_spec({"mbdkit_study": 1, "base": base, "axes": [axis]})).warnings()
+        base["parameters"] = {"m": 1.0, "I": "m/12", "n": "m + 1", "k": 3.0}
+    notes = plan_study(load_study_spec({"mbdkit_study": 1, "base": base, "axes": [axis]})).notes()
     assert len(notes) == bool(advice)
-    assert all("not the inertia of body 'rod'" in note and advice in note for note in notes)
+    assert all("'rod'" in note and "inertia" in note and advice in note for note in notes)
+
+
+@pytest.mark.parametrize(
+    ("variables", "told"),
+    [
+        pytest.param({"parameters.l": {"normal": [0.02, 0.4]}}, "near the value 0.4", id="exchanged"),
+        pytest.param({"parameters.l": {"normal": ["2 cm", "40 cm"]}}, "near the value 0.4", id="exchanged, in cm"),
+        pytest.param({"model.angle": {"norm": {"loc": 0.02, "scale": 0.5}}}, "near the value 0.5", id="of the model"),
+        pytest.param({"parameters.l": {"normal": [0.4, 0.02]}}, "", id="in order"),
+        pytest.param({"parameters.l": {"normal": [0.0, 0.4]}}, "", id="mean zero"),
+        pytest.param({"model.rate": {"normal": [0.01, 0.1]}}, "", id="around a small value"),
+        pytest.param({"parameters.l": {"uniform": [-0.4, 0.42]}}, "", id="uniform"),
+    ],
+)
+def test_mean_and_standard_deviation_in_the_wrong_order_are_noted(variables: dict[str, Any], told: str) -> None:
+    base = {
+        "mbdkit": 1,
+        "parameters": {"l": "40 cm"},
+        "model": {"name": "single-pendulum", "angle": "0.5 rad", "rate": 0.01},
+        "integrator": {"name": "rk4"},
+        "time": {"end": 1, "step": 0.1},
+    }
+    sample = {"n": 4, "seed": 5, "variables": variables}
+    notes = plan_study(load_study_spec({"mbdkit_study": 1, "base": base, "sample": sample})).notes()
+    assert len(notes) == bool(told)
+    assert all("this order" in note and told in note for note in notes)
 
 
 def test_a_zero_reaction_in_a_measure_of_a_study_is_noted() -> None:

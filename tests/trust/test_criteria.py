@@ -100,10 +100,10 @@ def test_energy_errors_of_a_mechanism_at_rest_are_bad_above_rounding() -> None:
     assert judge(replace(SOUND, kinetic=0.0, balance=1e-6)).level == "bad"
 
 
-def test_the_worst_reason_comes_first() -> None:
+def test_the_worst_reason_comes_first_and_then_warnings_which_may_be_the_cause_of_others() -> None:
     verdict = judge(replace(SOUND, misalignment=3e-4, balance=1.0, warnings=("a corner",)))
     assert verdict.level == "bad"
-    assert [reason.split()[0] for reason in verdict.reasons] == ["The", "Joint", "a"]
+    assert [reason.split()[0] for reason in verdict.reasons] == ["The", "a", "Joint"]
     assert LEVELS[-1] == "bad"
 
 
