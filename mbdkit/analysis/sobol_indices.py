@@ -60,9 +60,10 @@ def sobol_indices(
     """Return the Sobol indices of values from a Saltelli design.
 
     First-order indices are estimated by formula (b) in table 2 of [1]_, total indices by formula (f) of that table,
-    which is from [2]_. `scipy.stats.sobol_indices` uses the same formulas. Intervals are bootstrap quantiles over the
-    rows, which are treated as independent, with the correction for few rows of [3]_. For a Sobol or Halton sequence,
-    the actual errors are smaller.
+    which is from [2]_. `scipy.stats.sobol_indices` uses the same formulas. Intervals are computed by the bootstrap over
+    the rows, which are treated as independent. Those of first-order indices are quantiles with the correction for few
+    rows of [3]_. Those of total indices are bootstrap-t intervals of their cube roots [4]_, because the estimates of
+    small total indices have skewed distributions. For a Sobol or Halton sequence, the actual errors are smaller.
 
     `scipy.stats.sobol_indices` itself cannot be used. It requires that the number of rows is a power of 2, but rows
     with a failed run are left out here. It also returns 0 instead of nan if all values are equal.
@@ -93,6 +94,7 @@ def sobol_indices(
        35-43.
     .. [3] T. C. Hesterberg, "What teachers should know about the bootstrap", The American Statistician 69 (2015)
        371-386.
+    .. [4] B. Efron and R. J. Tibshirani, An introduction to the bootstrap (Chapman and Hall, 1993), chapter 12.
     """
     from scipy.special import ndtr, stdtrit
 
@@ -100,31 +102,76 @@ def sobol_indices(
         unknown = np.full(values.shape[1] - 2, np.nan)
         return SobolIndices(unknown, unknown, unknown, unknown, unknown, unknown)
     terms = _terms(values)
-    first, total = _indices(np.mean(terms, axis=0)[None])
     random, n = np.random.default_rng(seed), len(values)
-    means = np.empty((resamples, terms.shape[1]))
-    for index in range(resamples):
+    means = np.empty((1 + resamples, terms.shape[1]))
+    means[0] = np.mean(terms, axis=0)
+    for index in range(1, 1 + resamples):
         chosen = np.bincount(random.integers(0, n, n), minlength=n)
         means[index] = chosen @ terms / n
+    first, total = _indices(means)
     # Plain quantiles of the bootstrap give intervals that are too short by a factor of about sqrt(1 - 1/n).
     lower = float(ndtr(stdtrit(n - 1, (1 - confidence) / 2) * np.sqrt(n / (n - 1))))
     ends = lower, 1 - lower
     with np.errstate(invalid="ignore"):
-        (low, high), (total_low, total_high) = (np.quantile(index, ends, axis=0) for index in _indices(means))
+        low, high = np.quantile(first[1:], ends, axis=0)
+    total_low, total_high = _bootstrap_t(total, _relative_errors(means), confidence)
     return SobolIndices(first[0], low, high, total[0], total_low, total_high)
 
 
 def _terms(values: np.ndarray) -> np.ndarray:
-    """Return the terms whose means give the indices, (n, 2 + 2 d)."""
+    """Return the terms whose means give the indices and the standard errors of total indices, (n, 5 + 5 d).
+
+    They are, with c = (a + b) / 2, s = (a^2 + b^2) / 2 and the squared differences f of the total indices: c, s, c^2,
+    s^2, c s, the d products of the first-order indices, f, f^2, f c and f s.
+    """
     centred = values - np.mean(values[:, :2])  # a large mean would cause large errors of the first-order estimator
     a, b, mixed = centred[:, :1], centred[:, 1:2], centred[:, 2:]
-    return np.hstack([(a + b) / 2, (a * a + b * b) / 2, b * (mixed - a), (a - mixed) ** 2 / 2])
+    c, s, f = (a + b) / 2, (a * a + b * b) / 2, (a - mixed) ** 2 / 2
+    return np.hstack([c, s, c * c, s * s, c * s, b * (mixed - a), f, f * f, f * c, f * s])
+
+
+def _parts(means: np.ndarray) -> tuple[np.ndarray, ...]:
+    """Return the means (R, 5 + 5 d) of the terms as ten arrays, five of (R, 1) and five of (R, d)."""
+    d = means.shape[1] // 5 - 1
+    return tuple(np.split(means, [1, 2, 3, 4, 5, 5 + d, 5 + 2 * d, 5 + 3 * d, 5 + 4 * d], axis=1))
 
 
 def _indices(means: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return first-order and total indices, (R, d) each, from means of the terms (R, 2 + 2 d)."""
-    variance = means[:, 1:2] - means[:, :1] ** 2
+    """Return first-order and total indices, (R, d) each, from means of the terms."""
+    c, s, *_, products, f, _, _, _ = _parts(means)
+    variance = s - c**2
     with np.errstate(invalid="ignore", divide="ignore"):
-        shares = np.where(variance > 0, means[:, 2:] / variance, np.nan)
-    d = shares.shape[1] // 2
-    return shares[:, :d], shares[:, d:]
+        return np.where(variance > 0, products / variance, np.nan), np.where(variance > 0, f / variance, np.nan)
+
+
+def _relative_errors(means: np.ndarray) -> np.ndarray:
+    """Return the standard errors of total indices as shares of the indices, times the square root of the number of
+    rows.
+
+    They are those of the linearized quotient of the mean of f and the variance s - c^2; (R, d).
+    """
+    c, s, cc, ss, cs, _, f, ff, fc, fs = _parts(means)
+    variance = s - c**2
+    of_f, of_both = ff - f**2, fs - f * s - 2 * c * (fc - f * c)
+    of_variance = ss - s**2 - 4 * c * (cs - c * s) + 4 * c**2 * (cc - c**2)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        squared = of_f / f**2 - 2 * of_both / (f * variance) + of_variance / variance**2
+        return np.asarray(np.sqrt(np.maximum(squared, 0.0)))
+
+
+def _bootstrap_t(total: np.ndarray, errors: np.ndarray, confidence: float) -> tuple[np.ndarray, np.ndarray]:
+    """Return the ends of the intervals of total indices, (d,) each, from the index and its relative standard error for
+    the sample and for R resamples, (1 + R, d) each.
+
+    An upper end above 1 that exceeds the estimate is set to 1, the largest possible index.
+    """
+    root = np.cbrt(total)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        scaled = (root[1:] - root[0]) / (root[1:] * errors[1:])
+        scaled = np.where(np.isnan(scaled), -np.inf, scaled)  # an index of zero, whose error is unknown
+        lower, upper = np.quantile(scaled, [(1 - confidence) / 2, (1 + confidence) / 2], axis=0, method="nearest")
+        low = np.maximum(root[0] - upper * root[0] * errors[0], 0.0) ** 3
+        high = np.maximum(root[0] - lower * root[0] * errors[0], 0.0) ** 3
+    high = np.where(np.isnan(high), 1.0, high)
+    known = total[0] > ROUND_OFF**2  # otherwise, the variable has no effect in any row
+    return np.where(known, low, total[0]), np.where(known, np.minimum(high, np.maximum(1.0, total[0])), total[0])

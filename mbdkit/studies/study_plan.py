@@ -26,8 +26,8 @@ from mbdkit.studies.judge import check_verdict
 from mbdkit.studies.planned_points import PlannedPoint, PlannedPoints, distinct_runs, grids, plan_points
 from mbdkit.studies.study_blocks import StudyBlocks
 from mbdkit.studies.study_index import COLUMNS, axis_column
-from mbdkit.studies.varied_values import notes_on_varied_values
 from mbdkit.studies.varied_starts import start_warnings_of_study
+from mbdkit.studies.varied_values import notes_on_varied_values
 
 SAMPLES = 8
 """Number of runs, of a study stored in blocks (files of many runs), whose specs are validated before the first run.

@@ -38,7 +38,7 @@ def _of_masses(grid: Grid) -> Iterator[str]:
     varied = _varied(grid)
     base = json.loads(grid.base_json)
     parameters: dict[str, Any] = base.get("parameters") or {}
-    names = {path[1] for path in varied if path[:1] == ("parameters",) and len(path) == 2}
+    names = {str(path[1]) for path in varied if path[:1] == ("parameters",) and len(path) == 2}
     through: dict[tuple[str, ...], list[tuple[str, Any]]] = {}  # bodies with their inertias, by varied parameters
     for name, body in (base["model"].get("bodies") or {}).items():
         place = ("model", "bodies", name)
@@ -73,7 +73,7 @@ def _of_mass(path: Path, body: Mapping[str, Any], parameters: Mapping[str, Any])
     )
 
 
-def _depends(text: Any, parameters: Mapping[str, Any], names: Set[Any]) -> bool:
+def _depends(text: Any, parameters: Mapping[str, Any], names: Set[str]) -> bool:
     """Return whether a value depends on any of the named parameters, also through other parameters."""
     return bool(parameters_in_use(parameters, [text]) & names)
 

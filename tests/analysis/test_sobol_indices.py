@@ -66,6 +66,36 @@ def test_intervals_contain_the_analytic_indices_as_often_as_they_say() -> None:
     assert np.all(hits / count < 0.99)
 
 
+TAIL = np.array([1.0, 0.3**2, 0.02**2 * (np.e - 1) * np.e])
+"""Variances of the terms of `tail`, of which the last is lognormal."""
+TAIL_SHARES = TAIL / np.sum(TAIL)
+
+
+def tail(n: int, seed: int) -> np.ndarray:
+    """Return x + 0.3 y + 0.02 exp(z) with x, y and z normal in a Saltelli design of random members, (n, 5)."""
+    a, b = np.random.default_rng(seed).normal(size=(2, n, 3))
+    mixed = np.repeat(a[None], 3, axis=0)
+    mixed[range(3), :, range(3)] = b.T
+    points = np.stack([a, b, *mixed], axis=1)
+    return np.asarray(points[..., 0] + 0.3 * points[..., 1] + 0.02 * np.exp(points[..., 2]))
+
+
+def test_intervals_contain_small_total_indices_of_skewed_effects_more_often_than_quantiles_of_the_bootstrap() -> None:
+    hits, count = np.zeros(3), 300
+    for seed in range(count):
+        found = sobol_indices(tail(256, seed), resamples=200, seed=seed)
+        hits += (found.total_low <= TAIL_SHARES) & (found.total_high >= TAIL_SHARES)
+    assert np.all(hits[:2] / count > 0.9)
+    assert hits[2] / count > 0.83  # 0.78 with quantiles; the variance of few lognormal values is mostly too small
+
+
+def test_a_variable_that_acts_in_no_row_has_the_total_index_zero() -> None:
+    without = values(64)
+    without[:, 4] = without[:, 0]
+    found = sobol_indices(without, resamples=50)
+    assert (found.total_low[2], found.total[2], found.total_high[2]) == (0.0, 0.0, 0.0)
+
+
 def test_equal_values_have_no_indices() -> None:
     noise = 1 + 1e-15 * values(32)
     assert np.all(np.isnan(sobol_indices(noise, resamples=5).total))
