@@ -26,8 +26,12 @@ def test_summary_of_a_complete_run(tmp_path: Path) -> None:
         lines = run.summary().splitlines()
     off = np.abs(rows(11, names())["energy/balance"]).max()
     most = rows(11, names())["energy/kinetic"].max()
-    force = np.linalg.norm(rows(11, names())["joints/reaction_force"], axis=2).max(axis=0)
-    told = sorted(((value, f"largest force in J{k + 1} {value:.6g} N") for k, value in enumerate(force)), reverse=True)
+    force = np.linalg.norm(rows(11, names())["joints/reaction_force"], axis=2)
+    when = [" at the end of the run" if row == 10 else "" for row in force.argmax(axis=0)]
+    told = sorted(
+        ((value, f"largest force in J{k + 1} {value:.6g} N{when[k]}") for k, value in enumerate(force.max(axis=0))),
+        reverse=True,
+    )
     turned = np.abs(rows(11, names())["joints/angle_misalignment"]).max(axis=0)
     assert lines == [
         "verdict       unknown: nothing suspicious seen; error not estimated",
