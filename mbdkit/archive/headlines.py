@@ -84,8 +84,11 @@ class Headline(NamedTuple):
             between = self._with_error(self.largest, self.error - self.missed, sign)
             return f"{self.value:.4g} {self._unit}".rstrip() + f" in the recorded rows, {between} between them"
         of_rows = " in the recorded rows" if math.isnan(self.missed) else ""
-        at_end = " at the end of the run" if self.is_at_end else ""
-        return self._with_error(self.value, self.error, sign) + of_rows + at_end
+        return self._with_error(self.value, self.error, sign) + of_rows
+
+    def answer(self, sign: str = "+-") -> str:
+        """Return `text`, and say if the number is that at the end of the run."""
+        return self.text(sign) + (" at the end of the run" if self.is_at_end else "")
 
     @property
     def _unit(self) -> str:
@@ -159,7 +162,7 @@ def headline_texts(run: Run, sign: str = "+-", most: int = MOST) -> list[tuple[s
         Sign between a number and its error.
     """
     every = headlines(run, most)
-    pairs = [(one.label, one.text(sign)) for one in every]
+    pairs = [(one.label, one.answer(sign)) for one in every]
     if (excluded := excluded_error(run)) and any(math.isfinite(one.error) for one in every):
         pairs.append(("error bars", f"without {excluded}"))
     return pairs

@@ -422,7 +422,7 @@ def answer_lines(run: Run) -> list[tuple[str, str]]:
             text = Headline(name, value, run.measures.units[name], run.measure_errors[name]).text()
         remark = f" ({run.measures.remarks[name]})" if name in run.measures.remarks else ""
         lines.append(("" if lines else "measures", f"{name} {text}{remark}"))
-    told = "; ".join(f"{one.label} {one.text()}" for one in headlines(run)) if not lines else ""
+    told = "; ".join(f"{one.label} {one.answer()}" for one in headlines(run)) if not lines else ""
     lines = lines or ([("answer", told)] if told else [])
     if (excluded := excluded_error(run)) and any(" +- " in text for _, text in lines):
         lines.append(("", f"error bars do not include {excluded}"))
