@@ -15,7 +15,7 @@ from mbdkit.inverse_dynamics.doubt import Doubt
 from mbdkit.inverse_dynamics.error_bars import ErrorBars
 from mbdkit.inverse_dynamics.knee_criterion import knee_doubts
 from mbdkit.inverse_dynamics.large_errors import large_errors
-from mbdkit.inverse_dynamics.load_criteria import load_doubts
+from mbdkit.inverse_dynamics.load_criteria import load_doubts, units_of_loads
 from mbdkit.inverse_dynamics.missing_points import forces_at_centres, missing_points
 from mbdkit.inverse_dynamics.model_criteria import model_doubts, spec_doubts
 from mbdkit.inverse_dynamics.record_criteria import record_doubts
@@ -50,7 +50,7 @@ def doubts_about_data(result: Inverse, bars: ErrorBars | None) -> DataDoubts:
     shared = shared_columns(result.problem)
     found = [*shared, *column_doubts(result), *cutoff_doubts(result), *load_doubts(result, bars), *model_doubts(result)]
     found += [*missing_points(result.problem), *turn_doubts(result), *knee_doubts(result), *record_doubts(result, bars)]
-    found += large_errors(result, bars)
+    found += [*units_of_loads(result.problem), *large_errors(result, bars)]
     remarks = (
         *equal_columns(result.problem),
         *forces_at_centres(result.problem),
@@ -63,7 +63,8 @@ def doubts_about_data(result: Inverse, bars: ErrorBars | None) -> DataDoubts:
 def doubts_before_computation(problem: InverseProblem) -> DataDoubts:
     """Return those doubts about the data and the model that do not depend on the computed motion and forces."""
     columns = doubts_before_fit(problem.measured, problem.fitter.manifold.length)
-    found = [*shared_columns(problem), *columns, *missing_points(problem), *spec_doubts(problem.spec)]
+    found = [*shared_columns(problem), *columns, *units_of_loads(problem), *missing_points(problem)]
+    found += spec_doubts(problem.spec)
     return _sorted(found, problem.spec.accept)
 
 

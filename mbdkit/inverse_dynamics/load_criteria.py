@@ -7,7 +7,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from mbdkit.base.text import listed
-from mbdkit.inverse_dynamics.compute import Inverse
+from mbdkit.inverse_dynamics.compute import Inverse, InverseProblem
 from mbdkit.inverse_dynamics.doubt import ROUND_OFF, TO_DEVIATION, Doubt
 from mbdkit.inverse_dynamics.error_bars import ErrorBars
 from mbdkit.inverse_dynamics.load_point_criterion import centre_of_pressure, load_point_doubts
@@ -89,6 +89,12 @@ velocity of its point of contact, weighted by the force. A delay is certain if t
 increases it to 2.6 times, and a delay of 0.05 s to 1.3 times. In random motions without rest, no shift gives a slip
 below 0.25.
 """
+
+
+def units_of_loads(problem: InverseProblem) -> Iterator[Doubt]:
+    """Yield a doubt for each unit of a load in the spec that differs from that in the file."""
+    for load in problem.loads.values():
+        yield from (Doubt("units", f"{sentence}.") for sentence in load.contradictions)
 
 
 def load_doubts(result: Inverse, bars: ErrorBars | None) -> Iterator[Doubt]:

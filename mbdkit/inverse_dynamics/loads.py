@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from difflib import SequenceMatcher
 from typing import Any, Literal, TypeAlias
@@ -14,7 +14,14 @@ from scipy.interpolate import CubicSpline
 from mbdkit.base.errors import SpecError
 from mbdkit.base.plain_data import quoted
 from mbdkit.base.text import shown
-from mbdkit.inverse_dynamics.measured import si_values, source_table, times_of, unit_factor
+from mbdkit.inverse_dynamics.measured import (
+    GivenUnit,
+    contradicted_units,
+    si_values,
+    source_table,
+    times_of,
+    unit_factor,
+)
 from mbdkit.inverse_dynamics.measured_table import Table
 from mbdkit.inverse_dynamics.reduced_motion import Motion
 from mbdkit.mechanism.mechanism_quantities import GROUND
@@ -61,6 +68,8 @@ class LoadSeries:
         ("force", 0) for the x component of the force and ("torque", None) for the torque.
     like_point
         If there is no point, headings of columns that are not used and look like the point of application.
+    contradictions
+        Sentences, without full stops, on units in the spec that differ from those in the file.
     """
 
     time: np.ndarray
@@ -72,6 +81,7 @@ class LoadSeries:
     is_cubic: bool
     deviation: Mapping[Component, float] = field(default_factory=dict)
     like_point: tuple[str, ...] = ()
+    contradictions: tuple[str, ...] = ()
 
     def moved(self, component: Component, by: float) -> LoadSeries:
         """Return the load with a component changed at all times at which the load acts."""
@@ -179,7 +189,20 @@ def _series(spec: InverseSpec, names: QuantityNames, key: str, load: Load, of_mo
             deviation["point", axis] = _deviation(table, column, "m")
     noisy = {component: value for component, value in deviation.items() if value > 0}
     like_point = _like_point(spec, names, load, table) if point is None else ()
-    return LoadSeries(time, body, force, point, frame, torque, load.interpolation == "cubic", noisy, like_point)
+    units = tuple(contradicted_units(table, _given_units(load, key)))
+    return LoadSeries(time, body, force, point, frame, torque, load.interpolation == "cubic", noisy, like_point, units)
+
+
+def _given_units(load: Load, key: str) -> Iterator[GivenUnit]:
+    """Yield key, heading, unit and SI unit of each column of a load and of its times, if they have a unit."""
+    if load.time is not None and "unit" in load.time.model_fields_set:
+        yield f"{key}.time", load.time.column, load.time.unit, "s"
+    columns = {"torque": (load.torque, "N m")}
+    for name, pair, unit in (("force", load.force, "N"), ("point", load.point, "m")):
+        columns |= {f"{name}[{axis}]": (column, unit) for axis, column in enumerate(pair or ())}
+    for name, (column, unit) in columns.items():
+        if isinstance(column, ColumnOfTable) and column.unit is not None:
+            yield f"{key}.{name}", column.column, column.unit, unit
 
 
 def _like_point(spec: InverseSpec, names: QuantityNames, load: Load, table: Table) -> tuple[str, ...]:

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import TypeAlias
 
 import numpy as np
 from scipy.interpolate import make_interp_spline
@@ -35,6 +36,9 @@ ROUNDED = 1e-6
 """Share by which an angle may exceed one turn, and a gap its greatest length, because values are rounded."""
 
 SI = {"m": "m", "rad": "rad", "N": "N", "N m": "N m"}
+
+GivenUnit: TypeAlias = tuple[str, str, str | None, str]
+"""Key of a column in the spec, its heading, its unit in the spec or None, and its SI unit."""
 
 
 @dataclass(frozen=True)
@@ -146,6 +150,12 @@ def read_motion(spec: InverseSpec, names: QuantityNames) -> tuple[Measured, Tabl
                 given = factor * table.column(heading, f"{key}.{('rate', 'acceleration')[order]}")[kept]
                 derivatives[order, :, index] = _bridged(time, given, None, (table, heading, kept))
     weight = np.array([column.weight for column in columns.values()])
+    units: list[GivenUnit] = [
+        (f"motion.columns.{quoted(name)}", column.column, column.unit, quantity.unit)
+        for (name, column), quantity in zip(columns.items(), quantities.quantities, strict=True)
+    ]
+    if "unit" in motion.time.model_fields_set:
+        units.insert(0, ("motion.time", motion.time.column, motion.time.unit, "s"))
     in_degrees = np.array([column.unit == "deg" for column in columns.values()])
     given_derivatives = derivatives if all(has_derivatives) else None
     return (
@@ -162,7 +172,7 @@ def read_motion(spec: InverseSpec, names: QuantityNames) -> tuple[Measured, Tabl
             has_unit,
             in_degrees,
             may_turn,
-            tuple(_contradictions(motion, columns, table, quantities)),
+            tuple(contradicted_units(table, units)),
         ),
         table,
     )
@@ -228,15 +238,9 @@ def unit_factor(column: ColumnOfTable, table: Table, unit: str, key: str) -> flo
     return given.factor * column.scale
 
 
-def _contradictions(
-    motion: MeasuredMotion, columns: Mapping[str, ObservedColumn], table: Table, quantities: Quantities
-) -> Iterator[str]:
-    """Yield a sentence for each unit of a column in the spec that differs from the unit in the file."""
-    time = motion.time.unit if "unit" in motion.time.model_fields_set else None
-    found = [("motion.time", motion.time.column, time, "s")]
-    for (name, column), quantity in zip(columns.items(), quantities.quantities, strict=True):
-        found.append((f"motion.columns.{quoted(name)}", column.column, column.unit, quantity.unit))
-    for key, heading, unit, wanted in found:
+def contradicted_units(table: Table, columns: Iterable[GivenUnit]) -> Iterator[str]:
+    """Yield a sentence without a full stop for each unit of a column in the spec that differs from that in the file."""
+    for key, heading, unit, wanted in columns:
         in_file = table.unit(heading) or ("deg" if wanted == "rad" and table.in_degrees else None)
         if unit is None or in_file is None:
             continue

@@ -305,6 +305,24 @@ def test_a_unit_that_contradicts_the_file_is_named(tmp_path: Path) -> None:
     )
 
 
+def test_a_unit_of_a_load_that_contradicts_the_file_is_named(tmp_path: Path) -> None:
+    (tmp_path / "plate.csv").write_text("time,fy,px,mz\nms,N,mm,N*mm\n0,700,100,0\n2000,700,100,0\n")
+    columns = {"force": [0.0, "fy"], "point": ["px", 0.0], "torque": "mz", "time": "time"}
+    spec = {
+        "mbdkit": 1,
+        "model": {"name": "leg"},
+        "motion": {"data": {"time": T, **{name: ANGLES[name] for name in ANGLES}}, "smooth": SMOOTH},
+        "loads": {"plate": {"body": "foot", "file": str(tmp_path / "plate.csv"), **columns}},
+    }
+    assert doubts_before_computation(InverseProblem.of(load_inverse_spec(spec))).open == ()
+    spec["loads"]["plate"] |= {"point": [{"column": "px", "unit": "m"}, 0.0], "torque": {"column": "mz", "unit": "N m"}}
+    told = doubts_before_computation(InverseProblem.of(load_inverse_spec(spec))).open
+    assert [text.split(" contradicts")[0] for text in told] == [
+        "units: the unit N m at loads.plate.torque.unit",
+        "units: the unit m at loads.plate.point[0].unit",
+    ]
+
+
 def test_knee_flexion_with_the_wrong_sign_is_doubted() -> None:
     run = leg({"knee_flexion": -ANGLES["knee_flexion"]}, motion={"errors": "none"})
     assert told(run) == {"knee"}
