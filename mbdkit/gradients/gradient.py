@@ -44,6 +44,7 @@ from mbdkit.gradients.start_doubts import start_doubts
 from mbdkit.measures.measure_expression import MeasureExpression
 from mbdkit.measures.natural_size import natural_scales, natural_size
 from mbdkit.methods.kinds import Method
+from mbdkit.runs.notes import zero_reactions_in
 from mbdkit.runs.preparation import build, caution
 from mbdkit.runs.warnings import doubts as questions
 from mbdkit.runs.warnings import start_warnings
@@ -77,6 +78,9 @@ class Gradient(HtmlView):
     check
         Comparison of the gradient with differences of runs and with the gradient of another method; None if it was not
         requested.
+    remarks
+        Notes that do not question the derivatives: warnings of the run that do not question its results, reactions that
+        are always zero, and extrema at the end of the run, which a longer run may exceed.
     """
 
     measures: tuple[str, ...]
@@ -87,6 +91,7 @@ class Gradient(HtmlView):
     preparation_error: np.ndarray
     doubts: tuple[str, ...]
     check: GradientCheck | None
+    remarks: tuple[str, ...] = ()
 
     @property
     def error(self) -> np.ndarray:
@@ -141,6 +146,7 @@ class Gradient(HtmlView):
                 for one, text in zip(self.parameters, self.texts(name), strict=True)
             ]
         lines += self.doubts
+        lines += self.remarks
         if self.check is not None:
             lines.append(str(self.check))
         return "\n".join(lines)
@@ -213,7 +219,12 @@ def gradient(
     with one_thread_of_linear_algebra():
         found = gradient_of_run_spec(spec, definitions, chosen, check=check)
     warnings = (*caution(spec), *start_warnings(spec, build(spec)[1]))
-    return replace(found, doubts=(*questions(spec, warnings), *found.doubts))
+    of_run = questions(spec, warnings)
+    notes = [warning for warning in warnings if warning not in of_run]
+    for name, expression in expressions_of(spec, definitions).items():
+        notes += zero_reactions_in(spec, f"'{name}'", expression)
+    remarks = tuple(dict.fromkeys((*notes, *found.remarks)))
+    return replace(found, doubts=(*of_run, *found.doubts), remarks=remarks)
 
 
 def check_gradients(spec: RunSpec, method: Method) -> None:
@@ -308,7 +319,7 @@ def gradient_of_run(
         The measures by another, more accurate method; None if the computation has no steps.
     """
     values, slopes, sizes = [], [], {}
-    doubts = list(run.doubts)
+    doubts, remarks = list(run.doubts), list[str]()
     measure = MeasureOfRun(run)
     mechanism, duration = run.rows.mechanism, float(np.ptp(run.rows.time))
     mass = float(np.max(mechanism.topology.mass[:-1, 0], initial=0.0))
@@ -320,6 +331,7 @@ def gradient_of_run(
         natural = natural_size(one.unit, *scales)
         sizes[name] = max(abs(found), measure.size, NATURAL * natural)
         doubts += measure.doubts
+        remarks += (f"{name}: {remark}" for remark in measure.remarks)
     value, jacobian = np.array(values), np.array(slopes).reshape(len(values), len(parameters))
     check = None
     if measured is not None:
@@ -331,7 +343,7 @@ def gradient_of_run(
         tuple(expressions),
         tuple(expression.unit.text for expression in expressions.values()),
         tuple(parameter.name for parameter in parameters),
-        value, jacobian, prepared.error, tuple(doubts), check,
+        value, jacobian, prepared.error, tuple(doubts), check, tuple(remarks),
     )  # fmt: skip
 
 

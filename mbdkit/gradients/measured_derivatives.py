@@ -75,6 +75,8 @@ class MeasureOfRun:
     ----------
     doubts
         Warnings about derivatives that do not exist, for the measure evaluated last.
+    remarks
+        Extrema of the measure evaluated last that are at the end of the run, as clauses.
     size
         Largest absolute value to which the measure evaluated last applied functions over time, in the unit of the
         measure.
@@ -84,6 +86,7 @@ class MeasureOfRun:
         self.run = run
         self.count = run.rows.q.shape[-1] - 1
         self.doubts: list[str] = []
+        self.remarks: list[str] = []
         self.size = 0.0
 
     def of(self, expression: MeasureExpression, constants: np.ndarray | None = None) -> tuple[float, np.ndarray]:
@@ -98,6 +101,7 @@ class MeasureOfRun:
         slopes = np.zeros((len(expression.program), self.count)) if constants is None else constants
         one = _Evaluation(self.run, expression, slopes)
         found = one.result()
+        self.remarks = list(dict.fromkeys(one.remarks))
         self.doubts, self.size = list(dict.fromkeys(one.doubts)), one.size / expression.unit.factor
         return float(found.value.reshape(-1)[0]) / expression.unit.factor, (
             found.slope.reshape(self.count, found.value.size)[:, 0] / expression.unit.factor
@@ -117,6 +121,7 @@ class _Evaluation:
         self.run, self.expression, self.slopes = run, expression, slopes
         self.count = slopes.shape[1]
         self.doubts: list[str] = []
+        self.remarks: list[str] = []
         self.size = 0.0
         self._begins = _begins(expression)
         self._reduced: dict[int, Value] = {}  # by index of the instruction
@@ -295,6 +300,7 @@ class _Evaluation:
         best = max(sign * one.value for _, one in found)
         near = [(number, one) for number, one in found if sign * one.value >= best - EQUAL * (highest - lowest)]
         near.sort(key=lambda item: -sign * item[1].value)
+        self._note_end(functional.reduction, near[0][1].time, highest - lowest)
         first = self._at_peak(*near[0], index)
         slopes = {near[0][1].time: first.slope}
         step = float(np.max(self.run.motions[0].parts[near[0][0]].plain.size))
@@ -442,9 +448,15 @@ class _Evaluation:
         if not np.all(same):
             times = self.run.rows.time
             self._note_several(name, [float(times[index]), float(times[apart[~same][0]])])
+        self._note_end(name, float(self.run.rows.time[index]), spread)
         return rows[index : index + 1]
 
     # --- warnings
+
+    def _note_end(self, name: str, time: float, spread: float) -> None:
+        """Add a remark if the time of an extremum is the end of the run, unless the quantity is constant."""
+        if time == self.run.rows.time[-1] and spread > 0.0:
+            self.remarks.append(f"{name} at the end of the run")
 
     def _note_several(self, name: str, times: Sequence[float]) -> None:
         self.doubts.append(

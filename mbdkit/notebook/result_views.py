@@ -228,7 +228,7 @@ def _(found: Gradient) -> View:
     check = () if found.check is None else (str(found.check),)
     note = "In the unit of the measure for each SI unit of the parameter."
     table = Table("gradient", "Derivatives", tuple(columns), tuple(rows), note)
-    return View("Gradient", (*found.doubts, *check), tables=(table,))
+    return View("Gradient", (*found.doubts, *found.remarks, *check), tables=(table,))
 
 
 @view.register

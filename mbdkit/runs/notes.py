@@ -38,15 +38,20 @@ def zero_reactions(spec: RunSpec, measures: Iterable[DefinedMeasure]) -> Iterato
     """Yield a note for each reaction in the measures of a run that is always zero, because the joint cannot transmit
     it.
     """
-    joints = spec.mechanism().joints
     for measure in measures:
         if ".torque" not in measure.expression and ".force" not in measure.expression:
             continue  # before the expression is parsed
         with suppress(SpecError):  # an invalid measure is refused elsewhere
             parsed = MeasureExpression.parse(measure.expression, spec, measure.unit)
-            for one in dict.fromkeys(parsed.quantities):
-                if one.kind == "joints" and (why := _not_transmitted(joints[one.name], one)):
-                    yield f"{one} in {path_text(measure.place)} is always zero, because {why}"
+            yield from zero_reactions_in(spec, path_text(measure.place), parsed)
+
+
+def zero_reactions_in(spec: RunSpec, place: str, expression: MeasureExpression) -> Iterator[str]:
+    """Yield a note for each reaction in an expression, which is at `place`, that is always zero."""
+    joints = spec.mechanism().joints
+    for one in dict.fromkeys(expression.quantities):
+        if one.kind == "joints" and (why := _not_transmitted(joints[one.name], one)):
+            yield f"{one} in {place} is always zero, because {why}"
 
 
 def _not_transmitted(joint: Joint, reaction: Quantity) -> str:

@@ -248,6 +248,24 @@ def test_a_run_whose_gradients_fail_their_check_is_doubtful() -> None:
     assert found.doubts[0] in run.summary()
 
 
+@pytest.mark.parametrize(
+    ("measure", "end", "remark"),
+    [
+        pytest.param("max(abs(joints.J1.torque))", 0.5, "joints.J1.torque in 'x' is always zero", id="zero reaction"),
+        pytest.param("max(abs(joints.J1.force))", 0.2, "x: max at the end of the run", id="before the lowest point"),
+        pytest.param("max(abs(joints.J1.force))", 0.5, "", id="after it"),
+        pytest.param("max(rod1.y)", 0.5, "", id="largest at the start"),
+    ],
+)
+def test_notes_of_the_run_are_remarks_of_its_gradient(measure: str, end: float, remark: str) -> None:
+    rod = {"model": {"name": "single-pendulum", "length": 1.0, "angle": -0.5}}
+    method = {"integrator": {"name": "gauss", "stages": 3}, "time": {"end": end, "step": 0.01}}
+    found = mbdkit.gradient({"mbdkit": 1, **rod, **method}, {"x": measure}, "model.mass", check=False)
+    assert not found.doubts
+    assert [one[: len(remark)] for one in found.remarks] == [remark] * bool(remark)
+    assert remark in str(found)
+
+
 def test_warnings_of_the_run_are_doubts_of_its_gradient() -> None:
     rod = {"mbdkit": 1, "model": {"name": "single-pendulum", "angle": -17.0}}
     method = {"integrator": {"name": "rk4"}, "time": {"end": 0.1, "step": 0.01}}
