@@ -146,6 +146,12 @@ def typical_values(given: Any) -> list[float]:
     return [value for value in values if math.isfinite(value)]
 
 
+def central_range(given: Any) -> tuple[float, float]:
+    """Return the quantiles of 5 and 95 % of a valid distribution, in SI units."""
+    low, high = frozen(given).ppf([0.05, 0.95])
+    return float(low), float(high)
+
+
 def unit_of(given: Any) -> Unit | None:
     """Return the unit of the parameters of a valid distribution; None if they are plain numbers."""
     (parameters,) = given.values()

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from mbdkit.base.plain_data import json_text
 from mbdkit.base.text import counted, shown
+from mbdkit.spec.sample_section import central_range, unit_of
 from mbdkit.studies.study_headlines import headlines
 from mbdkit.studies.study_index import STATUSES
 from mbdkit.studies.study_notes import notes
@@ -110,7 +111,9 @@ def _sample_lines(spec: StudySpec) -> Iterator[tuple[str, str]]:
         each = f", {sample.runs_of_member} runs each" if sample.runs_of_member > 1 else ""
         yield "sample", f"{counted(sample.n, 'member')}{each}: {sample.method}, seed {sample.seed}"
         for key, given in sample.variables.items():
-            yield "variable", f"{key}: {json_text(given)}"
+            (low, high), unit = central_range(given), unit_of(given)
+            size = f"{low:.4g} to {high:.4g} {unit.si if unit else ''}".rstrip()
+            yield "variable", f"{key}: {json_text(given)} (5 % to 95 %: {size})"
 
 
 def _measure_lines(defined: Mapping[str, Description]) -> Iterator[tuple[str, str]]:

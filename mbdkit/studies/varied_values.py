@@ -1,5 +1,5 @@
-"""Notes on values that a study varies: masses without moments of inertia, and mean and standard deviation of normal
-distributions that are probably exchanged.
+"""Notes on values that a study varies: masses without moments of inertia, exchanged parameters of normal distributions,
+and limits of truncated ones that are probably not meant as multiples of the scale.
 """
 
 from __future__ import annotations
@@ -25,13 +25,14 @@ WIDE = 3.0
 
 def notes_on_varied_values(spec: StudySpec) -> Iterator[str]:
     """Yield a note for each mass of a body that a study varies while the moment of inertia of the body stays the same,
-    and for each normal distribution whose mean and standard deviation are probably exchanged.
+    for each normal distribution whose mean and standard deviation are probably exchanged, and for each truncated normal
+    distribution whose limits are probably given as values.
 
     The mass may be varied itself or through parameters. Where it is varied itself, the note names the parameter to vary
     instead, if mass and inertia depend on one.
     """
     found = dict.fromkeys(note for grid in grids(spec) for note in (*_of_masses(grid), *_exchanged(spec, grid)))
-    yield from found
+    yield from (*found, *_truncated(spec))
 
 
 def _of_masses(grid: Grid) -> Iterator[str]:
@@ -101,6 +102,26 @@ def _exchanged(spec: StudySpec, grid: Grid) -> Iterator[str]:
                 f"{path_text(('sample', 'variables', key))}: the standard deviation of {std:g} is much larger than "
                 f"the mean of {mean:g}, but near the value {value:g} of the base; the parameters of `{kind}` are the "
                 f"mean and the standard deviation, in this order"
+            )
+
+
+def _truncated(spec: StudySpec) -> Iterator[str]:
+    """Yield a note for each truncated normal distribution whose center is outside of its limits, but would be inside if
+    the limits were values of the variable.
+    """
+    for key, given in ({} if spec.sample is None else spec.sample.variables).items():
+        if "truncnorm" not in given:
+            continue
+        distribution = frozen(given)
+        low, high = distribution.support()
+        a, b = distribution.args
+        center, scale = (distribution.kwds.get(name, value) for name, value in (("loc", 0.0), ("scale", 1.0)))
+        if a <= center <= b and not low <= center <= high:
+            yield (
+                f"{path_text(('sample', 'variables', key))}: the drawn values are between {low:g} and {high:g}, "
+                f"although loc is {center:g}, because the limits of `truncnorm` are relative to loc, in units of "
+                f"scale; for values between {a:g} and {b:g}, write [{(a - center) / scale:.6g}, {(b - center) / scale:.6g}, {center:g}, "
+                f"{scale:g}]"
             )
 
 
