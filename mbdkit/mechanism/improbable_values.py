@@ -17,6 +17,7 @@ from mbdkit.mechanism.contacts import Contact
 from mbdkit.mechanism.forces import SpringDamper
 from mbdkit.mechanism.law_element import Law
 from mbdkit.mechanism.mechanism import Mechanism
+from mbdkit.mechanism.pathways import Coordinate
 from mbdkit.mechanism.values import Point
 
 FAR_MASS = 10.0
@@ -75,7 +76,8 @@ length at the start.
 """
 
 LARGE = 3.0
-"""The optimal length of a muscle is improbable if it exceeds this many sizes of the mechanism.
+"""The optimal length of a muscle, and the deflection at the start of a one-sided spring along a coordinate, are
+improbable if they exceed this many sizes of the mechanism.
 
 In all packaged examples, optimal lengths are at most 0.21 sizes.
 """
@@ -373,23 +375,43 @@ def _source_of_inertia(beam: Beam) -> tuple[str, float, str, str]:
 
 def improbable_lengths(mechanism: Mechanism) -> Iterator[str]:
     """Yield a sentence without a full stop for each spring whose free length is too large for its length at the start
-    and for the mechanism, and for each muscle whose optimal length is too large for the mechanism.
+    and for the mechanism, for each one-sided spring along a coordinate that is deflected too far at the start, and for
+    each muscle whose optimal length is too large for the mechanism.
     """
     found = []
     for name, force in mechanism.forces.items():
         free = getattr(force, "free_length", None)
-        if free is not None and isinstance(force, SpringDamper | Law) and force.pathway.is_line:
+        if free is None or not isinstance(force, SpringDamper | Law):
+            continue
+        if force.pathway.is_line:
             length = math.dist(*(mechanism.to_global(body, point) for _, body, point in force.attachments()))
             if free > LONGEST * length:
-                found.append(("forces", name, "free_length", free, f" and the spring is {length:.3g} m long"))
-    found += [("muscles", name, "optimal_length", one.optimal_length, "") for name, one in mechanism.muscles.items()]
-    size = _size_if_below(mechanism, max((value / LARGE for *_, value, _ in found), default=0.0))
-    for kind, name, key, value, also in found:
-        if value > LARGE * size > 0:
+                found.append(("forces", name, "free_length", free, free, f" and the spring is {length:.3g} m long"))
+        elif isinstance(force, Law) and (deflection := _deflection(mechanism, force, free)) > 0.0:
+            told = f" and the spring is deflected by {deflection:.3g} m"
+            found.append(("forces", name, "free_length", free, deflection, told))
+    for name, muscle in mechanism.muscles.items():
+        found.append(("muscles", name, "optimal_length", muscle.optimal_length, muscle.optimal_length, ""))
+    size = _size_if_below(mechanism, max((length / LARGE for *_, length, _ in found), default=0.0))
+    for kind, name, key, value, length, also in found:
+        if length > LARGE * size > 0:
             is_given = mechanism.name == "mechanism"
-            proposals = listed([f"`{value:g} {unit}`" for unit in _smaller_units(value, LARGE * size)], "or")
+            proposals = listed([f"`{value:g} {unit}`" for unit in _smaller_units(abs(value), LARGE * size)], "or")
             place = f"model.{kind}.{quoted(name)}.{key}" if is_given else f"model, {kind.removesuffix('s')} {name}"
             yield (
                 f"the {key.replace('_', ' ')} of {value:g} m at {place} is improbable: at the start, the mechanism has "
                 f"a size of {size:.3g} m{also}; {_ADVICE} {proposals}"
             )
+
+
+def _deflection(mechanism: Mechanism, law: Law, free_length: float) -> float:
+    """Return by how much a one-sided spring along a coordinate is deflected at the start [m]; 0 for other laws and
+    pathways, and for a spring that exerts no force.
+    """
+    pathway = law.pathway
+    if law.law_id != "mbdkit:one-sided" or not isinstance(pathway, Coordinate):
+        return 0.0
+    first, second = pathway.bodies
+    place = mechanism.to_local(first, mechanism.to_global(second, pathway.point))
+    stretch = place["xy".index(pathway.coordinate)] - free_length
+    return max(stretch if getattr(law, "acts", "") == "tension" else -stretch, 0.0)

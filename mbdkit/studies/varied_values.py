@@ -117,11 +117,11 @@ def _truncated(spec: StudySpec) -> Iterator[str]:
         a, b = distribution.args
         center, scale = (distribution.kwds.get(name, value) for name, value in (("loc", 0.0), ("scale", 1.0)))
         if a <= center <= b and not low <= center <= high:
+            advised = ", ".join(f"{x:.6g}" for x in ((a - center) / scale, (b - center) / scale, center, scale))
             yield (
                 f"{path_text(('sample', 'variables', key))}: the drawn values are between {low:g} and {high:g}, "
                 f"although loc is {center:g}, because the limits of `truncnorm` are relative to loc, in units of "
-                f"scale; for values between {a:g} and {b:g}, write [{(a - center) / scale:.6g}, {(b - center) / scale:.6g}, {center:g}, "
-                f"{scale:g}]"
+                f"scale; for values between {a:g} and {b:g}, write [{advised}]"
             )
 
 

@@ -51,6 +51,8 @@ PATH = [{"body": "ground", "point": [0, 0]}, {"body": "rod", "point": [0, 0]}]
 MUSCLE = {"path": PATH, "max_force": 9.0, "tendon_length": 0.1, "excitation": 0.1}
 TABLE = {"type": "law", "law": "table", "pathway": {"type": "relative-angle", "bodies": ["ground", "rod"]}}
 PULL = {**TABLE, "pathway": {"type": "two-points", "bodies": ["ground", "rod"], "points": [[0.5, 0], [0.2, 0]]}}
+ALONG_X = {"type": "coordinate", "coordinate": "x", "bodies": ["ground", "rod"], "points": [[0, 0], [-0.3, 0]]}
+STOP = {"type": "law", "law": "one-sided", "stiffness": 9.0, "acts": "compression", "pathway": ALONG_X}
 DRIVER = {"type": "driver", "bodies": ["ground", "rod"], "coordinate": "angle"}
 
 
@@ -111,6 +113,11 @@ DRIVER = {"type": "driver", "bodies": ["ground", "rod"], "coordinate": "angle"}
             "0.2 m long; if it is in another unit, write it with the unit, for example `20 cm` or `20 mm`",
         ),
         (
+            {"model__forces__s": {**STOP, "free_length": 20}},
+            "and the spring is deflected by 19.8 m; if it is in another unit, write it with the unit",
+        ),
+        ({"model__forces__s": {**STOP, "free_length": -20, "acts": "tension"}}, "deflected by 20.2 m"),
+        (
             {"model__muscles__m": {**MUSCLE, "optimal_length": 60}},
             "the optimal length of 60 m at model.muscles.m.optimal_length is improbable: at the start, the mechanism",
         ),
@@ -136,6 +143,9 @@ def test_a_value_that_is_probably_not_meant_is_told_with_its_key(values: dict[st
         {"model__bodies__rod__inertia": 3920.0, "model__joints__A__points": [[0.5, 0], [0, 0]]},  # a rotor has no size
         {"model__joints__A__friction": {"coefficient": 0.3, "radius": 0.01}},
         {"model__forces__s": {**SPRING, "free_length": 2.05}},  # 10.25 lengths, 2.9 sizes
+        {"model__forces__s": {**STOP, "free_length": -20}},  # not reached at the start
+        {"model__forces__s": {**STOP, "free_length": 20, "acts": "tension"}},
+        {"model__forces__s": {**STOP, "free_length": 1.6}},
         {"model__muscles__m": {**MUSCLE, "optimal_length": 0.06}},
         {"model__bodies__rod__angle": 7.853981633974483},
         {"model__bodies__rod__angle": "degrees(720)"},
