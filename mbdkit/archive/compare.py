@@ -9,17 +9,9 @@ import h5py
 import numpy as np
 
 from mbdkit.archive import layout
-from mbdkit.archive.fingerprint import (
-    attributes_sha256,
-    blocks,
-    data_sha256,
-    dataset_line,
-    datasets,
-    is_text,
-    spec_sha256,
-)
+from mbdkit.archive.fingerprint import blocks, data_sha256, dataset_line, datasets, is_text, mismatches
 from mbdkit.archive.hdf5_errors import reading
-from mbdkit.archive.layout import ATTRIBUTES_HASH, FORMAT_VERSION, is_hashed
+from mbdkit.archive.layout import FORMAT_VERSION, is_hashed
 from mbdkit.archive.run import Run
 from mbdkit.base.text import counted, listed, shown
 
@@ -136,16 +128,10 @@ def _contents(run: Run) -> tuple[dict[str, h5py.Dataset], str, list[str]]:
     with reading("its contents", run.path):
         arrays = {item.name.lstrip("/"): item for item in datasets(file) if is_hashed(item.name)}
         digest = data_sha256(file)
-        checks = [
-            ("data", "data_sha256", run.data_sha256, digest),
-            ("spec", "spec_sha256", run.spec_sha256, spec_sha256(run.spec_json)),
-            ("attributes", ATTRIBUTES_HASH, str(file.attrs.get(ATTRIBUTES_HASH, "")), attributes_sha256(file)),
-        ]
+        unmatched = mismatches(file, digest)
     where = run.path or "the run in memory"
     sentences = [
-        f"{where}: its {what} changed after it was written: {name} does not match"
-        for what, name, stored, there in checks
-        if stored and stored != there  # the archive of a crashed run has no hash
+        f"{where}: its {what} changed after it was written: {name} does not match" for name, what in unmatched.items()
     ]
     return arrays, digest, sentences
 

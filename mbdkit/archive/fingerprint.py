@@ -93,6 +93,25 @@ def _line_of(path: str, item: h5d.DatasetID) -> str:
     return _line_with(path, item, partial(item.read, h5s.ALL, h5s.ALL))
 
 
+def mismatches(file: h5py.File, data: str = "") -> dict[str, str]:
+    """Return the stored hashes that do not match the contents of an archive: what they cover, by attribute.
+
+    A hash that is not stored, as in archives of crashed runs and of earlier versions, matches everything.
+
+    Parameters
+    ----------
+    data
+        Hash of the arrays if it is known, as returned by `data_sha256`.
+    """
+    stored = file.attrs
+    checks: tuple[tuple[str, str, Callable[[], str]], ...] = (
+        ("data", "data_sha256", lambda: data or data_sha256(file)),
+        ("spec", "spec_sha256", lambda: spec_sha256(str(stored.get("spec", "")))),
+        ("attributes", ATTRIBUTES_HASH, lambda: attributes_sha256(file)),
+    )
+    return {name: what for what, name, there in checks if stored.get(name) and stored[name] != there()}
+
+
 def attributes_sha256(
     file: h5py.File,
     known: Mapping[str, str] = MappingProxyType({}),

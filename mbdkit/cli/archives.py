@@ -105,9 +105,8 @@ def archive_export(
     one row for each run: its values, status, verdict with reasons, measures and cost.
     Prints the names of the files.
     """
-    from mbdkit.archive.archive_check import blaming_damage
+    from mbdkit.archive.changed_contents import opened
     from mbdkit.archive.export import export
-    from mbdkit.archive.reader import load
     from mbdkit.studies.carry_out import load_study
     from mbdkit.studies.runs_table import export_runs
 
@@ -115,7 +114,7 @@ def archive_export(
     if archive.is_dir() and (archive / "study.yaml").is_file():
         files = export_runs(load_study(archive), folder, to, overwrite=overwrite)
     else:
-        with blaming_damage(archive), load(archive) as loaded:
+        with opened(archive) as loaded:
             files = export(loaded, folder, to, overwrite=overwrite)
     if not quiet:
         for file in files:

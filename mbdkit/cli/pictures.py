@@ -97,16 +97,15 @@ def plot(
 
     The legend of several runs shows how they differ: method, step, other keys, or file.
     """
-    from mbdkit.archive.archive_check import blaming_damage
-    from mbdkit.archive.reader import load
+    from mbdkit.archive.changed_contents import opened
     from mbdkit.base.files import check_not_input, check_output
     from mbdkit.plot.save_plot import plot as draw
     from mbdkit.plot.save_plot import size_in_mm
 
     options = {name: value for name, value in vars(selection).items() if value}
     _check_options(kind, options)
-    with blaming_damage(*archives), ExitStack() as stack:
-        runs = [stack.enter_context(load(archive)) for archive in archives]
+    with ExitStack() as stack:
+        runs = [stack.enter_context(opened(archive)) for archive in archives]
         target = output or archives[0].with_name(f"{archives[0].stem}-{kind}.png")
         for archive in archives:
             check_not_input(target, archive)
@@ -137,12 +136,11 @@ def animate(
     debug: Debug = False,
 ) -> None:
     """Animate a run."""
-    from mbdkit.archive.archive_check import blaming_damage
-    from mbdkit.archive.reader import load
+    from mbdkit.archive.changed_contents import opened
     from mbdkit.base.files import check_output
     from mbdkit.report.animate import animate as draw
 
-    with blaming_damage(archive), load(archive) as loaded:
+    with opened(archive) as loaded:
         target = output or archive.with_suffix(".gif")
         check_output(target, overwrite=overwrite, source=archive)
         target = draw(loaded, target)

@@ -8,9 +8,11 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from mbdkit.analysis.verdict import Verdict
+from mbdkit.archive.changed_contents import hash_warnings
 from mbdkit.archive.reader import load
 from mbdkit.base.errors import SpecError
 from mbdkit.base.files import check_output, check_suffix, replacing
+from mbdkit.base.logs import warn_on_stderr
 from mbdkit.plot.charts import image_files, write_chart_images
 from mbdkit.report.report_page import ReportPage
 from mbdkit.report.run_report import run_report
@@ -93,7 +95,9 @@ def write_report(
 def _document(source: Path, workers: int) -> Iterator[ReportPage]:
     if not os.path.isdir(source):
         with load(source) as run:
-            yield run_report(run)
+            warnings = hash_warnings(run)
+            warn_on_stderr(warnings)
+            yield run_report(run, warnings)
     elif (source / "design.yaml").is_file():
         from mbdkit.report.design_report import design_report
 

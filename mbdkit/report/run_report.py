@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 from mbdkit.archive.headlines import headline_texts
@@ -30,8 +30,13 @@ TONES = {"good": "good", "doubtful": "warn", "bad": "alarm"}
 _NUMBERS = 240_000  # approximate number of pose values of the animation; they take about 1.5 megabytes
 
 
-def run_report(run: Run) -> ReportPage:
+def run_report(run: Run, warnings: Sequence[str] = ()) -> ReportPage:
     """Return the report of a run.
+
+    Parameters
+    ----------
+    warnings
+        Sentences about the archive, such as `hash_warnings`, which are shown at the top of the page.
 
     Raises
     ------
@@ -47,7 +52,7 @@ def run_report(run: Run) -> ReportPage:
     return ReportPage(
         title=head.title,
         settings=head.settings,
-        alarm=_alarm(run, head.alarm),
+        alarm=_alarm(run, head.alarm, warnings),
         headline=(("verdict", run.verdict), *headline_texts(run, "\u00b1")),
         tone=TONES.get(run.verdict, ""),
         verdict=run_verdict(run),
@@ -78,12 +83,13 @@ def mechanism_of(run: Run) -> Mechanism | None:
         return None
 
 
-def _alarm(run: Run, ending: str) -> str:
-    """Return the warning at the top of the page: that the run stopped early, or that its results must not be trusted;
-    empty if there is none.
+def _alarm(run: Run, ending: str, warnings: Sequence[str]) -> str:
+    """Return the warning at the top of the page: that the run stopped early, or that its results must not be trusted,
+    and the `warnings`; empty if there is none.
     """
     questioned = f"VERDICT: {run.verdict.upper()}" if run.verdict in ("doubtful", "bad") else ""
-    return ending.partition(": ")[0] or questioned  # without the reason, which the section "Verdict" gives
+    first = ending.partition(": ")[0] or questioned  # without the reason, which the section "Verdict" gives
+    return ". ".join(filter(None, [first, *(f"{warning[0].upper()}{warning[1:]}" for warning in warnings)]))
 
 
 def environment(provenance: Mapping[str, Any], first: Mapping[str, str]) -> Table:
