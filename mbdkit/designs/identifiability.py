@@ -31,7 +31,8 @@ def undetermined(problem: Problem, best: np.ndarray) -> tuple[dict[str, float], 
     do not take part are omitted. The result is empty if a run near the best point fails, or if more variables than
     `MOST` are not at a bound.
     """
-    free = np.flatnonzero((best > ACTIVE) & (best < 1 - ACTIVE))
+    is_free = (best > ACTIVE) & (best < 1 - ACTIVE)
+    free, best = np.flatnonzero(is_free), np.where(is_free, best, np.round(best))
     if not 0 < len(free) <= MOST:
         return ()
     rows = problem.residual_slopes(best) if problem.sums_squares else _second_derivatives(problem, best, free)
@@ -53,7 +54,8 @@ def _second_derivatives(problem: Problem, best: np.ndarray, free: np.ndarray) ->
 
     They are nan where a run fails.
     """
-    center = np.clip(best, 2 * STEP, 1 - 2 * STEP)
+    center = best.copy()
+    center[free] = np.clip(best[free], 2 * STEP, 1 - 2 * STEP)
     single = [STEP * np.eye(len(best))[place] for place in free]
     pairs = list(combinations(range(len(free)), 2))
     steps = [0 * center, *single, *(single[i] + single[j] for i, j in pairs)]

@@ -79,6 +79,18 @@ def test_a_variable_without_effect_is_named() -> None:
     assert "model.forces.brace.damping is not determined" in mbdkit.design(given).summary()
 
 
+@pytest.mark.parametrize("most", [1e-3, 200.0], ids=["narrow", "wide"])
+def test_the_free_angle_of_a_spring_with_the_stiffness_zero_is_not_determined(most: float) -> None:
+    # with these free angles, the brace increases the torque of the motor
+    variables = {
+        f"{BRACE}.stiffness": {"bounds": [0.0, most], "start": most / 100},
+        f"{BRACE}.free_angle": {"bounds": [1.5, 2.5]},
+    }
+    found = mbdkit.design(design_of(swing(), variables=variables))
+    assert found.best.variables[f"{BRACE}.stiffness"] == pytest.approx(0.0, abs=1e-9 * most)
+    assert [list(change) for change in found.undetermined] == [[f"{BRACE}.free_angle"]]
+
+
 def test_least_squares_keeps_no_limits() -> None:
     limits = {"strap": {"value": "max(abs(forces.brace.value))", "max": 2.0}}
     with pytest.raises(SpecError, match=r"optimizer.name.*does not support limits"):
