@@ -23,6 +23,7 @@ from mbdkit.inverse_dynamics.shared_columns import equal_columns, shared_columns
 from mbdkit.inverse_dynamics.smoothing_criteria import cutoff_doubts
 from mbdkit.inverse_dynamics.stated_deviations import large_deviations
 from mbdkit.inverse_dynamics.turn_criteria import turn_doubts, uncertain_turns
+from mbdkit.mechanism.improbable_values import inertias_about_joints
 from mbdkit.spec.inverse_sections import Criterion
 from mbdkit.trust.criteria import Evidence, Judgement, judge
 
@@ -56,6 +57,7 @@ def doubts_about_data(result: Inverse, bars: ErrorBars | None) -> DataDoubts:
         *forces_at_centres(result.problem),
         *uncertain_turns(result),
         *large_deviations(result, bars),
+        *inertias_about_joints(result.problem.names.mechanism),
     )
     return _sorted(found, result.problem.spec.accept)._replace(remarks=remarks)
 

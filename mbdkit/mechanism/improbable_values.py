@@ -36,6 +36,15 @@ body is at least a share of `STAND_IN` of the heaviest body, so that it does not
 In all packaged examples, radii of gyration are at most 1.0 sizes.
 """
 
+ABOUT_JOINT = (0.51, 0.9)
+"""A radius of gyration between these shares of the length of a body, the largest distance between its joints, markers
+and other points, is probably that about a joint.
+
+If no mass is beyond these points, the share is at most 0.5. It is 0.58 for a uniform rod about its end, and 0.53 and
+0.54 for the shank and the thigh about the knee and the hip (D. A. Winter, Biomechanics and motor control of human
+movement, 4th edition, table 4.1). If the share is larger, the points say nothing about the size of the body.
+"""
+
 ROUGHEST = 5.0
 """A coefficient of friction above this is improbable. Rubber on rough ground reaches about 1, racing tyres about 2,
 and percentages are usually larger.
@@ -146,6 +155,31 @@ def _too_wide(mechanism: Mechanism, share: float) -> Iterator[str]:
                 f"the inertia of {body.inertia:g} kg m^2 at {key} is that of its mass of {body.mass:g} kg at a "
                 f"distance of {radius:.3g} m, but the mechanism has a size of {size:.3g} m; if it is in "
                 f"another unit, write it with the unit, for example {proposals}"
+            )
+
+
+def inertias_about_joints(mechanism: Mechanism) -> Iterator[str]:
+    """Yield a sentence without a full stop for each body whose inertia is probably given about a joint.
+
+    The limits are those of `ABOUT_JOINT`, for bodies with at least a share of `STAND_IN` of the largest mass. They
+    apply to measured mechanisms; flywheels, cranks and chassis have such inertias, too.
+    """
+    heaviest = max((body.mass for body in mechanism.bodies.values()), default=0.0)
+    jointed = {name for joint in mechanism.joints.values() for _, name, _ in joint.attachments()}
+    points: dict[str, list[Point]] = {name: [] for name in mechanism.bodies}
+    for name, point in _points(mechanism):
+        if name != GROUND:
+            points[name].append(point)
+    for name, body in mechanism.bodies.items():
+        if body.inertia is None or name not in jointed or body.mass < STAND_IN * heaviest:
+            continue
+        length = max((math.dist(*pair) for pair in combinations(points[name], 2)), default=0.0)
+        radius = math.sqrt(body.inertia / body.mass)
+        if ABOUT_JOINT[0] * length < radius < ABOUT_JOINT[1] * length:
+            yield (
+                f"the inertia of {body.inertia:g} kg m^2 of body '{name}'{_place_of(mechanism, name)} is that of its "
+                f"mass at a distance of {radius:.3g} m, more than half of its length of {length:.3g} m; inertias refer "
+                f"to the centre of mass, not to a joint"
             )
 
 
