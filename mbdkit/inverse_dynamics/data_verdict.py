@@ -23,7 +23,7 @@ from mbdkit.inverse_dynamics.shared_columns import equal_columns, shared_columns
 from mbdkit.inverse_dynamics.smoothing_criteria import cutoff_doubts
 from mbdkit.inverse_dynamics.stated_deviations import large_deviations
 from mbdkit.inverse_dynamics.turn_criteria import turn_doubts, uncertain_turns
-from mbdkit.mechanism.improbable_values import inertias_about_joints
+from mbdkit.mechanism.improbable_bodies import inertias_about_joints
 from mbdkit.spec.inverse_sections import Criterion
 from mbdkit.trust.criteria import Evidence, Judgement, judge
 

@@ -13,13 +13,8 @@ from mbdkit.archive.run_summary import PULLING
 from mbdkit.inverse_dynamics.compute import Inverse, recorded_states
 from mbdkit.inverse_dynamics.doubt import Doubt
 from mbdkit.inverse_dynamics.recruited import Recruited
-from mbdkit.mechanism.improbable_values import (
-    improbable_beams,
-    improbable_bodies,
-    improbable_lengths,
-    improbable_people,
-    improbable_radii,
-)
+from mbdkit.mechanism.improbable_bodies import improbable_bodies, improbable_people, improbable_radii
+from mbdkit.mechanism.improbable_values import improbable_beams, improbable_lengths
 from mbdkit.mechanism.mechanism import Mechanism
 from mbdkit.runs.angles_in_degrees import angles_in_degrees
 from mbdkit.runs.coarse_beams import CoarseBeams

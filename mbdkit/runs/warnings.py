@@ -11,13 +11,11 @@ from collections.abc import Iterator, Sequence
 from mbdkit.base.text import counted, did_you_mean, listed
 from mbdkit.engine.assembly import AssembledState
 from mbdkit.mechanism.beams import written_key
+from mbdkit.mechanism.improbable_bodies import improbable_bodies, improbable_inertias, improbable_people
 from mbdkit.mechanism.improbable_values import (
     improbable_beams,
-    improbable_bodies,
     improbable_frictions,
-    improbable_inertias,
     improbable_lengths,
-    improbable_people,
     rolling_point_masses,
 )
 from mbdkit.mechanism.law_element import Law

@@ -11,13 +11,11 @@ import pytest
 
 import mbdkit
 from mbdkit.base.errors import SpecError
+from mbdkit.mechanism.improbable_bodies import improbable_bodies, improbable_inertias, inertias_about_joints
 from mbdkit.mechanism.improbable_values import (
     improbable_beams,
-    improbable_bodies,
     improbable_frictions,
-    improbable_inertias,
     improbable_lengths,
-    inertias_about_joints,
     rolling_point_masses,
 )
 from mbdkit.mechanism.mechanism import Mechanism
