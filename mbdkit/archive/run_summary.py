@@ -24,7 +24,7 @@ from mbdkit.archive.headlines import (
 from mbdkit.archive.inverse_summary import inverse_lines, times_of_unknown_errors
 from mbdkit.archive.peak_errors import missed_between_rows, peak_errors
 from mbdkit.base.errors import MbdkitError
-from mbdkit.base.text import counted, shown
+from mbdkit.base.text import counted, listed, shown
 from mbdkit.mechanism.beams import beam_of
 from mbdkit.mechanism.contacts import SLIP, STICK
 from mbdkit.mechanism.mechanism import gravity_text
@@ -355,7 +355,9 @@ def _impacts(run: Run) -> str:
     elif np.any(of_contacts):
         largest = np.max(np.abs(impacts.normal_impulse))
         who, change = _struck(impacts, of_contacts)
-        parts.append(f"{who}, impulses up to {largest:.4g} N s, {change}; contact forces do not include impulses")
+        given = _restitutions(run, np.unique(impacts.contact[of_contacts].astype(str)))
+        size = f"impulses up to {largest:.4g} N s"
+        parts.append(f"{who}, {given}{size}, {change}; contact forces do not include impulses")
     if np.any(of_drivers):
         force = np.max(np.linalg.norm(impacts.reaction_impulse[of_drivers], axis=2))
         torque = np.max(np.abs(impacts.reaction_torque_impulse[of_drivers]))
@@ -363,6 +365,19 @@ def _impacts(run: Run) -> str:
         size = f"{force:.4g} N s and {torque:.4g} N m s"
         parts.append(f"{who}, impulses of joints up to {size}, {change}; their forces do not include impulses")
     return "; ".join(parts)
+
+
+def _restitutions(run: Run, struck: np.ndarray) -> str:
+    """Return the coefficients of restitution of the contacts with these names, followed by a comma; empty if the spec
+    cannot be read.
+    """
+    try:
+        contacts, joints = run.mechanism.contacts, run.mechanism.joints
+    except MbdkitError:
+        return ""
+    known = {pair.name: one.restitution for name, one in contacts.items() for pair in one.pairs(name, joints)}
+    values = dict.fromkeys(f"{known[name]:g}" for name in struck)
+    return f"restitution {listed([*values][:JOINTS_NAMED], 'and')}, "
 
 
 def _struck(impacts: Impacts, some: np.ndarray) -> tuple[str, str]:

@@ -18,7 +18,7 @@ from mbdkit.stepping.python_stepper import Interval, PythonStepper, Reached
 
 _INTEGERS = ("modes", "features")
 """Arrays of contacts whose values are integers, which may be negative."""
-_NAMES = ("cut", "changed")
+_NAMES = ("cut", "changed", "undetermined")
 _REACHED = ("done", "whole", "passed", "restart", "time", "is_event", "energy", "energy_low")
 _INTERVAL = ("steps", "size", "iterations", "most_iterations", "correction")
 

@@ -49,6 +49,8 @@ class ContactState:
         Names of contacts whose infinite sequence of impacts was cut short.
     changed
         Names of contacts at which a law of impact other than the chosen one was used.
+    undetermined
+        Names of contacts whose normal forces were not unique.
     cut_time
         Time at which a sequence of impacts was first cut short [s].
     time
@@ -80,6 +82,7 @@ class ContactState:
     energy: float = 0.0
     cut: frozenset[str] = frozenset()
     changed: frozenset[str] = frozenset()
+    undetermined: frozenset[str] = frozenset()
     cut_time: float = math.inf
     time: float = math.inf
     event: tuple[int, int] | None = None
@@ -97,7 +100,7 @@ class ContactState:
 
     def remarks(self) -> tuple[str, ...]:
         """Return sentences about sequences of impacts that were cut short, about impacts computed with another law than
-        the chosen one, and about inaccurate velocities of contacts.
+        the chosen one, about normal forces that are not unique, and about inaccurate velocities of contacts.
         """
         found = []
         if self.cut:
@@ -111,6 +114,14 @@ class ContactState:
             found.append(
                 f"the law of impact would have created energy at {names}; Stronge's law was used there or, for several "
                 "contacts at once, the law of the run or Poisson's law with a smaller restitution"
+            )
+        if self.undetermined:
+            names = listed([f"'{name}'" for name in sorted(self.undetermined)], "and")
+            several = len(self.undetermined) > 1
+            which = f"forces of contacts {names} are" if several else f"force of contact {names} is"
+            found.append(
+                f"the normal {which} not unique while friction holds the bodies, because other forces cause "
+                "the same motion; the run records one possible set"
             )
         if self.residual > SOLVED:
             found.append(

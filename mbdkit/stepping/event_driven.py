@@ -43,6 +43,9 @@ REDUNDANT = 1e-6
 redundant contacts.
 """
 
+STAYING = 1e-9
+"""Accelerations [m/s^2] below this, absolute and relative to the largest one, do not separate shapes."""
+
 
 @dataclass(frozen=True)
 class _Point:
@@ -187,7 +190,22 @@ class _Step:
         force = forced.normal @ forced.rows.normal + forced.tangent @ forced.rows.tangent
         normal, tangent = self._shared(now, forced)
         features = self.contacts.kinematics.held
-        return replace(self.state, modes=self.modes, normal=normal, tangent=tangent, force=force, features=features)
+        found = self.state.undetermined
+        if not np.array_equal(self.modes, self.state.modes):
+            parting = forced.rows.normal @ forced.a - forced.rows.normal_right
+            stays = (self.modes != OPEN) | (parting <= STAYING * max(np.max(np.abs(forced.a)), 1.0))
+            staying = self._touching() & stays
+            ambiguous = self.contacts.undetermined(now.t, now.q, self.modes, staying)
+            found |= {name for name, one in zip(self.contacts.names, ambiguous, strict=True) if one}
+        return replace(
+            self.state,
+            modes=self.modes,
+            normal=normal,
+            tangent=tangent,
+            force=force,
+            features=features,
+            undetermined=found,
+        )
 
     def _shared(self, at: _Point, forced: Forced) -> tuple[np.ndarray, np.ndarray]:
         """Return the normal and tangential forces (C,) of contacts.

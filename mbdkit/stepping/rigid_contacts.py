@@ -19,6 +19,9 @@ SINGULAR = 1e-11
 """Singular values of the equations of contact forces below this share of the largest one indicate redundant rows."""
 
 
+FREE = 1e-6
+"""Smallest component of a null vector, of length 1, that makes the force of a contact ambiguous."""
+
 SAME_ACCELERATION = 1e-9
 """Accelerations below this share of those without contact forces count as zero."""
 
@@ -93,12 +96,9 @@ class RigidContacts:
         rows = self.kinematics.rows(q, v, closed if only_closed else None)
         if not len(closed):
             return Forced(a, multipliers, normal, tangent, rows)
-        slips, sticks = np.sign(modes[closed]) * (np.abs(modes[closed]) == SLIP), np.flatnonzero(modes[closed] == STICK)
-        share = -slips * self.kinetic[closed]  # friction force over normal force
         places = np.arange(len(closed)) if only_closed else closed
-        along, across = rows.normal[places], rows.tangent[places]
-        held = np.vstack([along, across[sticks]])
-        pushed = np.vstack([along + share[:, None] * across, across[sticks]])
+        share, sticks = self._shares(modes, closed), np.flatnonzero(modes[closed] == STICK)
+        held, pushed = _directions(rows, places, share, sticks)
         moved, loaded = self.answers(t, q, pushed)
         right = np.concatenate([rows.normal_right[places], rows.tangent_right[places[sticks]]]) - held @ a
         matrix = held @ moved
@@ -117,6 +117,33 @@ class RigidContacts:
         normal[closed], tangent[closed] = pushes, share * pushes
         tangent[closed[sticks]] = forces[len(closed) :]
         return Forced(a + moved @ forces, multipliers + loaded @ forces, normal, tangent, rows)
+
+    def _shares(self, modes: np.ndarray, closed: np.ndarray) -> np.ndarray:
+        """Return the ratios of friction force and normal force of closed contacts that slip; 0 for those that stick."""
+        slips = np.sign(modes[closed]) * (np.abs(modes[closed]) == SLIP)
+        return np.asarray(-slips * self.kinetic[closed])
+
+    def undetermined(self, t: float, q: np.ndarray, modes: np.ndarray, staying: np.ndarray) -> np.ndarray:
+        """Return whether the normal force of each contact (C,) is not unique, because other forces of joints and
+        contacts cause the same accelerations.
+
+        Parameters
+        ----------
+        staying
+            (C,) whether a contact touches and does not separate; it may be open, if it has no force.
+        """
+        closed, found = np.flatnonzero(staying), np.zeros(len(modes), dtype=bool)
+        sticks = np.flatnonzero(modes[closed] == STICK)
+        if not len(sticks) or not 1 < len(closed) <= FEW:
+            return found
+        rows = self.kinematics.rows(q, 0.0 * q, closed)
+        held, pushed = _directions(rows, np.arange(len(closed)), self._shares(modes, closed), sticks)
+        matrix = held @ self.answers(t, q, pushed)[0]
+        scale = 1.0 / np.sqrt(np.abs(np.diag(matrix)))
+        _, sizes, vectors = np.linalg.svd(matrix * np.outer(scale, scale))
+        free = vectors[sizes <= SINGULAR * sizes[0], : len(closed)]
+        found[closed] = np.any(np.abs(free) > FREE, axis=0)
+        return found
 
     def pushed(
         self,
@@ -272,6 +299,23 @@ class RigidContacts:
         size = np.sqrt(np.abs(np.diag(response)))
         others = np.abs(response - np.diag(np.diag(response)))
         return bool(np.any(others > SAME_ACCELERATION * np.outer(size, size)))
+
+
+def _directions(rows: Rows, places: np.ndarray, share: np.ndarray, sticks: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the derivatives of the constraints of k closed contacts, of which s stick, and the directions of their
+    forces, (k + s, n) each: first those of the gaps, with the friction of contacts that slip, and then of the slips.
+
+    Parameters
+    ----------
+    places
+        (k,) indices of the contacts in `rows`.
+    share
+        (k,) ratios of friction force and normal force.
+    sticks
+        (s,) indices of the contacts that stick, among the closed ones.
+    """
+    along, across = rows.normal[places], rows.tangent[places]
+    return np.vstack([along, across[sticks]]), np.vstack([along + share[:, None] * across, across[sticks]])
 
 
 class KnownContacts:

@@ -44,6 +44,34 @@ def flown(time: float, place: np.ndarray, velocity: np.ndarray) -> np.ndarray:
     return place + time * velocity + 0.5 * time**2 * np.array([0.0, -G, 0.0])
 
 
+@pytest.mark.parametrize(
+    ("floor", "wall", "slope", "told"),
+    [
+        # a box that rests against a wall down the slope: the friction of the floor may carry any part of its weight
+        pytest.param(0.5, 0.0, 0.3, ["floor.0", "floor.1", "wall.1"], id="rough floor"),
+        pytest.param(0.0, 0.0, 0.3, [], id="smooth floor"),
+        pytest.param(0.5, None, 0.3, [], id="no wall"),
+    ],
+)
+def test_normal_forces_that_are_not_unique_are_told(
+    floor: float, wall: float | None, slope: float, told: list[str]
+) -> None:
+    box = outline(0.2, 0.1)
+    ground = {"line": {"point": [0.0, 0.0], "normal": [0.0, 1.0]}}
+    contacts = {"floor": {"bodies": ["ground", "body"], "shapes": [ground, box], "friction": floor}}
+    if wall is not None:
+        side = {"line": {"point": [0.2, 0.0], "normal": [-1.0, 0.0]}}
+        contacts["wall"] = {"bodies": ["ground", "body"], "shapes": [side, box], "friction": wall}
+    model = {
+        "gravity": [G * np.sin(slope), -G * np.cos(slope)],
+        "bodies": {"body": {"mass": 1.0, "inertia": 0.02, "position": [0.0, 0.1]}},
+        "contacts": contacts,
+    }
+    warnings = [one for one in run(model, 0.05, 0.01).warnings if "not unique" in one]
+    assert len(warnings) == bool(told)
+    assert all(f"'{name}'" in warning for warning in warnings for name in told)
+
+
 @pytest.mark.parametrize(("treatment", "step", "error"), TREATMENTS)
 def test_a_box_slides_off_a_table_and_tips_around_its_corner(treatment: str, step: float, error: float) -> None:
     # expected: Lagrange's equations with the distance s of the centre along the box from the corner, by DOP853, from
