@@ -93,7 +93,9 @@ def test_a_step_with_an_impact_has_no_overlap_that_its_ends_lack() -> None:
 def test_the_summary_counts_impacts() -> None:
     # expected: impulse m (1 + e) sqrt(2 g h) and energy m g h (1 - e^2) of the first impact of a ball of 2 kg
     summary = run(ball(0.5), 0.6, 0.05).summary()
-    assert f"1 (floor 1), restitution 0.5, impulses up to {3.0 * np.sqrt(2 * G):.4g} N s, {1.5 * G:.4g} J lost" in summary
+    assert (
+        f"1 (floor 1), restitution 0.5, impulses up to {3.0 * np.sqrt(2 * G):.4g} N s, {1.5 * G:.4g} J lost" in summary
+    )
 
 
 def test_simultaneous_impacts_lose_their_energy_once() -> None:
