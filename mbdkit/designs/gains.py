@@ -27,7 +27,8 @@ LEAST_CHANGE = 0.01
 class Gain:
     """The change of a goal from the start to the best point.
 
-    `is_real` is whether the gain exceeds `error`. If the error is unknown, `error` is nan and `is_real` is None.
+    `error` is the error at the best point. `is_real` is whether the goal decreases by more than the errors of both
+    points, and `is_loss` whether it grows by more. If the errors are unknown, `error` is nan and `is_real` is None.
     `start_violations` says which limits the start violates; empty if it satisfies all.
     """
 
@@ -37,6 +38,7 @@ class Gain:
     best: float
     error: float
     is_real: bool | None
+    is_loss: bool = False
     start_violations: str = ""
 
     def text(self) -> str:
@@ -44,7 +46,8 @@ class Gain:
         unit = f" {self.unit}" if self.unit else ""
         share = f" ({100 * (self.best - self.start) / abs(self.start):+.3g} %)" if self.start else ""
         exceeds = {True: ", which exceeds the errors", False: ", which does NOT exceed the errors", None: ""}
-        told = f"from {self.start:.4g} to {self.best:.4g}{unit}{share}{exceeds[self.is_real]}"
+        judged = ", which is worse by more than the errors" if self.is_loss else exceeds[self.is_real]
+        told = f"from {self.start:.4g} to {self.best:.4g}{unit}{share}{judged}"
         return f"{told}; but the start is not allowed: {self.start_violations}" if self.start_violations else told
 
 
@@ -99,7 +102,16 @@ def gains(spec: DesignSpec, start: DesignPoint, best: DesignPoint, trust: Trust)
     """Return the gain of each goal from the start to the best point."""
     units, wrong = goal_units(spec), "; ".join(violations(spec, start, start))
     return [
-        Gain(name, units[name], start.goals[name], value, trust.errors[name], trust.is_gain[name], wrong)
+        Gain(
+            name=name,
+            unit=units[name],
+            start=start.goals[name],
+            best=value,
+            error=trust.errors[name],
+            is_real=trust.is_gain[name],
+            is_loss=-trust.gain[name] > trust.gain_errors[name],
+            start_violations=wrong,
+        )
         for name, value in best.goals.items()
     ]
 

@@ -77,6 +77,7 @@ def test_a_front_without_a_point_that_satisfies_the_limits_says_so() -> None:
     found = mbdkit.design(moved(goals_of(CORNERS[:2]), subject_to=limits, front=3))
     assert not found.is_feasible
     assert "There is no gain of from_0, which grows by 3.02" in found.summary()  # from 0.98 to 2^2 at the bound
+    assert "which is worse by more than the errors; but the start is not allowed" in found.summary()
     assert "No point that satisfies all limits was found" in found.summary()
 
 
