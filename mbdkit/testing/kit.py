@@ -20,6 +20,7 @@ from mbdkit.testing import (
     measure_checks,
     model_checks,
     newton_checks,
+    option_effect_checks,
     order_checks,
     restart_checks,
     study_checks,
@@ -45,7 +46,7 @@ INTEGRATOR_CHECKS: tuple[Check[IntegratorUnderTest], ...] = (
 CHECKS: dict[Kind, tuple[Check[Any], ...]] = {
     "integrator": INTEGRATOR_CHECKS,
     "model": model_checks.CHECKS,
-    "force-law": force_law_checks.CHECKS,
+    "force-law": (*force_law_checks.CHECKS, *option_effect_checks.CHECKS),
     "study": study_checks.CHECKS,
     "measure": measure_checks.CHECKS,
 }

@@ -12,7 +12,7 @@ def test_what_is_verified_leaves_with_0_and_says_so(mbdkit: Any) -> None:
     result = mbdkit("plugins", "verify", "linear", "--set", "stiffness=20", "--set", "damping=1")
     assert result.exit_code == 0
     assert "mbdkit:linear" in result.stdout
-    assert "verified: 8 checks run" in result.stdout
+    assert "verified: 9 checks run" in result.stdout
 
 
 def test_what_is_not_verified_leaves_with_1(mbdkit: Any, monkeypatch: pytest.MonkeyPatch) -> None:

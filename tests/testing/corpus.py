@@ -419,3 +419,20 @@ class Raises(RungeKutta):
 
     def step(self, equations: EquationsOfMotion, t: float, state: StepState, h: float) -> StepState:
         raise LookupError("no table for this step")
+
+
+class FreeLength(BaseModel):
+    """A spring with a free length, which its law may forget."""
+
+    model_config = ConfigDict(use_attribute_docstrings=True)
+
+    stiffness: float = Field(default=0.0, ge=0.0)
+    """Stiffness [N/m]."""
+    free_length: float = 0.3
+    """Length without force [m]."""
+
+
+def offer_spring(force: sympy.Expr, **law: Any) -> Registry:
+    """Offer a spring with a free length; its stiffness is 0 by default, so that the free length has no effect then."""
+    made = ExpressionLaw(force=force, **law)
+    return _with(mbdkit_force_laws=mbdkit.ForceLawPlugin("mine", "A spring", FreeLength, made, ("@misc{acme}",)))

@@ -6,6 +6,7 @@ import inspect
 from dataclasses import replace
 
 import pytest
+import sympy
 
 import mbdkit
 from mbdkit.base.errors import with_place
@@ -32,6 +33,29 @@ def test_a_negative_damping_of_a_passive_law_is_caught_though_its_default_is_0()
     assert found.cause.endswith("if that is not meant, give the option bounds")
     assert one("law.passivity", "force-law", corpus.offer_damper(corpus.LooseDamping)).outcome == "pass"
     assert one("law.other-options", "force-law", corpus.offer_damper(corpus.BoundedDamping)).outcome == "pass"
+
+
+STIFFNESS, FREE_LENGTH, LENGTH = sympy.symbols("stiffness free_length length", real=True)
+SPRINGS = {
+    "used": (corpus.offer_spring(STIFFNESS * (LENGTH - FREE_LENGTH)), "pass", ""),
+    "used beyond 4 m only": (corpus.offer_spring(STIFFNESS * sympy.Max(LENGTH - 4 - FREE_LENGTH / 100, 0)), "pass", ""),
+    "not in the expression": (
+        corpus.offer_spring(STIFFNESS * LENGTH), "fail",
+        "its option free_length has no effect, because the expressions of the law do not contain its symbol",
+    ),
+    "not passed on": (
+        corpus.offer_spring(STIFFNESS * LENGTH, parameters=lambda options: {"stiffness": options.stiffness}), "warn",
+        "its option free_length has no effect for 16 random sets of values",
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", SPRINGS)
+def test_options_that_do_not_change_the_force_are_found(name: str) -> None:
+    installed, outcome, message = SPRINGS[name]
+    found = one("law.option-effects", "force-law", installed)
+    assert found.outcome == outcome, found
+    assert found.cause.startswith(message)
 
 
 def test_values_of_options_are_within_their_bounds_and_the_same_each_time() -> None:
