@@ -119,12 +119,19 @@ def test_motion_and_forces_follow_a_slider_in_two_browsers(knee: Exploration) ->
         assert page.inner_text("#headlines") != before
         assert page.evaluate("document.getElementById('stage').toDataURL()") != drawn
         assert page.get_by_label("body mass [kg]", exact=True).get_attribute("data-key") == "model.body_mass"
-        assert float(page.inner_text("#sliders output >> nth=0")) == posted[-1]["model.body_mass"]  # all digits
-        assert "body_mass: 1" in page.evaluate("document.getElementById('spec').textContent")
+        number = page.get_by_label("body mass, as a number")
+        assert float(number.input_value()) == posted[-1]["model.body_mass"]  # all digits
+        shown = page.inner_text("#headlines dd")
+        number.fill("300.25")  # beyond the end of the slider
+        number.press("Enter")
+        until(page, f"document.querySelector('#headlines dd').innerText !== {shown!r}")
+        assert posted[-1]["model.body_mass"] == 300.25
+        assert page.get_by_label("body mass [kg]", exact=True).input_value() == "1000"
+        assert "body_mass: 300.25\n" in page.evaluate("document.getElementById('spec').textContent")
         assert pages[1][0].inner_text("#headlines") == before  # the other window has sliders of its own
         assert all(url.startswith((knee.url.partition("?")[0], "data:")) for _, urls in pages for url in urls)
         page.route("**/answer", lambda route: route.fulfill(json={"error": "the mass is negative", "spec": "no spec"}))
-        page.evaluate("document.querySelector('input').dispatchEvent(new Event('input'))")
+        page.evaluate("document.querySelector('input[type=range]').dispatchEvent(new Event('input'))")
         until(page, "document.body.classList.contains('stale')")
         assert page.inner_text("#verdict").startswith("the mass is negative. The faded results")
         assert page.is_disabled("#save")

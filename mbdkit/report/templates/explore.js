@@ -5,26 +5,36 @@ const token = new URLSearchParams(location.search).get("token");
 const element = id => document.getElementById(id);
 const [verdict, headlines, curves, key, spec] = ["verdict", "headlines", "curves", "key", "spec"].map(element);
 const ghost = new Stage(element("ghost")), stage = new Stage(element("stage"));
-const inputs = [...document.querySelectorAll("input[type=range]")];
+const [inputs, fields] = ["range", "number"].map(type => [...document.querySelectorAll(`input[type=${type}]`)]);
 const short = value => String(Number(value.toPrecision(4)));
 let shown = reference, ghostView, begin = performance.now(), asked = false, changed = false;
 
-// --- sliders: 1000 steps from end to end ---
-const place = one => Math.round(1000 * (one.value - one.low) / (one.high - one.low));
+// --- sliders: 1000 steps from end to end; a value that is typed may lie between two steps or beyond the ends ---
+const typed = sliders.map(() => null);
+const place = (one, value = one.value) => Math.round(1000 * (value - one.low) / (one.high - one.low));
 function valueOf(index) {
   const one = sliders[index], at = Number(inputs[index].value);
+  if (typed[index] !== null) return typed[index];
   return at === place(one) ? one.value : Number((one.low + (one.high - one.low) * at / 1000).toPrecision(6));
 }
 function label(index) {
   const value = String(Number(valueOf(index).toPrecision(6))), { unit } = sliders[index];
-  inputs[index].previousElementSibling.textContent = value;
+  fields[index].value = value;
   inputs[index].setAttribute("aria-valuetext", unit ? `${value} ${unit}` : value);
 }
 function reset() {
   sliders.forEach((one, index) => {
+    typed[index] = null;
     inputs[index].value = place(one);
     label(index);
   });
+}
+function take(index) {
+  if (fields[index].value === "") return label(index);   // not a number
+  typed[index] = Number(fields[index].value);
+  inputs[index].value = place(sliders[index], typed[index]);
+  label(index);
+  ask();
 }
 const values = () => Object.fromEntries(sliders.map((one, index) => [one.key, valueOf(index)]));
 
@@ -164,7 +174,9 @@ function fit() {
   draw();
 }
 
-inputs.forEach((input, index) => input.addEventListener("input", () => { label(index); ask(); }));
+inputs.forEach((input, index) => input.addEventListener("input", () => { typed[index] = null; label(index); ask(); }));
+fields.forEach((field, index) => field.addEventListener("change", () => take(index)));
+element("sliders").addEventListener("submit", event => event.preventDefault());   // Enter in a field
 element("reset").addEventListener("click", () => { reset(); ask(); });
 element("copy").addEventListener("click", () => navigator.clipboard.writeText(spec.textContent));
 element("save").addEventListener("click", () => {
