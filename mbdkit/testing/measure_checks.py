@@ -12,7 +12,8 @@ from mbdkit.archive.run import Run
 from mbdkit.base.errors import MbdkitError
 from mbdkit.registry.catalogue import Registered, Registry, named_options
 from mbdkit.registry.items import MeasurePlugin
-from mbdkit.runs.simulation import run as simulated
+from mbdkit.runs.simulation import simulate
+from mbdkit.spec.loading import load_spec
 from mbdkit.testing.check import Skip, check
 from mbdkit.testing.check_result import Result, failed, passed, warned
 from mbdkit.testing.options_under_test import options_result, validated
@@ -46,7 +47,7 @@ class MeasureUnderTest:
     def runs(self) -> Iterator[tuple[str, Run]]:
         """Yield runs of packaged examples with their names."""
         for name in EXAMPLES:
-            with simulated(name, time={"steps": 20, "step": 0.005}) as run:
+            with simulate(load_spec(name, time={"steps": 20, "step": 0.005})) as run:
                 yield name, run
 
     def take(self, run: Run) -> Any:

@@ -14,6 +14,7 @@ import numpy as np
 
 from mbdkit.analysis.order import ObservedOrder, observed_order
 from mbdkit.spec.formulation_choice import choice_of
+from mbdkit.spec.loading import load_spec
 from mbdkit.testing.check import Check, Skip, check
 from mbdkit.testing.check_result import Figure, Result, failed, passed, skipped, warned
 from mbdkit.testing.integrator_under_test import IntegratorUnderTest, final_state
@@ -66,14 +67,14 @@ def reference(problem: str) -> tuple[np.ndarray, np.ndarray, float]:
     State and multipliers are computed by Gauss collocation with 6 stages in 60 steps per second. The rounding error is
     estimated by the difference between the states with 60 and 75 steps per second.
     """
-    from mbdkit.runs.simulation import run
+    from mbdkit.runs.simulation import simulate  # it does not print warnings, which would concern the test problem
 
     found, end = [], ENDS[problem]
+    gauss = {"name": "mbdkit:gauss", "stages": 6}
     for rate in (60, 75):
-        with run(
-            {"mbdkit": 1, "model": PROBLEMS[problem], "time": {"end": end, "step": 1 / rate}},
-            integrator={"name": "mbdkit:gauss", "stages": 6},
-        ).check() as result:
+        time = {"end": end, "step": 1 / rate}
+        spec = load_spec({"mbdkit": 1, "model": PROBLEMS[problem], "integrator": gauss, "time": time})
+        with simulate(spec).check() as result:
             found.append((final_state(result), result.array("constraints/multiplier")[-1].copy()))
     (state, multipliers), (other, _) = found
     return state, multipliers, max(float(np.max(np.abs(state - other))), 1e-15)

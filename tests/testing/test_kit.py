@@ -14,6 +14,7 @@ from mbdkit.base.errors import SpecError
 from mbdkit.registry.manager import registry
 from mbdkit.testing import Report, Result, checks_of, conformance
 from mbdkit.testing.kit import plugin_under_test
+from mbdkit.testing.order_checks import reference
 from mbdkit.testing.trial_models import DRIVEN_PENDULUM
 from mbdkit.testing.verification_page import html, write_page
 from mbdkit.testing.verification_table import BEGIN, END, VARIANTS, title
@@ -47,6 +48,11 @@ def test_every_integrator_of_mbdkit_is_verified(name: str, options: dict[str, An
     report = mbdkit.testing.check_integrator(f"mbdkit:{name}", options, quick=True)
     assert report.verified, report.text()
     assert not report.of("warn"), report.text()
+
+
+def test_warnings_about_the_test_problems_are_not_printed(capsys: pytest.CaptureFixture[str]) -> None:
+    reference.__wrapped__("beam")  # its elements are coarse
+    assert capsys.readouterr().err == ""
 
 
 @pytest.mark.slow
