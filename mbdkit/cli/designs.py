@@ -108,7 +108,8 @@ def design(
         page, _ = write_report(folder, overwrite=True, workers=workers or cores())
     if printing.as_json:
         show_json(
-            {"path": str(folder), **result.to_dict(), "robustness": [one.to_dict() for one in deviations]}
+            {"path": str(folder), **result.to_dict(), "warnings": result.warnings}
+            | {"robustness": [one.to_dict() for one in deviations]}
             | ({} if page is None else {"report": str(page)})
         )
     elif not printing.quiet:
@@ -166,13 +167,15 @@ def validate_design(source: Document, name: str, assignments: list[str]) -> None
     what would be optimised.
     """
     from mbdkit.designs.evaluation import Evaluator
+    from mbdkit.designs.limits_in_degrees import limits_in_degrees
     from mbdkit.designs.search import check_installed
     from mbdkit.spec import load_design_spec
 
     spec = load_design_spec(source, assignments)
     check_installed(spec)
     Evaluator(spec)
-    for warning in _of_scenarios({one: _cautions(base) for one, base in spec.specs.items()}):
+    of_scenarios = _of_scenarios({one: _cautions(base) for one, base in spec.specs.items()})
+    for warning in (*limits_in_degrees(spec), *of_scenarios):
         say(f"warning: {warning}")
     show(f"{name}: this design is valid")
     show(f"variables    {', '.join(spec.variables)}")

@@ -17,6 +17,7 @@ from mbdkit.designs.evaluation import Evaluator
 from mbdkit.designs.front import front_table, pareto_front
 from mbdkit.designs.gains import Gain, gains, goal_words, violations
 from mbdkit.designs.identifiability import sentence, undetermined
+from mbdkit.designs.limits_in_degrees import limits_in_degrees
 from mbdkit.designs.point import DesignPoint, numbers, point_of
 from mbdkit.designs.problem import Problem
 from mbdkit.designs.search import Search, advice, searches
@@ -208,6 +209,7 @@ class Design:
             if not side and abs(self.best.variables[name] - self.start.variables[name]) <= self._slack(name)
         ]
         told = [*at_bounds, *held, *map(sentence, self.undetermined), *self.unconfirmed, *self.changed_starts]
+        told += map(_as_sentence, limits_in_degrees(self.spec))
         return [*told, *self._uncertain_limits(), *self.trust.sentences()]
 
     def _uncertain_limits(self) -> list[str]:
@@ -241,6 +243,8 @@ class Design:
 def solve(evaluator: Evaluator, stages: Stages) -> Design:
     """Solve a design, without the comparisons with other settings of the runs."""
     spec, first = evaluator.spec, evaluator.first
+    for warning in limits_in_degrees(spec):
+        stages.notify(f"warning: {warning}")
     stages.begin("optimisation", evaluator)
     problem = Problem(evaluator)
     found = searches(problem, spec.optimizer, first)
@@ -286,7 +290,11 @@ def _changed_starts(evaluator: Evaluator, best: np.ndarray) -> tuple[str, ...]:
             with suppress(SpecError):  # some points within the bounds may have no valid spec
                 specs.append(scenario.at(evaluator.settings(x)))
         told += start_warnings_of_study(spec for spec in specs if isinstance(spec, RunSpec))
-    return tuple(f"{text[0].upper()}{text[1:]}." for text in dict.fromkeys(told))
+    return tuple(map(_as_sentence, dict.fromkeys(told)))
+
+
+def _as_sentence(warning: str) -> str:
+    return f"{warning[0].upper()}{warning[1:]}."
 
 
 def with_comparisons(evaluator: Evaluator, design: Design, stages: Stages) -> Design:

@@ -71,7 +71,7 @@ def angles_in_degrees(spec: ModelSpec) -> Iterator[str]:
             continue  # functions of time and expressions of numbers are assumed to be in radians
         value = evaluate(angle, {}) if isinstance(angle, str) else float(angle)
         is_number = written is None or isinstance(spec.parameters.get(written), int | float)
-        if abs(value) <= 2.0 * math.pi or _is_whole(math.degrees(value)):
+        if not looks_like_degrees(value):
             continue
         if is_number or round(value, DIGITS) == value:
             origin = f" (from {listed((f'parameters.{name}' for name in used), 'and')})" if used else ""
@@ -80,6 +80,13 @@ def angles_in_degrees(spec: ModelSpec) -> Iterator[str]:
                 f"the angle of {value:g} rad at {path_text(path)}{origin} is more than a full rotation; if degrees "
                 f"are intended, write degrees({degrees}), otherwise an expression such as {value / math.pi:.6g}*pi"
             )
+
+
+def looks_like_degrees(angle: float) -> bool:
+    """Return whether an angle in radians is above one turn, and not a whole number of degrees that a script converted
+    to radians.
+    """
+    return abs(angle) > 2.0 * math.pi and not _is_whole(math.degrees(angle))
 
 
 def _is_whole(value: float) -> bool:

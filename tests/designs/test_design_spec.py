@@ -5,8 +5,10 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
+from typer.testing import CliRunner
 
 from mbdkit import SpecError
+from mbdkit.cli import app
 from mbdkit.designs.evaluation import Evaluator
 from mbdkit.spec import load_design_spec, load_spec, load_study_spec
 
@@ -74,6 +76,27 @@ def test_a_wrong_design_is_refused_with_line_and_key(case: str, tmp_path: Path) 
     assert place in str(caught.value)
     assert key in str(caught.value)
     assert words in str(caught.value)
+
+
+LIMITS = {
+    "number": ("max(rod1.angle)", "70", True),
+    "below a turn": ("max(rod1.angle)", "6", False),
+    "degrees": ("max(rod1.angle)", "70 deg", False),
+    "radians": ("max(rod1.angle)", "70 rad", False),
+    "converted measure": ("max(rod1.angle)*180/pi", "70", False),
+    "no angle": ("max(rod1.angular_velocity)", "70", False),
+}
+
+
+@pytest.mark.parametrize(("measure", "most", "warns"), LIMITS.values(), ids=LIMITS)
+def test_limits_of_angles_above_a_turn_are_probably_degrees(
+    measure: str, most: str, warns: bool, tmp_path: Path
+) -> None:
+    file = written(tmp_path, TEXT.replace('"max(rod1.y)", max: 0.1', f'"{measure}", max: {most}'))
+    told = CliRunner().invoke(app, ["validate", file], prog_name="mbdkit").stderr
+    advice = "warning: the angle of 70 rad at subject_to.height.max is more than a full rotation; if degrees are "
+    assert told.startswith(f"{advice}intended, write `max: 70 deg`") == warns
+    assert ("rotation" in told) == warns
 
 
 def test_a_base_in_a_file_is_blamed_at_its_own_line(tmp_path: Path) -> None:
