@@ -129,6 +129,8 @@ class Design:
                 tuple(map(str, trust["failures"])),
                 numbers(trust["gain_errors"]),
                 bool(trust["is_of_data"]),
+                str(trust.get("start_verdict", trust["verdict"])),
+                str(trust.get("start_reason", "")),
             ),
             is_feasible=bool(data["is_feasible"]),
             runs=int(data["runs"]),
@@ -159,7 +161,7 @@ class Design:
                 told = "unknown" if np.isnan(error) else f"{error:.1g}"
                 rows.append((label, f"{self.start.measures[scenario][name]:.6g}", f"{measures[name]:.6g}", told))
         at_best, every = self.searches
-        lines = [self.doubt] if self.doubt else []
+        lines = [*filter(None, [self.doubt]), self.trust.judgement]
         lines += [*(f"{goal_words(one.name)}: {one.text()}" for one in self.gains), table(rows)]
         lines += [f"{self.counted_runs}, {at_best} of {every} searches ended here: {self.message}"]
         if self.derivatives:

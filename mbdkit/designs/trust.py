@@ -13,6 +13,8 @@ from mbdkit.spec import InverseSpec, RunSpec
 
 WORST = ("failed", "bad", "doubtful", "unknown", "good")
 """Verdicts from the worst to the best."""
+QUESTIONED = WORST[:3]
+"""Verdicts on runs that question the result of a design."""
 
 
 @dataclass(frozen=True)
@@ -41,6 +43,8 @@ class Trust:
         of the difference, because both points use the same data with the same noise; nan where it is unknown.
     is_of_data
         Whether errors are those of inverse dynamics, due to noise, cutoff and deviations of muscle properties.
+    start_verdict, start_reason
+        As `verdict` and `reason`, for the runs at the start.
     """
 
     errors: dict[str, float]
@@ -51,9 +55,30 @@ class Trust:
     failures: tuple[str, ...] = ()
     gain_errors: dict[str, float] = field(default_factory=dict)
     is_of_data: bool = False
+    start_verdict: str = "good"
+    start_reason: str = ""
+
+    @property
+    def level(self) -> str:
+        """The worse of the verdicts on the runs at the best point and at the start."""
+        return min(self.verdict, self.start_verdict, key=WORST.index)
+
+    @property
+    def judgement(self) -> str:
+        """Sentence with the verdict on the runs, and with its reason for the best point, and for the start if the
+        verdict there is worse, unless both are good or unknown.
+        """
+        points = [("best point", self.verdict, self.reason)]
+        if self.level != self.verdict:
+            points.append(("start", self.start_verdict, self.start_reason))
+        told = [f"{level} at the {point}: {why.rstrip('.')}" for point, level, why in points if level in QUESTIONED]
+        if told:
+            return f"Verdict on the runs: {'; '.join(told)}."
+        errors = "estimated" if self.level == "good" else "due to the data" if self.is_of_data else "not all known"
+        return f"Verdict on the runs: {self.level}, nothing suspicious seen; errors are {errors}."
 
     def sentences(self) -> list[str]:
-        """Return remarks for the user: goals without a gain or with unknown error, and a verdict below good."""
+        """Return remarks for the user: goals without a gain or with unknown error, and reasons for unknown errors."""
         told = []
         for name, real in self.is_gain.items():
             gain = f"The gain of {name}, {self.gain[name]:.3g},"
@@ -71,11 +96,7 @@ class Trust:
         unknown = [name for name, error in self.errors.items() if np.isnan(error) and name not in self.is_gain]
         if unknown:
             told.append(f"There is no estimate of the error of {', '.join(unknown)}.")
-        told += self.failures
-        if self.verdict in ("failed", "bad", "doubtful"):
-            why = self.reason.rstrip(".")
-            told.append(f"The worst verdict on a run at the best point is {self.verdict}: {why}.")
-        return told
+        return [*told, *self.failures]
 
 
 def certified(evaluator: Evaluator, start: np.ndarray, best: np.ndarray) -> Trust:
@@ -92,7 +113,9 @@ def certified(evaluator: Evaluator, start: np.ndarray, best: np.ndarray) -> Trus
         failures_at_start = failures = ()
     at_start, at_best = (evaluator.totals(x) for x in (start, best))
     gain = {name: float(at_start[k] - at_best[k]) for k, name in enumerate(goals)}
-    worst = min(checked, key=lambda one: WORST.index(one.verdict))
+    worst_at_start, worst = (
+        min(found, key=lambda one: WORST.index(one.verdict)) for found in (checked_at_start, checked)
+    )
     return Trust(
         errors=dict(zip([*goals, *evaluator.spec.subject_to], errors.tolist(), strict=True)),
         gain=gain,
@@ -102,6 +125,8 @@ def certified(evaluator: Evaluator, start: np.ndarray, best: np.ndarray) -> Trus
         failures=(*failures_at_start[:1], *failures[:1]),
         gain_errors=dict(zip(goals, both[:count].tolist(), strict=True)),
         is_of_data=sampled is not None,
+        start_verdict=worst_at_start.verdict,
+        start_reason=worst_at_start.reason,
     )
 
 

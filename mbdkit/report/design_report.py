@@ -20,6 +20,7 @@ from mbdkit.designs.robustness import robustness
 from mbdkit.designs.solve_design import WORKER, evaluating
 from mbdkit.designs.stages import Stages
 from mbdkit.designs.store import WHICH, DesignFolder, runs_of
+from mbdkit.designs.trust import QUESTIONED
 from mbdkit.figures.mechanism_drawing import NamedPose
 from mbdkit.figures.page_model import Section, Table
 from mbdkit.report.design_charts import POINT_WORDS, Pair, front_charts, landscape_charts, load_charts, variable_unit
@@ -94,12 +95,12 @@ def _page(
         title=design.spec.title or path.resolve().name,
         settings=f"{design.counted_runs} \u00b7 {design.spec.optimizer.name} \u00b7 {design.message}",
         headline=(
-            ("verdict", design.trust.verdict),
+            ("verdict", design.trust.level),
             *((goal_words(one.name), one.text()) for one in design.gains),
             *((key_words(name), _value(design, design.best, name)) for name in design.best.variables),
             *(("it costs elsewhere", one.text()) for one in elsewhere[:COSTS] if one.share > 0),
         ),
-        tone=TONES.get(design.trust.verdict, ""),
+        tone=TONES.get(design.trust.level, ""),
         verdict=replace(verdict, figures=figures, tables=(*verdict.tables, *(one for one in tables if one.rows))),
         films=tuple(_films(pairs)),
         methods=methods([pair["best"].spec for pair in pairs.values()]),
@@ -108,10 +109,17 @@ def _page(
         commands="mbdkit design design.yaml --report",
         spec=write_yaml(data),
         spec_file="design.yaml",
-        alarm="NO POINT SATISFIES ALL LIMITS" if not design.is_feasible else design.doubt,
+        alarm=_alarm(design),
         sections=(*_devices(design, pairs), sensitivity_section(changes, words, measure_units(design.spec))),
         beside_verdict=("goals", "variables", "compared", "costs", "robustness"),
     )
+
+
+def _alarm(design: Design) -> str:
+    """Return the warning at the top of the page; empty if there is none."""
+    if not design.is_feasible:
+        return "NO POINT SATISFIES ALL LIMITS"
+    return design.doubt or (design.trust.judgement if design.trust.level in QUESTIONED else "")
 
 
 def _devices(design: Design, pairs: Mapping[str, Pair]) -> Iterator[Section]:

@@ -11,6 +11,7 @@ from mbdkit.analysis.verdict import Answer, Claim, Verdict
 from mbdkit.base.text import counted
 from mbdkit.designs.gains import Cost, goal_units, goal_words, measure_units
 from mbdkit.designs.robustness import Deviation
+from mbdkit.designs.trust import QUESTIONED
 from mbdkit.figures.page_model import Cell, Column, Table
 from mbdkit.report.design_charts import variable_unit
 from mbdkit.spec.key_words import key_words
@@ -29,8 +30,8 @@ their bounds; differences of goals are relative to the goal at the start or at t
 def design_verdict(design: Design) -> Verdict:
     """Return the verdict on a design, without charts."""
     claims = [
-        *_gains(design),
         _certified(design),
+        *_gains(design),
         *_limits(design),
         *(_compared(design, one) for one in design.compared),
     ]
@@ -60,10 +61,10 @@ def _gains(design: Design) -> Iterator[Claim]:
 
 
 def _certified(design: Design) -> Claim:
-    level = design.trust.verdict
+    level = design.trust.level
     answer = {"good": Answer.YES, "unknown": Answer.OPEN, "doubtful": Answer.PARTLY}.get(level, Answer.NO)
-    text = f"worst verdict: {level}{f', {design.trust.reason}' if design.trust.reason else ''}"
-    return Claim("runs", "The runs at the best point can be trusted.", "", text, answer, "")
+    sentence = design.trust.judgement if level in QUESTIONED else ""
+    return Claim("runs", "The runs at the start and at the best point can be trusted.", "", level, answer, sentence)
 
 
 def _limits(design: Design) -> Iterator[Claim]:

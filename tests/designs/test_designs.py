@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +14,7 @@ from typer.testing import CliRunner
 import mbdkit
 from mbdkit.base.errors import RunError
 from mbdkit.cli import app
+from mbdkit.report.design_verdict import design_verdict
 from tests.designs.swinging_shank import BRACE, ONE, T, design_of, mean, moments, shank, swing
 
 
@@ -137,7 +139,7 @@ def test_a_gain_within_the_error_of_the_method_counts_as_none() -> None:
     assert "does not count as a gain" in found.summary()
 
 
-def test_a_doubtful_best_point_says_why_and_runs_do_not_repeat_their_warning(
+def test_a_design_begins_with_the_reason_for_doubts_and_runs_do_not_repeat_it(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     m = shank()
@@ -145,7 +147,14 @@ def test_a_doubtful_best_point_says_why_and_runs_do_not_repeat_their_warning(
     base = {"integrator": {"name": "rk4"}, "time": {"end": 0.1, "step": 0.01}}
     found = mbdkit.design(design_of({"mbdkit": 1, "model": m.to_spec(), **base}, variables=ONE))
     assert found.trust.verdict == "doubtful"
-    assert "at the best point is doubtful: assembly moves a point of shank" in found.summary()
+    assert found.summary().startswith(
+        "Verdict on the runs: doubtful at the best point: assembly moves a point of shank"
+    )
+    worse = replace(found.trust, start_verdict="bad", start_reason="the step is too long.")
+    assert worse.judgement == f"{found.trust.judgement[:-1]}; bad at the start: the step is too long."
+    assert replace(worse, verdict="good").judgement == "Verdict on the runs: bad at the start: the step is too long."
+    assert found.summary().count("assembly moves a point") == 1
+    assert design_verdict(found).sentence.startswith(found.trust.judgement)
     assert "warning" not in capsys.readouterr().err
 
 
