@@ -77,6 +77,8 @@ COUNTERS = (
     "projections",
 )
 TIMINGS = ("setup_s", "wall_s", "finish_s", "cpu_s")
+SOME_TIMINGS = ("integrals_s", "check_s")
+"""Times that only some runs have: those with integrals over the continuous motion, and those that are checked."""
 
 LAYOUT: tuple[Array, ...] = tuple(array for kind in KINDS for array in kind.arrays)
 BY_PATH: Mapping[str, Array] = {array.path: array for array in LAYOUT}

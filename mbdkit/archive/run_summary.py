@@ -197,12 +197,13 @@ def _time(run: Run) -> str:
 
 
 def _speed(stats: Mapping[str, int | float]) -> str:
+    """Return the time of the steps, without that of integrals and extrema, and the times of the other parts."""
     if "wall_s" not in stats:
         return ""
-    steps = stats.get("steps", 0)
-    each = f" ({_seconds(stats['wall_s'] / steps)} a step)" if steps else ""
-    before = f", setup {_seconds(stats['setup_s'])}" if "setup_s" in stats else ""
-    return f"{_seconds(stats['wall_s'])}{each}{before}"
+    steps, spent = stats.get("steps", 0), stats["wall_s"] - stats.get("integrals_s", 0.0)
+    each = f" ({_seconds(spent / steps)} a step)" if steps else ""
+    others = (("setup_s", "setup"), ("integrals_s", "integrals and extrema"), ("check_s", "check"))
+    return f"{_seconds(spent)}{each}" + "".join(f", {word} {_seconds(stats[x])}" for x, word in others if x in stats)
 
 
 def _seconds(value: float) -> str:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from mbdkit.archive.layout import COUNTERS, TIMINGS
+from mbdkit.archive.layout import COUNTERS, SOME_TIMINGS, TIMINGS
 from mbdkit.figures.beam_curves import has_beams
 from mbdkit.figures.page_model import Cell, Column, Table, columns_of
 from mbdkit.mechanism.contacts import STICK
@@ -174,5 +174,6 @@ def _cost(run: Run) -> Table:
         for name in COUNTERS
         if name in run.stats and run.kind == "forward"
     ]
-    rows += [(f"{name.removesuffix('_s')} time [s]", float(run.stats[name])) for name in TIMINGS if name in run.stats]
+    times = (name for name in (*TIMINGS, *SOME_TIMINGS) if name in run.stats)
+    rows += [(f"{name.removesuffix('_s')} time [s]", float(run.stats[name])) for name in times]
     return Table("cost", "Cost", columns_of("item; value"), tuple(rows))

@@ -244,7 +244,8 @@ class Sampled:
         spread = float(np.max(values) - np.min(values))
         rise = np.where(bend > NOISE * np.max(np.abs(values)), RISE * bend, 0.0)
         tops = np.flatnonzero((values >= before) & (values >= after))
-        for middle in tops[np.argsort(-(values + rise)[tops], kind="stable")]:
+        tops = tops[np.argsort(-(values + rise)[tops], kind="stable")]
+        for middle in [*tops[:1], *(tops[1:][rise[tops[1:]] > 0.0])]:  # constant quantities have many equal values
             if peaks and values[middle] + rise[middle] < best - EQUAL * spread:
                 break
             peak = Peak(sign * float(values[middle]), float(time[middle]), int(kind[middle]))
@@ -255,8 +256,7 @@ class Sampled:
                 refined = self._refined(sign, begin, end, float(self.part.size[steps[middle]]))
                 if refined is not None and refined[1] > sign * peak.value + margin:
                     peak = Peak(sign * refined[1], refined[0])
-            if rise[middle] > 0.0 or not peaks:
-                peaks.append(peak)
+            peaks.append(peak)
             best = max(best, sign * peak.value)
         return peaks
 

@@ -40,7 +40,7 @@ INTERVAL = 5.0
 SHARE = 0.01
 """Largest share of the wall time that checkpoints may take."""
 
-TIMES = ("setup_s", "wall_s", "cpu_s")
+TIMES = ("setup_s", "wall_s", "cpu_s", "integrals_s")
 
 
 @dataclass(frozen=True)
@@ -122,9 +122,7 @@ class Continuation:
 
     @property
     def times(self) -> dict[str, float]:
-        """The times ``setup_s``, ``wall_s`` and ``cpu_s`` of the run up to the checkpoint [s]; 0 for entries that are
-        not numbers.
-        """
+        """The times in `TIMES` of the run up to the checkpoint [s]; 0 for entries that are missing or not numbers."""
         known = self.state.get("times")
         times = [known.get(name) if isinstance(known, Mapping) else None for name in TIMES]
         return {name: float(one) if isinstance(one, float) else 0.0 for name, one in zip(TIMES, times, strict=True)}

@@ -191,17 +191,18 @@ class SimulatedRun:
         setup = before["setup_s"] + time.perf_counter() - self.begin
         wall, cpu = time.perf_counter() - before["wall_s"], time.process_time() - before["cpu_s"]
         self.timings = {"setup_s": setup}
+        if self.integrals is not None:
+            self.timings["integrals_s"] = before["integrals_s"]
         if self.stepper is not None:
             self.advance(self.stepper, told, wall, self.checkpoints(wall, cpu))
-        self.timings = {
-            "setup_s": setup,
-            "wall_s": time.perf_counter() - wall,
-            "cpu_s": time.process_time() - cpu,
-        }
+        self.timings |= {"wall_s": time.perf_counter() - wall, "cpu_s": time.process_time() - cpu}
         if isinstance(self.stepper, Replay):  # the steps have been computed by the pilot, before this run
             self.timings["wall_s"] += self.stepper.wall
             self.timings["cpu_s"] += self.stepper.cpu
+        begin = time.perf_counter()
         self.check_accuracy(told)
+        if self.accuracy is not None:
+            self.timings["check_s"] = time.perf_counter() - begin
         if told is not None and told.error is not None:
             raise told.error
 
@@ -263,19 +264,19 @@ class SimulatedRun:
 
     def take_steps(self, stepper: Advancing, stretch: Stretch) -> None:
         """Pass the states of the latest steps, at their ends and within them, to integrals and range checks."""
+        nodes = stepper.taken_nodes() if self.keeps_nodes else None
         steps = [] if self.watch is None else self.watch.taken_steps()
-        continuous = None if self.integrals is None else self.integrals.continuous
-        if continuous is not None and self.watch is not None:
-            continuous.add_steps(steps)
-        elif continuous is not None:
-            z = np.zeros((len(stretch.time), 0)) if stretch.z is None else stretch.z
-            continuous.add_ends(stretch.time, stretch.q, stretch.v, z)
-        if not self.keeps_nodes:
-            return
-        nodes = stepper.taken_nodes()
-        if self.integrals is not None and self.integrals.needs_nodes:
-            self.integrals.add(nodes)
-        if self.recorder.ranges is not None:
+        if self.integrals is not None:
+            begin = time.perf_counter()
+            if self.integrals.continuous is not None and self.watch is not None:
+                self.integrals.continuous.add_steps(steps)
+            elif self.integrals.continuous is not None:
+                z = np.zeros((len(stretch.time), 0)) if stretch.z is None else stretch.z
+                self.integrals.continuous.add_ends(stretch.time, stretch.q, stretch.v, z)
+            if nodes is not None and self.integrals.needs_nodes:
+                self.integrals.add(nodes)
+            self.timings["integrals_s"] += time.perf_counter() - begin
+        if nodes is not None and self.recorder.ranges is not None:
             compiled = stepper if self.watch is None else self.watch.stepper
             # For explicit methods, only the first stage, at the start of the step, is a state of the motion.
             stages = compiled.method.stages if isinstance(compiled, CompiledStepper) else 1

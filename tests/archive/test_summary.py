@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 import mbdkit
+from mbdkit.archive.archive_check import check
 from mbdkit.archive.headlines import headlines, plus_minus
 from mbdkit.archive.layout import CORRECTIONS
 from mbdkit.archive.reader import load
@@ -51,6 +52,22 @@ def test_summary_of_a_complete_run(tmp_path: Path) -> None:
         ),
         f"archive       {tmp_path / 'run.h5'}",
     ]
+
+
+def test_speed_of_a_checked_run_is_the_cost_of_its_steps(tmp_path: Path) -> None:
+    with mbdkit.run("pendulum", time={"end": 0.1, "step": 0.01}) as run:
+        assert not {"integrals_s", "check_s"} & run.stats.keys()
+    with mbdkit.run("pendulum", time={"end": 0.1, "step": 0.01}, check=True) as run:
+        assert 0.0 < run.stats["integrals_s"] < run.stats["wall_s"]
+        assert run.stats["check_s"] > 0.0
+    into = writer(tmp_path / "run.h5")
+    into.append(rows(11, names()))
+    into.append_steps(steps(10))
+    into.finish(Ending("complete", "", STATS | {"integrals_s": 0.0015, "check_s": 0.5}, largest(11, names())))
+    with load(tmp_path / "run.h5") as run:
+        (speed,) = (line for line in run.summary().splitlines() if line.startswith("speed"))
+    assert speed == "speed         500 us (50 us a step), setup 250 ms, integrals and extrema 1.5 ms, check 500 ms"
+    assert check(tmp_path / "run.h5") == []
 
 
 def test_estimated_errors_are_printed_in_a_few_lines() -> None:
