@@ -74,7 +74,9 @@ class Trust:
         told = [f"{level} at the {point}: {why.rstrip('.')}" for point, level, why in points if level in QUESTIONED]
         if told:
             return f"Verdict on the runs: {'; '.join(told)}."
-        errors = "estimated" if self.level == "good" else "due to the data" if self.is_of_data else "not all known"
+        errors = (
+            "estimated" if self.level == "good" else "those due to the data" if self.is_of_data else "not all known"
+        )
         return f"Verdict on the runs: {self.level}, nothing suspicious seen; errors are {errors}."
 
     def sentences(self) -> list[str]:
