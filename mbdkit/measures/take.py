@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 from mbdkit.archive.measured_values import ERROR, MeasuredValues
 from mbdkit.base.errors import PluginError, SpecError, blaming
 from mbdkit.base.plain_data import path_text
-from mbdkit.base.text import message_of
+from mbdkit.base.text import listed, message_of
 from mbdkit.engine.compile_mechanism import characteristic_length
 from mbdkit.measures.measure_expression import MeasureExpression
 from mbdkit.measures.natural_size import natural_scales, natural_size
@@ -160,4 +160,8 @@ def _why_unknown(measure: DefinedMeasure, error: float, run: Run, spec: RunSpec 
         return ["its error is unknown: the run is not complete"]
     if _contacts_are_undecided(run, spec):
         return ["its error is unknown: impacts of rigid contacts make the errors of the motion unknown before its end"]
-    return ["its error is unknown: its values in runs with smaller errors do not converge, or such a run failed"]
+    compared = () if run.accuracy is None else run.accuracy.compared_measures.get(measure.expression, ())
+    if len(compared) == 3 and all(map(math.isfinite, compared)):
+        values = listed([f"{one:.6g}" for one in compared], "and")
+        return [f"its error is unknown: its values in the comparison runs, {values} in SI units, do not converge"]
+    return ["its error is unknown: a comparison run failed or has no value"]
