@@ -292,7 +292,8 @@ def loads_on(motion: Motion, series: Mapping[str, LoadSeries], bodies: tuple[str
         if one.time[0] > time[0] + slack or one.time[-1] < time[-1] - slack:
             raise SpecError(
                 f"is known from {one.time[0]:.6g} to {one.time[-1]:.6g} s, but the motion lasts from {time[0]:.6g} to "
-                f"{time[-1]:.6g} s; cut it with `time.start` and `time.end`",
+                f"{time[-1]:.6g} s; cut the motion with `time.start` and `time.end`, or, if the times of the two "
+                "files are shifted against each other, correct those of one file",
                 key=f"loads.{quoted(name)}",
             )
         force[:, index], torque[:, index] = one.at(time, one.force), one.at(time, one.torque)

@@ -103,6 +103,17 @@ def test_a_wrong_force_of_a_load_is_refused(force: Any, message: str, tmp_path: 
     assert message in str(caught.value).replace(f"{tmp_path}/", "")
 
 
+def test_a_plate_that_starts_late_may_have_shifted_times(tmp_path: Path) -> None:
+    (tmp_path / "t.csv").write_text("\n".join(ROWS), encoding="utf-8")
+    late = ["time,fx", *(f"{0.01 * i + 0.05:.2f},1.0" for i in range(20))]
+    (tmp_path / "plate.csv").write_text("\n".join(late), encoding="utf-8")
+    loads = {"plate": {"body": "rod", "file": str(tmp_path / "plate.csv"), "force": ["fx", 0.0]}}
+    with pytest.raises(SpecError) as caught:
+        mbdkit.inverse(pendulum(str(tmp_path / "t.csv")) | {"loads": loads})
+    assert "is known from 0.05 to 0.24 s, but the motion lasts from 0 to 0.19 s; cut the motion" in str(caught.value)
+    assert "if the times of the two files are shifted against each other, correct those of one" in str(caught.value)
+
+
 @pytest.mark.parametrize(
     ("limit", "message"),
     [
