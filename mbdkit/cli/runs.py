@@ -48,7 +48,7 @@ def run(
     assignments: Set = None,
     overwrite: Overwrite = False,
     check: Annotated[
-        bool, typer.Option("--check", help="Estimate errors by comparison runs; takes about ten times as long.")
+        bool, typer.Option("--check", help="Estimate errors by comparison runs; takes 10 to 20 times as long, or more.")
     ] = False,
     accuracy: Annotated[
         float | None,

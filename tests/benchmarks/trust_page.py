@@ -92,10 +92,10 @@ inconsistent, the run has certainly left its branch, and stops with the reason `
   `max(abs(joints.J1.force))`. To reduce this error, use smaller steps or, if not every step is recorded
   (`output.every`, `output.interval`), record more of them. The errors of the largest normal forces of compliant
   contacts are estimated like those of [measures](measures.md#errors), and count in the verdict with the limits for
-  joint forces. A check takes at least a second, and about ten times as long as the run (twenty times with compliant
-  contacts, 60 to 140 times with time-stepping methods). In 504 runs of 21 mechanisms with known motions (6 methods,
-  with 4 steps or tolerances each), errors are known for 95 % of the time, and all true errors are 0.39 to 1.08 times
-  their estimates (`python -m tests.benchmarks.error_bars`).
+  joint forces. A check usually takes 10 to 20 times as long as the run, and longer with beams, controllers or
+  time-stepping methods ([performance](performance.md#a-single-run)). In 504 runs of 21 mechanisms with known motions
+  (6 methods, with 4 steps or tolerances each), errors are known for 95 % of the time, and all true errors are 0.39 to
+  1.08 times their estimates (`python -m tests.benchmarks.error_bars`).
 - **`mbdkit run SPEC --accuracy 1e-6`** (`accuracy: 1e-6`) requests that all positions over the whole run are accurate
   to this fraction of the mechanism's size. mbdkit chooses the method and the step from short trial runs (*pilots*), and
   confirms the accuracy by a check. The error of an angle counts as a displacement: it is multiplied by the distance
