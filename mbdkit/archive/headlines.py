@@ -34,8 +34,12 @@ ROUND_OFF = 1e-10
 #: Largest number of joints, contacts, muscles or other elements that one line lists; the rest are only counted.
 JOINTS_NAMED = 4
 
-AT_END = 0.01
-"""A text says that a number is that at the end of a run if it exceeds the one at the start by more than this share."""
+AT_END, LEAST_RISE = 0.01, 1e-3
+"""A text says that a largest value is that at the end of a run if it exceeds the value at the start by more than the
+first share of the range of the quantity, and the second one of its largest magnitude.
+
+At the end of a period, the values at start and end are equal, and in equilibrium almost so.
+"""
 
 MESH_ERROR = "the error of the mesh of beams"
 """What error bars of runs with beams do not include."""
@@ -168,6 +172,13 @@ def headline_texts(run: Run, sign: str = "+-", most: int = MOST) -> list[tuple[s
     return pairs
 
 
+def is_at_end(values: np.ndarray) -> bool:
+    """Return whether the largest of the values (T,) of a run is that at its end, so that a longer run may exceed it."""
+    rise, most = values[-1] - values[0], np.max(np.abs(values))
+    is_clear = rise > max(AT_END * np.ptp(values), LEAST_RISE * most)
+    return bool(is_clear and np.argmax(values) == len(values) - 1)
+
+
 def largest_loads(run: Run) -> list[Headline]:
     """Return the largest torque of each driver and then the largest force of each joint, both in descending order.
 
@@ -261,9 +272,9 @@ def _largest(
         error = math.nan if errors is None else float(errors[column])
         label = f"largest {words} {names[column]}" if words else names[column]
         value, at, is_checked = float(size[row, column]), float(run.time[row]), run.accuracy is not None
-        is_at_end = run.kind == "forward" and row == len(size) - 1 and size[0, column] < (1.0 - AT_END) * value
+        ends = run.kind == "forward" and row == len(size) - 1 and is_at_end(size[:, column])
         headlines.append(
-            Headline(label, value, unit, error, float(beyond[column]), names[column], at, is_checked, bool(is_at_end))
+            Headline(label, value, unit, error, float(beyond[column]), names[column], at, is_checked, ends)
         )
     most = max((headline.largest for headline in headlines), default=0.0)
     return sorted((one for one in headlines if one.largest > ROUND_OFF * most), key=lambda one: -one.largest)

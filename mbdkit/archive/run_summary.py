@@ -377,8 +377,8 @@ def _restitutions(run: Run, struck: np.ndarray) -> str:
     except MbdkitError:
         return ""
     known = {pair.name: one.restitution for name, one in contacts.items() for pair in one.pairs(name, joints)}
-    values = dict.fromkeys(f"{known[name]:g}" for name in struck)
-    return f"restitution {listed([*values][:JOINTS_NAMED], 'and')}, "
+    values = dict.fromkeys(f"{known[name]:g}" for name in struck if name in known)
+    return f"restitution {listed([*values][:JOINTS_NAMED], 'and')}, " if values else ""
 
 
 def _struck(impacts: Impacts, some: np.ndarray) -> tuple[str, str]:

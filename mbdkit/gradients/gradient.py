@@ -221,8 +221,10 @@ def gradient(
     warnings = (*caution(spec), *start_warnings(spec, build(spec)[1]))
     of_run = questions(spec, warnings)
     notes = [warning for warning in warnings if warning not in of_run]
+    known = {measure.expression for measure in spec.defined_measures()}
     for name, expression in expressions_of(spec, definitions).items():
-        notes += zero_reactions_in(spec, f"'{name}'", expression)
+        if expression.text not in known:  # otherwise, the warnings contain the notes on it
+            notes += zero_reactions_in(spec, f"'{name}'", expression)
     remarks = tuple(dict.fromkeys((*notes, *found.remarks)))
     return replace(found, doubts=(*of_run, *found.doubts), remarks=remarks)
 
@@ -319,7 +321,8 @@ def gradient_of_run(
         The measures by another, more accurate method; None if the computation has no steps.
     """
     values, slopes, sizes = [], [], {}
-    doubts, remarks = list(run.doubts), list[str]()
+    doubts = list(run.doubts)
+    remarks: list[str] = []
     measure = MeasureOfRun(run)
     mechanism, duration = run.rows.mechanism, float(np.ptp(run.rows.time))
     mass = float(np.max(mechanism.topology.mass[:-1, 0], initial=0.0))

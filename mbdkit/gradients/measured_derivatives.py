@@ -15,6 +15,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from mbdkit.archive.headlines import is_at_end
 from mbdkit.archive.measured_values import Integrals
 from mbdkit.expressions.operations import OF_PARTS, OPERATIONS, REDUCE, arity_of
 from mbdkit.expressions.program import execute
@@ -28,7 +29,7 @@ from mbdkit.gradients.differentiated_states import (
     quantity_of,
 )
 from mbdkit.gradients.sided_stepper import Corner
-from mbdkit.measures.measure_expression import ALONG, MeasureExpression
+from mbdkit.measures.measure_expression import ALONG, AT_END_OF_RUN, MeasureExpression
 from mbdkit.measures.reductions import Functional
 from mbdkit.quantities.quantity import Quantity
 from mbdkit.runs.continuous_motion import EQUAL, Peak, Sampled, sampled
@@ -190,7 +191,7 @@ class _Evaluation:
         if name in ("max", "min"):
             if functional is None:
                 return self._extremum(name, rows)
-            found = self._peak(functional, index)
+            found = self._peak(functional, index, rows)
             self._functionals[functional.text] = found
             return found
         total = self._integral(functional, index, rows, square=name == "rms")
@@ -286,8 +287,11 @@ class _Evaluation:
 
     # --- extrema
 
-    def _peak(self, functional: Functional, index: int) -> Value:
-        """Return an extremum of the continuous motion; add a warning if it is not unique."""
+    def _peak(self, functional: Functional, index: int, rows: Value) -> Value:
+        """Return an extremum of the continuous motion; add a warning if it is not unique.
+
+        `rows` are the values of the quantity in the rows.
+        """
         sign = -1.0 if functional.reduction == "min" else 1.0
         found: list[tuple[int, Peak]] = []
         lowest, highest = np.inf, -np.inf
@@ -300,7 +304,8 @@ class _Evaluation:
         best = max(sign * one.value for _, one in found)
         near = [(number, one) for number, one in found if sign * one.value >= best - EQUAL * (highest - lowest)]
         near.sort(key=lambda item: -sign * item[1].value)
-        self._note_end(functional.reduction, near[0][1].time, highest - lowest)
+        if near[0][1].time == self.run.rows.time[-1]:
+            self._note_end(functional.reduction, rows)
         first = self._at_peak(*near[0], index)
         slopes = {near[0][1].time: first.slope}
         step = float(np.max(self.run.motions[0].parts[near[0][0]].plain.size))
@@ -448,15 +453,15 @@ class _Evaluation:
         if not np.all(same):
             times = self.run.rows.time
             self._note_several(name, [float(times[index]), float(times[apart[~same][0]])])
-        self._note_end(name, float(self.run.rows.time[index]), spread)
+        self._note_end(name, rows)
         return rows[index : index + 1]
 
     # --- warnings
 
-    def _note_end(self, name: str, time: float, spread: float) -> None:
-        """Add a remark if the time of an extremum is the end of the run, unless the quantity is constant."""
-        if time == self.run.rows.time[-1] and spread > 0.0:
-            self.remarks.append(f"{name} at the end of the run")
+    def _note_end(self, name: str, rows: Value) -> None:
+        """Add a remark if the extremum of a quantity with these values in the rows is that at the end of the run."""
+        if is_at_end(rows.value if name == "max" else -rows.value):
+            self.remarks.append(AT_END_OF_RUN.format(name))
 
     def _note_several(self, name: str, times: Sequence[float]) -> None:
         self.doubts.append(

@@ -19,6 +19,7 @@ from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 
+from mbdkit.archive.headlines import is_at_end
 from mbdkit.archive.history import NotRecordedError
 from mbdkit.base.errors import SpecError
 from mbdkit.base.text import listed
@@ -56,12 +57,8 @@ _END: Program = (("t", 0.0), (REDUCE + "final", 0.0))
 BEYOND = 1e-6
 """A remark is issued if a recorded row exceeds an extremum by more than this share of the range of the quantity."""
 
-AT_END, ROUND_OFF = 0.01, 1e-9
-"""A remark is issued if the value at the end is an extremum and differs from the value at the start by more than the
-first share of the range of the quantity, and the second one of its largest magnitude.
-
-At the end of a period or in equilibrium, the values at start and end are equal.
-"""
+AT_END_OF_RUN = "{} at the end of the run"
+"""The remark on an extremum at the end of a run."""
 
 ALONG: Mapping[str, str] = {"max": "along_max", "min": "along_min"}
 """Functions that return the largest or smallest value of a quantity along a beam at each time, by the reductions that
@@ -209,10 +206,8 @@ class MeasureExpression:
                     f"the recorded row at t = {run.time[row]:.6g} s has {values[row]:.6g}, beyond the {name} of the "
                     f"motion between the ends of steps, {found[0]:.6g}: states between steps are less accurate there"
                 )
-            start, last = sign * values[0], sign * values[-1]
-            is_at_end = row == len(values) - 1 and last >= sign * found[0] - BEYOND * spread
-            if is_at_end and last - start > max(AT_END * spread, ROUND_OFF * float(np.max(np.abs(values)))):
-                told.append(f"{name} at the end of the run")
+            if sign * (found[0] - values[-1]) <= BEYOND * spread and is_at_end(sign * values):
+                told.append(AT_END_OF_RUN.format(name))
 
         try:
             self._values(run, compared)

@@ -20,11 +20,9 @@ def size_if_below(mechanism: Mechanism, limit: float) -> float:
     """
     centres = [body.position for body in mechanism.bodies.values()]
     least = extent(centres) if centres else 0.0
-    return (
-        least
-        if limit <= least
-        else extent([*centres, *(mechanism.to_global(*one) for one in points_of_elements(mechanism))])
-    )
+    if limit <= least:
+        return least
+    return extent([*centres, *(mechanism.to_global(*one) for one in points_of_elements(mechanism))])
 
 
 def extent(points: Sequence[tuple[float, float]]) -> float:

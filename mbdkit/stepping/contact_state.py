@@ -120,8 +120,8 @@ class ContactState:
             several = len(self.undetermined) > 1
             which = f"forces of contacts {names} are" if several else f"force of contact {names} is"
             found.append(
-                f"the normal {which} not unique while friction holds the bodies, because other forces cause "
-                "the same motion; the run records one possible set"
+                f"the normal {which} not unique, because other forces cause the same motion; the run records one "
+                "possible set"
             )
         if self.residual > SOLVED:
             found.append(

@@ -133,13 +133,13 @@ class RigidContacts:
             (C,) whether a contact touches and does not separate; it may be open, if it has no force.
         """
         closed, found = np.flatnonzero(staying), np.zeros(len(modes), dtype=bool)
-        sticks = np.flatnonzero(modes[closed] == STICK)
-        if not len(sticks) or not 1 < len(closed) <= FEW:
+        if not 0 < len(closed) <= FEW:
             return found
-        rows = self.kinematics.rows(q, 0.0 * q, closed)
+        rows, sticks = self.kinematics.rows(q, 0.0 * q, closed), np.flatnonzero(modes[closed] == STICK)
         held, pushed = _directions(rows, np.arange(len(closed)), self._shares(modes, closed), sticks)
         matrix = held @ self.answers(t, q, pushed)[0]
-        scale = 1.0 / np.sqrt(np.abs(np.diag(matrix)))
+        size = np.sqrt(np.abs(np.diag(matrix)))  # 0 if joints hold the bodies
+        scale = np.divide(1.0, size, out=np.zeros(len(size)), where=size > np.sqrt(SINGULAR) * np.max(size))
         _, sizes, vectors = np.linalg.svd(matrix * np.outer(scale, scale))
         free = vectors[sizes <= SINGULAR * sizes[0], : len(closed)]
         found[closed] = np.any(np.abs(free) > FREE, axis=0)

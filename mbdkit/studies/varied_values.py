@@ -90,9 +90,10 @@ def _exchanged(spec: StudySpec, grid: Grid) -> Iterator[str]:
     """Yield a note for each normal distribution whose standard deviation, but not its mean, is near the value of the
     base.
     """
+    base = json.loads(grid.base_json)
     for key, given in ({} if spec.sample is None else spec.sample.variables).items():
         (kind,) = given
-        value = _number(json.loads(grid.base_json), parse_key(key)) if kind in ("normal", "norm") else None
+        value = _number(base, parse_key(key)) if kind in ("normal", "norm") else None
         if value is None:
             continue
         distribution = frozen(given)

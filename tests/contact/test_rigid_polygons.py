@@ -49,8 +49,10 @@ def flown(time: float, place: np.ndarray, velocity: np.ndarray) -> np.ndarray:
     [
         # a box that rests against a wall down the slope: the friction of the floor may carry any part of its weight
         pytest.param(0.5, 0.0, 0.3, ["floor.0", "floor.1", "wall.1"], id="rough floor"),
-        pytest.param(0.0, 0.0, 0.3, [], id="smooth floor"),
+        # without friction, the two corners at the wall may carry any moment
+        pytest.param(0.0, 0.0, 0.3, ["floor.0", "floor.1", "wall.1", "wall.2"], id="smooth floor"),
         pytest.param(0.5, None, 0.3, [], id="no wall"),
+        pytest.param(0.0, None, 0.0, [], id="smooth floor alone"),
     ],
 )
 def test_normal_forces_that_are_not_unique_are_told(
@@ -70,6 +72,22 @@ def test_normal_forces_that_are_not_unique_are_told(
     warnings = [one for one in run(model, 0.05, 0.01).warnings if "not unique" in one]
     assert len(warnings) == bool(told)
     assert all(f"'{name}'" in warning for warning in warnings for name in told)
+
+
+def test_forces_of_a_body_that_joints_hold_are_not_unique() -> None:
+    # the joint carries any part of the weight of the first box; the second one rests on the floor
+    box, ground = outline(0.2, 0.1), {"line": {"point": [0.0, 0.0], "normal": [0.0, 1.0]}}
+    contacts = {
+        name: {"bodies": ["ground", body], "shapes": [ground, box], "friction": 0.5}
+        for name, body in (("under", "held"), ("floor", "free"))
+    }
+    bodies = {name: {"mass": 1.0, "inertia": 0.02, "position": [x, 0.1]} for name, x in (("held", 0.0), ("free", 2.0))}
+    guide = {"type": "prismatic", "bodies": ["ground", "held"], "at": [0.0, 0.1], "axis": [1.0, 0.0]}
+    found = run({"bodies": bodies, "contacts": contacts, "joints": {"guide": guide}}, 0.05, 0.01)
+    assert found.status == "complete"
+    (warning,) = found.warnings
+    assert "'under.0' and 'under.1' are not unique" in warning
+    assert found.contacts["floor.0"].normal_force[-1] == pytest.approx(G / 2)
 
 
 @pytest.mark.parametrize(("treatment", "step", "error"), TREATMENTS)

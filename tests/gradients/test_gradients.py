@@ -255,6 +255,7 @@ def test_a_run_whose_gradients_fail_their_check_is_doubtful() -> None:
         pytest.param("max(abs(joints.J1.force))", 0.2, "x: max at the end of the run", id="before the lowest point"),
         pytest.param("max(abs(joints.J1.force))", 0.5, "", id="after it"),
         pytest.param("max(rod1.y)", 0.5, "", id="largest at the start"),
+        pytest.param("max(rod1.x - rod1.x)", 0.5, "", id="constant"),
     ],
 )
 def test_notes_of_the_run_are_remarks_of_its_gradient(measure: str, end: float, remark: str) -> None:

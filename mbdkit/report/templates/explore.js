@@ -18,7 +18,7 @@ function valueOf(index) {
   return at === place(one) ? one.value : Number((one.low + (one.high - one.low) * at / 1000).toPrecision(6));
 }
 function label(index) {
-  const value = String(Number(valueOf(index).toPrecision(6))), { unit } = sliders[index];
+  const value = String(typed[index] ?? Number(valueOf(index).toPrecision(6))), { unit } = sliders[index];
   fields[index].value = value;
   inputs[index].setAttribute("aria-valuetext", unit ? `${value} ${unit}` : value);
 }
