@@ -15,6 +15,7 @@ from typing import Any
 
 import numpy as np
 
+import mbdkit
 from tests.inverse_dynamics.test_ends_and_gaps import DEVIATION, FILTER, TIME, chain_with_gap, measured, start, swing
 
 SMOOTHINGS: tuple[dict[str, Any], ...] = (
@@ -38,20 +39,15 @@ def main() -> None:
     parser.add_argument("--motions", type=int, default=60)
     motions = range(1000, 1000 + parser.parse_args().motions)
     for smooth in SMOOTHINGS:
-        near, peaks, doubts = [], [], []
+        found = []
         for seed in motions:
             angle, torque, random = swing(seed)
             stated = {"columns": COLUMNS} if smooth["name"] == "quintic" else {}
             run = measured(angle, random, smooth=smooth, **stated)
-            one = run.actuators["hip"]
-            covered = np.abs(one.value - torque) <= one.value_error
-            near.append(np.mean(covered[np.r_[0:10, len(TIME) - 10 : len(TIME)]]))
-            peaks.append(abs(run.measures["peak"] - np.max(np.abs(torque))) <= run.measure_errors["peak"])
-            doubts.append(any(told.startswith("ends") for told in run.verdict_reasons))
+            found.append(covered(run, torque, np.r_[0:10, len(TIME) - 10 : len(TIME)]))
+        near, peaks, doubts = np.mean(found, axis=0)
         print(
-            f"{smooth['name']}: near the ends {np.mean(near):.1%}, largest torques {np.mean(peaks):.1%}, doubted "
-            f"{np.mean(doubts):.1%}",
-            flush=True,
+            f"{smooth['name']}: near the ends {near:.1%}, largest torques {peaks:.1%}, doubted {doubts:.1%}", flush=True
         )
         if smooth["name"] != "quintic":
             print_starts(smooth, len(motions) // len(STARTS))
@@ -65,33 +61,41 @@ def main() -> None:
             error = one.value_error[gap]
             known.append(np.isfinite(error))
             inside.append((np.abs(one.value - torque)[gap] <= error)[known[-1]])
-        share, covered = np.mean(np.concatenate(known)), np.concatenate(inside)
-        told = f"{np.mean(covered):.1%} of the others covered" if covered.size else ""
+        share, bars = np.mean(np.concatenate(known)), np.concatenate(inside)
+        told = f"{np.mean(bars):.1%} of the others covered" if bars.size else ""
         print(f"gap of {rows / 100 + 0.01:g} s: {1 - share:.1%} unknown, {told}", flush=True)
     print_gaps_of_markers(motions)
 
 
+def covered(run: mbdkit.Run, torque: np.ndarray, rows: Any) -> tuple[float, bool, bool]:
+    """Return the share of some rows whose error bars cover the torque, whether that of the peak does, and whether the
+    criterion `ends` is not met.
+    """
+    one = run.actuators["hip"]
+    near = np.mean((np.abs(one.value - torque) <= one.value_error)[rows])
+    peak = abs(run.measures["peak"] - np.max(np.abs(torque))) <= run.measure_errors["peak"]
+    return float(near), bool(peak), any(told.startswith("ends") for told in run.verdict_reasons)
+
+
 def print_starts(smooth: dict[str, Any], seeds: int) -> None:
     """Print the coverage of motions that start suddenly from rest, within 0.1 s of the start and of their peaks."""
-    near, peaks, doubts = [], [], []
+    found = []
     for decay, frequency in STARTS:
         angle, torque = start(decay, frequency)
         for seed in range(seeds):
             run = measured(angle, np.random.default_rng(seed), deviation=1e-3, smooth=smooth, columns=START_COLUMNS)
-            one = run.actuators["hip"]
-            near.append(np.mean((np.abs(one.value - torque) <= one.value_error)[:10]))
-            peaks.append(abs(run.measures["peak"] - np.max(np.abs(torque))) <= run.measure_errors["peak"])
-            doubts.append(any(told.startswith("ends") for told in run.verdict_reasons))
+            found.append(covered(run, torque, slice(10)))
+    near, peaks, doubts = np.mean(found, axis=0)
     print(
-        f"{smooth['name']}, starts from rest: near the start {np.mean(near):.1%}, largest torques "
-        f"{np.mean(peaks):.1%}, doubted {np.mean(doubts):.1%}",
+        f"{smooth['name']}, starts from rest: near the start {near:.1%}, largest torques {peaks:.1%}, doubted "
+        f"{doubts:.1%}",
         flush=True,
     )
 
 
 def print_gaps_of_markers(seeds: Iterable[int]) -> None:
     """Print the errors of torques in a gap of a marker, compared with those of complete data, and their coverage."""
-    ratios, covered, unknown = [], [], []
+    ratios, inside, unknown = [], [], []
     for seed in seeds:
         rows = slice(70, 106)
         drawn, complete, run = chain_with_gap(seed, rows)
@@ -100,9 +104,9 @@ def print_gaps_of_markers(seeds: Iterable[int]) -> None:
             error = run.actuators[name].value_error[rows]
             ratios.append(np.sqrt(np.mean(off**2) / np.mean(whole**2)))
             unknown.append(np.isnan(error))
-            covered.append((off <= error)[~unknown[-1]])
+            inside.append((off <= error)[~unknown[-1]])
     print(
-        f"marker missing for 0.3 s: {np.mean(unknown):.1%} unknown, {np.mean(np.concatenate(covered)):.1%} of the "
+        f"marker missing for 0.3 s: {np.mean(unknown):.1%} unknown, {np.mean(np.concatenate(inside)):.1%} of the "
         f"others covered, errors {np.median(ratios):.2g} times those of complete data (median)"
     )
 
