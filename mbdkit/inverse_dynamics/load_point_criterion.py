@@ -9,7 +9,9 @@ import numpy as np
 from mbdkit.base.text import listed
 from mbdkit.base.units import read_unit
 from mbdkit.inverse_dynamics.compute import Inverse
-from mbdkit.inverse_dynamics.doubt import Doubt
+from mbdkit.inverse_dynamics.doubt import TO_DEVIATION, Doubt
+from mbdkit.inverse_dynamics.glitch_criterion import spans
+from mbdkit.inverse_dynamics.loads import UNLOADED_SHARE
 from mbdkit.mechanism.bodies import GROUND
 
 OUTSIDE = 0.25
@@ -46,6 +48,14 @@ share of the length along x or y. A shank between its knee and its ankle is thus
 """
 
 
+LOST, STEPS, TRAVELS = 8 * TO_DEVIATION, 5.0, 0.1
+"""Coordinates of a point that are exactly zero under load were lost if their second difference, where they become zero,
+exceeds `LOST` times the median second difference, and `STEPS` times the smallest change, so that rounded values may
+cross zero. They were also lost if all of them are zero, although the body moves across the point by more than `TRAVELS`
+times its extent.
+"""
+
+
 def load_point_doubts(result: Inverse) -> Iterator[Doubt]:
     """Yield a doubt for each load that acts outside of its body, or on another body."""
     wide, narrow = _outlines(result)
@@ -56,6 +66,7 @@ def load_point_doubts(result: Inverse) -> Iterator[Doubt]:
             outside = list(_outside_of_body(result, index, name, wide))
             yield from outside or _on_other_body(result, index, name, narrow)
             yield from _metres(result, index, name, wide)
+            yield from _zeros(result, index, name, wide)
 
 
 def _outlines(result: Inverse) -> tuple[np.ndarray, np.ndarray]:
@@ -95,15 +106,19 @@ def centre_of_pressure(result: Inverse, index: int) -> tuple[np.ndarray, np.ndar
     return result.loads.point[:, index] + arm[:, None] * force[:, ::-1] * [1.0, -1.0], np.abs(arm) * np.sqrt(square)
 
 
+def in_body(result: Inverse, point: np.ndarray, body: int) -> np.ndarray:
+    """Return points (T, 2) in the frame of a body."""
+    q = result.motion.q[:, 3 * body : 3 * body + 3]
+    (x, y), c, s = (point - q[:, :2]).T, np.cos(q[:, 2]), np.sin(q[:, 2])
+    return np.stack([c * x + s * y, c * y - s * x], axis=1)
+
+
 def _outside(result: Inverse, point: np.ndarray, body: int, outline: np.ndarray) -> np.ndarray:
     """Return the distance (T,) of points (T, 2) from the outline of a body, relative to the body's extent."""
-    q, place = result.motion.q, 3 * body
-    x, y = (point - q[:, place : place + 2]).T
-    c, s = np.cos(q[:, place + 2]), np.sin(q[:, place + 2])
-    own = np.stack([c * x + s * y, c * y - s * x], axis=1)
+    own = in_body(result, point, body)
     beyond = np.maximum(0.0, np.maximum(outline[0] - own, own - outline[1]))
     extent = float(np.linalg.norm(outline[1] - outline[0]))
-    return np.asarray(np.linalg.norm(beyond, axis=1) / extent) if extent > 0 else np.zeros(len(q))
+    return np.asarray(np.linalg.norm(beyond, axis=1) / extent) if extent > 0 else np.zeros(len(own))
 
 
 def _share_outside(result: Inverse, index: int, point: np.ndarray, outlines: np.ndarray) -> float:
@@ -182,3 +197,42 @@ def _metres(result: Inverse, index: int, name: str, outlines: np.ndarray) -> Ite
             f"(doubtful below {1e3 * LEAST_POINT:g} mm), but in metres the same numbers are on "
             f"{result.problem.fitter.bodies[result.problem.loads[name].body]}: leave out the unit.",
         )
+
+
+def _zeros(result: Inverse, index: int, name: str, outlines: np.ndarray) -> Iterator[Doubt]:
+    """Yield a doubt if a coordinate of the point of a load in the global frame is zero because it was lost."""
+    load, series = result.problem.spec.loads[name], result.problem.loads[name]
+    if series.point is None or load.point_frame != GROUND:
+        return
+    size = np.linalg.norm(series.force, axis=1)
+    acts, is_loaded = size > 0, size > UNLOADED_SHARE * np.max(size)
+    gravity = np.abs(np.array(result.problem.names.mechanism.gravity, dtype=float))
+    for axis, column in enumerate(load.point or ()):
+        x = series.point[:, axis]
+        zero = is_loaded & (x == 0)
+        if isinstance(column, float) or not np.any(zero):
+            continue
+        if np.any(x[acts] != 0):
+            bend, near = np.abs(np.diff(x, 2)), acts[2:] & acts[1:-1] & acts[:-2]
+            usual = bend[near & (x[2:] != 0) & (x[1:-1] != 0) & (x[:-2] != 0)]
+            steps = np.abs(np.diff(x[acts]))
+            limit = (
+                max(LOST * float(np.median(usual)), STEPS * float(np.min(steps[steps > 0]))) if usual.size else np.inf
+            )
+            is_lost = bool(np.any(bend[near & zero[1:-1]] > limit))
+        else:
+            motion, place = result.motion, 3 * series.body
+            arm = result.loads.point[:, index] - motion.q[:, place : place + 2]
+            slip = motion.v[:, place + axis] + motion.v[:, place + 2] * arm[:, 1 - axis] * (-1, 1)[axis]
+            slip[~np.any(result.loads.force[:, index] != 0, axis=1)] = 0.0
+            travel = np.ptp(np.cumsum(slip * np.gradient(motion.time)))
+            extent = np.linalg.norm(outlines[series.body, 1] - outlines[series.body, 0])
+            is_level = gravity[axis] > 0.5 * np.linalg.norm(gravity)  # the height of the plate
+            is_lost = not is_level and bool(travel > TRAVELS * extent)
+        if is_lost:
+            yield Doubt(
+                "constant",
+                f"coordinate {'xy'[axis]} of the point of load '{name}' is exactly zero in {np.sum(zero)} rows with "
+                f"forces of up to {np.max(size[zero]):.4g} N, {spans(series.time, zero)}: values that were lost. Leave "
+                "out these rows, or measure the point.",
+            )

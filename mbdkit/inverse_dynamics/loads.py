@@ -297,7 +297,7 @@ def loads_on(motion: Motion, series: Mapping[str, LoadSeries], bodies: tuple[str
                 key=f"loads.{quoted(name)}",
             )
         force[:, index], torque[:, index] = one.at(time, one.force), one.at(time, one.torque)
-        point[:, index] = _global_point(one, time, q)
+        point[:, index] = global_point(one, time, q)
         body = 3 * one.body
         arm = point[:, index] - q[:, body : body + 2]
         own = np.zeros_like(q)
@@ -309,7 +309,7 @@ def loads_on(motion: Motion, series: Mapping[str, LoadSeries], bodies: tuple[str
     return Loads(tuple(series), on, force, point, torque, generalized, power)
 
 
-def _global_point(one: LoadSeries, time: np.ndarray, q: np.ndarray) -> np.ndarray:
+def global_point(one: LoadSeries, time: np.ndarray, q: np.ndarray) -> np.ndarray:
     """Return the point of application (T, 2) in the global frame."""
     if one.point is None:
         return q[:, 3 * one.body : 3 * one.body + 2]

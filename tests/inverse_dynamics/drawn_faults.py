@@ -16,6 +16,7 @@ from mbdkit.inverse_dynamics.data_verdict import doubts_about_data
 from mbdkit.inverse_dynamics.error_bars import error_bars
 from mbdkit.spec import load_inverse_spec
 from tests.inverse_dynamics.drawn_mechanisms import RATE, Drawn, draw
+from tests.inverse_dynamics.drawn_plate_faults import glitch, lost_point
 
 SETS = (
     ("chain", "exact"),
@@ -275,15 +276,24 @@ def _cut_to_loads(one: DataSet) -> bool:
 
 
 def late_load(one: DataSet, random: np.random.Generator) -> bool | None:
-    """Loads that are late by 20 to 50 ms; those of a mechanism on the ground contradict nothing unless they go far."""
-    late = random.uniform(0.02, 0.05)
+    """Loads that are late by 20 to 50 ms; on the ground, nothing contradicts this unless they leave the sole."""
+    _delay(one, random.uniform(0.02, 0.05))
+    return one.is_free if one.loads else None
+
+
+def very_late_load(one: DataSet, random: np.random.Generator) -> bool | None:
+    """Loads that are late by 50 to 100 ms."""
+    _delay(one, random.uniform(0.05, 0.1))
+    return True if one.loads else None
+
+
+def _delay(one: DataSet, late: float) -> None:
     for load in one.loads.values():
         time = load["data"]["time"]
         for name in ("fx", "fy", "px", "py"):
             x = load["data"][name]
             known = ~np.isnan(x)
             load["data"][name] = np.interp(time - late, time[known], x[known])
-    return one.is_free if one.loads else None
 
 
 def offset_of_plate(one: DataSet, random: np.random.Generator) -> bool | None:
@@ -426,11 +436,14 @@ FAULTS: dict[str, Fault] = {
         torque_unit,
         low_cutoff,
         neighbouring_body,
+        glitch,
+        lost_point,
+        very_late_load,
     )
 }
 
 
-NEEDS_NEWTON = ("late_load", "scale_of_plate")
+NEEDS_NEWTON = ("late_load", "scale_of_plate", "very_late_load")
 """Faults that only the motion of a free mechanism contradicts, if its residual forces exceed their noise."""
 
 
@@ -475,14 +488,16 @@ def contradicts_newton(faulty: Answer, cutoff: float) -> bool:
     return bool(np.any(values > bars))  # noise alone gives a quarter
 
 
-def is_changed(clean: Answer, faulty: Answer, cutoff: float) -> bool:
-    """Return whether a fault changes an actuator by more than its bar, apart from the ends of the motion."""
+def is_changed(clean: Answer, faulty: Answer, cutoff: float, share: float = CHANGED) -> bool:
+    """Return whether a fault changes an actuator by more than its bar in more than a share of the frames, apart from
+    the ends of the motion.
+    """
     ends = int(np.ceil(RATE / cutoff))
     inside = slice(ends, -ends)
     expected = np.column_stack([np.interp(faulty.time, clean.time, one) for one in clean.values.T])
     bars = np.where(np.isnan(faulty.bars), WITHOUT_BAR * np.max(np.abs(expected), axis=0), faulty.bars)
     off = np.abs(faulty.values - expected) > bars + 1e-9 * np.max(np.abs(expected))
-    return bool(np.max(np.mean(off[inside], axis=0)) > CHANGED)
+    return bool(np.max(np.mean(off[inside], axis=0)) > share)
 
 
 @dataclass(frozen=True)
@@ -528,7 +543,7 @@ def _outcome(faulty: DataSet, clean: Answer, number: int, fault: str, reveals: b
     new = [doubt for doubt in got.doubts if doubt.partition(":")[0] not in known]
     if new:
         return Outcome(number, "flagged", new[0])
-    if not is_changed(clean, got, faulty.cutoff):
+    if not is_changed(clean, got, faulty.cutoff, 0.0 if fault == "glitch" else CHANGED):
         return Outcome(number, "same", "")
     if reveals and faulty.is_free and fault in NEEDS_NEWTON:
         reveals = contradicts_newton(got, faulty.cutoff)

@@ -178,6 +178,89 @@ def test_a_load_that_contradicts_the_motion_of_a_free_body_is_explained(
     assert any(cause in reason for reason in run.verdict_reasons) == bool(cause)
 
 
+def doubts_about(spec: dict[str, Any]) -> dict[str, str]:
+    """Return the first doubt of each criterion about the data of a spec."""
+    doubts = doubts_about_data(compute(InverseProblem.of(load_inverse_spec(spec, ()))), None).open
+    return {one.partition(":")[0]: one for one in reversed(doubts)}
+
+
+@pytest.mark.parametrize(
+    ("column", "values", "criteria"),
+    [
+        pytest.param("fy", [], set(), id="clean"),
+        pytest.param("fy", [0.0, 0.0, 0.0], {"outliers", "residuals"}, id="dropout"),
+        pytest.param("fy", [2588.0], {"outliers", "residuals"}, id="spike-of-force"),
+        pytest.param("px", [3.0], {"outliers", "residuals"}, id="spike-of-point"),
+        pytest.param("mz", [200.0] * 5, {"outliers", "residuals"}, id="spike-of-torque"),
+        pytest.param("fy", [611.0, 636.0, 661.0, 636.0, 611.0], {"residuals"}, id="spike-without-jumps"),
+    ],
+)
+def test_a_glitch_of_a_plate_is_named_with_its_time(column: str, values: list[float], criteria: set[str]) -> None:
+    # a body of 60 kg whose plate exerts what its prescribed motion needs, by Newton's and Euler's laws
+    t = np.linspace(0, 2, 201)
+    x, y = 0.05 * np.sin(2 * t), 1 + 0.03 * np.sin(3 * t)
+    fx, fy, px = -60 * 0.2 * np.sin(2 * t), 60 * (9.81 - 0.27 * np.sin(3 * t)), x + 0.02 * np.sin(t)
+    mz = -8 * 0.625 * np.sin(2.5 * t) - ((px - x) * fy + y * fx)
+    data = {"time": t, "x": x, "y": y, "angle": 0.1 * np.sin(2.5 * t), "fx": fx, "fy": fy, "px": px, "mz": mz}
+    data[column][100 : 100 + len(values)] = values
+    body = {"mass": 60.0, "inertia": 8.0, "position": [0, 1.0]}
+    motion = {"data": data, "columns": {f"body.{one}": one for one in ("x", "y", "angle")}, "smooth": "quintic"}
+    load = {"body": "body", "force": ["fx", "fy"], "point": ["px", 0.0], "torque": "mz"}
+    model = {"name": "mechanism", "bodies": {"body": body}}
+    doubts = doubts_about({"mbdkit": 1, "model": model, "motion": motion, "loads": {"plate": load}})
+    assert set(doubts) == criteria
+    times = {1: "at t = 1 s", 3: "at t = 1 to 1.02 s", 5: "at t = 1 to 1.04 s"}
+    if criteria == {"residuals"}:
+        times[5] = "at t = 1.01 to 1.03 s"  # the rows beyond the limit
+    assert all(times[len(values)] in one for one in doubts.values())
+
+
+def of_leg(load: dict[str, Any]) -> dict[str, str]:
+    """Return the doubts about the motion of the hanging leg with a load."""
+    motion = {"data": {"time": T, **ANGLES}, "smooth": SMOOTH}
+    return doubts_about({"mbdkit": 1, "model": {"name": "leg"}, "motion": motion, "loads": load})
+
+
+def test_a_glitch_under_a_leg_that_hangs_at_its_hip_is_doubted_but_the_impact_of_a_heel_is_not() -> None:
+    data = stance()["ground"]["data"]
+    rows = np.arange(len(T))
+    impact = 300 * np.exp(-0.5 * ((rows - 4) / 1.2) ** 2)  # 30 ms wide, 40 ms after the foot touches the ground
+    assert set(of_leg(stance(fy=data["fy"] + impact))) == set()
+    doubts = of_leg(stance(fy=np.where((rows == 40) | (rows == 60), 0.0, data["fy"])))
+    assert set(doubts) == {"outliers"}
+    assert "at t = 0.4 s and 0.6 s. The largest one is in the force along y" in doubts["outliers"]
+
+
+@pytest.mark.parametrize("delay", [-0.06, 0.03, 0.06])
+def test_a_late_plate_is_found_because_its_points_leave_the_sole(delay: float) -> None:
+    # a sole 6 cm below the center of the foot, along which the point moves by 20 cm
+    load = stance()
+    data, pose = load["ground"]["data"], leg(motion={"errors": "none"})["foot"]
+    c, s, along = np.cos(pose.angle), np.sin(pose.angle), -0.1 + 0.2 * T
+    data["x"], data["y"] = pose.position[:, 0] + c * along + 0.06 * s, pose.position[:, 1] + s * along - 0.06 * c
+    assert set(of_leg(load)) == set()
+    for name in ("fx", "fy", "x", "y"):
+        data[name] = np.interp(T - delay, T, data[name])
+    doubts = of_leg(load)
+    assert set(doubts) == {"load-time"}
+    assert float(doubts["load-time"].split()[7]) == pytest.approx(abs(delay), abs=0.005)
+    assert f"s too {'late' if delay > 0 else 'early'}: " in doubts["load-time"]
+
+
+@pytest.mark.parametrize("least", [pytest.param(-1.0, id="always"), pytest.param(500.0, id="under-large-forces")])
+def test_a_coordinate_of_the_point_that_is_exactly_zero_under_load_was_lost(least: float) -> None:
+    data = stance()["ground"]["data"]
+    doubts = of_leg(stance(x=np.where(data["fy"] > least, 0.0, data["x"])))
+    assert set(doubts) == {"constant"}
+    assert "coordinate x of the point of load 'ground' is exactly zero in " in doubts["constant"]
+
+
+def test_a_point_in_millimetres_that_crosses_zero_was_not_lost() -> None:
+    data = stance()["ground"]["data"]
+    x = np.round(data["x"] - data["x"][50], 3)
+    assert "constant" not in of_leg(stance(x=x))
+
+
 @pytest.mark.parametrize(
     ("fall", "carried"), [pytest.param(0.0, True, id="stands"), pytest.param(9.81, False, id="flies")]
 )
