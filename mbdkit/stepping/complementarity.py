@@ -8,11 +8,35 @@ import numpy as np
 
 from mbdkit.stepping.cone_sweeps import couple_contacts, sweep_contacts
 
-TINY = 1e-11
-"""Entries of a scaled tableau whose magnitude is below this are treated as zero."""
+TINY = (1e-11, 1e-8, 1e-5)
+"""Entries of a scaled tableau whose magnitude is below the first of these are treated as zero; the next one is tried if
+the solution is inaccurate. Rows of contacts on one surface are equal up to gaps in the order of 1e-10 m, and a pivot
+that is the difference of two such rows has lost most of its digits."""
+ACCURATE = 1e-9
+"""Largest error of an accurate solution of a scaled problem."""
 
 
 def complementary(matrix: np.ndarray, right: np.ndarray) -> tuple[np.ndarray, np.ndarray] | None:
+    """Return the solution of a linear complementarity problem, by Lemke's method with the thresholds `TINY` in turn.
+
+    See `_pivoted`. If no solution is accurate, the most accurate one is returned.
+    """
+    best, least = None, np.inf
+    for tiny in TINY:
+        solved = _pivoted(matrix, right, tiny)
+        if solved is None:
+            continue
+        z = solved[0]
+        w = matrix @ z + right
+        error = float(np.max([-w, np.minimum(z, w)], initial=0.0)) / max(1.0, float(np.max(z, initial=0.0)))
+        if error <= ACCURATE:
+            return solved
+        if error < least:
+            best, least = solved, error
+    return best
+
+
+def _pivoted(matrix: np.ndarray, right: np.ndarray, tiny: float) -> tuple[np.ndarray, np.ndarray] | None:
     """Return z with ``w = matrix z + right``, ``z >= 0``, ``w >= 0`` and ``z . w = 0``, by Lemke's method.
 
     R. W. Cottle, J.-S. Pang and R. E. Stone, The Linear Complementarity Problem, 1992, section 4.4.
@@ -21,6 +45,8 @@ def complementary(matrix: np.ndarray, right: np.ndarray) -> tuple[np.ndarray, np
     ----------
     matrix, right
         (n, n) and (n,).
+    tiny
+        Magnitude below which entries are treated as zero, relative to the largest in the column, if this is above 1.
 
     Returns
     -------
@@ -48,28 +74,28 @@ def complementary(matrix: np.ndarray, right: np.ndarray) -> tuple[np.ndarray, np
             return np.maximum(z[n:], 0.0), is_basic
         entering = leaving + n if leaving < n else leaving - n
         column = tableau[:, entering]
-        able = np.flatnonzero(column > TINY * max(1.0, float(np.max(np.abs(column)))))
+        able = np.flatnonzero(column > tiny * max(1.0, float(np.max(np.abs(column)))))
         if not len(able):
             return None
-        row = _smallest_ratio(tableau, column, able, basis, 2 * n)
+        row = _smallest_ratio(tableau, column, able, basis, 2 * n, tiny)
     return None
 
 
 def _smallest_ratio(
-    tableau: np.ndarray, column: np.ndarray, able: np.ndarray, basis: np.ndarray, artificial: int
+    tableau: np.ndarray, column: np.ndarray, able: np.ndarray, basis: np.ndarray, artificial: int, tiny: float
 ) -> int:
     """Return the row that leaves the basis: on a tie, that of the artificial variable if possible, else the
     lexicographically smallest one.
     """
     ratios = tableau[able, -1] / column[able]
-    able = able[ratios <= np.min(ratios) + TINY * max(1.0, abs(float(np.min(ratios))))]
+    able = able[ratios <= np.min(ratios) + tiny * max(1.0, abs(float(np.min(ratios))))]
     if artificial in basis[able]:
         return int(able[basis[able] == artificial][0])
     for place in range(len(basis)):
         if len(able) == 1:
             break
         ratios = tableau[able, place] / column[able]
-        able = able[ratios <= np.min(ratios) + TINY]
+        able = able[ratios <= np.min(ratios) + tiny]
     return int(able[0])
 
 
