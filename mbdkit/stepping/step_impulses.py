@@ -12,7 +12,7 @@ from mbdkit.stepping.complementarity import Pushed, stronge
 from mbdkit.stepping.contact_impacts import SMALL_RESTITUTION
 from mbdkit.stepping.contact_kinematics import Rows
 from mbdkit.stepping.contact_state import ContactState
-from mbdkit.stepping.rigid_contacts import RigidContacts
+from mbdkit.stepping.rigid_contacts import SAME_ACCELERATION, RigidContacts
 
 MANY = 40
 """Number of overlaps above which less accurate results are accepted: contacts at rest that others press together get no
@@ -100,10 +100,10 @@ class StepImpulses:
             some = np.union1d(some, more)
         some, rows, (after, found, changed) = self._of_all_pressed(some, left / h)
         forces = np.stack([found.normal, found.tangent]) / h
-        slip = SLIP * np.sign(rows.rates(after)[1]).astype(int)
+        slip = SLIP * self._slips(rows, after, found, self.contacts.static[some] == 0.0)
         memory = replace(memory, residual=max(held.residual, found.residual), changed=held.changed.union(changed))
         memory.normal[some], memory.tangent[some] = forces
-        memory.modes[some] = np.where(found.is_closed, np.where(found.is_slipping, slip, STICK), OPEN)
+        memory.modes[some] = np.where(found.is_closed, np.where(slip != 0, slip, STICK), OPEN)
         memory.force[:] = rows.force(forces)
         return after, memory, -0.5 * h * float(np.sum(forces * rows.rates(self.v + after)))
 
@@ -123,29 +123,38 @@ class StepImpulses:
     def _of_all_pressed(self, some: np.ndarray, closing: np.ndarray) -> tuple[np.ndarray, Rows, _Solved]:
         """Return the contacts that have impulses in the step, their rows, and the impulses.
 
-        These are the contacts `some`, which would overlap, and others at rest that they press together. If there are
+        These are the contacts `some`, which would overlap, and others at rest that they press together. Contacts that
+        stick, or whose slip would change its direction, have static friction, unless they slip with it. If there are
         impacts, contacts that are struck by them have kinetic friction. Gaps may close with the rates `closing` (C,)
         [m/s] at the end of the step.
         """
         contacts, smooth, v = self.contacts, self.smooth, self.v
-        struck = np.zeros(len(contacts.names), dtype=bool)
+        modes = self.held.modes if len(self.held.modes) else self.contacts.all_open().modes  # unknown after a stop
+        stops, slides = np.zeros((2, len(contacts.names)), dtype=bool)
         while True:
             rows = self._rows(some)
             guess = self.h * np.stack([self.held.normal, self.held.tangent])[:, some]
-            sticks = self._sticks(rows.rates(v)[1], some) & ~struck[some]
+            rests = (modes[some] == OPEN) & (np.abs(rows.rates(v)[1]) <= self._negligible(rows, self.held.residual))
+            sticks = ((modes[some] == STICK) | rests | stops[some]) & ~slides[some]
             friction = np.where(sticks, contacts.static[some], contacts.kinetic[some])
             solved = _Impact(contacts, rows, some, friction, v, smooth.v, smooth.solve, guess, closing[some]).solved()
             after, found, _ = solved
+            slips, has_static = self._slips(rows, after, found), contacts.static[some] > contacts.kinetic[some]
+            begins = sticks & has_static & (slips != 0)
+            turns = ~sticks & ~slides[some] & has_static & (slips * modes[some] < 0)
+            if np.any(begins | turns):
+                slides[some[begins]], stops[some[turns]] = True, True
+                continue
             # With many contacts, the following search takes long, and the order of impacts has larger effects anyway.
             if len(some) > MANY:
                 return some, rows, solved
             more = self._pressed(after, some)
             strikes = (found.normal > 0.0) & (rows.rates(v)[0] < -AT_REST * self._gained(rows))
-            new = sticks & (friction > contacts.kinetic[some]) & (found.normal > AT_REST * guess[0])
+            new = sticks & has_static & (found.normal > AT_REST * guess[0])
             if len(more):
                 some = np.union1d(some, more)
             elif np.any(strikes) and np.any(new):  # impacts have kinetic friction
-                struck[some[new]] = True
+                slides[some[new]] = True
             else:
                 return some, rows, solved
 
@@ -178,14 +187,20 @@ class StepImpulses:
         changes = rows.rates(self.smooth.v - self.v)[0]
         return np.asarray(np.abs(changes) + self.h * np.abs(rows.normal_right))
 
-    def _sticks(self, slip: np.ndarray, some: np.ndarray) -> np.ndarray:
-        """Return which of the contacts `some` stuck in the last step.
+    def _negligible(self, rows: Rows, residual: float) -> float:
+        """Return the slip velocity [m/s] that counts as zero if velocities have a relative error `residual`."""
+        size = np.max(np.abs([rows.rates(self.v), rows.rates(self.smooth.v)]))
+        return max(SAME_ACCELERATION, residual) * float(size)
 
-        At the start, return those whose slip velocity is zero.
+    def _slips(self, rows: Rows, after: np.ndarray, found: Pushed, is_smooth: np.ndarray | bool = False) -> np.ndarray:
+        """Return the directions (k,) in which contacts slip at the end of the step, 1 or -1; 0 for those that stick.
+
+        Friction at its limit does not imply slip: contacts that stick on one surface share the friction in many ways,
+        and the solution may load some of them up to their limits. Those for which `is_smooth` (k,) holds slip.
         """
-        if len(self.held.modes):
-            return np.asarray(self.held.modes[some] == STICK)
-        return np.abs(slip) <= SMALL * np.max(np.abs(self.v), initial=0.0)
+        slip = rows.rates(after)[1]
+        moves = found.is_slipping & (np.abs(slip) > self._negligible(rows, found.residual))
+        return np.where(moves | is_smooth, np.where(slip < 0.0, -1, 1), 0)
 
 
 _Solved = tuple[np.ndarray, Pushed, list[str]]
@@ -253,5 +268,6 @@ class _Impact:
 
     def _gains(self, after: np.ndarray, found: Pushed) -> bool:
         """Return whether the impulses increase the kinetic energy by more than the errors of the impulses explain."""
-        work = np.stack([found.normal, found.tangent]) * self.rows.rates(self.v + after)
-        return bool(np.sum(work) > max(1e-12, found.residual) * np.sum(np.abs(work)))
+        impulses, before, then = np.stack([found.normal, found.tangent]), *map(self.rows.rates, (self.v, after))
+        size = np.sum(np.abs(impulses) * (np.abs(before) + np.abs(then)))
+        return bool(np.sum(impulses * (before + then)) > max(1e-12, found.residual) * size)
