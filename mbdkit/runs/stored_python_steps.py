@@ -18,7 +18,7 @@ from mbdkit.stepping.python_stepper import Interval, PythonStepper, Reached
 
 _INTEGERS = ("modes", "features")
 """Arrays of contacts whose values are integers, which may be negative."""
-_NAMES = ("cut", "changed", "undetermined")
+_NAMES = ("cut", "changed", "undetermined", "ordered")
 _REACHED = ("done", "whole", "passed", "restart", "time", "is_event", "energy", "energy_low")
 _INTERVAL = ("steps", "size", "iterations", "most_iterations", "correction")
 
@@ -128,7 +128,7 @@ def _contacts_of(state: Mapping[str, Any], n: int, count: int, stepper: PythonSt
     if values["event"] is not None and not 0 <= values["event"][1] < count:
         raise ValueError("an event is that of another contact")
     for name in _NAMES:
-        values[name] = frozenset(map(str, values[name]))
+        values[name] = frozenset(map(str, values.get(name, ())))
     return ContactState(**values)
 
 

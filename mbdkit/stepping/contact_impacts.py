@@ -15,12 +15,20 @@ SMALL_RESTITUTION = 1e-3
 set to 0.
 """
 
+ORDER_MATTERS, STOPPED = 1e-6, 1e-9
+"""Velocities of contacts, relative to the largest before an impact: differences above the first depend on the order of
+impacts, and approach below the second ends a sequence of impacts.
+"""
+MOST_STRIKES = 100
+"""Largest number of impacts, for each contact, in a sequence of single impacts."""
+
 
 class Struck(NamedTuple):
     """Result of an impact.
 
-    Velocities (n,) after it, impulses (C,) of the contacts [N s], impulses (m,) of the joint constraints, and whether
-    the impact law was the one chosen for the run.
+    Velocities (n,) after it, impulses (C,) of the contacts [N s], impulses (m,) of the joint constraints, whether the
+    impact law was the one chosen for the run, and the indices of the contacts whose velocities depend on the order of
+    the impacts.
     """
 
     v: np.ndarray
@@ -28,6 +36,7 @@ class Struck(NamedTuple):
     tangent: np.ndarray
     multipliers: np.ndarray
     is_as_asked: bool
+    ordered: np.ndarray
 
 
 def struck(
@@ -54,18 +63,72 @@ def struck(
     some, rows = np.flatnonzero(touching), contacts.kinematics.rows(q, v)
     response, both = contacts.response(t, q, rows, some)
     before = both @ v
-    own = e[some]
-    impulses = _impulses(contacts, law, response, before, own, some)
-    is_asked = not _gains(response, before, impulses)
-    if not is_asked and len(some) == 1:
-        impulses = stronge(response, before, float(contacts.kinetic[some[0]]), float(own[0]))
-    while _gains(response, before, impulses) and np.any(own):
-        own = np.where(own > SMALL_RESTITUTION, 0.9 * own, 0.0)
-        impulses = _impulses(contacts, "poisson", response, before, own, some)
+    impulses, is_asked = _without_gain(contacts, law, response, before, e[some], some)
     normal, tangent = np.zeros(len(touching)), np.zeros(len(touching))
     normal[some], tangent[some] = np.split(impulses, 2)
     moved, loaded = contacts.answers(t, q, both)
-    return Struck(v + moved @ impulses, normal, tangent, loaded @ impulses, is_asked)
+    ordered = some[depend_on_order(contacts, law, response, before, e[some], some)]
+    return Struck(v + moved @ impulses, normal, tangent, loaded @ impulses, is_asked, ordered)
+
+
+def _without_gain(
+    contacts: RigidContacts, law: str, response: np.ndarray, before: np.ndarray, e: np.ndarray, some: np.ndarray
+) -> tuple[np.ndarray, bool]:
+    """Return the impulses (2 k,) of k contacts, normal ones first, and whether they follow the given law.
+
+    If the law would create energy, another one is used.
+    """
+    impulses = _impulses(contacts, law, response, before, e, some)
+    is_asked = not _gains(response, before, impulses)
+    if not is_asked and len(some) == 1:
+        impulses = stronge(response, before, float(contacts.kinetic[some[0]]), float(e[0]))
+    while _gains(response, before, impulses) and np.any(e):
+        e = np.where(e > SMALL_RESTITUTION, 0.9 * e, 0.0)
+        impulses = _impulses(contacts, "poisson", response, before, e, some)
+    return impulses, is_asked
+
+
+def depend_on_order(
+    contacts: RigidContacts, law: str, response: np.ndarray, before: np.ndarray, e: np.ndarray, some: np.ndarray
+) -> np.ndarray:
+    """Return which of k contacts (k,) have other velocities after impacts one after another than after one impact of
+    all.
+
+    In a sequence, the first approaching contact in a given order is struck alone, by the same law, until none
+    approaches. The orders are the cyclic ones in both directions: all orders of up to three contacts.
+
+    Parameters
+    ----------
+    response
+        (2 k, 2 k) matrix that maps impulses of contacts to changes of their velocities, normal components first.
+    before
+        (2 k,) velocities before the impact.
+    some
+        (k,) indices of the contacts.
+    """
+    k, size = len(some), float(np.max(np.abs(before), initial=0.0))
+    blocks = np.abs(response.reshape(2, k, 2, k)).max(axis=(0, 2))
+    if k < 2 or np.all(blocks - np.diag(np.diag(blocks)) <= STOPPED * np.max(blocks)):
+        return np.zeros(k, dtype=bool)
+    turns = [tuple((i + j) % k for j in range(k)) for i in range(k)]
+    try:
+        together = before + response @ _without_gain(contacts, law, response, before, e, some)[0]
+        for order in dict.fromkeys(turns + [turn[::-1] for turn in turns]):
+            u = before.copy()
+            for _ in range(MOST_STRIKES * k):
+                first = next((i for i in order if u[i] < -STOPPED * size), None)
+                if first is None:
+                    break
+                own = np.array([first, first + k])
+                alone = response[np.ix_(own, own)]
+                u += response[:, own] @ _without_gain(contacts, law, alone, u[own], e[own[:1]], some[own[:1]])[0]
+            unfinished = -float(np.min(u[:k], initial=0.0))
+            differs = np.abs(u - together) > ORDER_MATTERS * size + MOST_STRIKES * unfinished
+            if np.any(differs):
+                return np.asarray(differs.reshape(2, k).any(axis=0))
+    except StepError:  # a contact alone has no solution
+        pass
+    return np.zeros(k, dtype=bool)
 
 
 def _gains(response: np.ndarray, before: np.ndarray, impulses: np.ndarray) -> bool:

@@ -51,6 +51,8 @@ class ContactState:
         Names of contacts at which a law of impact other than the chosen one was used.
     undetermined
         Names of contacts whose normal forces were not unique.
+    ordered
+        Names of contacts with simultaneous impacts, in another order of which their velocities would be different.
     cut_time
         Time at which a sequence of impacts was first cut short [s].
     time
@@ -83,6 +85,7 @@ class ContactState:
     cut: frozenset[str] = frozenset()
     changed: frozenset[str] = frozenset()
     undetermined: frozenset[str] = frozenset()
+    ordered: frozenset[str] = frozenset()
     cut_time: float = math.inf
     time: float = math.inf
     event: tuple[int, int] | None = None
@@ -100,7 +103,8 @@ class ContactState:
 
     def remarks(self) -> tuple[str, ...]:
         """Return sentences about sequences of impacts that were cut short, about impacts computed with another law than
-        the chosen one, about normal forces that are not unique, and about inaccurate velocities of contacts.
+        the chosen one, about normal forces that are not unique, about simultaneous impacts whose order would matter,
+        and about inaccurate velocities of contacts.
         """
         found = []
         if self.cut:
@@ -122,6 +126,12 @@ class ContactState:
             found.append(
                 f"the normal {which} not unique, because other forces cause the same motion; the run records one "
                 "possible set"
+            )
+        if self.ordered:
+            names = listed([f"'{name}'" for name in sorted(self.ordered)], "and")
+            found.append(
+                f"impacts of contacts {names} coincide, and the run computes them together; if they happened one after "
+                "another, for example because of a tiny gap, the velocities after them would be different"
             )
         if self.residual > SOLVED:
             found.append(

@@ -472,6 +472,7 @@ class _Step:
             cut_time=min(self.state.cut_time, now.t) if tails else self.state.cut_time,
             changed=self.state.changed.union(changed),
             undecided=undecided,
+            ordered=self.state.ordered.union(self.contacts.names[i] for i in result.ordered.tolist()),
         )
 
     def _cut(self, touching: np.ndarray, approach: np.ndarray) -> list[ContactImpact]:

@@ -9,8 +9,8 @@ import numpy as np
 
 from mbdkit.mechanism.contacts import OPEN, SLIP, STICK
 from mbdkit.stepping.complementarity import Pushed, stronge
-from mbdkit.stepping.contact_impacts import SMALL_RESTITUTION
-from mbdkit.stepping.contact_kinematics import Rows
+from mbdkit.stepping.contact_impacts import SMALL_RESTITUTION, depend_on_order
+from mbdkit.stepping.contact_kinematics import FEW, Rows
 from mbdkit.stepping.contact_state import ContactState
 from mbdkit.stepping.rigid_contacts import SAME_ACCELERATION, RigidContacts
 
@@ -84,6 +84,7 @@ class StepImpulses:
             self.contacts.all_open(),
             residual=held.residual,
             changed=held.changed,
+            ordered=held.ordered,
             is_over_step=True,
             accelerations=smooth.accelerations,
         )
@@ -102,10 +103,27 @@ class StepImpulses:
         forces = np.stack([found.normal, found.tangent]) / h
         slip = SLIP * self._slips(rows, after, found, self.contacts.static[some] == 0.0)
         memory = replace(memory, residual=max(held.residual, found.residual), changed=held.changed.union(changed))
+        memory = replace(memory, ordered=held.ordered.union(self._ordered(some, rows, found)))
         memory.normal[some], memory.tangent[some] = forces
         memory.modes[some] = np.where(found.is_closed, np.where(slip != 0, slip, STICK), OPEN)
         memory.force[:] = rows.force(forces)
         return after, memory, -0.5 * h * float(np.sum(forces * rows.rates(self.v + after)))
+
+    def _ordered(self, some: np.ndarray, rows: Rows, found: Pushed) -> list[str]:
+        """Return the names of contacts, of at most `FEW`, that strike in this step or are closed, and whose velocities
+        depend on the order of the impacts; [] if all names are known.
+        """
+        contacts = self.contacts
+        names = np.array([contacts.names[i] for i in some])
+        rates = rows.rates(self.v)
+        if not 1 < len(some) <= FEW or self.held.ordered.issuperset(names.tolist()):
+            return []
+        if not np.any((found.normal > 0.0) & (rates[0] < -AT_REST * self._gained(rows))):
+            return []
+        both = np.vstack([rows.normal, rows.tangent])
+        response = both @ np.stack([self.smooth.solve(row) for row in both], axis=1)
+        ordered = depend_on_order(contacts, "newton", response, rates.ravel(), contacts.restitution[some], some)
+        return [str(name) for name in names[ordered]]
 
     def _still_pressed(self, gaps: np.ndarray, some: np.ndarray) -> np.ndarray:
         """Return the indices of contacts that were pressed in the last step and are at rest.
