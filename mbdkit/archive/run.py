@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from functools import cached_property, partial
 from pathlib import Path
 from types import TracebackType
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any, Literal, TypeVar
 
 import h5py
 import numpy as np
@@ -59,8 +59,23 @@ if TYPE_CHECKING:
 #: Arrays larger than this [bytes] are not cached, and are read column by column.
 KEEP_BYTES = 1 << 28
 
+T = TypeVar("T")
+
 _ROWS_OF_DRIVERS = (["angle"], ["x"], ["y"])
 """Constraint rows of drivers; no other joint has exactly one of these rows."""
+
+
+class evaluated(cached_property[T]):  # noqa: N801
+    """A property whose value is not kept, and that IPython evaluates for completion, which it refuses for `property`.
+
+    The histories of a run refer to the run. A run that kept them would be part of a reference cycle, and its arrays
+    would be freed only when Python collects garbage, which is seldom if there are few objects.
+    """
+
+    if not TYPE_CHECKING:
+
+        def __get__(self, run: Run | None, owner: type | None = None) -> Any:
+            return self if run is None else self.func(run)
 
 
 class Run(HtmlView):
@@ -225,7 +240,7 @@ class Run(HtmlView):
         """Names of the joints, in the order of the second axis of the arrays in ``/joints``."""
         return self._names["joints/joint"]
 
-    @cached_property
+    @evaluated
     def bodies(self) -> BodyHistories:
         """Motions of the bodies by name.
 
@@ -245,7 +260,7 @@ class Run(HtmlView):
     def _ipython_key_completions_(self) -> list[str]:
         return list(self.bodies)
 
-    @cached_property
+    @evaluated
     def joints(self) -> JointHistories:
         """Misalignments, reactions and angles of the joints by name.
 
@@ -314,7 +329,7 @@ class Run(HtmlView):
             rows.setdefault(joint, []).append(row)
         return tuple(name for name in self.joint_names if rows.get(name) in _ROWS_OF_DRIVERS)
 
-    @cached_property
+    @evaluated
     def forces(self) -> ForceHistories:
         """Lengths, forces and energies of the force elements by name.
 
@@ -325,7 +340,7 @@ class Run(HtmlView):
         """
         return ForceHistories(BY_WORD["forces"], self)
 
-    @cached_property
+    @evaluated
     def markers(self) -> MarkerHistories:
         """Positions and velocities of the markers by name.
 
@@ -336,7 +351,7 @@ class Run(HtmlView):
         """
         return MarkerHistories(BY_WORD["markers"], self)
 
-    @cached_property
+    @evaluated
     def beams(self) -> BeamHistories:
         """Shapes, internal forces and strain energies of the beams by name.
 
@@ -347,14 +362,14 @@ class Run(HtmlView):
         """
         return BeamHistories(BY_WORD["beams"], self)
 
-    @cached_property
+    @evaluated
     def states(self) -> StateHistories:
         """First-order states by name; those of force elements and muscles are named ``element.state``. Empty if there
         are none.
         """
         return StateHistories(BY_GROUP["states"], self)
 
-    @cached_property
+    @evaluated
     def motion(self) -> ObservedHistories:
         """Observed quantities of the measured motion by name; empty unless this is inverse dynamics."""
         return ObservedHistories(BY_WORD["motion"], self)
@@ -371,7 +386,7 @@ class Run(HtmlView):
         """
         return self.array("motion/raw_misalignment")
 
-    @cached_property
+    @evaluated
     def actuators(self) -> ActuatorHistories:
         """Values and powers of the actuators by name; empty unless this is inverse dynamics.
 
@@ -386,7 +401,7 @@ class Run(HtmlView):
         """
         return ActuatorHistories(BY_WORD["actuators"], self)
 
-    @cached_property
+    @evaluated
     def muscles(self) -> MuscleHistories:
         """Lengths, activations and tensions of the muscles by name.
 
@@ -394,12 +409,12 @@ class Run(HtmlView):
         """
         return MuscleHistories(BY_WORD["muscles"], self)
 
-    @cached_property
+    @evaluated
     def contacts(self) -> ContactHistories:
         """Gaps, forces, slip and modes of the contacts by name; a polygon has one contact for each corner, `NAME.i`."""
         return ContactHistories(BY_WORD["contacts"], self)
 
-    @cached_property
+    @evaluated
     def ground_reactions(self) -> GroundReactionHistories:
         """Force and centre of pressure of each body that may touch the ground, by name of the body."""
         return GroundReactionHistories(BY_WORD["ground_reactions"], self)
@@ -433,7 +448,7 @@ class Run(HtmlView):
         arms: np.ndarray = higher_layers.moment_arms(self, muscle, coordinate)
         return arms
 
-    @cached_property
+    @evaluated
     def loads(self) -> LoadHistories:
         """Measured loads by name; empty unless this is inverse dynamics."""
         return LoadHistories(BY_WORD["loads"], self)
@@ -471,7 +486,7 @@ class Run(HtmlView):
         """
         return self._header.redundancy
 
-    @cached_property
+    @evaluated
     def constraints(self) -> ConstraintHistories:
         """Residuals and multipliers of the constraint rows by name, ``joint.row``."""
         return ConstraintHistories(BY_WORD["constraints"], self)

@@ -2,16 +2,31 @@
 
 from __future__ import annotations
 
+import gc
+import http.client
+import json
+import logging
 import math
+import re
+import signal
+import socket
 import statistics
-from collections.abc import Iterator
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Iterator, Mapping
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+from typing import Any
 
 import pytest
 
 import mbdkit
+from mbdkit.archive.run import Run
 from mbdkit.base.errors import SpecError
 from mbdkit.exploration.explorer import explorer_of
-from mbdkit.exploration.server import Exploration
+from mbdkit.exploration.server import LARGEST, Exploration
 from tests.report.browser import executable, launched, until
 
 httpx = pytest.importorskip("httpx")
@@ -73,6 +88,17 @@ def test_a_device_changes_the_loads_of_inverse_dynamics() -> None:
     assert heavier != usual
 
 
+def test_an_answer_leaves_no_run_for_the_garbage_collector() -> None:
+    explorer = explorer_of("knee", ["model.body_mass"])
+    gc.collect()
+    gc.disable()
+    try:
+        explorer.answer({"model.body_mass": 70.0})
+        assert not [item for item in gc.get_objects() if isinstance(item, Run)]
+    finally:
+        gc.enable()
+
+
 @pytest.fixture(scope="module")
 def knee() -> Iterator[Exploration]:
     with mbdkit.explore("knee", ["model.body_mass", "model.springs.support.stiffness"]) as exploration:
@@ -91,6 +117,120 @@ def test_only_this_machine_with_the_token_is_served(knee: Exploration) -> None:
     assert "http" not in page.text.replace("http-equiv", "").replace("http://www.w3.org", "")
     assert httpx.post(f"{base}/answer", headers={"x-token": token}, json=[1]).status_code == 400
     assert knee.url.replace("&", "&amp;") in knee._repr_html_()
+
+
+def test_policies_of_content_and_frames_are_part_of_every_response(knee: Exploration) -> None:
+    for url in (knee.url, knee.url.partition("?")[0]):
+        headers = httpx.get(url).headers
+        policy = dict(part.split(" ", 1) for part in headers["content-security-policy"].split("; "))
+        assert policy["default-src"] == "'none'"
+        assert policy["connect-src"] == "'self'"
+        frames = policy["frame-ancestors"].split()  # notebooks on this machine
+        assert {source.partition(":")[2].removesuffix(":*") for source in frames} == {"//127.0.0.1", "//localhost", ""}
+        assert headers["cross-origin-resource-policy"] == "same-origin"
+        assert headers["x-content-type-options"] == "nosniff"
+
+
+@pytest.mark.parametrize(
+    "body",
+    [b"", b"{x", b"[" * 20_000, b'{"a": NaN}', b'{"a": 1e999}', b'{"a": ' + b"9" * 5000 + b"}", b'{"a": true}',
+     b'{"\xe9": 1}', b'{"a": "1"}', b"{}" + b" " * LARGEST],
+    ids=["empty", "not JSON", "nested", "nan", "infinite", "digits", "boolean", "Latin-1", "text", "large"],
+)  # fmt: skip
+def test_a_body_that_is_not_an_object_of_numbers_is_refused(
+    knee: Exploration, body: bytes, caplog: pytest.LogCaptureFixture
+) -> None:
+    base, _, token = knee.url.partition("/?token=")
+    with caplog.at_level(logging.ERROR):
+        reply = httpx.post(f"{base}/answer", headers={"x-token": token}, content=body)
+    assert (reply.status_code, caplog.records) == (400, [])
+    assert reply.text.startswith("The body should be a JSON object of numbers")
+
+
+class _Slow:
+    """An explorer that counts its answers; each takes 0.2 s, and that for `hangs` takes 10 s."""
+
+    title, sliders = "slow", ()
+
+    def __init__(self) -> None:
+        self.count = 0
+
+    def answer(self, values: Mapping[str, float]) -> dict[str, Any]:
+        self.count += 1
+        time.sleep(10.0 if "hangs" in values else 0.2)
+        return dict(values)
+
+
+def _left(url: str, body: bytes, length: int) -> None:
+    """Send a request, and close the connection without waiting for the answer."""
+    base, _, token = url.partition("/?token=")
+    head = f"POST /answer HTTP/1.1\r\nHost: 127.0.0.1\r\nx-token: {token}\r\nContent-Length: {length}\r\n\r\n"
+    with socket.create_connection(("127.0.0.1", int(base.rpartition(":")[2]))) as connection:
+        connection.sendall(head.encode() + body)
+
+
+def test_moves_whose_connection_was_closed_are_not_computed(caplog: pytest.LogCaptureFixture) -> None:
+    slow: Any = _Slow()
+    with caplog.at_level(logging.ERROR), Exploration(slow) as exploration:
+        base, _, token = exploration.url.partition("/?token=")
+        for _ in range(20):
+            _left(exploration.url, b'{"a": 1}', 8)
+        _left(exploration.url, b'{"a"', 100)  # in the middle of the body
+        for value in (1.0, 2.0):
+            reply = httpx.post(f"{base}/answer", headers={"x-token": token}, json={"a": value})
+            assert reply.json() == {"a": value}
+    assert slow.count <= 3  # the first of the abandoned moves may have been in progress
+    assert not caplog.records
+
+
+def test_closing_does_not_wait_for_the_answer_in_progress(caplog: pytest.LogCaptureFixture) -> None:
+    slow: Any = _Slow()
+    with caplog.at_level(logging.ERROR):
+        exploration = Exploration(slow)
+        base, _, token = exploration.url.partition("/?token=")
+        headers = {"x-token": token}
+        with ThreadPoolExecutor(2) as pool:
+            replies = [pool.submit(httpx.post, f"{base}/answer", headers=headers, json={"hangs": k}) for k in (1, 2)]
+            while not slow.count:
+                time.sleep(0.01)
+            began = time.monotonic()
+            exploration.close()
+            assert time.monotonic() - began < 3.0
+            assert {reply.exception() is not None or reply.result().status_code for reply in replies} <= {True, 503}
+    assert not caplog.records
+
+
+@pytest.mark.end_to_end
+@pytest.mark.skipif(not Path("/proc/self/status").exists(), reason="memory is read from /proc")
+def test_the_memory_of_the_command_does_not_grow_with_moves_from_two_pages() -> None:
+    command = [sys.executable, "-m", "mbdkit", "explore", "knee", "--no-browser", "--parameters", "model.body_mass"]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True) as process:
+        assert process.stdout is not None
+        port, token = process.stdout.readline().strip().rpartition(":")[2].split("/?token=")
+
+        def move(count: int) -> None:
+            connection = http.client.HTTPConnection("127.0.0.1", int(port), timeout=60)
+            for k in range(count):
+                body = json.dumps({"model.body_mass": 70.0 + 0.01 * k})
+                connection.request("POST", "/answer", body, {"x-token": token})
+                assert "film" in json.loads(connection.getresponse().read())
+            connection.close()
+
+        def memory() -> float:
+            text = Path(f"/proc/{process.pid}/status").read_text()
+            return int(re.search(r"VmRSS:\s+(\d+)", text)[1]) / 1024  # type: ignore[index]
+
+        move(20)
+        before = memory()
+        pages = [threading.Thread(target=move, args=(490,)) for _ in range(2)]
+        for page in pages:
+            page.start()
+        for page in pages:
+            page.join()
+        growth = memory() - before
+        process.send_signal(signal.SIGINT)
+        assert process.wait(5) == 130
+    assert growth < 30.0
 
 
 @pytest.mark.end_to_end
