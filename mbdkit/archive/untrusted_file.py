@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import mmap
 import os
-import stat
 from collections.abc import Callable
 from pathlib import Path
 
@@ -19,6 +18,7 @@ from h5py import h5a, h5d, h5g, h5l, h5o, h5s, h5t, h5z
 
 from mbdkit.archive.hdf5_errors import DAMAGE, cause, error_number, reading
 from mbdkit.base.errors import ResourceError, SpecError, file_error
+from mbdkit.base.files import check_regular
 from mbdkit.base.text import shown
 
 OBJECTS = 2_000
@@ -56,12 +56,6 @@ _FILTERS = {h5z.FILTER_DEFLATE, h5z.FILTER_SHUFFLE, h5z.FILTER_FLETCHER32}
 _OF_SCALES = {b"CLASS", b"NAME", b"REFERENCE_LIST", b"DIMENSION_LIST"}
 # Reference to a string of variable length, as it is stored in the file:
 _DESCRIPTOR = np.dtype([("length", "<u4"), ("address", "<u8"), ("index", "<u4")])
-
-
-def check_regular(path: Path) -> None:
-    """Raise SpecError if `path`, which exists, is not a regular file: reading a pipe or a device may never end."""
-    if not stat.S_ISREG(os.stat(path).st_mode):
-        raise SpecError("this is not a regular file but a pipe, a socket or a device; it is not read", file=path)
 
 
 def open_hdf5(path: Path, what: str, *, hint: str = "", objects: int = OBJECTS) -> h5py.File:

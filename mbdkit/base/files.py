@@ -1,5 +1,7 @@
-"""Safe writing of files: contents go to a temporary file that is renamed at the end, so that no failure damages an
-existing file.
+"""Safe reading and writing of files of the user.
+
+Only regular files are read, up to a limit. Contents to be written go to a temporary file that is renamed at the end, so
+that no failure damages an existing file.
 """
 
 from __future__ import annotations
@@ -14,6 +16,45 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from mbdkit.base.errors import ResourceError, SpecError, file_error
+
+
+def check_regular(path: str | os.PathLike[str]) -> None:
+    """Raise SpecError if `path`, which exists, is not a regular file: reading a pipe or a device may never end."""
+    if not stat.S_ISREG(os.stat(path).st_mode):
+        kind = "a folder" if os.path.isdir(path) else "a pipe, a socket or a device"
+        raise SpecError(f"this is not a regular file but {kind}; it is not read", file=path)
+
+
+def read_bytes(path: str | os.PathLike[str], largest: int, advice: str = "") -> bytes:
+    """Return the content of a file of the user, such as a model of another program.
+
+    Parameters
+    ----------
+    largest
+        Largest number of bytes. The bytes are counted as they are read, because a file may have more of them than the
+        system states.
+    advice
+        Advice on a file that is too large, which is appended to the message.
+
+    Raises
+    ------
+    SpecError
+        If the file does not exist, is not a regular file, or is too large.
+    ResourceError
+        If the system refuses to read the file.
+    """
+    try:
+        check_regular(path)
+        # another program may have replaced the file by a pipe since the check
+        waits_not = getattr(os, "O_NONBLOCK", 0)
+        with open(path, "rb", opener=lambda name, flags: os.open(name, flags | waits_not)) as stream:
+            content = stream.read(largest + 1) or b""
+    except OSError as error:
+        raise file_error(error.errno, f"this file cannot be read: {error.strerror or error}", file=path) from None
+    if len(content) > largest:
+        message = f"this file is larger than {largest >> 20} MiB, the limit for files of this kind"
+        raise SpecError("; ".join(filter(None, (message, advice))), file=path)
+    return content
 
 
 def check_suffix(path: str | os.PathLike[str], allowed: Sequence[str], what: str) -> Path:

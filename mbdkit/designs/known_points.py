@@ -8,9 +8,8 @@ from pathlib import Path
 from typing import Any
 from zlib import crc32
 
-from mbdkit.archive.untrusted_file import check_regular
 from mbdkit.base.errors import SpecError, file_error
-from mbdkit.base.files import replacing
+from mbdkit.base.files import check_regular, replacing
 from mbdkit.base.text import counted, shown
 from mbdkit.designs.computing import is_passing, outcome_of, plain_outcome
 from mbdkit.designs.evaluation import Job, Outcome

@@ -60,7 +60,7 @@ class Columns(NamedTuple):
     remark: str = ""
 
 
-def read_c3d(path: Path, most_cells: int) -> Columns | None:
+def read_c3d(path: Path, content: bytes, most_cells: int) -> Columns | None:
     """Read the points and force plates of a C3D file; None if they have more cells than `most_cells`.
 
     Forces and torques of plates are those in the file, in the frame of the laboratory. They are given at the times of
@@ -84,7 +84,7 @@ def read_c3d(path: Path, most_cells: int) -> Columns | None:
         ) from None
     remark = ""
     try:
-        with _readable(path) as readable:
+        with _readable(path, content) as readable:
             try:
                 file = ezc3d.c3d(str(readable), extract_forceplat_data=True)
             except RuntimeError as error:
@@ -199,9 +199,8 @@ _INTEL, _MIPS = 84, 86
 
 
 @contextmanager
-def _readable(path: Path) -> Iterator[Path]:
+def _readable(path: Path, content: bytes) -> Iterator[Path]:
     """Yield the file or, for a file of a MIPS processor, a temporary copy in Intel byte order."""
-    content = path.read_bytes()
     first = _BLOCK * (max(content[0], 1) - 1) if content else 0
     if len(content) < first + 4 or content[first + 3] != _MIPS:
         yield path

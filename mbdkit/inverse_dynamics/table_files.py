@@ -5,12 +5,14 @@ from __future__ import annotations
 import codecs
 import csv
 import itertools
+import os
 import re
 from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
-from mbdkit.base.errors import SpecError, file_error
+from mbdkit.base.errors import SpecError
+from mbdkit.base.files import read_bytes
 from mbdkit.base.text import shown
 from mbdkit.base.units import NUMBER, read_unit
 from mbdkit.inverse_dynamics.c3d_file import read_c3d
@@ -48,20 +50,13 @@ def read_table(path: Path, key: str) -> Table:
     ResourceError
         If the system refuses to read the file.
     """
-    if not path.is_file():
+    if not os.path.exists(path) or os.path.isdir(path):
         what = "is a folder" if path.is_dir() else "there is no such file"
         raise SpecError(f"{what}: {shown(str(path))}", key=key)
     suffix = path.suffix.lower()
-    try:
-        size = path.stat().st_size
-    except OSError as error:
-        raise file_error(error.errno, f"this file cannot be read: {error.strerror or error}", file=path) from None
-    if size > LARGEST_FILE:
-        most = LARGEST_FILE >> 20
-        message = f"this table has {size / 2**20:.0f} MiB, but at most {most} MiB are read"
-        raise SpecError(f"{message}; keep the rows and columns that are used", file=path)
+    content = read_bytes(path, LARGEST_FILE, "keep the rows and columns that are used")
     if suffix == ".c3d":
-        return _read_c3d(path)
+        return _read_c3d(path, content)
     readers = dict.fromkeys((".csv", ".tsv", ".txt"), _read_csv) | {
         ".mot": _read_storage,
         ".sto": _read_storage,
@@ -73,18 +68,14 @@ def read_table(path: Path, key: str) -> Table:
             f".sto, .trc, .c3d, and .h5 of a run",
             key=key,
         )
+    if content.startswith(b"PK\3\4"):
+        raise SpecError("this is a workbook or an archive, not a text; save the table as .csv", file=path)
+    is_utf16 = content.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE))
     try:
-        with path.open("rb") as stream:
-            begin = stream.read(4)
-        if begin == b"PK\3\4":
-            raise SpecError("this is a workbook or an archive, not a text; save the table as .csv", file=path)
-        is_utf16 = begin[:2] in (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)
-        lines = path.read_text(encoding="utf-16" if is_utf16 else "utf-8-sig").split("\n")
+        text = content.decode("utf-16" if is_utf16 else "utf-8-sig")
     except UnicodeError:
         raise SpecError("this file is not valid UTF-8 text; save it with the encoding UTF-8", file=path) from None
-    except OSError as error:
-        raise file_error(error.errno, f"this file cannot be read: {error.strerror or error}", file=path) from None
-    return readers[suffix](str(path), lines)
+    return readers[suffix](str(path), text.replace("\r\n", "\n").replace("\r", "\n").split("\n"))
 
 
 def _read_csv(file: str, lines: list[str]) -> Table:
@@ -321,9 +312,9 @@ def _read_trc(file: str, lines: list[str]) -> Table:
     )
 
 
-def _read_c3d(path: Path) -> Table:
+def _read_c3d(path: Path, content: bytes) -> Table:
     """Read the markers and force plates of a C3D file; see `read_c3d`."""
-    found = read_c3d(path, MOST_CELLS)
+    found = read_c3d(path, content, MOST_CELLS)
     if found is None:
         raise _too_many_cells(str(path))
     return Table(str(path), found.headings, found.values.tolist(), units=found.units, remark=found.remark)

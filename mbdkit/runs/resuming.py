@@ -24,11 +24,10 @@ from mbdkit.archive.part_file import SUFFIX, check_target, checkpoint_path, part
 from mbdkit.archive.reader import load
 from mbdkit.archive.run import Run
 from mbdkit.archive.run_writer import Origin
-from mbdkit.archive.untrusted_file import check_regular
 from mbdkit.archive.writer import ArchiveWriter
 from mbdkit.base.command_words import command_line
 from mbdkit.base.errors import ResourceError, SpecError
-from mbdkit.base.files import rename_new
+from mbdkit.base.files import check_regular, rename_new
 from mbdkit.base.logs import warn_on_stderr
 from mbdkit.base.progress_bars import in_notebook, progress_bar
 from mbdkit.base.text import listed, shown

@@ -2,12 +2,9 @@
 
 from __future__ import annotations
 
-import contextlib
 import json
 import os
 import re
-import select
-import stat
 import sys
 import tomllib
 from collections.abc import Callable, Iterable, Mapping
@@ -16,7 +13,8 @@ from functools import lru_cache
 from pathlib import Path as FilePath
 from typing import Any
 
-from mbdkit.base.errors import SpecError, file_error
+from mbdkit.base.errors import SpecError
+from mbdkit.base.files import read_bytes
 from mbdkit.base.plain_data import (
     DEEPEST,
     QUOTED,
@@ -77,8 +75,6 @@ class Document:
 
 LARGEST_FILE = 16 * 2**20  # bytes
 STDIN = "<stdin>"
-PATIENCE = 5.0
-"""Time to wait for another program to open a named pipe for writing [s]."""
 
 
 def read_file(path: FilePath) -> Document:
@@ -94,32 +90,9 @@ def read_file(path: FilePath) -> Document:
     file = str(path)
     if os.path.isdir(path):
         raise SpecError("this is a folder; a spec is a YAML, TOML or JSON file", file=file)
-    try:
-        raw = _content(path)
-    except OSError as error:
-        raise file_error(error.errno, f"this file cannot be read: {error.strerror or error}", file=file) from None
-    document = read_text(_decoded(raw, file), file, path.suffix.lower())
+    document = read_text(_decoded(read_bytes(path, LARGEST_FILE), file), file, path.suffix.lower())
     document.folder = path.parent
     return document
-
-
-def _content(path: FilePath) -> bytes:
-    """Return the content of a file, or of a pipe such as that of ``<(command)`` in a shell.
-
-    Content that exceeds the largest allowed size is cut just behind this size.
-    """
-    first = b""
-    waits_not = getattr(os, "O_NONBLOCK", 0)
-    with open(path, "rb", opener=lambda name, flags: os.open(name, flags | waits_not)) as stream:
-        if stat.S_ISFIFO(os.fstat(stream.fileno()).st_mode):
-            select.select([stream], [], [], PATIENCE)
-            # BlockingIOError: a program has opened the pipe, but has not written anything so far
-            with contextlib.suppress(BlockingIOError):
-                first = os.read(stream.fileno(), 1)
-                if not first:
-                    raise SpecError("this is a pipe, and no program writes to it", file=path)
-            os.set_blocking(stream.fileno(), True)
-        return first + stream.read(LARGEST_FILE + 1)
 
 
 def read_stdin() -> Document:

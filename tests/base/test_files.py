@@ -15,7 +15,7 @@ import pytest
 
 from mbdkit.base import files
 from mbdkit.base.errors import MbdkitError, SpecError
-from mbdkit.base.files import check_output, replacing
+from mbdkit.base.files import check_output, read_bytes, replacing
 from tests.tiny_disk import tiny_disk
 
 
@@ -128,3 +128,30 @@ def test_a_full_disk_leaves_what_was_there(tmp_path: Path) -> None:
         with pytest.raises(MbdkitError, match="No space left"), replacing(path) as temporary:
             temporary.write_bytes(bytes(1 << 20))
         assert [file.read_text() for file in disk.iterdir()] == ["before"]
+
+
+@pytest.mark.parametrize("kind", ["pipe", "link to a device", "folder"])
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="needs named pipes")
+def test_only_regular_files_are_opened(kind: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = tmp_path / "model.xml"
+    {"pipe": os.mkfifo, "link to a device": lambda link: link.symlink_to("/dev/zero"), "folder": os.mkdir}[kind](path)
+    monkeypatch.setattr(os, "open", lambda *arguments: pytest.fail("the file was opened"))
+    with pytest.raises(SpecError, match=r"model\.xml: this is not a regular file but a .*; it is not read"):
+        read_bytes(path, 100)
+
+
+@pytest.mark.skipif(not Path("/proc/self/maps").exists(), reason="needs a file whose stated size is wrong")
+def test_the_bytes_that_are_read_are_counted_and_not_those_that_the_system_states() -> None:
+    maps = Path("/proc/self/maps")
+    assert maps.stat().st_size == 0
+    with pytest.raises(SpecError, match="this file is larger than 0 MiB, the limit for files of this kind; shorten it"):
+        read_bytes(maps, 100, "shorten it")
+
+
+def test_a_file_up_to_the_limit_is_read(tmp_path: Path) -> None:
+    (tmp_path / "a").write_bytes(b"123")
+    assert read_bytes(tmp_path / "a", 3) == b"123"
+    with pytest.raises(SpecError):
+        read_bytes(tmp_path / "a", 2)
+    with pytest.raises(SpecError, match="this file cannot be read: No such file or directory"):
+        read_bytes(tmp_path / "b", 2)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import sys
 from pathlib import Path
 from typing import Any
@@ -117,7 +118,7 @@ def test_a_plate_that_starts_late_may_have_shifted_times(tmp_path: Path) -> None
 @pytest.mark.parametrize(
     ("limit", "message"),
     [
-        ("LARGEST_FILE", "t.csv: this table has 0 MiB, but at most 0 MiB are read; keep the rows and columns that"),
+        ("LARGEST_FILE", "t.csv: this file is larger than 0 MiB, the limit for files of this kind; keep the rows and"),
         ("MOST_CELLS", "t.csv: this table has more than 50 cells; keep the rows and columns that are used"),
     ],
 )
@@ -349,3 +350,11 @@ def test_markers_without_data_and_columns_that_are_not_used_are_told(tmp_path: P
             "markers SHIN of the model",
             "columns SHYN and emg of the data",
         ]
+
+
+@pytest.mark.parametrize("name", ["t.csv", "t.c3d"])
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="needs named pipes")
+def test_a_table_that_is_a_pipe_is_not_read(name: str, tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / name)
+    with pytest.raises(SpecError, match="this is not a regular file but a pipe, a socket or a device; it is not read"):
+        mbdkit.inverse(pendulum(str(tmp_path / name)))

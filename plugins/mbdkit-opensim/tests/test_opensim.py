@@ -331,6 +331,7 @@ def test_what_is_not_planar_or_not_read_is_refused_by_name(tmp_path: Path, text:
     ("options", "key", "message"),
     [
         ({"file": "nowhere.osim"}, "model.file", "cannot be read: No such file"),
+        ({"file": "/dev/zero"}, "model.file", "this is not a regular file but a pipe, a socket or a device"),
         ({"initial": {"tern": 1.0}}, "model.initial.tern", "there is no coordinate 'tern' (did you mean 'turn'?)"),
         ({"speeds": {"other": 1.0}}, "model.speeds.other", "there is no coordinate 'other'; there are turn"),
     ],

@@ -4,6 +4,7 @@ ms).
 
 from __future__ import annotations
 
+import os
 import re
 from pathlib import Path
 from typing import Any
@@ -209,10 +210,24 @@ def test_names_of_joints_may_have_dots(tmp_path: Path) -> None:
 
 
 def test_a_missing_file_is_said_to_be_missing() -> None:
-    with pytest.raises(mbdkit.SpecError, match=r"nofile\.xml cannot be read: No such file") as raised:
+    with pytest.raises(mbdkit.SpecError, match=r"nofile\.xml: this file cannot be read: No such file") as raised:
         mbdkit.run({"mbdkit": 1, "model": {"name": "mjcf", "file": "nofile.xml"}}, integrator=GAUSS,
                    time={"end": 0.1, "step": 0.1})  # fmt: skip
     assert "not XML" not in str(raised.value)
+
+
+@pytest.mark.parametrize("name", ["mjcf", "urdf", "pylinkage"])
+def test_only_regular_files_are_read(name: str, tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "pipe")
+    pipe = str(tmp_path / "pipe")
+    for file, message in (
+        (pipe, "not a regular file"),
+        ("/dev/zero", "not a regular file"),
+        ("~nosuchuser/a", "No such"),
+    ):
+        model = {"name": name, "file": file}
+        with pytest.raises(mbdkit.SpecError, match=message):
+            mbdkit.run({"mbdkit": 1, "model": model}, integrator=GAUSS, time={"end": 0.1, "step": 0.1})
 
 
 def test_shapes_have_the_masses_and_moments_of_mujoco(tmp_path: Path) -> None:

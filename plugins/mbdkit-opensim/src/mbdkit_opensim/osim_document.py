@@ -11,15 +11,16 @@ from xml.etree.ElementTree import Element, ParseError
 
 import numpy as np
 from defusedxml.common import DefusedXmlException
-from defusedxml.ElementTree import parse
+from defusedxml.ElementTree import fromstring
 
-from mbdkit import SpecError
+from mbdkit import ResourceError, SpecError
+from mbdkit.base.files import read_bytes
 from mbdkit_opensim.osim_format_3 import as_format_4
 
 OLDEST, WITH_FRAMES = 30_000, 30_500
 """First format versions of OpenSim 3, and of the format that describes joints by frames, as written by OpenSim 4."""
 
-LARGEST = 50_000_000
+LARGEST = 50 * 2**20
 """Largest size of a file [bytes]; models of the full body have less than 5 MB."""
 
 KEY = "model.file"
@@ -40,11 +41,11 @@ def read_model(file: str) -> Element:
     """
     path = Path(file).expanduser()
     try:
-        if path.stat().st_size > LARGEST:
-            raise refused(f"{path} has more than {LARGEST // 1_000_000} MB")
-        root: Element = parse(path, forbid_dtd=True).getroot()
-    except OSError as error:
-        raise refused(f"{path.absolute()} cannot be read: {error.strerror or error}") from None
+        content = read_bytes(path.absolute(), LARGEST)
+    except (SpecError, ResourceError) as error:
+        raise refused(str(error)) from None
+    try:
+        root: Element = fromstring(content, forbid_dtd=True)
     except DefusedXmlException:
         raise refused(f"{path} contains a document type definition or entities, which are not read") from None
     except (ParseError, ValueError) as error:

@@ -3,33 +3,32 @@
 from __future__ import annotations
 
 import math
-from pathlib import Path
+import os
 from xml.etree.ElementTree import Element, ParseError
 
 import numpy as np
 from defusedxml.common import DefusedXmlException
 from defusedxml.ElementTree import fromstring
 
+from mbdkit import ResourceError, SpecError
+from mbdkit.base.files import read_bytes
 from mbdkit_robots.planar import refused
 
-LARGEST = 10_000_000
+LARGEST = 10 * 2**20
 """Largest size of a file [bytes]."""
 
 
-def read_bytes(file: str) -> bytes:
+def read_content(file: str) -> bytes:
     """Return the contents of a file; raise SpecError if it cannot be read or is too large."""
-    path = Path(file).expanduser()
     try:
-        if path.stat().st_size > LARGEST:
-            raise refused(f"{path} has more than {LARGEST // 1_000_000} MB")
-        return path.read_bytes()
-    except OSError as error:
-        raise refused(f"{path} cannot be read: {error.strerror or error}") from None
+        return read_bytes(os.path.expanduser(file), LARGEST)
+    except (SpecError, ResourceError) as error:
+        raise refused(str(error)) from None
 
 
 def read_xml(file: str, root: str) -> Element:
     """Return the root element of a file; raise SpecError if the file is not XML or its root has another name."""
-    content = read_bytes(file)
+    content = read_content(file)
     try:
         found: Element = fromstring(content, forbid_dtd=True)
     except DefusedXmlException:

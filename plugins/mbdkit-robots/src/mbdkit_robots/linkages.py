@@ -11,7 +11,7 @@ import mbdkit
 from mbdkit import Mechanism
 from mbdkit.base.text import listed
 from mbdkit.mechanism.joints import Driver, Revolute
-from mbdkit_robots.documents import read_bytes
+from mbdkit_robots.documents import read_content
 from mbdkit_robots.planar import GROUND, refused
 
 
@@ -30,8 +30,9 @@ def read_linkage(file: str, *, steps_per_second: float, mass_per_length: float) 
     SpecError
         If the file does not describe such a linkage, or has joints other than pins.
     """
+    content = read_content(file)
     try:
-        data = json.loads(read_bytes(file))
+        data = json.loads(content)
         joints = {one["id"]: one for one in data["joints"]}
         links = [(one["id"], one.get("type", "link"), one["joints"], one) for one in data["links"]]
         places = {name: (float(one["position"][0]), float(one["position"][1])) for name, one in joints.items()}
