@@ -6,6 +6,7 @@ of its files, and the whole command line of a Python program are therefore left 
 
 from __future__ import annotations
 
+import os
 import shlex
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
@@ -14,8 +15,11 @@ _words: Sequence[str] = ()
 
 
 def command_line() -> str:
-    """Return the command that is executed, such as ``mbdkit run knee.yaml``; empty outside of commands."""
-    return shlex.join(_words)
+    """Return the command that is executed, such as ``mbdkit run knee.yaml``; empty outside of commands.
+
+    Bytes of file names that are not UTF-8 are escaped. If the locale is C, Python does not decode bytes beyond ASCII.
+    """
+    return os.fsencode(shlex.join(_words)).decode("utf-8", "backslashreplace")
 
 
 def command_words() -> list[str]:

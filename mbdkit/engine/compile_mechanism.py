@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import marshal
+import sys
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
+from mbdkit.base.errors import SpecError
 from mbdkit.base.plain_data import plain
 from mbdkit.engine.compile_forces import CompiledForces, Numbers
 from mbdkit.engine.compile_motions import CompiledMotions
@@ -72,6 +74,13 @@ def compile_mechanism(mechanism: Mechanism) -> CompiledMechanism:
             rows.append(Row(place[written], r, f"{name}.{joint.rows[row]}", joint.units[row]))
 
     length = characteristic_length(mechanism)
+    mass = sum(body.mass for body in mechanism.bodies.values())
+    if mass * length**2 < sys.float_info.min:
+        raise SpecError(
+            f"the bodies, of {mass:g} kg in total and {length:g} m in size, are too small to compute with: mass times "
+            f"size squared should be at least {sys.float_info.min:.1e} kg m^2; check their units",
+            key="model",
+        )
     topology = Topology(
         **_of_bodies(mechanism),
         **_of_pairs([pairs[k] for k in order], rows, min(1.0, length)),

@@ -9,6 +9,7 @@ in radians.
 from __future__ import annotations
 
 import math
+import sys
 from collections.abc import Mapping
 from typing import Any, ClassVar, Self
 
@@ -47,6 +48,14 @@ class Body(StrictModel):
     """Initial velocity of the centre of mass (x, y) [m/s]."""
     angular_velocity: Number = 0.0
     """Initial angular velocity [rad/s]."""
+
+    @model_validator(mode="after")
+    def _has_reciprocals(self) -> Body:
+        for key, value, unit in (("mass", self.mass, "kg"), ("inertia", self.inertia, "kg m^2")):
+            if value is not None and value < sys.float_info.min:
+                least = f"{sys.float_info.min:.1e} {unit}, the smallest number with all digits in double precision"
+                raise SpecError(f"should be at least {least}, not {value:g}", key=key)
+        return self
 
     @model_validator(mode="after")
     def _point_mass_has_no_angle(self) -> Body:

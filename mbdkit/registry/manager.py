@@ -15,7 +15,7 @@ from typing import Any, Protocol
 
 import pluggy
 
-from mbdkit.base.errors import PluginError, in_this_process, with_place
+from mbdkit.base.errors import MbdkitError, PluginError, in_this_process, with_place
 from mbdkit.base.text import listed
 from mbdkit.registry import hookspecs
 from mbdkit.registry.catalogue import KINDS, Kind, Origin, Registered, Registry, Report, named_options
@@ -110,6 +110,8 @@ def load_registry(entry_points: Iterable[EntryPoint], policy: Policy | None = No
         except KeyboardInterrupt:
             raise
         except BaseException as error:  # a plugin may raise any exception, including SystemExit
+            if origin.distribution == hookspecs.PROJECT and isinstance(error, MbdkitError):
+                raise  # the installation or the environment is wrong
             problems.append((f"{origin.distribution}:{entry_point.name}", None, _sentence(error)))
         seconds = time.perf_counter() - begin
         items += found

@@ -12,6 +12,7 @@ from typing import Any
 
 import pytest
 
+from mbdkit.base.command_words import command_line, executing
 from mbdkit.base.errors import ResourceError, SpecError
 from mbdkit.base.terminal import PlainStream
 from mbdkit.base.text import csv_cell, markdown, shown, table
@@ -97,3 +98,11 @@ def test_a_usage_error_is_text(tmp_path: Path) -> None:
     command = [sys.executable, "-m", "mbdkit", "archive", "check", "\x1b[31m.h5"]
     done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
     assert done.stderr == "\\u001b[31m.h5: there is no such file\n"
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="names of files are not bytes")
+def test_the_command_in_an_archive_is_valid_text_even_if_a_name_is_not() -> None:
+    with executing(["mbdkit", "run", "-o", "\udcc3\udcb6.h5"]):  # the UTF-8 bytes of "ö", as decoded in the locale C
+        assert command_line() == "mbdkit run -o 'ö.h5'"
+    with executing(["mbdkit", "run", "-o", "\udcff.h5"]):
+        assert command_line() == "mbdkit run -o '\\xff.h5'"

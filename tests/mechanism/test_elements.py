@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from pydantic import ValidationError
 
+import mbdkit
 from mbdkit import Mechanism, SpecError
 from mbdkit.mechanism.bodies import Body
 from mbdkit.mechanism.forces import PointForce, SpringDamper, Torque, TorsionSpring
@@ -31,6 +32,18 @@ def test_an_inertia_is_positive_or_left_out(value):
     with pytest.raises(ValidationError):
         Body(mass=1, inertia=value)
     assert Body(mass=1).inertia is None
+
+
+def test_a_mass_whose_reciprocal_is_infinite_is_refused():
+    with pytest.raises(ValidationError, match=r"mass: should be at least 2\.2e-308 kg, .*, not 4\.94066e-324"):
+        Body(mass=5e-324)
+    with pytest.raises(ValidationError, match=r"inertia: should be at least 2\.2e-308 kg m\^2"):
+        Body(mass=1.0, inertia=1e-310)
+    m = Mechanism()
+    rod = m.body("rod", mass=1e-300, inertia=1.0, position=(1e-10, 0.0))
+    m.revolute("A", m.ground, rod, at=(0.0, 0.0))
+    with pytest.raises(SpecError, match=r"the bodies, of 1e-300 kg in total and 1e-10 m in size, are too small"):
+        mbdkit.run(m, integrator={"name": "rk4"}, time={"end": 0.1, "step": 0.05})
 
 
 @pytest.mark.parametrize("value", [[1], [1, 2, 3], "12", 1, None, [1, "2"], [1, True], [1, math.nan], {1, 2}])

@@ -23,7 +23,8 @@ import os
 import subprocess
 import sys
 import tempfile
-from contextlib import suppress
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -60,7 +61,10 @@ def address_of(symbol: str) -> int:
 
 
 def _usable_level() -> Level:
-    level = chosen_level()
+    level, levels = chosen_level(), this_platform().levels
+    if levels and level not in levels:  # only the compiler uses levels of other platforms
+        known = ", ".join(known.name for known in levels)
+        raise MbdkitError(f"the environment variable MBDKIT_PROCESSOR should be one of {known}, not '{level.name}'")
     if not is_able(level):
         asked = "which MBDKIT_PROCESSOR asks for" if os.environ.get("MBDKIT_PROCESSOR") else "the lowest that is stored"
         raise MbdkitError(f"this processor lacks instructions of the level {level.name}, {asked}")
@@ -69,13 +73,36 @@ def _usable_level() -> Level:
 
 @cache
 def manifest() -> dict[str, Any]:
-    """Return the manifest of the stored libraries of this platform; empty if there are none."""
+    """Return the manifest of the stored libraries of this platform; empty if there are none.
+
+    Raises
+    ------
+    MbdkitError
+        If it is damaged.
+    """
+    path = STORED / str(this_platform()) / MANIFEST
+    with _damage_reported():
+        try:
+            stored: dict[str, Any] = json.loads(path.read_bytes())
+        except FileNotFoundError:
+            return {}
+        if any(not isinstance(stored[key], kind) for key, kind in _KINDS.items()):
+            raise TypeError
+    return stored
+
+
+_KINDS = {"built with": dict, "files": dict, "modules": dict, "names": list, "sha256": dict, "symbols": dict}
+"""Keys of the manifest, with the types of their values."""
+
+
+@contextmanager
+def _damage_reported() -> Iterator[None]:
+    """Raise MbdkitError if reading the manifest, or looking up one of its values, raises an exception."""
     try:
-        text = (STORED / str(this_platform()) / MANIFEST).read_text(encoding="utf-8")
-    except FileNotFoundError:
-        return {}
-    found: dict[str, Any] = json.loads(text)
-    return found
+        yield
+    except (OSError, ValueError, LookupError, TypeError, AttributeError, RecursionError) as error:
+        path = STORED / str(this_platform()) / MANIFEST
+        raise MbdkitError(f"the list of the stored machine code, {path}, is damaged: install mbdkit again") from error
 
 
 def stored_file(symbol: str, level: Level) -> Path | None:
@@ -83,11 +110,12 @@ def stored_file(symbol: str, level: Level) -> Path | None:
     stored = manifest()
     if symbol not in stored.get("symbols", {}):
         return None
-    group, module = stored["symbols"][symbol]
-    names = (stored["names"][i] for i in stored["modules"][module])
-    if any(sources.digest(name) != stored["files"][name] for name in names):
-        return None
-    return STORED / str(this_platform()) / f"{group}-{level.of(group)}.xz"
+    with _damage_reported():
+        group, module = stored["symbols"][symbol]
+        names = (stored["names"][i] for i in stored["modules"][module])
+        if any(sources.digest(name) != stored["files"][name] for name in names):
+            return None
+        return STORED / str(this_platform()) / f"{group}-{level.of(group)}.xz"
 
 
 @cache
@@ -97,7 +125,9 @@ def _load_file(path: Path) -> ctypes.CDLL:
 
 @cache
 def _load_stored(path: Path) -> ctypes.CDLL:
-    return _unpacked(path, manifest()["sha256"][path.name])
+    with _damage_reported():
+        digest = manifest()["sha256"][path.name]
+    return _unpacked(path, digest)
 
 
 def _unpacked(path: Path, digest: str) -> ctypes.CDLL:
