@@ -198,7 +198,7 @@ class LaneRuns:
         if method is None:
             return None
         check_jumps(spec)
-        cautions = caution(spec, method)
+        cautions = caution(spec, method, self._measures)
         return _Compiled(spec, method, cautions, self.starts.compiled(spec.mechanism(), spec.time.start))
 
     def _method(self, spec: RunSpec) -> Method | None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -34,13 +35,15 @@ from mbdkit.stepping.event_driven import with_contact_forces
 from mbdkit.stepping.interface import Failure, Guards, Timetable
 
 
-def caution(spec: RunSpec, method: Method | None = None) -> tuple[str, ...]:
+def caution(spec: RunSpec, method: Method | None = None, measures: Sequence[str] = ()) -> tuple[str, ...]:
     """Return warnings about settings that are valid but unlikely to work, as sentences.
 
     Parameters
     ----------
     method
         Method of the spec; created if omitted.
+    measures
+        Expressions that are evaluated for the run, in addition to the measures of the spec.
 
     Raises
     ------
@@ -51,7 +54,7 @@ def caution(spec: RunSpec, method: Method | None = None) -> tuple[str, ...]:
     unstable = ""
     if spec.stabilized.kind == "baumgarte":
         unstable = stiff_baumgarte(spec.integrator_item.name, method, spec.claims, spec.stabilized, spec.time.step)
-    return (*([unstable] if unstable else []), *spec_warnings(spec), *corner_warnings(spec))
+    return (*([unstable] if unstable else []), *spec_warnings(spec, measures), *corner_warnings(spec))
 
 
 def build(spec: RunSpec, starts: Starts | None = None) -> tuple[Workspace, AssembledState]:

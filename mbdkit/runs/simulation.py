@@ -223,7 +223,7 @@ class _Preparation:
         check_jumps(spec)
         if spec.gradients:
             higher_layers.check_gradients(spec, method)
-        cautions = caution(spec, method)
+        cautions = caution(spec, method, self.measures)
         _log(cautions)
         workspace, start = build(spec, self.starts)
         moves = start_warnings(spec, start)

@@ -49,11 +49,16 @@ REGAINED = 10.0
 _SLIP = re.compile(r"contacts(\.\w+|\[[^\]]+\])\.slip")
 
 
-def spec_warnings(spec: RunSpec) -> tuple[str, ...]:
+def spec_warnings(spec: RunSpec, measures: Sequence[str] = ()) -> tuple[str, ...]:
     """Return the warnings of the model, and those about effects that it lacks, unresolved beams, unused parameters,
     short runs, zero reactions, improbable values, long steps, excitations and events.
+
+    Parameters
+    ----------
+    measures
+        Expressions that are evaluated for the run, in addition to the measures of the spec.
     """
-    found = (*_known(spec), *_left_out(spec), *_improbable(spec), *_long_step(spec), *_excitations(spec))
+    found = (*_known(spec, measures), *_left_out(spec), *_improbable(spec), *_long_step(spec), *_excitations(spec))
     return (*found, *_slip_events(spec))
 
 
@@ -145,10 +150,10 @@ def _left_out(spec: RunSpec) -> tuple[str, ...]:
     return tuple(f"left-out: {sentence}" for sentence in spec.mechanism().left_out)
 
 
-def _known(spec: RunSpec) -> tuple[str, ...]:
+def _known(spec: RunSpec, measures: Sequence[str] = ()) -> tuple[str, ...]:
     """Return the warnings that do not question the result."""
     notes = (*short_runs(spec), *zero_reactions(spec, spec.defined_measures()))
-    return (*spec.mechanism().warnings, *_unresolved_beams(spec), *_unused_parameters(spec), *notes)
+    return (*spec.mechanism().warnings, *_unresolved_beams(spec), *_unused_parameters(spec, measures), *notes)
 
 
 def passivity_warnings(mechanism: Mechanism, energies: EnergyRecord) -> tuple[str, ...]:
@@ -251,10 +256,10 @@ def step_advice(spec: RunSpec, code: str) -> str:
     return advice
 
 
-def _unused_parameters(spec: RunSpec) -> Iterator[str]:
+def _unused_parameters(spec: RunSpec, measures: Sequence[str] = ()) -> Iterator[str]:
     if not spec.parameters:
         return
-    used = parameters_in_use(spec.parameters, [*spec.written.values(), *spec.expressions_outside_model])
+    used = parameters_in_use(spec.parameters, [*spec.written.values(), *spec.expressions_outside_model, *measures])
     for name in spec.parameters:
         if name not in used:
             hint = did_you_mean(name, [other for other in spec.parameters if other != name])

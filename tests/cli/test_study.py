@@ -285,6 +285,19 @@ def test_validate_warns_of_an_unused_variable_as_study_does(mbdkit, in_tmp_path)
     assert told in mbdkit("study", "sweep.yaml", "--workers", "1").stderr
 
 
+@pytest.mark.parametrize("runs", ["axes:\n  - parameters.ref: [0.5, 0.6]\n",
+                                  "sample: {variables: {parameters.ref: {uniform: [0.5, 0.6]}}, n: 2}\n"])  # fmt: skip
+def test_a_parameter_that_only_a_measure_of_a_study_uses_is_used(mbdkit, in_tmp_path, runs):
+    (in_tmp_path / "sweep.yaml").write_text(
+        "mbdkit_study: 1\nbase:\n  parameters: {ref: 0.5}\n  model: {name: single-pendulum}\n"
+        "  integrator: {name: rk4}\n  time: {end: 0.02, step: 0.01}\n"
+        f'measures: {{miss: "max(rod1.x) - ref"}}\n{runs}'
+    )
+    assert "not used" not in mbdkit("validate", "sweep.yaml").stderr
+    assert "not used" not in mbdkit("study", "sweep.yaml", "--workers", "1").stderr
+    assert not any("not used" in warning for warning in load_study("sweep").run(0).warnings)
+
+
 def test_a_distribution_of_an_angle_in_degrees_is_told(mbdkit, in_tmp_path):
     (in_tmp_path / "angles.yaml").write_text(
         "mbdkit_study: 1\nbase:\n  parameters: {a: 1.0, b: 1.0}\n  model: {name: double-pendulum, angles: [a, b]}\n"
