@@ -18,14 +18,14 @@ from pathlib import Path
 from mbdkit.base.errors import ResourceError, SpecError, file_error
 
 
-def check_regular(path: str | os.PathLike[str]) -> None:
+def check_regular(path: str | Path) -> None:
     """Raise SpecError if `path`, which exists, is not a regular file: reading a pipe or a device may never end."""
     if not stat.S_ISREG(os.stat(path).st_mode):
         kind = "a folder" if os.path.isdir(path) else "a pipe, a socket or a device"
         raise SpecError(f"this is not a regular file but {kind}; it is not read", file=path)
 
 
-def read_bytes(path: str | os.PathLike[str], largest: int, advice: str = "") -> bytes:
+def read_bytes(path: str | Path, largest: int, advice: str = "") -> bytes:
     """Return the content of a file of the user, such as a model of another program.
 
     Parameters
