@@ -85,6 +85,7 @@ def read_c3d(path: Path, content: bytes, most_cells: int) -> Columns | None:
     remark = ""
     try:
         with _readable(path, content) as readable:
+            begin, end = struct.unpack_from("<2H", readable.read_bytes(), _FRAMES)
             try:
                 file = ezc3d.c3d(str(readable), extract_forceplat_data=True)
             except RuntimeError as error:
@@ -110,6 +111,8 @@ def read_c3d(path: Path, content: bytes, most_cells: int) -> Columns | None:
         rate, frames = float(file["parameters"]["ANALOG"]["RATE"]["value"][0]), plates[0]["force"].shape[1]
         first, points = 0, np.zeros((4, 0, frames))
         labels = []
+    if frames < end - begin + 1 or not frames:  # ezc3d reads what there is
+        raise SpecError(f"this C3D file ends after {frames} of its {max(0, end - begin + 1)} frames", file=path)
     if not rate > 0:
         raise SpecError(f"this C3D file has a rate of {rate:g} Hz, from which times do not follow", file=path)
     headings = ["time", *(f"{label}.{axis}" if label else "" for label in labels for axis in "xyz")]
@@ -194,6 +197,8 @@ def _of_plate(plate: Any, samples: int, unit: str, baseline: slice) -> dict[str,
 
 _BLOCK = 512
 """Size of a block [bytes]."""
+_FRAMES = 6
+"""Position of the numbers of the first and the last frame in the header."""
 _INTEL, _MIPS = 84, 86
 """Codes of processors in the file."""
 

@@ -7,7 +7,7 @@ import csv
 import itertools
 import os
 import re
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -281,8 +281,28 @@ def _read_storage(file: str, lines: list[str]) -> Table:
         raise SpecError("this table is empty: no headings follow `endheader`", file=file)
     split = _cells_of(kept[0][1])
     rows = [cells for _, cells in _within(file, ((number, split(line)) for number, line in kept))]
-    in_degrees = header.get("inDegrees", "no").lower() == "yes"
-    return _checked(Table(file, rows[0], rows[1:], [number for number, _ in kept[1:]], in_degrees=in_degrees))
+    lines_of = [number for number, _ in kept[1:]]
+    table = _checked(Table(file, rows[0], rows[1:], lines_of, in_degrees=_is_in_degrees(file, header)))
+    if split is str.split:  # a missing cell would move the others
+        for row, cells in enumerate(table.cells):
+            if len(cells) < len(table.headings):
+                few = f"this row has {len(cells)} cells, but there are {len(table.headings)} headings"
+                raise table.error(f"{few}; write nan for a missing value", row=row)
+    return table
+
+
+def _is_in_degrees(file: str, header: Mapping[str, str]) -> bool:
+    """Return whether the header of an OpenSim storage file says that rotations are in degrees.
+
+    Files without `inDegrees` and without a version are motion files of SIMM, in degrees, as OpenSim reads them.
+    """
+    key = next((key for key in header if key.lower() == "indegrees"), None)
+    if key is None:
+        return "version" not in header
+    if key != "inDegrees" or header[key].lower() not in ("yes", "no"):
+        given = shown(f"{key}={header[key]}")
+        raise SpecError(f"the header has `{given}`; write `inDegrees=yes` or `inDegrees=no`", file=file)
+    return header[key].lower() == "yes"
 
 
 def _cells_of(headings: str) -> Any:
@@ -299,17 +319,41 @@ def _read_trc(file: str, lines: list[str]) -> Table:
     """Read a .trc file of markers; the columns are called MARKER.x, MARKER.y and MARKER.z."""
     if len(lines) < 5 or not lines[0].startswith("PathFileType"):
         raise SpecError("this file does not begin with `PathFileType`, as a .trc file should", file=file)
-    header = dict(zip(lines[1].split("\t"), lines[2].split("\t"), strict=False))
-    names = [name.strip() for name in lines[3].split("\t")]
-    markers = [name for name in names[2:] if name]
-    headings = [*names[:2], *(f"{marker}.{axis}" for marker in markers for axis in "xyz")]
+    keys, values, names, axes = ([cell.strip() for cell in line.split("\t")] for line in lines[1:5])
+    header = {key.lower(): value for key, value in zip(keys, values, strict=False)}
+    markers = _markers_of_trc(file, names[2:], header.get("nummarkers", ""))
+    given = [axis[:1] for axis in axes if axis]
+    if given[: 3 * len(markers)] != ["X", "Y", "Z"] * len(markers):
+        raise SpecError("this row should be X1, Y1, Z1, X2 and so on, three for each marker", file=file, line=5)
+    if not header.get("units"):
+        raise SpecError("this file states no unit; write, for example, mm below `Units`", file=file, line=3)
+    headings = [*names[:2], *(f"{marker}.{axis}" if marker else "" for marker in markers for axis in "xyz")]
     kept = [(number, line) for number, line in enumerate(lines[5:], 6) if line.strip()]
-    split = ((number, line.split("\t")[: len(headings)]) for number, line in kept)
-    rows = [cells for _, cells in _within(file, split)]
-    unit = header.get("Units", "m").strip() or "m"
-    return _checked(
-        Table(file, headings, rows, [number for number, _ in kept], units=dict.fromkeys(headings[2:], unit))
-    )
+    rows = [cells for _, cells in _within(file, ((number, line.split("\t")) for number, line in kept))]
+    units = dict.fromkeys(headings[2:], header["units"])
+    return _checked(Table(file, headings, rows, [number for number, _ in kept], units=units))
+
+
+def _markers_of_trc(file: str, names: Sequence[str], count: str) -> list[str]:
+    """Return the names of the markers of a .trc file, empty where a marker has none.
+
+    Each name is followed by two empty cells. In some files, these are left out.
+
+    Parameters
+    ----------
+    names
+        Cells above the coordinates.
+    count
+        Number of markers in the header.
+    """
+    given = [name for name in names if name]
+    markers = [*names[::3]] if any(names) and not any(name for at, name in enumerate(names) if at % 3) else given
+    while markers and not markers[-1] and str(len(markers)) != count:
+        markers.pop()
+    if count != str(len(markers)):
+        have = f"NumMarkers is {shown(count)}, but this row has the names of {len(markers)} markers"
+        raise SpecError(f"{have}; each name is followed by two empty cells", file=file, line=4)
+    return markers
 
 
 def _read_c3d(path: Path, content: bytes) -> Table:

@@ -11,7 +11,7 @@ import pytest
 import mbdkit
 from mbdkit import SpecError
 from mbdkit.inverse_dynamics.table_files import read_table
-from tests.inverse_dynamics.c3d_files import DEC, MIPS, Convention, Plate, c3d_bytes
+from tests.inverse_dynamics.c3d_files import DEC, INTEL, MIPS, Convention, Plate, c3d_bytes
 from tests.inverse_dynamics.test_bad_input import pendulum
 
 ezc3d = pytest.importorskip("ezc3d", reason="ezc3d is not installed: pip install mbdkit[c3d]")
@@ -209,3 +209,12 @@ def test_names_of_two_subjects_need_their_subject_and_plates_that_cannot_be_read
     path.write_bytes(c3d_bytes({"LKNE": rest}, 100.0, Convention(analog_offset=-10), [wrong]))
     with pytest.raises(SpecError, match=r"no column 'plate1.force.x'.*negative offsets"):
         read_table(path, "motion.file").column("plate1.force.x", "")
+
+
+@pytest.mark.parametrize("processor", [INTEL, DEC, MIPS])
+@pytest.mark.parametrize(("cut", "frames"), [(2048, 0), (600, 90)])
+def test_a_file_whose_end_is_missing_is_refused(tmp_path: Path, processor: int, cut: int, frames: int) -> None:
+    whole = c3d_bytes({"TOE": np.zeros((100, 3))}, 100.0, Convention(processor=processor, first_frame=17))
+    (tmp_path / "walk.c3d").write_bytes(whole[:-cut])
+    with pytest.raises(SpecError, match=rf"walk.c3d: this C3D file ends after {frames} of its 100 frames"):
+        read_table(tmp_path / "walk.c3d", "motion.file")

@@ -91,3 +91,77 @@ def test_other_tables_are_refused_in_one_sentence(tmp_path: Path, lines: list[st
     with pytest.raises(SpecError) as refused:
         times_of(read(tmp_path, lines), TimeColumn(), "motion.time")
     assert message in str(refused.value)
+
+
+MOTION = ["motion", "version=1", "inDegrees=yes", "endheader", "time\thip\tknee", "0.0\t1\t2", "0.5\t\t4"]
+
+
+def storage(folder: Path, lines: list[str]) -> Table:
+    (folder / "t.mot").write_text("\n".join(lines))
+    return read_table(folder / "t.mot", "motion.file")
+
+
+@pytest.mark.parametrize(
+    ("header", "is_in_degrees"),
+    [
+        (["version=1", "inDegrees=yes"], True),
+        (["version=1", "inDegrees = No"], False),
+        (["version=1"], False),
+        (["datacolumns 3", "datarows 2", "range 0 1"], True),  # SIMM; read so by Storage of OpenSim 4.6
+    ],
+)
+def test_the_header_of_a_motion_file_says_whether_angles_are_in_degrees(
+    tmp_path: Path, header: list[str], is_in_degrees: bool
+) -> None:
+    table = storage(tmp_path, ["motion", *header, *MOTION[3:]])
+    assert table.in_degrees == is_in_degrees
+    np.testing.assert_array_equal(table.column("hip", ""), [1.0, np.nan])
+
+
+@pytest.mark.parametrize(
+    ("lines", "message"),
+    [
+        ([line.replace("=yes", "=true") for line in MOTION], "t.mot: the header has `inDegrees=true`; write"),
+        ([line.replace("inD", "ind") for line in MOTION], "t.mot: the header has `indegrees=yes`; write"),
+        ([line.replace("\t", " ") for line in MOTION], "t.mot:7: this row has 2 cells, but there are 3 headings"),
+    ],
+)
+def test_motion_files_that_would_be_misread_are_refused(tmp_path: Path, lines: list[str], message: str) -> None:
+    with pytest.raises(SpecError) as refused:
+        storage(tmp_path, lines)
+    assert message in str(refused.value)
+
+
+TRC = ["PathFileType\t4\t(X/Y/Z)\tm.trc", "DataRate\tNumFrames\tNumMarkers\tUnits ", "100\t1\t2\tmm",
+       "Frame#\tTime\tA\t\t\tB\t\t", "\t\tX1\tY1\tZ1\tX2\tY2\tZ2", "", "1\t0.5\t1\t2\t3\t4\t5\t6"]  # fmt: skip
+
+
+def trc(folder: Path, *changes: tuple[str, str]) -> Table:
+    text = "\n".join(TRC)
+    for old, new in changes:
+        text = text.replace(old, new)
+    (folder / "t.trc").write_text(text)
+    return read_table(folder / "t.trc", "motion.file")
+
+
+@pytest.mark.parametrize("changes", [(), (("A\t\t\t", "\t\t\t"),), (("A\t\t\tB\t\t", "A\tB"),)])
+def test_each_marker_has_the_three_columns_below_its_name(tmp_path: Path, changes: tuple[tuple[str, str], ...]) -> None:
+    table = trc(tmp_path, *changes)
+    assert (table.column("B.x", "")[0], table.column("B.z", "")[0], table.unit("B.x")) == (4.0, 6.0, "mm")
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (("mm", ""), "t.trc:3: this file states no unit; write, for example, mm below `Units`"),
+        (("\t\tX1\tY1\tZ1\tX2\tY2\tZ2\n\n", ""), "t.trc:5: this row should be X1, Y1, Z1, X2 and so on"),
+        (("X1\tY1", "Y1\tX1"), "t.trc:5: this row should be X1, Y1, Z1, X2 and so on"),
+        (("100\t1\t2", "100\t1\t3"), "t.trc:4: NumMarkers is 3, but this row has the names of 2 markers"),
+        (("\t6", "\t6\t7"), "t.trc:7: this row has 9 cells, but there are 8 headings"),
+    ],
+    ids=["unit", "no-axes", "axes", "count", "cells"],
+)
+def test_marker_files_that_would_be_misread_are_refused(tmp_path: Path, change: tuple[str, str], message: str) -> None:
+    with pytest.raises(SpecError) as refused:
+        trc(tmp_path, change)
+    assert message in str(refused.value)
