@@ -83,7 +83,8 @@ class InverseProblem:
     @property
     def warnings(self) -> tuple[str, ...]:
         """Warnings about the model, as sentences."""
-        told = [f"{warning}." for warning in self.names.mechanism.warnings]
+        mechanism = self.names.mechanism
+        told = [f"{warning}." for warning in (*mechanism.warnings, *mechanism.left_out_of_runs)]
         if self.names.mechanism.muscles and self.recruiter is None:
             told.append("the model has muscles, which exert no force because the spec has no `recruitment`.")
         told += self.unused.warnings

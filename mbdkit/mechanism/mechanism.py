@@ -89,6 +89,9 @@ class Mechanism(HtmlView):
         Sentences about effects that the model describes and the mechanism lacks, such as a contact in a file, although
         they change the motion. They make the verdict doubtful unless a spec accepts `left-out`, and are not part of a
         spec.
+    left_out_of_runs : tuple of str
+        Sentences about muscles, actuators and controllers in a file that the mechanism lacks. They are like `left_out`
+        for runs, and `warnings` for inverse dynamics, which computes the forces of actuators from the motion.
 
     Examples
     --------
@@ -120,6 +123,7 @@ class Mechanism(HtmlView):
         self.contact_treatment = Treatment()
         self.warnings: tuple[str, ...] = ()
         self.left_out: tuple[str, ...] = ()
+        self.left_out_of_runs: tuple[str, ...] = ()
 
     @property
     def ground(self) -> str:

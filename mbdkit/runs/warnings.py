@@ -147,7 +147,8 @@ def accepted_doubts(spec: RunSpec) -> tuple[str, ...]:
 
 def _left_out(spec: RunSpec) -> tuple[str, ...]:
     """Return warnings about effects that the mechanism lacks, which begin with the name of their criterion."""
-    return tuple(f"left-out: {sentence}" for sentence in spec.mechanism().left_out)
+    mechanism = spec.mechanism()
+    return tuple(f"left-out: {sentence}" for sentence in (*mechanism.left_out, *mechanism.left_out_of_runs))
 
 
 def _known(spec: RunSpec, measures: Sequence[str] = ()) -> tuple[str, ...]:

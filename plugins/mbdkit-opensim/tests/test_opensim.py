@@ -259,22 +259,24 @@ def test_markers_keep_names_with_dots_and_fit_a_file_of_trajectories(tmp_path: P
     np.testing.assert_allclose(run.joints["pin"].angle, angle, atol=1e-6)
 
 
-def test_a_run_warns_of_left_out_muscles_and_is_doubtful_without_a_contact(tmp_path: Path) -> None:
+def test_a_run_is_doubtful_without_the_muscles_and_a_contact_of_the_file(tmp_path: Path) -> None:
     forces = (
-        "".join(f'<Thelen2003Muscle name="muscle{i}"/>' for i in range(9)) + '<SmoothSphereHalfSpaceForce name="heel"/>'
+        "".join(f'<Thelen2003Muscle name="muscle{i}"/>' for i in range(9))
+        + '<SmoothSphereHalfSpaceForce name="heel"/><CoordinateActuator name="motor"/>'
     )
     bodies = [osim.body("rod", 2.0, (0.3, 0.0, 0.0), 0.06)]
     joints = [osim.joint("PinJoint", "pin", "ground", "rod", "turn")]
     file = written(tmp_path, osim.document(bodies, joints, more=f"<ForceSet><objects>{forces}</objects></ForceSet>"))
     run = started(file, {}, {})
     assert run.verdict == "doubtful"
-    muscles, contact = run.warnings
+    idle, contact, muscles = run.warnings
+    assert list(run.verdict_reasons) == [contact, muscles]
     assert contact.startswith("left-out: ")
-    assert list(run.verdict_reasons) == [contact]
-    assert "has 9 Thelen2003Muscle" in muscles
-    assert "muscle0, muscle1, muscle2, muscle3, muscle4, muscle5 and 3 more" in muscles
     assert "SmoothSphereHalfSpaceForce" in contact
     assert "heel" in contact
+    assert "has 9 Thelen2003Muscle" in muscles
+    assert "muscle0, muscle1, muscle2, muscle3, muscle4, muscle5 and 3 more" in muscles
+    assert "motor" in idle
 
 
 ROD = [osim.body("rod", 2.0, (0.3, 0.0, 0.0), 0.06)]

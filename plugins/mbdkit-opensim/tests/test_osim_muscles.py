@@ -174,7 +174,7 @@ def test_parameters_are_read_and_what_is_not_read_is_named(tmp_path: Path) -> No
         0.3,
     )
     assert (gastroc.curves, m.muscles["vasti"].curves) == ("millard", "de-groote-fregly")
-    told = "\n".join(m.warnings)
+    told = "\n".join((*m.warnings, *m.left_out))
     assert "muscle 'over_ball' of the model of OpenSim is left out: it wraps around a WrapSphere" in told
     assert "the curves of Thelen2003Muscle are replaced by those of Millard: gastroc" in told
     assert "has 1 Millard2012EquilibriumMuscle, which the mechanism leaves out: idle" in told
@@ -194,4 +194,4 @@ def test_inverse_dynamics_says_which_muscles_are_left_out(tmp_path: Path) -> Non
 def test_muscles_are_left_out_unless_they_are_asked_for(tmp_path: Path) -> None:
     m = build_mechanism(leg(tmp_path), {}, {})
     assert not m.muscles
-    assert any("which the mechanism leaves out: hamstrings, wrapped" in warning for warning in m.warnings)
+    assert any("which the mechanism leaves out: hamstrings, wrapped" in sentence for sentence in m.left_out_of_runs)

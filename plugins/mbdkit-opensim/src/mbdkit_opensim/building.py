@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections import defaultdict
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from typing import TypeAlias
 from xml.etree.ElementTree import Element
 
 import numpy as np
@@ -27,12 +29,10 @@ from mbdkit_opensim.osim_document import (
 )
 from mbdkit_opensim.osim_muscles import CURVES, MuscleReader, UnreadError, read_muscle
 from mbdkit_opensim.planar_joints import Coordinate, PlanarJoint, Term, coordinates_of, planar_joint
+from mbdkit_opensim.understood import IDLE, Unread, is_actuator, is_off, unread_in
 
-LEFT_OUT = ("ForceSet", "ContactGeometrySet", "ControllerSet")
-"""Sets of a model that are ignored, with a warning."""
-
-FORCES = ("Force", "Spring", "Ligament")
-"""Ends of the names of classes in the force set that act without control: those of forces, springs and ligaments."""
+Names: TypeAlias = defaultdict[str, list[str]]
+"""Names of components by what is said about them."""
 
 MOST_NAMED = 6
 """Largest number of components of one class that a warning names."""
@@ -88,11 +88,11 @@ class _Builder:
         gravity = numbers_of(model, "gravity", 3, "0 -9.80665 0")
         if gravity[2] != 0.0:
             raise refused("gravity has a component along z, out of the plane")
-        for tag, known in (("length_units", "meters"), ("force_units", "N")):
-            if (unit := text_of(model, tag, known)) != known:
-                raise refused(f"<{tag}> is '{unit}', not '{known}'")
+        for tag, *known in (("length_units", "meters", "m"), ("force_units", "N", "newtons")):
+            if (unit := text_of(model, tag, known[0])) not in known:
+                raise refused(f"<{tag}> is '{unit}', not '{known[0]}'")
         self.result = Mechanism(gravity[:2].tolist(), name=name_of(model))
-        self.bodies = {name_of(body): body for body in objects_of(model, "BodySet")}
+        self.bodies = _by_name(objects_of(model, "BodySet"))
         self.centres = {name: numbers_of(body, "mass_center", 3, "0 0 0")[:2] for name, body in self.bodies.items()}
         self.centres["ground"] = np.zeros(2)
         self.frames = Frames(self.bodies, model)
@@ -101,7 +101,7 @@ class _Builder:
 
     def mechanism(self) -> Mechanism:
         self.refuse_constraints()
-        joints = list(objects_of(self.model, "JointSet"))
+        joints = [*_by_name(objects_of(self.model, "JointSet")).values()]
         self.check_names(joints)
         waiting = [(joint, *self.ends(joint)) for joint in joints]
         while waiting:
@@ -114,9 +114,11 @@ class _Builder:
         if loose := [name for name in self.bodies if name not in self.poses]:
             raise refused(f"body '{loose[0]}' has no joint, so it could move out of the plane")
         self.add_markers()
-        told = self.add_muscles(joints) if self.with_muscles else []
-        self.result.warnings = (*told, *self.left_out())
-        self.result.left_out = tuple(self.lacking(joints))
+        of_muscles = self.add_muscles(joints) if self.with_muscles else []
+        both, runs, idle = self.left_out()
+        self.result.warnings = sentences_about(idle)
+        self.result.left_out = (*of_muscles, *sentences_about(both), *self.prescribed(joints))
+        self.result.left_out_of_runs = sentences_about(runs)
         return self.result
 
     def add_markers(self) -> None:
@@ -126,7 +128,7 @@ class _Builder:
             self.result.marker(name_of(marker), body, point=(place - self.centres[body]).tolist())
 
     def add_muscles(self, joints: list[Element]) -> list[str]:
-        """Add the muscles, and return warnings about those that cannot be read, or not exactly."""
+        """Add the muscles, and return sentences about those that cannot be read, or not exactly."""
         values = {one.name: one.value for joint in joints for one in coordinates_of(joint, self.initial, self.speeds)}
         reader = MuscleReader(
             self.model,
@@ -153,11 +155,7 @@ class _Builder:
 
     def muscles(self) -> list[Element]:
         """Return the muscles that exert forces and whose classes can be read."""
-        return [
-            one
-            for one in objects_of(self.model, "ForceSet")
-            if one.tag in CURVES and text_of(one, "appliesForce", "true").lower() != "false"
-        ]
+        return [one for one in objects_of(self.model, "ForceSet") if one.tag in CURVES and not is_off(one)]
 
     def ends(self, joint: Element) -> tuple[Frame, Frame]:
         """Return the parent and the child frame of a joint."""
@@ -166,7 +164,7 @@ class _Builder:
     def refuse_constraints(self) -> None:
         """Raise SpecError if the model contains components that influence the motion but cannot be read."""
         for one in objects_of(self.model, "ConstraintSet"):
-            if text_of(one, "isEnforced", "true").lower() != "false":
+            if flag_of(one, "isEnforced", default=True):
                 raise refused(f"{label_of(one)} is a constraint, which is not read; remove it or switch it off")
         for one in self.model.iterfind("components/*"):
             if one.tag == "Body" or one.tag.endswith(("Joint", "Constraint")):
@@ -181,35 +179,30 @@ class _Builder:
                     hint = did_you_mean(name, known) or f"; there are {listed(known)}"
                     raise SpecError(f"there is no coordinate '{name}'{hint}", key=f"model.{key}.{quoted(name)}")
 
-    def left_out(self) -> list[str]:
-        """Return warnings that name the ignored components which exert no force, or none without control."""
-        dropped: dict[str, list[str]] = {}
-        read = self.muscles() if self.with_muscles else []
-        for group in LEFT_OUT:
-            for one in objects_of(self.model, group):
-                if any(one is other for other in read) or acts_alone(one):
-                    continue
-                dropped.setdefault(one.tag, []).append(name_of(one))
-        for one in self.model.iterfind("components/*"):
-            dropped.setdefault(one.tag, []).append(name_of(one))
-        return sentences_about(dropped)
+    def left_out(self) -> tuple[Names, Names, Names]:
+        """Return the names of components that are not read, by kind: those that may change motion or forces, those
+        whose forces inverse dynamics computes anyway, and those that exert no force unless something controls them.
+        """
+        both, runs, idle = Names(list), Names(list), Names(list)
+        read = {name_of(component) for component in self.muscles()} & {*self.result.muscles}
+        unread = [*unread_in(self.model)]
+        for component in (*objects_of(self.model, "ForceSet"), *objects_of(self.model, "ControllerSet")):
+            if component.tag in CURVES and name_of(component) in read:
+                unread += unread_in(component)
+            elif component.tag in IDLE or is_off(component):
+                idle[component.tag].append(name_of(component))
+            elif component.tag not in CURVES or not self.with_muscles:  # add_muscles names the others
+                unread.append(Unread(component.tag, name_of(component), component.tag))
+        for label, name, kind in unread:
+            (runs if is_actuator(kind) else both)[label].append(name)
+        return both, runs, idle
 
-    def lacking(self, joints: list[Element]) -> list[str]:
-        """Return sentences that name the ignored components which may change the motion."""
-        dropped: dict[str, list[str]] = {}
-        for one in objects_of(self.model, "ForceSet"):
-            if acts_alone(one):
-                dropped.setdefault(one.tag, []).append(name_of(one))
-        sentences = sentences_about(dropped)
-        held = [
-            name_of(one)
-            for joint in joints
-            for one in joint.iterfind("coordinates/Coordinate")
-            if flag_of(one, "prescribed")
-        ]
-        if held:
-            sentences.append(f"the prescribed motion of {listed(held, 'and')} is left out: these coordinates are free")
-        return sentences
+    def prescribed(self, joints: list[Element]) -> list[str]:
+        """Return a sentence that names the coordinates with a prescribed motion, which is left out."""
+        coordinates = (component for joint in joints for component in joint.iterfind("coordinates/Coordinate"))
+        names = [name_of(component) for component in coordinates if flag_of(component, "prescribed")]
+        what = f"the prescribed motion of {listed(names, 'and')} is left out: these coordinates are free"
+        return [what] if names else []
 
     def add(self, joint: Element, parent: Frame, child: Frame) -> None:
         """Add a joint and its child body."""
@@ -322,6 +315,15 @@ class _Builder:
         self.result.coordinate(coordinate.name, of, scale=1.0 / slope, offset=-float(offset) / slope)
 
 
+def _by_name(elements: Iterable[Element]) -> dict[str, Element]:
+    """Return components by name; raise SpecError if two have the same name."""
+    named: dict[str, Element] = {}
+    for element in elements:
+        if named.setdefault(name_of(element), element) is not element:
+            raise refused(f"two components are called {label_of(element)}")
+    return named
+
+
 def _is_linear(term: Term) -> bool:
     return term.function.spline is None and term.function.degree == 1
 
@@ -343,19 +345,15 @@ def _angle(axes: np.ndarray) -> float:
     return math.atan2(axes[1, 0], axes[0, 0])
 
 
-def acts_alone(force: Element) -> bool:
-    """Return whether a component exerts forces that need no control: not an actuator, a muscle, or a switched-off
-    force.
-    """
-    is_off = text_of(force, "appliesForce", "true").lower() == "false" or flag_of(force, "isDisabled")
-    return force.tag.endswith(FORCES) and not is_off
+def sentences_about(dropped: Mapping[str, Sequence[str]]) -> tuple[str, ...]:
+    """Return a sentence for each kind of ignored components, with the names of some of them."""
+    return tuple(
+        f"the model of OpenSim has {len(names)} {kind}, which the mechanism leaves out: {shortened(names)}"
+        for kind, names in dropped.items()
+    )
 
 
-def sentences_about(dropped: Mapping[str, Sequence[str]]) -> list[str]:
-    """Return a sentence for each class of ignored components, with the names of some of them."""
-    sentences = []
-    for kind, names in dropped.items():
-        more = [f"{len(names) - MOST_NAMED} more"] if len(names) > MOST_NAMED else []
-        shown = listed([*names[:MOST_NAMED], *more], "and")
-        sentences.append(f"the model of OpenSim has {len(names)} {kind}, which the mechanism leaves out: {shown}")
-    return sentences
+def shortened(names: Sequence[str]) -> str:
+    """Return a list of names, at most `MOST_NAMED` of them."""
+    more = [f"{len(names) - MOST_NAMED} more"] if len(names) > MOST_NAMED else []
+    return listed([*names[:MOST_NAMED], *more], "and")

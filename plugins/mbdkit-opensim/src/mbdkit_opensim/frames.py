@@ -7,16 +7,20 @@ along z are ignored, because they do not influence motions in the plane.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
+from posixpath import join, normpath
 from xml.etree.ElementTree import Element
 
 import numpy as np
 
-from mbdkit_opensim.osim_document import label_of, last_part, name_of, numbers_of, refused, text_of
+from mbdkit.base.text import listed
+from mbdkit_opensim.osim_document import label_of, last_part, name_of, numbers_of, objects_of, refused, text_of
 
 FLAT = 1e-9
 """Axes count as parallel if the sine of the angle between them is below this."""
+
+GROUND = "/ground"
 
 DEEPEST = 50
 """Largest length of a chain of frames, each of which is an offset of the next."""
@@ -58,47 +62,77 @@ class Frame:
 
 
 class Frames:
-    """The frames of a model by name; the frames of a joint are searched first."""
+    """The bodies and frames of a model by path, such as ``/bodyset/thigh`` and ``/jointset/hip/thigh_offset``."""
 
     def __init__(self, bodies: Mapping[str, Element], model: Element):
-        self.bodies = bodies
-        self.shared = _offsets(model.iterfind(".//BodySet//PhysicalOffsetFrame"))
-        self.shared |= _offsets(model.iterfind("Ground//PhysicalOffsetFrame"))
+        self.bodies = {GROUND: "ground", **{f"/bodyset/{name}": name for name in bodies}}
+        self.offsets: dict[str, Element] = {}
+        self._add(model.iterfind("components/*"), "")
+        self._add(model.iterfind("ComponentSet/objects/*"), "/componentset")
+        self._add((part for ground in model.iter("Ground") for part in ground.iterfind("components/*")), GROUND)
+        for name, body in bodies.items():
+            self._add(body.iterfind("components/*"), f"/bodyset/{name}")
+        for joint in objects_of(model, "JointSet"):
+            self._add(joint.iterfind("frames/*"), _path_of_joint(joint))
+
+    def _add(self, elements: Iterable[Element], owner: str) -> None:
+        """Add the offset frames among elements, and those in their components."""
+        for element in elements:
+            path = f"{owner}/{name_of(element)}"
+            if element.tag == "PhysicalOffsetFrame":
+                self.offsets[path] = element
+                self._add(element.iterfind("components/*"), path)
 
     def of_joint(self, joint: Element, socket: str) -> Frame:
         """Return the parent or child frame of a joint; raises SpecError if it does not lie in the plane."""
-        local = _offsets(joint.iterfind("frames/PhysicalOffsetFrame"))
-        path = text_of(joint, socket)
-        return self._planar(self._resolved(path, self.shared | local, joint), joint, socket)
+        frame = self._resolved(text_of(joint, socket), _path_of_joint(joint), joint)
+        return self._planar(frame, joint, socket)
 
     def of_marker(self, marker: Element) -> tuple[str, np.ndarray]:
         """Return the body to which a marker is fixed, and its position in the frame of that body, (2,) [m]."""
-        body, place, axes = self._resolved(text_of(marker, "socket_parent_frame"), self.shared, marker)
+        body, place, axes = self.of_point(marker)
         return body, (place + axes @ numbers_of(marker, "location", 3, "0 0 0"))[:2]
 
     def of_point(self, point: Element) -> tuple[str, np.ndarray, np.ndarray]:
         """Return the body to which a point of a path is fixed, and position (3,) and axes (3, 3) of the point's frame
         in the frame of the body.
         """
-        return self._resolved(text_of(point, "socket_parent_frame"), self.shared, point)
+        return self._resolved(text_of(point, "socket_parent_frame"), "", point)
 
-    def _resolved(self, path: str, known: Mapping[str, Element], owner: Element) -> tuple[str, np.ndarray, np.ndarray]:
+    def _resolved(self, path: str, owner: str, element: Element) -> tuple[str, np.ndarray, np.ndarray]:
         """Return the body to which a frame is fixed, and position (3,) and axes (3, 3) of the frame in that of the
         body.
+
+        Parameters
+        ----------
+        path
+            Path of the frame, absolute or relative to the component `owner`.
+        element
+            The component that refers to the frame, for messages.
         """
         place, axes = np.zeros(3), np.eye(3)
         for _ in range(DEEPEST):
-            name = last_part(path)
-            if name == "ground" or (name in self.bodies and name not in known):
-                return name, place, axes
-            if name not in known:
-                raise refused(f"{label_of(owner)} refers to the frame '{path}', which does not exist")
-            offset = known[name]
+            path = self._absolute(path, owner, element)
+            if path in self.bodies:
+                return self.bodies[path], place, axes
+            offset = self.offsets[path]
             own = turn(numbers_of(offset, "orientation", 3, "0 0 0"))
             place = numbers_of(offset, "translation", 3, "0 0 0") + own @ place
             axes = own @ axes
-            path = text_of(offset, "socket_parent")
-        raise refused(f"{label_of(owner)}: more than {DEEPEST} frames are offset from each other")
+            path, owner = text_of(offset, "socket_parent"), path
+        raise refused(f"{label_of(element)}: more than {DEEPEST} frames are offset from each other")
+
+    def _absolute(self, path: str, owner: str, element: Element) -> str:
+        """Return the absolute path of a frame; without a component at this path, that of the only frame of its name."""
+        known = (*self.bodies, *self.offsets)
+        absolute = normpath(join(owner, path))
+        if absolute in known:
+            return absolute
+        matching = [candidate for candidate in known if last_part(candidate) == last_part(path)]
+        if len(matching) != 1:
+            state = "does not exist" if not matching else f"may be {listed(matching, 'or')}"
+            raise refused(f"{label_of(element)} refers to the frame '{path}', which {state}")
+        return matching[0]
 
     def _planar(self, found: tuple[str, np.ndarray, np.ndarray], joint: Element, socket: str) -> Frame:
         body, place, axes = found
@@ -110,5 +144,5 @@ class Frames:
         return Frame(body, place[:2], axes[:2, :2], float(place[2]))
 
 
-def _offsets(elements: object) -> dict[str, Element]:
-    return {name_of(element): element for element in elements}  # type: ignore[attr-defined]
+def _path_of_joint(joint: Element) -> str:
+    return f"/jointset/{name_of(joint)}"

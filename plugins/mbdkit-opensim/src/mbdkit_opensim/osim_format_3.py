@@ -38,6 +38,8 @@ def as_format_4(model: Element) -> None:
         held = body.find("Joint")
         for joint in held if held is not None else ():
             joints.append(_joint(joint, body.get("name", "")))
+        if held is not None:
+            body.remove(held)
         if body.get("name") == GROUND and bodies is not None:
             bodies.remove(body)
         elif body.find("inertia") is None:
@@ -48,6 +50,15 @@ def as_format_4(model: Element) -> None:
         for old, new in SOCKETS.items() if "PathPoint" in point.tag else ():
             if (name := point.findtext(old)) is not None:
                 _add(point, new, name.strip())
+
+
+def rename_switches(model: Element) -> None:
+    """Replace `isDisabled`, as OpenSim 3 writes it, by the properties `appliesForce`, `isEnforced` and `enabled`."""
+    for element in model.iter():
+        if (switch := element.find("isDisabled")) is not None:
+            switch.text = str((switch.text or "").strip().lower() not in ("true", "1"))
+            kind = "isEnforced" if element.tag.endswith("Constraint") else "appliesForce"
+            switch.tag = "enabled" if "Controller" in element.tag else kind
 
 
 def _joint(joint: Element, child: str) -> Element:
@@ -61,7 +72,9 @@ def _joint(joint: Element, child: str) -> Element:
         _add(frame, "orientation", joint.findtext(orientation) or "0 0 0")
         _add(joint, f"socket_{side}_frame", f"{side}_offset")
     coordinates = SubElement(joint, "coordinates")
-    coordinates.extend(joint.iterfind("CoordinateSet/objects/Coordinate"))
+    for group in joint.findall("CoordinateSet"):
+        coordinates.extend(group.iterfind("objects/Coordinate"))
+        joint.remove(group)
     return joint
 
 

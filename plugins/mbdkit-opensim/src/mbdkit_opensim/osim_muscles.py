@@ -14,6 +14,7 @@ from mbdkit import SpecError
 from mbdkit_opensim.frames import Frames, turn
 from mbdkit_opensim.functions import Function, function_named
 from mbdkit_opensim.osim_document import (
+    flag_of,
     label_of,
     last_part,
     name_of,
@@ -22,6 +23,7 @@ from mbdkit_opensim.osim_document import (
     objects_of,
     text_of,
 )
+from mbdkit_opensim.understood import defaults_of
 
 CURVES = {
     "Millard2012EquilibriumMuscle": "millard",
@@ -79,20 +81,23 @@ class MuscleReader:
         items = [item for point in objects_of(path, "PathPointSet") for item in self._point(point)]
         for wrap in objects_of(path, "PathWrapSet"):
             self._add_circle(items, wrap)
-        millard = element.tag == "Millard2012EquilibriumMuscle"
+
+        def number(tag: str) -> float:
+            return number_of(element, tag, defaults_of(element.tag).get(tag, "0"))
+
         return {
             "path": items,
-            "max_force": number_of(element, "max_isometric_force", "1000"),
-            "optimal_length": number_of(element, "optimal_fiber_length", "0.1"),
-            "tendon_length": number_of(element, "tendon_slack_length", "0.2"),
-            "pennation": number_of(element, "pennation_angle_at_optimal", "0"),
-            "max_velocity": number_of(element, "max_contraction_velocity", "10"),
-            "damping": number_of(element, "fiber_damping", "0.1" if millard else "0"),
+            "max_force": number("max_isometric_force"),
+            "optimal_length": number("optimal_fiber_length"),
+            "tendon_length": number("tendon_slack_length"),
+            "pennation": number("pennation_angle_at_optimal"),
+            "max_velocity": number("max_contraction_velocity"),
+            "damping": number("fiber_damping"),
             "curves": CURVES[element.tag],
             "activation": {
-                "rise": number_of(element, "activation_time_constant", "0.015" if "Groote" in element.tag else "0.01"),
-                "fall": number_of(element, "deactivation_time_constant", "0.06" if "Groote" in element.tag else "0.04"),
-                "initial": min(1.0, max(0.0, number_of(element, "default_activation", "0.05"))),
+                "rise": number("activation_time_constant"),
+                "fall": number("deactivation_time_constant"),
+                "initial": min(1.0, max(0.0, number("default_activation"))),
             },
         }
 
@@ -150,6 +155,8 @@ class MuscleReader:
         body = "ground" if owner.tag == "Ground" else name_of(owner)
         if surface.tag != "WrapCylinder":
             raise UnreadError(f"it wraps around a {surface.tag}")
+        if not flag_of(surface, "active", default=True):
+            return
         axes = turn(numbers_of(surface, "xyz_body_rotation", 3, "0 0 0"))
         if math.hypot(axes[0, 2], axes[1, 2]) > FLAT:
             raise UnreadError(f"it wraps around '{name}', whose axis is not along z")
