@@ -7,6 +7,7 @@ converted here first.
 
 from __future__ import annotations
 
+import math
 import re
 import struct
 from collections.abc import Iterator
@@ -207,13 +208,47 @@ _INTEL, _MIPS = 84, 86
 def _readable(path: Path, content: bytes) -> Iterator[Path]:
     """Yield the file or, for a file of a MIPS processor, a temporary copy in Intel byte order."""
     first = _BLOCK * (max(content[0], 1) - 1) if content else 0
-    if len(content) < first + 4 or content[first + 3] != _MIPS:
+    _require_sound_parameters(content, first)
+    if content[first + 3] != _MIPS:
         yield path
         return
     with TemporaryDirectory() as folder:
         copy = Path(folder) / path.name
         copy.write_bytes(_in_order_of_intel(content, first))
         yield copy
+
+
+def _require_sound_parameters(content: bytes, first: int) -> None:
+    """Raise ValueError if a group or parameter is not within the file; ezc3d would read memory beyond its end.
+
+    Parameters
+    ----------
+    first
+        Position of the parameters in the file.
+    """
+    order = ">h" if content[first + 3 : first + 4] == bytes([_MIPS]) else "<h"
+    place = first + 4
+    while content[place]:  # length of the name of a group or parameter; 0 at the end
+        group = struct.unpack_from("b", content, place + 1)[0]
+        place += 2 + abs(struct.unpack_from("b", content, place)[0])
+        (offset,) = struct.unpack_from(order, content, place)
+        end = place + offset if offset else len(content)
+        if group > 0:
+            size, count = struct.unpack_from("bB", content, place + 2)
+            shape = content[place + 4 : place + 4 + count]
+            if size not in (-1, 1, 2, 4) or count > _MOST_AXES:
+                raise ValueError("a parameter has an unknown type")
+            if place + 4 + count + abs(size) * math.prod(shape) > end:
+                raise ValueError("a parameter is longer than its place in the file")
+        if offset == 0:
+            return
+        if not 0 < offset <= len(content) - place:
+            raise ValueError("the parameters are damaged")
+        place += offset
+
+
+_MOST_AXES = 7
+"""Largest number of axes of a parameter."""
 
 
 def _in_order_of_intel(content: bytes, first: int) -> bytes:

@@ -46,6 +46,22 @@ def ours(path: Path, names: list[str] | None, unit: str) -> Columns:
     }
 
 
+def ours_in_child(path: Path, names: list[str] | None, unit: str) -> Columns | str:
+    """Return `ours`, or the message of the error, computed in a process that a damaged file may crash."""
+    ending = in_child(_ours_or_message, path, names, unit)
+    if ending.exit_status != 0:
+        raise RuntimeError(f"the process ended with {ending.exit_status}: {ending.errors[-1000:]}")
+    value: Columns | str = ending.value
+    return value
+
+
+def _ours_or_message(path: Path, names: list[str] | None, unit: str) -> Columns | str:
+    try:
+        return ours(path, names, unit)
+    except MbdkitError as error:
+        return str(error)
+
+
 def compare(
     path: Path, truth: Columns | None, unit: str, witness: Callable[[str], Columns], *, must_refuse: bool = True
 ) -> list[str]:
@@ -55,12 +71,10 @@ def compare(
     """
     theirs = in_child(witness, str(path)).value
     wanted = theirs if truth is None else truth
-    try:
-        read = ours(path, None if wanted is None else [*wanted], unit)
-    except MbdkitError as error:
-        message = str(error)
-        bad = len(message) > LONGEST_MESSAGE or "\n" in message.strip() or "bug in mbdkit" in message
-        return [f"the message is not a sentence: {message[:300]!r}"] * bad
+    read = ours_in_child(path, None if wanted is None else [*wanted], unit)
+    if isinstance(read, str):
+        bad = len(read) > LONGEST_MESSAGE or "\n" in read.strip() or "bug in mbdkit" in read
+        return [f"the message is not a sentence: {read[:300]!r}"] * bad
     if wanted is None:
         return ["it was read, although the witness does not read it and its numbers have no meaning"] * must_refuse
     problems = []

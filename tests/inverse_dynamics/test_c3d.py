@@ -218,3 +218,14 @@ def test_a_file_whose_end_is_missing_is_refused(tmp_path: Path, processor: int, 
     (tmp_path / "walk.c3d").write_bytes(whole[:-cut])
     with pytest.raises(SpecError, match=rf"walk.c3d: this C3D file ends after {frames} of its 100 frames"):
         read_table(tmp_path / "walk.c3d", "motion.file")
+
+
+@pytest.mark.parametrize("processor", [INTEL, DEC, MIPS])
+def test_a_parameter_that_is_longer_than_its_place_is_refused(tmp_path: Path, processor: int) -> None:
+    # ezc3d reads beyond the end of the file, which may end the process
+    content = bytearray(c3d_bytes({"TOE": np.zeros((100, 3))}, 100.0, Convention(processor=processor)))
+    shape = content.index(b"LABELS") + len("LABELS") + 4
+    content[shape : shape + 2] = b"\xff\xff"
+    (tmp_path / "walk.c3d").write_bytes(content)
+    with pytest.raises(SpecError, match="not a C3D file that can be read: a parameter is longer than its place"):
+        read_table(tmp_path / "walk.c3d", "motion.file")
