@@ -28,6 +28,7 @@ from mbdkit.base.plain_data import DEEPEST, LARGEST_NUMBER, Path, path_text
 
 LARGEST = 500_000  # values, after expansion of aliases
 LONGEST = 16 * 2**20  # characters of all scalars together, after expansion of aliases
+TOO_DEEP = f"this YAML is nested too deeply: more than {DEEPEST} levels"
 
 CORE = "tag:yaml.org,2002:"
 IMPLICIT = ("null", "bool", "int", "float", "timestamp", "merge", "value")
@@ -42,11 +43,10 @@ NUMBER = re.compile(r"[-+]?(\.[0-9]+|[0-9]+(\.[0-9]*)?)([eE][-+]?[0-9]+)?")
 NOT_FINITE = re.compile(r"[-+]?\.(inf|Inf|INF)|\.(nan|NaN|NAN)")
 
 HINTS = {
-    "mapping values are not allowed": " (is the line indented too far, or does a text with a colon need quotes?)",
-    "cannot start any token": " (put the text in quotes)",
-    "undefined alias": " (a text that begins with * needs quotes)",
-    "could not find expected ':'": " (is there a colon and a space after the key?)",
+    ":": " (is the line indented too far, or does a text with a colon need quotes?)",
+    **dict.fromkeys("@`%", " (put the text in quotes)"),
 }
+"""Hints by the character at which the text cannot be read. The words of libyaml change from version to version."""
 
 _LOADER: Any = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
 _DUMPER: Any = yaml.SafeDumper
@@ -134,7 +134,7 @@ class _Reader:
         if isinstance(event, ScalarEvent):
             return self._scalar(event, path)
         if len(path) >= DEEPEST:
-            raise self._error(f"this YAML is nested too deeply: more than {DEEPEST} levels", event, ())
+            raise self._error(TOO_DEEP, event, ())
         if isinstance(event, MappingStartEvent):
             self._expect(event, "map", path)
             return self._mapping(path)
@@ -153,12 +153,12 @@ class _Reader:
             raise self._error("this alias (*name) refers to a value that contains the alias", event, path)
         if name not in self.anchors:
             raise self._error(
-                f"this is not valid YAML: found undefined alias '{name}'{HINTS['undefined alias']}", event
+                f"this is not valid YAML: found undefined alias '{name}' (a text that begins with * needs quotes)", event
             )
         data, count, length, origin, below = self.anchors[name]
         self._add(count, length, event, path)
         if len(path) + _depth(data) > DEEPEST:
-            raise self._error(f"this YAML is nested too deeply: more than {DEEPEST} levels", event, ())
+            raise self._error(TOO_DEEP, event, ())
         if self.has_lines:
             self.lines |= {(*path, *place[len(origin) :]): self.lines[place] for place in self.placed[below]}
         return _copied(data)
@@ -284,14 +284,19 @@ def resolved(text: str) -> Any:
 def _syntax(error: yaml.MarkedYAMLError, text: str) -> SpecError:
     mark = error.problem_mark or error.context_mark
     line = None if mark is None else mark.line + 1
-    problem = " ".join(str(error.problem or error.context or "it cannot be read").split())
     lines = text.splitlines()
     if line is not None and line <= len(lines) and re.match(r" *\t", lines[line - 1]):
         return SpecError("this line is indented with a tab; YAML allows only spaces", line=line)
+    before, after = (text, "") if mark is None else (text[: mark.index], text[mark.index : mark.index + 1])
+    if sum(map(before.count, "[{")) - sum(map(before.count, "]}")) > DEEPEST:
+        # libyaml reads up to 1024 characters ahead, and has a limit of its own that it may meet before ours.
+        return SpecError(TOO_DEEP, line=line)
+    problem = " ".join(str(error.problem or error.context or "it cannot be read").split())
     begin = error.context_mark.line + 1 if error.context_mark is not None else line
     if begin != line:
         problem += f", in the block that begins on line {begin}"
-    hint = next((hint for words, hint in HINTS.items() if words in problem), "")
+    missing_colon = error.context == "while scanning a simple key"
+    hint = " (is there a colon and a space after the key?)" if missing_colon else HINTS.get(after, "")
     return SpecError(f"this is not valid YAML: {problem}{hint}", line=line)
 
 

@@ -82,7 +82,7 @@ REFUSED = {
     "a recursive alias": ("a: &x [1, *x]\n", "contains the alias", 1),
     "a recursive merge": ("a: &x\n  <<: *x\n", "contains the alias", 2),
     "an alias explosion": (EXPLOSION, "too large", None),
-    "an unknown alias": ("a: *x\n", "undefined alias", 1),
+    "an unknown alias": ("a: *x\n", "needs quotes", 1),
     "a tab": ("a:\n\tb: 1\n", "tab", 2),
     "an open bracket": ("a: [1,\nb: 2\n", "not valid YAML", None),
     "a colon in a text": ("a: b: c\n", "quotes", 1),
@@ -92,7 +92,9 @@ REFUSED = {
     "a tag of one's own": ("a: !mine 3\n", "plain data", 1),
     "a forced float": ("a: 3\nb: !!float 'x'\n", "plain data", 2),
     "a list as key": ("[1, 2]: 3\n", "key should be text", 1),
-    "endless nesting": ("[" * 100_000, "nested too deeply", None),
+    "endless nesting": ("[" * 100_000, "more than 100 levels", 1),
+    "endless nesting of mappings in lists": ("a: 1\nb: " + "[{" * 2000, "more than 100 levels", 2),
+    "a character with a meaning": ("a: @x\n", "put the text in quotes", 1),
     "an endless number": ("a: " + "9" * 5000, "too large", 1),
 }
 
