@@ -1,30 +1,36 @@
-"""Results compared bit by bit between two versions.
+"""Results and texts compared bit by bit between two versions.
 
-``python -m tests.benchmarks.bits FOLDER`` runs every packaged example with every built-in method and writes their
-archives and ``hashes.json``; with ``--drawn 400 --seed 1`` it draws that many runs instead: models (pendulums, random
-mechanisms with springs, loads, drivers, beams and closed loops, examples), methods, formulations, stabilizations and
-events at random; some are computed in blocks of a study, in lanes where possible, some are killed and resumed.
-``--against OTHER`` then lists every run whose ``data_sha256``, status or counters differ, with the largest relative
-difference of positions over the first ten recorded steps and over the whole run.
+``python -m tests.benchmarks.bits FOLDER`` runs packaged examples with every built-in method, every packaged example
+as it is and with each treatment of its contacts, inverse runs, designs and studies (`bits_examples`), and asks for
+help, JSON and errors of every command (`bits_texts`). It writes the archives and ``hashes.json``. With ``--drawn
+400 --seed 1`` it draws that many runs instead: models (pendulums, random mechanisms with springs, loads, drivers,
+beams and closed loops, muscles, contacts, examples), methods, formulations, stabilizations and events at random;
+some are computed in blocks of a study, in lanes where possible, some are killed and resumed. ``--against OTHER``
+then lists everything that differs, of runs with the largest relative difference of positions over the first ten
+recorded steps and over the whole run.
 
-Only the public interface is used, so that the same file runs under an older version, whose folder is in
-``PYTHONPATH``: ``PYTHONPATH=OLDER python tests/benchmarks/bits.py FOLDER``.
+Only the public interface is used, so that the same files run under another version: copy ``tests/benchmarks/bits*.py``
+into a clone of it.
 """
 
 from __future__ import annotations
 
 import argparse
+import difflib
 import importlib
 import json
 import os
 import signal
 import sys
-from collections.abc import Callable
 from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+
+from mbdkit.spec import load_spec
+from tests.benchmarks import bits_examples, bits_texts
+from tests.benchmarks.bits_examples import COUNTERS, TREATMENTS, facts
 
 EXAMPLES = (
     "car-axis", "chain", "crank-press", "double-pendulum", "double-wishbone", "four-bar", "gravity-balanced-arm",
@@ -70,8 +76,6 @@ STEP = {"limit-stop": 0.001}
 
 
 def _spec(example: str, variant: str) -> dict[str, Any]:
-    from mbdkit.spec.loading import load_spec
-
     spec = load_spec(example).model_dump(mode="json")
     spec.update({key: spec.get(key) for key in ("formulation", "stabilization")})
     spec = {key: value for key, value in spec.items() if value is not None and key != "events"}
@@ -85,10 +89,11 @@ def _spec(example: str, variant: str) -> dict[str, Any]:
     return spec
 
 
-_COMPARED = ("status", "sha", "counters")
-
 IN_BLOCK = 5
 """Runs of a study in blocks that one draw stands for."""
+
+WITH_CONTACTS = ("belt", "bouncing-ball")
+"""Examples of contacts that are drawn with any treatment."""
 
 LARGE = ("chain", "double-wishbone", "watt-six-bar")
 """Examples that are not drawn, because their runs take long."""
@@ -145,10 +150,18 @@ def _mechanism(rng: np.random.Generator) -> dict[str, Any]:
 
 def _drawn_model(rng: np.random.Generator) -> tuple[str, dict[str, Any], str, str]:
     """Draw a model; return what it is, the model, an angle that a study may vary, and a quantity for events."""
-    kind = rng.choice(["pendulum", "mechanism", "example"], p=[0.35, 0.45, 0.2])
+    kind = rng.choice(["pendulum", "mechanism", "example", "muscles", "contacts"], p=[0.25, 0.35, 0.1, 0.15, 0.15])
+    if kind == "muscles":
+        spec = load_spec("elbow-curl").model_dump(mode="json")
+        spec["parameters"] |= {"load": float(rng.uniform(0.5, 4.0)), "flexion": float(rng.uniform(0.1, 0.6))}
+        return "muscles", spec, "parameters.load", "hand.y"
+    if kind == "contacts":
+        example = str(rng.choice(WITH_CONTACTS))
+        spec = load_spec(example).model_dump(mode="json")
+        body = next(iter(spec["model"]["bodies"]))
+        spec["model"]["bodies"][body]["angular_velocity"] = float(rng.uniform(-3.0, 3.0))
+        return f"contacts of {example}", spec, "", f"{body}.angle - 0.1"
     if kind == "example":
-        from mbdkit.spec.loading import load_spec
-
         example = str(rng.choice([name for name in EXAMPLES if name not in LARGE]))
         spec = load_spec(example).model_dump(mode="json")
         return example, spec, "", ""
@@ -168,11 +181,15 @@ def _drawn_spec(rng: np.random.Generator) -> tuple[str, dict[str, Any], str]:
     """Draw a spec; return its description, the spec, and the key of it that a study may vary."""
     what, spec, key, quantity = _drawn_model(rng)
     variant = str(rng.choice(list(VARIANTS)))
+    settings = VARIANTS[variant]
+    if what.startswith("contacts"):
+        variant = str(rng.choice(list(TREATMENTS)))
+        settings = TREATMENTS[variant]
     step = float(rng.choice([0.001, 0.002, 0.005]))
     drawn = {
         "mbdkit": 1,
         **{name: spec[name] for name in ("model", "parameters") if spec.get(name)},
-        **json.loads(json.dumps(VARIANTS[variant])),
+        **json.loads(json.dumps(settings)),
         "time": {"start": 0.0, "end": float(rng.choice([0.3, 0.7])), "step": step},
         "output": {"every": int(rng.choice([1, 3]))},
         "limits": {"max_steps": 100_000},
@@ -195,8 +212,8 @@ def _drawn(job: tuple[int, int, Path]) -> tuple[str, dict[str, Any]]:
     if how == "resumed":
         share = float(rng.uniform(0.1, 0.9))
         spec["time"]["end"] = 8.0
-        return f"drawn {seed}-{number} | {what}, resumed", _found(lambda: _resumed(spec, path, share))
-    return f"drawn {seed}-{number} | {what}", _found(lambda: _alone(spec, path))
+        return f"drawn {seed}-{number} | {what}, resumed", facts(lambda: _resumed(spec, path, share))
+    return f"drawn {seed}-{number} | {what}", facts(lambda: _alone(spec, path))
 
 
 def _alone(spec: dict[str, Any], path: Path) -> Any:
@@ -215,18 +232,13 @@ def _in_block(spec: dict[str, Any], key: str, rng: np.random.Generator) -> dict[
         frame = mbdkit.ensemble(spec, {key: values}, store="hashes", measures="all").to_frame()
     except mbdkit.SpecError as error:
         return {"refused": str(error).splitlines()[0]}
-    counted = [name for name in (*_COUNTERS, "misalignment_max") if name in frame]
+    counted = [name for name in (*COUNTERS, "misalignment_max") if name in frame]
     return {
         "status": frame.status.tolist(),
         "sha": frame.data_sha256.tolist(),
         "counters": [[str(value) for value in frame[name]] for name in counted],
     }
 
-
-_COUNTERS = (
-    "steps", "accepted", "rejected", "rhs_evaluations", "jacobian_evaluations", "factorizations",
-    "newton_iterations", "projections",
-)  # fmt: skip
 
 _WITHOUT_CHECKPOINT = ("its checkpoint ", "before it wrote any rows", "cannot be stored", "SciPy offers no way")
 
@@ -278,28 +290,10 @@ def _checkpoint_often() -> None:
             setattr(module, constant, value)
 
 
-def _found(begin: Callable[[], Any]) -> dict[str, Any]:
-    """Carry out a run, and return what is compared of it."""
-    import mbdkit
-
-    try:
-        run = begin()
-    except mbdkit.SpecError as error:
-        return {"refused": str(error).splitlines()[0]}
-    found = {
-        "status": run.status,
-        "reason": run.status_reason,
-        "sha": run.data_sha256,
-        "counters": {name: int(run.stats[name]) for name in _COUNTERS if name in run.stats},
-    }
-    run.close()
-    return found
-
-
 def _run(job: tuple[str, str, Path]) -> tuple[str, dict[str, Any]]:
     example, variant, folder = job
     path = folder / f"{example} {variant}.h5"
-    return f"{example} | {variant}", _found(lambda: _alone(_spec(example, variant), path))
+    return f"{example} | {variant}", facts(lambda: _alone(_spec(example, variant), path))
 
 
 def _difference(one: Path, other: Path) -> str:
@@ -323,6 +317,37 @@ def _difference(one: Path, other: Path) -> str:
     return f"positions differ by {first:.1e} in ten steps, {whole:.1e} in all; arrays: {', '.join(names)}"
 
 
+def _all(folder: Path, only: str, pool: ProcessPoolExecutor) -> dict[str, Any]:
+    combined = [(e, v, folder) for e in EXAMPLES for v in VARIANTS if only in f"{e} | {v}"]
+    packaged = [(job, folder) for job in bits_examples.jobs() if only in f"{job[0]} | {job[1]} {job[2]}"]
+    results = dict(pool.map(bits_examples.carried_out, packaged)) | dict(pool.map(_run, combined))
+    return results | bits_texts.texts(folder, pool, only)
+
+
+def _compare(results: dict[str, Any], other: dict[str, Any], folders: tuple[Path, Path], *, whole: bool) -> int:
+    """Print each difference, and return their number."""
+    differing = [name for name, value in results.items() if json.loads(json.dumps(value)) != other.get(name)] + (
+        [name for name in other if name not in results and not name.startswith("drawn")] if whole else []
+    )
+    for name in differing:
+        before, after = other.get(name) or {}, results.get(name) or {}
+        print(f"{name}:{'' if before else ' is new'}{'' if after else ' is gone'}")
+        for key in sorted(before.keys() & after.keys()):
+            if before[key] != json.loads(json.dumps(after[key])):
+                _print_difference(key, before[key], after[key])
+        file = (name.partition(" | ")[0] if name.startswith("drawn") else name.replace(" | ", " ")) + ".h5"
+        if before.get("sha") != after.get("sha") and all((folder / file).exists() for folder in folders):
+            print(f"    {_difference(*(folder / file for folder in folders))}")
+    print(f"{len(results) - len(differing)} equal, {len(differing)} differ")
+    return len(differing)
+
+
+def _print_difference(key: str, before: Any, after: Any) -> None:
+    texts = [text if isinstance(text, str) else json.dumps(text, indent=1) for text in (before, after)]
+    for line in difflib.unified_diff(*(text.splitlines() for text in texts), "before", "after", n=0, lineterm=""):
+        print(f"    {key}: {line}")
+
+
 def main() -> None:
     """Run every combination, and compare with another folder if one is named."""
     parser = argparse.ArgumentParser(prog="python -m tests.benchmarks.bits", description=__doc__)
@@ -332,33 +357,23 @@ def main() -> None:
     parser.add_argument("--drawn", type=int, default=0, metavar="N", help="draw N runs instead of the combinations")
     parser.add_argument("--seed", type=int, default=1, help="of the runs that are drawn")
     asked = parser.parse_args()
-    asked.folder.mkdir(parents=True, exist_ok=True)
+    folder = asked.folder.resolve()
+    folder.mkdir(parents=True, exist_ok=True)
+    os.environ["MBDKIT_PLUGINS"] = ""  # what else is installed has no part in the comparison
     with ProcessPoolExecutor(os.cpu_count()) as pool:
         if asked.drawn:
-            drawn = [(asked.seed, number, asked.folder) for number in range(asked.drawn)]
-            found = dict(pool.map(_drawn, drawn))
+            drawn = [(asked.seed, number, folder) for number in range(asked.drawn)]
+            results = dict(pool.map(_drawn, drawn))
         else:
-            jobs = [(e, v, asked.folder) for e in EXAMPLES for v in VARIANTS if asked.only in f"{e} | {v}"]
-            found = dict(pool.map(_run, jobs))
-    file = asked.folder / "hashes.json"
+            results = _all(folder, asked.only, pool)
+    file = folder / "hashes.json"
+    other = json.loads((asked.against / "hashes.json").read_text()) if asked.against else None
     known = json.loads(file.read_text()) if file.exists() else {}
-    file.write_text(json.dumps(known | found, indent=1))
-    print(f"{len(found)} combinations, {sum('refused' in x for x in found.values())} refused")
-    if asked.against is None:
-        return
-    other = json.loads((asked.against / "hashes.json").read_text())
-    differing = [
-        key
-        for key, value in found.items()
-        if key in other and any(what in other[key] and other[key][what] != value.get(what) for what in _COMPARED)
-    ]
-    for key in differing:
-        name = (key.partition(" | ")[0] if key.startswith("drawn") else key.replace(" | ", " ")) + ".h5"
-        print(f"{key}: {other[key]} -> {found[key]}")
-        if all((folder / name).exists() for folder in (asked.folder, asked.against)):
-            print(f"    {_difference(asked.folder / name, asked.against / name)}")
-    print(f"{len(found) - len(differing)} equal, {len(differing)} differ")
-    sys.exit(bool(differing))
+    file.write_text(json.dumps(known | results, indent=1))
+    print(f"{len(results)} results, {sum('refused' in value for value in results.values())} refused")
+    if other is not None:
+        whole = not asked.drawn and not asked.only
+        sys.exit(bool(_compare(results, other, (folder, asked.against), whole=whole)))
 
 
 if __name__ == "__main__":
