@@ -153,7 +153,8 @@ class _Reader:
             raise self._error("this alias (*name) refers to a value that contains the alias", event, path)
         if name not in self.anchors:
             raise self._error(
-                f"this is not valid YAML: found undefined alias '{name}' (a text that begins with * needs quotes)", event
+                f"this is not valid YAML: found undefined alias '{name}' (a text that begins with * needs quotes)",
+                event,
             )
         data, count, length, origin, below = self.anchors[name]
         self._add(count, length, event, path)

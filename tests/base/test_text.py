@@ -94,7 +94,8 @@ def test_a_usage_error_is_text(tmp_path: Path) -> None:
     command = [sys.executable, "-m", "mbdkit", "archive", "info", "--bogus"]
     done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
     assert done.returncode == 2
-    assert done.stderr.endswith("Error: No such option: --bogus\n")
+    assert done.stderr.splitlines()[-1].startswith("Error: ")
+    assert "--bogus" in done.stderr
     command = [sys.executable, "-m", "mbdkit", "archive", "check", "\x1b[31m.h5"]
     done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
     assert done.stderr == "\\u001b[31m.h5: there is no such file\n"
