@@ -101,20 +101,16 @@ def with_treatment(example: str, treatment: str) -> dict[str, Any]:
 
 
 def _design(example: str, folder: Path) -> dict[str, Any]:
-    """Evaluate a design at its start and at one further point."""
+    """Evaluate a design at its start and at the point of the first iteration."""
     shutil.rmtree(folder, ignore_errors=True)
     try:
-        design = mbdkit.design(
+        mbdkit.design(
             example, out=folder, optimum_only=True, assignments=["optimizer.max_iterations=1"], notify=lambda text: None
         )
     except mbdkit.MbdkitError as error:
         return {"refused": str(error)}
-    return {
-        "values": {name: float(value).hex() for name, value in design.variables.items()},
-        "points": (folder / "points.jsonl").read_text().count("\n"),
-        "verdict": design.verdict,
-        "verdict_reasons": [str(reason) for reason in design.verdict_reasons],
-    }
+    ends = {name: facts(lambda name=name: mbdkit.load(folder / f"{name}.h5")) for name in ("start", "best")}
+    return {"points": (folder / "points.jsonl").read_text().splitlines(), **ends}
 
 
 def _study(example: str, key: str, values: tuple[float, ...]) -> dict[str, Any]:
