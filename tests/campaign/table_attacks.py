@@ -227,11 +227,12 @@ def marker_file(random: Random) -> Text:
     ]
     text = "\n".join([*head, *blank, *rows, ""])
     factor = UNITS.get(unit, np.nan)
-    truth: Columns | None = {"time": time}
+    columns: Columns = {"time": time}
     for k, name in enumerate(names):
         for axis in range(3):
             if name:
-                truth[f"{name}.{'xyz'[axis]}"] = factor * values[:, 3 * k + axis]
+                columns[f"{name}.{'xyz'[axis]}"] = factor * values[:, 3 * k + axis]
+    truth: Columns | None = columns
     if unit not in UNITS or not key or number != count or len({*names}) < count or "Y1" in axes.split("\t")[:1]:
         truth = None
     if between == "\t" and "" in names:
