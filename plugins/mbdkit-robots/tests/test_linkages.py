@@ -79,3 +79,31 @@ def test_other_joints_are_refused(tmp_path: Path) -> None:
     with pytest.raises(mbdkit.SpecError, match="is no mechanism of pylinkage"):
         mbdkit.RunSpec(mbdkit=1, model={"name": "pylinkage", "file": str(path)}, integrator={"name": "rk4"},
                        time={"end": 0.5, "step": 0.01}).mechanism()  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("before", "after", "message"),
+    [
+        ('"motor_joint": "crank.motor_ground.A"', '"motor_joint": "nowhere"', "without a motor_joint among the joints"),
+        ('"initial_angle": 0.0', '"initial_angle": 1.0', "initial_angle 1 of link 'crank' differs"),
+        ('"coupler.1_rocker.0"\n', '"nowhere"\n', "joints that do not exist: nowhere"),
+    ],
+)
+def test_drivers_and_joints_that_pylinkage_would_not_read_so_are_refused(
+    tmp_path: Path, before: str, after: str, message: str
+) -> None:
+    text = FILE.read_text()
+    assert before in text
+    path = tmp_path / "linkage.json"
+    path.write_text(text.replace(before, after, 1))
+    with pytest.raises(mbdkit.SpecError, match=message):
+        mbdkit.RunSpec(mbdkit=1, model={"name": "pylinkage", "file": str(path)}, integrator={"name": "rk4"},
+                       time={"end": 0.5, "step": 0.01}).mechanism()  # fmt: skip
+
+
+def test_unknown_keys_are_a_doubt(tmp_path: Path) -> None:
+    path = tmp_path / "linkage.json"
+    path.write_text(FILE.read_text().replace('"initial_angle": 0.0', '"initial_angle": 0.0, "brake": 3', 1))
+    m = mbdkit.RunSpec(mbdkit=1, model={"name": "pylinkage", "file": str(path)}, integrator={"name": "rk4"},
+                           time={"end": 0.5, "step": 0.01}).mechanism()  # fmt: skip
+    assert m.left_out == ("keys of the link left out, which may change the motion: 'brake'",)

@@ -81,8 +81,7 @@ def test_a_four_bar_of_mjcf_moves_as_in_mujoco() -> None:
     assert list(run.joints) == ["A", "B", "D", "C"]
     np.testing.assert_allclose(run.time[1:], expected[:, 0], atol=1e-12)
     np.testing.assert_allclose(coordinates(run, model)[1:], expected[:, 1:], atol=1e-7)  # MuJoCo's loop is soft
-    assert any(one.startswith("contacts of geoms left out: capsule of crank") for one in run.warnings)
-    assert "elements of <sensor> left out: angle of A" in run.warnings
+    assert run.warnings == ["elements of <sensor> left out: angle of A"]
 
 
 def test_a_chain_of_urdf_moves_as_in_mujoco() -> None:
@@ -117,7 +116,7 @@ def test_friction_damping_and_armatures_of_joints_act_as_in_mujoco(tmp_path: Pat
         ("</worldbody>", '</worldbody><actuator><position name="servo" joint="rail" kp="9"/></actuator>',
          "actuators that act without control .*: servo"),
         ("<option>", '<option density="1000">', "forces of the surrounding fluid .*: density"),
-        ('<option><flag contact="disable"/></option>', "", "contacts with fixed geoms .*: capsule of base"),
+        ('<flag contact="disable"/></option>', "</option>", "contacts with fixed geoms .*: capsule of base"),
         ('name="elbow"', 'name="elbow" limited="true" range="-0.5 -0.395"', "elbow limits.* leaves the range"),
     ],
     ids=["armature", "armature-of-slide", "servo", "fluid", "contact", "limits"],
@@ -134,7 +133,7 @@ def test_left_out_effects_make_the_verdict_doubtful(tmp_path: Path, before: str,
                            accept=["left-out"])  # fmt: skip
     assert accepting.verdict == ("doubtful" if "limits" in what else "unknown")
     prefix = "" if "limits" in what else "Accepted by the spec: "
-    assert accepting.verdict_reasons == [prefix + run.verdict_reasons[0]]
+    assert accepting.verdict_reasons[0] == prefix + run.verdict_reasons[0]
 
 
 def test_inverse_dynamics_is_doubtful_if_a_tendon_is_left_out(tmp_path: Path) -> None:

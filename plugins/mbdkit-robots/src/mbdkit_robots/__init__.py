@@ -12,6 +12,7 @@ from mbdkit.mechanism.joint_friction import regularised_friction
 from mbdkit_robots.linkages import read_linkage, to_pylinkage
 from mbdkit_robots.mjcf import read_mjcf
 from mbdkit_robots.planar import PlanarMechanism, Plane, SpatialModel
+from mbdkit_robots.trees import leaving_bodies
 from mbdkit_robots.urdf import read_urdf
 
 if TYPE_CHECKING:
@@ -103,6 +104,8 @@ def _of_mjcf(options: MjcfOptions) -> mbdkit.Mechanism:
 
 def _projected(model: SpatialModel, options: MjcfOptions) -> mbdkit.Mechanism:
     planar = PlanarMechanism(model, options.plane, options.transition_speed)
+    for name in leaving_bodies(model, planar.normal):
+        model.leave_out("motions of free bodies out of the plane", name, acts=True)
     return planar.mechanism(options.initial, options.speeds)
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import os
+from collections.abc import Collection
 from xml.etree.ElementTree import Element, ParseError
 
 import numpy as np
@@ -12,6 +13,7 @@ from defusedxml.ElementTree import fromstring
 
 from mbdkit import ResourceError, SpecError
 from mbdkit.base.files import read_bytes
+from mbdkit.base.text import listed
 from mbdkit_robots.planar import refused
 
 LARGEST = 10 * 2**20
@@ -57,6 +59,14 @@ def numbers(element: Element | None, name: str, default: str, count: int | None 
 def number(element: Element | None, name: str, default: float) -> float:
     """Return the number in an attribute."""
     return float(numbers(element, name, repr(default), 1)[0])
+
+
+def keyword(element: Element, name: str, default: str, allowed: Collection[str]) -> str:
+    """Return the word in an attribute; raise SpecError if it is not one of those that are allowed."""
+    word = element.get(name, default)
+    if word not in allowed:
+        raise refused(f'{name}="{word[:60]}" of <{element.tag}> should be {listed(allowed, "or")}')
+    return word
 
 
 def about(axis: int, angle: float) -> np.ndarray:

@@ -14,6 +14,13 @@ from mbdkit.mechanism.joints import Driver, Revolute
 from mbdkit_robots.documents import read_content
 from mbdkit_robots.planar import GROUND, refused
 
+UNDERSTOOD = {
+    "mechanism": ("name", "joints", "links", "ground"),
+    "joint": ("id", "type", "position", "name"),
+    "link": ("id", "type", "joints", "name", "motor_joint", "angular_velocity", "initial_angle"),
+}
+"""Keys that the reader understands: those that pylinkage writes for pins, links and cranks."""
+
 
 def read_linkage(file: str, *, steps_per_second: float, mass_per_length: float) -> Mechanism:
     """Return the mechanism of a JSON file of pylinkage.
@@ -41,18 +48,24 @@ def read_linkage(file: str, *, steps_per_second: float, mass_per_length: float) 
     if wrong := [name for name, one in joints.items() if one.get("type") not in ("ground", "revolute")]:
         raise refused(f"joints other than pins are not read: {listed(wrong)}")
     m = Mechanism(name=str(data.get("name") or "linkage"))
+    for what, items in (("mechanism", [data]), ("joint", joints.values()), ("link", [link for *_, link in links])):
+        unknown = dict.fromkeys(f"'{key}'" for item in items for key in item if key not in UNDERSTOOD[what])
+        if unknown:
+            m.left_out += (f"keys of the {what} left out, which may change the motion: {listed(unknown)}",)
     at: dict[str, list[str]] = {name: [GROUND] for name, one in joints.items() if one.get("type") == "ground"}
     for name, kind, ids, one in links:
         if kind == "ground":
             continue
         if kind not in ("link", "driver"):
             raise refused(f"link '{name}' has the type '{kind}', which is not read")
+        if unknown := [str(joint) for joint in ids if joint not in places]:
+            raise refused(f"link '{name}' has joints that do not exist: {listed(unknown)}")
         points = [places[joint] for joint in ids]
         _add_rod(m, name, points, mass_per_length)
         for joint in ids:
             at.setdefault(joint, []).append(name)
-        if kind == "driver" and one.get("motor_joint") in places:
-            rate = float(one["angular_velocity"]) * steps_per_second
+        if kind == "driver":
+            rate = _crank_rate(name, one, places) * steps_per_second
             m.driver(f"{name} motor", GROUND, name, coordinate="angle", motion=f"{m.bodies[name].angle!r} + {rate!r}*t")
     for joint, bodies in at.items():
         for k, body in enumerate(bodies[1:]):
@@ -60,6 +73,18 @@ def read_linkage(file: str, *, steps_per_second: float, mass_per_length: float) 
         if len(bodies) == 1 and bodies[0] != GROUND:
             m.marker(joint, bodies[0], at=places[joint])
     return m
+
+
+def _crank_rate(name: str, link: dict[str, Any], places: dict[str, tuple[float, float]]) -> float:
+    """Return the rate of a crank [rad/step]; raise SpecError if its motor, rate or initial angle is wrong."""
+    motor, rate, angle = link.get("motor_joint"), link.get("angular_velocity"), link.get("initial_angle", 0.0)
+    if motor not in places or not isinstance(rate, int | float) or not isinstance(angle, int | float):
+        raise refused(f"link '{name}' is a driver without a motor_joint among the joints or without numbers as angles")
+    x, y = places[motor]
+    tip_x, tip_y = next((places[joint] for joint in link["joints"] if joint != motor), (x, y))
+    if abs(math.remainder(math.atan2(tip_y - y, tip_x - x) - angle, 2 * math.pi)) > 1e-6:
+        raise refused(f"the initial_angle {angle:g} of link '{name}' differs from that of the positions of its joints")
+    return float(rate)
 
 
 def _add_rod(m: Mechanism, name: str, points: list[tuple[float, float]], mass_per_length: float) -> None:

@@ -8,22 +8,32 @@ from xml.etree.ElementTree import Element
 
 import numpy as np
 
-from mbdkit_robots.documents import about, number, numbers, read_xml, unit
+from mbdkit.base.text import listed
+from mbdkit_robots.documents import about, keyword, number, numbers, read_xml, unit
+from mbdkit_robots.mjcf_schema import (
+    ACTUATORS,
+    BODY_PARTS,
+    IDLE_SECTIONS,
+    INHERITED,
+    LACKING_SECTIONS,
+    LISTS,
+    MODEL_SECTIONS,
+    NOTED_SECTIONS,
+    ORIENTATIONS,
+    WITHOUT_FORCE,
+    leave_out_attributes,
+)
 from mbdkit_robots.planar import GROUND, Closure, Link, Part, SpatialModel, refused
-from mbdkit_robots.shapes import volume_and_inertia
+from mbdkit_robots.shapes import SIZES, volume_and_inertia
+from mbdkit_robots.trees import leave_out_contacts
 
-LEFT_OUT = ("sensor", "keyframe")
-"""Sections that are ignored, with a warning."""
-LACKING = {"tendon": "tendons", "deformable": "deformable objects"}
-"""Sections that are ignored although they change the motion, and words for their elements."""
-WITHOUT_FORCE = ("motor", "damper", "adhesion")
-"""Actuators that exert no force while their control is zero."""
-REFUSED = ("balanceinertia", "boundmass", "boundinertia", "settotalmass", "strippath", "inertiagrouprange")
+REFUSED = ("balanceinertia", "boundmass", "boundinertia", "settotalmass", "inertiagrouprange")
 """Attributes of <compiler> that are rejected, because they would change masses."""
 MACROS = ("frame", "replicate", "composite", "flexcomp", "attach")
 """Elements that stand for bodies or place them."""
 FLAGS = ("gravity", "passive", "spring", "damper", "frictionloss", "limit", "equality", "constraint")
 """Flags that are rejected, because they would switch off forces or constraints."""
+BOOLEAN = ("false", "true")
 
 
 def read_mjcf(file: str) -> SpatialModel:
@@ -37,102 +47,152 @@ class _Reader:
     """Reads the bodies of a file recursively, starting with the world."""
 
     def __init__(self, root: Element):
-        self.root, self.compiler = root, root.find("compiler")
-        self.model = SpatialModel(root.get("model", "mujoco"))
-        self.model.gravity = numbers(root.find("option"), "gravity", "0 0 -9.81", 3)
-        for name in REFUSED:
-            if self.compiler is not None and self.compiler.get(name) not in (None, "false", "0", "-1"):
-                raise refused(f"{name} of <compiler> is not read")
+        self.root, self.model = root, SpatialModel(root.get("model", "mujoco"))
         if next(root.iter("include"), None) is not None:
             raise refused("<include> is not read; save the model as one file, as MuJoCo's mj_saveLastXML does")
-        for name in FLAGS:
-            if any(flag.get(name) == "disable" for flag in root.iterfind("option/flag")):
-                raise refused(f'the flag {name}="disable" is not read; change the model instead')
+        self.compiler, self.option, self.flag = (self._merged(path) for path in ("compiler", "option", "option/flag"))
+        self.model.gravity = numbers(self.option, "gravity", "0 0 -9.81", 3)
+        self._check_globals()
         self.defaults: dict[str, dict[str, dict[str, str]]] = {"main": {}}
-        self.geoms: dict[str, list[Element]] = {}
         for default in root.iterfind("default"):
-            self._read_defaults(default, "main", {})
+            if default.get("class", "main") != "main":
+                raise refused(f"the outermost <default> has the class '{default.get('class')}', which should be 'main'")
+            self._read_defaults(default, "main", self.defaults["main"])
+        self.geoms: dict[str, list[Element]] = {GROUND: []}
         self.places: dict[str, tuple[np.ndarray, np.ndarray]] = {GROUND: (np.eye(3), np.zeros(3))}
-        world = root.find("worldbody")
-        if world is None:
+        worlds = root.findall("worldbody")
+        if not worlds:
             raise refused("the file has no <worldbody>")
-        self._refuse_macros(world)
-        self.geoms[GROUND] = [self._with_defaults(one, "main") for one in world.iterfind("geom")]
-        for body in world.iterfind("body"):
-            self._add_body(body, GROUND, "main")
-        for equality in root.iterfind("equality"):
-            for one in equality:
-                self._add_closure(one)
+        for world in worlds:
+            self._check_parts(world, "the world")
+            self.geoms[GROUND] += [self._with_defaults(geom, "main") for geom in world.iterfind("geom")]
+        for world in worlds:
+            for body in world.iterfind("body"):
+                self._add_body(body, GROUND, "main")
+        for equality in root.iterfind("equality/*"):
+            self._add_closure(equality)
+        for name, geoms in self.geoms.items():
+            for geom in geoms:
+                leave_out_attributes(self.model, geom, _label(geom, name))
         self._leave_out()
+
+    def _merged(self, path: str) -> Element:
+        """Return the sections of a name as one: MuJoCo reads them in their order, and later values replace earlier
+        ones.
+        """
+        values: dict[str, str] = {}
+        for section in self.root.iterfind(path):
+            values |= section.attrib
+        return Element(path.rpartition("/")[2], values)
+
+    def _check_globals(self) -> None:
+        """Refuse settings that change masses or switch off forces, and note those that are not understood."""
+        for name in REFUSED:
+            if self.compiler.get(name) not in (None, "false", "0", "-1"):
+                raise refused(f"{name} of <compiler> is not read")
+        for name in FLAGS:
+            if self.flag.get(name) == "disable":
+                raise refused(f'the flag {name}="disable" is not read; change the model instead')
+        keyword(self.compiler, "coordinate", "local", ("local",))
+        self.is_degree = keyword(self.compiler, "angle", "degree", ("degree", "radian")) == "degree"
+        self.from_geoms = keyword(self.compiler, "inertiafromgeom", "auto", ("auto", *BOOLEAN))
+        self.order = self.compiler.get("eulerseq", "xyz")
+        if len(self.order) != 3 or set(self.order.lower()) - set("xyz"):
+            raise refused(f'eulerseq="{self.order[:60]}" of <compiler> should have three of the letters xyzXYZ')
+        for element in (self.compiler, self.option, self.flag):
+            leave_out_attributes(self.model, element, "the file")
 
     def _leave_out(self) -> None:
         """Note the elements that are ignored, and those of them that change the motion."""
-        for tag in LEFT_OUT:
-            for one in self.root.iterfind(f"{tag}/*"):
-                self.model.leave_out(f"elements of <{tag}>", one.get("name", one.tag))
-        for tag, words in LACKING.items():
-            for one in self.root.iterfind(f"{tag}/*"):
-                self.model.leave_out(words, one.get("name", one.tag), acts=True)
-        for one in self.root.iterfind("actuator/*"):
-            given = self._with_defaults(one, "main")
-            is_idle = one.tag in WITHOUT_FORCE or (one.tag == "general" and given.get("biastype", "none") == "none")
-            words = "actuators without control" if is_idle else "actuators that act without control"
-            self.model.leave_out(words, one.get("name", one.tag), acts=not is_idle)
-        for one in self.root.iterfind("contact/pair"):
-            self.model.leave_out("contacts", one.get("name", "pair"), acts=True)
-        if all(flag.get("contact") != "disable" for flag in self.root.iterfind("option/flag")):
-            self._leave_out_contacts()
-        option = self.root.find("option")
+        known = (*MODEL_SECTIONS, *IDLE_SECTIONS, *NOTED_SECTIONS, *LACKING_SECTIONS)
+        for section in self.root:
+            if section.tag not in known:
+                self.model.leave_out(f"elements <{section.tag}>", "the file", acts=True)
+        for tag in NOTED_SECTIONS:
+            for element in self.root.iterfind(f"{tag}/*"):
+                self.model.leave_out(f"elements of <{tag}>", element.get("name", element.tag))
+        for tag, words in LACKING_SECTIONS.items():
+            for element in self.root.iterfind(f"{tag}/*"):
+                self.model.leave_out(words, element.get("name", element.tag), acts=True)
+        for actuator in self.root.iterfind("actuator/*"):
+            self._leave_out_actuator(self._with_defaults(actuator, "main"))
         for name in ("density", "viscosity"):
-            if number(option, name, 0.0):
+            if number(self.option, name, 0.0):
                 self.model.leave_out("forces of the surrounding fluid", name, acts=True)
+        excluded = []
+        for element in self.root.iterfind("contact/*"):
+            if element.tag == "exclude":
+                leave_out_attributes(self.model, element, element.get("name", "exclude"))
+                excluded.append(frozenset(_body(element, key) for key in ("body1", "body2")))
+            else:
+                self.model.leave_out("contacts", element.get("name", element.tag), acts=True)
+        if self.flag.get("contact") != "disable":
+            shapes = {
+                name: [
+                    (_label(geom, name), *(int(number(geom, key, 1.0)) for key in ("contype", "conaffinity")))
+                    for geom in geoms
+                ]
+                for name, geoms in self.geoms.items()
+            }
+            with_parents = self.flag.get("filterparent") == "disable"
+            leave_out_contacts(self.model, shapes, excluded, with_parents=with_parents)
 
-    def _leave_out_contacts(self) -> None:
-        """Note the geoms that could collide: those of moving bodies with each other, and with geoms that are fixed."""
-        fixed = {GROUND}
-        for link in self.model.links:
-            if link.kind == "fixed" and link.parent in fixed:
-                fixed.add(link.child)
-        masks: dict[bool, list[tuple[int, int]]] = {True: [], False: []}
-        for body, geoms in self.geoms.items():
-            for one in geoms:
-                mask = int(number(one, "contype", 1.0)), int(number(one, "conaffinity", 1.0))
-                masks[body in fixed].append(mask)
-                if any(mask) and body not in fixed:
-                    label = one.get("name", f"{one.get('type', 'sphere')} of {body}")
-                    self.model.leave_out("contacts of geoms", label)
-        for body in fixed:
-            for one in self.geoms.get(body, ()):
-                kind, affinity = int(number(one, "contype", 1.0)), int(number(one, "conaffinity", 1.0))
-                if any(kind & other[1] or affinity & other[0] for other in masks[False]):
-                    label = one.get("name", f"{one.get('type', 'sphere')} of {'the world' if body == GROUND else body}")
-                    self.model.leave_out("contacts with fixed geoms", label, acts=True)
+    def _leave_out_actuator(self, actuator: Element) -> None:
+        """Note an actuator, and whether it acts while its control is zero."""
+        name, shortcut = actuator.get("name", actuator.tag), actuator.attrib.pop("", "general")
+        is_idle = actuator.tag in WITHOUT_FORCE or (
+            actuator.tag == "general"
+            and shortcut in ("general", *WITHOUT_FORCE)
+            and actuator.get("biastype", "none") == "none"
+            and actuator.get("gaintype", "fixed") in ("fixed", "affine")
+            and actuator.get("dyntype", "none") in ("none", "integrator", "filter", "filterexact")
+            and _has_zero(actuator, "act")
+        )
+        is_idle = is_idle and _has_zero(actuator, "ctrl") and _has_zero(actuator, "force")
+        words = "actuators without control" if is_idle else "actuators that act without control"
+        self.model.leave_out(words, name, acts=not is_idle)
+        for key in ("armature", "damping"):
+            if np.any(numbers(actuator, key, "0")):
+                self.model.leave_out(f"{key} of actuators", name, acts=True)
+        if is_idle:
+            leave_out_attributes(self.model, actuator, name, "actuator")
 
-    def _refuse_macros(self, body: Element) -> None:
-        for one in body:
-            if one.tag in MACROS:
-                raise refused(f"<{one.tag}> is not read; save the model as one file, as MuJoCo's mj_saveLastXML does")
+    def _check_parts(self, body: Element, label: str) -> None:
+        for part in body:
+            if part.tag in MACROS:
+                raise refused(f"<{part.tag}> is not read; save the model as one file, as MuJoCo's mj_saveLastXML does")
+            if part.tag not in BODY_PARTS:
+                self.model.leave_out(f"elements <{part.tag}>", label, acts=True)
+            elif part.tag == "geom":
+                for inner in part:
+                    self.model.leave_out(f"elements <{inner.tag}> of geoms", label, acts=True)
 
     def _read_defaults(self, default: Element, name: str, above: Mapping[str, dict[str, str]]) -> None:
         own = {tag: dict(values) for tag, values in above.items()}
-        for one in default:
-            if one.tag != "default":
-                own[one.tag] = own.get(one.tag, {}) | dict(one.attrib)
+        for element in default:
+            if element.tag != "default":
+                key = _key(element)
+                own[key] = _inherit(element, own.get(key, {}))
         self.defaults[name] = own
         for inner in default.iterfind("default"):
-            self._read_defaults(inner, inner.get("class", name), own)
+            if inner.get("class", "") in ("", *self.defaults):
+                raise refused(f"the class '{inner.get('class', '')}' of a <default> should have a name of its own")
+            self._read_defaults(inner, inner.get("class", ""), own)
 
     def _with_defaults(self, element: Element, childclass: str) -> Element:
         """Return an element with the attributes of its default class."""
-        values = self.defaults.get(element.get("class", childclass), {}).get(element.tag, {})
-        return Element(element.tag, values | dict(element.attrib))
+        name = element.get("class", childclass)
+        if name not in self.defaults:
+            raise refused(f"<{element.tag}> has the class '{name}', for which there is no <default>")
+        return Element(element.tag, _inherit(element, self.defaults[name].get(_key(element), {})))
 
     def _angle(self, value: float) -> float:
-        is_degree = self.compiler is None or self.compiler.get("angle", "degree") == "degree"
-        return math.radians(value) if is_degree else value
+        return math.radians(value) if self.is_degree else value
 
     def _rotation(self, element: Element) -> np.ndarray:
         """Return the matrix (3, 3) of the orientation of an element."""
+        if len(given := [name for name in ORIENTATIONS if element.get(name)]) > 1:
+            raise refused(f"<{element.tag}> has several orientations: {listed(given)}")
         if element.get("quat"):
             w, x, y, z = unit(numbers(element, "quat", "", 4), "a quaternion")
             return np.array([
@@ -141,9 +201,8 @@ class _Reader:
                 [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
             ])  # fmt: skip
         if element.get("euler"):
-            order = "xyz" if self.compiler is None else self.compiler.get("eulerseq", "xyz")
             turned = np.eye(3)
-            for axis, angle in zip(order, numbers(element, "euler", "", 3).tolist(), strict=True):
+            for axis, angle in zip(self.order, numbers(element, "euler", "", 3).tolist(), strict=True):
                 turn = about("xyz".index(axis.lower()), self._angle(angle))
                 turned = turned @ turn if axis.islower() else turn @ turned
             return turned
@@ -161,7 +220,8 @@ class _Reader:
             raise refused("a <body> has no name")
         if name in self.places:
             raise refused(f"there are two bodies with the name '{name}'")
-        self._refuse_macros(body)
+        self._check_parts(body, name)
+        leave_out_attributes(self.model, body, name)
         if number(body, "gravcomp", 0.0):
             self.model.leave_out("compensations of gravity", name, acts=True)
         childclass = body.get("childclass", childclass)
@@ -170,16 +230,22 @@ class _Reader:
         here, turned = place + turn @ numbers(body, "pos", "0 0 0", 3), turn @ self._rotation(body)
         self.places[name] = turned, here
         self.model.parts.append(self._part(name, body))
-        joints = [self._with_defaults(one, childclass) for one in body.iterfind("joint")]
-        free = body.find("freejoint") is not None or any(one.get("type") == "free" for one in joints)
-        if len(joints) > 1:
+        joints = [self._with_defaults(joint, childclass) for joint in body.iterfind("joint")]
+        free_joints = body.findall("freejoint")
+        if len(joints) + len(free_joints) > 1:
             raise refused(
-                f"body '{name}' has {len(joints)} joints; give each direction a body with a mass, or use <freejoint>"
+                f"body '{name}' has {len(joints) + len(free_joints)} joints; give each direction a body with a mass, "
+                "or use <freejoint>"
             )
-        for one in joints if free else ():
+        for joint in (*joints, *free_joints):
+            leave_out_attributes(self.model, joint, joint.get("name", name))
+        free = bool(free_joints) or any(joint.get("type") == "free" for joint in joints)
+        if free and parent != GROUND:
+            raise refused(f"body '{name}' has a free joint, but is not a child of the world")
+        for joint in joints if free else ():
             for attribute in ("damping", "armature", "frictionloss", "stiffness"):
-                if number(one, attribute, 0.0):
-                    self.model.leave_out(f"{attribute} of free joints", one.get("name", name), acts=True)
+                if np.any(numbers(joint, attribute, "0")):
+                    self.model.leave_out(f"{attribute} of free joints", joint.get("name", name), acts=True)
         if free or not joints:
             label = f"{name} to {parent}"
             self.model.links.append(Link(label, "free" if free else "fixed", parent, name, here, np.zeros(3)))
@@ -199,13 +265,19 @@ class _Reader:
         axis = turned @ unit(numbers(joint, "axis", "0 0 1", 3), f"the axis of joint '{name}'")
         point = here + turned @ numbers(joint, "pos", "0 0 0", 3)
         limits = None
-        if joint.get("range") and joint.get("limited") != "false":
+        if not _has_zero(joint, "actuatorfrc"):
+            self.model.leave_out("actuators that act without control", f"actuatorfrcrange of {name}", acts=True)
+        if joint.get("range") and keyword(joint, "limited", "auto", ("auto", *BOOLEAN)) != "false":
             self.model.leave_out("limits of joints", name)
             low, high = (scale * numbers(joint, "range", "", 2)).tolist()
             limits = low, high
         if np.any(numbers(joint, "springdamper", "0")):
             raise refused(f"joint '{name}' has a springdamper, which is not read; give stiffness and damping")
-        values = {key: number(joint, key, 0.0) for key in ("stiffness", "damping", "armature")}
+        values = {"armature": number(joint, "armature", 0.0)}
+        for key in ("stiffness", "damping"):
+            values[key], *powers = numbers(joint, key, "0").tolist() or [0.0]
+            if any(powers):
+                self.model.leave_out(f"the nonlinear part of the {key} of joints", name, acts=True)
         friction = number(joint, "frictionloss", 0.0)
         return Link(
             name, "turn" if kind == "hinge" else "slide", parent, child, point, axis, **values,
@@ -215,7 +287,10 @@ class _Reader:
     def _part(self, name: str, body: Element) -> Part:
         turned, here = self.places[name]
         inertial = body.find("inertial")
-        if inertial is not None and (self.compiler is None or self.compiler.get("inertiafromgeom") != "true"):
+        if inertial is None and self.from_geoms == "false":
+            raise refused(f"body '{name}' has no <inertial>, although inertiafromgeom is false")
+        if inertial is not None and self.from_geoms != "true":
+            leave_out_attributes(self.model, inertial, name)
             own = turned @ self._rotation(inertial)
             if inertial.get("fullinertia"):
                 xx, yy, zz, xy, xz, yz = numbers(inertial, "fullinertia", "", 6)
@@ -238,35 +313,94 @@ class _Reader:
     def _solid(self, geom: Element, body: str, here: np.ndarray, turned: np.ndarray) -> Part:
         """Return the mass of a geom at the zero position."""
         kind, size = geom.get("type", "sphere"), numbers(geom, "size", "0")
+        key = "mass" if geom.get("mass") else "density"
+        amount = number(geom, key, 1000.0)
+        if amount < 0:
+            raise refused(f"body '{body}' has a geom with a negative {key}")
+        if amount == 0 or kind in ("plane", "hfield"):
+            return Part(body, 0.0, here, np.zeros((3, 3)))
+        if kind not in SIZES or geom.get("mesh"):
+            raise refused(f"body '{body}' has a geom of type '{kind}', whose mass is not computed; give <inertial>")
+        if keyword(geom, "shellinertia", "false", BOOLEAN) == "true":
+            raise refused(f"body '{body}' has a geom with shellinertia, which is not computed; give <inertial>")
         place, own = numbers(geom, "pos", "0 0 0", 3), self._rotation(geom)
         if geom.get("fromto"):
+            if kind == "sphere":
+                raise refused(f"body '{body}' has a sphere with fromto; give pos and size")
             ends = numbers(geom, "fromto", "", 6)
             along = ends[3:] - ends[:3]
             place, own = (ends[:3] + ends[3:]) / 2, _z_along(unit(along, "fromto"))
-            size = np.array([size[0], float(np.linalg.norm(along)) / 2])
-        found = volume_and_inertia(kind, size)
-        if found is None:
-            if number(geom, "mass", math.nan if geom.get("mass") else 1.0) == 0.0:
-                return Part(body, 0.0, here, np.zeros((3, 3)))
-            raise refused(f"body '{body}' has a geom of type '{kind}', whose mass is not computed; give <inertial>")
-        volume, moments = found
-        mass = number(geom, "mass", 0.0) if geom.get("mass") else number(geom, "density", 1000.0) * volume
+            half = float(np.linalg.norm(along)) / 2
+            size = np.array([*size[:1].repeat(SIZES[kind] - 1), half])
+        if len(size) < SIZES[kind] or np.any(size[: SIZES[kind]] <= 0):
+            raise refused(f"body '{body}' has a geom of type '{kind}', which needs {SIZES[kind]} positive sizes")
+        volume, moments = volume_and_inertia(kind, size)
+        mass = amount if key == "mass" else amount * volume
         tensor = turned @ own @ np.diag(moments * mass / volume) @ (turned @ own).T
         return Part(body, mass, here + turned @ place, tensor)
 
-    def _add_closure(self, one: Element) -> None:
+    def _add_closure(self, element: Element) -> None:
         """Add an equality constraint. MuJoCo satisfies such constraints approximately, mbdkit exactly."""
-        if one.get("active") == "false":
+        equality = self._with_defaults(element, "main")
+        if keyword(equality, "active", "true", BOOLEAN) == "false":
             return
-        first, second = one.get("body1", ""), one.get("body2") or GROUND
-        name = one.get("name", f"{first} to {second}")
-        if one.tag not in ("connect", "weld") or first not in self.places or second not in self.places:
-            raise refused(f"the equality <{one.tag}> '{name}' is not read; connect and weld of two bodies are")
-        if one.tag == "weld" and one.get("relpose"):
-            raise refused(f"the weld '{name}' has a relpose, which is not read")
-        turned, here = self.places[first]
-        anchor = here + turned @ numbers(one, "anchor", "0 0 0", 3)
-        self.model.closures.append(Closure(name, one.tag, (first, second), anchor))  # type: ignore[arg-type]
+        first, second = _body(equality, "body1"), _body(equality, "body2")
+        name = equality.get("name", f"{first} to {second}")
+        if (
+            equality.tag not in ("connect", "weld")
+            or not equality.get("body1")
+            or first not in self.places
+            or second not in self.places
+        ):
+            raise refused(f"the equality <{equality.tag}> '{name}' is not read; connect and weld of two bodies are")
+        if equality.tag == "weld" and (equality.get("relpose") or not number(equality, "torquescale", 1.0)):
+            raise refused(f"the weld '{name}' has a relpose or a torquescale of 0, which are not read")
+        leave_out_attributes(self.model, equality, name, "equality")
+        turned, here = self.places[second if equality.tag == "weld" else first]
+        anchor = here + turned @ numbers(equality, "anchor", "0 0 0", 3)
+        self.model.closures.append(Closure(name, equality.tag, (first, second), anchor))  # type: ignore[arg-type]
+
+
+def _key(element: Element) -> str:
+    """Return the key of the defaults of an element; actuators share theirs, and so do equality constraints."""
+    if element.tag in ACTUATORS:
+        return "actuator"
+    return "equality" if element.tag in ("connect", "weld", "tendon", "flex", "flexstrain") else element.tag
+
+
+def _inherit(element: Element, above: Mapping[str, str]) -> dict[str, str]:
+    """Return the attributes of an element or default, with those that it inherits.
+
+    An orientation replaces an inherited one, the rest of a longer inherited list follows a shorter one, and a shortcut
+    for an actuator replaces the inherited force law. The key "" has the shortcut that made the force law.
+    """
+    values = dict(above)
+    if any(name in element.attrib for name in ORIENTATIONS):
+        values = {name: text for name, text in values.items() if name not in ORIENTATIONS}
+    if element.tag in ACTUATORS and element.tag != "general":
+        values = {name: text for name, text in values.items() if name in INHERITED} | {"": element.tag}
+    for name, text in element.attrib.items():
+        rest = values.get(name, "").split()[len(text.split()) :] if name in LISTS else []
+        values[name] = " ".join([text, *rest])
+    return values
+
+
+def _has_zero(element: Element, name: str) -> bool:
+    """Return whether the range of a quantity contains zero, or does not limit it."""
+    if not element.get(f"{name}range") or element.get(f"{name}limited") == "false":
+        return True
+    low, high = numbers(element, f"{name}range", "", 2).tolist()
+    return bool(low <= 0 <= high)
+
+
+def _body(element: Element, key: str) -> str:
+    """Return the name of a body to which an element refers; MuJoCo calls the ground `world`."""
+    name = element.get(key, "world")
+    return GROUND if name == "world" else name
+
+
+def _label(geom: Element, body: str) -> str:
+    return geom.get("name", f"{geom.get('type', 'sphere')} of {'the world' if body == GROUND else body}")
 
 
 def _about_axis(axis: np.ndarray, angle: float) -> np.ndarray:

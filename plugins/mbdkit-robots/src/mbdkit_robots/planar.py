@@ -128,9 +128,12 @@ class PlanarMechanism:
             self._add(link, data)
         for closure in self.model.closures:
             first, second = (self.owner[name] for name in closure.parts)
+            name = closure.name
+            while name in data["joints"]:  # names of joints and of constraints may agree in the file
+                name += "'"
             kind = {"connect": "revolute", "weld": "weld"}[closure.kind]
             points = [self._local(first, closure.point), self._local(second, closure.point)]
-            data["joints"][closure.name] = {"type": kind, "bodies": [first, second], "points": points}
+            data["joints"][name] = {"type": kind, "bodies": [first, second], "points": points}
         found = Mechanism.from_spec(data)
         found.name = self.model.name
         turns = {link.name for link in self.model.links if link.kind == "turn"}
@@ -236,6 +239,8 @@ class PlanarMechanism:
         first, second = self.owner[link.parent], self.owner[link.child]
         if link.kind == "free" or first == second:
             return
+        if link.name in data["joints"]:
+            raise refused(f"there are two joints with the name '{link.name}'")
         points = [self._local(first, link.point), self._local(second, link.point)]
         joint: dict[str, Any] = {"bodies": [first, second], "points": points}
         if link.kind == "fixed":
@@ -277,7 +282,10 @@ class PlanarMechanism:
             raise refused(
                 f"the spring, damping or friction of joint '{link.name}' acts along a line that is oblique to the axes"
             )
-        if link.limits is not None and pathway and link.limits[0] < link.limits[1]:
+        if link.limits is not None and not (pathway and link.limits[0] < link.limits[1]):
+            why = "without a range" if pathway else "along lines that are oblique to the axes"
+            self.model.leave_out(f"limits {why}", link.name, acts=True)
+        elif link.limits is not None:
             ends = sorted(zero + sign * value for value in link.limits)
             found["limits"] = {"law": "table", "table": [ends, [0.0, 0.0]]}
         return {f"{link.name} {name}": {"type": "law", "pathway": pathway, **one} for name, one in found.items()}

@@ -8,9 +8,33 @@ import numpy as np
 
 from mbdkit_robots.documents import about, number, numbers, read_xml, unit
 from mbdkit_robots.planar import GROUND, Link, Part, SpatialModel, refused
+from mbdkit_robots.trees import leave_out_contacts
 
 KINDS = {"revolute": "turn", "continuous": "turn", "prismatic": "slide", "fixed": "fixed", "floating": "free"}
-LEFT_OUT = {"transmission": "transmissions", "gazebo": "extensions of Gazebo", "material": "materials"}
+NOTED = {"transmission": "transmissions", "ros2_control": "hardware interfaces", "sensor": "sensors"}
+"""Elements of a robot that are ignored, with a warning, because they exert no force without a controller."""
+
+UNDERSTOOD = {
+    "robot": ("name version", "link joint"),
+    "link": ("name type", "inertial collision"),
+    "inertial": ("", "origin mass inertia"),
+    "origin": ("xyz rpy", ""),
+    "mass": ("value", ""),
+    "inertia": ("ixx ixy ixz iyy iyz izz", ""),
+    "joint": ("name type", "origin parent child axis dynamics limit"),
+    "parent": ("link", ""),
+    "child": ("link", ""),
+    "axis": ("xyz", ""),
+    "dynamics": ("damping friction", ""),
+    "limit": ("lower upper effort velocity", ""),
+}
+"""Attributes and elements that the reader understands, by element. The names are those of `urdf.xsd` of urdfdom, and of
+the specification of URDF of ROS for what the schema lacks. `effort` and `velocity` limit controllers.
+"""
+WITHOUT_EFFECT = {"robot": "material", "link": "visual", "joint": "calibration"}
+"""Elements that cannot change a motion, by the element that contains them."""
+LOOKS = ("material", "visual", "sensor")
+"""Elements of <gazebo> that cannot change a motion."""
 
 
 def read_urdf(file: str, *, floating: bool) -> SpatialModel:
@@ -28,7 +52,11 @@ def read_urdf(file: str, *, floating: bool) -> SpatialModel:
     """
     robot = read_xml(file, "robot")
     model = SpatialModel(robot.get("name", "robot"))
-    links = {_name(one): one for one in robot.iterfind("link")}
+    links: dict[str, Element] = {}
+    for link in robot.iterfind("link"):
+        if _name(link) in links:
+            raise refused(f"there are two links with the name '{_name(link)}'")
+        links[_name(link)] = link
     joints = list(robot.iterfind("joint"))
     below: dict[str, list[Element]] = {name: [] for name in links}
     parents: dict[str, str] = {}
@@ -41,9 +69,15 @@ def read_urdf(file: str, *, floating: bool) -> SpatialModel:
     roots = [name for name in links if name not in parents]
     if len(roots) != 1:
         raise refused(f"the links should form one tree, but {len(roots)} of them have no parent")
-    for tag, words in LEFT_OUT.items():
-        for one in robot.iterfind(tag):
-            model.leave_out(words, one.get("name", one.get("reference", tag)))
+    if GROUND in links and roots != [GROUND]:
+        raise refused(f"a link that is not the root has the name '{GROUND}', which mbdkit uses for the ground")
+    for tag, words in NOTED.items():
+        for element in robot.iterfind(tag):
+            model.leave_out(words, element.get("name", tag))
+    for element in robot.iterfind("gazebo"):
+        acts = any(inner.tag not in LOOKS for inner in element)
+        model.leave_out("extensions of Gazebo", element.get("reference", "gazebo"), acts=acts)
+    _leave_out_unknown(model, robot, "the file")
     root = roots[0]
     _add_part(model, links[root], np.eye(3), np.zeros(3), is_fixed=not floating)
     model.links.append(
@@ -60,7 +94,30 @@ def read_urdf(file: str, *, floating: bool) -> SpatialModel:
             _add_part(model, links[child], turned, here)
             model.links.append(_joint(model, joint, name, child, here, turned))
             pending.append((child, turned, here))
+    if len(model.parts) < len(links):
+        raise refused("the links should form one tree, but some of them form a closed chain")
+    shapes = {
+        name: [(f"collision shape of {name}", 1, 1) for _ in link.iterfind("collision")] for name, link in links.items()
+    }
+    leave_out_contacts(model, shapes)
     return model
+
+
+def _leave_out_unknown(model: SpatialModel, element: Element, label: str) -> None:
+    """Note the attributes and elements that may change the motion but are not understood."""
+    attributes, elements = UNDERSTOOD[element.tag]
+    for name in element.attrib:
+        if name not in attributes.split():
+            model.leave_out(f"{name} of <{element.tag}>", label, acts=True)
+    silent = [*WITHOUT_EFFECT.get(element.tag, "").split(), *((*NOTED, "gazebo") if element.tag == "robot" else ())]
+    for inner in element:
+        if inner.tag in elements.split():
+            if inner.tag not in ("link", "joint", "collision") and len(element.findall(inner.tag)) > 1:
+                raise refused(f"<{element.tag}> of {label} has several elements <{inner.tag}>")
+            if inner.tag != "collision":
+                _leave_out_unknown(model, inner, inner.get("name", label))
+        elif inner.tag not in silent:
+            model.leave_out(f"elements <{inner.tag}>", label, acts=True)
 
 
 def _joint(model: SpatialModel, joint: Element, parent: str, child: str, here: np.ndarray, turned: np.ndarray) -> Link:
@@ -76,6 +133,8 @@ def _joint(model: SpatialModel, joint: Element, parent: str, child: str, here: n
     dynamics = joint.find("dynamics")
     axis = turned @ unit(numbers(joint.find("axis"), "xyz", "1 0 0", 3), f"the axis of joint '{name}'")
     damping, friction = number(dynamics, "damping", 0.0), number(dynamics, "friction", 0.0)
+    if kind == "floating" and (damping or friction):
+        model.leave_out("dynamics of floating joints", name, acts=True)
     return Link(
         name,
         KINDS[kind],
@@ -96,9 +155,6 @@ def _add_part(
     ground is added without mass.
     """
     name, inertial = _name(link), link.find("inertial")
-    for tag in ("visual", "collision"):
-        if link.find(tag) is not None:
-            model.leave_out(f"{tag} shapes of links", name)
     if inertial is None or is_fixed:
         model.parts.append(Part(name, 0.0, place, np.zeros((3, 3))))
         return
