@@ -67,6 +67,9 @@ def main() -> None:
         return
     failed = 0
     for attack in chosen:
+        if attack.obstacle:
+            print(f"{attack.obstacle}.", flush=True)
+            continue
         cases = range(max(1, math.ceil(attack.cases * asked.share))) if asked.case is None else [asked.case]
         start, found = time.monotonic(), 0
         case = functools.partial(problems, attack.name, asked.seed, size=min(1.0, asked.share))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib.util
 import os
 import pickle
 import select
@@ -43,12 +44,21 @@ class Attack:
     case
         ``case(random, folder)`` makes one attack in an empty folder and returns the sentences that say what did not
         hold; none if all held.
+    needs
+        Modules without which the attack cannot be made.
     """
 
     name: str
     summary: str
     cases: int
     case: Callable[[np.random.Generator, Path], list[str]]
+    needs: tuple[str, ...] = ()
+
+    @property
+    def obstacle(self) -> str:
+        """The sentence that says why the attack cannot be made; empty if it can."""
+        missing = [name for name in self.needs if importlib.util.find_spec(name) is None]
+        return f"{self.name} is not attempted, because {', '.join(missing)} cannot be imported" if missing else ""
 
     def random(self, seed: int, index: int) -> np.random.Generator:
         """Return the generator of random numbers of a case: it depends on the seed, the attack and the index alone."""
