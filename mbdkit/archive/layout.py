@@ -83,9 +83,9 @@ SOME_TIMINGS = ("integrals_s", "check_s")
 LAYOUT: tuple[Array, ...] = tuple(array for kind in KINDS for array in kind.arrays)
 BY_PATH: Mapping[str, Array] = {array.path: array for array in LAYOUT}
 GROUPS = tuple(kind.group for kind in KINDS)
-VERSIONS = tuple(sorted({array.since for array in LAYOUT}))
-"""Versions of the format in which arrays of the layout were added."""
-FORMAT_VERSION = VERSIONS[-1]
+VERSIONS = ("1.0", "1.1")
+"""Versions of the format; `since` of an array names the first one that has it."""
+FORMAT_VERSION = "1.1"
 
 #: Groups that can be selected by `output.quantities`.
 QUANTITIES = frozenset(kind.group for kind in KINDS if kind.is_chosen)

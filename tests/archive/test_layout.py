@@ -12,6 +12,7 @@ from mbdkit.archive.layout import (
     GROUPS,
     LAYOUT,
     QUANTITIES,
+    VERSIONS,
     is_timing,
     later,
     recorded,
@@ -157,3 +158,8 @@ def test_declarations_of_columns_are_fresh() -> None:
 def test_document_is_fresh() -> None:
     text = DOCUMENT.read_text(encoding="utf-8")
     assert layout_document.renewed(text) == text, "run: python -m mbdkit.archive.layout_document schemas/archive.md"
+
+
+def test_every_array_was_added_in_a_known_version_and_the_format_has_the_newest() -> None:
+    assert {array.since for array in LAYOUT} <= set(VERSIONS)
+    assert max(VERSIONS) == FORMAT_VERSION
