@@ -17,7 +17,15 @@ if TYPE_CHECKING:
     from mbdkit.analysis.workload import Workload, workload
     from mbdkit.archive.reader import load
     from mbdkit.archive.run import Run
-    from mbdkit.base.errors import MbdkitError, PluginError, ResourceError, RunError, SpecError, StepError
+    from mbdkit.base.errors import (
+        ArchiveError,
+        MbdkitError,
+        PluginError,
+        ResourceError,
+        RunError,
+        SpecError,
+        StepError,
+    )
     from mbdkit.designs.design import Design
     from mbdkit.designs.solve_design import design, load_design
     from mbdkit.engine.equations_of_motion import EquationsOfMotion
@@ -45,6 +53,7 @@ if TYPE_CHECKING:
     __version__: str
 
 __all__ = [
+    "ArchiveError",
     "ButcherTableau",
     "Claims",
     "Design",
@@ -109,6 +118,7 @@ __all__ = [
 ]
 
 _HOME = {
+    "ArchiveError": "mbdkit.base.errors",
     "ButcherTableau": "mbdkit.methods.tableau",
     "Claims": "mbdkit.registry.items",
     "Design": "mbdkit.designs.design",

@@ -19,7 +19,7 @@ from mbdkit.archive.hdf5_errors import DAMAGE, cause
 from mbdkit.archive.layout import BY_PATH, FORMAT_VERSION
 from mbdkit.archive.run import Run
 from mbdkit.archive.run_header import open_archive
-from mbdkit.base.errors import MbdkitError, SpecError
+from mbdkit.base.errors import ArchiveError, MbdkitError, SpecError
 from mbdkit.base.text import listed, one_line, shown
 from mbdkit.quantities.array import FLOAT, TEXT, Array
 from mbdkit.quantities.names import AXES, COORDINATES
@@ -91,7 +91,7 @@ def blaming_damage(*paths: Path) -> Iterator[None]:
 
     Raises
     ------
-    SpecError
+    ArchiveError
         In place of an error that is not an MbdkitError, with the first problem found by `check`.
     """
     try:
@@ -102,7 +102,7 @@ def blaming_damage(*paths: Path) -> Iterator[None]:
         for path in paths:
             if problems := check(path):
                 message = f"this archive is damaged: {problems[0]}; `mbdkit archive check` says more"
-                raise SpecError(message, file=path) from error
+                raise ArchiveError(message, file=path) from error
         raise
 
 

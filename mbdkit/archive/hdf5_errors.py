@@ -7,7 +7,7 @@ import os
 from collections.abc import Iterator
 from pathlib import Path
 
-from mbdkit.base.errors import MbdkitError, SpecError
+from mbdkit.base.errors import ArchiveError, MbdkitError
 from mbdkit.base.text import shown
 
 #: Exceptions that h5py raises on damaged files.
@@ -30,7 +30,7 @@ def cause(error: BaseException) -> str:
 
 @contextlib.contextmanager
 def reading(what: str, file: Path | None, *, hint: str = "`mbdkit archive check` says more") -> Iterator[None]:
-    """Convert read errors on a damaged archive or study index into SpecError.
+    """Convert read errors on a damaged archive or study index into ArchiveError.
 
     Parameters
     ----------
@@ -43,7 +43,7 @@ def reading(what: str, file: Path | None, *, hint: str = "`mbdkit archive check`
 
     Raises
     ------
-    SpecError
+    ArchiveError
         In place of the exceptions in `DAMAGE`.
     """
     try:
@@ -52,4 +52,4 @@ def reading(what: str, file: Path | None, *, hint: str = "`mbdkit archive check`
         raise
     except DAMAGE as error:
         message = f"this file is damaged, {shown(what)} cannot be read ({shown(cause(error))}); {hint}"
-        raise SpecError(message, file=file) from error
+        raise ArchiveError(message, file=file) from error

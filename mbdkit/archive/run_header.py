@@ -19,7 +19,7 @@ from mbdkit.archive.layout import FORMAT, FORMAT_VERSION
 from mbdkit.archive.part_file import PART, part_path
 from mbdkit.archive.read_only_dict import ReadOnlyDict
 from mbdkit.archive.untrusted_file import open_hdf5
-from mbdkit.base.errors import SpecError
+from mbdkit.base.errors import ArchiveError, SpecError
 from mbdkit.base.plain_data import LONGEST_NAME, LONGEST_TITLE
 from mbdkit.base.text import shortened, shown
 from mbdkit.quantities.array import GROWING, TEXT
@@ -34,7 +34,9 @@ def open_archive(path: Path) -> h5py.File:
     ResourceError
         If the file is in use, or the system refuses to read it.
     SpecError
-        If the file is missing, truncated, not an archive, of an unsupported format version, or refused because reading
+        If the file is missing.
+    ArchiveError
+        If it is truncated, not an archive, of an unsupported format version, or refused because reading
         it could do harm.
     """
     if os.path.isdir(path):
@@ -58,10 +60,10 @@ def _check_format(file: h5py.File, path: Path) -> None:
         kind, version = file.attrs.get("format"), file.attrs.get("format_version")
     if kind != FORMAT:
         what = f"of the format {kind!r}" if isinstance(kind, str) else "an HDF5 file of another kind"
-        raise SpecError(f"this is not a run archive but {what}", file=path)
+        raise ArchiveError(f"this is not a run archive but {what}", file=path)
     ours = FORMAT_VERSION.partition(".")[0]
     if not isinstance(version, str) or version.partition(".")[0] != ours:
-        raise SpecError(
+        raise ArchiveError(
             f"this archive has format version {shortened(shown(version))}, this mbdkit reads {ours}.x; install a "
             "version that matches",
             file=path,

@@ -17,7 +17,7 @@ import numpy as np
 from h5py import h5a, h5d, h5g, h5l, h5o, h5s, h5t, h5z
 
 from mbdkit.archive.hdf5_errors import DAMAGE, cause, error_number, reading
-from mbdkit.base.errors import ResourceError, SpecError, file_error
+from mbdkit.base.errors import ArchiveError, ResourceError, SpecError, file_error
 from mbdkit.base.files import check_regular
 from mbdkit.base.text import shown
 
@@ -77,7 +77,9 @@ def open_hdf5(path: Path, what: str, *, hint: str = "", objects: int = OBJECTS) 
     ResourceError
         If the file is in use, or the system refuses to read it.
     SpecError
-        If the file is not a regular file, is not an HDF5 file, is damaged, or is refused because it refers to other
+        If the file is not a regular file.
+    ArchiveError
+        If it is not an HDF5 file, is damaged, or is refused because it refers to other
         files, links an object twice, declares more data than it holds, or has other contents that are not accepted.
     """
     check_regular(path)
@@ -96,7 +98,7 @@ def open_hdf5(path: Path, what: str, *, hint: str = "", objects: int = OBJECTS) 
             why = f"this file cannot be read: {cause(error)}"
             if number := error_number(error):
                 raise file_error(number, why, file=path) from error
-        raise SpecError("; ".join(filter(None, (why, hint))), file=path) from error
+        raise ArchiveError("; ".join(filter(None, (why, hint))), file=path) from error
     try:
         with reading("its structure", path, hint=hint or "it cannot be used"):
             _Inspection(file, path, objects).inspect()
@@ -126,8 +128,8 @@ class _Inspection:
         self.stored = self.unpacked = self.text = 0
         self.seen: set[int] = set()
 
-    def refused(self, why: str) -> SpecError:
-        return SpecError(f"this file is refused: {shown(why)}", file=self.path)
+    def refused(self, why: str) -> ArchiveError:
+        return ArchiveError(f"this file is refused: {shown(why)}", file=self.path)
 
     def inspect(self) -> None:
         root = h5g.open(self.file.id, b"/")

@@ -54,6 +54,14 @@ class SpecError(MbdkitError, ValueError):
         return new
 
 
+class ArchiveError(SpecError):
+    """A file that mbdkit wrote, such as an archive, a block or the index of a study, or a checkpoint, is damaged, is of
+    another kind or version, or is refused because reading it could do harm.
+
+    It is a `SpecError` for one version only; a later one derives it from `MbdkitError` alone.
+    """
+
+
 class UnsupportedMechanismError(SpecError):
     """A method does not support elements of a mechanism; the claims of the method say which mechanisms it supports."""
 

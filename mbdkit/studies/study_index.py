@@ -24,7 +24,7 @@ from mbdkit.archive.hdf5_errors import reading
 from mbdkit.archive.layout import ATTRIBUTES_HASH, COUNTERS, TIMINGS
 from mbdkit.archive.part_file import LIBVER
 from mbdkit.archive.untrusted_file import open_hdf5
-from mbdkit.base.errors import SpecError
+from mbdkit.base.errors import ArchiveError, SpecError
 from mbdkit.base.files import replacing
 from mbdkit.measures.take import Description
 from mbdkit.quantities.array import FLOAT, INTEGER, TEXT, Array
@@ -342,20 +342,22 @@ def read(path: Path) -> Index:
     Raises
     ------
     SpecError
-        If there is no index that this version can read.
+        If there is no index.
+    ArchiveError
+        If it is damaged, or this version cannot read it.
     """
     if not path.exists():
         raise SpecError("there is no index.h5; run `mbdkit study` to write it", file=path.parent)
     hint = "run `mbdkit study` to write it again"
     with reading("the index", path, hint=hint), open_hdf5(path, "study index", hint=hint) as file:
         if file.attrs.get("format") != FORMAT:
-            raise SpecError("this is not the index of a study", file=path)
+            raise ArchiveError("this is not the index of a study", file=path)
         written = str(file.attrs["format_version"])
         major = written.partition(".")[0]
         known = [number.partition(".")[0] for number in (FILES_VERSION, BLOCKS_VERSION)]
         if major not in known:
             ours = " and ".join(f"{number}.x" for number in known)
-            raise SpecError(f"this index has format version {written}, this mbdkit reads {ours}", file=path)
+            raise ArchiveError(f"this index has format version {written}, this mbdkit reads {ours}", file=path)
         if file.attrs["data_sha256"] != data_sha256(file):
             raise ValueError("data_sha256 does not match")
         index = _read_plain(file) if major == known[0] else _read_coded(file)
