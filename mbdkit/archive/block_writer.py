@@ -30,7 +30,7 @@ from mbdkit.quantities.array import FLOAT, INTEGER, TEXT, Array
 from mbdkit.quantities.table import RECORDED, sizes_of
 
 FORMAT = "mbdkit-block"
-FORMAT_VERSION = "1.0"
+FORMAT_VERSION = "1.1"
 
 Store = Literal["hashes", "summary", "histories", "all"]
 STORES: tuple[Store, ...] = get_args(Store)
@@ -57,6 +57,8 @@ _BY_RUN = {
     "worst_joint": "joint with the largest misalignment",
     "base": "spec before the values of the run are set, JSON",
     "plugins": "model, integrator and force laws with their versions, JSON",
+    "mechanism": "mechanism that was run, JSON; empty if mbdkit itself has its model and force laws",
+    "files": "name, size and SHA-256 of every file that was read, JSON; empty without files",
 }
 _OF_SUMMARY = {
     "verdict_reasons": "reasons for the verdict, JSON",
@@ -100,6 +102,8 @@ class BlockRun:
         Results of the run; None if there are none.
     measures
         Values of the measures of the run, by name.
+    mechanism, files
+        The mechanism that was run and the files that were read, as JSON; empty if the spec alone determines them.
     """
 
     number: int
@@ -112,6 +116,8 @@ class BlockRun:
     plugins: str = ""
     result: FinishedRun | None = None
     measures: Mapping[str, float] | None = None
+    mechanism: str = ""
+    files: str = ""
 
 
 @dataclass(frozen=True)
@@ -267,6 +273,8 @@ class _Writer:
             "worst_joint": [joint for _, joint in worst],
             "base": [run.base for run in runs],
             "plugins": [run.plugins for run in runs],
+            "mechanism": [run.mechanism for run in runs],
+            "files": [run.files for run in runs],
             "verdict_reasons": [_json_of(result.judgement.reasons if result else ()) for result in results],
             "warnings": [_json_of(result.warnings if result else ()) for result in results],
             "assembly": [result.assembly if result else "" for result in results],

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import cached_property
 from pathlib import Path
@@ -21,11 +21,14 @@ from mbdkit.archive.finished_run import FinishedRun
 from mbdkit.archive.hdf5_errors import DAMAGE, reading
 from mbdkit.archive.layout import COUNTERS, TIMINGS
 from mbdkit.archive.measured_values import ERROR, MeasuredValues
+from mbdkit.archive.plain_spec import PlainSpec
 from mbdkit.archive.run import Run
 from mbdkit.archive.run_contents import ArrayContents, Heading
 from mbdkit.archive.run_writer import SharedForces
+from mbdkit.archive.stored_mechanism import StoredMechanism, built_mechanism, is_determined, read_mechanism
 from mbdkit.archive.untrusted_file import open_hdf5
-from mbdkit.base.errors import SpecError
+from mbdkit.base.errors import ArchiveError, SpecError
+from mbdkit.base.files_read import read_files
 from mbdkit.quantities.names import ArchiveNames
 from mbdkit.spec import RunSpec
 from mbdkit.spec.reading import parse_key, put
@@ -57,10 +60,10 @@ class Block:
         try:
             with reading("its header", path, hint=_HINT):
                 if self.file.attrs.get("format") != FORMAT:
-                    raise SpecError("this is not a block of a study", file=path)
+                    raise ArchiveError("this is not a block of a study", file=path)
                 version = str(self.file.attrs["format_version"])
                 if version.partition(".")[0] != FORMAT_VERSION.partition(".")[0]:
-                    raise SpecError(
+                    raise ArchiveError(
                         f"this block has format version {version}, but this version of mbdkit reads 1.x", file=path
                     )
                 self.study_sha256 = str(self.file.attrs["study_sha256"])
@@ -141,9 +144,20 @@ class Block:
             If the block is damaged or does not contain the run, or if the rebuilt spec does not have the hash of the
             spec that was run.
         """
+        spec = RunSpec(**self._spec_data(number))
+        self._check_hash(number, spec)
+        return spec
+
+    def _check_hash(self, number: int, spec: RunSpec) -> None:
+        if spec.sha256() != self.runs["spec_sha256"][self.row(number)]:
+            message = f"the spec of run {number} does not have the hash that was stored with it"
+            raise ArchiveError(message, file=self.path)
+
+    def _spec_data(self, number: int) -> dict[str, Any]:
+        """Return the spec of a run as plain data."""
         row = self.row(number)
         with reading("specs", self.path, hint=_HINT):
-            data = json.loads(self.runs["base"][row])
+            data: dict[str, Any] = json.loads(self.runs["base"][row])
             for item in self.file.get("values", {}).values():
                 if "key" not in item.attrs:
                     continue
@@ -152,10 +166,31 @@ class Block:
                     put(data, key, value.item())
                 elif value:
                     put(data, key, json.loads(value))
-        spec = RunSpec(**data)
-        if spec.sha256() != self.runs["spec_sha256"][row]:
-            raise SpecError(f"the spec of run {number} does not have the hash that was stored with it", file=self.path)
-        return spec
+        return data
+
+    def _spec_and_mechanism(
+        self, number: int, bodies: Sequence[str]
+    ) -> tuple[RunSpec | PlainSpec, StoredMechanism | None]:
+        """Return the spec of a run, and its mechanism; None if that of the spec is its mechanism, which is so if mbdkit
+        itself has its model and force laws.
+        """
+        row, data = self.row(number), self._spec_data(number)
+        with reading("mechanisms", self.path, hint=_HINT):
+            text, files = (str(self.runs[name][row]) if name in self.runs else "" for name in ("mechanism", "files"))
+            stored = read_mechanism(text, bodies) if text else None
+            read = read_files(files or "[]")
+        try:
+            spec = RunSpec(**data)
+            if stored is not None and stored.mechanism is not None:
+                spec.adopt(stored.mechanism, read)
+        except SpecError:  # a plugin is not installed
+            stored = stored or built_mechanism(data, str(self.file.attrs["format_version"]))
+            hashes = str(self.runs["spec_sha256"][row]), str(self.runs["run_id"][row])
+            return PlainSpec(data, *hashes, stored, read), stored
+        self._check_hash(number, spec)
+        if stored is None and not is_determined(spec):
+            stored = built_mechanism(data, str(self.file.attrs["format_version"]))
+        return spec, stored
 
     def run(self, number: int) -> Run | None:
         """Return a run with the arrays that the study has stored; None if the run has no results.
@@ -191,7 +226,8 @@ class Block:
 
     def _contents(self, number: int, finished: FinishedRun) -> ArrayContents:
         """Return the contents of a run: its results, with its spec and provenance as stored in the block."""
-        row, spec = self.row(number), self.spec(number)
+        row = self.row(number)
+        spec, stored = self._spec_and_mechanism(number, finished.names.bodies)
         with reading(f"run {number}", self.path, hint=_HINT):
             common = {name: _plain(value) for name, value in self.file["provenance"].attrs.items()}
             heading = Heading(
@@ -199,6 +235,7 @@ class Block:
                 str(self.runs["run_id"][row]),
                 self.created_utc,
                 {**common, **json.loads(self.runs["plugins"][row])},
+                stored,
             )
             columns, described = self.columns("measures"), self.described()
             names = [name for name in spec.measures if name in columns]

@@ -24,7 +24,8 @@ import h5py
 import numpy as np
 
 from mbdkit.archive.part_file import checkpoint_path, new_checkpoint_path
-from mbdkit.base.errors import SpecError
+from mbdkit.base.errors import ArchiveError, SpecError
+from mbdkit.base.files_read import FileRead, read_files
 from mbdkit.quantities.array import TEXT, Array
 
 _MAGIC = b"mbdkit checkpoint 2\n"
@@ -94,7 +95,8 @@ class Checkpoint:
     Parameters
     ----------
     head
-        ``spec``, ``run_id`` and ``created_utc`` as in the archive, and its ``provenance``.
+        ``spec``, ``run_id`` and ``created_utc`` as in the archive, its ``provenance``, and the ``files`` that were
+        read for it.
     file
         Inode number of the ``.part`` with the rows.
     rows
@@ -114,6 +116,12 @@ class Checkpoint:
     lines: tuple[str, ...]
     arrays: Mapping[str, StoredRows]
     state: Mapping[str, Any]
+
+    @property
+    def files(self) -> tuple[FileRead, ...] | None:
+        """The files that were read for the run; None in checkpoints of earlier versions."""
+        text = self.head.get("files")
+        return None if text is None else read_files(str(text))
 
     def encoded(self) -> bytes:
         """Return the bytes of the checkpoint."""
@@ -136,6 +144,7 @@ class Checkpoint:
                 head={
                     **{name: str(values["head"][name]) for name in _HEAD},
                     "provenance": values["head"]["provenance"],
+                    "files": values["head"].get("files"),
                 },
                 file=int(values["file"]),
                 rows={str(dim): int(count) for dim, count in values["rows"].items()},
@@ -166,8 +175,10 @@ class Checkpoint:
 
         Raises
         ------
+        ArchiveError
+            If the checkpoint is damaged.
         SpecError
-            If the checkpoint is damaged or cannot be read.
+            If it cannot be read.
         """
         path = checkpoint_path(part)
         if not path.is_file():
@@ -177,7 +188,7 @@ class Checkpoint:
         except OSError as error:
             raise SpecError(f"{path.name} cannot be read ({error.strerror})", file=part) from error
         if checkpoint is None:
-            raise SpecError(
+            raise ArchiveError(
                 f"{path.name} is damaged, so this run cannot be resumed; start it again from the beginning", file=part
             )
         return checkpoint

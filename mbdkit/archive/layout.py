@@ -59,6 +59,10 @@ units.
 GRADIENTS = "gradients"
 """Root attribute with the derivatives of the measures with respect to parameters, in JSON; absent without `gradients`.
 """
+MECHANISM = "mechanism"
+"""Root attribute with the mechanism that was run, in JSON; archives of earlier versions lack it."""
+FILES = "files"
+"""Root attribute with name, size and SHA-256 of every file that was read for the run, in JSON; absent without files."""
 VERDICT_ATTRIBUTES = ("verdict", "verdict_reasons", "warnings")
 """Root attributes with the verdict on a run, its reasons and warnings; archives of earlier versions lack them."""
 
@@ -83,9 +87,9 @@ SOME_TIMINGS = ("integrals_s", "check_s")
 LAYOUT: tuple[Array, ...] = tuple(array for kind in KINDS for array in kind.arrays)
 BY_PATH: Mapping[str, Array] = {array.path: array for array in LAYOUT}
 GROUPS = tuple(kind.group for kind in KINDS)
-VERSIONS = ("1.0", "1.1")
+VERSIONS = ("1.0", "1.1", "1.2")
 """Versions of the format; `since` of an array names the first one that has it."""
-FORMAT_VERSION = "1.1"
+FORMAT_VERSION = "1.2"
 
 #: Groups that can be selected by `output.quantities`.
 QUANTITIES = frozenset(kind.group for kind in KINDS if kind.is_chosen)

@@ -42,13 +42,15 @@ from mbdkit.archive.measured_values import Integrals, MeasuredValues
 from mbdkit.archive.part_file import write_image
 from mbdkit.archive.run_contents import ArchiveContents, RunContents
 from mbdkit.archive.run_views import Animation, RunPlots
+from mbdkit.archive.stored_mechanism import StoredMechanism
 from mbdkit.base import higher_layers
-from mbdkit.base.errors import RunError
+from mbdkit.base.errors import ArchiveError, RunError
+from mbdkit.base.files_read import FileRead
 from mbdkit.base.html_view import HtmlView
 from mbdkit.mechanism.mechanism import Mechanism
 from mbdkit.quantities.array import Kind
 from mbdkit.quantities.table import BY_GROUP, BY_WORD
-from mbdkit.spec import InverseSpec, RunSpec
+from mbdkit.spec import RunSpec
 from mbdkit.spec.spec_kinds import is_inverse, refused_as_run
 from mbdkit.trust.criteria import LEVELS, Level
 
@@ -197,18 +199,38 @@ class Run(HtmlView):
             return self._contents.run_spec
         if self.kind == "inverse":
             raise refused_as_run()
-        return RunSpec(**self.spec)
+        spec = RunSpec(**self.spec)
+        if self._mechanism.mechanism is not None and not self._mechanism.not_drawn:
+            spec.adopt(self._mechanism.mechanism, self.files or ())
+        return spec
 
     @cached_property
+    def _mechanism(self) -> StoredMechanism:
+        return self._contents.mechanism()
+
+    @property
     def mechanism(self) -> Mechanism:
-        """The mechanism that the model of the spec builds.
+        """The mechanism that was run. Archives hold it, so that neither its model nor a file is needed.
 
         Raises
         ------
-        SpecError
-            If a plugin that the spec names is not installed.
+        ArchiveError
+            If the archive does not hold it, because an earlier version wrote the archive.
         """
-        return (InverseSpec(**self.spec) if self.kind == "inverse" else self.run_spec).mechanism()
+        if self._mechanism.mechanism is None:
+            raise ArchiveError(self._mechanism.not_drawn, file=self.path)
+        return self._mechanism.mechanism
+
+    @property
+    def not_drawn(self) -> str:
+        """Sentence on what drawings of the run lack, and why; empty if they are complete."""
+        return self._mechanism.not_drawn
+
+    @property
+    def files(self) -> tuple[FileRead, ...] | None:
+        """Name, size and SHA-256 of every file that was read for the run; None in archives of earlier versions."""
+        files = self._contents.files
+        return None if files is None else tuple(files)
 
     @cached_property
     def stats(self) -> Mapping[str, int | float]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from abc import ABC, abstractmethod
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
@@ -23,11 +23,14 @@ from mbdkit.archive.hdf5_errors import reading
 from mbdkit.archive.history import NotRecordedError, UnknownNameError
 from mbdkit.archive.layout import name_texts
 from mbdkit.archive.measured_values import Integrals, MeasuredValues, integrals_from_json
+from mbdkit.archive.plain_spec import PlainSpec
 from mbdkit.archive.read_only_dict import ReadOnlyDict
 from mbdkit.archive.run_header import open_archive
 from mbdkit.archive.run_writer import Origin
+from mbdkit.archive.stored_mechanism import StoredMechanism, built_mechanism, read_mechanism
 from mbdkit.archive.writer import ArchiveWriter
 from mbdkit.base.errors import MbdkitError, SpecError
+from mbdkit.base.files_read import FileRead, read_files
 from mbdkit.quantities.array import FLOAT, GROWING, Array
 from mbdkit.quantities.table import KINDS
 from mbdkit.spec import RunSpec
@@ -109,6 +112,15 @@ class RunContents(ABC):
     @abstractmethod
     def gradients(self) -> Mapping[str, Mapping[str, Any]]:
         """Return the gradients of the measures; see `Run.gradients`."""
+
+    @abstractmethod
+    def mechanism(self) -> StoredMechanism:
+        """Return the mechanism that was run, as far as it is known."""
+
+    @property
+    @abstractmethod
+    def files(self) -> Sequence[FileRead] | None:
+        """The files that were read for the run; None if they are not known, as in archives of earlier versions."""
 
     @abstractmethod
     def accuracy(self) -> Accuracy | None:
@@ -274,6 +286,22 @@ class ArchiveContents(RunContents):
         with reading("the gradients", self.path):
             return ReadOnlyDict(json.loads(str(self.file.attrs.get(layout.GRADIENTS, "{}"))))
 
+    def mechanism(self) -> StoredMechanism:
+        """Return the mechanism that was run."""
+        with reading("its mechanism", self.path):
+            text = self.file.attrs.get(layout.MECHANISM)
+            if text is not None:
+                return read_mechanism(str(text), self.names["trajectory/body"])
+            head = self.header.attributes
+            return built_mechanism(run_header.spec_of(head["spec"]), head["format_version"])
+
+    @property
+    def files(self) -> Sequence[FileRead] | None:
+        """The files that were read for the run."""
+        with reading("its files", self.path):
+            is_earlier = layout.MECHANISM not in self.file.attrs
+            return None if is_earlier else read_files(str(self.file.attrs.get(layout.FILES, "[]")))
+
     def accuracy(self) -> Accuracy | None:
         """Return the estimated errors."""
         with reading("accuracy", self.path):
@@ -306,12 +334,15 @@ class Heading:
         Time at which the run was stored, ISO 8601.
     provenance
         Attributes of ``/provenance``.
+    mechanism
+        The mechanism; None for that of `spec`.
     """
 
-    spec: RunSpec
+    spec: RunSpec | PlainSpec
     run_id: str = ""
     created_utc: str = ""
     provenance: Mapping[str, str | int | float] = field(default_factory=dict)
+    mechanism: StoredMechanism | None = None
 
 
 class NotStoredError(NotRecordedError):
@@ -351,7 +382,7 @@ class ArrayContents(RunContents):
         self._finished, self._heading, self._store = finished, heading, store
         self._measured, self._gradients = measured or MeasuredValues({}, {}), gradients
         self._closed = False
-        self.run_spec, self.cause = heading.spec, finished.cause
+        self.run_spec, self.cause = heading.spec if isinstance(heading.spec, RunSpec) else None, finished.cause
         self.header = Header(
             {
                 "format_version": layout.FORMAT_VERSION,
@@ -416,6 +447,15 @@ class ArrayContents(RunContents):
     def gradients(self) -> Mapping[str, Mapping[str, Any]]:
         """Return the gradients of the measures; empty for runs in blocks, which do not store them."""
         return ReadOnlyDict(json.loads(self._gradients or "{}"))
+
+    def mechanism(self) -> StoredMechanism:
+        """Return the mechanism that was run."""
+        return self._heading.mechanism or StoredMechanism(self._heading.spec.mechanism())
+
+    @property
+    def files(self) -> Sequence[FileRead] | None:
+        """The files that were read for the run."""
+        return self._heading.spec.files_read
 
     def accuracy(self) -> Accuracy | None:
         """Return the estimated errors."""

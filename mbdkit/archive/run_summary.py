@@ -294,7 +294,7 @@ def _far_fibers(run: Run) -> str:
         return ""
     try:
         muscles = run.mechanism.muscles if run.muscles else {}
-    except MbdkitError:  # a plugin of the model is not installed
+    except MbdkitError:  # an archive of an earlier version, which does not hold it
         return ""
     texts = []
     for name, muscle in run.muscles.items():

@@ -18,6 +18,8 @@ from mbdkit.archive import layout
 from mbdkit.archive.accuracy import Accuracy
 from mbdkit.archive.fingerprint import line, text_bytes
 from mbdkit.archive.measured_values import Integrals
+from mbdkit.archive.stored_mechanism import mechanism_json
+from mbdkit.base.files_read import FileRead, files_json
 from mbdkit.quantities.array import FLOAT, TEXT, Array
 from mbdkit.quantities.names import ArchiveNames
 from mbdkit.trust.criteria import Judgement
@@ -91,6 +93,10 @@ class AnySpec(Protocol):
     def mechanism(self) -> Mechanism:
         """Return its mechanism."""
 
+    @property
+    def files_read(self) -> Sequence[FileRead]:
+        """The files that were read for it so far."""
+
 
 @dataclass(frozen=True)
 class Origin:
@@ -108,6 +114,8 @@ class Origin:
         Time at which the run began, ISO 8601; by default now.
     bodies
         Attributes of ``/trajectory``: ``mass`` (B,) [kg] and ``inertia`` (B,) [kg m^2] of the bodies.
+    texts
+        Further root attributes: the mechanism, and the files that were read for the run.
     """
 
     spec_json: str
@@ -116,16 +124,21 @@ class Origin:
     provenance: Mapping[str, str | int | float]
     created_utc: str = ""
     bodies: Mapping[str, np.ndarray] = field(default_factory=dict)
+    texts: Mapping[str, str] = field(default_factory=dict)
 
     @classmethod
     def of(cls, spec: AnySpec, provenance: Mapping[str, str | int | float]) -> Origin:
         """Return the origin of a run of a spec."""
-        bodies = spec.mechanism().bodies.values()
+        mechanism = spec.mechanism()
+        bodies = mechanism.bodies.values()
         masses = {
             "mass": np.array([body.mass for body in bodies], FLOAT),
             "inertia": np.array([body.inertia or 0.0 for body in bodies], FLOAT),
         }
-        return cls(spec.canonical_json(), spec.sha256(), spec.run_id(), provenance, bodies=masses)
+        texts = {layout.MECHANISM: mechanism_json(mechanism)}
+        if spec.files_read:
+            texts[layout.FILES] = files_json(spec.files_read)
+        return cls(spec.canonical_json(), spec.sha256(), spec.run_id(), provenance, bodies=masses, texts=texts)
 
 
 @dataclass(frozen=True)

@@ -164,6 +164,7 @@ class ArchiveWriter(RunWriter):
                     "run_id": origin.run_id,
                     "created_utc": origin.created_utc,
                     "provenance": dict(origin.provenance),
+                    "files": origin.texts.get(layout.FILES, "[]"),
                 },
                 file=os.stat(self._target.part).st_ino,
                 rows={dim: table.written for dim, table in self._tables.items()},
@@ -285,6 +286,7 @@ class ArchiveWriter(RunWriter):
             names = self.names
             text = (
                 len(self.origin.spec_json)
+                + sum(map(len, self.origin.texts.values()))
                 + 16 * len(names.bodies)
                 + 64 * sum(len(one.texts(names)) for one in self.arrays if one.texts)
             )
@@ -295,7 +297,7 @@ class ArchiveWriter(RunWriter):
         return self._file
 
     def _write_head(self, file: h5py.File, head: Mapping[str, str]) -> None:
-        self._add(file, "", head)
+        self._add(file, "", {**head, **self.origin.texts})
         given = self.origin.provenance
         self._add(file, "provenance", {name: given[name] for name in given if f"provenance@{name}" not in self._known})
         self._add(file, "trajectory", self.origin.bodies)

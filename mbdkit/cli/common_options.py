@@ -69,6 +69,10 @@ BaseSet = Annotated[
 AsJson = Annotated[bool, typer.Option("--json", help="Print one JSON object on stdout.")]
 Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Print nothing but errors.")]
 Overwrite = Annotated[bool, typer.Option("--overwrite", help="Replace an existing file when the new one is complete.")]
+Files = Annotated[
+    bool,
+    typer.Option("--files", help="Read the files that the spec in the archive names, if they have the same SHA-256."),
+]
 Debug = Annotated[bool, typer.Option("--debug", callback=_set_debug, help="Show the traceback of an error.")]
 Workers = Annotated[
     int | None,

@@ -6,13 +6,16 @@ from collections.abc import Mapping
 from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from mbdkit.base.terminal import show
+from mbdkit.base.terminal import say, show
 from mbdkit.cli.common_options import Archive, Archives, Debug, Overwrite, Quiet, grouped, output_to
 from mbdkit.plot.plot_kinds import PLOT_KINDS
+
+if TYPE_CHECKING:
+    from mbdkit.archive.run import Run
 
 _KINDS_HELP = "; ".join(f"{kind}: {summary}" for kind, summary in PLOT_KINDS.items()) + "."
 
@@ -112,8 +115,16 @@ def plot(
         check_output(target, overwrite=overwrite)
         place = None if size is None else size_in_mm(size)
         target = draw(runs, kind, target, size=place, x_limits=x_limits, y_limits=y_limits, **options)
+        if kind == "trajectory":
+            _say_what_is_not_drawn(*runs)
     if not quiet:
         show(target)
+
+
+def _say_what_is_not_drawn(*runs: Run) -> None:
+    for run in runs:
+        if run.not_drawn:
+            say(f"{run.path}: {run.not_drawn}")
 
 
 def _check_options(kind: str, options: Mapping[str, object]) -> None:
@@ -144,6 +155,7 @@ def animate(
         target = output or archive.with_suffix(".gif")
         check_output(target, overwrite=overwrite, source=archive)
         target = draw(loaded, target)
+        _say_what_is_not_drawn(loaded)
     if not quiet:
         show(target)
 

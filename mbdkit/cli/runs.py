@@ -17,6 +17,7 @@ from mbdkit.cli.common_options import (
     AnySpecName,
     Archive,
     Debug,
+    Files,
     Overwrite,
     Printing,
     Quiet,
@@ -58,6 +59,7 @@ def run(
         Path | None,
         typer.Option("--resume", metavar="FILE", help="Continue the killed or interrupted run that left this file."),
     ] = None,
+    files: Files = False,
     printing: Printing,
 ) -> None:
     """Run a spec and write its archive.
@@ -74,14 +76,17 @@ def run(
     Ctrl-C (FILE.h5, with --overwrite) is continued from its last checkpoint; the results
     are bitwise identical to those of an uninterrupted run.
     Checkpoints are written every 5 s, except by SciPy's solvers, by methods written in
-    Python, and with --accuracy.
+    Python, and with --accuracy. Files that its spec names are read only with --files, and
+    only if they have the SHA-256 that FILE lists.
 
     Gravity is (0, -9.81) m/s^2 unless `model.gravity` of the spec is given.
     """
     if resume is not None:
         given = {"SPEC": spec, "--output": output, "--set": assignments, "--check": check, "--accuracy": accuracy}
-        _resume(resume, [name for name, value in given.items() if value], overwrite, printing)
+        _resume(resume, [name for name, value in given.items() if value], overwrite, files, printing)
         return
+    if files:
+        raise typer.BadParameter("takes effect only with --resume; files that SPEC names are always read")
     if spec is None:
         raise typer.BadParameter("give a SPEC, or --resume FILE", param_hint="SPEC")
     from mbdkit.spec import load_spec
@@ -99,7 +104,7 @@ def run(
     tell(result, printing)
 
 
-def _resume(part: Path, superfluous: list[str], overwrite: bool, printing: Printing) -> None:
+def _resume(part: Path, superfluous: list[str], overwrite: bool, files: bool, printing: Printing) -> None:
     """Continue a run that was killed or interrupted."""
     from mbdkit.base.errors import SpecError
 
@@ -109,7 +114,7 @@ def _resume(part: Path, superfluous: list[str], overwrite: bool, printing: Print
     from mbdkit.runs.resuming import continue_run, final_path
 
     with progress_bar(final_path(part).name, printing.quiet) as progress:
-        result = continue_run(part, overwrite=overwrite, progress=progress)
+        result = continue_run(part, overwrite=overwrite, progress=progress, files=files)
     tell(result, printing)
 
 
@@ -245,24 +250,30 @@ def rerun(
     archive: Archive,
     output: Annotated[Path | None, output_to("FILE.h5", "Keep the new archive; by default it is discarded.")] = None,
     overwrite: Overwrite = False,
+    files: Files = False,
     quiet: Quiet = False,
     debug: Debug = False,
 ) -> None:
     """Run the spec of an archive again and compare the results.
 
-    Prints the largest relative difference. Files of measured motions and loads are read
-    from the folder of the archive. Exit status 1 if the data differ, or if the archive was
-    changed after the run.
+    Prints the largest relative difference. Files that the spec names, such as models of
+    other programs and tables, are read only with --files, tables only from the folder of
+    the archive, and only if they have the SHA-256 that the archive lists. Exit status 1
+    if the data differ, or if the archive was changed after the run.
     """
     if output is not None:
         check_new(output, str(archive), overwrite)
     from mbdkit.archive.compare import compare
     from mbdkit.archive.missing_plugins import check_plugins_of
     from mbdkit.archive.reader import load
+    from mbdkit.base.files_read import only_known
 
     with load(archive) as before:
         check_plugins_of(archive, before.provenance)
-        with _repeated(before, archive, output, overwrite=overwrite, quiet=quiet) as after:
+        with (
+            only_known(before.files, allowed=files),
+            _repeated(before, archive, output, overwrite=overwrite, quiet=quiet) as after,
+        ):
             if after.status == "interrupted":
                 exit_with(after)
             if after.status != "complete":
@@ -289,7 +300,10 @@ def _repeated(before: Run, archive: Path, output: Path | None, *, overwrite: boo
     except SpecError as error:
         raise error.located(file=archive) from error
     with progress_bar(archive.name, quiet) as progress:
-        return simulate(checked, path=output, overwrite=overwrite, progress=progress)
+        try:
+            return simulate(checked, path=output, overwrite=overwrite, progress=progress)
+        except SpecError as error:
+            raise error.located(file=archive) from error
 
 
 @contextmanager

@@ -7,8 +7,7 @@ springs. The poses of the bodies give the global coordinates of all points at al
 from __future__ import annotations
 
 import itertools
-import json
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
@@ -16,16 +15,16 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from mbdkit.base.plain_data import plain
+from mbdkit.base.errors import MbdkitError
 from mbdkit.figures.beam_curves import BeamCurve
 from mbdkit.figures.cable_geometry import Place, cable_places
 from mbdkit.figures.contact_geometry import contact_places
 from mbdkit.figures.muscle_geometry import muscle_places
 from mbdkit.figures.plane_geometry import Array, convex_hull
-from mbdkit.mechanism.parameters import parameter_values, with_expressions
 from mbdkit.mechanism.pathways import JointAngles
 
 if TYPE_CHECKING:
+    from mbdkit.archive.run import Run
     from mbdkit.mechanism.beams import Beam
     from mbdkit.mechanism.contacts import Shape
     from mbdkit.mechanism.joints import SlidingJoint
@@ -172,44 +171,18 @@ class Drawing:
         return np.stack([np.where(fixed, local[:, 0], x), np.where(fixed, local[:, 1], y)], axis=-1)
 
 
-def draw_spec(spec: Mapping[str, Any], bodies: Sequence[str]) -> Drawing:
-    """Return the drawing of the model of a run spec, or of the centres of mass if the model is not available.
+def draw_run(run: Run) -> Drawing:
+    """Return the drawing of the mechanism of a run, or of the centres of mass if the mechanism is not known."""
+    mechanism, bodies = mechanism_of(run), list(run.bodies)
+    return draw_mechanism(mechanism) if mechanism and list(mechanism.bodies) == bodies else draw_centres(bodies)
 
-    Parameters
-    ----------
-    spec
-        The run spec as a plain mapping.
-    bodies
-        Names of the recorded bodies.
-    """
+
+def mechanism_of(run: Run) -> Mechanism | None:
+    """Return the mechanism of a run; None if it is not known, and `Run.not_drawn` says why."""
     try:
-        mechanism = build_mechanism(spec)
-    except (Exception, SystemExit):  # a missing, outdated or broken plugin must not prevent a picture
-        return draw_centres(bodies)
-    return draw_mechanism(mechanism) if list(mechanism.bodies) == list(bodies) else draw_centres(bodies)
-
-
-def build_mechanism(spec: Mapping[str, Any]) -> Mechanism:
-    """Return the mechanism of a run spec, before assembly.
-
-    Raises
-    ------
-    SpecError
-        If the model is not installed, or does not accept its options.
-    """
-    from mbdkit.registry.items import ModelPlugin
-    from mbdkit.registry.manager import registry
-
-    given = plain(spec["model"])
-    plugin = registry().get("model", given.pop("name")).plugin
-    assert isinstance(plugin, ModelPlugin)
-
-    def validate(values: Any) -> Any:
-        return plugin.options.model_validate_json(json.dumps(values))
-
-    numbers = parameter_values(spec.get("parameters"))
-    options, _ = with_expressions(validate, given, plugin.options, numbers, prefix="model")
-    return plugin.build(options)
+        return run.mechanism
+    except MbdkitError:
+        return None
 
 
 def draw_centres(bodies: Sequence[str]) -> Drawing:

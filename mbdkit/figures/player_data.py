@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from mbdkit.figures.beam_curves import largest_moment
-from mbdkit.figures.drawing_geometry import Drawing, build_mechanism
+from mbdkit.figures.drawing_geometry import Drawing, mechanism_of
 from mbdkit.figures.palette import body_colors, color_key, trace_colors
 from mbdkit.figures.plane_geometry import Array
 from mbdkit.figures.scene import Scene, scene
@@ -38,7 +37,7 @@ def film_data(run: Run, numbers: int, label: str = "") -> dict[str, Any]:
     """
     most = int(np.clip(numbers // (3 * max(1, len(run.bodies))), 30, 1_000))
     shown = scene(run, rate=RATE, most=most, shortest=2.0, longest=30.0)
-    return {"label": label} | _scene_data(shown) | {"gaps": _gap_data(run.spec, shown)}
+    return {"label": label} | _scene_data(shown) | {"gaps": _gap_data(run, shown)}
 
 
 def _scene_data(shown: Scene) -> dict[str, Any]:
@@ -98,9 +97,9 @@ def _beam_data(shown: Scene) -> dict[str, Any]:
     return {"beams": beams, "bending": {"largest": most, "percent": percent.reshape(-1).tolist()}}
 
 
-def _gap_data(spec: Mapping[str, Any], shown: Scene) -> dict[str, Any]:
+def _gap_data(run: Run, shown: Scene) -> dict[str, Any]:
     """Return the gaps of the joints with the largest gaps [m], and the largest gap in any frame."""
-    found: Gaps = gaps(spec, shown.drawing, shown.poses).largest(_JOINTS)
+    found: Gaps = gaps(run, shown.drawing, shown.poses).largest(_JOINTS)
     size = np.hypot(found.vectors[..., 0], found.vectors[..., 1])
     return {
         "joints": list(found.joints),
@@ -142,22 +141,17 @@ class Gaps:
         )
 
 
-def gaps(spec: Mapping[str, Any], drawing: Drawing, poses: Array) -> Gaps:
-    """Return the gaps of the joints of a run; none if its model is not available. Drivers, and joints that do not
+def gaps(run: Run, drawing: Drawing, poses: Array) -> Gaps:
+    """Return the gaps of the joints of a run; none if its mechanism is not known. Drivers, and joints that do not
     connect two points, are left out.
 
     Parameters
     ----------
-    spec
-        The run spec as a plain mapping.
     poses
         x [m], y [m] and angle [rad] of each body, shape (F, B, 3).
     """
-    try:
-        mechanism = build_mechanism(spec)
-    except (Exception, SystemExit):  # as in `draw_spec`: a missing or broken plugin must not prevent a picture
-        return Gaps((), (), np.zeros((len(poses), 0, 2)))
-    if tuple(mechanism.bodies) != drawing.bodies:
+    mechanism = mechanism_of(run)
+    if mechanism is None or tuple(mechanism.bodies) != drawing.bodies:
         return Gaps((), (), np.zeros((len(poses), 0, 2)))
     return _gaps_of(mechanism, drawing, poses)
 

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from mbdkit.figures.beam_curves import bending_moments
 from mbdkit.figures.curves import evenly, take
-from mbdkit.figures.drawing_geometry import Drawing, Trace, choose_traces, draw_spec, trace_points
+from mbdkit.figures.drawing_geometry import Drawing, Trace, choose_traces, draw_run, trace_points
 from mbdkit.figures.plane_geometry import Array, view_box
 
 if TYPE_CHECKING:
@@ -86,7 +86,7 @@ def scene(run: Run, *, rate: float, most: int, shortest: float, longest: float) 
     rows = nearest_rows(time, np.linspace(time[0], time[-1], count + 1))
     positions = run.dataset("trajectory/position")
     poses = take(positions, np.unique(rows))[np.searchsorted(np.unique(rows), rows)]
-    drawing = draw_spec(run.spec, tuple(run.bodies))
+    drawing = draw_run(run)
     traces = choose_traces(drawing)
     fixed, owners = trace_points(drawing, traces)
     path_rows = evenly(len(time), _PATH_ROWS)

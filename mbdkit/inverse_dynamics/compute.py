@@ -103,8 +103,9 @@ class InverseProblem:
         """
         names = QuantityNames(spec.mechanism())
         try:
-            measured, table = read_motion(spec, names)
-            loads = read_loads(spec, names, table)
+            with spec.recording_files():
+                measured, table = read_motion(spec, names)
+                loads = read_loads(spec, names, table)
             observed = dict(zip(measured.names, measured.quantities.quantities, strict=True))
             actuators = actuators_of(spec.actuators, names, observed)
             recruiter = None if spec.recruitment is None else Recruiter(spec.recruitment, names, actuators)

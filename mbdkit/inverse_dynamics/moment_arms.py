@@ -2,30 +2,47 @@
 
 from __future__ import annotations
 
+from copy import copy
+from dataclasses import dataclass
+
 import numpy as np
 
 from mbdkit.archive.run import Run
 from mbdkit.base.errors import SpecError
 from mbdkit.inverse_dynamics.manifold import Manifold
 from mbdkit.mechanics.source import AssembledMechanism
+from mbdkit.mechanism.mechanism import Mechanism
 from mbdkit.mechanism.mechanism_quantities import Quantities
 from mbdkit.mechanism.quantity_names import QuantityNames
 from mbdkit.muscles.muscle_path import MusclePath
-from mbdkit.spec import InverseSpec
 
 DEPENDENT = 1e-6
 """A quantity is chosen if more than this share of its gradient is independent of the gradients chosen before it."""
 
 
+@dataclass(frozen=True)
+class _Geometry:
+    """The mechanism of a run without forces, on which moment arms do not depend."""
+
+    whole: Mechanism
+
+    def mechanism(self) -> Mechanism:
+        geometry = copy(self.whole)
+        geometry.forces = {}
+        return geometry
+
+    def placed(self, error: SpecError) -> SpecError:
+        return error
+
+
 def moment_arms(run: Run, muscle: str, coordinate: str) -> np.ndarray:
     """Return the moment arms (T,); see `mbdkit.archive.run.Run.moment_arms`."""
-    spec = InverseSpec(**run.spec)
-    names = QuantityNames(spec.mechanism())
+    names = QuantityNames(run.mechanism)
     own = names.find(coordinate, "coordinate")
     time = np.asarray(run.time)
     q = np.asarray(run.array("trajectory/position")).reshape(len(time), -1)
     path = MusclePath(muscle, names.mechanism.muscles[muscle], names).at(time, q)
-    manifold = Manifold(AssembledMechanism.at(spec, float(time[0]), float(time[-1])))
+    manifold = Manifold(AssembledMechanism.at(_Geometry(run.mechanism), float(time[0]), float(time[-1])))
     free = manifold.directions(manifold.frames(time, q).jacobian).free * manifold.scale[:, None]
     joints = [names.joint(name, "coordinate") for name in names.mechanism.joints]
     rates = Quantities([own, *joints, *names.candidates().values()]).jacobian(q) @ free

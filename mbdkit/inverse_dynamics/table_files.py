@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from mbdkit.base.errors import SpecError
-from mbdkit.base.files import read_bytes
+from mbdkit.base.files_read import check_readable, read_data
 from mbdkit.base.text import shown
 from mbdkit.base.units import NUMBER, read_unit
 from mbdkit.inverse_dynamics.c3d_file import read_c3d
@@ -50,11 +50,12 @@ def read_table(path: Path, key: str) -> Table:
     ResourceError
         If the system refuses to read the file.
     """
+    check_readable(path)
     if not os.path.exists(path) or os.path.isdir(path):
         what = "is a folder" if path.is_dir() else "there is no such file"
         raise SpecError(f"{what}: {shown(str(path))}", key=key)
     suffix = path.suffix.lower()
-    content = read_bytes(path, LARGEST_FILE, "keep the rows and columns that are used")
+    content = read_data(path, LARGEST_FILE, "keep the rows and columns that are used")
     if suffix == ".c3d":
         return _read_c3d(path, content)
     readers = dict.fromkeys((".csv", ".tsv", ".txt"), _read_csv) | {

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -17,25 +17,34 @@ from mbdkit.engine.workspace import Workspace
 from mbdkit.mechanism.mechanism import Mechanism
 from mbdkit.runs.law_ranges import LawRanges
 from mbdkit.runs.preparation import build
-from mbdkit.spec import InverseSpec, RunSpec, load_spec
-from mbdkit.spec.model_spec import ModelSpec
+from mbdkit.spec import RunSpec, load_spec
 from mbdkit.stepping.interface import Nodes
 
 UNUSED = {"integrator": {"name": "rk4"}, "time": {"end": 1.0, "step": 1.0}}
 """Sections that a run spec requires, for a `Mechanism` without a spec; most of these analyses do not use them."""
 
 
+class MechanismSource(Protocol):
+    """A spec that contains a model, or another source of a mechanism."""
+
+    def mechanism(self) -> Mechanism:
+        """Return the mechanism."""
+
+    def placed(self, error: SpecError) -> SpecError:
+        """Return an error about the mechanism, with its file and line if they are known."""
+
+
 @dataclass(frozen=True)
 class AssembledMechanism:
     """A mechanism at its consistent start, with the spec that contains its model."""
 
-    spec: ModelSpec
+    spec: MechanismSource
     workspace: Workspace
     equations: EquationsOfMotion
 
     @classmethod
-    def at(cls, spec: InverseSpec, start: float, end: float) -> AssembledMechanism:
-        """Assemble the mechanism of a spec of inverse dynamics for a motion between two times [s].
+    def at(cls, spec: MechanismSource, start: float, end: float) -> AssembledMechanism:
+        """Assemble the mechanism of inverse dynamics for a motion between two times [s].
 
         Raises
         ------

@@ -19,6 +19,7 @@ from mbdkit.base.errors import MbdkitError
 from mbdkit.base.html_view import HtmlView
 from mbdkit.base.text import shown
 from mbdkit.figures.curves import take
+from mbdkit.figures.drawing_geometry import mechanism_of
 from mbdkit.figures.mechanism_drawing import NamedPose
 from mbdkit.figures.page_model import Cell, Column, Illustration, Table, columns_of
 from mbdkit.figures.plane_geometry import Array
@@ -44,7 +45,7 @@ from mbdkit.plot.mode_shapes import modes_figure
 from mbdkit.plot.style import png
 from mbdkit.report.model_section import composition, drawing, element_tables
 from mbdkit.report.report_page import FILTERS
-from mbdkit.report.run_report import TONES, mechanism_of
+from mbdkit.report.run_report import TONES
 from mbdkit.report.study_report import runs_table, settings
 from mbdkit.report.templating import render
 from mbdkit.studies.study import Study

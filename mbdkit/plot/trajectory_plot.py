@@ -14,7 +14,7 @@ from mbdkit.archive.history import UnknownNameError
 from mbdkit.archive.run_views import Names
 from mbdkit.figures.beam_curves import bending_moments, largest_moment
 from mbdkit.figures.curves import Array, band_along_path, errors_at, evenly, take
-from mbdkit.figures.drawing_geometry import Drawing, Trace, choose_traces, draw_spec, trace_points
+from mbdkit.figures.drawing_geometry import Drawing, Trace, choose_traces, draw_run, trace_points
 from mbdkit.figures.page_model import Axis, Figure, Line
 from mbdkit.figures.palette import FAINT, INK, body_colors, trace_colors
 from mbdkit.figures.plane_geometry import view_box
@@ -93,7 +93,7 @@ def _points(
     """Return the names of points, their paths (R, 2) [m] and their estimated errors (R,) [m]; None for errors not
     estimated.
     """
-    drawing = draw_spec(run.spec, tuple(run.bodies))
+    drawing = draw_run(run)
     markers = tuple(run.markers) if run.records("markers/position") else ()
     traces = {name: Trace(name, centre) for name, centre in zip(drawing.bodies, drawing.centres, strict=True)}
     traces |= {trace.label: trace for trace in drawing.traces}
@@ -161,7 +161,7 @@ def _errors(run: Run, drawing: Drawing, traces: tuple[Trace, ...], rows: int) ->
 
 def _paths(run: Run, rows: int) -> tuple[Drawing, tuple[Trace, ...], Array]:
     """Return the drawing, the traced points, and their paths [m], shape (R, K, 2), with at most `rows` rows."""
-    drawing = draw_spec(run.spec, tuple(run.bodies))
+    drawing = draw_run(run)
     traces = choose_traces(drawing)
     fixed, owners = trace_points(drawing, traces)
     return drawing, traces, fixed.world(take(run.dataset("trajectory/position"), evenly(len(run.time), rows), owners))

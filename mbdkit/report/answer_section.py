@@ -268,7 +268,7 @@ def beam_section(run: Run, mechanism: Mechanism | None) -> Section | None:
     Parameters
     ----------
     mechanism
-        The mechanism of the run's spec; None if its model is not available.
+        The mechanism of the run; None if it is not known.
     """
     if not has_beams(run):
         return None

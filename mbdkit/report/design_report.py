@@ -21,6 +21,7 @@ from mbdkit.designs.solve_design import WORKER, evaluating
 from mbdkit.designs.stages import Stages
 from mbdkit.designs.store import WHICH, DesignFolder, runs_of
 from mbdkit.designs.trust import QUESTIONED
+from mbdkit.figures.drawing_geometry import mechanism_of
 from mbdkit.figures.mechanism_drawing import NamedPose
 from mbdkit.figures.page_model import Section, Table
 from mbdkit.report.design_charts import POINT_WORDS, Pair, front_charts, landscape_charts, load_charts, variable_unit
@@ -29,7 +30,7 @@ from mbdkit.report.load_frames import load_drawing
 from mbdkit.report.methods_used import methods
 from mbdkit.report.model_section import drawing
 from mbdkit.report.report_page import ReportPage
-from mbdkit.report.run_report import TONES, environment, film_of, mechanism_of
+from mbdkit.report.run_report import TONES, environment, film_of
 from mbdkit.report.sensitivity_bars import sensitivity_section
 from mbdkit.spec.key_words import key_words
 from mbdkit.spec.yaml_reader import write_yaml

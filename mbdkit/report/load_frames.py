@@ -43,7 +43,7 @@ Arrow = tuple[str, Array, Array]
 
 
 def load_drawing(run: Run, mechanism: Mechanism | None) -> Illustration | None:
-    """Return the drawing of a run at several times; None if its model is not available, or has too many bodies."""
+    """Return the drawing of a run at several times; None if its mechanism is not known, or has too many bodies."""
     if not _has_arrows(run, mechanism):
         return None
     assert mechanism is not None

@@ -38,19 +38,20 @@ def model_section(run: Run, mechanism: Mechanism | None) -> Section:
     Parameters
     ----------
     mechanism
-        The mechanism of the run's spec; None if its model is not available.
+        The mechanism of the run; None if it is not known.
     """
     pose = take(run.dataset("trajectory/position"), np.array([0], dtype=np.intp))[0]
     times = np.asarray(run.time)[:: max(1, len(run.time) // _TIMES)]
     shown = NamedPose.of(mechanism, list(run.bodies), pose, times)
     tables = element_tables(shown)
     if shown.mechanism is None:
-        name = run.spec["model"]["name"]
-        sentence = f"The model {name} is not installed here, so only what the archive holds is shown."
+        sentence = ""
     else:
         sentence = f"{composition(shown.mechanism)} Positions in the tables are global, at the start."
         tables += [table for table in [_parameters(run.spec)] if table.rows]
-    return Section("model", "What was modelled", (sentence,), drawing(shown), tuple(tables), is_input=True)
+    lacks = f"{run.not_drawn[:1].upper()}{run.not_drawn[1:]}." if run.not_drawn else ""
+    sentences = tuple(filter(None, (sentence, lacks)))
+    return Section("model", "What was modelled", sentences, drawing(shown), tuple(tables), is_input=True)
 
 
 def element_tables(shown: NamedPose) -> list[Table]:
@@ -233,12 +234,11 @@ def _options(force: Any) -> list[str]:
     or that describe the position are left out.
     """
     told = []
-    for name in type(force).model_fields:
-        value = getattr(force, name)
+    for name, value in force:  # including the options of a force law of a plugin
         if name in _PLACE or value is None or value == 0:
             continue
         words = [name.replace("_", " "), _motion(value)]
-        if isinstance(value, float):
+        if isinstance(value, float) and name in type(force).model_fields:
             words.append(described_unit(description(type(force), name), force.pathway.length_unit))
         told.append(" ".join(filter(None, words)))
     return told

@@ -12,7 +12,7 @@ import numpy as np
 
 from mbdkit.archive.headlines import ROUND_OFF
 from mbdkit.figures.curves import bands
-from mbdkit.figures.drawing_geometry import choose_traces, draw_spec
+from mbdkit.figures.drawing_geometry import choose_traces, draw_run
 from mbdkit.figures.page_model import Axis, Figure, Line, Mark
 from mbdkit.figures.palette import INK, PALETTE, body_colors, trace_colors
 from mbdkit.mechanism.bodies import GROUND
@@ -69,7 +69,7 @@ def _colors(run: Run) -> Mapping[str, Mapping[str, str]]:
     """Return the colours of curves by the name of the chart and the label of the curve; curves not listed take colours
     in order.
     """
-    drawing = draw_spec(run.spec, tuple(run.bodies))
+    drawing = draw_run(run)
     traces = choose_traces(drawing)
     paths = {trace.label: color for trace, color in zip(traces, trace_colors(drawing, traces), strict=True)}
     few = run.joint_names if len(run.joint_names) <= len(PALETTE) else ()
@@ -114,7 +114,7 @@ def component_charts(run: Run) -> list[Figure]:
     time, data = np.asarray(run.time), run.dataset("joints/reaction_force")
     peaks = np.nan_to_num(Peaks.of(time, data, lambda f: np.hypot(f[..., 0], f[..., 1])).value)
     most = np.argsort(-peaks, kind="stable")[:COMPONENTS].tolist()
-    colors = dict(zip(run.bodies, body_colors(draw_spec(run.spec, tuple(run.bodies))), strict=True)) | {GROUND: INK}
+    colors = dict(zip(run.bodies, body_colors(draw_run(run)), strict=True)) | {GROUND: INK}
     joints = list(run.joints.values())
     return [_components(run, joints[k], colors) for k in sorted(most) if peaks[k] > ROUND_OFF * peaks[most[0]]]
 

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 from mbdkit.archive.headlines import headline_texts
 from mbdkit.figures.curves import require_rows
-from mbdkit.figures.drawing_geometry import build_mechanism
+from mbdkit.figures.drawing_geometry import mechanism_of
 from mbdkit.figures.page_model import Cell, Table, columns_of
 from mbdkit.figures.player_data import film_data
 from mbdkit.plot.caption import caption
@@ -23,7 +23,6 @@ from mbdkit.spec.yaml_reader import write_yaml
 
 if TYPE_CHECKING:
     from mbdkit.archive.run import Run
-    from mbdkit.mechanism.mechanism import Mechanism
 
 TONES = {"good": "good", "doubtful": "warn", "bad": "alarm"}
 """Name of the colour of the first headline (`ReportPage.tone`) for each verdict."""
@@ -73,14 +72,6 @@ def film_of(run: Run, numbers: int, label: str = "") -> dict[str, Any]:
     """Return the data of the player, with arrows of forces for inverse dynamics; see `film_data` for the arguments."""
     film = film_data(run, numbers, label)
     return with_arrows(run, mechanism_of(run), film) if run.kind == "inverse" else film
-
-
-def mechanism_of(run: Run) -> Mechanism | None:
-    """Return the mechanism of the spec of a run; None if the model is not available."""
-    try:
-        return build_mechanism(run.spec)
-    except (Exception, SystemExit):  # a missing, outdated or broken plugin must not prevent a report
-        return None
 
 
 def _alarm(run: Run, ending: str, warnings: Sequence[str]) -> str:

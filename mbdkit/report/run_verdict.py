@@ -11,9 +11,8 @@ from mbdkit.analysis.growth import Growth, growth_law
 from mbdkit.analysis.verdict import Answer, Claim, Verdict
 from mbdkit.archive.accuracy_summary import accuracy_sentence
 from mbdkit.archive.run_summary import without_suspicion
-from mbdkit.base.errors import MbdkitError
 from mbdkit.figures.curves import bands, take
-from mbdkit.figures.drawing_geometry import draw_spec
+from mbdkit.figures.drawing_geometry import draw_run, mechanism_of
 from mbdkit.figures.quantity_text import count, duration, length, proportion
 from mbdkit.plot.element_quantity import ElementQuantity, angle_misalignment, joint_misalignment
 from mbdkit.report.run_charts import run_charts
@@ -203,9 +202,8 @@ def _largest_energy(run: Run) -> float:
     """Return the largest absolute value of the energies whose rounding errors the energy balance contains [J]."""
     names = ("potential", "work", "dissipated")
     largest = max(float(np.max(np.abs(run.dataset(f"energy/{name}")[:]), initial=0.0)) for name in names)
-    try:
-        model = run.mechanism
-    except MbdkitError:  # a plugin is not installed
+    model = mechanism_of(run)
+    if model is None:
         return largest
     mass, inertia = np.array([(body.mass, body.inertia or 0.0) for body in model.bodies.values()]).T
     return max(largest, gravity_level(mass, inertia, np.asarray(model.gravity)))
@@ -213,6 +211,6 @@ def _largest_energy(run: Run) -> float:
 
 def mechanism_size(run: Run) -> float:
     """Return the size of the mechanism at the start [m]: the width or height of its drawing, whichever is larger."""
-    drawing = draw_spec(run.spec, tuple(run.bodies))
+    drawing = draw_run(run)
     pose = take(run.dataset("trajectory/position"), np.array([0], dtype=np.intp))
     return float(np.max(np.ptp(drawing.world(pose)[0], axis=0), initial=0.0))

@@ -26,8 +26,9 @@ from mbdkit.archive.run import Run
 from mbdkit.archive.run_writer import Origin
 from mbdkit.archive.writer import ArchiveWriter
 from mbdkit.base.command_words import command_line
-from mbdkit.base.errors import ResourceError, SpecError
+from mbdkit.base.errors import ArchiveError, ResourceError, SpecError
 from mbdkit.base.files import check_regular, rename_new
+from mbdkit.base.files_read import only_known
 from mbdkit.base.logs import warn_on_stderr
 from mbdkit.base.progress_bars import in_notebook, progress_bar
 from mbdkit.base.text import listed, shown
@@ -52,7 +53,7 @@ _CHECKPOINT_0_2 = "checkpoint"
 """Name of the group that holds checkpoints in a ``.part`` of version 0.2."""
 
 
-def resume(part: str | Path, *, overwrite: bool = False, progress: Progress | None = None) -> Run:
+def resume(part: str | Path, *, overwrite: bool = False, progress: Progress | None = None, files: bool = False) -> Run:
     """Continue a run that was killed or interrupted, from the last checkpoint beside its archive.
 
     The spec is read from the checkpoint. The results are bitwise identical to those of an uninterrupted run.
@@ -67,6 +68,9 @@ def resume(part: str | Path, *, overwrite: bool = False, progress: Progress | No
         Whether an existing ``FILE.h5`` may be replaced, as the archive of an interrupted run is at the end.
     progress
         See `mbdkit.run`. If this function raises an exception, the file and its checkpoint are kept.
+    files
+        Whether files that the spec names may be read, such as a model of another program; they must have the SHA-256
+        that the checkpoint lists.
 
     Returns
     -------
@@ -82,7 +86,7 @@ def resume(part: str | Path, *, overwrite: bool = False, progress: Progress | No
         If the run is still in progress, or a file cannot be read, written or renamed.
     """
     with progress_bar(Path(part).stem, quiet=progress is not None or not in_notebook()) as bar:
-        result = continue_run(Path(part), overwrite=overwrite, progress=progress or bar)
+        result = continue_run(Path(part), overwrite=overwrite, progress=progress or bar, files=files)
     warn_on_stderr(result.warnings)
     return result
 
@@ -93,18 +97,22 @@ def continue_run(
     overwrite: bool = False,
     progress: Progress | None = None,
     measures: Sequence[str] = (),
+    files: bool = False,
 ) -> Run:
     """Continue a run; see `resume`. The `measures` must be those with which it began; see `simulate`."""
     path = final_path(part)
-    if path == part:
-        _check_interrupted(part, overwrite=overwrite)
-    check_target(path, overwrite=overwrite)
-    _finish_replacement(part)
+    with only_known((), allowed=False):
+        if path == part:
+            _check_interrupted(part, overwrite=overwrite)
+        check_target(path, overwrite=overwrite)
+        _finish_replacement(part)
     with _held(part) as stream:
         checkpoint = Checkpoint.of(part)
         if checkpoint is None:
-            return _renamed(part, path, overwrite)
-        return _Unfinished(part, checkpoint, path, overwrite, stream).continued(progress, measures)
+            with only_known((), allowed=False):
+                return _renamed(part, path, overwrite)
+        with only_known(checkpoint.files, allowed=files):
+            return _Unfinished(part, checkpoint, path, overwrite, stream).continued(progress, measures)
 
 
 def final_path(part: Path) -> Path:
@@ -220,7 +228,8 @@ def _renamed(part: Path, path: Path, overwrite: bool) -> Run:
             first = f"the first one is written after {INTERVAL:g} s of steps"
             raise _refused(part, why or f"{missing} (a run may also end before it has one: {first})")
     if problems := check(part):
-        raise _refused(part, f"it has ended, but its archive is damaged ({problems[0]})")
+        message = f"this run cannot be resumed: it has ended, but its archive is damaged ({problems[0]}); {_ANEW}"
+        raise ArchiveError(message, file=part)
     try:
         (os.replace if overwrite else rename_new)(part, path)
     except OSError as error:

@@ -9,12 +9,14 @@ from __future__ import annotations
 import hashlib
 import json
 from abc import abstractmethod
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
+from contextlib import AbstractContextManager
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, PrivateAttr, SerializerFunctionWrapHandler, model_serializer
 
 from mbdkit.base.errors import PluginError, SpecError, blaming
+from mbdkit.base.files_read import FileRead, FilesRead, recording
 from mbdkit.base.plain_data import LONGEST_TITLE, Path, canonical, canonical_text, plain, without_collection
 from mbdkit.mechanism.law_element import Law
 from mbdkit.mechanism.parameters import Written, insert, parameter_values, with_expressions, without_units
@@ -144,6 +146,7 @@ class ModelSpec(StrictSpec):
 
     _mechanism: Any = PrivateAttr(default=None)
     _run_id: str = PrivateAttr(default="")
+    _files: FilesRead = PrivateAttr(default_factory=FilesRead)
 
     @property
     @abstractmethod
@@ -201,10 +204,28 @@ class ModelSpec(StrictSpec):
         """
         built: Mechanism | None = self._private["_mechanism"]  # called ten times for each run
         if built is None:
-            built = self._build()
-            self._accept(built)
-            self._mechanism = built
+            with self.recording_files():
+                built = self._build()
+            self.adopt(built)
         return built
+
+    def adopt(self, mechanism: Mechanism, files: Iterable[FileRead] = ()) -> None:
+        """Take a mechanism, such as that in an archive, as the one that the model builds from `files`. Raises SpecError
+        if the other sections are not compatible with it.
+        """
+        self._accept(mechanism)
+        self._mechanism = mechanism
+        for file in files:
+            self._files.add(file)
+
+    @property
+    def files_read(self) -> tuple[FileRead, ...]:
+        """The files that were read so far for the mechanism and the data."""
+        return self._files.all
+
+    def recording_files(self) -> AbstractContextManager[None]:
+        """Return a context in which the files that are read are added to `files_read`."""
+        return recording(self._files)
 
     def _accept(self, mechanism: Mechanism) -> None:
         """Raise SpecError if the other sections are not compatible with the mechanism."""

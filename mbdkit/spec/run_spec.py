@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, PrivateAttr, create_model, model_validator
 
 from mbdkit.base.errors import PluginError, SpecError, blaming
+from mbdkit.base.files_read import FilesRead
 from mbdkit.base.plain_data import canonical, canonical_text, quoted
 from mbdkit.base.strict_model import description
 from mbdkit.base.text import listed
@@ -260,7 +261,7 @@ class RunSpec(ModelSpec):
         data = self.sections()
         spec = type(self)(**data | {"integrator": integrator, "time": time, "choose": "nothing"})
         spec._document, spec._mechanism, spec._watched = self._document, self._mechanism, self._watched
-        spec._settings = self._settings
+        spec._settings, spec._files = self._settings, self._files
         return spec
 
     settled: ClassVar[Any] = with_choice
@@ -285,6 +286,7 @@ class RunSpec(ModelSpec):
         spec.__pydantic_private__ |= {
             "_document": None,
             "_mechanism": None,
+            "_files": FilesRead(),
             "_run_id": "",
             "_watched": None,
             "_canonical": canonical_text(canonical(model)).join(self._around_model),

@@ -16,7 +16,9 @@ from mbdkit.archive.block_writer import BlockHeading, BlockRun, Store, kept, wri
 from mbdkit.archive.finished_run import FinishedRun
 from mbdkit.archive.run import Run
 from mbdkit.archive.run_contents import ArrayContents, Heading
+from mbdkit.archive.stored_mechanism import is_determined, mechanism_json
 from mbdkit.base.errors import ResourceError, SpecError
+from mbdkit.base.files_read import files_json
 from mbdkit.base.one_thread import one_thread_of_linear_algebra
 from mbdkit.base.plain_data import collecting_new_objects_only, path_text
 from mbdkit.base.terminal import say
@@ -285,6 +287,9 @@ def _block_run(
         plugins=_plugins_json(tuple(plugins_of(spec).items())),
         result=kept(result, store),
         measures=None if isinstance(measured, Refused) else measured,
+        # That of a packaged model is not stored for each run, because its spec alone determines it.
+        mechanism="" if is_determined(spec) else mechanism_json(spec.mechanism()),
+        files=files_json(spec.files_read) if spec.files_read else "",
     )
 
 

@@ -265,8 +265,8 @@ def _size(group: RunGroup) -> np.ndarray:
     if not len(group.time):
         return group.everywhere(math.nan)
     try:
-        mechanisms = [run.run_spec.mechanism() for run in group.runs]
-    except MbdkitError:  # the plugin of the model is not installed here
+        mechanisms = [run.mechanism for run in group.runs]
+    except MbdkitError:  # the file of a run does not hold it
         return group.everywhere(math.nan)
     return mechanism_sizes(mechanisms, group.first_rows("trajectory/position"))
 

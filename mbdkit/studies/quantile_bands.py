@@ -11,7 +11,6 @@ import numpy as np
 from mbdkit.archive.group_table import data_frame
 from mbdkit.base.errors import MbdkitError
 from mbdkit.measures.measure_expression import SeriesExpression
-from mbdkit.spec import RunSpec
 from mbdkit.studies.sample_groups import SampledStudy, groups_where, is_bad, one_group
 
 if TYPE_CHECKING:
@@ -82,7 +81,7 @@ def quantiles(
     rows: list[np.ndarray] = []
     unit = ""
     for run, numbers, counts in study.rows_of_runs():
-        expression = SeriesExpression.parse(quantity, RunSpec(**run.spec))
+        expression = SeriesExpression.parse(quantity, run.run_spec)
         unit = expression.unit.text
         values = np.broadcast_to(expression.rows(run), run.time.shape)
         rows += [grid.at(time, row) for time, row in _by_run(run.time, values, numbers, counts, places)]

@@ -14,12 +14,14 @@ import numpy as np
 from mbdkit.analysis.sample_statistics import CONFIDENCE
 from mbdkit.analysis.sobol_indices import RESAMPLES
 from mbdkit.archive.block_writer import KEEPING_TIMES
+from mbdkit.archive.blocks import Block
 from mbdkit.archive.group_table import data_frame
 from mbdkit.archive.measured_values import ERROR, MeasuredValues
 from mbdkit.archive.reader import load
 from mbdkit.archive.run import Run
 from mbdkit.archive.run_contents import NotStoredError
 from mbdkit.base.errors import MbdkitError, SpecError
+from mbdkit.base.files_read import FileRead, only_known
 from mbdkit.base.html_view import HtmlView
 from mbdkit.base.text import did_you_mean, listed
 from mbdkit.measures.take import Description
@@ -248,33 +250,42 @@ class Study(HtmlView):
     @cached_property
     def _blocks(self) -> StudyBlocks:
         """The division of the runs into blocks, if they are stored in blocks."""
-        return StudyBlocks.of(self.spec, self._planned)
+        first = self._files.block(0)
+        if self.spec.block is None and first.exists():  # without it, a run must be built, which may read a file
+            with Block(first) as block:
+                return StudyBlocks(len(self._planned), len(block.numbers))
+        with only_known((), allowed=False):
+            return StudyBlocks.of(self.spec, self._planned)
 
-    def remake(self, point: StudyPoint | int | None = None, *, number: int | None = None) -> Run:
+    def remake(self, point: StudyPoint | int | None = None, *, number: int | None = None, files: bool = False) -> Run:
         """Integrate the run of a point again, and return it with all of its arrays, in memory.
 
         Parameters
         ----------
         point, number
             See `run`.
+        files
+            Whether files that the spec names may be read, such as a model of another program; they must have the
+            SHA-256 with which the run was computed.
 
         Raises
         ------
         MbdkitError
-            If there is no such run, if it has no results, if its file contains another run, or if its data, measures,
-            counters and verdict are not bitwise identical to those in the index. Timings and measures of second runs
-            are not compared.
+            If there is no such run, if it has no results, if its spec names files that may not be read, if its file
+            contains another run, or if its data, measures, counters and verdict are not bitwise identical to those in
+            the index. Timings and measures of second runs are not compared.
         """
         chosen = self._point(point, number)
         if not chosen.row.data_sha256:
             raise MbdkitError(
                 f"run {chosen.number} has no results, so that it cannot be computed again: {chosen.status}"
             )
-        written, now = self._written_by(chosen), version("mbdkit")
+        (written, read), now = self._written_by(chosen), version("mbdkit")
         why = f"; mbdkit {written} wrote it, this is {now}" if written not in (now, "unknown") else ""
         reference = self.reference(chosen)
         try:
-            run = remake(self.spec, chosen, reference, why)
+            with only_known(read, allowed=files):
+                run = remake(self.spec, chosen, reference, why)
         finally:
             if reference is not None:
                 reference.close()
@@ -299,16 +310,16 @@ class Study(HtmlView):
             raise MbdkitError(f"the study has no run with index {point}; indices are 0 to {count - 1}{hint}")
         return self.points[operator.index(point)]
 
-    def _written_by(self, point: StudyPoint) -> str:
-        """Return the version of mbdkit that computed the run of a point, after checking its file; "unknown" without a
-        file.
+    def _written_by(self, point: StudyPoint) -> tuple[str, Sequence[FileRead] | None]:
+        """Return the version of mbdkit that computed the run of a point, after checking its file, and the files that
+        were read for the run; "unknown" and None without a file.
         """
         path = self._path(point)
         run = self.run(point) if path is not None and path.exists() else None
         if run is None:
-            return "unknown"
+            return "unknown", None
         with run:
-            return str(run.provenance.get("mbdkit", "unknown"))
+            return str(run.provenance.get("mbdkit", "unknown")), run.files
 
     def select(self, condition: str) -> pandas.DataFrame:
         """Return the rows of `to_frame` that satisfy a condition on its columns.

@@ -123,6 +123,8 @@ def _runs(piece: Block) -> list[BlockRun]:
                 str(stored["plugins"][row]),
                 result,
                 {name: float(values[row]) for name, values in columns.items()},
+                str(stored["mechanism"][row]),
+                str(stored["files"][row]),
             )
         )
     return found

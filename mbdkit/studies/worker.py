@@ -155,7 +155,7 @@ def _continued(path: Path, measures: Sequence[str]) -> Run | None:
     if not checkpoint_path(part).is_file():
         return None
     try:
-        return continue_run(part, overwrite=True, measures=measures)
+        return continue_run(part, overwrite=True, measures=measures, files=True)
     except MbdkitError:  # such as another version of mbdkit; the run is made anew
         return None
 

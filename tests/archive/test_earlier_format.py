@@ -59,7 +59,7 @@ def test_a_rerun_compares_the_arrays_that_both_have_and_says_so(earlier: mbdkit.
     result = CliRunner().invoke(app, ["rerun", str(EARLIER), "-o", str(tmp_path / "new.h5")])
     told = " ".join(result.stdout.split())
     assert "the data that both archives have" in told
-    assert "not compared: 17 arrays of forces and joints, which format 1.1 has and format 1.0 does not" in told
+    assert "not compared: 17 arrays of forces and joints, which format 1.2 has and format 1.0 does not" in told
     result = CliRunner().invoke(app, ["archive", "diff", str(EARLIER), str(tmp_path / "new.h5"), "--json"])
     assert len(json.loads(result.stdout)["left_out"]) == 17
     with mbdkit.load(tmp_path / "new.h5") as later:

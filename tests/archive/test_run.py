@@ -85,7 +85,7 @@ def test_attributes_are_plain_values(run: Run) -> None:
     assert run.provenance == PROVENANCE
     assert type(run.stats["steps"]) is int
     assert type(run.stats["wall_s"]) is float
-    assert (run.status, run.status_reason, run.run_id, run.format_version) == ("complete", "", "run-1", "1.1")
+    assert (run.status, run.status_reason, run.run_id, run.format_version) == ("complete", "", "run-1", "1.2")
     with pytest.raises(TypeError):
         run.stats["steps"] = 3  # type: ignore[index]
 

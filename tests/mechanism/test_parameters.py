@@ -14,7 +14,7 @@ import pytest
 import mbdkit
 from mbdkit.base.errors import SpecError
 from mbdkit.base.plain_data import parse_path
-from mbdkit.figures.drawing_geometry import draw_spec
+from mbdkit.figures.drawing_geometry import draw_run
 from mbdkit.mechanism.mechanism import Mechanism
 from mbdkit.mechanism.parameters import parameter_values
 from mbdkit.spec import load_spec
@@ -205,7 +205,7 @@ def test_a_study_sweeps_the_geometry_by_one_key(tmp_path: Path) -> None:
 
 def test_an_archive_with_expressions_is_drawn_and_run_again(tmp_path: Path) -> None:
     with mbdkit.run("quick-return", archive=tmp_path / "a.h5", time={"end": 0.1, "step": 0.01}) as run:
-        drawn = draw_spec(run.spec, tuple(run.bodies))
+        drawn = draw_run(run)
         assert len(drawn.sliders) == 3
         again = load_spec(dict(run.spec))
         assert again.sha256() == load_spec("quick-return", time={"end": 0.1, "step": 0.01}).sha256()

@@ -3,7 +3,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from mbdkit.figures.drawing_geometry import GROUND, choose_traces, draw_mechanism, draw_spec, trace_points
+from mbdkit.archive.stored_mechanism import built_mechanism
+from mbdkit.figures.drawing_geometry import GROUND, choose_traces, draw_centres, draw_mechanism, trace_points
 from mbdkit.figures.plane_geometry import convex_hull, view_box, zigzag
 from mbdkit.mechanism.mechanism import Mechanism
 
@@ -142,18 +143,19 @@ def test_a_weld_is_marked_at_its_point():
 
 @pytest.mark.parametrize("name", ["single-pendulum", "double-pendulum", "four-bar-knee"])
 def test_models_are_drawn_from_the_spec_alone(name):
-    from mbdkit.figures.drawing_geometry import build_mechanism
-
-    spec = {"model": {"name": name}}
-    bodies = list(build_mechanism(spec).bodies)
-    drawing = draw_spec(spec, bodies)
-    assert list(drawing.bodies) == bodies
+    built = built_mechanism({"model": {"name": name}}, "1.1")
+    assert built.mechanism is not None
+    drawing = draw_mechanism(built.mechanism)
+    assert list(drawing.bodies) == list(built.mechanism.bodies)
     assert all(len(points) >= 2 for points in drawing.outlines)
 
 
 @pytest.mark.parametrize("model", [{"name": "acme:thing"}, {"name": "double-pendulum", "odd": 1}, {}])
 def test_a_model_that_cannot_be_built_is_drawn_as_centres_of_mass(model):
-    drawing = draw_spec({"model": model}, ["a", "b"])
+    built = built_mechanism({"model": model}, "1.1")
+    assert built.mechanism is None
+    assert built.not_drawn.startswith("only points of bodies are drawn: this archive of format 1.1 does not hold")
+    drawing = draw_centres(["a", "b"])
     assert [trace.label for trace in drawing.traces] == ["a", "b"]
     poses = np.array([[1.0, 2.0, 0.3], [3.0, 4.0, 0.5]])
     assert drawing.world(poses).tolist() == [[1.0, 2.0], [3.0, 4.0]]

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import mbdkit
-from mbdkit.figures.drawing_geometry import draw_spec
+from mbdkit.figures.drawing_geometry import draw_run
 from mbdkit.figures.player_data import film_data, gaps
 
 ROUND_OFF = 1e-14  # m, of lengths of some metres
@@ -13,8 +13,8 @@ ROUND_OFF = 1e-14  # m, of lengths of some metres
 @pytest.mark.parametrize("example", ["knee", "double-pendulum", "slider-crank", "watt-six-bar", "car-axis"])
 def test_the_length_of_a_gap_is_the_recorded_misalignment(example):
     with mbdkit.run(example, integrator={"name": "rk4"}) as run:
-        drawing, poses = draw_spec(run.spec, tuple(run.bodies)), run.array("trajectory/position")
-        found = gaps(run.spec, drawing, poses)
+        drawing, poses = draw_run(run), run.array("trajectory/position")
+        found = gaps(run, drawing, poses)
         assert found.joints
         for column, name in enumerate(found.joints):
             length = np.hypot(*found.vectors[:, column].T)
@@ -28,16 +28,16 @@ def test_the_gap_of_a_moving_center_is_the_recorded_misalignment():
     m.revolute("pivot", m.ground, base, at=(0.0, 0.0))
     m.revolute("rolls", base, disc, at=(0.9, 0.0), center={"x": "-0.2*angle", "y": "0.1*cos(angle)"})
     with mbdkit.run(m, integrator={"name": "rk4"}, time={"end": 2, "step": 0.02}) as run:
-        drawing, poses = draw_spec(run.spec, tuple(run.bodies)), run.array("trajectory/position")
-        length = np.hypot(*gaps(run.spec, drawing, poses).vectors[:, 1].T)
+        drawing, poses = draw_run(run), run.array("trajectory/position")
+        length = np.hypot(*gaps(run, drawing, poses).vectors[:, 1].T)
         assert length.max() > 1e-6
         np.testing.assert_allclose(length, run.joints["rolls"].misalignment, rtol=1e-8, atol=ROUND_OFF)
 
 
 def test_the_ends_of_a_gap_are_the_joints_points(make_run):
     run = make_run(rods=3)
-    drawing, poses = draw_spec(run.spec, tuple(run.bodies)), run.array("trajectory/position")
-    found = gaps(run.spec, drawing, poses)
+    drawing, poses = draw_run(run), run.array("trajectory/position")
+    found = gaps(run, drawing, poses)
     world = drawing.world(poses)
     for (a, b), vector in zip(found.ends, np.moveaxis(found.vectors, 1, 0), strict=True):
         np.testing.assert_allclose(world[:, b] - world[:, a], vector, rtol=0, atol=ROUND_OFF)

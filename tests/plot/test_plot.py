@@ -250,8 +250,10 @@ def test_a_picture_that_cannot_be_finished_leaves_the_old_one_and_nothing_else(m
 def test_drawing_needs_neither_pyplot_nor_sympy_nor_numba():
     code = (
         "import sys, mbdkit.plot.save_plot, mbdkit.report.animate\n"
-        "from mbdkit.figures.drawing_geometry import build_mechanism, draw_mechanism\n"
-        "draw_mechanism(build_mechanism({'model': {'name': 'double-pendulum'}}))\n"
+        "from mbdkit.figures.drawing_geometry import draw_mechanism\n"
+        "from mbdkit.archive.stored_mechanism import built_mechanism, mechanism_json, read_mechanism\n"
+        "built = built_mechanism({'model': {'name': 'double-pendulum'}}, '1.1').mechanism\n"
+        "draw_mechanism(read_mechanism(mechanism_json(built), list(built.bodies)).mechanism)\n"
         "print([name for name in ('matplotlib.pyplot', 'sympy', 'numba') if name in sys.modules])"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)

@@ -15,7 +15,7 @@ from defusedxml.common import DefusedXmlException
 from defusedxml.ElementTree import fromstring
 
 from mbdkit import ResourceError, SpecError
-from mbdkit.base.files import read_bytes
+from mbdkit.base.files_read import read_data
 from mbdkit_opensim.osim_format_3 import as_format_4, rename_switches
 
 OLDEST, WITH_FRAMES, WITH_SWITCHES = 30_000, 30_500, 30_508
@@ -48,7 +48,7 @@ def read_model(file: str) -> Element:
     except RuntimeError as error:  # for ~ or ~USER without a home
         raise refused(f"{file}: {error}") from None
     try:
-        content = read_bytes(path.absolute(), LARGEST)
+        content = read_data(path.absolute(), LARGEST)
     except (SpecError, ResourceError) as error:
         raise refused(str(error)) from None
     try:

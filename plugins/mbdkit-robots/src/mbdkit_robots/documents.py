@@ -12,7 +12,7 @@ from defusedxml.common import DefusedXmlException
 from defusedxml.ElementTree import fromstring
 
 from mbdkit import ResourceError, SpecError
-from mbdkit.base.files import read_bytes
+from mbdkit.base.files_read import read_data
 from mbdkit.base.text import listed
 from mbdkit_robots.planar import refused
 
@@ -23,7 +23,7 @@ LARGEST = 10 * 2**20
 def read_content(file: str) -> bytes:
     """Return the contents of a file; raise SpecError if it cannot be read or is too large."""
     try:
-        return read_bytes(os.path.expanduser(file), LARGEST)
+        return read_data(os.path.expanduser(file), LARGEST)
     except (SpecError, ResourceError) as error:
         raise refused(str(error)) from None
 

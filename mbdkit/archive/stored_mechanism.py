@@ -1,0 +1,206 @@
+"""The mechanism of a run as plain data in its archive, which is read without the model and the plugins that made it.
+
+Elements are read one by one, so that an element of a kind that this version does not know is left out and named, and
+the others are drawn. Options of force laws of plugins are kept as they were written. No other file is opened.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cache
+from typing import TYPE_CHECKING, Any, get_args
+
+from pydantic import ConfigDict, TypeAdapter, ValidationError
+
+from mbdkit.base.errors import ArchiveError, MbdkitError, SpecError
+from mbdkit.base.plain_data import canonical_text, parse_path, plain
+from mbdkit.base.text import listed, shown
+from mbdkit.mechanism.law_element import Law
+from mbdkit.mechanism.mechanism import Mechanism
+from mbdkit.mechanism.mechanism_data import ELEMENTS, Assembly, MechanismData
+from mbdkit.mechanism.parameters import parameter_values, with_expressions
+from mbdkit.registry.items import ModelPlugin
+from mbdkit.registry.manager import registry
+from mbdkit.spec.choices import RegistryLookup
+
+if TYPE_CHECKING:
+    from mbdkit.spec import RunSpec
+
+_NAMED = 5  # elements that are named in a sentence
+_MOST_UNKNOWN = 100
+_ASSEMBLY = TypeAdapter(Assembly)
+_SECTIONS = ("bodies", "beams", *ELEMENTS, "coordinates", "states", "controllers")
+_OWN = RegistryLookup(lambda: registry().only("mbdkit"))
+"""Finds the force laws of mbdkit itself: those of plugins are not called when an archive is read."""
+
+
+@dataclass(frozen=True)
+class StoredMechanism:
+    """The mechanism of a run, as far as it is known.
+
+    Parameters
+    ----------
+    mechanism
+        The mechanism; None if only the bodies are known.
+    not_drawn
+        Sentence on what a drawing lacks and why; empty if it is complete.
+    """
+
+    mechanism: Mechanism | None
+    not_drawn: str = ""
+
+
+class _ForeignLaw:
+    """Stands for the force law of a plugin, which cannot be evaluated."""
+
+    states = ()
+
+
+class PluginLaw(Law):
+    """An element with the force law of a plugin: its pathway, and the options as they were written."""
+
+    model_config = ConfigDict(extra="allow")
+    force_law = _ForeignLaw()  # type: ignore[assignment]
+
+
+def mechanism_json(mechanism: Mechanism) -> str:
+    """Return a mechanism as the JSON that archives hold: a model `mechanism` with its name, points in the frames of the
+    bodies, and numbers in place of expressions.
+    """
+    return canonical_text({**mechanism.to_spec(), "title": mechanism.name})
+
+
+def is_determined(spec: RunSpec) -> bool:
+    """Return whether a spec alone determines its mechanism, because mbdkit itself has its model and force laws."""
+    is_own = spec.model_item.origin.distribution == "mbdkit"  # otherwise its mechanism must not be built here
+    return is_own and all(item.origin.distribution == "mbdkit" for item in spec.force_law_items)
+
+
+def read_mechanism(text: str, bodies: Sequence[str]) -> StoredMechanism:
+    """Return the mechanism that an archive holds.
+
+    Parameters
+    ----------
+    text
+        As returned by `mechanism_json`.
+    bodies
+        The names of the recorded bodies.
+
+    Raises
+    ------
+    ValueError
+        If `text` is damaged.
+    """
+    try:
+        data = json.loads(text)
+    except RecursionError:
+        raise ValueError("it is nested too deeply") from None
+    sections = {section: data.get(section, {}) for section in _SECTIONS}
+    if not all(isinstance(elements, dict) for elements in sections.values()):
+        raise ValueError("its elements are not a mapping")
+    unknown: list[str] = []
+    try:
+        mechanism = Mechanism(data.get("gravity", (0.0, -9.81)), name=str(data.get("title", "")))
+    except SpecError as error:
+        raise ValueError(str(error)) from None
+    mechanism.assembly = _ASSEMBLY.validate_json(json.dumps(data.get("assembly", {})))
+    for section, elements in sections.items():
+        for name, value in elements.items():
+            try:
+                _add(mechanism, section, name, _element(section, value))
+            except (MbdkitError, ValidationError):
+                unknown.append(f"{section}.{name}")
+    if set(mechanism.bodies) != set(bodies):
+        return StoredMechanism(None, "this version of mbdkit does not know all of its bodies, so only points are drawn")
+    mechanism.bodies = {name: mechanism.bodies[name] for name in bodies}
+    unknown += _without_wrong_references(mechanism)
+    return StoredMechanism(mechanism, f"not drawn, because not known here: {_few(unknown)}" if unknown else "")
+
+
+def built_mechanism(spec: Mapping[str, Any], version: str) -> StoredMechanism:
+    """Return the mechanism of a run whose archive does not hold it.
+
+    Only models of mbdkit itself build it, because those of plugins may read files.
+
+    Parameters
+    ----------
+    spec
+        The spec of the run as a plain mapping.
+    version
+        Version of the format of the archive.
+    """
+    name = str(spec.get("model", {}).get("name", ""))
+    item = next((one for one in registry().only("mbdkit").of_kind("model") if name in (one.name, one.id)), None)
+    lacks = f"this archive of format {shown(version)} does not hold its mechanism"
+    if item is None:
+        hint = "`mbdkit rerun --files` with `-o` writes an archive that holds it"
+        why = f"{lacks}, and the model '{shown(name)}' is of a plugin, which may read files; {hint}"
+        return StoredMechanism(None, f"only points of bodies are drawn: {why}")
+    plugin = item.plugin
+    assert isinstance(plugin, ModelPlugin)
+    given = {key: value for key, value in plain(spec["model"]).items() if key != "name"}
+
+    def validate(values: Any) -> Any:
+        return plugin.options.model_validate_json(json.dumps(values), context={"plugins": _OWN})
+
+    try:
+        numbers = parameter_values(spec.get("parameters"))
+        options, _ = with_expressions(validate, given, plugin.options, numbers, prefix="model", plugins=_OWN)
+        return StoredMechanism(plugin.build(options))
+    except (MbdkitError, ArithmeticError, RecursionError) as error:
+        why = error.message if isinstance(error, SpecError) else str(error)
+        return StoredMechanism(None, f"only points of bodies are drawn: {lacks}, and its model cannot be built: {why}")
+
+
+@cache
+def _adapter(section: str) -> TypeAdapter[Any]:
+    return TypeAdapter(get_args(MechanismData.model_fields[section].annotation)[1])
+
+
+def _element(section: str, value: Any) -> Any:
+    """Return an element, or an entry of another section."""
+    text = json.dumps(value)
+    try:
+        return _adapter(section).validate_json(text, context={"plugins": _OWN})
+    except (MbdkitError, ValidationError):
+        if section != "forces":
+            raise
+        return PluginLaw.model_validate_json(text)
+
+
+def _add(mechanism: Mechanism, section: str, name: str, element: Any) -> None:
+    if section == "beams":
+        mechanism.beams[name] = element
+        mechanism.bodies |= element.bodies(name)
+        mechanism.forces |= element.loads(name)
+    else:
+        getattr(mechanism, section)[name] = element
+
+
+def _without_wrong_references(mechanism: Mechanism) -> list[str]:
+    """Remove the elements that refer to unknown ones, and return their names.
+
+    Raises
+    ------
+    ArchiveError
+        If there are too many.
+    """
+    removed: list[str] = []
+    while len(removed) < _MOST_UNKNOWN:
+        try:
+            mechanism.validate()
+        except SpecError as error:
+            _, section, name, *_ = (*parse_path(error.key), "", "")
+            if getattr(mechanism, str(section), {}).pop(name, None) is None:
+                break
+            removed.append(f"{section}.{name}")
+        else:
+            return removed
+    raise ArchiveError("the mechanism in this archive is damaged, its elements do not fit together")
+
+
+def _few(names: Sequence[str]) -> str:
+    more = f" and {len(names) - _NAMED} more" if len(names) > _NAMED else ""
+    return shown(listed(names[:_NAMED])) + more
