@@ -144,7 +144,7 @@ class Checkpoint:
                 head={
                     **{name: str(values["head"][name]) for name in _HEAD},
                     "provenance": values["head"]["provenance"],
-                    "files": values["head"].get("files"),
+                    **{name: values["head"][name] for name in ("files",) if name in values["head"]},
                 },
                 file=int(values["file"]),
                 rows={str(dim): int(count) for dim, count in values["rows"].items()},

@@ -17,7 +17,7 @@ import numpy as np
 from h5py import h5a, h5d, h5g, h5l, h5o, h5s, h5t, h5z
 
 from mbdkit.archive.hdf5_errors import DAMAGE, cause, error_number, reading
-from mbdkit.base.errors import ArchiveError, ResourceError, SpecError, file_error
+from mbdkit.base.errors import ArchiveError, ResourceError, file_error
 from mbdkit.base.files import check_regular
 from mbdkit.base.text import shown
 

@@ -189,11 +189,12 @@ def report(
     that magnifies the gaps in the joints, tables, methods and the spec.
     """
     from mbdkit.archive.archive_check import blaming_damage
+    from mbdkit.base.files_read import only_known
     from mbdkit.report.report import report as write
 
     archives = sorted((path / "runs").glob("*.h5")) if path.is_dir() else [path]
     archives = [archive for archive in archives if not archive.name.startswith("block-")]
-    with blaming_damage(*archives):
+    with blaming_damage(*archives), only_known((), allowed=False):
         target = write(path, output, figures=figures, overwrite=overwrite)
     if not quiet:
         show(target)

@@ -11,7 +11,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from mbdkit.analysis.verdict import Verdict, columns_of
-from mbdkit.archive.reader import load
 from mbdkit.base.errors import SpecError
 from mbdkit.base.text import listed
 from mbdkit.figures.page_model import Cell, Column, Table
@@ -218,17 +217,20 @@ def _films(study: Study) -> Iterable[dict[str, Any]]:
 
 
 def _specs(study: Study) -> list[dict[str, Any]]:
-    return [_spec_of(point) for point in (*_read(study), *study.references) if point.status != "left-out"]
+    return [_spec_of(study, point) for point in (*_read(study), *study.references) if point.status != "left-out"]
 
 
-def _spec_of(point: StudyPoint) -> dict[str, Any]:
-    """Return the canonical spec of a run. If a plugin is not installed, the spec is read from the archive."""
+def _spec_of(study: Study, point: StudyPoint) -> dict[str, Any]:
+    """Return the canonical spec of a run. If a plugin is not installed, or the spec names a file, which is not read,
+    the spec is read from the archive or the block.
+    """
     try:
         return dict(json.loads(point.spec.canonical_json()))
     except SpecError:
-        if point.path is None:
+        run = study.run(point)
+        if run is None:
             raise
-        with load(point.path) as run:
+        with run:
             return dict(run.spec)
 
 

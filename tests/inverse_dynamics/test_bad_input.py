@@ -288,12 +288,13 @@ def test_commands_compute_check_and_print(tmp_path: Path) -> None:
         done = CliRunner().invoke(app, words, prog_name="mbdkit")
         assert done.exit_code == 0, (words, done.output)
     assert "hip.value" in (tmp_path / "csv" / "actuators.csv").read_text()
-    done = CliRunner().invoke(app, ["rerun", out], prog_name="mbdkit")
+    done = CliRunner().invoke(app, ["rerun", out, "--files"], prog_name="mbdkit")
     assert done.exit_code == 0, done.output
     assert "the data are the same to the bit" in done.stdout
     changed = [ROWS[0], *(row.replace("0.300", "0.301") for row in ROWS[1:])]
     (tmp_path / "t.csv").write_text("\n".join(changed), encoding="utf-8")
-    assert CliRunner().invoke(app, ["rerun", out], prog_name="mbdkit").exit_code == 1
+    done = CliRunner().invoke(app, ["rerun", out, "--files"], prog_name="mbdkit")
+    assert (done.exit_code, "its SHA-256 differs" in done.stderr) == (2, True)
     (tmp_path / "t.csv").rename(tmp_path / "other.csv")
     done = CliRunner().invoke(app, ["rerun", out], prog_name="mbdkit")
     assert done.exit_code == 2
