@@ -17,9 +17,9 @@ def mbdkit_models() -> list[ModelPlugin]:
 @hookimpl
 def mbdkit_integrators() -> list[IntegratorPlugin]:
     """Return the integrators that mbdkit ships."""
-    from mbdkit.methods import integrators
+    from mbdkit.methods import INTEGRATORS
 
-    return integrators()
+    return list(INTEGRATORS)
 
 
 @hookimpl

@@ -106,9 +106,9 @@ def plugins_doctor(as_json: AsJson = False, debug: Debug = False) -> None:
     """
     from mbdkit.engine.native.machine_code import code_report, code_text
     from mbdkit.registry import describe
-    from mbdkit.registry.manager import load_installed
+    from mbdkit.registry.manager import checked, load_installed
 
-    installed = load_installed()
+    installed = checked(load_installed())
     if as_json:
         show_json({**describe.diagnosis(installed), "machine_code": code_report()})
     else:

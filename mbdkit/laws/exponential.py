@@ -11,8 +11,6 @@ from mbdkit.mechanism.values import NotNegative, Number, Positive
 if TYPE_CHECKING:
     import sympy
 
-SUMMARY = "An exponential spring that only pulls (a ligament) or only pushes (a pad), with a linear damper."
-
 
 class ExponentialOptions(StrictModel):
     """Options of `exponential`: the force ``scale * (exp(growth * x) - 1)`` of the stretch x.

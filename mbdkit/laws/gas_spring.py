@@ -13,8 +13,6 @@ from mbdkit.mechanism.values import NotNegative, Positive
 if TYPE_CHECKING:
     import sympy
 
-SUMMARY = "A gas spring: its push grows from the preload as it is compressed, by the polytropic law of its gas."
-
 
 class GasSpringOptions(StrictModel):
     """Options of `gas-spring`: the push ``preload / (1 - x/stroke * (1 - progression**(-1/exponent)))**exponent``.

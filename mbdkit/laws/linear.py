@@ -11,8 +11,6 @@ from mbdkit.mechanism.values import NotNegative, Number
 if TYPE_CHECKING:
     import sympy
 
-SUMMARY = "A linear spring and damper, on any pathway."
-
 
 class LinearOptions(StrictModel):
     """Options of `linear`: the force is ``stiffness * (length - free_length) + damping * rate``."""

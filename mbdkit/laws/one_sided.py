@@ -14,8 +14,6 @@ from mbdkit.mechanism.values import NotNegative, Number
 if TYPE_CHECKING:
     import sympy
 
-SUMMARY = "A spring and damper that only pulls (a rope) or only pushes (a stop)."
-
 
 class OneSidedOptions(StrictModel):
     """Options of `one-sided`: a linear spring and damper that acts on one side of its free length only.

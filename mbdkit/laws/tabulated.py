@@ -13,8 +13,6 @@ from mbdkit.base.strict_model import StrictModel
 from mbdkit.mechanism.force_law import FunctionLaw
 from mbdkit.mechanism.values import NotNegative, Number, columns_of
 
-SUMMARY = "A spring with a table of force against length, interpolated by a cubic spline and extrapolated linearly."
-
 _columns = partial(columns_of, at="lengths", of="forces", shown="length, force")
 
 

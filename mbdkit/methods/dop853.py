@@ -12,7 +12,6 @@ from typing import TYPE_CHECKING
 from mbdkit.methods.kinds import ExplicitRungeKutta
 from mbdkit.methods.method_options import HAIRER_NORSETT_WANNER, ControlledOptions, embedded_claims
 from mbdkit.methods.tableau import ButcherTableau
-from mbdkit.registry.items import IntegratorPlugin
 
 if TYPE_CHECKING:
     import numpy as np
@@ -264,15 +263,10 @@ def pair() -> EmbeddedPair:
     return EmbeddedPair(error, 8, a, c, nested_polynomials(parts))
 
 
-FAMILY = "explicit"
-INTEGRATORS = (
-    IntegratorPlugin(
-        name="dop853",
-        summary="Dormand-Prince: explicit, 12 stages, order 8, fixed or adaptive steps.",
-        options=ControlledOptions,
-        create=lambda options: ExplicitRungeKutta(tableau(), pair(), options.tolerances()),
-        claims=embedded_claims(order=8, stages=12),
-        references=(HAIRER_NORSETT_WANNER,),
-        dense_output=True,
-    ),
-)
+def create(options: ControlledOptions) -> ExplicitRungeKutta:
+    """Return the method."""
+    return ExplicitRungeKutta(tableau(), pair(), options.tolerances())
+
+
+claims = embedded_claims(order=8, stages=12)
+REFERENCES = (HAIRER_NORSETT_WANNER,)

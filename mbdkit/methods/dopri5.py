@@ -12,7 +12,6 @@ from typing import TYPE_CHECKING
 from mbdkit.methods.kinds import ExplicitRungeKutta
 from mbdkit.methods.method_options import ControlledOptions, embedded_claims
 from mbdkit.methods.tableau import ButcherTableau
-from mbdkit.registry.items import IntegratorPlugin
 
 if TYPE_CHECKING:
     from mbdkit.methods.tableau import EmbeddedPair
@@ -70,15 +69,10 @@ def pair() -> EmbeddedPair:
     return EmbeddedPair(np.array([_ERROR]), 5, a, c, nested_polynomials(parts))
 
 
-FAMILY = "explicit"
-INTEGRATORS = (
-    IntegratorPlugin(
-        name="dopri5",
-        summary="Dormand-Prince: explicit, 7 stages, order 5, fixed or adaptive steps.",
-        options=ControlledOptions,
-        create=lambda options: ExplicitRungeKutta(tableau(), pair(), options.tolerances()),
-        claims=embedded_claims(order=5, stages=7),
-        references=(REFERENCE,),
-        dense_output=True,
-    ),
-)
+def create(options: ControlledOptions) -> ExplicitRungeKutta:
+    """Return the method."""
+    return ExplicitRungeKutta(tableau(), pair(), options.tolerances())
+
+
+claims = embedded_claims(order=5, stages=7)
+REFERENCES = (REFERENCE,)

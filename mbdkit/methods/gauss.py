@@ -14,9 +14,10 @@ import mpmath
 from pydantic import Field
 
 from mbdkit.engine.formulation import ORDINARY
+from mbdkit.methods.kinds import ImplicitRungeKutta
 from mbdkit.methods.method_options import OF_TREES, ORDER_DRIFT, TOLERANCE_DRIFT, ImplicitOptions
 from mbdkit.methods.tableau import ButcherTableau, Coefficient, collocation
-from mbdkit.registry.items import Claims, IntegratorPlugin
+from mbdkit.registry.items import Claims
 
 REFERENCE = """@article{butcher1964,
   author = {Butcher, John C.},
@@ -67,7 +68,8 @@ class GaussOptions(ImplicitOptions):
     """Number of stages s; the order is 2 s."""
 
 
-def _claims(options: GaussOptions) -> Claims:
+def claims(options: GaussOptions) -> Claims:
+    """Return the claims of the method."""
     # A step size that depends on earlier steps differs in the reversed motion. Adaptive steps are therefore neither
     # symmetric nor symplectic, although every single step conserves quadratic invariants.
     fixed = not options.adaptive
@@ -84,15 +86,9 @@ def _claims(options: GaussOptions) -> Claims:
     )
 
 
-FAMILY = "collocation"
-INTEGRATORS = (
-    IntegratorPlugin(
-        name="gauss",
-        summary="Gauss-Legendre collocation: implicit, 1 to 6 stages, order 2 s, symmetric, symplectic; or adaptive.",
-        options=GaussOptions,
-        create=lambda options: options.method(tableau(options.stages)),
-        claims=_claims,
-        references=(REFERENCE,),
-        dense_output=True,
-    ),
-)
+def create(options: GaussOptions) -> ImplicitRungeKutta:
+    """Return the method."""
+    return options.method(tableau(options.stages))
+
+
+REFERENCES = (REFERENCE,)

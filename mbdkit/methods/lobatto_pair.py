@@ -13,7 +13,7 @@ from pydantic import Field
 
 from mbdkit.methods.kinds import LobattoPair
 from mbdkit.methods.method_options import Options
-from mbdkit.registry.items import Claims, IntegratorPlugin
+from mbdkit.registry.items import Claims
 
 JAY = """@article{jay1996,
   author = {Jay, Laurent},
@@ -81,22 +81,25 @@ def _claims(stages: int) -> Claims:
     )
 
 
-FAMILY = "partitioned"
-INTEGRATORS = (
-    IntegratorPlugin(
-        name="rattle",
-        summary="RATTLE: order 2, symmetric, symplectic, no drift of positions and velocities, fixed steps.",
-        options=RattleOptions,
-        create=lambda options: LobattoPair(2, options.tolerance, options.max_iterations),
-        claims=lambda options: _claims(2),
-        references=(ANDERSEN, JAY),
-    ),
-    IntegratorPlugin(
-        name="lobatto-pair",
-        summary="Lobatto IIIA-IIIB: 2 or 3 stages, order 2 s - 2, symmetric, symplectic, no drift, fixed steps.",
-        options=PairOptions,
-        create=lambda options: LobattoPair(options.stages, options.tolerance, options.max_iterations),
-        claims=lambda options: _claims(options.stages),
-        references=(JAY,),
-    ),
-)
+def create(options: PairOptions) -> LobattoPair:
+    """Return the method."""
+    return LobattoPair(options.stages, options.tolerance, options.max_iterations)
+
+
+def claims(options: PairOptions) -> Claims:
+    """Return the claims of the method."""
+    return _claims(options.stages)
+
+
+def create_rattle(options: RattleOptions) -> LobattoPair:
+    """Return RATTLE."""
+    return LobattoPair(2, options.tolerance, options.max_iterations)
+
+
+def claims_of_rattle(options: RattleOptions) -> Claims:
+    """Return the claims of RATTLE."""
+    return _claims(2)
+
+
+REFERENCES = (JAY,)
+REFERENCES_OF_RATTLE = (ANDERSEN, JAY)

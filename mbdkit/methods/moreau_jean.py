@@ -5,6 +5,7 @@ Their algorithms are in `mbdkit.stepping.time_stepping` and `mbdkit.stepping.gen
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Annotated
 
@@ -12,7 +13,7 @@ from pydantic import Field
 
 from mbdkit.methods.kinds import Method, Traits
 from mbdkit.methods.method_options import Options
-from mbdkit.registry.items import Claims, IntegratorPlugin
+from mbdkit.registry.items import Claims
 
 JEAN = """@article{jean1999,
   author = {Jean, Michel},
@@ -69,34 +70,25 @@ class GeneralizedAlpha(Method):
         return Traits(family, suits_stiff=True, is_time_stepping=True)
 
 
-FAMILY = "moreau-jean"
-INTEGRATORS = (
-    IntegratorPlugin(
-        name="moreau-jean",
-        summary="Moreau and Jean: time-stepping for rigid contacts, order 1, no drift of joints and gaps, fixed steps.",
-        options=MoreauJeanOptions,
-        create=lambda options: MoreauJean(options.theta),
-        claims=lambda options: Claims(
-            order=1,
-            drift="positions satisfy the constraints up to rounding errors, velocities up to errors of the order of "
-            "the step",
-            constraints_hold=("position",),
-            needs=("tangents",),
-        ),
-        references=(JEAN,),
-    ),
-    IntegratorPlugin(
-        name="nonsmooth-generalized-alpha",
-        summary="Nonsmooth generalized-alpha: time-stepping for rigid contacts, order 2 without them, fixed steps.",
-        options=GeneralizedAlphaOptions,
-        create=lambda options: GeneralizedAlpha(options.spectral_radius),
-        claims=lambda options: Claims(
-            order=2,
-            drift="positions satisfy the constraints up to rounding errors, velocities up to errors of the order of "
-            "the step",
-            constraints_hold=("position",),
-            needs=("tangents",),
-        ),
-        references=(CHEN,),
-    ),
-)
+def create_moreau_jean(options: MoreauJeanOptions) -> MoreauJean:
+    """Return the method of Moreau and Jean."""
+    return MoreauJean(options.theta)
+
+
+def create_generalized_alpha(options: GeneralizedAlphaOptions) -> GeneralizedAlpha:
+    """Return the nonsmooth generalized-alpha method."""
+    return GeneralizedAlpha(options.spectral_radius)
+
+
+def _claims(order: int) -> Callable[[Options], Claims]:
+    return lambda options: Claims(
+        order=order,
+        drift="positions satisfy the constraints up to rounding errors, velocities up to errors of the order of "
+        "the step",
+        constraints_hold=("position",),
+        needs=("tangents",),
+    )
+
+
+claims_of_moreau_jean, claims_of_generalized_alpha = _claims(1), _claims(2)
+REFERENCES_OF_MOREAU_JEAN, REFERENCES_OF_GENERALIZED_ALPHA = (JEAN,), (CHEN,)

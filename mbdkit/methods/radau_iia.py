@@ -12,9 +12,10 @@ from typing import Literal
 import mpmath
 
 from mbdkit.engine.formulation import FORMULATIONS, ORDINARY, formulation_name
+from mbdkit.methods.kinds import ImplicitRungeKutta
 from mbdkit.methods.method_options import HAIRER_WANNER, OF_TREES, ORDER_DRIFT, TOLERANCE_DRIFT, ImplicitOptions
 from mbdkit.methods.tableau import ButcherTableau, collocation
-from mbdkit.registry.items import Claims, IntegratorPlugin, Orders
+from mbdkit.registry.items import Claims, Orders
 
 GEAR = """@article{gear1985,
   author = {Gear, C. W. and Leimkuhler, B. and Gupta, G. K.},
@@ -66,7 +67,8 @@ _DRIFT_BY_FORMULATION = (
 _OF_LOOPS = ", and joints that close loops satisfy the constraints as with the formulation that `loops` names"
 
 
-def _claims(options: RadauOptions) -> Claims:
+def claims(options: RadauOptions) -> Claims:
+    """Return the claims of the method."""
     # Hairer, Lubich and Roche (1989) prove the orders of index 2 for all s, and those of index 3 for s >= 3.
     s, order = options.stages, 2 * options.stages - 1
     fixed = not options.adaptive
@@ -85,15 +87,9 @@ def _claims(options: RadauOptions) -> Claims:
     )
 
 
-FAMILY = "collocation"
-INTEGRATORS = (
-    IntegratorPlugin(
-        name="radau-iia",
-        summary="Radau IIA collocation: implicit, 2, 3 or 5 stages, order 2 s - 1, L-stable; or adaptive steps.",
-        options=RadauOptions,
-        create=lambda options: options.method(tableau(options.stages)),
-        claims=_claims,
-        references=(HAIRER_WANNER, GEAR),
-        dense_output=True,
-    ),
-)
+def create(options: RadauOptions) -> ImplicitRungeKutta:
+    """Return the method."""
+    return options.method(tableau(options.stages))
+
+
+REFERENCES = (HAIRER_WANNER, GEAR)

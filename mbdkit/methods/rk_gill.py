@@ -12,7 +12,6 @@ from functools import cache
 from mbdkit.methods.kinds import ExplicitRungeKutta
 from mbdkit.methods.method_options import ExplicitOptions, explicit_claims
 from mbdkit.methods.tableau import ButcherTableau
-from mbdkit.registry.items import IntegratorPlugin
 
 REFERENCE = """@article{gill1951,
   author = {Gill, Stanley},
@@ -35,14 +34,10 @@ def tableau() -> ButcherTableau:
     )
 
 
-FAMILY = "explicit"
-INTEGRATORS = (
-    IntegratorPlugin(
-        name="rk-gill",
-        summary="Runge-Kutta-Gill: explicit, 4 stages, order 4, fixed steps.",
-        options=ExplicitOptions,
-        create=lambda options: ExplicitRungeKutta(tableau()),
-        claims=explicit_claims(order=4, stages=4),
-        references=(REFERENCE,),
-    ),
-)
+def create(options: ExplicitOptions) -> ExplicitRungeKutta:
+    """Return the method."""
+    return ExplicitRungeKutta(tableau())
+
+
+claims = explicit_claims(order=4, stages=4)
+REFERENCES = (REFERENCE,)

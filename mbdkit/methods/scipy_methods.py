@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from functools import partial
 from typing import Annotated, ClassVar
 
@@ -9,7 +10,7 @@ from pydantic import Field
 
 from mbdkit.methods.kinds import SciPySolver
 from mbdkit.methods.method_options import HAIRER_NORSETT_WANNER, HAIRER_WANNER, TOLERANCE_DRIFT, MaxStep, Options
-from mbdkit.registry.items import Claims, IntegratorPlugin
+from mbdkit.registry.items import Claims
 
 SCIPY = """@article{scipy2020,
   author = {Virtanen, Pauli and others},
@@ -46,35 +47,16 @@ def _solver(solver: str, jacobian: bool, options: AdaptiveOptions) -> SciPySolve
     return SciPySolver(solver, options.rtol, atol, jacobian, options.max_step, by_size=options.atol is None)
 
 
-def _scipy(name: str, solver: str, summary: str, reference: str, *, jacobian: bool = False) -> IntegratorPlugin:
-    """Return the integrator for a solver class of SciPy; `jacobian` is whether the solver uses the Jacobian of the
-    rates.
-    """
-    needs = ("accelerations", "tangents") if jacobian else ("accelerations",)
-    return IntegratorPlugin(
-        name=name,
-        summary=summary,
-        options=AdaptiveOptions,
-        create=partial(_solver, solver, jacobian),
-        claims=lambda options: Claims(
-            adaptive=True, drift=TOLERANCE_DRIFT, needs=needs, stabilizations=("none", "baumgarte")
-        ),
-        references=(SCIPY, reference),
-        dense_output=True,
+def _claims(*needs: str) -> Callable[[AdaptiveOptions], Claims]:
+    return lambda options: Claims(
+        adaptive=True, drift=TOLERANCE_DRIFT, needs=needs, stabilizations=("none", "baumgarte")
     )
 
 
-FAMILY = "scipy"
-INTEGRATORS = (
-    _scipy(
-        "scipy-radau", "Radau", "SciPy's Radau IIA: implicit, order 5, adaptive steps.", HAIRER_WANNER, jacobian=True
-    ),
-    _scipy("scipy-dop853", "DOP853", "SciPy's DOP853: explicit, order 8, adaptive steps.", HAIRER_NORSETT_WANNER),
-    _scipy(
-        "scipy-lsoda",
-        "LSODA",
-        "SciPy's LSODA: Adams and BDF with automatic switching, adaptive steps.",
-        PETZOLD,
-        jacobian=True,
-    ),
+create_radau, create_dop853, create_lsoda = (
+    partial(_solver, solver, jacobian) for solver, jacobian in (("Radau", True), ("DOP853", False), ("LSODA", True))
 )
+claims_with_jacobian, claims_without_jacobian = _claims("accelerations", "tangents"), _claims("accelerations")
+REFERENCES_OF_RADAU = (SCIPY, HAIRER_WANNER)
+REFERENCES_OF_DOP853 = (SCIPY, HAIRER_NORSETT_WANNER)
+REFERENCES_OF_LSODA = (SCIPY, PETZOLD)

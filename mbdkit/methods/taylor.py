@@ -15,7 +15,7 @@ from pydantic import Field
 
 from mbdkit.methods.kinds import TaylorSeries
 from mbdkit.methods.method_options import ControlledOptions
-from mbdkit.registry.items import Claims, IntegratorPlugin
+from mbdkit.registry.items import Claims
 
 JORBA_ZOU = """@article{jorba2005,
   author = {Jorba, {\\`A}ngel and Zou, Maorong},
@@ -48,7 +48,8 @@ class TaylorOptions(ControlledOptions):
         return FIXED_ORDER if tolerances is None else math.ceil(LEAST - PER_DIGIT * math.log(tolerances.rtol))
 
 
-def _claims(options: TaylorOptions) -> Claims:
+def claims(options: TaylorOptions) -> Claims:
+    """Return the claims of the method."""
     return Claims(
         order=None if options.adaptive else options.chosen_order(),
         adaptive=options.adaptive,
@@ -61,15 +62,9 @@ def _claims(options: TaylorOptions) -> Claims:
     )
 
 
-FAMILY = "taylor"
-INTEGRATORS = (
-    IntegratorPlugin(
-        name="taylor",
-        summary="Taylor series of any order: explicit, fixed or adaptive steps, for trees of revolute joints.",
-        options=TaylorOptions,
-        create=lambda options: TaylorSeries(options.chosen_order(), options.tolerances()),
-        claims=_claims,
-        references=(JORBA_ZOU,),
-        dense_output=True,
-    ),
-)
+def create(options: TaylorOptions) -> TaylorSeries:
+    """Return the method."""
+    return TaylorSeries(options.chosen_order(), options.tolerances())
+
+
+REFERENCES = (JORBA_ZOU,)

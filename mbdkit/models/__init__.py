@@ -1,24 +1,77 @@
 """The built-in models; each builds a mechanism from a few parameters."""
 
-from mbdkit.models import four_bar_knee, free_form, leg, n_four_bar, pendulums
+from __future__ import annotations
+
+from typing import Any
+
 from mbdkit.registry.items import ModelPlugin
+from mbdkit.registry.target import Target
+
+
+def _target(module: str, name: str, kind: Any = None) -> Any:
+    return Target(f"{__name__}.{module}:{name}", kind)
+
+
+def _model(
+    order: int, name: str, summary: str, module: str, options: str, build: str = "build", references: str = ""
+) -> ModelPlugin:
+    sources = _target(module, references, tuple) if references else ()
+    return ModelPlugin(name, summary, _target(module, options, type), _target(module, build), sources, order)
+
 
 MODELS = (
-    ModelPlugin("single-pendulum", pendulums.SINGLE_SUMMARY, pendulums.SinglePendulumOptions, pendulums.build_single),
-    ModelPlugin("double-pendulum", pendulums.DOUBLE_SUMMARY, pendulums.DoublePendulumOptions, pendulums.build_double),
-    ModelPlugin("n-pendulum", pendulums.N_SUMMARY, pendulums.NPendulumOptions, pendulums.build_n),
-    ModelPlugin("n-four-bar", n_four_bar.SUMMARY, n_four_bar.NFourBarOptions, n_four_bar.build, n_four_bar.REFERENCES),
-    ModelPlugin(
+    _model(
+        10,
+        "single-pendulum",
+        "One rod attached to the ground by a revolute joint.",
+        "pendulums",
+        "SinglePendulumOptions",
+        "build_single",
+    ),
+    _model(20, "double-pendulum", "Two rods in a chain.", "pendulums", "DoublePendulumOptions", "build_double"),
+    _model(
+        30,
+        "n-pendulum",
+        "A chain of n rods, with equal or individual parameters.",
+        "pendulums",
+        "NPendulumOptions",
+        "build_n",
+    ),
+    _model(
+        40,
+        "n-four-bar",
+        "N four-bar windows in a row, with two singular positions per turn (IFToMM benchmark A02).",
+        "n_four_bar",
+        "NFourBarOptions",
+        references="REFERENCES",
+    ),
+    _model(
+        50,
         "four-bar-knee",
-        four_bar_knee.SUMMARY,
-        four_bar_knee.FourBarKneeOptions,
-        four_bar_knee.build,
-        four_bar_knee.REFERENCES,
+        "A lower leg on a crossed four-bar linkage at a fixed thigh, with springs and dampers.",
+        "four_bar_knee",
+        "FourBarKneeOptions",
+        references="REFERENCES",
     ),
-    ModelPlugin("leg", leg.SUMMARY, leg.LegOptions, leg.build, leg.REFERENCES),
-    ModelPlugin(
-        "leg-four-bar", leg.FOUR_BAR_SUMMARY, leg.LegFourBarOptions, leg.build_four_bar, leg.FOUR_BAR_REFERENCES
+    _model(
+        60,
+        "leg",
+        "One or two legs of thigh, shank and foot, scaled by body mass and height, on a fixed hip or on a free trunk.",
+        "leg",
+        "LegOptions",
+        references="REFERENCES",
     ),
-    ModelPlugin("mechanism", free_form.SUMMARY, free_form.MechanismOptions, free_form.build),
+    _model(
+        70,
+        "leg-four-bar",
+        "The same leg with a knee that is a crossed four-bar linkage.",
+        "leg",
+        "LegFourBarOptions",
+        "build_four_bar",
+        "FOUR_BAR_REFERENCES",
+    ),
+    _model(
+        80, "mechanism", "Any mechanism of named bodies, joints, drivers and forces.", "free_form", "MechanismOptions"
+    ),
 )
 """The built-in models, in the order in which `mbdkit plugins list` shows them."""

@@ -53,8 +53,6 @@ from mbdkit.models._crossed_four_bar import CrossedFourBar
 from mbdkit.models._knee_linkage import Frame, knee_of, xy
 from mbdkit.models._segments import FRACTIONS, GAIT2D, WINTER, Person
 
-SUMMARY = "A lower leg on a crossed four-bar linkage at a fixed thigh, with springs and dampers."
-
 EXOSKELETON = """@misc{group3exoskeleton,
   author       = {{emelieseguin}},
   title        = {Group3\\_Matlab: lower-limb exoskeleton design, FourBarLinkageMathDefined\\_FromGait.m},

@@ -5,8 +5,6 @@ from __future__ import annotations
 from mbdkit.mechanism.mechanism import Mechanism
 from mbdkit.mechanism.mechanism_data import MechanismData
 
-SUMMARY = "Any mechanism of named bodies, joints, drivers and forces."
-
 
 class MechanismOptions(MechanismData):
     """Parameters of `mechanism`: bodies, joints, forces and markers by name."""

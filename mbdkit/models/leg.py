@@ -67,8 +67,6 @@ from mbdkit.models._one_leg import Hip, LegParts, LegPose, four_bar_leg, muscles
 from mbdkit.models._segments import DE_LEVA, FRACTIONS, GAIT2D, WINTER, Person
 from mbdkit.models.four_bar_knee import EXOSKELETON, KneeLinks, KneePitches, linkage
 
-SUMMARY = "One or two legs of thigh, shank and foot, scaled by body mass and height, on a fixed hip or on a free trunk."
-FOUR_BAR_SUMMARY = "The same leg with a knee that is a crossed four-bar linkage."
 REFERENCES = (WINTER, DE_LEVA, FRACTIONS, GAIT2D)
 FOUR_BAR_REFERENCES = (EXOSKELETON, *REFERENCES)
 

@@ -13,8 +13,6 @@ from mbdkit.mechanism.mechanism import Mechanism
 from mbdkit.mechanism.values import Number, Point, Positive
 from mbdkit.models._memory import check_memory
 
-SUMMARY = "N four-bar windows in a row, with two singular positions per turn (IFToMM benchmark A02)."
-
 BENCHMARK = """@article{gonzalez2006benchmarking,
   author  = {Gonz{\\'a}lez, M. and Dopico, D. and Lugr{\\'i}s, U. and Cuadrado, J.},
   title   = {A benchmarking system for {MBS} simulation software: Problem standardization and performance measurement},

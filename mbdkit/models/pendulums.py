@@ -18,10 +18,6 @@ from mbdkit.mechanism.mechanism import Mechanism
 from mbdkit.mechanism.values import Number, Point, Positive, pair, sequence
 from mbdkit.models._memory import check_memory
 
-SINGLE_SUMMARY = "One rod attached to the ground by a revolute joint."
-DOUBLE_SUMMARY = "Two rods in a chain."
-N_SUMMARY = "A chain of n rods, with equal or individual parameters."
-
 BYTES_PER_ROD = 10_000
 """Memory needed per rod to compile the mechanism [bytes]; measured: 9,200 with 40,000 rods, more with fewer rods."""
 

@@ -2,24 +2,22 @@
 
 from __future__ import annotations
 
-import functools
-import re
-from collections.abc import Iterable
-from dataclasses import dataclass
-from typing import Annotated, Any, Literal
-
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field, WithJsonSchema, create_model
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, replace
+from typing import Literal
 
 from mbdkit.base.errors import SpecError
-from mbdkit.base.strict_model import STRICT
 from mbdkit.base.text import did_you_mean, listed
-from mbdkit.registry.items import ITEM_CLASSES, Plugin
+from mbdkit.registry.items import ITEM_CLASSES, Item, Plugin
 from mbdkit.registry.policy import normalized_name
 
 Kind = str
 """Kind of a plugin: a key of `KINDS`."""
 
-KINDS: dict[Kind, type[Plugin]] = {item_class.kind: item_class for item_class in ITEM_CLASSES}
+MBDKIT = "mbdkit"
+"""The distribution of the core and of its own plugins."""
+
+KINDS: dict[Kind, type[Item]] = {item_class.kind: item_class for item_class in ITEM_CLASSES}
 """The item class of each kind."""
 
 
@@ -34,7 +32,10 @@ class Origin:
 
 @dataclass(frozen=True)
 class Registered:
-    """An item in the registry with its kind and origin."""
+    """An item in the registry with its kind and origin.
+
+    `plugin` is a `Plugin` for the kinds that have options; for other kinds it is another `Item`.
+    """
 
     kind: Kind
     plugin: Plugin
@@ -43,17 +44,17 @@ class Registered:
     @property
     def name(self) -> str:
         """The short name."""
-        return self.plugin.name
+        return self.plugin.full_name
 
     @property
     def id(self) -> str:
         """The full id, ``distribution:name``."""
-        return f"{self.origin.distribution}:{self.plugin.name}"
+        return f"{self.origin.distribution}:{self.name}"
 
     @property
     def spec_name(self) -> str:
         """The name in a canonical spec: the short name for mbdkit's own items, the full id for all others."""
-        return self.name if self.origin.distribution == "mbdkit" else self.id
+        return self.name if self.origin.distribution == MBDKIT else self.id
 
 
 @dataclass(frozen=True)
@@ -86,13 +87,24 @@ class Registry:
     """
 
     def __init__(self, items: Iterable[Registered], reports: Iterable[Report] = ()):
-        self.items = tuple(items)
+        kinds = list(KINDS)
+        self.items = tuple(sorted(items, key=lambda item: (kinds.index(item.kind), item.plugin.order)))
         self._reports = tuple(reports)
 
     @property
     def reports(self) -> tuple[Report, ...]:
-        """Reports on items, failures and disabled entry points, with clashes of short names marked."""
-        return tuple(self._with_clash(report) for report in self._reports)
+        """Reports on items, failures and disabled entry points, with clashes of short names marked.
+
+        Those of a distribution are together: first its items, in their order.
+        """
+        ranks = {(item.kind, item.id): rank for rank, item in enumerate(self.items)}
+        distributions = list(dict.fromkeys(report.origin.distribution for report in self._reports))
+
+        def place(report: Report) -> tuple[int, int]:
+            rank = ranks.get((report.kind or "", report.id), len(ranks)) if report.status == "ok" else len(ranks)
+            return distributions.index(report.origin.distribution), rank
+
+        return tuple(self._with_clash(report) for report in sorted(self._reports, key=place))
 
     @property
     def failures(self) -> tuple[Report, ...]:
@@ -100,9 +112,9 @@ class Registry:
         return tuple(report for report in self._reports if report.status == "error")
 
     @property
-    def distributions(self) -> set[str]:
-        """Names of all distributions with an entry point, whether it was loaded or not."""
-        return {report.origin.distribution for report in self._reports}
+    def entry_points(self) -> set[tuple[str, str]]:
+        """Distribution and name of all entry points, whether they were loaded or not."""
+        return {(report.origin.distribution, report.origin.entry_point.partition(" = ")[0]) for report in self._reports}
 
     def has_distribution(self, name: str) -> bool:
         """Return whether an item of a distribution was loaded.
@@ -128,11 +140,11 @@ class Registry:
 
     def names(self, kind: Kind) -> list[str]:
         """Return the names of the items of one kind: the short name if it is unique, otherwise the full id."""
-        return [item.id if len(self._namesakes(kind, item.name)) > 1 else item.name for item in self.of_kind(kind)]
+        return [self.accepted(item)[0] for item in self.of_kind(kind)]
 
     def accepted(self, item: Registered) -> list[str]:
         """Return every name that a spec may use for this item."""
-        return [item.id] if len(self._namesakes(item.kind, item.name)) > 1 else [item.name, item.id]
+        return [item.name, item.id] if self._namesakes(item.kind, item.name) == [item] else [item.id]
 
     def get(self, kind: Kind, name: str) -> Registered:
         """Return the item of this kind with a short name or full id.
@@ -174,65 +186,34 @@ class Registry:
         reasons = dict.fromkeys(report.error for report in here if report.status == "disabled" and report.error)
         return f"; {distribution} is {listed(reasons, 'and')}" if reasons else ""
 
+    def without(self, wrong: Mapping[tuple[Kind | None, str], str]) -> Registry:
+        """Return a registry without some items, which are failures; `wrong` holds the errors by kind and id."""
+        items = [item for item in self.items if (item.kind, item.id) not in wrong]
+        return Registry(
+            items,
+            [
+                replace(report, status="error", error=wrong[report.kind, report.id])
+                if report.status == "ok" and (report.kind, report.id) in wrong
+                else report
+                for report in self._reports
+            ],
+        )
+
     def _namesakes(self, kind: Kind, name: str) -> list[Registered]:
-        return [item for item in self.of_kind(kind) if item.name == name]
+        """Return the items that a short name may mean: several if distributions clash."""
+        items = [item for item in self.of_kind(kind) if item.name == name]
+        ours = [item for item in items if item.origin.distribution == MBDKIT]
+        return ours if ours and KINDS[kind].is_reserved else items
 
     def _with_clash(self, report: Report) -> Report:
         if report.status != "ok" or report.kind is None:
             return report
         name = report.id.partition(":")[2]
-        others = [item for item in self._namesakes(report.kind, name) if item.id != report.id]
-        if not others:
+        items = [item for item in self.of_kind(report.kind) if item.name == name]
+        others = [item for item in items if item.id != report.id]
+        keeps = self._namesakes(report.kind, name)
+        if not others or [item.id for item in keeps] == [report.id]:
             return report
         owners = listed([f"{item.origin.distribution} {item.origin.version}" for item in others], "and")
         error = f"the short name '{name}' is also used by {owners}; write the long id '{report.id}'"
         return Report(report.id, report.kind, report.origin, "clash", error, report.seconds)
-
-
-@functools.cache
-def named_options(item: Registered) -> type[BaseModel]:
-    """Return the class of the item's options with the additional field for the name of the item.
-
-    The class is strict and frozen even if the class of the plugin is not.
-    """
-    options: type[BaseModel] = create_model(
-        class_name(f"{item.name} {item.kind}"),
-        __base__=type(
-            "Options",
-            (item.plugin.options,),
-            {"__module__": __name__, "model_config": ConfigDict(**STRICT, title=item.name)},
-        ),
-        __doc__=item.plugin.summary,
-        **{item.plugin.name_key: (name_type(item), Field(description=item.plugin.summary))},  # type: ignore[call-overload]
-    )
-    options.__mbdkit_item__ = item  # type: ignore[attr-defined]
-    return options
-
-
-def name_type(item: Registered) -> Any:
-    """Return the type of the key that names the item in a spec.
-
-    The type accepts any name of the item, and converts it to the canonical one.
-    """
-    names = dict.fromkeys([item.spec_name, item.name, item.id])
-    return Annotated[
-        str,
-        AfterValidator(lambda _: item.spec_name),
-        WithJsonSchema({"type": "string", "enum": list(names)}),
-    ]
-
-
-def class_name(name: str) -> str:
-    """Return a name in CamelCase."""
-    return "".join(word.capitalize() for word in re.split(r"[^A-Za-z0-9]+", name))
-
-
-def item_of(options: BaseModel | type[BaseModel]) -> Registered:
-    """Return the registered item whose options these are."""
-    item: Registered = options.__mbdkit_item__  # type: ignore[union-attr]
-    return item
-
-
-def is_of_item(options: type[BaseModel]) -> bool:
-    """Return whether these are the options of a registered item."""
-    return hasattr(options, "__mbdkit_item__")

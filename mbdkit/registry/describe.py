@@ -11,7 +11,8 @@ from pydantic import BaseModel
 
 from mbdkit.base.errors import PluginError, SpecError
 from mbdkit.base.text import did_you_mean, listed, table
-from mbdkit.registry.catalogue import KINDS, Registered, Registry, Report, named_options
+from mbdkit.registry.catalogue import KINDS, Registered, Registry, Report
+from mbdkit.registry.item_options import named_options
 from mbdkit.registry.manager import registry
 from mbdkit.registry.policy import API
 

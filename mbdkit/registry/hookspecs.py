@@ -18,9 +18,11 @@ and the module implements some of the hooks below, marked with ``mbdkit.hookimpl
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+
 import pluggy
 
-from mbdkit.registry.items import ForceLawPlugin, IntegratorPlugin, MeasurePlugin, ModelPlugin, StudyPlugin
+from mbdkit.registry.items import ForceLawPlugin, IntegratorPlugin, Item, MeasurePlugin, ModelPlugin, StudyPlugin
 
 PROJECT = "mbdkit"
 
@@ -117,4 +119,24 @@ def mbdkit_measures() -> list[MeasurePlugin]:  # type: ignore[empty-body]
     -------
     list of MeasurePlugin
         Each name once.
+    """
+
+
+@hookspec
+def mbdkit_items() -> Iterable[Item]:  # type: ignore[empty-body]
+    """Return items of any kind; the class of an item is its kind.
+
+    Kinds without a hook of their own, such as commands, are registered here. Code is named by a target, which is
+    imported when it is first used::
+
+        from mbdkit.plugin import Command, Target, hookimpl
+
+        @hookimpl
+        def mbdkit_items():
+            return [Command(name="rocket", summary="Launch a rocket.", target=Target("my_package.launch:rocket"))]
+
+    Returns
+    -------
+    iterable of Item
+        Each name of a kind once.
     """

@@ -3,19 +3,22 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
+from typing import TYPE_CHECKING, Any, ClassVar, Generic, NamedTuple, TypeVar
 
 from mbdkit.base.errors import PluginError, SpecError
 from mbdkit.base.units import read_unit
+from mbdkit.registry.target import Target
 
 if TYPE_CHECKING:
     from pydantic import BaseModel
 
     from mbdkit.mechanism.force_law import ForceLaw
     from mbdkit.mechanism.mechanism import Mechanism
+
+T = TypeVar("T")
 
 NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]*")
 
@@ -95,26 +98,26 @@ class Claims:
         return None if self.order is None else Orders(self.order, self.order, self.multiplier_order)
 
 
-class Plugin:
-    """Base of the item classes.
+class Item:
+    """Base of the items that plugins offer; the class of an item is its kind.
 
-    A new kind of plugin needs a subclass with the class attributes below and the fields of the item, an entry in
-    `ITEM_CLASSES`, and a hook specification in `mbdkit.registry.hookspecs`. All kinds are loaded, named and listed in
-    the same way, and their errors are reported in the same way.
+    A new kind needs a subclass with the class attributes below and an entry in `ITEM_CLASSES`. The hook `mbdkit_items`
+    returns items of every kind. All kinds are loaded, named and listed in the same way, and their errors are reported
+    in the same way.
+
+    Items are light: code that they need is named by a `Target`, which is imported when it is first used.
     """
 
     kind: ClassVar[str]
     """Name of the kind, such as ``force-law``."""
-    hook: ClassVar[str]
+    hook: ClassVar[str] = "mbdkit_items"
     """Name of the hook that returns a list of such items."""
     key: ClassVar[str]
-    """Key in a spec whose value names such an item; error messages mention it."""
-    name_key: ClassVar[str] = "name"
-    """Key in a spec that gives the name of the item; the options of the item are further keys beside it."""
+    """Key in a spec whose value names such an item, or another word for its place; error messages mention it."""
+    is_reserved: ClassVar[bool] = True
+    """Whether a short name that mbdkit uses keeps its meaning when another distribution uses it too."""
 
-    if (
-        TYPE_CHECKING
-    ):  # fields of the subclasses, for type checkers only; a property would become the default of the field
+    if TYPE_CHECKING:  # fields of the subclasses; a property would become the default of the field
 
         @property
         def name(self) -> str:
@@ -125,12 +128,13 @@ class Plugin:
             """One line that describes the item."""
 
         @property
-        def options(self) -> type[BaseModel]:
-            """Pydantic model of the options."""
+        def order(self) -> int:
+            """Position among the items of its kind; items of the same order keep the order in which they are loaded."""
 
-        @property
-        def references(self) -> tuple[str, ...]:
-            """BibTeX entries of the sources."""
+    @property
+    def full_name(self) -> str:
+        """The name that only one item of this kind and distribution has."""
+        return self.name
 
     @classmethod
     def label(cls) -> str:
@@ -138,35 +142,112 @@ class Plugin:
         return cls.kind.replace("-", " ")
 
     def check(self) -> None:
-        """Check the types of the fields, because a plugin may pass any objects.
+        """Check the fields, because a plugin may pass any objects; objects behind targets are not imported.
 
         Raises
         ------
         PluginError
             If a field has the wrong type.
         """
-        from pydantic import BaseModel
-
         if not isinstance(self.name, str) or not NAME.fullmatch(self.name):
             raise PluginError(f"the name {self.name!r} is not made of letters, digits and . _ -")
         if not isinstance(self.summary, str) or "\n" in self.summary:
             raise PluginError("its summary is not one line of text")
-        if not isinstance(self.options, type) or not issubclass(self.options, BaseModel):
-            raise PluginError(f"its options are {described(self.options)}, not a class derived from pydantic.BaseModel")
-        if not isinstance(self.references, tuple) or not all(isinstance(entry, str) for entry in self.references):
-            raise PluginError("its references are not a tuple of texts")
+        if not isinstance(self.order, int) or isinstance(self.order, bool):
+            raise PluginError(f"its order is {described(self.order)}, not a whole number")
+        self._check_fields(name for name, value in vars(self).items() if not isinstance(value, Target))
+
+    def check_targets(self) -> None:
+        """Import the objects behind the targets and check them; raises PluginError.
+
+        Called by ``mbdkit plugins doctor``, by the conformance kit, and when the item is first used.
+        """
+        targets = {name: value for name, value in vars(self).items() if isinstance(value, Target)}
+        for target in targets.values():
+            target()
+        self._check_fields(targets)
+
+    def _check_fields(self, names: Iterable[str]) -> None:
+        for name in names:
+            if (check := getattr(self, f"_check_{name}", None)) is not None:
+                check()
+
+    def _check_callable(self, name: str) -> None:
+        if not callable(getattr(self, name)):
+            raise PluginError(f"its `{name}` cannot be called")
+
+    def __eq__(self, other: object) -> bool:
+        return type(self) is type(other) and vars(self) == vars(other)
+
+    def __hash__(self) -> int:
+        return hash((type(self), self.name))
+
+    def __repr__(self) -> str:
+        return f"{type(self).__name__}({self.name!r})"
+
+
+class Given(Generic[T]):
+    """A field that is given as an object or as a `Target` of it; reading the field returns the object in both cases.
+
+    Parameters
+    ----------
+    default
+        Value of the field if it is not given; `...` if it must be given.
+    """
+
+    def __init__(self, default: Any = ...):
+        self.default = default
+
+    def __set_name__(self, owner: type, name: str) -> None:
+        self.name = name
+
+    def __get__(self, item: object, kind: type | None = None) -> T:
+        if item is None:  # dataclasses read the default of a field here, if it has one
+            if self.default is ...:
+                raise AttributeError(self.name)
+            value = self.default
+        else:
+            value = vars(item)[self.name]
+        given: T = value() if isinstance(value, Target) else value
+        return given
+
+    def __set__(self, item: object, value: T | Target[T] | Target[Any]) -> None:
+        vars(item)[self.name] = value
+
+
+class Plugin(Item):
+    """Base of the kinds that have hooks of their own. Fields whose types are `Given` may be targets."""
+
+    name_key: ClassVar[str] = "name"
+    """Key in a spec that gives the name of the item; the options of the item are further keys beside it."""
+    is_reserved: ClassVar[bool] = False
+
+    if TYPE_CHECKING:
+
+        @property
+        def options(self) -> type[BaseModel]:
+            """Pydantic model of the options."""
+
+        @property
+        def references(self) -> tuple[str, ...]:
+            """BibTeX entries of the sources."""
 
     def claimed(self) -> Mapping[str, Any]:
         """Return the claims of the item with default options, by name; empty if the item makes no claims."""
         return {}
 
-    def _check_callable(self, *fields: str) -> None:
-        for name in fields:
-            if not callable(getattr(self, name)):
-                raise PluginError(f"its `{name}` cannot be called")
+    def _check_options(self) -> None:
+        from pydantic import BaseModel
+
+        if not isinstance(self.options, type) or not issubclass(self.options, BaseModel):
+            raise PluginError(f"its options are {described(self.options)}, not a class derived from pydantic.BaseModel")
+
+    def _check_references(self) -> None:
+        if not isinstance(self.references, tuple) or not all(isinstance(entry, str) for entry in self.references):
+            raise PluginError("its references are not a tuple of texts")
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False, repr=False)
 class ModelPlugin(Plugin):
     """A model: builds a mechanism from parameters.
 
@@ -191,17 +272,16 @@ class ModelPlugin(Plugin):
 
     name: str
     summary: str
-    options: type[BaseModel]
-    build: Callable[[Any], Mechanism]
-    references: tuple[str, ...] = ()
+    options: Given[type[BaseModel]] = Given()
+    build: Given[Callable[[Any], Mechanism]] = Given()
+    references: Given[tuple[str, ...]] = Given(())
+    order: int = 500
 
-    def check(self) -> None:
-        """Check the types of the fields; raises PluginError."""
-        super().check()
+    def _check_build(self) -> None:
         self._check_callable("build")
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False, repr=False)
 class IntegratorPlugin(Plugin):
     """An integrator: a method that advances the state in time.
 
@@ -229,16 +309,18 @@ class IntegratorPlugin(Plugin):
 
     name: str
     summary: str
-    options: type[BaseModel]
-    create: Callable[[Any], Any]
-    claims: Callable[[Any], Claims]
-    references: tuple[str, ...] = ()
+    options: Given[type[BaseModel]] = Given()
+    create: Given[Callable[[Any], Any]] = Given()
+    claims: Given[Callable[[Any], Claims]] = Given()
+    references: Given[tuple[str, ...]] = Given(())
     dense_output: bool = False
+    order: int = 500
 
-    def check(self) -> None:
-        """Check the types of the fields; raises PluginError."""
-        super().check()
-        self._check_callable("create", "claims")
+    def _check_create(self) -> None:
+        self._check_callable("create")
+
+    def _check_claims(self) -> None:
+        self._check_callable("claims")
 
     def claimed(self) -> Mapping[str, Any]:
         """Return the claims with default options, by name; empty if an option has no default, or if `claims` fails."""
@@ -252,7 +334,7 @@ class IntegratorPlugin(Plugin):
         return values | {"orders": {name: Orders(*orders)._asdict() for name, orders in claims.orders.items()}}
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False, repr=False)
 class ForceLawPlugin(Plugin):
     """A force law: the tension of a force element as a function of its length, rate and time.
 
@@ -277,19 +359,21 @@ class ForceLawPlugin(Plugin):
 
     name: str
     summary: str
-    options: type[BaseModel]
-    law: ForceLaw
-    references: tuple[str, ...] = ()
+    options: Given[type[BaseModel]] = Given()
+    law: Given[ForceLaw] = Given()
+    references: Given[tuple[str, ...]] = Given(())
+    order: int = 500
 
-    def check(self) -> None:
-        """Check the types of the fields and the names of the options; raises PluginError."""
-        super().check()
+    def _check_law(self) -> None:
         # Laws are recognised by their attributes instead of their class, because `mbdkit.registry` may not import
         # `mbdkit.mechanism`.
         law: Any = self.law
         is_law = hasattr(law, "passive") and (hasattr(law, "force") or hasattr(law, "function"))
         if not is_law or isinstance(law, type):
             raise PluginError(f"its law is {described(law)}, not an ExpressionLaw or a FunctionLaw")
+
+    def _check_options(self) -> None:
+        super()._check_options()
         for name, info in self.options.model_fields.items():
             if name in LAW_KEYS or info.alias in LAW_KEYS:
                 raise PluginError(f"its option '{name}' has the name of a key that every element of type law has")
@@ -299,7 +383,7 @@ class ForceLawPlugin(Plugin):
         return {"potential": self.law.potential not in (None, False), "passive": self.law.passive}
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False, repr=False)
 class StudyPlugin(Plugin):
     """A packaged study: a study spec that runs by name, and the function that judges its results.
 
@@ -326,8 +410,9 @@ class StudyPlugin(Plugin):
     name: str
     summary: str
     spec: Path
-    verdict: Callable[[Any], Any] | None = None
-    references: tuple[str, ...] = ()
+    verdict: Given[Callable[[Any], Any] | None] = Given(None)
+    references: Given[tuple[str, ...]] = Given(())
+    order: int = 500
 
     @property
     def options(self) -> type[BaseModel]:
@@ -336,18 +421,23 @@ class StudyPlugin(Plugin):
 
         return BaseModel
 
-    def check(self) -> None:
-        """Check the types of the fields and that the spec exists; raises PluginError."""
-        super().check()
+    @property
+    def has_verdict(self) -> bool:
+        """Whether the study has a verdict of its own, which is not imported to answer this."""
+        return vars(self)["verdict"] is not None
+
+    def _check_spec(self) -> None:
         if not isinstance(self.spec, Path):
             raise PluginError(f"its spec is {described(self.spec)}, not a pathlib.Path")
         if not self.spec.is_file():
             raise PluginError(f"its spec is not a file: {self.spec}")
+
+    def _check_verdict(self) -> None:
         if self.verdict is not None:
             self._check_callable("verdict")
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False, repr=False)
 class MeasurePlugin(Plugin):
     """A measure of studies: a function that computes one number from a run.
 
@@ -375,15 +465,16 @@ class MeasurePlugin(Plugin):
 
     name: str
     summary: str
-    options: type[BaseModel]
-    units: str
-    take: Callable[[Any, Any], float]
-    references: tuple[str, ...] = ()
+    options: Given[type[BaseModel]] = Given()
+    units: str  # type: ignore[misc]  # `options` has no default, although mypy assumes one
+    take: Given[Callable[[Any, Any], float]] = Given()
+    references: Given[tuple[str, ...]] = Given(())
+    order: int = 500
 
-    def check(self) -> None:
-        """Check the types of the fields and the unit; raises PluginError."""
-        super().check()
+    def _check_take(self) -> None:
         self._check_callable("take")
+
+    def _check_units(self) -> None:
         if not isinstance(self.units, str):
             raise PluginError(f"its units are {described(self.units)}, not a text such as 'N m'")
         try:
@@ -392,8 +483,70 @@ class MeasurePlugin(Plugin):
             raise PluginError(f"its units: {error.message}") from None
 
 
-ITEM_CLASSES: tuple[type[Plugin], ...] = (ModelPlugin, IntegratorPlugin, ForceLawPlugin, StudyPlugin, MeasurePlugin)
-"""The kinds of plugin, in the order in which their hooks are called."""
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class Command(Item):
+    """A command of the command line: ``mbdkit NAME`` or ``mbdkit GROUP NAME``.
+
+    Parameters
+    ----------
+    name
+        The word that calls the command.
+    summary
+        First paragraph of its help, on one line.
+    target
+        Function with the annotations of typer, whose docstring is the help of the command, or a `typer.Typer` with one
+        command; None for a group, whose commands are the items with this name as `group`.
+    group
+        Name of the group of the command; empty for a command or a group of ``mbdkit`` itself.
+    order
+        Position in the list of ``--help``.
+    """
+
+    kind: ClassVar[str] = "command"
+    key: ClassVar[str] = "command"
+
+    name: str
+    summary: str
+    target: Target[Any] | None = None
+    group: str = ""
+    order: int = 500
+
+    @property
+    def full_name(self) -> str:
+        """The words that call the command."""
+        return f"{self.group} {self.name}".strip()
+
+    def _check_group(self) -> None:
+        if self.group != "" and (not isinstance(self.group, str) or not NAME.fullmatch(self.group)):
+            raise PluginError(f"its group {self.group!r} is not made of letters, digits and . _ -")
+        target = vars(self)["target"]
+        if target is not None and not isinstance(target, Target):
+            raise PluginError(f"its target is {described(target)}, not a Target")
+
+    def check_targets(self) -> None:
+        """Check that the target can be called, and that the summary begins its docstring; raises PluginError."""
+        super().check_targets()
+        if self.target is None:
+            return
+        function = self.target()
+        if not callable(function):
+            raise PluginError(f"its target is {described(function)}, which cannot be called")
+        commands = getattr(function, "registered_commands", None)
+        text = (commands[0].callback if commands else function).__doc__ or ""
+        paragraph = " ".join(text.strip().partition("\n\n")[0].split())
+        if paragraph != self.summary:
+            raise PluginError(f"its summary is {self.summary!r}, and its docstring begins with {paragraph!r}")
+
+
+ITEM_CLASSES: tuple[type[Item], ...] = (
+    ModelPlugin,
+    IntegratorPlugin,
+    ForceLawPlugin,
+    StudyPlugin,
+    MeasurePlugin,
+    Command,
+)
+"""The kinds of items, in the order in which they are listed."""
 
 
 def described(thing: object) -> str:

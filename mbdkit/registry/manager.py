@@ -11,15 +11,15 @@ import logging
 import sys
 import time
 from collections.abc import Iterable, Iterator
-from typing import Any, Protocol
+from typing import Any, Protocol, cast
 
 import pluggy
 
-from mbdkit.base.errors import MbdkitError, PluginError, in_this_process, with_place
+from mbdkit.base.errors import MbdkitError, PluginError, SpecError, in_this_process, with_place
 from mbdkit.base.text import listed
 from mbdkit.registry import hookspecs
-from mbdkit.registry.catalogue import KINDS, Kind, Origin, Registered, Registry, Report, named_options
-from mbdkit.registry.items import Plugin, described
+from mbdkit.registry.catalogue import KINDS, MBDKIT, Kind, Origin, Registered, Registry, Report
+from mbdkit.registry.items import Item, described
 from mbdkit.registry.policy import STRICT, Policy, check_api
 
 GROUP = hookspecs.PROJECT
@@ -64,14 +64,56 @@ def registry() -> Registry:
     if policy.strict and loaded.failures:
         first = loaded.failures[0]
         raise PluginError(f"plugin '{first.id}' was not loaded: {first.error} ({STRICT} is set)")
-    if policy.strict and (sentence := policy.unknown(loaded.distributions)):
+    if policy.strict and (sentence := policy.unknown(loaded.entry_points)):
         raise PluginError(f"{sentence} ({STRICT} is set)")
     return loaded
 
 
+@functools.cache
+def installed() -> Registry:
+    """Return the registry as `registry` does, without errors: the command line lists and finds commands in it.
+
+    A wrong value of `MBDKIT_STRICT_PLUGINS` is thus reported by commands, not by ``--help``.
+    """
+    try:
+        policy = Policy.of()
+    except SpecError:
+        policy = Policy()
+    return load_registry(importlib.metadata.entry_points(group=GROUP), policy)
+
+
 def load_installed() -> Registry:
-    """Load all installed plugins again; those that cannot be loaded cause a warning, not an error."""
-    return load_registry(importlib.metadata.entry_points(group=GROUP), Policy.of())
+    """Return the registry of all installed plugins; those that cannot be loaded cause a warning, not an error.
+
+    Raises
+    ------
+    SpecError
+        If `MBDKIT_STRICT_PLUGINS` is not a truth value.
+    """
+    Policy.of()
+    return installed()
+
+
+def forget() -> None:
+    """Load the plugins again when they are next asked for, because others were installed in this process."""
+    registry.cache_clear()
+    installed.cache_clear()
+
+
+def checked(loaded: Registry) -> Registry:
+    """Return a registry without the items that are wrong, which are failures in it.
+
+    The objects behind the targets of all items are imported and checked.
+    """
+    from mbdkit.registry.item_options import check_item
+
+    wrong: dict[tuple[Kind | None, str], str] = {}
+    for item in loaded.items:
+        try:
+            check_item(item)
+        except PluginError as error:
+            wrong[item.kind, item.id] = str(error)
+    return loaded.without(wrong)
 
 
 def load_registry(entry_points: Iterable[EntryPoint], policy: Policy | None = None) -> Registry:
@@ -91,12 +133,14 @@ def load_registry(entry_points: Iterable[EntryPoint], policy: Policy | None = No
     items: list[Registered] = []
     reports: list[Report] = []
     if not policy.strict and (
-        sentence := policy.unknown({_origin(entry_point).distribution for entry_point in entry_points})
+        sentence := policy.unknown(
+            {(_origin(entry_point).distribution, entry_point.name) for entry_point in entry_points}
+        )
     ):
         log.warning("mbdkit: warning: %s", sentence)
     for entry_point in entry_points:
         origin = _origin(entry_point)
-        if reason := policy.reason_against(origin.distribution):
+        if reason := policy.reason_against(origin.distribution, entry_point.name):
             reports.append(Report(f"{origin.distribution}:{entry_point.name}", None, origin, "disabled", reason, 0.0))
             continue
         begin = time.perf_counter()
@@ -105,8 +149,8 @@ def load_registry(entry_points: Iterable[EntryPoint], policy: Policy | None = No
         try:
             # stdout is reserved for the output of --json
             with contextlib.redirect_stdout(sys.stderr), in_this_process():
-                for kind, thing in _offered(entry_point, origin):
-                    _accept(kind, thing, origin, [*items, *found], found, problems)
+                for hook, thing in _offered(entry_point, origin):
+                    _accept(hook, thing, origin, [*items, *found], found, problems)
         except KeyboardInterrupt:
             raise
         except BaseException as error:  # a plugin may raise any exception, including SystemExit
@@ -122,7 +166,7 @@ def load_registry(entry_points: Iterable[EntryPoint], policy: Policy | None = No
     return Registry(items, reports)
 
 
-def _offered(entry_point: EntryPoint, origin: Origin) -> Iterator[tuple[Kind, object]]:
+def _offered(entry_point: EntryPoint, origin: Origin) -> Iterator[tuple[str, object]]:
     module = entry_point.load()
     check_api(module, origin.distribution)
     manager = pluggy.PluginManager(hookspecs.PROJECT)
@@ -130,18 +174,18 @@ def _offered(entry_point: EntryPoint, origin: Origin) -> Iterator[tuple[Kind, ob
     manager.register(module, entry_point.name)
     manager.check_pending()
     if not manager.get_hookcallers(module):
-        hooks = listed([item_class.hook for item_class in KINDS.values()], "and")
+        hooks = listed(dict.fromkeys(item_class.hook for item_class in KINDS.values()), "and")
         raise PluginError(f"it implements none of the hooks {hooks}, marked with `mbdkit.hookimpl`")
-    for kind, item_class in KINDS.items():
-        for answer in getattr(manager.hook, item_class.hook)():
-            if not isinstance(answer, list | tuple):
-                raise PluginError(f"its hook `{item_class.hook}` returned {described(answer)}, not a list")
+    for hook in dict.fromkeys(item_class.hook for item_class in KINDS.values()):
+        for answer in getattr(manager.hook, hook)():
+            if not isinstance(answer, list | tuple | Iterator):
+                raise PluginError(f"its hook `{hook}` returned {described(answer)}, not a list")
             for thing in answer:
-                yield kind, thing
+                yield hook, thing
 
 
 def _accept(
-    kind: Kind,
+    hook: str,
     thing: object,
     origin: Origin,
     known: list[Registered],
@@ -150,28 +194,29 @@ def _accept(
 ) -> None:
     name = getattr(thing, "name", None)
     identifier = f"{origin.distribution}:{name if isinstance(name, str) else '?'}"
+    kind = next((kind for kind, item_class in KINDS.items() if _fits(thing, hook, item_class)), None)
     try:
-        item = Registered(kind, _checked(kind, thing), origin)
-        if origin.distribution != hookspecs.PROJECT:  # built-in items are checked by the tests of mbdkit
-            named_options(item).model_json_schema()
+        if kind is None:
+            raise PluginError(f"its hook `{hook}` returned {described(thing)}, not an item of class {_classes(hook)}")
+        cast(Item, thing).check()
+        item = Registered(kind, cast(Any, thing), origin)
         if any(other.kind == kind and other.id == item.id for other in known):
             raise PluginError(f"its distribution has another {KINDS[kind].label()} of the same name")
     except KeyboardInterrupt:
         raise
     except BaseException as error:
-        problems.append((identifier, kind, _sentence(error)))
+        kinds = [kind for kind, item_class in KINDS.items() if item_class.hook == hook]
+        problems.append((identifier, kind or kinds[0], _sentence(error)))
     else:
         found.append(item)
 
 
-def _checked(kind: Kind, thing: object) -> Plugin:
-    item_class = KINDS[kind]
-    if not isinstance(thing, item_class):
-        raise PluginError(
-            f"its hook `{item_class.hook}` returned {described(thing)}, not an item of class {item_class.__name__}"
-        )
-    thing.check()
-    return thing
+def _fits(thing: object, hook: str, item_class: type[Item]) -> bool:
+    return isinstance(thing, item_class) and hook in (item_class.hook, Item.hook)
+
+
+def _classes(hook: str) -> str:
+    return listed([item_class.__name__ for item_class in KINDS.values() if hook in (item_class.hook, Item.hook)], "or")
 
 
 def _origin(entry_point: EntryPoint) -> Origin:
@@ -183,7 +228,7 @@ def _origin(entry_point: EntryPoint) -> Origin:
 
 def _order(entry_point: EntryPoint) -> tuple[bool, str, str]:
     distribution = _origin(entry_point).distribution
-    return distribution != hookspecs.PROJECT, distribution, entry_point.name
+    return distribution != MBDKIT, distribution, entry_point.name
 
 
 def _sentence(error: BaseException) -> str:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import re
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from importlib.metadata import version
 
@@ -22,6 +22,9 @@ OLDEST_API = 1
 
 API_NAME = "mbdkit_api"
 """Name of the variable in which a plugin module declares the API version that it was written for."""
+
+CORE = ("mbdkit", "builtin")
+"""Distribution and name of the entry point that cannot be left out: without it, mbdkit has no models."""
 
 ALLOW, DISABLE, STRICT = "MBDKIT_PLUGINS", "MBDKIT_DISABLE_PLUGINS", "MBDKIT_STRICT_PLUGINS"
 
@@ -52,7 +55,7 @@ class Policy:
     allowed
         Distributions whose plugins may be loaded, in addition to mbdkit itself; None allows all.
     disabled
-        Distributions whose plugins are not loaded.
+        Distributions whose plugins are not loaded, and single entry points as ``distribution/entry-point``.
     strict
         Whether it is an error if a plugin cannot be loaded, or if no plugin is installed for a distribution in
         `allowed` or `disabled`.
@@ -79,9 +82,11 @@ class Policy:
             None if allowed is None else _names(allowed), _names(environment.get(DISABLE, "")), strict=strict in _YES
         )
 
-    def reason_against(self, distribution: str) -> str | None:
-        """Return the reason why the plugins of a distribution are not loaded, or None if they are."""
+    def reason_against(self, distribution: str, entry_point: str) -> str | None:
+        """Return the reason why an entry point of a distribution is not loaded, or None if it is."""
         name = normalized_name(distribution)
+        if name + "/" + normalized_name(entry_point) in self.disabled and (name, entry_point) != CORE:
+            return f"left out by {DISABLE}"
         if name == "mbdkit":
             return None
         if name in self.disabled:
@@ -90,11 +95,15 @@ class Policy:
             return f"left out by {ALLOW}"
         return None
 
-    def unknown(self, distributions: set[str]) -> str | None:
-        """Return a message on the allowed or disabled names for which no plugin is installed; None if there are
-        none.
+    def unknown(self, entry_points: Iterable[tuple[str, str]]) -> str | None:
+        """Return a message on the allowed or disabled names for which no plugin is installed; None if there are none.
+
+        Parameters
+        ----------
+        entry_points
+            Distribution and name of each entry point.
         """
-        here = {normalized_name(name) for name in distributions}
+        here = {normalized_name(name) for pair in entry_points for name in (pair[0], "/".join(pair))}
         told = [
             f"{variable} names {listed([repr(name) for name in sorted(names - here)], 'and')}, "
             "for which no plugin is installed"

@@ -1,43 +1,46 @@
 """The parts of specs that depend on plugins: models, integrators, and a class of elements for each force law.
 
-The field of a model or integrator is the union of the options of all installed plugins, discriminated by `name`.
+The value of the field of a model or integrator is the options of the plugin that its key `name` chooses.
 """
 
 from __future__ import annotations
 
 import functools
-from collections.abc import Callable, Mapping, Sequence
+import json
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, cast
 
-from pydantic import BaseModel, ConfigDict, Field, GetCoreSchemaHandler, ValidationError, create_model
-from pydantic_core import CoreSchema, core_schema
+from pydantic import (
+    BaseModel,
+    ConfigDict,
+    Field,
+    GetCoreSchemaHandler,
+    GetJsonSchemaHandler,
+    ValidationError,
+    create_model,
+)
+from pydantic_core import CoreSchema, SchemaValidator, core_schema
 
-from mbdkit.base.errors import SpecError, blaming
+from mbdkit.base.errors import PluginError, SpecError, blaming
 from mbdkit.base.plain_data import value_text
 from mbdkit.base.strict_model import STRICT
 from mbdkit.base.text import listed
 from mbdkit.mechanism.law_element import Law
-from mbdkit.registry.catalogue import (
-    Kind,
-    Registered,
-    Registry,
-    class_name,
-    is_of_item,
-    item_of,
-    name_type,
-    named_options,
-)
+from mbdkit.registry.catalogue import MBDKIT, Kind, Registered, Registry
+from mbdkit.registry.item_options import class_name, is_of_item, item_of, name_type, named_options
 from mbdkit.registry.manager import registry
 
 if TYPE_CHECKING:
-    from mbdkit.registry.catalogue import Registered
     from mbdkit.registry.items import ForceLawPlugin
 
 
 @dataclass(frozen=True)
 class Choice:
-    """Annotation that turns a field into the union of the options of all plugins of one kind, discriminated by `name`.
+    """Annotation of a field for the options of an installed plugin of one kind, which the key `name` chooses.
+
+    Only the options of the chosen plugin are imported. The JSON schema is the union of the options of all plugins.
 
     Parameters
     ----------
@@ -56,15 +59,20 @@ class Choice:
         return self.installed if self.installed is not None else registry()
 
     def __get_pydantic_core_schema__(self, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
-        items = self.registry.of_kind(self.kind)
-        choices = {item.id: _blaming(item, handler.generate_schema(named_options(item))) for item in items}
-        union: CoreSchema = core_schema.no_info_plain_validator_function(self._tag)
-        if choices:
-            union = core_schema.tagged_union_schema(choices, self._tag)
-        return core_schema.no_info_before_validator_function(self._named, union)
+        return core_schema.with_info_plain_validator_function(self._validated)
 
-    def _named(self, data: Any) -> Any:
-        """Return `data` unchanged; raise SpecError unless it is a mapping with a name."""
+    def __get_pydantic_json_schema__(self, schema: CoreSchema, handler: GetJsonSchemaHandler) -> dict[str, Any]:
+        items = self.registry.of_kind(self.kind)
+        return handler(_union(items)) if items else {}
+
+    def _validated(self, data: Any, info: core_schema.ValidationInfo) -> Any:
+        validator = _validator(self.registry.get(self.kind, self._name(data)))
+        if info.mode == "json":  # strict mode accepts a list for a tuple, or a text for a path, only in JSON
+            return validator.validate_json(json.dumps(data), context=info.context)
+        return validator.validate_python(data, context=info.context)
+
+    def _name(self, data: Any) -> str:
+        """Return the name in `data`; raise SpecError unless it is a mapping with a name."""
         if not isinstance(data, Mapping):
             example = data if isinstance(data, str) and data in self.registry.names(self.kind) else "NAME"
             problem, key = f"should be a mapping such as `{{name: {example}}}`, not {value_text(data)}", ""
@@ -73,19 +81,25 @@ class Choice:
         elif not isinstance(data["name"], str):
             problem, key = f"should be text, not {value_text(data['name'])}", "name"
         else:
-            return data
+            return data["name"]
         raise SpecError(f"{problem}; installed: {listed(self.registry.names(self.kind))}", key=key)
 
-    def _tag(self, data: Any) -> str | None:
-        if isinstance(data, BaseModel):  # during serialization
-            return item_of(data).id
-        name = data.get("name") if isinstance(data, dict) else None
-        return self.registry.get(self.kind, name).id if isinstance(name, str) else None
+
+@functools.cache
+def _validator(item: Registered) -> SchemaValidator:
+    """Return the validator of the options of an item; the locations in its errors begin with the id of the item."""
+    return SchemaValidator(_union([item]))
+
+
+def _union(items: Iterable[Registered]) -> CoreSchema:
+    """Return the schema of the options of several items, of which a validator never has more than one."""
+    choices = {item.id: _blaming(item, named_options(item).__pydantic_core_schema__) for item in items}
+    return core_schema.tagged_union_schema(choices, lambda data: next(iter(choices)))
 
 
 def _blaming(item: Registered, schema: CoreSchema) -> CoreSchema:
     """Return a schema of a plugin's options that converts all errors except ValidationError to PluginError."""
-    if item.origin.distribution == "mbdkit":
+    if item.origin.distribution == MBDKIT:
         return schema
 
     def validate(data: Any, handler: Callable[[Any], Any]) -> Any:
@@ -114,6 +128,7 @@ def registry_of(root: type[BaseModel]) -> Registry:
 @functools.cache
 def law_element(item: Registered) -> type[Law]:
     """Return the strict, frozen class of elements of type ``law`` for one force law, with its options as fields."""
+    named_options(item)  # checks the item
     plugin: ForceLawPlugin = item.plugin  # type: ignore[assignment]
     namespace = {
         "__module__": __name__,
@@ -161,7 +176,10 @@ class RegistryLookup:
             return ""
         item = item_of(options)
         items = self.registry().of_kind(item.kind)
-        others = [f"'{other.name}'" for other in items if key in other.plugin.options.model_fields]
+        others = []
+        for other in items:
+            with suppress(PluginError):  # the options of another plugin cannot be imported
+                others += [f"'{other.name}'"] * (key in other.plugin.options.model_fields)
         if not others:
             return ""
         return f"'{key}' belongs to {listed(others, 'and')}, not to the {item.plugin.label()} '{item.name}'"

@@ -20,7 +20,8 @@ from mbdkit.base.files_read import FileRead, FilesRead, recording
 from mbdkit.base.plain_data import LONGEST_TITLE, Path, canonical, canonical_text, plain, without_collection
 from mbdkit.mechanism.law_element import Law
 from mbdkit.mechanism.parameters import Written, insert, parameter_values, with_expressions, without_units
-from mbdkit.registry.catalogue import Registered, item_of
+from mbdkit.registry.catalogue import Registered
+from mbdkit.registry.item_options import item_of
 from mbdkit.registry.items import ModelPlugin
 from mbdkit.spec.choices import Choice, RegistryLookup, registry_of
 from mbdkit.spec.reading import Document

@@ -17,7 +17,8 @@ from mbdkit.engine.formulation import FORMULATIONS, Formulation
 from mbdkit.engine.stabilization import Stabilization
 from mbdkit.mechanism.joints import joint_with_friction
 from mbdkit.muscles.acting_muscles import check_acting
-from mbdkit.registry.catalogue import Kind, Registered, Registry, item_of
+from mbdkit.registry.catalogue import Kind, Registered, Registry
+from mbdkit.registry.item_options import item_of
 from mbdkit.registry.items import Claims, IntegratorPlugin
 from mbdkit.spec.choices import Choice, choice_of
 from mbdkit.spec.formulation_choice import BY_ACCELERATIONS, FormulationChoice, formulation_of, name_of

@@ -213,7 +213,7 @@ def _packaged_document(name: str) -> tuple[Document, FilePath] | None:
     path = item.plugin.spec
     text = path.read_text("utf-8")
     document = read_text(text, f"{item.spec_name} (packaged study)", path.suffix)
-    if item.plugin.verdict is not None and "verdict" not in document.data:
+    if item.plugin.has_verdict and "verdict" not in document.data:
         document.data["verdict"] = item.spec_name
     return document, path.parent
 

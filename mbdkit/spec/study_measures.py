@@ -18,7 +18,8 @@ from mbdkit.base.plain_data import Path, path_text, value_text
 from mbdkit.base.text import did_you_mean, listed
 from mbdkit.base.units import read_unit
 from mbdkit.mechanism.validation_errors import spec_error
-from mbdkit.registry.catalogue import Registered, named_options
+from mbdkit.registry.catalogue import Registered
+from mbdkit.registry.item_options import named_options
 from mbdkit.registry.manager import registry
 
 REFERENCE, SECOND_RUN = "reference", "second run"

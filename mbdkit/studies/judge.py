@@ -93,14 +93,16 @@ def find_verdict(spec: StudySpec) -> tuple[Registered, Callable[[Any], Any]]:
         If there is no such verdict, or several distributions have one.
     """
     installed = registry()
-    named = {item: item.plugin.verdict for item in installed.of_kind("study") if isinstance(item.plugin, StudyPlugin)}
-    judges = {item: function for item, function in named.items() if function is not None}
+    studies = {item: item.plugin for item in installed.of_kind("study") if isinstance(item.plugin, StudyPlugin)}
+    judges = {item: study for item, study in studies.items() if study.has_verdict}
     if any(spec.verdict in (item.name, item.id) for item in judges):
         try:
             found = installed.get("study", spec.verdict)
         except SpecError as error:  # the name is ambiguous: several distributions use it
             raise spec.placed(SpecError(error.message, key="verdict")) from None
-        return found, judges[found]
+        judge = judges[found].verdict
+        assert judge is not None
+        return found, judge
     names = [installed.accepted(item)[0] for item in judges]
     hint, advice = did_you_mean(spec.verdict, names), installed.advice(spec.verdict)
     message = f"there is no verdict '{spec.verdict}'{hint}; verdicts: {listed(names)}{advice}"

@@ -10,7 +10,8 @@ import numpy as np
 
 from mbdkit.archive.run import Run
 from mbdkit.base.errors import MbdkitError
-from mbdkit.registry.catalogue import Registered, Registry, named_options
+from mbdkit.registry.catalogue import Registered, Registry
+from mbdkit.registry.item_options import named_options
 from mbdkit.registry.items import MeasurePlugin
 from mbdkit.runs.simulation import simulate
 from mbdkit.spec.loading import load_spec

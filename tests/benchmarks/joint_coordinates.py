@@ -31,10 +31,7 @@ from mbdkit.engine.formulation import LoopsName
 from mbdkit.engine.spanning_tree import cut_joints
 from mbdkit.mechanism.joints import Driver
 from mbdkit.mechanism.mechanism import Mechanism
-from mbdkit.methods.dop853 import INTEGRATORS as DOP853
-from mbdkit.methods.gauss import INTEGRATORS as GAUSS
-from mbdkit.methods.radau_iia import INTEGRATORS as RADAU_IIA
-from mbdkit.methods.rk4 import INTEGRATORS as RK4
+from mbdkit.methods import INTEGRATORS
 from mbdkit.spec import load_spec
 from mbdkit.stepping.compiled_stepper import CompiledStepper
 from mbdkit.stepping.interface import Timetable
@@ -228,7 +225,7 @@ def times(console: Console, repeats: int = 300) -> None:
                 "time": {"end": 1.0, "step": 0.1},
             }
         ).mechanism()
-        for item in (RK4[0], DOP853[0], GAUSS[0], RADAU_IIA[0]):
+        for item in (item for item in INTEGRATORS if item.name in {"rk4", *METHODS}):
             steps = max(1, 1000 // rods)
             total = steps * (repeats + 1)
             planned = Timetable(0.0, total * 1e-4, step=1e-4, steps=total, every=total)

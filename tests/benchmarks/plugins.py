@@ -14,7 +14,7 @@ from rich.console import Console
 from rich.table import Table
 
 import mbdkit
-from mbdkit.registry.manager import registry
+from mbdkit.registry.manager import forget
 from tests.installing import install_module
 
 from .timing import duration, take_turns
@@ -72,12 +72,12 @@ def _installed() -> Iterator[None]:
         install_module(Path(folder), "bench-kit", PLUGIN)
         sys.path.insert(0, folder)
         importlib.invalidate_caches()
-        registry.cache_clear()
+        forget()
         try:
             yield
         finally:
             sys.path.remove(folder)
-            registry.cache_clear()
+            forget()
 
 
 def _spec(model: Any, integrator: dict[str, Any], steps: int, step: float) -> dict[str, Any]:

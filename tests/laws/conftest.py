@@ -28,6 +28,6 @@ def acme() -> Iterator[None]:
             "entry_points",
             lambda **kind: [*installed(**kind), entry] if kind == {"group": "mbdkit"} else installed(**kind),
         )
-        manager.registry.cache_clear()
+        manager.forget()
         yield
-    manager.registry.cache_clear()
+    manager.forget()

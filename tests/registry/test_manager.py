@@ -11,7 +11,7 @@ from pydantic import BaseModel, RootModel
 
 import mbdkit
 from mbdkit.base.errors import SpecError
-from mbdkit.registry.manager import load_registry, registry
+from mbdkit.registry.manager import checked, load_registry, registry
 
 
 def raising(error):
@@ -163,7 +163,7 @@ def test_options_that_pydantic_cannot_build_are_reported(entry_point, offering, 
     class Later(BaseModel):
         value: DefinedNowhere  # noqa: F821
 
-    loaded = load_registry([entry_point(lambda: offering([swing(options=Later), swing(name="fine")]))])
+    loaded = checked(load_registry([entry_point(lambda: offering([swing(options=Later), swing(name="fine")]))]))
     assert [item.name for item in loaded.items] == ["fine"]
     assert "DefinedNowhere" in loaded.failures[0].error
 
@@ -173,7 +173,8 @@ def test_options_that_json_cannot_hold_are_reported(entry_point, offering, swing
         model_config = {"arbitrary_types_allowed": True}
         value: ModuleType
 
-    loaded = load_registry([entry_point(lambda: offering([swing(options=Odd), swing(options=RootModel[int])]))])
+    models = [swing(options=Odd), swing(name="root", options=RootModel[int])]
+    loaded = checked(load_registry([entry_point(lambda: offering(models))]))
     assert not loaded.items
     assert len(loaded.failures) == 2
 

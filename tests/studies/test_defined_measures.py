@@ -15,7 +15,8 @@ from pydantic import BaseModel
 import mbdkit
 from mbdkit import SpecError
 from mbdkit.measures.take import take
-from mbdkit.registry.catalogue import Origin, Registered, Registry, named_options
+from mbdkit.registry.catalogue import Origin, Registered, Registry
+from mbdkit.registry.item_options import named_options
 from mbdkit.spec.study_measures import DefinedMeasure
 from mbdkit.testing import verify
 from tests.installing import install_module, python

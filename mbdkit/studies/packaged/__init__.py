@@ -2,38 +2,26 @@
 
 from __future__ import annotations
 
-import importlib
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import Any
 
 from mbdkit.registry.items import StudyPlugin
-from mbdkit.studies.packaged.paper.source_paper import BIBTEX
-
-if TYPE_CHECKING:
-    from mbdkit.analysis.verdict import Verdict
-    from mbdkit.studies.study import Study
+from mbdkit.registry.target import Target
 
 
-def _packaged(name: str, summary: str, *references: str) -> StudyPlugin:
+def _packaged(name: str, summary: str, references: Any = ()) -> StudyPlugin:
     """Return the study in the folder of this name, with hyphens as underscores."""
     folder = Path(__file__).parent / name.replace("-", "_")
-
-    def verdict(
-        study: Study,
-    ) -> Verdict:  # imported at the call: verdicts need SciPy, and loading plugins should be fast
-        module = importlib.import_module(f"{__name__}.{folder.name}.verdict")
-        judged: Verdict = module.verdict(study)
-        return judged
-
     has_verdict = (folder / "verdict.py").is_file()
-    return StudyPlugin(name, summary, folder / "study.yaml", verdict if has_verdict else None, references)
+    verdict = Target[Any](f"{__name__}.{folder.name}.verdict:verdict") if has_verdict else None
+    return StudyPlugin(name, summary, folder / "study.yaml", verdict, references)
 
 
 STUDIES = (
     _packaged(
         "paper",
         "Results, claims and predictions of the source paper on RK-Gill and Gauss methods, recomputed and tested.",
-        BIBTEX,
+        Target(f"{__name__}.paper.source_paper:REFERENCES", tuple),
     ),
     _packaged("contact", "Error, work, penetration and creep of compliant, event-driven and time-stepping contact."),
     _packaged("convergence", "Error and misalignment of the double pendulum against the step, for six methods."),

@@ -10,3 +10,5 @@ BIBTEX = """\
            Linkage Model with Multibody Dynamics Toward an Optimum Design of Support Devices for Human Joint Workload
            Reduction},
   note = {Source paper of the study `paper`; its author and DOI are not known to us}}"""
+
+REFERENCES = (BIBTEX,)

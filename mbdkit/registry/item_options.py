@@ -1,0 +1,94 @@
+"""The options of an item as a class of pydantic, with the key that names the item in a spec."""
+
+from __future__ import annotations
+
+import functools
+import re
+import sys
+from contextlib import redirect_stdout
+from typing import Annotated, Any
+
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, WithJsonSchema, create_model
+
+from mbdkit.base.errors import PluginError, in_this_process, with_place
+from mbdkit.base.strict_model import STRICT
+from mbdkit.registry.catalogue import MBDKIT, Registered
+from mbdkit.registry.items import Plugin
+
+
+@functools.cache
+def named_options(item: Registered) -> type[BaseModel]:
+    """Return the class of the item's options with the additional field for the name of the item.
+
+    The class is strict and frozen even if the class of the plugin is not. Items of other distributions are checked
+    when their options are first used.
+
+    Raises
+    ------
+    PluginError
+        If the item is wrong.
+    """
+    if item.origin.distribution != MBDKIT:  # built-in items are checked by the tests of mbdkit
+        try:
+            check_item(item)
+        except PluginError as error:
+            raise PluginError(f"plugin '{item.id}' cannot be used: {error}") from error
+    return _named(item)
+
+
+@functools.cache
+def _named(item: Registered) -> type[BaseModel]:
+    options: type[BaseModel] = create_model(
+        class_name(f"{item.name} {item.kind}"),
+        __base__=type(
+            "Options",
+            (item.plugin.options,),
+            {"__module__": __name__, "model_config": ConfigDict(**STRICT, title=item.name)},
+        ),
+        __doc__=item.plugin.summary,
+        **{item.plugin.name_key: (name_type(item), Field(description=item.plugin.summary))},  # type: ignore[call-overload]
+    )
+    options.__mbdkit_item__ = item  # type: ignore[attr-defined]
+    return options
+
+
+def check_item(item: Registered) -> None:
+    """Import and check the objects behind the targets of an item, and its options; raises PluginError."""
+    try:
+        with in_this_process(), redirect_stdout(sys.stderr):
+            item.plugin.check_targets()
+            if isinstance(item.plugin, Plugin):
+                _named(item).model_json_schema()
+    except KeyboardInterrupt:
+        raise
+    except BaseException as error:  # a plugin may raise any exception, including SystemExit
+        raise PluginError(str(error) if isinstance(error, PluginError) else with_place(error)) from error
+
+
+def name_type(item: Registered) -> Any:
+    """Return the type of the key that names the item in a spec.
+
+    The type accepts any name of the item, and converts it to the canonical one.
+    """
+    names = dict.fromkeys([item.spec_name, item.name, item.id])
+    return Annotated[
+        str,
+        AfterValidator(lambda _: item.spec_name),
+        WithJsonSchema({"type": "string", "enum": list(names)}),
+    ]
+
+
+def class_name(name: str) -> str:
+    """Return a name in CamelCase."""
+    return "".join(word.capitalize() for word in re.split(r"[^A-Za-z0-9]+", name))
+
+
+def item_of(options: BaseModel | type[BaseModel]) -> Registered:
+    """Return the registered item whose options these are."""
+    item: Registered = options.__mbdkit_item__  # type: ignore[union-attr]
+    return item
+
+
+def is_of_item(options: type[BaseModel]) -> bool:
+    """Return whether these are the options of a registered item."""
+    return hasattr(options, "__mbdkit_item__")

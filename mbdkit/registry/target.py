@@ -1,0 +1,84 @@
+"""Objects of plugins that are named by text and imported when they are first used."""
+
+from __future__ import annotations
+
+import importlib.metadata
+import pkgutil
+import re
+from typing import Any, Generic, TypeVar
+
+from mbdkit.base.errors import PluginError, in_this_process, with_place
+
+T = TypeVar("T")
+
+_WHERE = re.compile(r"[A-Za-z_]\w*(\.[A-Za-z_]\w*)*:[A-Za-z_]\w*(\.[A-Za-z_]\w*)*")
+
+
+class Target(Generic[T]):
+    """An object of a plugin, imported by the first call.
+
+    Parameters
+    ----------
+    where
+        Module and name of the object, as in ``Target("my_package.swing:build")``.
+    type
+        Class of which the object must be an instance; None for any object.
+    """
+
+    def __init__(self, where: str, type: type[T] | None = None):  # noqa: A002
+        if not isinstance(where, str) or not _WHERE.fullmatch(where):
+            raise PluginError(f"the target {where!r} is not of the form 'package.module:name'")
+        self.where = where
+        self.type = type
+        self._objects: list[T] = []
+
+    @property
+    def module(self) -> str:
+        """Name of the module."""
+        return self.where.partition(":")[0]
+
+    @property
+    def name(self) -> str:
+        """Name of the object in the module."""
+        return self.where.partition(":")[2]
+
+    def __call__(self) -> T:
+        """Return the object.
+
+        Raises
+        ------
+        PluginError
+            If the module cannot be imported, or the object is missing or of another type; the message names the
+            distribution.
+        """
+        if not self._objects:
+            try:
+                with in_this_process():
+                    value: Any = pkgutil.resolve_name(self.where)
+            except KeyboardInterrupt:
+                raise
+            except BaseException as error:  # a module may raise any exception, including SystemExit
+                sentence = with_place(error)
+                raise PluginError(f"{self._distribution()} does not provide '{self.where}': {sentence}") from error
+            if self.type is not None and not isinstance(value, self.type):
+                kind = type(value).__name__
+                expected = self.type.__name__
+                raise PluginError(f"'{self.where}' of {self._distribution()} is of type {kind}, not {expected}")
+            self._objects.append(value)
+        return self._objects[0]
+
+    def _distribution(self) -> str:
+        package = self.where.partition(".")[0].partition(":")[0]
+        for entry_point in importlib.metadata.entry_points(group="mbdkit"):
+            if entry_point.value.partition(".")[0].partition(":")[0] == package and entry_point.dist is not None:
+                return entry_point.dist.name
+        return package
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, Target) and (self.where, self.type) == (other.where, other.type)
+
+    def __hash__(self) -> int:
+        return hash(self.where)
+
+    def __repr__(self) -> str:
+        return f"Target({self.where!r})"
