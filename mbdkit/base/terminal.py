@@ -73,13 +73,6 @@ class Commands(TyperGroup):
         parsed: list[str] = super().parse_args(ctx, args)
         return parsed
 
-    def get_command(self, ctx: Any, cmd_name: str) -> Any:
-        """Return a command whose function can print to stdout only through `show`; help texts still go to stdout."""
-        command = super().get_command(ctx, cmd_name)
-        if command is not None:
-            _guard(command, ("mbdkit", cmd_name))
-        return command
-
     def invoke(self, ctx: Any) -> Any:
         """Run the selected command."""
         with _results_apart() as results:
@@ -133,7 +126,7 @@ def _results_apart() -> Iterator[_Results]:
         _results = before
 
 
-def _guard(command: Any, words: tuple[str, ...]) -> None:
+def guard(command: Any, words: tuple[str, ...]) -> None:
     """Wrap the functions of a command and its subcommands: while they run, stdout goes to stderr, and the command is
     recorded for archives.
 
@@ -143,7 +136,7 @@ def _guard(command: Any, words: tuple[str, ...]) -> None:
         The names with which the command is called.
     """
     for name, subcommand in getattr(command, "commands", {}).items():
-        _guard(subcommand, (*words, name))
+        guard(subcommand, (*words, name))
     function = command.callback
     if function is None or hasattr(function, "_is_guarded"):
         return

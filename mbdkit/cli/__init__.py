@@ -1,7 +1,7 @@
 """The command ``mbdkit``.
 
-To add a command, write its function in a file of this folder and add it to the tuple below; its docstring is its help.
-Commands import what they need when they run, so that `mbdkit --help` is quick.
+Commands are items of the registry. To add one, write its function in a file of this folder and add it to the commands
+of `mbdkit.builtin_plugin`; its docstring is its help. Commands import what they need when they run.
 """
 
 from __future__ import annotations
@@ -17,20 +17,11 @@ from typing import Annotated
 import typer
 
 from mbdkit.base.interrupts import INTERRUPTED, stop_as_by_ctrl_c
-from mbdkit.base.terminal import Commands, PlainStream, keep_results_apart, open_streams, show
-from mbdkit.cli.archives import archive_app
+from mbdkit.base.terminal import PlainStream, keep_results_apart, open_streams, show
 from mbdkit.cli.common_options import PLAIN, Debug
-from mbdkit.cli.designs import design
-from mbdkit.cli.exploring import explore
-from mbdkit.cli.inverse import inverse, workload
-from mbdkit.cli.mechanics import equilibrium, kinematics, modes
-from mbdkit.cli.pictures import animate, plot, report
-from mbdkit.cli.plugins import plugins_app
-from mbdkit.cli.runs import rerun, run, validate
-from mbdkit.cli.specs import examples_app, guide, schema_app
-from mbdkit.cli.studies import StudyCommand, study, watch
+from mbdkit.cli.registered_commands import MainCommands
 
-app = typer.Typer(cls=Commands, pretty_exceptions_enable=False, **PLAIN)
+app = typer.Typer(cls=MainCommands, pretty_exceptions_enable=False, **PLAIN)
 
 
 def _print_version(value: bool) -> None:
@@ -58,20 +49,6 @@ def mbdkit(
     makes a plugin that cannot be loaded an error; MBDKIT_PROCESSOR=x86-64-v2 uses the
     machine code for a lower level of processors.
     """
-
-
-for command in (
-    run, validate, inverse, workload, equilibrium, modes, kinematics, study, design, plot, animate, report, rerun,
-    guide, explore, watch,
-):  # fmt: skip
-    app.command(cls=StudyCommand if command is study else None)(command)
-for name, group in {
-    "schema": schema_app,
-    "plugins": plugins_app,
-    "examples": examples_app,
-    "archive": archive_app,
-}.items():
-    app.add_typer(group, name=name)
 
 
 def main() -> None:

@@ -9,12 +9,9 @@ import typer
 
 from mbdkit.base import terminal
 from mbdkit.base.terminal import say, show, show_json
-from mbdkit.cli.common_options import PLAIN, Archive, Archives, AsJson, Debug, Overwrite, Quiet, output_to
-
-archive_app = typer.Typer(help="Describe, check, compare and export run archives.", **PLAIN)
+from mbdkit.cli.common_options import Archive, Archives, AsJson, Debug, Overwrite, Quiet, output_to
 
 
-@archive_app.command("info")
 def archive_info(archives: Archives, as_json: AsJson = False, debug: Debug = False) -> None:
     """Describe run archives.
 
@@ -29,7 +26,6 @@ def archive_info(archives: Archives, as_json: AsJson = False, debug: Debug = Fal
         show("\n\n".join(text(description) for description in descriptions))
 
 
-@archive_app.command("check")
 def archive_check(archives: Archives, quiet: Quiet = False, debug: Debug = False) -> None:
     """Check the structure and contents of run archives.
 
@@ -55,7 +51,6 @@ def archive_check(archives: Archives, quiet: Quiet = False, debug: Debug = False
         raise typer.Exit(terminal.WRONG_INPUT)
 
 
-@archive_app.command("diff")
 def archive_diff(first: Archive, second: Archive, as_json: AsJson = False, debug: Debug = False) -> None:
     """Compare the data of two run archives.
 
@@ -77,7 +72,6 @@ def archive_diff(first: Archive, second: Archive, as_json: AsJson = False, debug
         raise typer.Exit(terminal.DIFFERS)
 
 
-@archive_app.command("export")
 def archive_export(
     archive: Annotated[Path, typer.Argument(metavar="FILE.h5|DIR", help="A run archive, or the folder of a study.")],
     to: Annotated[

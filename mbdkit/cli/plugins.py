@@ -10,12 +10,9 @@ import typer
 from mbdkit.base import terminal
 from mbdkit.base.progress_bars import count_bar
 from mbdkit.base.terminal import say, show, show_json, silence
-from mbdkit.cli.common_options import PLAIN, AsJson, Debug, Overwrite, Quiet, output_to
-
-plugins_app = typer.Typer(help="List, verify and diagnose plugins; `new` creates one.", **PLAIN)
+from mbdkit.cli.common_options import AsJson, Debug, Overwrite, Quiet, output_to
 
 
-@plugins_app.command("list")
 def plugins_list(as_json: AsJson = False, debug: Debug = False) -> None:
     """List installed plugins, and those that could not be loaded."""
     from mbdkit.registry import describe
@@ -28,7 +25,6 @@ def plugins_list(as_json: AsJson = False, debug: Debug = False) -> None:
         show(describe.listing_text(installed))
 
 
-@plugins_app.command("show")
 def plugins_show(
     name: Annotated[str, typer.Argument(metavar="ID", help="A name such as gauss, or an id such as mbdkit:gauss.")],
     as_json: AsJson = False,
@@ -48,7 +44,6 @@ def plugins_show(
         show("\n\n".join(describe.page(item) for item in items))
 
 
-@plugins_app.command("verify")
 def plugins_verify(
     name: Annotated[str, typer.Argument(metavar="ID", help="A name such as gauss, or an id such as mbdkit:gauss.")],
     assignments: Annotated[
@@ -98,7 +93,6 @@ def plugins_verify(
         raise typer.Exit(terminal.NOT_VERIFIED)
 
 
-@plugins_app.command("doctor")
 def plugins_doctor(as_json: AsJson = False, debug: Debug = False) -> None:
     """Show the plugins, the machine code in use, and any problems.
 
@@ -117,7 +111,6 @@ def plugins_doctor(as_json: AsJson = False, debug: Debug = False) -> None:
         raise typer.Exit(terminal.PLUGIN_FAILED)
 
 
-@plugins_app.command("new")
 def plugins_new(
     name: Annotated[str, typer.Argument(metavar="NAME", help="Name of the distribution, such as mbdkit-rocket.")],
     kind: Annotated[

@@ -11,11 +11,11 @@ from mbdkit.base.terminal import show, show_json
 from mbdkit.base.text import table
 from mbdkit.cli.common_options import PLAIN, Debug, output_to
 
-schema_app = typer.Typer(help="Print the JSON schema of a spec, for editors.", **PLAIN)
-examples_app = typer.Typer(help="List the packaged examples, or copy one.", **{**PLAIN, "no_args_is_help": False})
+examples_app = typer.Typer(
+    help="List the packaged examples, or copy one.", add_completion=False, **{**PLAIN, "no_args_is_help": False}
+)
 
 
-@schema_app.command("run")
 def schema_run(debug: Debug = False) -> None:
     """Print the JSON schema of a run spec.
 
@@ -26,7 +26,6 @@ def schema_run(debug: Debug = False) -> None:
     show_json(run_schema(), indent=2)
 
 
-@schema_app.command("study")
 def schema_study(debug: Debug = False) -> None:
     """Print the JSON schema of a study spec.
 
@@ -37,7 +36,6 @@ def schema_study(debug: Debug = False) -> None:
     show_json(study_schema(), indent=2)
 
 
-@schema_app.command("inverse")
 def schema_inverse(debug: Debug = False) -> None:
     """Print the JSON schema of a spec of inverse dynamics.
 
@@ -48,7 +46,6 @@ def schema_inverse(debug: Debug = False) -> None:
     show_json(inverse_schema(), indent=2)
 
 
-@schema_app.command("design")
 def schema_design(debug: Debug = False) -> None:
     """Print the JSON schema of a design spec.
 

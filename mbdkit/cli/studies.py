@@ -15,6 +15,7 @@ from typer.core import TyperCommand
 from mbdkit.base.progress_bars import count_bar
 from mbdkit.base.terminal import STOPPED_EARLY, say, show, show_json, silence
 from mbdkit.cli.common_options import (
+    PLAIN,
     BaseSet,
     Cluster,
     Printing,
@@ -76,6 +77,10 @@ def _saying_how_to_continue(overwrite: bool) -> Iterator[None]:
         raise
 
 
+study_app = typer.Typer(add_completion=False, **PLAIN)
+
+
+@study_app.command(cls=StudyCommand)
 @grouped
 def study(
     spec: StudyName,

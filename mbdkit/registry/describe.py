@@ -11,8 +11,9 @@ from pydantic import BaseModel
 
 from mbdkit.base.errors import PluginError, SpecError
 from mbdkit.base.text import did_you_mean, listed, table
-from mbdkit.registry.catalogue import KINDS, Registered, Registry, Report
+from mbdkit.registry.catalogue import KINDS, MBDKIT, Registered, Registry, Report
 from mbdkit.registry.item_options import named_options
+from mbdkit.registry.items import Plugin
 from mbdkit.registry.manager import registry
 from mbdkit.registry.policy import API
 
@@ -23,21 +24,21 @@ DEEPEST = 6  # largest number of levels of nested options, because the options o
 
 def listing(installed: Registry) -> dict[str, Any]:
     """Return ``{"plugins": [...]}`` with id, kind, distribution, version, status and error of each report."""
-    return {"plugins": [_entry(report) for report in installed.reports]}
+    return {"plugins": [_entry(report) for report in _shown(installed)]}
 
 
 def listing_text(installed: Registry) -> str:
     """Return the listing as a table; the last column is the error or, without an error, the summary of the item."""
     summaries = {(item.kind, item.id): item.plugin.summary for item in installed.items}
     rows = [("ID", "KIND", "VERSION", "STATUS", "")]
-    for report in installed.reports:
+    for report in _shown(installed):
         last = report.error or summaries.get((report.kind or "", report.id), "")
         rows.append((report.id, report.kind or "-", report.origin.version, report.status, last))
     return table(rows)
 
 
 def find(name: str, installed: Registry | None = None) -> list[Registered]:
-    """Return the items with a short name or full id; several items may have the same short name.
+    """Return the items with options that have a short name or full id; several may have the same short name.
 
     Raises
     ------
@@ -50,9 +51,10 @@ def find(name: str, installed: Registry | None = None) -> list[Registered]:
     for report in installed.failures:
         if report.id == name:
             raise PluginError(f"plugin '{name}' could not be loaded: {report.error}")
-    items = [item for item in installed.items if name in (item.id, item.name)]
+    kinds = [kind for kind, item_class in KINDS.items() if issubclass(item_class, Plugin)]
+    items = [item for item in installed.items if name in (item.id, item.name) and item.kind in kinds]
     if not items:
-        names = list(dict.fromkeys(name for kind in KINDS for name in installed.names(kind)))
+        names = list(dict.fromkeys(name for kind in kinds for name in installed.names(kind)))
         raise SpecError(f"there is no plugin '{name}'{did_you_mean(name, names)}; installed: {listed(names)}")
     return items
 
@@ -96,7 +98,7 @@ def page(item: Registered) -> str:
 
 def diagnosis(installed: Registry) -> dict[str, Any]:
     """Return the listing with the entry point of each item and its loading time [s]."""
-    reports = installed.reports
+    reports = _shown(installed)
     return {
         "plugin_api": API,
         "plugins": [
@@ -108,7 +110,7 @@ def diagnosis(installed: Registry) -> dict[str, Any]:
 
 def diagnosis_text(installed: Registry) -> str:
     """Return the diagnosis as text: a line for each entry point and for each of its items with an error or a clash."""
-    reports = installed.reports
+    reports = _shown(installed)
     lines = []
     for origin in dict.fromkeys(report.origin for report in reports):
         here = [report for report in reports if report.origin == origin]
@@ -125,6 +127,18 @@ def diagnosis_text(installed: Registry) -> str:
 def is_sound(installed: Registry) -> bool:
     """Return whether all plugins could be loaded."""
     return not installed.failures
+
+
+def _shown(installed: Registry) -> list[Report]:
+    """Return the reports without those on items of mbdkit that specs cannot name, such as its commands."""
+    return [
+        report
+        for report in installed.reports
+        if report.origin.distribution != MBDKIT
+        or report.status != "ok"
+        or report.kind is None
+        or issubclass(KINDS[report.kind], Plugin)
+    ]
 
 
 def _entry(report: Report) -> dict[str, Any]:

@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, Generic, NamedTuple, TypeVar
 
 from mbdkit.base.errors import PluginError, SpecError
-from mbdkit.base.units import read_unit
 from mbdkit.registry.target import Target
 
 if TYPE_CHECKING:
@@ -475,6 +474,8 @@ class MeasurePlugin(Plugin):
         self._check_callable("take")
 
     def _check_units(self) -> None:
+        from mbdkit.base.units import read_unit
+
         if not isinstance(self.units, str):
             raise PluginError(f"its units are {described(self.units)}, not a text such as 'N m'")
         try:

@@ -1,0 +1,88 @@
+"""The commands of the command line, which plugins register like models or integrators."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any, cast
+
+import typer
+from typer.core import TyperCommand, TyperGroup
+
+from mbdkit.base.terminal import Commands, guard
+from mbdkit.cli.common_options import CONTEXT, PLAIN
+from mbdkit.registry.catalogue import Registered
+from mbdkit.registry.items import Command
+from mbdkit.registry.manager import installed
+
+
+class RegisteredCommands(TyperGroup):
+    """A group of commands from the registry; the module of a command is imported when the command is called."""
+
+    group = ""
+    """Name of the group; empty for ``mbdkit`` itself."""
+
+    def __init__(self, **attributes: Any):
+        super().__init__(**attributes)
+        self.imported: dict[str, Any] = {}
+
+    def list_commands(self, ctx: Any) -> list[str]:
+        """Return the names of the commands; where distributions clash, ``distribution:name``."""
+        return list(self._listed())
+
+    def get_command(self, ctx: Any, cmd_name: str) -> Any:
+        """Import and return a command; raise SpecError if several distributions use the name."""
+        if cmd_name in self.imported:
+            return self.imported[cmd_name]
+        items = self._listed()
+        item = items.get(cmd_name)
+        if item is None:
+            # typer suggests the keys of `commands`; commands of this name under `distribution:name` clash
+            self.commands = _stubs(items)
+            if any(item.plugin.name == cmd_name for item in items.values()):
+                installed().get(Command.kind, f"{self.group} {cmd_name}".strip())
+            return None
+        command = _imported(item)
+        guard(command, ("mbdkit", *self.group.split(), cmd_name))
+        self.imported[cmd_name] = command
+        return command
+
+    def format_commands(self, ctx: Any, formatter: Any) -> None:
+        """Write names and summaries of the commands, of which none is imported."""
+        TyperGroup(commands=_stubs(self._listed())).format_commands(ctx, formatter)
+
+    def _listed(self) -> dict[str, Registered]:
+        registry, listed = installed(), {}
+        for item in registry.of_kind(Command.kind):
+            if isinstance(item.plugin, Command) and item.plugin.group == self.group:
+                is_short = item.name in registry.accepted(item)
+                listed[item.plugin.name if is_short else f"{item.origin.distribution}:{item.plugin.name}"] = item
+        return listed
+
+
+class MainCommands(RegisteredCommands, Commands):
+    """The commands of ``mbdkit`` itself."""
+
+
+def _stubs(items: Mapping[str, Registered]) -> dict[str, Any]:
+    return {name: TyperCommand(name, help=item.plugin.summary) for name, item in items.items()}
+
+
+def _imported(item: Registered) -> Any:
+    """Return the command of an item, or the group of its commands."""
+    command: Command = cast(Any, item.plugin)
+    if command.target is None:
+        group = RegisteredCommands(
+            name=command.name,
+            help=command.summary,
+            no_args_is_help=True,
+            context_settings=CONTEXT,
+            rich_markup_mode=None,
+        )
+        group.group = command.name
+        return group
+    target = command.target()
+    if not isinstance(target, typer.Typer):
+        app = typer.Typer(add_completion=False, **PLAIN)
+        app.command(command.name)(target)
+        target = app
+    return typer.main.get_command(target)
