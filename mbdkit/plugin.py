@@ -1,0 +1,322 @@
+"""Everything that a plugin imports: ``from mbdkit.plugin import ModelPlugin, Target, hookimpl``.
+
+Each name is imported when it is first used, so that a plugin costs nothing until a spec or a command names it. The
+names in `STABLE` change only with the version of the plugin API. The others serve mbdkit's own plugins and may change
+with any version.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from mbdkit.base.lazy_names import lazy
+
+if TYPE_CHECKING:
+    from mbdkit.archive.accuracy import Accuracy
+    from mbdkit.archive.finished_run import FinishedRun
+    from mbdkit.archive.headlines import Headline, headline_texts, plus_minus
+    from mbdkit.archive.reader import load
+    from mbdkit.archive.run import Run
+    from mbdkit.base.errors import (
+        MbdkitError,
+        PluginError,
+        ResourceError,
+        RunError,
+        SpecError,
+        StepError,
+        UnsupportedMechanismError,
+        file_error,
+    )
+    from mbdkit.base.files import check_output, check_suffix, replacing
+    from mbdkit.base.plain_data import copied, parse_path, path_text, plain, quoted, value_text
+    from mbdkit.base.progress_bars import progress_bar
+    from mbdkit.base.strict_model import StrictModel
+    from mbdkit.base.terminal import say, show, show_json, silence
+    from mbdkit.base.text import counted, did_you_mean, listed, one_line, shown, table
+    from mbdkit.base.units import Unit, read_quantity, read_unit
+    from mbdkit.cli.common_options import (
+        Archive,
+        AsJson,
+        Debug,
+        Overwrite,
+        Printing,
+        Quiet,
+        Set,
+        check_new,
+        grouped,
+        output_to,
+        stem,
+    )
+    from mbdkit.engine.compiled_mechanism import CompiledMechanism
+    from mbdkit.engine.equations_of_motion import EquationsOfMotion, Tangents
+    from mbdkit.engine.kernels.observe import Observed
+    from mbdkit.engine.nearest_state import nearest_positions, nearest_velocities
+    from mbdkit.engine.observed_states import StateObserver
+    from mbdkit.engine.workspace import Workspace
+    from mbdkit.mechanism.bodies import GROUND, Body
+    from mbdkit.mechanism.coordinate_function import CoordinateFunction
+    from mbdkit.mechanism.force_law import ExpressionLaw, FunctionLaw, TracedLaw
+    from mbdkit.mechanism.joint_friction import regularised_friction
+    from mbdkit.mechanism.joints import Driver, Joint, Revolute
+    from mbdkit.mechanism.mechanism import Mechanism
+    from mbdkit.mechanism.pathways import Pathway, Segment
+    from mbdkit.mechanism.quantity_names import QuantityNames
+    from mbdkit.mechanism.values import Number, Point, Positive, Table
+    from mbdkit.methods.kinds import (
+        ExplicitRungeKutta,
+        ImplicitRungeKutta,
+        Method,
+        SciPySolver,
+        StepMethod,
+        StepState,
+        Tolerances,
+        Traits,
+    )
+    from mbdkit.methods.method_options import ImplicitOptions, Options
+    from mbdkit.methods.tableau import ButcherTableau, EmbeddedPair, TableauError, collocation
+    from mbdkit.quantities.array import Array, Chart, Kind, Recorded
+    from mbdkit.quantities.names import archive_names
+    from mbdkit.quantities.states import States
+    from mbdkit.quantities.table import sizes_of
+    from mbdkit.registry.hookspecs import hookimpl
+    from mbdkit.registry.items import (
+        Claims,
+        Command,
+        ForceLawPlugin,
+        IntegratorPlugin,
+        Item,
+        MeasurePlugin,
+        ModelPlugin,
+        Orders,
+        StudyPlugin,
+    )
+    from mbdkit.registry.target import Target
+    from mbdkit.runs.preparation import build, caution
+    from mbdkit.runs.prepared_run import PreparedRun, prepare
+    from mbdkit.runs.simulation import run, simulate
+    from mbdkit.spec.key_words import key_unit, key_words
+    from mbdkit.spec.loading import example_names, read_source
+    from mbdkit.spec.model_spec import ModelSpec, StrictSpec
+    from mbdkit.spec.reading import Document, parse_key, put, read_file, set_value
+    from mbdkit.spec.run_spec import RunSpec
+    from mbdkit.spec.sections import Count, Section
+    from mbdkit.spec.study_measures import DefinedMeasure, defined
+    from mbdkit.spec.varied_specs import VariedSpecs
+    from mbdkit.spec.yaml_reader import write_yaml
+    from mbdkit.trust.criteria import Evidence, Judgement, Level, judge
+
+_STABLE = {
+    "mbdkit.registry.hookspecs": "hookimpl",
+    "mbdkit.registry.target": "Target",
+    "mbdkit.registry.items": "Claims Command ForceLawPlugin IntegratorPlugin Item "
+    "MeasurePlugin ModelPlugin Orders StudyPlugin",
+    "mbdkit.base.errors": "MbdkitError PluginError ResourceError RunError SpecError "
+    "StepError UnsupportedMechanismError",
+    "mbdkit.base.text": "counted did_you_mean listed one_line shown table",
+    "mbdkit.base.plain_data": "copied parse_path path_text plain quoted value_text",
+    "mbdkit.base.units": "Unit read_quantity read_unit",
+    "mbdkit.base.strict_model": "StrictModel",
+    "mbdkit.mechanism.values": "Number Point Positive Table",
+    "mbdkit.methods.kinds": "ExplicitRungeKutta ImplicitRungeKutta Method SciPySolver "
+    "StepMethod StepState Tolerances Traits",
+    "mbdkit.methods.tableau": "ButcherTableau EmbeddedPair TableauError collocation",
+    "mbdkit.methods.method_options": "ImplicitOptions Options",
+    "mbdkit.engine.equations_of_motion": "EquationsOfMotion Tangents",
+    "mbdkit.mechanism.mechanism": "Mechanism",
+    "mbdkit.mechanism.bodies": "GROUND Body",
+    "mbdkit.mechanism.joints": "Driver Joint Revolute",
+    "mbdkit.mechanism.force_law": "ExpressionLaw FunctionLaw TracedLaw",
+    "mbdkit.mechanism.joint_friction": "regularised_friction",
+    "mbdkit.mechanism.pathways": "Pathway Segment",
+    "mbdkit.mechanism.coordinate_function": "CoordinateFunction",
+    "mbdkit.mechanism.quantity_names": "QuantityNames",
+    "mbdkit.archive.run": "Run",
+    "mbdkit.archive.reader": "load",
+    "mbdkit.spec.run_spec": "RunSpec",
+    "mbdkit.runs.simulation": "run simulate",
+    "mbdkit.runs.prepared_run": "PreparedRun prepare",
+    "mbdkit.quantities.array": "Array Chart Kind Recorded",
+    "mbdkit.quantities.states": "States",
+    "mbdkit.archive.accuracy": "Accuracy",
+    "mbdkit.archive.headlines": "Headline headline_texts plus_minus",
+    "mbdkit.trust.criteria": "Evidence Judgement Level judge",
+}
+"""Names for all plugins, by module."""
+
+_OWN = {
+    "mbdkit.spec.sections": "Count Section",
+    "mbdkit.spec.reading": "Document parse_key put read_file set_value",
+    "mbdkit.spec.model_spec": "ModelSpec StrictSpec",
+    "mbdkit.spec.loading": "example_names read_source",
+    "mbdkit.spec.key_words": "key_unit key_words",
+    "mbdkit.spec.yaml_reader": "write_yaml",
+    "mbdkit.spec.study_measures": "DefinedMeasure defined",
+    "mbdkit.spec.varied_specs": "VariedSpecs",
+    "mbdkit.cli.common_options": "Archive AsJson Debug Overwrite Printing Quiet Set check_new grouped output_to stem",
+    "mbdkit.base.terminal": "say show show_json silence",
+    "mbdkit.base.progress_bars": "progress_bar",
+    "mbdkit.base.files": "check_output check_suffix replacing",
+    "mbdkit.base.errors": "file_error",
+    "mbdkit.engine.workspace": "Workspace",
+    "mbdkit.engine.compiled_mechanism": "CompiledMechanism",
+    "mbdkit.engine.observed_states": "StateObserver",
+    "mbdkit.engine.kernels.observe": "Observed",
+    "mbdkit.engine.nearest_state": "nearest_positions nearest_velocities",
+    "mbdkit.quantities.names": "archive_names",
+    "mbdkit.quantities.table": "sizes_of",
+    "mbdkit.archive.finished_run": "FinishedRun",
+    "mbdkit.runs.preparation": "build caution",
+}
+"""Names for mbdkit's own plugins, by module."""
+
+STABLE = frozenset(name for names in _STABLE.values() for name in names.split())
+"""Names that change only with the version of the plugin API."""
+
+_HOME = {name: module for table in (_STABLE, _OWN) for module, names in table.items() for name in names.split()}
+
+__all__ = [
+    "GROUND",
+    "STABLE",
+    "Accuracy",
+    "Archive",
+    "Array",
+    "AsJson",
+    "Body",
+    "ButcherTableau",
+    "Chart",
+    "Claims",
+    "Command",
+    "CompiledMechanism",
+    "CoordinateFunction",
+    "Count",
+    "Debug",
+    "DefinedMeasure",
+    "Document",
+    "Driver",
+    "EmbeddedPair",
+    "EquationsOfMotion",
+    "Evidence",
+    "ExplicitRungeKutta",
+    "ExpressionLaw",
+    "FinishedRun",
+    "ForceLawPlugin",
+    "FunctionLaw",
+    "Headline",
+    "ImplicitOptions",
+    "ImplicitRungeKutta",
+    "IntegratorPlugin",
+    "Item",
+    "Joint",
+    "Judgement",
+    "Kind",
+    "Level",
+    "MbdkitError",
+    "MeasurePlugin",
+    "Mechanism",
+    "Method",
+    "ModelPlugin",
+    "ModelSpec",
+    "Number",
+    "Observed",
+    "Options",
+    "Orders",
+    "Overwrite",
+    "Pathway",
+    "PluginError",
+    "Point",
+    "Positive",
+    "PreparedRun",
+    "Printing",
+    "QuantityNames",
+    "Quiet",
+    "Recorded",
+    "ResourceError",
+    "Revolute",
+    "Run",
+    "RunError",
+    "RunSpec",
+    "SciPySolver",
+    "Section",
+    "Segment",
+    "Set",
+    "SpecError",
+    "StateObserver",
+    "States",
+    "StepError",
+    "StepMethod",
+    "StepState",
+    "StrictModel",
+    "StrictSpec",
+    "StudyPlugin",
+    "Table",
+    "TableauError",
+    "Tangents",
+    "Target",
+    "Tolerances",
+    "TracedLaw",
+    "Traits",
+    "Unit",
+    "UnsupportedMechanismError",
+    "VariedSpecs",
+    "Workspace",
+    "archive_names",
+    "build",
+    "caution",
+    "check_new",
+    "check_output",
+    "check_suffix",
+    "collocation",
+    "copied",
+    "counted",
+    "defined",
+    "did_you_mean",
+    "example_names",
+    "file_error",
+    "grouped",
+    "headline_texts",
+    "hookimpl",
+    "judge",
+    "key_unit",
+    "key_words",
+    "listed",
+    "load",
+    "nearest_positions",
+    "nearest_velocities",
+    "one_line",
+    "output_to",
+    "parse_key",
+    "parse_path",
+    "path_text",
+    "plain",
+    "plus_minus",
+    "prepare",
+    "progress_bar",
+    "put",
+    "quoted",
+    "read_file",
+    "read_quantity",
+    "read_source",
+    "read_unit",
+    "regularised_friction",
+    "replacing",
+    "run",
+    "say",
+    "set_value",
+    "show",
+    "show_json",
+    "shown",
+    "silence",
+    "simulate",
+    "sizes_of",
+    "stem",
+    "table",
+    "value_text",
+    "write_yaml",
+]
+
+if not TYPE_CHECKING:  # type checkers see only the names above
+    __getattr__ = lazy(globals(), _HOME)
+
+
+def __dir__() -> list[str]:
+    return sorted(__all__)
