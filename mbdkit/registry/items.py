@@ -533,6 +533,8 @@ class Command(Item):
         if not callable(function):
             raise PluginError(f"its target is {described(function)}, which cannot be called")
         commands = getattr(function, "registered_commands", None)
+        if commands and function.registered_callback:  # a group, whose help typer takes from elsewhere
+            return
         text = (commands[0].callback if commands else function).__doc__ or ""
         paragraph = " ".join(text.strip().partition("\n\n")[0].split())
         if paragraph != self.summary:

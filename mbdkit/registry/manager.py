@@ -129,7 +129,8 @@ def load_registry(entry_points: Iterable[EntryPoint], policy: Policy | None = No
         Decides which distributions are loaded; by default all of them.
     """
     policy = policy or Policy()
-    entry_points = sorted(entry_points, key=_order)
+    origins = [(_origin(entry_point), entry_point) for entry_point in entry_points]
+    origins.sort(key=lambda pair: (pair[0].distribution != MBDKIT, pair[0].distribution, pair[1].name))
     items: list[Registered] = []
     reports: list[Report] = []
     if not policy.strict and (
@@ -138,8 +139,7 @@ def load_registry(entry_points: Iterable[EntryPoint], policy: Policy | None = No
         )
     ):
         log.warning("mbdkit: warning: %s", sentence)
-    for entry_point in entry_points:
-        origin = _origin(entry_point)
+    for origin, entry_point in origins:
         if reason := policy.reason_against(origin.distribution, entry_point.name):
             reports.append(Report(f"{origin.distribution}:{entry_point.name}", None, origin, "disabled", reason, 0.0))
             continue
@@ -221,14 +221,10 @@ def _classes(hook: str) -> str:
 
 def _origin(entry_point: EntryPoint) -> Origin:
     dist = entry_point.dist
-    name = getattr(dist, "name", None) or "unknown"
-    version = getattr(dist, "version", None) or "unknown"
-    return Origin(str(name), str(version), f"{entry_point.name} = {entry_point.value}")
-
-
-def _order(entry_point: EntryPoint) -> tuple[bool, str, str]:
-    distribution = _origin(entry_point).distribution
-    return distribution != MBDKIT, distribution, entry_point.name
+    metadata = getattr(dist, "metadata", None)  # read once: each of `name` and `version` would parse it again
+    name = getattr(dist, "name", None) if metadata is None else metadata["Name"]
+    version = getattr(dist, "version", None) if metadata is None else metadata["Version"]
+    return Origin(str(name or "unknown"), str(version or "unknown"), f"{entry_point.name} = {entry_point.value}")
 
 
 def _sentence(error: BaseException) -> str:

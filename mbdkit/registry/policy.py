@@ -39,11 +39,12 @@ def check_api(module: object, distribution: str) -> None:
     wanted = getattr(module, API_NAME, 1)
     if isinstance(wanted, bool) or not isinstance(wanted, int):
         raise PluginError(f"its `{API_NAME}` is {wanted!r}, not a whole number such as {API}")
+    if OLDEST_API <= wanted <= API:
+        return
     served = f"mbdkit {version('mbdkit')} supports {API if OLDEST_API == API else f'{OLDEST_API} to {API}'}"
     if wanted > API:
         raise PluginError(f"it was written for plugin API {wanted} and {served}: upgrade mbdkit")
-    if wanted < OLDEST_API:
-        raise PluginError(f"it was written for plugin API {wanted} and {served}: upgrade {distribution}")
+    raise PluginError(f"it was written for plugin API {wanted} and {served}: upgrade {distribution}")
 
 
 @dataclass(frozen=True)

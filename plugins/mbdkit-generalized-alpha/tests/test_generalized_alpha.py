@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 import mbdkit
-from mbdkit_generalized_alpha import GeneralizedAlpha, GeneralizedAlphaOptions
+from mbdkit_generalized_alpha.generalized_alpha import GeneralizedAlpha, GeneralizedAlphaOptions
 
 STEPS = (0.005, 0.0025, 0.00125)
 

@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 import mbdkit
-from mbdkit_lobatto import mbdkit_integrators, tableau
+from mbdkit_lobatto import mbdkit_integrators
+from mbdkit_lobatto.tableaus import tableau
 
 ITEMS = {item.name[-1]: item for item in mbdkit_integrators()}
 METHODS = [(kind, s) for kind in "abcd" for s in range(3 if kind == "b" else 2, 6)]

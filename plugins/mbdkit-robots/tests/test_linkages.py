@@ -15,7 +15,7 @@ import mbdkit
 
 pytest.importorskip("defusedxml")
 import mbdkit_robots
-from mbdkit_robots import to_pylinkage
+from mbdkit_robots.linkages import to_pylinkage
 
 FILE = Path(mbdkit_robots.__file__).with_name("linkage.json")
 """The four-bar in pylinkage's documentation: crank 1, coupler 3, rocker 3, ground 4, 100 steps per turn."""

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import mbdkit
-from mbdkit_walker import HIP, KNEE
+from mbdkit_walker.walker import HIP, KNEE
 
 
 @cache

@@ -1,108 +1,30 @@
-"""Lobatto methods for mbdkit, given by tableaus.
-
-All methods have s stages, nodes at both ends of the step, and order 2 s - 2. IIIA is a collocation method; the others
-follow from it by conditions that `tableau` states (Hairer, Lubich, Wanner, Geometric Numerical Integration, II.1.4 and
-VI.4; Hairer and Wanner, Solving ODEs II, IV.5; IIID after Chan 1990).
-"""
+"""Lobatto methods for mbdkit, given by tableaus."""
 
 from __future__ import annotations
 
-from typing import Annotated, Any
-
-import mpmath
-from pydantic import Field
-
-import mbdkit
-from mbdkit.methods.method_options import ImplicitOptions
-from mbdkit.methods.tableau import collocation
+from mbdkit.plugin import IntegratorPlugin, Target, hookimpl
 
 mbdkit_api = 1
 
-REFERENCES = (
-    """@book{hairer1996,
-  author = {Hairer, Ernst and Wanner, Gerhard},
-  title = {Solving Ordinary Differential Equations {II}: Stiff and Differential-Algebraic Problems},
-  edition = {2}, publisher = {Springer}, year = {1996}, doi = {10.1007/978-3-642-05221-7}}""",
-    """@article{chan1990,
-  author = {Chan, Robert P. K.},
-  title = {On symmetric {R}unge-{K}utta methods of high order},
-  journal = {Computing}, volume = {45}, pages = {301--309}, year = {1990}, doi = {10.1007/BF02238798}}""",
-)
-DIGITS = 75
 
-
-class LobattoOptions(ImplicitOptions):
-    """Options of a Lobatto method with any number of stages."""
-
-    stages: Annotated[int, Field(ge=2, le=6)] = 3
-    """Number of stages s; the order is 2 s - 2."""
-
-
-class LobattoIIIBOptions(ImplicitOptions):
-    """Options of Lobatto IIIB, which needs at least three stages: with two, its rows do not sum to its nodes."""
-
-    stages: Annotated[int, Field(ge=3, le=6)] = 3
-    """Number of stages s; the order is 2 s - 2."""
-
-
-def tableau(kind: str, s: int) -> mbdkit.ButcherTableau:
-    """Return Lobatto IIIA, IIIB, IIIC or IIID with `s` stages; `kind` is the last letter."""
-    name, order = f"lobatto-iii{kind}-{s}", 2 * s - 2
-    with mpmath.workdps(DIGITS):
-        legendre = mpmath.taylor(lambda x: mpmath.legendre(s - 1, x), 0, s - 1)
-        inner = mpmath.polyroots([k * c for k, c in enumerate(legendre)][:0:-1], maxsteps=200, extraprec=200)
-        nodes = [mpmath.mpf(0), *sorted((1 + mpmath.re(x)) / 2 for x in inner), mpmath.mpf(1)]
-        iiia = collocation(name, nodes, order, REFERENCES[0])
-        if kind == "a":
-            return iiia
-        a, b = mpmath.matrix(iiia.a), iiia.b
-        if kind != "b":  # IIIC: the first column is b_1, and condition C(s - 1) determines the other columns
-            powers = mpmath.matrix(s - 1, s - 1)
-            for k in range(s - 1):
-                for j in range(s - 1):
-                    powers[k, j] = nodes[j + 1] ** k
-            for i in range(s):
-                right = [nodes[i] ** (k + 1) / (k + 1) - b[0] * nodes[0] ** k for k in range(s - 1)]
-                a[i, 0], rest = b[0], mpmath.lu_solve(powers, mpmath.matrix(right))
-                for j in range(1, s):
-                    a[i, j] = rest[j - 1]
-        if kind != "c":  # the method a' that forms a symplectic pair with a: b_i a'_ij + b_j a_ji = b_i b_j
-            partner = mpmath.matrix(s, s)
-            for i in range(s):
-                for j in range(s):
-                    partner[i, j] = b[j] * (1 - a[j, i] / b[i])
-            # IIIB is the partner of IIIA; IIID is the mean of IIIC and its partner
-            a = partner if kind == "b" else (a + partner) / 2
-        return mbdkit.ButcherTableau(name, a.tolist(), b, nodes, order, REFERENCES[int(kind == "d")])
-
-
-def _integrator(
-    kind: str, summary: str, options: type[ImplicitOptions] = LobattoOptions, **claims: Any
-) -> mbdkit.IntegratorPlugin:
-    return mbdkit.IntegratorPlugin(
+def _integrator(kind: str, summary: str, options: str = "LobattoOptions") -> IntegratorPlugin:
+    home = "mbdkit_lobatto.tableaus"
+    return IntegratorPlugin(
         name=f"lobatto-iii{kind}",
         summary=f"Lobatto III{kind.upper()}: implicit, up to 6 stages, order 2 s - 2, {summary}, fixed steps.",
-        options=options,
-        create=lambda options: mbdkit.ImplicitRungeKutta(
-            tableau(kind, options.stages), options.stage_solver, options.tolerance, options.max_iterations
-        ),
-        claims=lambda options: mbdkit.Claims(
-            order=2 * options.stages - 2,
-            stages=options.stages,
-            drift="constraints hold at acceleration level only: drift of the method's order, growing with time",
-            needs=("tangents",) if options.stage_solver == "newton" else ("accelerations",),
-            **claims,
-        ),
-        references=REFERENCES,
+        options=Target(f"{home}:{options}", type),
+        create=Target(f"{home}:create_{kind}"),
+        claims=Target(f"{home}:claims_{kind}"),
+        references=Target(f"{home}:REFERENCES", tuple),
     )
 
 
-@mbdkit.hookimpl
-def mbdkit_integrators() -> list[mbdkit.IntegratorPlugin]:
-    """Register the methods."""
+@hookimpl
+def mbdkit_integrators() -> list[IntegratorPlugin]:
+    """Register the methods, whose code is imported when a spec names them."""
     return [
-        _integrator("a", "symmetric", symmetric=True),
-        _integrator("b", "symmetric", LobattoIIIBOptions, symmetric=True),
+        _integrator("a", "symmetric"),
+        _integrator("b", "symmetric", "LobattoIIIBOptions"),
         _integrator("c", "L-stable"),
-        _integrator("d", "symmetric, symplectic", symmetric=True, symplectic=True, quadratic_invariants=True),
+        _integrator("d", "symmetric, symplectic"),
     ]

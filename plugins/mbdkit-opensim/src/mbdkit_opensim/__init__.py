@@ -2,49 +2,20 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-from typing import ClassVar
-
-from pydantic import BaseModel, ConfigDict, Field
-
-import mbdkit
-from mbdkit_opensim.building import build_mechanism
+from mbdkit.plugin import ModelPlugin, Target, hookimpl
 
 mbdkit_api = 1
 
-REFERENCES = (
-    """@article{seth2018,
-  author = {Seth, Ajay and Hicks, Jennifer L. and Uchida, Thomas K. and others},
-  title = {{OpenSim}: Simulating musculoskeletal dynamics and neuromuscular control to study human and animal movement},
-  journal = {PLOS Computational Biology}, volume = {14}, number = {7}, pages = {e1006223}, year = {2018},
-  doi = {10.1371/journal.pcbi.1006223}}""",
-)
 
-
-class OpenSimOptions(BaseModel):
-    """Path of the file, initial values and speeds, and whether muscles are read."""
-
-    model_config = ConfigDict(strict=True, frozen=True, extra="forbid", use_attribute_docstrings=True)
-
-    ABSENT_BY_DEFAULT: ClassVar[tuple[str, ...]] = ("muscles",)
-
-    file: str = Field(examples=[str(Path(__file__).with_name("example.osim"))])
-    """Path of the `.osim` file, in the format of OpenSim 4; relative to the current folder."""
-    initial: dict[str, float] = Field(default_factory=dict)
-    """Initial values of coordinates by name [rad or m]; by default, those in the file."""
-    speeds: dict[str, float] = Field(default_factory=dict)
-    """Initial speeds of coordinates by name [rad/s or m/s]; by default, those in the file."""
-    muscles: bool = False
-    """Whether muscles are read, for inverse dynamics with `recruitment`; otherwise, they are ignored."""
-
-
-def build(options: OpenSimOptions) -> mbdkit.Mechanism:
-    """Return the mechanism of the file. Its bodies, joints, markers and coordinates have their names in the file."""
-    return build_mechanism(options.file, options.initial, options.speeds, muscles=options.muscles)
-
-
-@mbdkit.hookimpl
-def mbdkit_models() -> list[mbdkit.ModelPlugin]:
-    """Register the model."""
-    summary = "The sagittal plane of an OpenSim model: pins, slides, welds, moving centres, muscles."
-    return [mbdkit.ModelPlugin("opensim", summary, OpenSimOptions, build, REFERENCES)]
+@hookimpl
+def mbdkit_models() -> list[ModelPlugin]:
+    """Register the model, whose code is imported when a spec names it."""
+    return [
+        ModelPlugin(
+            "opensim",
+            "The sagittal plane of an OpenSim model: pins, slides, welds, moving centres, muscles.",
+            options=Target("mbdkit_opensim.model:OpenSimOptions", type),
+            build=Target("mbdkit_opensim.model:build"),
+            references=Target("mbdkit_opensim.model:REFERENCES", tuple),
+        )
+    ]

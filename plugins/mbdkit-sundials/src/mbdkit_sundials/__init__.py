@@ -1,192 +1,39 @@
-"""CVODE and IDA of SUNDIALS for mbdkit, each as an `OdeSolver` of SciPy around scikit-sundae.
-
-mbdkit passes to such a class the first-order form y' = f(t, y) of the index-1 equations, where y contains q, v and two
-energies, and the exact Jacobian J = df/dy. CVODE uses both directly. IDA solves the residual equation y' - f(t, y) = 0,
-whose iteration matrix is c I - J. SUNDIALS chooses the steps, and its interpolant gives the solution between them.
-"""
+"""CVODE and IDA of SUNDIALS for mbdkit, each as an `OdeSolver` of SciPy around scikit-sundae."""
 
 from __future__ import annotations
 
-import io
-from abc import ABC, abstractmethod
-from collections.abc import Callable
-from contextlib import redirect_stdout
-from functools import partial
-from typing import Annotated, Any, Literal
-
-import numpy as np
-from pydantic import BaseModel, ConfigDict, Field
-from scipy.integrate import DenseOutput, OdeSolver
-from sksundae.cvode import CVODE
-from sksundae.ida import IDA
-
-import mbdkit
-from mbdkit.methods.kinds import SciPySolver
+from mbdkit.plugin import IntegratorPlugin, Target, hookimpl
 
 mbdkit_api = 1
 
-REFERENCES = (
-    """@article{hindmarsh2005,
-  author = {Hindmarsh, Alan C. and Brown, Peter N. and Grant, Keith E. and Lee, Steven L. and Serban, Radu and
-    Shumaker, Dan E. and Woodward, Carol S.},
-  title = {{SUNDIALS}: Suite of nonlinear and differential/algebraic equation solvers},
-  journal = {ACM Transactions on Mathematical Software}, volume = {31}, pages = {363--396}, year = {2005},
-  doi = {10.1145/1089014.1089020}}""",
-    """@article{randall2024,
-  author = {Randall, Corey R.},
-  title = {scikit-{SUNDAE}: {P}ython bindings to {SUNDIALS} differential algebraic equation solvers},
-  year = {2024}, doi = {10.11578/dc.20241104.3}}""",
-)
 
-Rates = Callable[[float, np.ndarray], np.ndarray]
-
-
-class SundialsOptions(BaseModel):
-    """Tolerances and largest order."""
-
-    model_config = ConfigDict(strict=True, frozen=True, extra="forbid", use_attribute_docstrings=True)
-
-    rtol: Annotated[float, Field(ge=1e-15, lt=1, allow_inf_nan=False)] = 1e-8
-    """Relative error tolerance of a step."""
-    atol: Annotated[float, Field(gt=0, allow_inf_nan=False)] = 1e-10
-    """Absolute error tolerance of a step [m, rad, m/s, rad/s]."""
-    max_order: Annotated[int, Field(ge=1, le=5)] = 5
-    """Highest order of the backward differentiation formulas."""
-
-
-class CvodeOptions(SundialsOptions):
-    """Tolerances, largest order, and family of formulas."""
-
-    family: Literal["BDF", "Adams"] = "BDF"
-    """`BDF` for stiff springs and dampers; otherwise `Adams`, whose order is 1 to 12 regardless of `max_order`."""
-
-
-class Interpolant(DenseOutput):  # type: ignore[misc]
-    """Interpolant of SUNDIALS over the last step. It is valid until the next step is taken."""
-
-    def __init__(self, t_old: float, t: float, solver: Any):
-        super().__init__(t_old, t)
-        self.solver = solver
-
-    def _call_impl(self, t: np.ndarray) -> np.ndarray:
-        found = [np.array(self.solver.step(float(x), "normal").y) for x in np.atleast_1d(t)]
-        self.solver.step(self.t, "normal")  # otherwise the next step would repeat this one
-        return np.stack(found, axis=-1) if np.ndim(t) else found[0]
-
-
-class SundialsSolver(OdeSolver, ABC):  # type: ignore[misc]
-    """A solver of SUNDIALS that takes one step at a time; subclasses create the solver."""
-
-    t: float
-    y: np.ndarray
-
-    def __init__(
-        self,
-        fun: Rates,
-        t0: float,
-        y0: np.ndarray,
-        t_bound: float,
-        *,
-        jac: Rates,
-        family: str,
-        max_order: int,
-        **options: Any,
-    ):
-        super().__init__(fun, t0, y0, t_bound, vectorized=False)
-        self.jac, self.family, self.max_order = jac, family, max_order
-        self.solver = self.new_solver(options)
-        self.start(y0)
-
-    @abstractmethod
-    def new_solver(self, options: dict[str, Any]) -> Any:
-        """Return the SUNDIALS solver with the given tolerances and first step."""
-
-    def start(self, y0: np.ndarray) -> None:
-        """Pass the initial values to the solver."""
-        self.solver.init_step(self.t, y0)
-
-    def _step_impl(self) -> tuple[bool, str | None]:
-        with redirect_stdout(io.StringIO()):  # scikit-sundae prints its message in addition to returning it
-            found = self.solver.step(self.t_bound, "onestep", self.t_bound)
-        if not found.success:
-            return False, str(found.message)
-        if found.t - self.t < 10 * np.spacing(self.t):  # otherwise SUNDIALS would continue with ever smaller steps
-            return False, self.TOO_SMALL_STEP
-        self.t, self.y = float(found.t), np.array(found.y)
-        self.njev, self.nlu = int(found.njev), int(found.njev)
-        return True, None
-
-    def _dense_output_impl(self) -> Interpolant:
-        return Interpolant(self.t_old, self.t, self.solver)
-
-
-class Cvode(SundialsSolver):
-    """CVODE applied to y' = f(t, y)."""
-
-    def new_solver(self, options: dict[str, Any]) -> Any:
-        """Return a CVODE solver for f and its Jacobian."""
-
-        def rates(t: float, y: np.ndarray, out: np.ndarray) -> None:
-            out[:] = self.fun(t, y)
-
-        def jacobian(t: float, y: np.ndarray, yp: np.ndarray, out: np.ndarray) -> None:
-            out[:] = self.jac(t, y)
-
-        order = {"max_order": self.max_order} if self.family == "BDF" else {}
-        return CVODE(rates, jacfn=jacobian, method=self.family, **order, **options)
-
-
-class Ida(SundialsSolver):
-    """IDA applied to y' - f(t, y) = 0."""
-
-    def new_solver(self, options: dict[str, Any]) -> Any:
-        """Return an IDA solver for the residual and its iteration matrix."""
-
-        def residual(t: float, y: np.ndarray, yp: np.ndarray, out: np.ndarray) -> None:
-            out[:] = yp - self.fun(t, y)
-
-        def matrix(t: float, y: np.ndarray, yp: np.ndarray, res: np.ndarray, c: float, out: np.ndarray) -> None:
-            out[:] = c * np.eye(len(y)) - self.jac(t, y)
-
-        return IDA(residual, jacfn=matrix, max_order=self.max_order, **options)
-
-    def start(self, y0: np.ndarray) -> None:
-        """Pass the initial values and rates to the solver."""
-        self.solver.init_step(self.t, y0, self.fun(self.t, y0))
-
-
-def _integrator(
-    name: str, summary: str, options: type[SundialsOptions], solver: type[SundialsSolver]
-) -> mbdkit.IntegratorPlugin:
-    def create(chosen: SundialsOptions) -> SciPySolver:
-        family = getattr(chosen, "family", "BDF")
-        configured: Any = partial(solver, family=family, max_order=chosen.max_order)
-        return SciPySolver(configured, chosen.rtol, chosen.atol, needs_jacobian=True)
-
-    return mbdkit.IntegratorPlugin(
+def _integrator(name: str, summary: str, options: str, create: str) -> IntegratorPlugin:
+    home = "mbdkit_sundials.solvers"
+    return IntegratorPlugin(
         name=name,
         summary=summary,
-        options=options,
-        create=create,
-        claims=lambda chosen: mbdkit.Claims(
-            adaptive=True,
-            drift="constraints hold at acceleration level only: drift follows the tolerance and grows with time",
-            needs=("accelerations", "tangents"),
-            stabilizations=("none", "baumgarte"),
-        ),
-        references=REFERENCES,
+        options=Target(f"{home}:{options}", type),
+        create=Target(f"{home}:{create}"),
+        claims=Target(f"{home}:claims"),
+        references=Target(f"{home}:REFERENCES", tuple),
         dense_output=True,
     )
 
 
-@mbdkit.hookimpl
-def mbdkit_integrators() -> list[mbdkit.IntegratorPlugin]:
-    """Register the solvers."""
+@hookimpl
+def mbdkit_integrators() -> list[IntegratorPlugin]:
+    """Register the solvers, whose code is imported when a spec names them."""
     return [
         _integrator(
-            "sundials-cvode", "CVODE of SUNDIALS: BDF or Adams, adaptive steps and order.", CvodeOptions, Cvode
+            "sundials-cvode",
+            "CVODE of SUNDIALS: BDF or Adams, adaptive steps and order.",
+            "CvodeOptions",
+            "create_cvode",
         ),
         _integrator(
-            "sundials-ida", "IDA of SUNDIALS: BDF on the residual, adaptive steps and order.", SundialsOptions, Ida
+            "sundials-ida",
+            "IDA of SUNDIALS: BDF on the residual, adaptive steps and order.",
+            "SundialsOptions",
+            "create_ida",
         ),
     ]

@@ -1,0 +1,95 @@
+"""Lobatto methods for mbdkit, given by tableaus.
+
+All methods have s stages, nodes at both ends of the step, and order 2 s - 2. IIIA is a collocation method; the others
+follow from it by conditions that `tableau` states (Hairer, Lubich, Wanner, Geometric Numerical Integration, II.1.4 and
+VI.4; Hairer and Wanner, Solving ODEs II, IV.5; IIID after Chan 1990).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Annotated, Any
+
+import mpmath
+from pydantic import Field
+
+import mbdkit
+from mbdkit.plugin import ImplicitOptions, collocation
+
+REFERENCES = (
+    """@book{hairer1996,
+  author = {Hairer, Ernst and Wanner, Gerhard},
+  title = {Solving Ordinary Differential Equations {II}: Stiff and Differential-Algebraic Problems},
+  edition = {2}, publisher = {Springer}, year = {1996}, doi = {10.1007/978-3-642-05221-7}}""",
+    """@article{chan1990,
+  author = {Chan, Robert P. K.},
+  title = {On symmetric {R}unge-{K}utta methods of high order},
+  journal = {Computing}, volume = {45}, pages = {301--309}, year = {1990}, doi = {10.1007/BF02238798}}""",
+)
+DIGITS = 75
+
+
+class LobattoOptions(ImplicitOptions):
+    """Options of a Lobatto method with any number of stages."""
+
+    stages: Annotated[int, Field(ge=2, le=6)] = 3
+    """Number of stages s; the order is 2 s - 2."""
+
+
+class LobattoIIIBOptions(ImplicitOptions):
+    """Options of Lobatto IIIB, which needs at least three stages: with two, its rows do not sum to its nodes."""
+
+    stages: Annotated[int, Field(ge=3, le=6)] = 3
+    """Number of stages s; the order is 2 s - 2."""
+
+
+def tableau(kind: str, s: int) -> mbdkit.ButcherTableau:
+    """Return Lobatto IIIA, IIIB, IIIC or IIID with `s` stages; `kind` is the last letter."""
+    name, order = f"lobatto-iii{kind}-{s}", 2 * s - 2
+    with mpmath.workdps(DIGITS):
+        legendre = mpmath.taylor(lambda x: mpmath.legendre(s - 1, x), 0, s - 1)
+        inner = mpmath.polyroots([k * c for k, c in enumerate(legendre)][:0:-1], maxsteps=200, extraprec=200)
+        nodes = [mpmath.mpf(0), *sorted((1 + mpmath.re(x)) / 2 for x in inner), mpmath.mpf(1)]
+        iiia = collocation(name, nodes, order, REFERENCES[0])
+        if kind == "a":
+            return iiia
+        a, b = mpmath.matrix(iiia.a), iiia.b
+        if kind != "b":  # IIIC: the first column is b_1, and condition C(s - 1) determines the other columns
+            powers = mpmath.matrix(s - 1, s - 1)
+            for k in range(s - 1):
+                for j in range(s - 1):
+                    powers[k, j] = nodes[j + 1] ** k
+            for i in range(s):
+                right = [nodes[i] ** (k + 1) / (k + 1) - b[0] * nodes[0] ** k for k in range(s - 1)]
+                a[i, 0], rest = b[0], mpmath.lu_solve(powers, mpmath.matrix(right))
+                for j in range(1, s):
+                    a[i, j] = rest[j - 1]
+        if kind != "c":  # the method a' that forms a symplectic pair with a: b_i a'_ij + b_j a_ji = b_i b_j
+            partner = mpmath.matrix(s, s)
+            for i in range(s):
+                for j in range(s):
+                    partner[i, j] = b[j] * (1 - a[j, i] / b[i])
+            # IIIB is the partner of IIIA; IIID is the mean of IIIC and its partner
+            a = partner if kind == "b" else (a + partner) / 2
+        return mbdkit.ButcherTableau(name, a.tolist(), b, nodes, order, REFERENCES[int(kind == "d")])
+
+
+def _create(kind: str) -> Callable[[LobattoOptions], mbdkit.ImplicitRungeKutta]:
+    return lambda options: mbdkit.ImplicitRungeKutta(
+        tableau(kind, options.stages), options.stage_solver, options.tolerance, options.max_iterations
+    )
+
+
+def _claims(**claims: Any) -> Callable[[LobattoOptions], mbdkit.Claims]:
+    return lambda options: mbdkit.Claims(
+        order=2 * options.stages - 2,
+        stages=options.stages,
+        drift="constraints hold at acceleration level only: drift of the method's order, growing with time",
+        needs=("tangents",) if options.stage_solver == "newton" else ("accelerations",),
+        **claims,
+    )
+
+
+create_a, create_b, create_c, create_d = (_create(kind) for kind in "abcd")
+claims_a, claims_b, claims_c = _claims(symmetric=True), _claims(symmetric=True), _claims()
+claims_d = _claims(symmetric=True, symplectic=True, quadratic_invariants=True)
