@@ -70,6 +70,7 @@ COMMANDS = (
     Command(name="plugins", summary="List, verify and diagnose plugins; `new` creates one.", order=180),
     _command(10, "plugins list", "List installed plugins, and those that could not be loaded.", "plugins:plugins_list"),
     _command(20, "plugins show", "Show the options, claims and references of a plugin.", "plugins:plugins_show"),
+    _command(25, "plugins where", "Print the file and line of the code that a name adds.", "plugins:plugins_where"),
     _command(
         30, "plugins verify", "Verify the claims of a plugin by the checks of mbdkit.testing.", "plugins:plugins_verify"
     ),

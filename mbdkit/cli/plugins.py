@@ -44,6 +44,28 @@ def plugins_show(
         show("\n\n".join(describe.page(item) for item in items))
 
 
+def plugins_where(
+    name: Annotated[
+        str, typer.Argument(metavar="NAME", help="A name or id of any item, such as gauss, study or 'plugins new'.")
+    ],
+    as_json: AsJson = False,
+    debug: Debug = False,
+) -> None:
+    """Print the file and line of the code that a name adds.
+
+    The name is that of a command, model, integrator, force law, study or measure.
+    Also prints the command that shows its help, and the pages of the guide that
+    mention it. With --json, prints one object with a list "items".
+    """
+    from mbdkit.registry import describe
+
+    found = describe.whereabouts(name)
+    if as_json:
+        show_json(found)
+    else:
+        show(describe.whereabouts_text(found))
+
+
 def plugins_verify(
     name: Annotated[str, typer.Argument(metavar="ID", help="A name such as gauss, or an id such as mbdkit:gauss.")],
     assignments: Annotated[

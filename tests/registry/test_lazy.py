@@ -1,0 +1,245 @@
+"""Nothing is imported before it is used: items name their code by targets, and commands are found in the registry."""
+
+from __future__ import annotations
+
+import json
+import sys
+from pathlib import Path
+from types import SimpleNamespace
+
+import pytest
+from typer.testing import CliRunner
+
+import mbdkit
+import mbdkit.plugin
+from mbdkit.base.errors import PluginError, SpecError
+from mbdkit.cli import app
+from mbdkit.plugin import Command, IntegratorPlugin, ModelPlugin, Target, hookimpl
+from mbdkit.registry import describe, manager
+from mbdkit.registry.item_options import named_options
+from mbdkit.registry.manager import checked, load_registry, registry
+from mbdkit.registry.policy import Policy
+from tests.installing import install_module, python
+
+NUMERICAL = ("numpy", "scipy", "sympy", "h5py")
+
+
+def offering(*items):
+    @hookimpl
+    def mbdkit_items():
+        return iter(items)
+
+    return SimpleNamespace(mbdkit_items=mbdkit_items)
+
+
+def hello(name: str = "you") -> None:
+    """Say hello."""
+    print(f"hello {name}")
+
+
+def greet(name="greet", **fields):
+    return Command(**{"name": name, "summary": "Say hello.", "target": Target(f"{__name__}:hello"), **fields})
+
+
+@pytest.fixture
+def installed(monkeypatch, entry_point):
+    """Return a function that installs items of distributions beside mbdkit's own."""
+    monkeypatch.setitem(sys.modules, __name__, sys.modules[hello.__module__])
+    ours = [point for point in manager.importlib.metadata.entry_points(group="mbdkit") if point.dist.name == "mbdkit"]
+
+    def install(**distributions):
+        points = [entry_point(lambda items=items: offering(*items), name) for name, items in distributions.items()]
+        loaded = load_registry([*ours, *points])
+        monkeypatch.setattr("mbdkit.cli.registered_commands.installed", lambda: loaded)
+        return loaded
+
+    return install
+
+
+def loaded_after(code, *path, cwd=Path()):
+    done = python("-c", f"{code}\nimport sys, json\nprint(json.dumps(sorted(sys.modules)))", path=path, cwd=cwd)
+    assert done.returncode == 0, done.stderr
+    return set(json.loads(done.stdout.splitlines()[-1]))
+
+
+def test_loading_the_registry_and_naming_what_plugins_import_needs_no_numerical_package():
+    code = "import mbdkit.plugin as p\nfrom mbdkit.registry.manager import registry\nregistry()\np.Target, p.Command"
+    modules = loaded_after(code)
+    assert "mbdkit.builtin_plugin" in modules
+    assert not modules & {*NUMERICAL, "pydantic", "typer", "mbdkit.models.pendulums", "mbdkit.methods.gauss"}
+
+
+def test_help_imports_no_command():
+    code = "from mbdkit.cli import app\ntry:\n    app(['--help'])\nexcept SystemExit:\n    pass"
+    modules = loaded_after(code)
+    assert not {name for name in modules if name.startswith("mbdkit.cli.")} - {
+        "mbdkit.cli.common_options",
+        "mbdkit.cli.registered_commands",
+    }
+    assert not modules & {*NUMERICAL, "pydantic"}
+
+
+LIGHT = """
+from mbdkit.plugin import ModelPlugin, Target, hookimpl
+
+@hookimpl
+def mbdkit_models():
+    code = "heavy_code"
+    return [ModelPlugin("heavy", "Heavy", Target(f"{code}:Options", type), Target(f"{code}:build"))]
+"""
+
+
+def test_a_run_imports_no_code_that_its_spec_does_not_name(tmp_path):
+    install_module(tmp_path, "heavy-kit", LIGHT)
+    (tmp_path / "heavy_code.py").write_text("raise AssertionError('imported')")
+    spec = {"mbdkit": 1, "model": {"name": "single-pendulum"}, "integrator": {"name": "rk4"}}
+    spec["time"] = {"end": 0.01, "step": 0.01}
+    code = f"import mbdkit\nmbdkit.run(mbdkit.RunSpec(**{spec!r}))"
+    modules = loaded_after(code, tmp_path, cwd=tmp_path)
+    assert {"heavy_kit", "mbdkit.methods.rk4", "mbdkit.models.pendulums"} <= modules
+    assert not modules & {"heavy_code", "mbdkit.methods.taylor", "mbdkit.methods.scipy_methods", "mbdkit.models.leg"}
+
+
+def test_code_that_cannot_be_imported_is_the_error_of_its_distribution_when_it_is_used(tmp_path):
+    install_module(tmp_path, "heavy-kit", LIGHT)
+    (tmp_path / "heavy_code.py").write_text("import nowhere_at_all")
+    done = python("-m", "mbdkit", "run", "pendulum", "--set", "model.name=heavy", path=(tmp_path,), cwd=tmp_path)
+    assert done.returncode == 4
+    assert "plugin 'heavy-kit:heavy' cannot be used: " in done.stderr
+    assert "No module named 'nowhere_at_all'" in done.stderr
+    doctor = python("-m", "mbdkit", "plugins", "doctor", path=(tmp_path,), cwd=tmp_path)
+    assert doctor.returncode == 4
+    assert "heavy-kit:heavy: error: " in doctor.stdout
+
+
+def test_every_built_in_item_keeps_what_its_targets_promise():
+    ours = registry().only("mbdkit")
+    assert not checked(ours).failures
+    assert len(ours.of_kind("command")) > 30
+
+
+@pytest.mark.parametrize("where", ["no colon", "a.b:", ":x", "a b:c", 5])
+def test_a_target_of_another_form_is_refused(where):
+    with pytest.raises(PluginError, match="is not of the form"):
+        Target(where)
+
+
+@pytest.mark.parametrize(
+    ("target", "words"),
+    [
+        (Target("mbdkit.methods.nowhere:x"), "mbdkit does not provide 'mbdkit.methods.nowhere:x': ModuleNotFoundError"),
+        (Target("mbdkit.methods.rk4:nothing"), "mbdkit does not provide 'mbdkit.methods.rk4:nothing': AttributeError"),
+        (Target("mbdkit.methods.rk4:REFERENCES", dict), "'mbdkit.methods.rk4:REFERENCES' of mbdkit is of type tuple"),
+    ],
+)
+def test_a_target_names_its_distribution_when_it_fails(target, words):
+    with pytest.raises(PluginError, match=words):
+        target()
+
+
+def test_items_of_every_kind_may_come_from_the_one_hook_and_fields_may_be_targets_or_objects(entry_point):
+    code = "mbdkit.methods"
+    method = IntegratorPlugin(
+        "mine", "Mine", Target(f"{code}.method_options:ExplicitOptions", type), Target(f"{code}.rk4:create"),
+        lambda options: mbdkit.Claims(order=4),
+    )  # fmt: skip
+    loaded = load_registry([entry_point(lambda: offering(method, greet()))])
+    assert [(item.kind, item.id) for item in loaded.items] == [("integrator", "acme:mine"), ("command", "acme:greet")]
+    item = loaded.get("integrator", "mine")
+    assert set(named_options(item).model_fields) == {"name"}
+    assert item.plugin.claims(item.plugin.options()).order == 4
+    assert type(item.plugin.create(item.plugin.options())).__name__ == "ExplicitRungeKutta"
+
+
+def test_items_are_sorted_by_order_and_those_of_one_order_stay_as_they_were(entry_point):
+    loaded = load_registry([entry_point(lambda: offering(greet("a"), greet("b"), greet("c", order=3)))])
+    assert loaded.names("command") == ["c", "a", "b"]
+
+
+@pytest.mark.parametrize(
+    ("fields", "words"),
+    [
+        ({"name": "two words"}, "the name 'two words' is not made of letters"),
+        ({"order": "first"}, "its order is an object of type str, not a whole number"),
+        ({"target": hello}, "its target is an object of type function, not a Target"),
+        ({"group": "a b"}, "its group 'a b' is not made of letters"),
+        ({"summary": "Say goodbye."}, "its docstring begins with 'Say hello.'"),
+    ],
+)
+def test_a_wrong_command_is_reported(fields, words, installed):
+    (failure,) = checked(installed(acme=[greet(**fields)])).failures
+    assert words in failure.error
+
+
+def test_a_plugin_adds_a_command_and_a_command_of_a_group(installed):
+    installed(acme=[greet(), greet("praise", group="plugins")])
+    call = CliRunner().invoke
+    assert "  greet        Say hello.\n" in call(app, ["--help"]).stdout
+    assert "Say hello." in call(app, ["greet", "--help"]).stdout
+    assert "hello me" in call(app, ["greet", "--name", "me"]).output
+    assert "  praise  Say hello." in call(app, ["plugins", "--help"]).stdout
+    assert "hello you" in call(app, ["plugins", "praise"]).output
+    assert "Did you mean 'greet'" in call(app, ["gret"]).output
+
+
+def test_a_command_never_replaces_one_of_mbdkit_and_a_clash_names_both(installed):
+    loaded = installed(acme=[greet("run"), greet()], bolt=[greet()])
+    call = CliRunner().invoke
+    assert "Run a spec and write its archive." in call(app, ["run", "--help"]).stdout
+    assert "Say hello." in call(app, ["acme:run", "--help"]).stdout
+    with pytest.raises(SpecError, match=r"'greet' is used by acme 2\.0 and bolt 2\.0; write 'acme:greet' or"):
+        loaded.get("command", "greet")
+    refused = call(app, ["greet"])
+    assert refused.exit_code == 2
+    assert "hello you" in call(app, ["bolt:greet"]).output
+    clashes = {report.id: report.error for report in loaded.reports if report.status == "clash"}
+    assert set(clashes) == {"acme:run", "acme:greet", "bolt:greet"}
+    assert f"also used by mbdkit {mbdkit.__version__}" in clashes["acme:run"]
+
+
+def test_what_plugins_import_exists_and_is_named_once():
+    names = mbdkit.plugin.__all__
+    assert len(set(names)) == len(names)
+    assert set(names) == {*mbdkit.plugin._HOME, "STABLE"}
+    assert all(hasattr(mbdkit.plugin, name) for name in names)
+    assert set(mbdkit.plugin._HOME) >= mbdkit.plugin.STABLE
+    with pytest.raises(AttributeError):
+        _ = mbdkit.plugin.nothing
+
+
+def test_one_entry_point_of_a_distribution_is_left_out(entry_point, swing):
+    module = offering(ModelPlugin("a", "A", swing().options, print))
+    points = [entry_point(lambda: module, "mbdkit", name="part"), entry_point(lambda: offering(greet()), "mbdkit")]
+    policy = Policy.of({"MBDKIT_DISABLE_PLUGINS": "mbdkit/part, mbdkit/builtin"})
+    loaded = load_registry(points, policy)
+    assert [item.id for item in loaded.items] == ["mbdkit:greet"]
+    assert [report.id for report in loaded.reports if report.status == "disabled"] == ["mbdkit:part"]
+    assert policy.reason_against("mbdkit", "builtin") is None
+    assert policy.unknown([("mbdkit", "builtin"), ("mbdkit", "part")]) is None
+    assert "'mbdkit/part'" in policy.unknown([("mbdkit", "builtin")])
+
+
+@pytest.mark.parametrize(
+    ("name", "field", "file", "begins"),
+    [
+        ("gauss", "create", "mbdkit/methods/gauss.py", "def create("),
+        ("gauss", "options", "mbdkit/methods/gauss.py", "class GaussOptions("),
+        ("single-pendulum", "build", "mbdkit/models/pendulums.py", "def build_single("),
+        ("table", "law", "mbdkit/laws/tabulated.py", "LAW = "),
+        ("modes", "target", "mbdkit/cli/mechanics.py", "def modes("),
+        ("plugins new", "target", "mbdkit/cli/plugins.py", "def plugins_new("),
+        ("drift", "spec", "mbdkit/studies/packaged/drift/study.yaml", ""),
+    ],
+)
+def test_where_prints_the_line_that_defines_what_a_name_adds(name, field, file, begins):
+    found = describe.whereabouts(name)
+    (place,) = (place for item in found["items"] for place in item["places"] if place["field"] == field)
+    path = Path(place["file"])
+    assert path == Path(mbdkit.__file__).parents[1] / file
+    assert path.read_text(encoding="utf-8").splitlines()[place["line"] - 1].startswith(begins)
+    assert f"{path}:{place['line']}" in describe.whereabouts_text(found)
+
+
+def test_where_suggests_a_name():
+    with pytest.raises(SpecError, match="there is no item 'gaus' \\(did you mean 'gauss'"):
+        describe.whereabouts("gaus")
