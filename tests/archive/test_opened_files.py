@@ -7,6 +7,7 @@ them would succeed. `strace` also sees files that HDF5's library opens.
 from __future__ import annotations
 
 import json
+import os
 import re
 import shutil
 import subprocess
@@ -144,8 +145,10 @@ def with_plugins(here: Path) -> tuple[Path, ...]:
 def allowed(here: Path) -> list[str]:
     """Return the prefixes of the paths that commands may open besides the archives."""
     installed = [*sysconfig.get_paths().values(), sys.prefix, sys.base_prefix, sys.exec_prefix]
+    installed += [path for path in sys.path if path.endswith(("site-packages", "dist-packages"))]
+    installed += filter(None, [os.environ.get("PYTHONPYCACHEPREFIX")])
     system = ["/etc/", "/proc/", "/sys/", "/dev/", "/usr/", "/lib", "/var/cache/", "/run/", "/bin/", "/opt/", "/snap/"]
-    of_user = [str(Path.home() / folder) for folder in (".cache", ".config", ".fonts", ".local")]
+    of_user = [str(Path.home() / folder) for folder in (".cache", ".config", ".fontconfig", ".fonts", ".local")]
     return [str(ROOT), str(here), *installed, *system, *of_user]
 
 
