@@ -10,9 +10,9 @@ from typer.core import TyperCommand, TyperGroup
 
 from mbdkit.base.terminal import Commands, guard
 from mbdkit.cli.common_options import CONTEXT, PLAIN
-from mbdkit.registry.catalogue import Registered
+from mbdkit.registry.catalogue import Registered, Registry
 from mbdkit.registry.items import Command
-from mbdkit.registry.manager import installed
+from mbdkit.registry.manager import built_in, installed
 
 
 class RegisteredCommands(TyperGroup):
@@ -33,8 +33,10 @@ class RegisteredCommands(TyperGroup):
         """Import and return a command; raise SpecError if several distributions use the name."""
         if cmd_name in self.imported:
             return self.imported[cmd_name]
-        items = self._listed()
-        item = items.get(cmd_name)
+        # commands of mbdkit cannot be replaced, so other plugins are imported for other names only
+        item = self._listed(built_in()).get(cmd_name)
+        items = {} if item else self._listed()
+        item = item or items.get(cmd_name)
         if item is None:
             # typer suggests the keys of `commands`; commands of this name under `distribution:name` clash
             self.commands = _stubs(items)
@@ -50,8 +52,8 @@ class RegisteredCommands(TyperGroup):
         """Write names and summaries of the commands, of which none is imported."""
         TyperGroup(commands=_stubs(self._listed())).format_commands(ctx, formatter)
 
-    def _listed(self) -> dict[str, Registered]:
-        registry, listed = installed(), {}
+    def _listed(self, registry: Registry | None = None) -> dict[str, Registered]:
+        registry, listed = registry or installed(), {}
         for item in registry.of_kind(Command.kind):
             if isinstance(item.plugin, Command) and item.plugin.group == self.group:
                 is_short = item.name in registry.accepted(item)

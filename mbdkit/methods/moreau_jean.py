@@ -81,13 +81,17 @@ def create_generalized_alpha(options: GeneralizedAlphaOptions) -> GeneralizedAlp
 
 
 def _claims(order: int) -> Callable[[Options], Claims]:
-    return lambda options: Claims(
-        order=order,
-        drift="positions satisfy the constraints up to rounding errors, velocities up to errors of the order of "
-        "the step",
-        constraints_hold=("position",),
-        needs=("tangents",),
-    )
+    def claims(options: Options) -> Claims:
+        """Return the claims of the method."""
+        return Claims(
+            order=order,
+            drift="positions satisfy the constraints up to rounding errors, velocities up to errors of the order of "
+            "the step",
+            constraints_hold=("position",),
+            needs=("tangents",),
+        )
+
+    return claims
 
 
 claims_of_moreau_jean, claims_of_generalized_alpha = _claims(1), _claims(2)

@@ -48,9 +48,11 @@ def _solver(solver: str, jacobian: bool, options: AdaptiveOptions) -> SciPySolve
 
 
 def _claims(*needs: str) -> Callable[[AdaptiveOptions], Claims]:
-    return lambda options: Claims(
-        adaptive=True, drift=TOLERANCE_DRIFT, needs=needs, stabilizations=("none", "baumgarte")
-    )
+    def claims(options: AdaptiveOptions) -> Claims:
+        """Return the claims of the solver."""
+        return Claims(adaptive=True, drift=TOLERANCE_DRIFT, needs=needs, stabilizations=("none", "baumgarte"))
+
+    return claims
 
 
 create_radau, create_dop853, create_lsoda = (

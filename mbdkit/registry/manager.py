@@ -75,11 +75,29 @@ def installed() -> Registry:
 
     A wrong value of `MBDKIT_STRICT_PLUGINS` is thus reported by commands, not by ``--help``.
     """
+    return load_registry(importlib.metadata.entry_points(group=GROUP), _lenient())
+
+
+@functools.cache
+def built_in() -> Registry:
+    """Return the registry of mbdkit's own plugins; no other plugin is imported."""
+    policy = _lenient()
+    return load_registry(
+        point
+        for point in importlib.metadata.entry_points(group=GROUP)
+        # the name of the distribution is read from a file, so that it is asked for last
+        if point.value.startswith(MBDKIT)
+        and _origin(point).distribution == MBDKIT
+        and policy.reason_against(MBDKIT, point.name) is None
+    )
+
+
+def _lenient() -> Policy:
+    """Return the policy of the environment, or if it is wrong, the default; commands report the error."""
     try:
-        policy = Policy.of()
+        return Policy.of()
     except SpecError:
-        policy = Policy()
-    return load_registry(importlib.metadata.entry_points(group=GROUP), policy)
+        return Policy()
 
 
 def load_installed() -> Registry:
@@ -98,6 +116,7 @@ def forget() -> None:
     """Load the plugins again when they are next asked for, because others were installed in this process."""
     registry.cache_clear()
     installed.cache_clear()
+    built_in.cache_clear()
 
 
 def checked(loaded: Registry) -> Registry:
