@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from mbdkit.registry.hookspecs import hookimpl
-from mbdkit.registry.items import Command, ForceLawPlugin, IntegratorPlugin, Item, ModelPlugin, StudyPlugin
+from mbdkit.registry.item import Item
+from mbdkit.registry.items import Command, ForceLawPlugin, IntegratorPlugin, ModelPlugin, StudyPlugin
 from mbdkit.registry.target import Target
 
 

@@ -79,12 +79,12 @@ if TYPE_CHECKING:
     from mbdkit.quantities.states import States
     from mbdkit.quantities.table import sizes_of
     from mbdkit.registry.hookspecs import hookimpl
+    from mbdkit.registry.item import Item
     from mbdkit.registry.items import (
         Claims,
         Command,
         ForceLawPlugin,
         IntegratorPlugin,
-        Item,
         MeasurePlugin,
         ModelPlugin,
         Orders,
@@ -108,7 +108,8 @@ if TYPE_CHECKING:
 _STABLE = {
     "mbdkit.registry.hookspecs": "hookimpl",
     "mbdkit.registry.target": "Target",
-    "mbdkit.registry.items": "Claims Command ForceLawPlugin IntegratorPlugin Item "
+    "mbdkit.registry.item": "Item",
+    "mbdkit.registry.items": "Claims Command ForceLawPlugin IntegratorPlugin "
     "MeasurePlugin ModelPlugin Orders StudyPlugin",
     "mbdkit.base.errors": "MbdkitError PluginError ResourceError RunError SpecError "
     "StepError UnsupportedMechanismError",

@@ -8,7 +8,8 @@ from typing import Literal
 
 from mbdkit.base.errors import SpecError
 from mbdkit.base.text import did_you_mean, listed
-from mbdkit.registry.items import ITEM_CLASSES, Item, Plugin
+from mbdkit.registry.item import Item, Plugin
+from mbdkit.registry.items import ITEM_CLASSES
 from mbdkit.registry.policy import normalized_name
 
 Kind = str

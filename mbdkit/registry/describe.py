@@ -12,8 +12,9 @@ from pydantic import BaseModel
 from mbdkit.base.errors import PluginError, SpecError
 from mbdkit.base.text import did_you_mean, listed, table
 from mbdkit.registry.catalogue import KINDS, MBDKIT, Registered, Registry, Report
+from mbdkit.registry.item import Plugin
 from mbdkit.registry.item_options import named_options
-from mbdkit.registry.items import Command, Plugin
+from mbdkit.registry.items import Command
 from mbdkit.registry.manager import registry
 from mbdkit.registry.policy import API
 

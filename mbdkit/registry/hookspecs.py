@@ -22,7 +22,8 @@ from collections.abc import Iterable
 
 import pluggy
 
-from mbdkit.registry.items import ForceLawPlugin, IntegratorPlugin, Item, MeasurePlugin, ModelPlugin, StudyPlugin
+from mbdkit.registry.item import Item
+from mbdkit.registry.items import ForceLawPlugin, IntegratorPlugin, MeasurePlugin, ModelPlugin, StudyPlugin
 
 PROJECT = "mbdkit"
 

@@ -13,7 +13,7 @@ from pydantic import AfterValidator, BaseModel, ConfigDict, Field, WithJsonSchem
 from mbdkit.base.errors import PluginError, in_this_process, with_place
 from mbdkit.base.strict_model import STRICT
 from mbdkit.registry.catalogue import MBDKIT, Registered
-from mbdkit.registry.items import Plugin
+from mbdkit.registry.item import Plugin
 
 
 @functools.cache

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import re
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar, Generic, NamedTuple, TypeVar
+from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
 
 from mbdkit.base.errors import PluginError, SpecError
+from mbdkit.registry.item import NAME, Given, Item, Plugin, described
 from mbdkit.registry.target import Target
 
 if TYPE_CHECKING:
@@ -16,10 +16,6 @@ if TYPE_CHECKING:
 
     from mbdkit.mechanism.force_law import ForceLaw
     from mbdkit.mechanism.mechanism import Mechanism
-
-T = TypeVar("T")
-
-NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]*")
 
 LAW_KEYS = ("type", "law", "pathway", "name", "a", "b", "along", "from_", "to", "points")
 """Keys of every element of type ``law``, and arguments of `Mechanism.law`; options of a law must have other names."""
@@ -95,155 +91,6 @@ class Claims:
         if formulation in self.orders:
             return Orders(*self.orders[formulation])
         return None if self.order is None else Orders(self.order, self.order, self.multiplier_order)
-
-
-class Item:
-    """Base of the items that plugins offer; the class of an item is its kind.
-
-    A new kind needs a subclass with the class attributes below and an entry in `ITEM_CLASSES`. The hook `mbdkit_items`
-    returns items of every kind. All kinds are loaded, named and listed in the same way, and their errors are reported
-    in the same way.
-
-    Items are light: code that they need is named by a `Target`, which is imported when it is first used.
-    """
-
-    kind: ClassVar[str]
-    """Name of the kind, such as ``force-law``."""
-    hook: ClassVar[str] = "mbdkit_items"
-    """Name of the hook that returns a list of such items."""
-    key: ClassVar[str]
-    """Key in a spec whose value names such an item, or another word for its place; error messages mention it."""
-    is_reserved: ClassVar[bool] = True
-    """Whether a short name that mbdkit uses keeps its meaning when another distribution uses it too."""
-
-    if TYPE_CHECKING:  # fields of the subclasses; a property would become the default of the field
-
-        @property
-        def name(self) -> str:
-            """Short name."""
-
-        @property
-        def summary(self) -> str:
-            """One line that describes the item."""
-
-        @property
-        def order(self) -> int:
-            """Position among the items of its kind; items of the same order keep the order in which they are loaded."""
-
-    @property
-    def full_name(self) -> str:
-        """The name that only one item of this kind and distribution has."""
-        return self.name
-
-    @classmethod
-    def label(cls) -> str:
-        """Return the name of the kind as it is written in sentences."""
-        return cls.kind.replace("-", " ")
-
-    def check(self) -> None:
-        """Check the fields, because a plugin may pass any objects; objects behind targets are not imported.
-
-        Raises
-        ------
-        PluginError
-            If a field has the wrong type.
-        """
-        if not isinstance(self.name, str) or not NAME.fullmatch(self.name):
-            raise PluginError(f"the name {self.name!r} is not made of letters, digits and . _ -")
-        if not isinstance(self.summary, str) or "\n" in self.summary:
-            raise PluginError("its summary is not one line of text")
-        if not isinstance(self.order, int) or isinstance(self.order, bool):
-            raise PluginError(f"its order is {described(self.order)}, not a whole number")
-        self._check_fields(name for name, value in vars(self).items() if not isinstance(value, Target))
-
-    def check_targets(self) -> None:
-        """Import the objects behind the targets and check them; raises PluginError.
-
-        Called by ``mbdkit plugins doctor``, by the conformance kit, and when the item is first used.
-        """
-        targets = {name: value for name, value in vars(self).items() if isinstance(value, Target)}
-        for target in targets.values():
-            target()
-        self._check_fields(targets)
-
-    def _check_fields(self, names: Iterable[str]) -> None:
-        for name in names:
-            if (check := getattr(self, f"_check_{name}", None)) is not None:
-                check()
-
-    def _check_callable(self, name: str) -> None:
-        if not callable(getattr(self, name)):
-            raise PluginError(f"its `{name}` cannot be called")
-
-    def __eq__(self, other: object) -> bool:
-        return type(self) is type(other) and vars(self) == vars(other)
-
-    def __hash__(self) -> int:
-        return hash((type(self), self.name))
-
-    def __repr__(self) -> str:
-        return f"{type(self).__name__}({self.name!r})"
-
-
-class Given(Generic[T]):
-    """A field that is given as an object or as a `Target` of it; reading the field returns the object in both cases.
-
-    Parameters
-    ----------
-    default
-        Value of the field if it is not given; `...` if it must be given.
-    """
-
-    def __init__(self, default: Any = ...):
-        self.default = default
-
-    def __set_name__(self, owner: type, name: str) -> None:
-        self.name = name
-
-    def __get__(self, item: object, kind: type | None = None) -> T:
-        if item is None:  # dataclasses read the default of a field here, if it has one
-            if self.default is ...:
-                raise AttributeError(self.name)
-            value = self.default
-        else:
-            value = vars(item)[self.name]
-        given: T = value() if isinstance(value, Target) else value
-        return given
-
-    def __set__(self, item: object, value: T | Target[T] | Target[Any]) -> None:
-        vars(item)[self.name] = value
-
-
-class Plugin(Item):
-    """Base of the kinds that have hooks of their own. Fields whose types are `Given` may be targets."""
-
-    name_key: ClassVar[str] = "name"
-    """Key in a spec that gives the name of the item; the options of the item are further keys beside it."""
-    is_reserved: ClassVar[bool] = False
-
-    if TYPE_CHECKING:
-
-        @property
-        def options(self) -> type[BaseModel]:
-            """Pydantic model of the options."""
-
-        @property
-        def references(self) -> tuple[str, ...]:
-            """BibTeX entries of the sources."""
-
-    def claimed(self) -> Mapping[str, Any]:
-        """Return the claims of the item with default options, by name; empty if the item makes no claims."""
-        return {}
-
-    def _check_options(self) -> None:
-        from pydantic import BaseModel
-
-        if not isinstance(self.options, type) or not issubclass(self.options, BaseModel):
-            raise PluginError(f"its options are {described(self.options)}, not a class derived from pydantic.BaseModel")
-
-    def _check_references(self) -> None:
-        if not isinstance(self.references, tuple) or not all(isinstance(entry, str) for entry in self.references):
-            raise PluginError("its references are not a tuple of texts")
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -550,10 +397,3 @@ ITEM_CLASSES: tuple[type[Item], ...] = (
     Command,
 )
 """The kinds of items, in the order in which they are listed."""
-
-
-def described(thing: object) -> str:
-    """Return a noun phrase for the class of an object, as a part of an error message."""
-    if isinstance(thing, type):
-        return f"the class {thing.__name__}"
-    return "nothing" if thing is None else f"an object of type {type(thing).__name__}"

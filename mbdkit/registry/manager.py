@@ -19,7 +19,7 @@ from mbdkit.base.errors import MbdkitError, PluginError, SpecError, in_this_proc
 from mbdkit.base.text import listed
 from mbdkit.registry import hookspecs
 from mbdkit.registry.catalogue import KINDS, MBDKIT, Kind, Origin, Registered, Registry, Report
-from mbdkit.registry.items import Item, described
+from mbdkit.registry.item import Item, described
 from mbdkit.registry.policy import STRICT, Policy, check_api
 
 GROUP = hookspecs.PROJECT

@@ -9,7 +9,7 @@ import pytest
 from mbdkit.base.errors import PluginError, SpecError
 from mbdkit.base.strict_model import description
 from mbdkit.registry import describe
-from mbdkit.registry.items import Plugin
+from mbdkit.registry.item import Plugin
 from mbdkit.registry.manager import load_registry, registry
 
 
