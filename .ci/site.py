@@ -20,7 +20,7 @@ ROOT = Path(__file__).resolve().parent.parent
 EXAMPLES = "mbdkit/models/examples"
 FILES = (
     "README.md", "CITATION.cff", "LICENSE", "mbdkit/README.md", "mbdkit/guide/*.md", f"{EXAMPLES}/*.*", "schemas/*",
-    "mbdkit/testing/README.md", "mbdkit/testing/*.py", "plugins/*/src/*/__init__.py", "mbdkit/studies/packaged/*/*.md",
+    "plugins/mbdkit-testing/README.md", "plugins/mbdkit-testing/src/mbdkit_testing/*.py", "plugins/*/src/*/__init__.py", "plugins/mbdkit-paper/src/mbdkit_paper/*/*.md",
     "plugins/README.md", "plugins/*/README.md",
     ".github/*.png", ".github/gallery/*.png",
 )  # fmt: skip

@@ -13,8 +13,9 @@ from mbdkit.base import higher_layers
 from mbdkit.base.lazy_names import lazy
 
 if TYPE_CHECKING:
-    from mbdkit import plot, spec
-    from mbdkit.analysis.workload import Workload, workload
+    from mbdkit_report import plot
+    from mbdkit import spec
+    from mbdkit_biomech.inverse_dynamics.workload import Workload, workload
     from mbdkit.archive.reader import load
     from mbdkit.archive.run import Run
     from mbdkit.base.errors import (
@@ -26,17 +27,17 @@ if TYPE_CHECKING:
         SpecError,
         StepError,
     )
-    from mbdkit.designs.design import Design
-    from mbdkit.designs.solve_design import design, load_design
+    from mbdkit_design.design import Design
+    from mbdkit_design.solve_design import design, load_design
     from mbdkit.engine.equations_of_motion import EquationsOfMotion
-    from mbdkit.exploration.server import explore
+    from mbdkit_explore.server import explore
     from mbdkit.gradients.gradient import Gradient, gradient
-    from mbdkit.inverse_dynamics.inverse_gradient import inverse_gradient
-    from mbdkit.inverse_dynamics.inverse_run import inverse
-    from mbdkit.mechanics.equilibrium import Equilibrium, equilibrium
-    from mbdkit.mechanics.equilibrium_path import EquilibriumPath, equilibrium_path
-    from mbdkit.mechanics.kinematics import Kinematics, kinematics
-    from mbdkit.mechanics.modes import Linearization, Modes, linearize, modes
+    from mbdkit_biomech.inverse_dynamics.inverse_gradient import inverse_gradient
+    from mbdkit_biomech.inverse_dynamics.inverse_run import inverse
+    from mbdkit_statics.equilibrium import Equilibrium, equilibrium
+    from mbdkit_statics.equilibrium_path import EquilibriumPath, equilibrium_path
+    from mbdkit_statics.kinematics import Kinematics, kinematics
+    from mbdkit_statics.modes import Linearization, Modes, linearize, modes
     from mbdkit.mechanism.force_law import ExpressionLaw, FunctionLaw
     from mbdkit.mechanism.mechanism import Mechanism
     from mbdkit.methods.kinds import ExplicitRungeKutta, ImplicitRungeKutta, StepMethod, StepState, Tolerances
@@ -47,8 +48,8 @@ if TYPE_CHECKING:
     from mbdkit.runs.resuming import resume
     from mbdkit.runs.simulation import run
     from mbdkit.spec import DesignSpec, InverseSpec, RunSpec, StudySpec
-    from mbdkit.studies.carry_out import ensemble, load_study, study
-    from mbdkit.studies.study import Study
+    from mbdkit_studies.carry_out import ensemble, load_study, study
+    from mbdkit_studies.study import Study
 
     __version__: str
 
@@ -121,13 +122,13 @@ _HOME = {
     "ArchiveError": "mbdkit.base.errors",
     "ButcherTableau": "mbdkit.methods.tableau",
     "Claims": "mbdkit.registry.items",
-    "Design": "mbdkit.designs.design",
+    "Design": "mbdkit_design.design",
     "DesignSpec": "mbdkit.spec",
-    "design": "mbdkit.designs.solve_design",
-    "load_design": "mbdkit.designs.solve_design",
+    "design": "mbdkit_design.solve_design",
+    "load_design": "mbdkit_design.solve_design",
     "EmbeddedPair": "mbdkit.methods.tableau",
-    "Equilibrium": "mbdkit.mechanics.equilibrium",
-    "EquilibriumPath": "mbdkit.mechanics.equilibrium_path",
+    "Equilibrium": "mbdkit_statics.equilibrium",
+    "EquilibriumPath": "mbdkit_statics.equilibrium_path",
     "ExplicitRungeKutta": "mbdkit.methods.kinds",
     "ExpressionLaw": "mbdkit.mechanism.force_law",
     "ForceLawPlugin": "mbdkit.registry.items",
@@ -136,13 +137,13 @@ _HOME = {
     "ImplicitRungeKutta": "mbdkit.methods.kinds",
     "IntegratorPlugin": "mbdkit.registry.items",
     "InverseSpec": "mbdkit.spec",
-    "Kinematics": "mbdkit.mechanics.kinematics",
-    "Linearization": "mbdkit.mechanics.modes",
+    "Kinematics": "mbdkit_statics.kinematics",
+    "Linearization": "mbdkit_statics.modes",
     "MbdkitError": "mbdkit.base.errors",
     "MeasurePlugin": "mbdkit.registry.items",
     "Mechanism": "mbdkit.mechanism.mechanism",
     "ModelPlugin": "mbdkit.registry.items",
-    "Modes": "mbdkit.mechanics.modes",
+    "Modes": "mbdkit_statics.modes",
     "PluginError": "mbdkit.base.errors",
     "PreparedRun": "mbdkit.runs.prepared_run",
     "prepare": "mbdkit.runs.prepared_run",
@@ -155,28 +156,28 @@ _HOME = {
     "StepMethod": "mbdkit.methods.kinds",
     "EquationsOfMotion": "mbdkit.engine.equations_of_motion",
     "StepState": "mbdkit.methods.kinds",
-    "Study": "mbdkit.studies.study",
+    "Study": "mbdkit_studies.study",
     "StudyPlugin": "mbdkit.registry.items",
     "StudySpec": "mbdkit.spec",
-    "equilibrium": "mbdkit.mechanics.equilibrium",
-    "equilibrium_path": "mbdkit.mechanics.equilibrium_path",
-    "explore": "mbdkit.exploration.server",
+    "equilibrium": "mbdkit_statics.equilibrium",
+    "equilibrium_path": "mbdkit_statics.equilibrium_path",
+    "explore": "mbdkit_explore.server",
     "gradient": "mbdkit.gradients.gradient",
     "hookimpl": "mbdkit.registry.hookspecs",
-    "inverse": "mbdkit.inverse_dynamics.inverse_run",
-    "inverse_gradient": "mbdkit.inverse_dynamics.inverse_gradient",
-    "kinematics": "mbdkit.mechanics.kinematics",
-    "linearize": "mbdkit.mechanics.modes",
+    "inverse": "mbdkit_biomech.inverse_dynamics.inverse_run",
+    "inverse_gradient": "mbdkit_biomech.inverse_dynamics.inverse_gradient",
+    "kinematics": "mbdkit_statics.kinematics",
+    "linearize": "mbdkit_statics.modes",
     "load": "mbdkit.archive.reader",
-    "ensemble": "mbdkit.studies.carry_out",
-    "load_study": "mbdkit.studies.carry_out",
-    "modes": "mbdkit.mechanics.modes",
+    "ensemble": "mbdkit_studies.carry_out",
+    "load_study": "mbdkit_studies.carry_out",
+    "modes": "mbdkit_statics.modes",
     "resume": "mbdkit.runs.resuming",
     "run": "mbdkit.runs.simulation",
-    "study": "mbdkit.studies.carry_out",
-    "workload": "mbdkit.analysis.workload",
+    "study": "mbdkit_studies.carry_out",
+    "workload": "mbdkit_biomech.inverse_dynamics.workload",
     "Tolerances": "mbdkit.methods.kinds",
-    "Workload": "mbdkit.analysis.workload",
+    "Workload": "mbdkit_biomech.inverse_dynamics.workload",
 }
 
 
@@ -211,10 +212,10 @@ higher_layers.state_program = _of_higher_layer("mbdkit.events.state_program", "s
 higher_layers.state_values = _of_higher_layer("mbdkit.events.state_program", "state_values")
 higher_layers.check_gradients = _of_higher_layer("mbdkit.gradients.gradient", "check_gradients")
 higher_layers.gradients_json = _of_higher_layer("mbdkit.gradients.gradient", "gradients_json")
-higher_layers.draw_run = _of_higher_layer("mbdkit.plot.comparison", "draw_run")
-higher_layers.animation = _of_higher_layer("mbdkit.notebook.animation", "Animation")
+higher_layers.draw_run = _of_higher_layer("mbdkit_report.plot.comparison", "draw_run")
+higher_layers.animation = _of_higher_layer("mbdkit_report.notebook.animation", "Animation")
 higher_layers.run_summary = _of_higher_layer("mbdkit.archive.run_summary", "summary")
-higher_layers.moment_arms = _of_higher_layer("mbdkit.inverse_dynamics.moment_arms", "moment_arms")
+higher_layers.moment_arms = _of_higher_layer("mbdkit_biomech.inverse_dynamics.moment_arms", "moment_arms")
 higher_layers.run_frame = _of_higher_layer("mbdkit.archive.group_table", "to_frame")
-higher_layers.built_in_measures = _of_higher_layer("mbdkit.studies.measures", "built_in_measures")
-higher_layers.html_of = _of_higher_layer("mbdkit.notebook.result_views", "html_of")
+higher_layers.built_in_measures = _of_higher_layer("mbdkit_studies.measures", "built_in_measures")
+higher_layers.html_of = _of_higher_layer("mbdkit_report.notebook.result_views", "html_of")

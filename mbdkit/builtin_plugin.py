@@ -35,7 +35,7 @@ def mbdkit_force_laws() -> list[ForceLawPlugin]:
 @hookimpl
 def mbdkit_studies() -> list[StudyPlugin]:
     """Return the studies that mbdkit ships."""
-    from mbdkit.studies.packaged import STUDIES
+    from mbdkit_paper import STUDIES
 
     return list(STUDIES)
 

@@ -14,11 +14,11 @@ from typing import Any
 
 import pytest
 
-from mbdkit.figures.page_model import Figure
-from mbdkit.plot.charts import image_files, write_chart_images
-from mbdkit.report import report
-from mbdkit.studies import executor_pool, pool
-from mbdkit.studies.pool import Pool
+from mbdkit_report.figures.page_model import Figure
+from mbdkit_report.plot.charts import image_files, write_chart_images
+from mbdkit_report.pages import report
+from mbdkit_studies import executor_pool, pool
+from mbdkit_studies.pool import Pool
 from tests.forked_worker import ForkedWorker
 from tests.pool_in_this_process import PoolInThisProcess
 

@@ -7,8 +7,8 @@ from collections.abc import Iterator, Sequence
 from importlib import import_module
 from importlib.metadata import version
 
-from mbdkit.studies.pool import Pool
-from mbdkit.studies.tasks import Outcome, Task
+from mbdkit_studies.pool import Pool
+from mbdkit_studies.tasks import Outcome, Task
 
 
 class PoolInThisProcess(Pool):

@@ -14,7 +14,8 @@ from mbdkit import Mechanism
 from mbdkit.cli import app
 from mbdkit.guide.pages import pages
 from mbdkit.registry.manager import registry
-from mbdkit.spec import load_spec, spec_page
+from mbdkit.spec import load_spec
+from mbdkit_testing import spec_page
 from mbdkit.spec.yaml_reader import read_yaml
 from tests.printed_code import fenced_blocks, run_blocks
 
@@ -133,7 +134,7 @@ def test_links_lead_somewhere(path: Path) -> None:
 
 def test_the_reference_of_specs_is_fresh() -> None:
     fresh = spec_page.page(registry().only("mbdkit"))
-    assert PAGES["spec"].text == fresh, "stale: python -m mbdkit.spec.spec_page mbdkit/guide/spec.md"
+    assert PAGES["spec"].text == fresh, "stale: python -m mbdkit_testing.spec_page mbdkit/guide/spec.md"
 
 
 def test_the_reference_has_every_joint_force_law_model_and_integrator() -> None:

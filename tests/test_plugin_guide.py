@@ -10,7 +10,7 @@ from types import ModuleType
 import pytest
 
 import mbdkit
-from mbdkit.inverse_dynamics.model_criteria import mechanism_doubts
+from mbdkit_biomech.inverse_dynamics.model_criteria import mechanism_doubts
 from mbdkit.registry.manager import registry
 
 from .installing import install_module, install_project, python

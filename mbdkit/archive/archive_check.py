@@ -13,7 +13,7 @@ import h5py
 import numpy as np
 
 from mbdkit.archive import layout
-from mbdkit.archive.blocks import Block
+from mbdkit_studies.blocks import Block
 from mbdkit.archive.fingerprint import attributes_sha256, blocks, data_sha256, datasets, is_text, spec_sha256
 from mbdkit.archive.hdf5_errors import DAMAGE, cause
 from mbdkit.archive.layout import BY_PATH, FORMAT_VERSION

@@ -697,7 +697,7 @@ class Run(HtmlView):
     def animate(self) -> Animation:
         """Return an animation, which notebooks show with its controls.
 
-        ``run.animate().save("motion.gif")`` writes it to a file; see `mbdkit.notebook.animation.Animation.save`.
+        ``run.animate().save("motion.gif")`` writes it to a file; see `mbdkit_report.notebook.animation.Animation.save`.
 
         Raises
         ------

@@ -21,7 +21,7 @@ from mbdkit.archive.headlines import (
     largest_torques,
     plus_minus,
 )
-from mbdkit.archive.inverse_summary import inverse_lines, times_of_unknown_errors
+from mbdkit_biomech.inverse_dynamics.inverse_summary import inverse_lines, times_of_unknown_errors
 from mbdkit.archive.peak_errors import missed_between_rows, peak_errors
 from mbdkit.base.errors import MbdkitError
 from mbdkit.base.text import counted, listed, shown

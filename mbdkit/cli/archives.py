@@ -101,8 +101,8 @@ def archive_export(
     """
     from mbdkit.archive.changed_contents import opened
     from mbdkit.archive.export import export
-    from mbdkit.studies.carry_out import load_study
-    from mbdkit.studies.runs_table import export_runs
+    from mbdkit_studies.carry_out import load_study
+    from mbdkit_studies.runs_table import export_runs
 
     folder = output if output is not None else archive.with_name(f"{archive.stem}-{to}")
     if archive.is_dir() and (archive / "study.yaml").is_file():

@@ -118,8 +118,8 @@ class Cluster:
     slurm: Slurm = None
 
     def asked(self, workers: int | None) -> Any:
-        """Return these options in the form required by `mbdkit.studies.executors`."""
-        from mbdkit.studies.executors import Asked
+        """Return these options in the form required by `mbdkit_studies.executors`."""
+        from mbdkit_studies.executors import Asked
 
         return Asked(self.executor, self.scheduler, tuple(self.slurm or ()), workers)
 

@@ -91,8 +91,8 @@ def plugins_verify(
 
     items = describe.find(name)
     options = read_assignments(assignments or ())
-    from mbdkit.testing import verify
-    from mbdkit.testing.verification_page import check_page, write_page
+    from mbdkit_testing import verify
+    from mbdkit_testing.verification_page import check_page, write_page
 
     page = (output or Path(f"{name.replace(':', '-')}-verification.html")) if as_html or output is not None else None
     if page is not None:
@@ -147,7 +147,7 @@ def plugins_new(
     It can be installed at once, its tests pass, and its README says what to
     change. Existing files are not changed.
     """
-    from mbdkit.scaffold.new_plugin import new_project
+    from mbdkit_testing.scaffold.new_plugin import new_project
 
     project = new_project(name, kind)
     if as_json:

@@ -28,8 +28,8 @@ from mbdkit.cli.common_options import (
     output_to,
     stem,
 )
-from mbdkit.cli.designs import validate_design
-from mbdkit.cli.inverse import repeated_inverse, validate_inverse
+from mbdkit_design.commands import validate_design
+from mbdkit_biomech.commands import repeated_inverse, validate_inverse
 from mbdkit.cli.outcome import exit_with, tell
 
 if TYPE_CHECKING:
@@ -142,13 +142,13 @@ def validate(spec: AnySpecName, assignments: Set = None, debug: Debug = False) -
     from mbdkit.spec import load_spec
     from mbdkit.spec.loading import read_source
     from mbdkit.spec.spec_kinds import is_inverse
-    from mbdkit.spec.study_loading import load_study_spec, recognized
+    from mbdkit_studies.study_loading import load_study_spec, recognized
 
     source, is_study = recognized(spec)
     if is_study:
-        from mbdkit.studies.study_blocks import is_for_blocks
-        from mbdkit.studies.study_plan import plan_study
-        from mbdkit.studies.study_summary import plan_summary
+        from mbdkit_studies.study_blocks import is_for_blocks
+        from mbdkit_studies.study_plan import plan_study
+        from mbdkit_studies.study_summary import plan_summary
 
         study = load_study_spec(source, assignments or ())
         plan = plan_study(study.stored_as(study.store or "all") if is_for_blocks(study) else study)

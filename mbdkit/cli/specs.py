@@ -65,7 +65,7 @@ def examples(context: typer.Context, debug: Debug = False) -> None:
     """
     if context.invoked_subcommand is not None:
         return
-    from mbdkit.notebook.example_notebooks import notebook_names, notebook_title
+    from mbdkit.spec.example_notebooks import notebook_names, notebook_title
     from mbdkit.spec.loading import example_names, read_source  # no validation, because it would import plugins
 
     kinds: list[tuple[str, Literal["run", "inverse", "design"]]] = [
@@ -97,7 +97,7 @@ def examples_copy(
     from mbdkit.base.errors import SpecError
     from mbdkit.base.files import check_suffix, replacing
     from mbdkit.base.text import did_you_mean, listed
-    from mbdkit.notebook.example_notebooks import jupyter_text, notebook_names, notebook_text
+    from mbdkit.spec.example_notebooks import jupyter_text, notebook_names, notebook_text
     from mbdkit.spec import example_names, example_text
     from mbdkit.spec.loading import example_table
 

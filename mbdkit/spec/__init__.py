@@ -9,15 +9,15 @@ from typing import TYPE_CHECKING
 from mbdkit.base.lazy_names import lazy
 
 if TYPE_CHECKING:
-    from mbdkit.spec.design_loading import load_design_spec
-    from mbdkit.spec.design_spec import DesignSpec
-    from mbdkit.spec.inverse_loading import load_inverse_spec
-    from mbdkit.spec.inverse_spec import InverseSpec
+    from mbdkit_design.design_loading import load_design_spec
+    from mbdkit_design.design_spec import DesignSpec
+    from mbdkit_biomech.inverse_dynamics.inverse_loading import load_inverse_spec
+    from mbdkit_biomech.inverse_dynamics.inverse_spec import InverseSpec
     from mbdkit.spec.loading import example_names, example_text, load_spec
     from mbdkit.spec.run_spec import RunSpec
     from mbdkit.spec.sections import Limits, Output, Time
-    from mbdkit.spec.study_loading import load_study_spec, study_names
-    from mbdkit.spec.study_spec import StudySpec
+    from mbdkit_studies.study_loading import load_study_spec, study_names
+    from mbdkit_studies.study_spec import StudySpec
 
 __all__ = [
     "DesignSpec",
@@ -38,14 +38,14 @@ __all__ = [
 
 if not TYPE_CHECKING:
     _HOMES = {
-        "mbdkit.spec.design_loading": ["load_design_spec"],
-        "mbdkit.spec.design_spec": ["DesignSpec"],
-        "mbdkit.spec.inverse_loading": ["load_inverse_spec"],
-        "mbdkit.spec.inverse_spec": ["InverseSpec"],
+        "mbdkit_design.design_loading": ["load_design_spec"],
+        "mbdkit_design.design_spec": ["DesignSpec"],
+        "mbdkit_biomech.inverse_dynamics.inverse_loading": ["load_inverse_spec"],
+        "mbdkit_biomech.inverse_dynamics.inverse_spec": ["InverseSpec"],
         "mbdkit.spec.loading": ["example_names", "example_text", "load_spec"],
         "mbdkit.spec.run_spec": ["RunSpec"],
         "mbdkit.spec.sections": ["Limits", "Output", "Time"],
-        "mbdkit.spec.study_loading": ["load_study_spec", "study_names"],
-        "mbdkit.spec.study_spec": ["StudySpec"],
+        "mbdkit_studies.study_loading": ["load_study_spec", "study_names"],
+        "mbdkit_studies.study_spec": ["StudySpec"],
     }
     __getattr__ = lazy(globals(), {name: module for module, names in _HOMES.items() for name in names})

@@ -19,7 +19,7 @@ from mbdkit.archive.compare import compare
 from mbdkit.archive.history import NotRecordedError
 from mbdkit.archive.info import describe, text
 from mbdkit.cli import app
-from mbdkit.report.report import write_report
+from mbdkit_report.pages.report import write_report
 
 EARLIER = Path(__file__).with_name("format-1.0.h5")
 

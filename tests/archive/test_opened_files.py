@@ -30,7 +30,7 @@ SECTIONS = {"integrator": {"name": "rk4"}, "time": {"end": 0.02, "step": 0.01}}
 MAKE = """
 import json, sys
 import mbdkit
-from mbdkit.figures.drawing_geometry import draw_mechanism
+from mbdkit_report.figures.drawing_geometry import draw_mechanism
 from mbdkit.spec import load_inverse_spec, load_spec
 drawings = {}
 for name, spec in json.load(open("specs.json")).items():
@@ -69,7 +69,7 @@ DRAW = """
 import json
 from pathlib import Path
 import mbdkit
-from mbdkit.figures.drawing_geometry import draw_run
+from mbdkit_report.figures.drawing_geometry import draw_run
 from mbdkit.registry.manager import registry
 assert {item.origin.distribution for item in registry().items} == {"mbdkit"}
 def drawn(run):

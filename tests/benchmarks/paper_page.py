@@ -1,6 +1,6 @@
 """`python -m tests.benchmarks.paper_page FOLDER`: writes what the study in FOLDER says of the source paper's claims.
 
-FOLDER is that of `mbdkit study paper -o FOLDER`. The page `mbdkit/guide/paper.md` gets all claims; the README gets some
+FOLDER is that of `mbdkit study paper -o FOLDER`. The page `plugins/mbdkit-paper/src/mbdkit_paper/guide/paper.md` gets all claims; the README gets some
 of them, between two markers.
 """
 
@@ -11,9 +11,9 @@ import textwrap
 from pathlib import Path
 
 import mbdkit
-from mbdkit.analysis.verdict import Answer, Claim, Verdict
-from mbdkit.studies.judge import judge
-from mbdkit.studies.packaged.paper.source_paper import BIBTEX, TITLE
+from mbdkit_report.analysis.verdict import Answer, Claim, Verdict
+from mbdkit_studies.judge import judge
+from mbdkit_paper.paper.source_paper import BIBTEX, TITLE
 
 GUIDE = Path(mbdkit.__file__).parent / "guide" / "paper.md"
 README = Path(mbdkit.__file__).parent.parent / "README.md"

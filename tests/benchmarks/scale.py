@@ -20,9 +20,9 @@ from rich.table import Table
 
 import mbdkit
 from mbdkit.engine.compile_mechanism import compile_mechanism
-from mbdkit.figures.palette import FAINT, PALETTE
-from mbdkit.plot.caption import Caption
-from mbdkit.plot.style import dress, legend, new_figure, save
+from mbdkit_report.figures.palette import FAINT, PALETTE
+from mbdkit_report.plot.caption import Caption
+from mbdkit_report.plot.style import dress, legend, new_figure, save
 from mbdkit.spec import RunSpec, load_spec
 
 from . import frames

@@ -10,10 +10,10 @@ from __future__ import annotations
 import numpy as np
 import scipy.stats
 
-from mbdkit.analysis import sample_statistics
-from mbdkit.analysis.sobol_indices import sobol_indices
-from mbdkit.spec.sample_section import Sample
-from mbdkit.studies.sampled_values import sampled_values
+from mbdkit_studies import sample_statistics
+from mbdkit_studies.sobol_indices import sobol_indices
+from mbdkit_studies.sample_section import Sample
+from mbdkit_studies.sampled_values import sampled_values
 from tests.analysis.test_sobol_indices import FIRST, TAIL_SHARES, TOTAL, ishigami, tail
 
 SEEDS = 400

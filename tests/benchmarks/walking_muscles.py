@@ -18,7 +18,7 @@ import opensim as osim
 import yaml
 
 from mbdkit.mechanism.quantity_names import QuantityNames
-from mbdkit.models.leg import LegOptions, build
+from mbdkit_biomech.models.leg import LegOptions, build
 from mbdkit.muscles.muscle_path import MusclePath
 
 HEIGHT = 1.8

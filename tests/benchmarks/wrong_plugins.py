@@ -11,7 +11,7 @@ import time
 
 from mbdkit.base.errors import SpecError
 from mbdkit.registry.manager import registry
-from mbdkit.testing import verify
+from mbdkit_testing import verify
 from tests.testing.test_corpus import RIGHT, WRONG, outcome
 
 

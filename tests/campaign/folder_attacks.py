@@ -20,7 +20,7 @@ import numpy as np
 
 import mbdkit
 from mbdkit.archive.archive_check import check
-from mbdkit.studies import executor_pool
+from mbdkit_studies import executor_pool
 from tests.pool_in_this_process import PoolInThisProcess
 
 from .archive_attacks import command_in_child, small_archive

@@ -13,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
-from tests.report.browser import executable, launched
+from tests.browser import executable, launched
 
 from .attack import Attack, Ending, wait_for
 from .folder_attacks import INVERSE

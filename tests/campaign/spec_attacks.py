@@ -16,9 +16,9 @@ from mbdkit.base.errors import MbdkitError
 from mbdkit.runs.simulation import simulate
 from mbdkit.spec import example_names, load_design_spec, load_spec
 from mbdkit.spec.loading import example_text
-from mbdkit.spec.study_loading import load_study_spec, study_names
+from mbdkit_studies.study_loading import load_study_spec, study_names
 from mbdkit.spec.yaml_reader import read_yaml, write_yaml
-from mbdkit.studies.planned_points import plan_points
+from mbdkit_studies.planned_points import plan_points
 
 from .attack import LONGEST_MESSAGE, Attack, in_child
 

@@ -14,9 +14,9 @@ from scipy.optimize import brentq
 
 import mbdkit
 from mbdkit.archive.run import Run
-from mbdkit.figures.drawing_geometry import draw_mechanism
+from mbdkit_report.figures.drawing_geometry import draw_mechanism
 from mbdkit.mechanism.mechanism import Mechanism
-from mbdkit.report.run_tables import run_tables
+from mbdkit_report.pages.run_tables import run_tables
 from mbdkit.spec import load_spec
 
 G = 9.81

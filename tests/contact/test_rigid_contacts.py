@@ -10,7 +10,7 @@ import pytest
 import mbdkit
 from mbdkit.base.errors import SpecError
 from mbdkit.engine.equations_of_motion import EquationsOfMotion
-from mbdkit.report.run_tables import run_tables
+from mbdkit_report.pages.run_tables import run_tables
 from mbdkit.runs.warnings import spec_warnings
 from mbdkit.spec import load_spec
 from mbdkit.stepping.complementarity import coulomb, coupled_by_all, stronge, swept

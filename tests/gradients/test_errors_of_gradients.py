@@ -10,7 +10,7 @@ import pytest
 from scipy.integrate import solve_ivp
 
 import mbdkit
-from mbdkit.report.answer_section import gradient_section
+from mbdkit_report.pages.answer_section import gradient_section
 
 from .test_gradients_at_corners import MEASURES as OF_BALL
 from .test_gradients_at_corners import ball, expected

@@ -12,7 +12,7 @@ import numpy as np
 
 import mbdkit
 from mbdkit import Mechanism
-from mbdkit.figures.drawing_geometry import draw_mechanism
+from mbdkit_report.figures.drawing_geometry import draw_mechanism
 from mbdkit.spec import load_spec
 from mbdkit.spec.schema import run_schema
 

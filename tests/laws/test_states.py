@@ -12,8 +12,8 @@ from scipy.linalg import expm
 
 import mbdkit
 from mbdkit import SpecError
-from mbdkit.mechanics.equilibrium import equilibrium_of, spec_at
-from mbdkit.mechanics.source import PreparedMechanism
+from mbdkit_statics.equilibrium import equilibrium_of, spec_at
+from mbdkit.runs.assembled_mechanism import PreparedMechanism
 from mbdkit.runs.batch import simulate_batch
 from mbdkit.spec import load_spec
 from tests.runs.resuming.killed_runs import killed

@@ -97,7 +97,7 @@ def test_a_run_imports_no_code_that_its_spec_does_not_name(tmp_path):
     code = f"import mbdkit\nmbdkit.run(mbdkit.RunSpec(**{spec!r}))"
     modules = loaded_after(code, tmp_path, cwd=tmp_path)
     assert {"heavy_kit", "mbdkit.methods.rk4", "mbdkit.models.pendulums"} <= modules
-    assert not modules & {"heavy_code", "mbdkit.methods.taylor", "mbdkit.methods.scipy_methods", "mbdkit.models.leg"}
+    assert not modules & {"heavy_code", "mbdkit.methods.taylor", "mbdkit.methods.scipy_methods", "mbdkit_biomech.models.leg"}
 
 
 def test_code_that_cannot_be_imported_is_the_error_of_its_distribution_when_it_is_used(tmp_path):
@@ -226,9 +226,9 @@ def test_one_entry_point_of_a_distribution_is_left_out(entry_point, swing):
         ("gauss", "options", "mbdkit/methods/gauss.py", "class GaussOptions("),
         ("single-pendulum", "build", "mbdkit/models/pendulums.py", "def build_single("),
         ("table", "law", "mbdkit/laws/tabulated.py", "LAW = "),
-        ("modes", "target", "mbdkit/cli/mechanics.py", "def modes("),
+        ("modes", "target", "plugins/mbdkit-statics/src/mbdkit_statics/commands.py", "def modes("),
         ("plugins new", "target", "mbdkit/cli/plugins.py", "def plugins_new("),
-        ("drift", "spec", "mbdkit/studies/packaged/drift/study.yaml", ""),
+        ("drift", "spec", "plugins/mbdkit-paper/src/mbdkit_paper/drift/study.yaml", ""),
     ],
 )
 def test_where_prints_the_line_that_defines_what_a_name_adds(name, field, file, begins):

@@ -17,9 +17,9 @@ from mbdkit.spec import load_spec
 from mbdkit.stepping.interface import Timetable
 from mbdkit.stepping.python_stepper import PythonStepper
 from mbdkit.stepping.start import start_method
-from mbdkit.testing import checks_of
-from mbdkit.testing.integrator_under_test import drive
-from mbdkit.testing.kit import plugin_under_test
+from mbdkit_testing import checks_of
+from mbdkit_testing.integrator_under_test import drive
+from mbdkit_testing.kit import plugin_under_test
 from tests.testing import corpus
 
 G, K = "(2 - sqrt(2))/2", "(3 + sqrt(3))/6"

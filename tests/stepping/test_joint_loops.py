@@ -11,7 +11,7 @@ import pytest
 import mbdkit
 from mbdkit.base.errors import SpecError
 from mbdkit.mechanism.mechanism import Mechanism
-from mbdkit.plot.caption import plain_name
+from mbdkit_report.plot.caption import plain_name
 from mbdkit.spec import load_spec
 from tests.engine.random_mechanisms import ladder
 

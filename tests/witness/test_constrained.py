@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import mbdkit
-from mbdkit.analysis.energy import trend
+from mbdkit_report.analysis.energy import trend
 from mbdkit.base.errors import SpecError
 from mbdkit.engine.equations_of_motion import EquationsOfMotion
 
@@ -121,7 +121,7 @@ def test_constraints_and_energy_of_a_pair_have_no_trend_over_a_hundred_thousand_
 def test_a_pair_leads_back_to_its_start(method: tuple[dict[str, Any], str]) -> None:
     # expected: the start itself; the pairs are symmetric (Hairer, Lubich and Wanner, VII.1.4)
     from mbdkit.engine.workspace import Workspace
-    from mbdkit.testing.kit import plugin_under_test
+    from mbdkit_testing.kit import plugin_under_test
 
     subject = plugin_under_test("integrator", f"mbdkit:{method[0]['name']}", {})
     workspace = subject.workspace(SWINGING)

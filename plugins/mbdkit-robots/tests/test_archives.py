@@ -13,8 +13,8 @@ import numpy as np
 import pytest
 
 import mbdkit
-from mbdkit.archive.blocks import Block
-from mbdkit.figures.drawing_geometry import draw_run
+from mbdkit_studies.blocks import Block
+from mbdkit_report.figures.drawing_geometry import draw_run
 
 pytest.importorskip("defusedxml")
 

@@ -7,9 +7,9 @@ from pathlib import Path
 
 import numpy as np
 
-from mbdkit.figures.palette import PALETTE
-from mbdkit.plot.caption import Caption
-from mbdkit.plot.style import dress, legend, new_figure, save
+from mbdkit_report.figures.palette import PALETTE
+from mbdkit_report.plot.caption import Caption
+from mbdkit_report.plot.style import dress, legend, new_figure, save
 from tests.benchmarks.timing import duration
 
 from .contender import OURS

@@ -16,8 +16,8 @@ from mbdkit.base.errors import SpecError
 from mbdkit.runs.accuracy.compared_measures import other_methods
 from mbdkit.runs.preparation import build, make_method
 from mbdkit.spec import load_spec
-from mbdkit.studies.sensitivity import sensitivity
-from mbdkit.studies.study_headlines import headlines
+from mbdkit_studies.sensitivity import sensitivity
+from mbdkit_studies.study_headlines import headlines
 from mbdkit.trust.measure_error import measure_error
 from tests.runs.test_continuous_measures import EXACT, TEXTS, oscillator
 

@@ -28,7 +28,7 @@ from mbdkit.cli import app
 from mbdkit.runs import provenance
 from mbdkit.runs.run_checkpoint import Parts
 from mbdkit.stepping import interface
-from mbdkit.studies import worker as study_worker
+from mbdkit_studies import worker as study_worker
 
 from .killed_runs import killed, make_frequent
 

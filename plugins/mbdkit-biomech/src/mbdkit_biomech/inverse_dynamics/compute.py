@@ -1,0 +1,350 @@
+"""Inverse dynamics of a spec: from the measured motion to the forces of actuators and joints, as arrays."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from scipy.integrate import cumulative_simpson
+
+from mbdkit.base.errors import RunError, SpecError
+from mbdkit.base.text import counted, listed
+from mbdkit.engine.kernels.observe import Observed
+from mbdkit.engine.observed_states import GivenForces, StateObserver
+from mbdkit_biomech.inverse_dynamics.dynamics import Dynamics, largest_unbalanced, require_driven, solve_dynamics
+from mbdkit_biomech.inverse_dynamics.fit import Fitter
+from mbdkit_biomech.inverse_dynamics.loads import Loads, LoadSeries, loads_on, read_loads
+from mbdkit_biomech.inverse_dynamics.manifold import Manifold
+from mbdkit_biomech.inverse_dynamics.measured import Measured, read_motion
+from mbdkit_biomech.inverse_dynamics.placed_gaps import PlacedGaps, place_gaps
+from mbdkit_biomech.inverse_dynamics.recruited import Recruited
+from mbdkit_biomech.inverse_dynamics.recruitment import Recruiter
+from mbdkit_biomech.inverse_dynamics.reduced_motion import Independent, Motion, independent_coordinates, motion_of_derivatives, motion_of_series
+from mbdkit_biomech.inverse_dynamics.smoothing import smoothed
+from mbdkit_biomech.inverse_dynamics.unused_data import UnusedData
+from mbdkit.runs.assembled_mechanism import AssembledMechanism
+from mbdkit.mechanism.quantity_names import QuantityNames
+from mbdkit.quantities.states import Muscles, States
+from mbdkit.runs.law_ranges import LawRanges
+from mbdkit.spec import InverseSpec
+from mbdkit_biomech.inverse_dynamics.named_actuators import NamedActuator, actuators_of, light_roots
+from mbdkit.stepping.interface import Nodes
+
+_COLUMNS = "motion.columns"
+
+
+@dataclass(frozen=True)
+class InverseProblem:
+    """A spec with its mechanism, data and actuators, before any results are computed.
+
+    Attributes
+    ----------
+    spec
+        The spec.
+    prepared
+        The mechanism, assembled for the time of the motion.
+    fitter
+        Fits the mechanism to data; contains the constraint manifold of the mechanism.
+    names
+        Quantities of the mechanism by name.
+    measured
+        The measured motion; angles begin within half a turn of the initial pose of the mechanism.
+    loads
+        The measured loads by name.
+    actuators
+        The actuators, with residual ones last.
+    recruiter
+        Recruits the muscles; None without `recruitment`.
+    unused
+        Markers of the model without data, and columns of the table that are not used.
+    """
+
+    spec: InverseSpec
+    prepared: AssembledMechanism
+    fitter: Fitter
+    names: QuantityNames
+    measured: Measured
+    loads: dict[str, LoadSeries]
+    actuators: list[NamedActuator]
+    recruiter: Recruiter | None = None
+    unused: UnusedData = field(default_factory=UnusedData)
+
+    @property
+    def recorded_actuators(self) -> list[NamedActuator]:
+        """The actuators, followed by the reserves."""
+        return [*self.actuators, *([] if self.recruiter is None else self.recruiter.reserves)]
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """Warnings about the model, as sentences."""
+        mechanism = self.names.mechanism
+        told = [f"{warning}." for warning in (*mechanism.warnings, *mechanism.left_out_of_runs)]
+        if self.names.mechanism.muscles and self.recruiter is None:
+            told.append("the model has muscles, which exert no force because the spec has no `recruitment`.")
+        told += self.unused.warnings
+        if any(actuator.is_residual for actuator in self.actuators):
+            told += [f"{warning}." for warning in light_roots(self.names.mechanism)]
+        return tuple(told)
+
+    @classmethod
+    def of(cls, spec: InverseSpec) -> InverseProblem:
+        """Read the data of a spec and assemble its mechanism.
+
+        Raises
+        ------
+        SpecError
+            If the data, or names in the spec, are wrong. The error contains the file and line, or the key of the spec.
+        """
+        names = QuantityNames(spec.mechanism())
+        try:
+            with spec.recording_files():
+                measured, table = read_motion(spec, names)
+                loads = read_loads(spec, names, table)
+            observed = dict(zip(measured.names, measured.quantities.quantities, strict=True))
+            actuators = actuators_of(spec.actuators, names, observed)
+            recruiter = None if spec.recruitment is None else Recruiter(spec.recruitment, names, actuators)
+        except SpecError as error:
+            raise spec.placed(error) from error
+        prepared = AssembledMechanism.at(spec, float(measured.time[0]), float(measured.time[-1]))
+        measured = measured.near(prepared.equations.q0)
+        fitter = Fitter(Manifold(prepared), prepared.workspace.mechanism.bodies)
+        unused = UnusedData.of(spec, names, measured, table)
+        return cls(spec, prepared, fitter, names, measured, loads, actuators, recruiter, unused)
+
+
+@dataclass(frozen=True)
+class Fitted:
+    """The mechanism fitted to a measured motion in T frames.
+
+    Attributes
+    ----------
+    measured
+        The measured motion, with angles shifted by full turns so that they agree with the pose in the first frame.
+    q
+        (T, n) poses that satisfy the constraints.
+    placed
+        Gaps of the motion that are filled by means of the other columns; None if there are none.
+    """
+
+    measured: Measured
+    q: np.ndarray
+    placed: PlacedGaps | None = None
+
+    @property
+    def values(self) -> np.ndarray:
+        """(T, K) values of the observed quantities."""
+        return self.measured.quantities.values(self.q)
+
+    @property
+    def residual(self) -> np.ndarray:
+        """(T, K) raw - fitted values; nan in gaps."""
+        left: np.ndarray = self.measured.raw - self.values
+        return left
+
+    @property
+    def interpolated(self) -> np.ndarray:
+        """(T, K) whether a value is missing and interpolated over time."""
+        missing = np.isnan(self.measured.raw)
+        return missing if self.placed is None else self.placed.interpolated(missing)
+
+
+@dataclass(frozen=True)
+class Inverse:
+    """The result of inverse dynamics in T frames.
+
+    `dynamics` contains the forces that produce the motion without muscles. `recruited` is None if the spec has no
+    `recruitment`. `independent` is None if the data contain derivatives.
+    """
+
+    problem: InverseProblem
+    fitted: Fitted
+    independent: Independent | None
+    motion: Motion
+    loads: Loads
+    dynamics: Dynamics
+    recruited: Recruited | None = None
+
+    @property
+    def lam(self) -> np.ndarray:
+        """(T, m) multipliers of the independent constraint rows, with the forces of recruited muscles if any."""
+        return self.dynamics.lam if self.recruited is None else self.recruited.lam
+
+    @property
+    def actuators(self) -> np.ndarray:
+        """(T, U, 2) values and powers of the actuators in `InverseProblem.recorded_actuators`."""
+        if self.recruited is None:
+            return np.stack([self.dynamics.value, self.dynamics.power], axis=-1)
+        one = self.recruited
+        values, powers = np.hstack([one.actuator, one.reserve]), np.hstack([one.actuator_power, one.reserve_power])
+        return np.stack([values, powers], axis=-1)
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """Warnings about the result, as sentences."""
+        problem, motion, dynamics = self.problem, self.motion, self.dynamics
+        told = [*problem.warnings]
+        if len(motion.coordinates) > 1:
+            when = listed([f"{motion.time[begin]:.6g} s" for begin, _ in motion.coordinates[1:]], "and")
+            told.append(
+                f"no set of independent coordinates determines the motion well at all times, so that the set changes "
+                f"at t = {when}; the smoothed motion may have small discontinuities there."
+            )
+        if dynamics.surplus:
+            told.append(
+                f"{counted(len(problem.actuators), 'actuator')} drive "
+                f"{counted(len(problem.actuators) - dynamics.surplus, 'degree')} of freedom, so their values are not "
+                "unique: the sum of (weight * value)^2 is minimised, with torques divided by the characteristic length "
+                f"({problem.fitter.manifold.length:.4g} m)."
+            )
+        if problem.spec.unbalanced == "report" and np.any(dynamics.unbalanced):
+            worst = largest_unbalanced(dynamics, problem.fitter.bodies)
+            told.append(
+                f"the actuators cannot produce the motion: in the least-squares solution, {worst} stay unbalanced."
+            )
+        return (*told, *self._laws_out_of_range())
+
+    def _laws_out_of_range(self) -> tuple[str, ...]:
+        """Return warnings about force laws that the motion uses outside their ranges."""
+        workspace, motion = self.problem.prepared.workspace, self.motion
+        ranges = LawRanges.of(self.problem.spec.mechanism(), workspace.mechanism, workspace)
+        if ranges is None:
+            return ()
+        count = len(motion.time)
+        q, v = (np.column_stack([x, np.zeros((count, 3))]) for x in (motion.q, motion.v))
+        ranges.add_between(Nodes(motion.time, np.zeros(count), q, v))
+        ranges.add(np.zeros(0), np.zeros((0, len(workspace.mechanism.forces), 5)))
+        return tuple(f"{warning}." for warning in ranges.warnings())
+
+
+def fit(problem: InverseProblem) -> Fitted:
+    """Fit the mechanism to the measured motion.
+
+    Raises
+    ------
+    SpecError
+        If the columns do not determine the motion; the message names the bodies that are not observed.
+    RunError
+        If no pose is found.
+    """
+    first, values = _first_pose(problem)
+    fitter, measured = problem.fitter, problem.measured.turned(values)
+    q = fitter.poses(measured.target, first)
+    fitter.require_observed(measured.target, q, _COLUMNS)
+    return Fitted(*place_gaps(fitter, measured, q))
+
+
+def _first_pose(problem: InverseProblem) -> tuple[np.ndarray, np.ndarray]:
+    """Return the pose of the first frame; see `Fitter.first_pose`."""
+    fitter, target, start = problem.fitter, problem.measured.target, problem.prepared.equations.q0
+    fitter.require_observed(target.rows(slice(0, 1)), start[None], _COLUMNS)
+    return fitter.first_pose(target, start)
+
+
+def check(problem: InverseProblem) -> None:
+    """Raise those errors of `compute` that can be found from the pose in the first frame alone."""
+    try:
+        first, _ = _first_pose(problem)
+        if problem.spec.unbalanced == "refuse":
+            require_driven(problem.fitter, float(problem.measured.time[0]), first, problem.actuators)
+    except SpecError as error:
+        raise problem.spec.placed(error) from error
+
+
+def compute(problem: InverseProblem) -> Inverse:
+    """Compute the forces of actuators and joints.
+
+    Raises
+    ------
+    SpecError
+        If the input is wrong. The error contains the file and line of the key in the spec.
+    RunError
+        If no pose fits the data, or the mechanism passes a singular position.
+    """
+    try:
+        fitted = fit(problem)
+        return _of_fitted(problem, fitted)
+    except SpecError as error:
+        raise problem.spec.placed(error) from error
+
+
+def _of_fitted(problem: InverseProblem, fitted: Fitted) -> Inverse:
+    independent, motion = motion_of(problem, fitted)
+    return forces_of(problem, fitted, independent, motion)
+
+
+def motion_of(problem: InverseProblem, fitted: Fitted) -> tuple[Independent | None, Motion]:
+    """Return the motion of a fitted mechanism, and its independent coordinates unless derivatives were given."""
+    fitter, measured = problem.fitter, fitted.measured
+    if measured.derivatives is not None:
+        return None, motion_of_derivatives(fitter.manifold, measured, fitted.q)
+    independent = independent_coordinates(fitter, measured, fitted.q, problem.names.candidates())
+    series = smoothed(measured.time, independent.quantities.values(fitted.q), problem.spec.motion.smooth)
+    return independent, motion_of_series(fitter, independent, measured.time, fitted.q, series)
+
+
+def forces_of(
+    problem: InverseProblem, fitted: Fitted, independent: Independent | None, motion: Motion, *, strict: bool = True
+) -> Inverse:
+    """Return the result of inverse dynamics for a motion.
+
+    See `compute` for errors, and `Recruiter.recruited` for `strict`.
+    """
+    loads = loads_on(motion, problem.loads, problem.fitter.bodies)
+    report = problem.spec.unbalanced == "report"
+    dynamics, balance, needed = solve_dynamics(problem.fitter, motion, loads, problem.actuators, report=report)
+    recruiter = problem.recruiter
+    recruited = None if recruiter is None else recruiter.recruited(motion, dynamics, balance, needed, strict=strict)
+    return Inverse(problem, fitted, independent, motion, loads, dynamics, recruited)
+
+
+def recorded_states(result: Inverse) -> States:
+    """Return the states of the motion with accelerations, reactions, forces and energies.
+
+    Raises
+    ------
+    RunError
+        If the states are not unique at a singular position.
+    """
+    motion, dynamics = result.motion, result.dynamics
+    workspace, manifold = result.problem.prepared.workspace, result.problem.fitter.manifold
+    count = len(motion.time)
+    found = manifold.reactions(motion.time, motion.q, motion.v, result.lam)
+    q, v, a = (np.column_stack([x, np.zeros((count, 3))]) for x in (motion.q, motion.v, motion.a))
+    observer = StateObserver(workspace)
+    observed: Observed = observer.arrays(count)
+    singular = observer.observe(motion.time, q, v, observed, GivenForces(a, found.lam, found.reactions))
+    if singular is not None:
+        where = workspace.mechanism.unknown_name(singular.unknown)
+        raise RunError(f"no unique solution near {where} at t = {motion.time[singular.row]:.6g} s")
+    supplied = found.powers[:, 0] + dynamics.power.sum(axis=1) + result.loads.power.sum(axis=1)
+    work, dissipated = (cumulative_simpson(x, x=motion.time, initial=0) for x in (supplied, found.powers[:, 1]))
+    start = float(observed.kinetic[0] + observed.potential[0])
+    return States(
+        workspace.mechanism,
+        motion.time,
+        q,
+        v,
+        lambda: observed,
+        work=work,
+        dissipated=dissipated,
+        start_energy=start,
+        actuators=result.actuators,
+        muscles=_muscles(result),
+        elapsed=np.zeros(count),
+    )
+
+
+def _muscles(result: Inverse) -> Muscles | None:
+    """Return the recorded values of the recruited muscles."""
+    one = result.recruited
+    if one is None:
+        return None
+    own, muscles = one.contraction, tuple(result.problem.names.mechanism.muscles.values())
+    fibers = own.fiber_length, own.fiber_rate
+    return Muscles(own.length, own.rate, *fibers, one.activation, one.force, one.power, muscles)
+
+
+def reaction_forces_without_muscles(result: Inverse) -> np.ndarray:
+    """Return the reaction forces (T, J, 2) [N] for the same motion without muscles, produced by the actuators alone."""
+    without = replace(result, recruited=None)
+    return recorded_states(without).reactions[:, :, :2]

@@ -1,0 +1,100 @@
+"""The verdict on a result of inverse dynamics, from the doubts about its data and model that the spec does not
+accept.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from mbdkit_biomech.inverse_dynamics.column_criteria import column_doubts, doubts_before_fit
+from mbdkit_biomech.inverse_dynamics.compute import Inverse, InverseProblem
+from mbdkit_biomech.inverse_dynamics.doubt import Doubt
+from mbdkit_biomech.inverse_dynamics.error_bars import ErrorBars
+from mbdkit_biomech.inverse_dynamics.knee_criterion import knee_doubts
+from mbdkit_biomech.inverse_dynamics.large_errors import large_errors
+from mbdkit_biomech.inverse_dynamics.load_criteria import load_doubts, units_of_loads
+from mbdkit_biomech.inverse_dynamics.missing_points import forces_at_centres, missing_points
+from mbdkit_biomech.inverse_dynamics.model_criteria import model_doubts, spec_doubts
+from mbdkit_biomech.inverse_dynamics.record_criteria import record_doubts
+from mbdkit_biomech.inverse_dynamics.shared_columns import equal_columns, shared_columns
+from mbdkit_biomech.inverse_dynamics.smoothing_criteria import cutoff_doubts
+from mbdkit_biomech.inverse_dynamics.stated_deviations import large_deviations
+from mbdkit_biomech.inverse_dynamics.turn_criteria import turn_doubts, uncertain_turns
+from mbdkit.mechanism.improbable_bodies import inertias_about_joints
+from mbdkit_biomech.inverse_dynamics.inverse_sections import Criterion
+from mbdkit.trust.criteria import Evidence, Judgement, judge
+
+
+class DataDoubts(NamedTuple):
+    """Doubts about the data and the model, as sentences that begin with the name of the criterion.
+
+    Attributes
+    ----------
+    open
+        Doubts that the spec does not accept.
+    accepted
+        Doubts that the spec accepts.
+    remarks
+        Sentences on the data that do not change the verdict.
+    """
+
+    open: tuple[str, ...] = ()
+    accepted: tuple[str, ...] = ()
+    remarks: tuple[str, ...] = ()
+
+
+def doubts_about_data(result: Inverse, bars: ErrorBars | None) -> DataDoubts:
+    """Return the doubts about the data and the model of a result, and remarks on the data."""
+    shared = shared_columns(result.problem)
+    found = [*shared, *column_doubts(result), *cutoff_doubts(result), *load_doubts(result, bars), *model_doubts(result)]
+    found += [*missing_points(result.problem), *turn_doubts(result), *knee_doubts(result), *record_doubts(result, bars)]
+    found += [*units_of_loads(result.problem), *large_errors(result, bars)]
+    remarks = (
+        *equal_columns(result.problem),
+        *forces_at_centres(result.problem),
+        *uncertain_turns(result),
+        *large_deviations(result, bars),
+        *inertias_about_joints(result.problem.names.mechanism),
+    )
+    return _sorted(found, result.problem.spec.accept)._replace(remarks=remarks)
+
+
+def doubts_before_computation(problem: InverseProblem) -> DataDoubts:
+    """Return those doubts about the data and the model that do not depend on the computed motion and forces."""
+    columns = doubts_before_fit(problem.measured, problem.fitter.manifold.length)
+    found = [*shared_columns(problem), *columns, *units_of_loads(problem), *missing_points(problem)]
+    found += spec_doubts(problem.spec)
+    return _sorted(found, problem.spec.accept)
+
+
+def _sorted(found: Sequence[Doubt], accepted: Sequence[Criterion]) -> DataDoubts:
+    """Separate open doubts from accepted ones."""
+    texts = [(one.criterion in accepted, f"{one.criterion}: {one.sentence}") for one in found]
+    return DataDoubts(*(tuple(text for is_accepted, text in texts if is_accepted == side) for side in (False, True)))
+
+
+def verdict_on_data(result: Inverse, misalignment: np.ndarray, doubts: DataDoubts) -> Judgement:
+    """Return the verdict, which is ``unknown`` at best: error bars do not cover wrong data, masses and lengths.
+
+    Parameters
+    ----------
+    misalignment
+        (J,) largest misalignment of each joint [m].
+    doubts
+        The doubts about data and model. Only open doubts lower the level; the accepted ones are added to the reasons.
+    """
+    joints = result.problem.prepared.workspace.mechanism.joints
+    worst = int(np.argmax(misalignment)) if misalignment.size else 0
+    return judge(
+        Evidence(
+            end=float(result.motion.time[-1]),
+            size=result.problem.fitter.manifold.length,
+            misalignment=float(np.max(misalignment, initial=0.0)),
+            joint=joints[worst] if misalignment.size else "",
+            warnings=doubts.open,
+            accepted=doubts.accepted,
+        )
+    )

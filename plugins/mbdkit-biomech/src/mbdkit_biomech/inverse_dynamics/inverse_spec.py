@@ -1,0 +1,129 @@
+"""The spec of inverse dynamics: a model, its measured motion, loads and actuators."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
+
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, create_model
+
+from mbdkit.base.errors import SpecError
+from mbdkit.base.plain_data import path_text, quoted
+from mbdkit.base.strict_model import description
+from mbdkit.mechanism.bodies import GROUND
+from mbdkit.mechanism.checks import check_name
+from mbdkit.mechanism.joints import joint_with_friction
+from mbdkit.mechanism.quantity_names import QuantityNames
+from mbdkit.registry.catalogue import Registered, Registry
+from mbdkit.spec.choices import Choice
+from mbdkit_biomech.inverse_dynamics.inverse_sections import Actuator, Criterion, Load, MeasuredMotion, Recruitment, Span
+from mbdkit.spec.model_spec import ModelSpec
+from mbdkit_biomech.inverse_dynamics.named_actuators import actuators_of, reserves_of
+from mbdkit.spec.study_measures import DefinedMeasure, RunMeasures, defined
+
+if TYPE_CHECKING:
+    from mbdkit.mechanism.mechanism import Mechanism
+
+
+def _named(sections: dict[str, Any]) -> dict[str, Any]:
+    for name in sections:
+        if name != GROUND:  # allowed, because "ground" is a natural name for a load
+            check_name(name, name)
+    return sections
+
+
+class InverseSpec(ModelSpec):
+    """The complete input of inverse dynamics: from a measured motion to the loads of joints and actuators.
+
+    Raises
+    ------
+    SpecError
+        If the spec is not valid, with the key path.
+    """
+
+    model_config = ConfigDict(title="mbdkit spec of inverse dynamics", defer_build=True)
+    ABSENT_BY_DEFAULT: ClassVar[tuple[str, ...]] = (
+        "parameters",
+        "loads",
+        "actuators",
+        "recruitment",
+        "measures",
+        "unbalanced",
+        "accept",
+    )
+
+    motion: MeasuredMotion
+    """The measured motion."""
+    loads: Annotated[dict[str, Load], AfterValidator(_named)] = Field(default_factory=dict)
+    """Measured loads by name, such as the force of the ground on a foot."""
+    actuators: Annotated[dict[str, Actuator], AfterValidator(_named)] = Field(default_factory=dict)
+    """Actuators by name; by default, one for each observed relative angle or travel. Bodies that no joint connects to
+    the ground have residual actuators in addition: root.x, root.y and root.angle, or actuators with the names that the
+    model gives to these coordinates."""
+    recruitment: Recruitment | None = None
+    """How the muscles of the model share the moments of the actuators; without it, muscles exert no force."""
+    unbalanced: Literal["refuse", "report"] = "refuse"
+    """What happens if the actuators cannot produce the motion: `refuse` makes this an error; `report` chooses their
+    values so that the sum of squares of the unbalanced generalized forces is smallest, and reports these forces."""
+    accept: list[Criterion] = Field(default_factory=list)
+    """Criteria that are not applied in the verdict on the data, because their findings are known and intended."""
+    time: Span = Span()
+    """The part of the motion that is used."""
+    measures: RunMeasures = Field(default_factory=dict)
+    """Measures by name: numbers that expressions, such as `max(abs(joints.B.force))`, take from the result."""
+
+    def _accept(self, mechanism: Mechanism) -> None:
+        if mechanism.contacts:
+            raise SpecError(
+                "inverse dynamics does not support contacts: omit them, and give the forces of the ground as `loads`",
+                key=f"model.contacts.{quoted(next(iter(mechanism.contacts)))}",
+            )
+        if name := joint_with_friction(mechanism.joints):
+            raise SpecError(
+                "inverse dynamics does not support friction in joints; omit it",
+                key=f"model.joints.{quoted(name)}.friction",
+            )
+
+    @property
+    def span(self) -> tuple[float, float] | None:
+        """None, because start and end follow from the measured motion."""
+        return None
+
+    @property
+    def items(self) -> list[Registered]:
+        """The registry entries of the model and the force laws."""
+        return [self.model_item, *self.force_law_items]
+
+    @property
+    def actuator_units(self) -> Mapping[str, str]:
+        """Units of the values of the actuators, by name.
+
+        If the observed quantities follow from the data, all possible actuators are listed.
+        """
+        names = QuantityNames(self.mechanism())
+        columns = self.motion.columns
+        # checked one by one, because the first of several names of a quantity would hide the others
+        if columns is None:
+            groups = [{name: quantity} for name, quantity in names.candidates().items()]
+        else:
+            groups = [{name: names.find(name, path_text(("motion", "columns", name))) for name in columns}]
+        found = [one for group in groups for one in actuators_of(self.actuators, names, group)]
+        reserves = [] if self.recruitment is None else reserves_of(self.recruitment, found)
+        return {one.name: one.unit for one in [*found, *(reserve.actuator for reserve in reserves)]}
+
+    @property
+    def folder(self) -> Path:
+        """Folder to which names of files are relative: the folder of the spec, or else the current folder."""
+        return Path() if self._document is None else self._document.folder
+
+    def defined_measures(self) -> tuple[DefinedMeasure, ...]:
+        """Return the measures of the result."""
+        return tuple(defined(self.measures, ("measures",)))
+
+
+def inverse_spec_type(installed: Registry) -> type[InverseSpec]:
+    """Return an InverseSpec class that selects from the given registry instead of the installed plugins."""
+    words = description(InverseSpec, "model")
+    field: Any = (Annotated[BaseModel, Choice("model", installed)], Field(description=words))
+    return create_model("InverseSpec", __base__=InverseSpec, __doc__=InverseSpec.__doc__, model=field)

@@ -1,0 +1,208 @@
+"""Errors of measures of inverse dynamics, by samples of noise and of properties of muscles, and by other cutoffs.
+
+The error bars of `mbdkit_biomech.inverse_dynamics.error_bars` hold at single times, while a measure depends on all times.
+Measures are therefore computed again from noisy motions and loads, whose accelerations at both ends are drawn too.
+Errors are unknown if long gaps may hide changes of a measure. The same seed gives the same noise, which cancels in the
+difference of two results for one motion, such as those with and without a device.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.stats import chi2
+
+from mbdkit.base.errors import SpecError
+from mbdkit_biomech.inverse_dynamics.compute import Inverse, InverseProblem, compute, forces_of
+from mbdkit_biomech.inverse_dynamics.ends_and_gaps import changes_at_ends, changes_in_gaps, long_gaps
+from mbdkit_biomech.inverse_dynamics.error_bars import CUTOFFS, HIDDEN, LEVEL
+from mbdkit_biomech.inverse_dynamics.loads import LoadSeries
+from mbdkit_biomech.inverse_dynamics.muscle_samples import forces_with, known_mean, with_drawn_muscles
+from mbdkit_biomech.inverse_dynamics.noise import NoisePath, noise_of
+from mbdkit_biomech.inverse_dynamics.record import run_of
+from mbdkit_biomech.inverse_dynamics.reduced_motion import Independent, motion_of_series
+from mbdkit_biomech.inverse_dynamics.smoothing import Smoothed, fixed, smoothed_each, with_cutoff
+from mbdkit.spec import InverseSpec
+
+SAMPLES = 40
+"""Number of samples; with this number, the relative scatter of the bounds is 1 / sqrt(2 * SAMPLES), 11 %."""
+
+HIDDEN_SAMPLES = 8
+"""Number of samples of what long gaps may hide."""
+
+FACTOR = float(chi2.ppf(LEVEL, 1))
+"""Ratio of the squared bound of a Gaussian variable to its mean square."""
+
+FIRST_NOISE = 1.0 / (np.sqrt(2.0) - 1.0)
+"""Ratio of the bias that the noise of the data causes to the mean change that further noise causes.
+
+Noise always increases a largest value or a root mean square. If noise dominates, these are proportional to its standard
+deviation, which the samples increase by a factor of sqrt(2). If noise is small, the ratio is 1 or so; the bias is then
+small compared with the scatter.
+"""
+
+
+@dataclass(frozen=True)
+class SampledMeasures:
+    """Measures of inverse dynamics for the data, for noisy data, and for other cutoffs.
+
+    Attributes
+    ----------
+    value
+        (..., K) measures for the data.
+    noisy
+        (S, ..., K) measures with noise added to the data.
+    cutoffs
+        (C, ..., K) measures with other cutoffs; C may be 0.
+    muscles
+        (P, ..., K) measures with other properties of the muscles; P may be 0.
+    """
+
+    value: np.ndarray
+    noisy: np.ndarray
+    cutoffs: np.ndarray
+    muscles: np.ndarray
+
+    def minus(self, other: SampledMeasures) -> SampledMeasures:
+        """Return the differences between two results, sample by sample, for the same noise, cutoffs and muscles."""
+        return SampledMeasures(
+            self.value - other.value,
+            self.noisy - other.noisy,
+            self.cutoffs - other.cutoffs,
+            self.muscles - other.muscles,
+        )
+
+    def bounds(self) -> np.ndarray:
+        """Return the bounds (..., K) of the errors, which hold with the probability `LEVEL`; nan if they are unknown.
+
+        The bounds are root sums of squares of the effects of noise, muscles and cutoffs. The effect of noise is the
+        bound of the scatter of the measure plus its bias, which is `FIRST_NOISE` times the mean change. The square of
+        the effect of muscles is `FACTOR` times the mean square change; for cutoffs, it is the mean square change
+        itself. Samples that are nan, because the muscles cannot produce the motion, are ignored. The bounds are nan if
+        these are more than half of the samples.
+        """
+        square = np.zeros_like(self.value)
+        if len(self.noisy):
+            change = self.noisy - self.value
+            mean, number = known_mean(change), np.sum(np.isfinite(change), axis=0)
+            variance = known_mean((change - mean) ** 2)
+            bias = FIRST_NOISE * np.sqrt(np.maximum(0.0, mean**2 - variance / np.maximum(1, number)))
+            square = (bias + np.sqrt(FACTOR * variance)) ** 2
+        for factor, samples in ((FACTOR, self.muscles), (1.0, self.cutoffs)):
+            if len(samples):
+                square = square + factor * known_mean((samples - self.value) ** 2)
+        return np.asarray(np.sqrt(square))
+
+
+def errors_of_measures(result: Inverse) -> dict[str, float]:
+    """Return the bounds of the errors of all measures of a result by name, in the units of the measures; empty if the
+    bounds are unknown.
+    """
+    names = [measure.name for measure in result.problem.spec.defined_measures()]
+    found = samples_of(result, names) if names else None
+    return {} if found is None else dict(zip(names, found.bounds().tolist(), strict=True))
+
+
+def sampled_measures(spec: InverseSpec, measures: Sequence[str]) -> SampledMeasures | None:
+    """Return K measures of a spec, given by their names, with their samples; see `samples_of`.
+
+    Raises
+    ------
+    MbdkitError
+        If the computation fails for the data.
+    """
+    return samples_of(compute(InverseProblem.of(spec)), measures)
+
+
+def samples_of(result: Inverse, measures: Sequence[str]) -> SampledMeasures | None:
+    """Return K measures of a result, given by their names, with their samples.
+
+    Returns
+    -------
+    SampledMeasures or None
+        None if no error bars are requested, if derivatives are part of the data, or if the noise of a column is neither
+        stated nor can be estimated from the residuals.
+    """
+    spec = result.problem.spec
+    asked = spec.motion.errors
+    independent = result.independent
+    if asked == "none" or independent is None or not independent.names:
+        return None
+    random = np.random.default_rng(asked.seed)
+    measured, times = result.fitted.measured, result.motion.time
+    coordinates = independent.quantities.values(result.fitted.q)
+    how = fixed(times, coordinates, spec.motion.smooth)
+    path, gaps = NoisePath(result, independent, how), long_gaps(result)
+    left = measured.raw - measured.quantities.values(result.motion.q)
+    deviation = noise_of(path, left, measured.deviation, random).deviation
+    if np.any(np.isnan(deviation)):
+        return None
+    series = smoothed_each(times, coordinates, how)
+    at_ends = changes_at_ends(times, coordinates, series, how, path, deviation=deviation)
+    noisy = [
+        _measured(_moved(result, independent, one, loads), measures)
+        for one, loads in _noisy(result, path, deviation, series, at_ends=at_ends, random=random)
+    ]
+    others = []
+    for factor in CUTOFFS:
+        moved = [with_cutoff(one, factor) or one for one in how]
+        if moved != how:
+            try:
+                other = smoothed_each(times, coordinates, moved)
+            except SpecError:  # the cutoff is too high for the sampling rate
+                continue
+            others.append(_measured(_moved(result, independent, other, result.problem.loads), measures))
+    drawn = [forces_with(problem, result) for problem in with_drawn_muscles(result.problem, random)]
+    value = _measured(result, measures)
+    unknown = np.full_like(value, np.nan)
+    muscles = [unknown if one is None else _measured(one, measures) for one in drawn]
+    found = SampledMeasures(value, *(np.array(one).reshape(len(one), len(value)) for one in (noisy, others, muscles)))
+    change = changes_in_gaps(result, path, gaps)
+    for _ in range(HIDDEN_SAMPLES if gaps else 0):
+        phase = random.uniform(0.0, 2 * np.pi, len(gaps))
+        other = _added(series, change, np.stack([np.cos(phase), np.sin(phase)], axis=1).ravel())
+        hidden = _measured(_moved(result, independent, other, result.problem.loads), measures)
+        found.noisy[:, np.abs(hidden - value) > HIDDEN * found.bounds()] = np.nan
+    return found
+
+
+def _noisy(
+    result: Inverse,
+    path: NoisePath,
+    deviation: np.ndarray,
+    series: Smoothed,
+    *,
+    at_ends: Smoothed,
+    random: np.random.Generator,
+) -> Iterator[tuple[Smoothed, dict[str, LoadSeries]]]:
+    """Yield samples of the coordinates, with noise and with changes at both ends, and of the loads."""
+    for block in path.samples(deviation, SAMPLES, random):
+        change = path.smoothed(block)
+        for own in np.eye(block.shape[2]):
+            ends = random.uniform(-1.0, 1.0, at_ends.value.shape[2:])
+            moved = _added(_added(series, change, own), at_ends, ends)
+            yield moved, {name: load.with_noise(random) for name, load in result.problem.loads.items()}
+
+
+def _added(series: Smoothed, changes: Smoothed, shares: np.ndarray) -> Smoothed:
+    """Return series (T, U) plus changes (T, U, C) times `shares` (C,)."""
+    return Smoothed(
+        series.value + changes.value @ shares,
+        series.rate + changes.rate @ shares,
+        series.acceleration + changes.acceleration @ shares,
+    )
+
+
+def _moved(result: Inverse, independent: Independent, series: Smoothed, loads: dict[str, LoadSeries]) -> Inverse:
+    """Return the result for other coordinates and loads; tensions are nan in frames that muscles cannot produce."""
+    problem = replace(result.problem, loads=loads)
+    motion = motion_of_series(problem.fitter, independent, result.motion.time, result.motion.q, series)
+    return forces_of(problem, result.fitted, independent, motion, strict=False)
+
+
+def _measured(result: Inverse, measures: Sequence[str]) -> np.ndarray:
+    """Return the measures (K,) of a result."""
+    with run_of(result) as run:
+        return np.array([run.measures[name] for name in measures])

@@ -1,0 +1,73 @@
+"""Moment arms of muscles about coordinates, at the recorded rows of a run."""
+
+from __future__ import annotations
+
+from copy import copy
+from dataclasses import dataclass
+
+import numpy as np
+
+from mbdkit.archive.run import Run
+from mbdkit.base.errors import SpecError
+from mbdkit_biomech.inverse_dynamics.manifold import Manifold
+from mbdkit.runs.assembled_mechanism import AssembledMechanism
+from mbdkit.mechanism.mechanism import Mechanism
+from mbdkit.mechanism.mechanism_quantities import Quantities
+from mbdkit.mechanism.quantity_names import QuantityNames
+from mbdkit.muscles.muscle_path import MusclePath
+
+DEPENDENT = 1e-6
+"""A quantity is chosen if more than this share of its gradient is independent of the gradients chosen before it."""
+
+
+@dataclass(frozen=True)
+class _Geometry:
+    """The mechanism of a run without forces, on which moment arms do not depend."""
+
+    whole: Mechanism
+
+    def mechanism(self) -> Mechanism:
+        geometry = copy(self.whole)
+        geometry.forces = {}
+        return geometry
+
+    def placed(self, error: SpecError) -> SpecError:
+        return error
+
+
+def moment_arms(run: Run, muscle: str, coordinate: str) -> np.ndarray:
+    """Return the moment arms (T,); see `mbdkit.archive.run.Run.moment_arms`."""
+    names = QuantityNames(run.mechanism)
+    own = names.find(coordinate, "coordinate")
+    time = np.asarray(run.time)
+    q = np.asarray(run.array("trajectory/position")).reshape(len(time), -1)
+    path = MusclePath(muscle, names.mechanism.muscles[muscle], names).at(time, q)
+    manifold = Manifold(AssembledMechanism.at(_Geometry(run.mechanism), float(time[0]), float(time[-1])))
+    free = manifold.directions(manifold.frames(time, q).jacobian).free * manifold.scale[:, None]
+    joints = [names.joint(name, "coordinate") for name in names.mechanism.joints]
+    rates = Quantities([own, *joints, *names.candidates().values()]).jacobian(q) @ free
+    rows = _independent(rates[len(time) // 2])
+    if 0 not in rows:
+        raise SpecError(f"'{coordinate}' cannot change, so muscles have no moment arms for it", key="coordinate")
+    one = np.zeros((len(time), len(rows), 1))
+    one[:, 0] = 1.0
+    alone = (free @ np.linalg.solve(rates[:, rows], one))[..., 0]
+    return -path.rate(alone)
+
+
+def _independent(rates: np.ndarray) -> list[int]:
+    """Return the indices of the first quantities that determine the motion.
+
+    Parameters
+    ----------
+    rates
+        (K, f) rates of the quantities along the free directions of the mechanism.
+    """
+    rows: list[int] = []
+    basis = np.zeros((0, rates.shape[1]))
+    for index, row in enumerate(rates):
+        rest = row - (row @ basis.T) @ basis
+        if len(rows) < rates.shape[1] and np.linalg.norm(rest) > DEPENDENT * np.linalg.norm(row):
+            rows.append(index)
+            basis = np.vstack([basis, rest / np.linalg.norm(rest)])
+    return rows

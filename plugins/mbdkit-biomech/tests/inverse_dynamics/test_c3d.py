@@ -1,0 +1,231 @@
+"""Markers and force plates of C3D files in the conventions of several makers, and what is said of other files."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import mbdkit
+from mbdkit import SpecError
+from mbdkit_biomech.inverse_dynamics.table_files import read_table
+from tests.inverse_dynamics.c3d_files import DEC, INTEL, MIPS, Convention, Plate, c3d_bytes
+from tests.inverse_dynamics.test_bad_input import pendulum
+
+ezc3d = pytest.importorskip("ezc3d", reason="ezc3d is not installed: pip install mbdkit[c3d]")
+
+ANGLE = 0.1 * np.arange(20)
+MARKERS = {"tip.x": "TOE.x", "tip.y": "TOE.y"}
+
+
+def write(path: Path, labels: list[str], unit: str = "mm", gap: int | None = None) -> Path:
+    """Write a file with a marker at the tip of a rod of 1 m; the others are at rest, and one has a gap in a frame."""
+    file = ezc3d.c3d()
+    points, residuals = np.zeros((4, len(labels), len(ANGLE))), np.zeros((1, len(labels), len(ANGLE)))
+    size = {"mm": 1000.0, "m": 1.0}[unit]
+    points[0, -1], points[1, -1], points[3] = size * np.cos(ANGLE), size * np.sin(ANGLE), 1.0
+    if gap is not None:
+        points[:3, -1, gap], residuals[0, -1, gap] = 0.0, -1.0  # as systems mark a point that no camera saw
+    about = file["parameters"]["POINT"]
+    about["RATE"]["value"], about["LABELS"]["value"], about["UNITS"]["value"] = [100.0], labels, [unit]
+    file["data"]["points"], file["data"]["meta_points"]["residuals"] = points, residuals
+    file.write(str(path))
+    return path
+
+
+def inverse(path: Path, **motion: Any) -> mbdkit.Run:
+    spec = pendulum(str(path), columns=MARKERS, **motion)
+    return mbdkit.inverse(spec, actuators={"hip": {"joint": "hip"}})
+
+
+@pytest.mark.parametrize("unit", ["mm", "m"])
+def test_markers_come_back_in_their_unit(tmp_path: Path, unit: str) -> None:
+    run = inverse(write(tmp_path / "walk.c3d", ["HEEL", "TOE"], unit))
+    np.testing.assert_allclose(run.joints["hip"].angle, ANGLE, rtol=0, atol=1e-6)  # the file has 32 bits
+    np.testing.assert_allclose(run.time, 0.01 * np.arange(20), rtol=0, atol=1e-12)
+
+
+def test_more_markers_than_one_parameter_of_the_file_names(tmp_path: Path) -> None:
+    run = inverse(write(tmp_path / "many.c3d", [*(f"M{k}" for k in range(299)), "TOE"]))
+    np.testing.assert_allclose(run.joints["hip"].angle, ANGLE, rtol=0, atol=1e-6)
+
+
+def test_a_marker_that_no_camera_saw_is_a_gap(tmp_path: Path) -> None:
+    path = write(tmp_path / "walk.c3d", ["HEEL", "TOE"], gap=7)
+    with pytest.raises(SpecError, match=r"walk.c3d: row 8: column 'TOE.x': the value is missing"):
+        inverse(path)
+    run = inverse(path, gaps={"longest": 0.1})
+    np.testing.assert_allclose(run.joints["hip"].angle, ANGLE, rtol=0, atol=1e-4)
+    assert np.isnan(run.motion["tip.x"].raw[7])
+
+
+def test_wrong_names_and_wrong_files_are_refused(tmp_path: Path) -> None:
+    path = write(tmp_path / "walk.c3d", ["HEEL", "TOES"])
+    with pytest.raises(
+        SpecError, match=r"motion\.columns\.\"tip\.x\"\.column: walk.c3d has no column 'TOE.x'.*'TOES.x'"
+    ):
+        inverse(path)
+    with pytest.raises(SpecError, match=r"walk.c3d: two columns have the heading 'TOE.x'"):
+        inverse(write(tmp_path / "walk.c3d", ["TOE", "TOE"]))
+    inverse(write(tmp_path / "walk.c3d", ["rest", "rest", "TOE"]))  # columns that are not used
+    whole = path.read_bytes()
+    for content in (b"", b"time,hip\n0,1\n", whole[: len(whole) // 2]):
+        (tmp_path / "bad.c3d").write_bytes(content)
+        with pytest.raises(SpecError, match=r"bad.c3d: this (is not a C3D file that can be read|C3D file)"):
+            inverse(tmp_path / "bad.c3d")
+
+
+CONVENTIONS = {  # byte order, numbers and names as the systems of these makers write them
+    "Vicon": (Convention(unit="mm", first_frame=1), "Subject:"),
+    "Qualisys": (Convention(unit="mm", analog_scale=0.01), ""),
+    "Motion Analysis": (Convention(MIPS, scale=0.02, analog_scale=0.05, analog_offset=2048), ""),
+    "older systems on DEC computers": (Convention(DEC, scale=0.02, analog_scale=0.05, analog_offset=10), ""),
+    "floating-point numbers of DEC": (Convention(DEC, analog_scale=0.5), ""),
+}
+
+
+def plate(kind: int, force: np.ndarray, point: np.ndarray, torque: np.ndarray, middle: np.ndarray) -> Plate:
+    """Return the plate that shows forces [N] on the foot at points [mm] and free torques [N mm], each (R, 3), by the
+    definition of the plates: moments about its sensor in axes that point forward, to the right and down.
+    """
+    down = np.diag([1.0, -1.0, -1.0])
+    corners = middle + np.array([[300, -200, 0], [-300, -200, 0], [-300, 200, 0], [300, 200, 0]])
+    origin = np.array([1.0, -2.0, -40.0])
+    own, arm, free = force @ down, origin + (point - middle) @ down, torque @ down
+    if kind == 1:  # force, point of application and free torque
+        return Plate(corners, origin, np.column_stack([own, ((point - middle) @ down)[:, :2], free[:, 2]]), kind=1)
+    if kind == 3:  # eight forces of sensors at distances a and b from the middle, and 40 mm below the surface
+        a, b, sensors = 120.0, 200.0, np.array([0.0, 0.0, -40.0])
+        moment = np.cross(sensors + (point - middle) @ down, own) + free
+        x, y, z = own.T
+        turn = moment[:, 2] / (2 * b)
+        part = np.stack([0 * z, moment[:, 0] / b, moment[:, 1] / a])  # of the sums with signs + + - -, and - + + -
+        signs = np.array([[1, 1, -1], [1, 1, 1], [1, -1, 1], [1, -1, -1]])
+        vertical = 0.25 * (z[:, None] + part.T @ signs.T)
+        sides = np.column_stack([x / 2 - turn, x / 2 + turn, y / 2, y / 2])
+        return Plate(corners, np.array([a, b, -40.0]), np.hstack([sides, vertical]), kind=3)
+    shown = np.concatenate([own, np.cross(arm, own) + free], axis=1)
+    matrix = np.eye(6) + 1e-4 * np.random.default_rng(3).standard_normal((6, 6)) if kind == 4 else None
+    return Plate(corners, origin, shown if matrix is None else shown @ np.linalg.inv(matrix).T, matrix, kind)
+
+
+@pytest.mark.parametrize("kind", [1, 2, 3, 4])
+@pytest.mark.parametrize("maker", CONVENTIONS)
+def test_markers_and_plates_of_a_maker_come_back(tmp_path: Path, maker: str, kind: int) -> None:
+    how, subject = CONVENTIONS[maker]
+    time, samples = np.arange(24) / 100.0, 5
+    knee = np.column_stack([500 + 100 * time, 0 * time + 20.0, 450 + 50 * np.sin(7 * time)])
+    ankle = np.where(np.arange(24)[:, None] == 7, np.nan, knee - [20.0, 0.0, 400.0])
+    fine = np.arange(24 * samples) / 500.0
+    force = np.column_stack([60 * np.sin(9 * fine), 10 + 0 * fine, 600 + 100 * np.cos(8 * fine)])
+    force[:20] = 0.0  # before the foot touches the plate
+    point = np.column_stack([600 + 300 * fine, 30 + 0 * fine, 0 * fine])
+    torque = np.column_stack([0 * fine, 0 * fine, 4000 * np.sin(6 * fine)]) * (np.arange(len(fine)) >= 20)[:, None]
+    plates = [plate(kind, 0.0 * force, point, 0.0 * torque, np.array([0.0, 0.0, 0.0])),
+              plate(kind, force, point, torque, np.array([650.0, 0.0, 0.0]))]  # fmt: skip
+    file = tmp_path / "gait.c3d"
+    file.write_bytes(c3d_bytes({f"{subject}LKNE": knee, f"{subject}LANK": ankle}, 100.0, how, plates, samples))
+    table = read_table(file, "motion.file")
+
+    def columns(name: str) -> np.ndarray:
+        return np.column_stack([table.column(f"{name}.{axis}", "") for axis in "xyz"])
+
+    assert table.unit("LKNE.x") == table.unit("plate2.point.x") == "mm"
+    assert table.unit("plate2.force.x") is None
+    np.testing.assert_allclose(table.column("time", ""), time, atol=1e-12)
+    np.testing.assert_allclose(columns("LKNE"), knee, atol=1e-4 if how.scale == 0 else 0.011)
+    np.testing.assert_allclose(columns("LANK"), ankle, atol=1e-4 if how.scale == 0 else 0.011)
+    np.testing.assert_array_equal(columns(f"{subject}LKNE"), columns("LKNE"))
+    # integers of 0.05 N and 10 N mm; forces of type 3 are sums of up to four of them
+    digits = (0.11 if kind == 3 else 0.06) if how.scale else 1e-3
+    np.testing.assert_allclose(columns("plate2.force"), force[::samples], atol=digits)
+    np.testing.assert_allclose(columns("plate2.torque"), 1e-3 * torque[::samples], atol=digits)
+    np.testing.assert_allclose(columns("plate2.point")[4:], point[::samples][4:], atol=0.5 if how.scale else 1e-2)
+    assert np.all(np.isnan(columns("plate2.point")[:4]))
+    assert not np.any(columns("plate1.force"))
+
+
+def test_plates_of_several_types_without_markers_are_a_table_of_all_samples(tmp_path: Path) -> None:
+    # as programs of force plates write them, with a frame rate of 0 in some of them
+    force = np.column_stack([np.full(30, 40.0), np.full(30, -20.0), 500.0 + np.arange(30)])
+    point, torque = np.full((30, 3), [20.0, -30.0, 0.0]), np.full((30, 3), [0.0, 0.0, 1500.0])
+    middle = np.array([[0.0, 0.0, 0.0], [10.0, 20.0, 0.0], [0.0, -20.0, 0.0]])
+    plates = [plate(kind, force, point, torque, one) for kind, one in zip((3, 2, 1), middle, strict=True)]
+    for rate, unit in ((100.0, "mm"), (0.0, "mm"), (0.0, "")):
+        path = tmp_path / "plates.c3d"
+        path.write_bytes(c3d_bytes({}, rate, Convention(analog_rate=500.0, unit=unit), plates, 5))
+        table = read_table(path, "motion.file")
+        assert table.unit("plate1.point.x") == "mm"
+        np.testing.assert_allclose(table.column("time", ""), np.arange(30) / 500.0, atol=1e-12)
+        for number in (1, 2, 3):
+            own = [
+                np.column_stack([table.column(f"plate{number}.{quantity}.{axis}", "") for axis in "xyz"])
+                for quantity in ("force", "point", "torque")
+            ]
+            for found, expected in zip(own, (force, point, 1e-3 * torque), strict=True):
+                np.testing.assert_allclose(found, expected, atol=1e-3)
+
+
+@pytest.mark.parametrize(("frames", "remains"), [((1, 4), 0.0), ((1, 0), 1.0), ((1, 20), 1.0)],
+                         ids=["unloaded", "none", "loaded"])  # fmt: skip
+@pytest.mark.parametrize("kind", [2, 3, 4])
+def test_the_offset_of_a_plate_in_its_baseline_is_subtracted(
+    tmp_path: Path, kind: int, frames: tuple[int, int], remains: float
+) -> None:
+    force = np.tile([40.0, -20.0, 500.0], (100, 1)) * (np.arange(100)[:, None] >= 20)
+    point, torque = np.full((100, 3), [20.0, -30.0, 0.0]), np.full((100, 3), [0.0, 0.0, 1500.0])
+    made = plate(kind, force, point, torque * (force[:, 2:] > 0), np.array([10.0, 5.0, 0.0]))
+    offset = np.array(
+        [0.5, -0.5, 0.3, 0.2, 1.0, 2.0, 1.5, 1.0] if kind == 3 else [1.0, -2.0, -6.0, 300.0, 500.0, 200.0]
+    )
+    made.channels, made.zero = made.channels + offset, frames
+    file = tmp_path / "plates.c3d"
+    file.write_bytes(c3d_bytes({"LKNE": np.zeros((20, 3))}, 100.0, Convention(), [made], 5))
+    table = read_table(file, "motion.file")
+    found = [
+        np.column_stack([table.column(f"plate1.{quantity}.{axis}", "") for axis in "xyz"])[4:]
+        for quantity in ("force", "point", "torque")
+    ]
+    expected = force[::5][4:], point[::5][4:], 1e-3 * torque[::5][4:]
+    for values, exact in zip(found, expected, strict=True):
+        np.testing.assert_allclose(values, exact, atol=1e-3 + remains * 20.0)
+    assert np.allclose(found[0], expected[0], atol=1e-3) == (remains == 0.0)
+
+
+def test_names_of_two_subjects_need_their_subject_and_plates_that_cannot_be_read_are_named(tmp_path: Path) -> None:
+    rest = np.zeros((5, 3))
+    wrong = Plate(np.zeros((4, 3)), np.zeros(3), np.zeros((5, 6)))
+    content = c3d_bytes({"A:LKNE": rest, "B:LKNE": rest + 1.0, "A:RKNE": rest}, 100.0, Convention(), [wrong])
+    path = tmp_path / "two.c3d"
+    path.write_bytes(content.replace(b"TYPE\x08\x00\x02\x01\x01\x02\x00", b"TYPE\x08\x00\x02\x01\x01\x07\x00"))
+    table = read_table(path, "motion.file")
+    assert table.column("RKNE.x", "").tolist() == [0.0] * 5
+    with pytest.raises(SpecError, match=r"no column 'LKNE.x'"):
+        table.column("LKNE.x", "")
+    with pytest.raises(SpecError, match=r"no column 'plate1.force.x'.*its force plates cannot be read"):
+        table.column("plate1.force.x", "")
+    path.write_bytes(c3d_bytes({"LKNE": rest}, 100.0, Convention(analog_offset=-10), [wrong]))
+    with pytest.raises(SpecError, match=r"no column 'plate1.force.x'.*negative offsets"):
+        read_table(path, "motion.file").column("plate1.force.x", "")
+
+
+@pytest.mark.parametrize("processor", [INTEL, DEC, MIPS])
+@pytest.mark.parametrize(("cut", "frames"), [(2048, 0), (600, 90)])
+def test_a_file_whose_end_is_missing_is_refused(tmp_path: Path, processor: int, cut: int, frames: int) -> None:
+    whole = c3d_bytes({"TOE": np.zeros((100, 3))}, 100.0, Convention(processor=processor, first_frame=17))
+    (tmp_path / "walk.c3d").write_bytes(whole[:-cut])
+    with pytest.raises(SpecError, match=rf"walk.c3d: this C3D file ends after {frames} of its 100 frames"):
+        read_table(tmp_path / "walk.c3d", "motion.file")
+
+
+@pytest.mark.parametrize("processor", [INTEL, DEC, MIPS])
+def test_a_parameter_that_is_longer_than_its_place_is_refused(tmp_path: Path, processor: int) -> None:
+    # ezc3d reads beyond the end of the file, which may end the process
+    content = bytearray(c3d_bytes({"TOE": np.zeros((100, 3))}, 100.0, Convention(processor=processor)))
+    shape = content.index(b"LABELS") + len("LABELS") + 4
+    content[shape : shape + 2] = b"\xff\xff"
+    (tmp_path / "walk.c3d").write_bytes(content)
+    with pytest.raises(SpecError, match="not a C3D file that can be read: a parameter is longer than its place"):
+        read_table(tmp_path / "walk.c3d", "motion.file")

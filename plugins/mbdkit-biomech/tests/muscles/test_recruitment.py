@@ -1,0 +1,254 @@
+"""Recruitment in inverse dynamics: against OpenSim's static optimization, closed forms, and identities."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import mbdkit
+from mbdkit import RunError, SpecError
+from mbdkit_report.pages.report import report
+from tests.muscles import leg
+from tests.muscles.recruited import leg_spec
+
+OPENSIM = json.loads((Path(__file__).parent / "opensim_muscles.json").read_text())["recruitment"]
+INSIDE = slice(2, -2)
+"""OpenSim differentiates the motion by splines, whose ends are less accurate."""
+
+
+@pytest.fixture(scope="module")
+def walked():
+    with mbdkit.inverse(leg_spec()) as run:
+        yield run
+
+
+def test_activations_are_those_of_opensims_static_optimization(walked):
+    for name, theirs in OPENSIM["activation"].items():
+        np.testing.assert_allclose(
+            walked.muscles[name].activation[INSIDE], np.array(theirs)[INSIDE], rtol=0, atol=2e-3, err_msg=name
+        )
+
+
+def test_joints_carry_the_forces_that_they_carry_in_opensim_with_equal_muscles():
+    wanted = json.loads((Path(__file__).parent / "opensim_muscles.json").read_text())["postures"]
+    spec = leg_spec(leg.HOLDING, changed={"pennation": 0.14}, capacity="isometric", minimum=0.0)
+    columns = spec["motion"]["columns"]
+    for angles, posture in zip(leg.POSTURES, wanted, strict=True):
+        data = {"time": [0.0, 0.1, 0.2, 0.3, 0.4], "zero": [0.0] * 5}
+        data |= {name: [angle] * 5 for name, angle in zip(("hip", "knee"), angles, strict=True)}
+        at_rest = {key: one | {"rate": "zero", "acceleration": "zero"} for key, one in columns.items()}
+        run = mbdkit.inverse(spec | {"motion": {"data": data, "columns": at_rest}})
+        for name, force in posture["muscles"].items():
+            assert run.muscles[name].force[2] == pytest.approx(force, rel=1e-9)
+        for name, force in posture["joints"].items():
+            peak = np.linalg.norm(force)
+            np.testing.assert_allclose(run.joints[name].reaction_force[2], force, rtol=0, atol=1e-9 * peak)
+
+
+def test_moments_of_the_muscles_are_arms_times_forces(walked):
+    for actuator in ("hip", "knee"):
+        total = sum(
+            walked.moment_arms(name, f"{actuator}.angle") * muscle.force for name, muscle in walked.muscles.items()
+        )
+        np.testing.assert_allclose(total, walked.actuators[actuator].value, rtol=0, atol=1e-10)
+
+
+def test_every_frame_has_a_certificate(walked):
+    assert np.max(walked.array("muscles/certificate")) < 1e-12
+
+
+def test_power_of_muscles_is_that_of_the_moments_and_energy_is_balanced(walked):
+    muscles = sum(muscle.power for muscle in walked.muscles.values())
+    actuators = sum(actuator.power for actuator in walked.actuators.values())
+    np.testing.assert_allclose(muscles, actuators, rtol=0, atol=1e-10)
+    assert np.max(np.abs(walked.energy.balance)) < 1e-4
+
+
+def test_moment_arms_follow_the_sign_and_scale_of_a_coordinate(walked):
+    spec = leg_spec()
+    spec["model"]["coordinates"]["flexion"] = {"of": "knee.angle", "scale": -2.0}
+    run = mbdkit.inverse(spec)
+    np.testing.assert_allclose(
+        run.moment_arms("wrapped", "flexion"), -0.5 * walked.moment_arms("wrapped", "knee.angle"), rtol=0, atol=1e-14
+    )
+    with pytest.raises(mbdkit.MbdkitError, match="no muscle 'wraped'"):
+        run.moment_arms("wraped", "flexion")
+
+
+def forearm(**more: object) -> dict:
+    """Return a horizontal forearm of 1.5 kg at rest, with one muscle that is vertical at 4 cm from the elbow."""
+    m = mbdkit.Mechanism()
+    arm = m.body("forearm", mass=1.5, inertia=0.02, position=(0.15, 0.0))
+    m.revolute("elbow", m.ground, arm, at=(0, 0))
+    path = [{"body": "ground", "point": (0.04, 0.3)}, {"body": arm, "point": (-0.11, 0.0)}]
+    m.muscle("biceps", path, max_force=600.0, optimal_length=0.12, tendon_length=0.18)
+    time = np.linspace(0, 1, 11).tolist()
+    zero = [0.0] * 11
+    columns = {"elbow.angle": {"column": "a", "rate": "b", "acceleration": "c"}}
+    motion = {"data": {"time": time, "a": zero, "b": zero, "c": zero}, "columns": columns}
+    return {"mbdkit": 1, "model": m.to_spec(), "motion": motion, "recruitment": {"capacity": "isometric"}} | more
+
+
+def test_the_elbow_of_a_resting_forearm_carries_the_muscle_less_the_weight():
+    weight = 1.5 * 9.81
+    force = weight * 0.15 / 0.04
+    run = mbdkit.inverse(forearm(measures={"pull": {"value": "max(muscles.biceps.force)", "unit": "N"}}))
+    np.testing.assert_allclose(run.muscles["biceps"].force, force, rtol=1e-12)
+    np.testing.assert_allclose(run.muscles["biceps"].activation, force / 600.0, rtol=1e-12)
+    np.testing.assert_allclose(run.joints["elbow"].reaction_force[:, 1], weight - force, rtol=1e-12)
+    np.testing.assert_allclose(run.array("muscles/reaction_force_without")[:, 0, 1], weight, rtol=1e-12)
+    assert run.measures["pull"] == pytest.approx(force, rel=1e-12)
+    summary = run.summary()
+    assert f"elbow {force - weight:.4g} N, {weight:.4g} N without muscles" in summary
+    assert "reserves      none" in summary
+
+
+def test_the_report_says_what_joints_carry_and_what_reserves_exert(tmp_path):
+    spec = forearm(recruitment={"capacity": "isometric", "reserves": {"elbow": 2.0}})
+    mbdkit.inverse(spec, archive=tmp_path / "arm.h5").close()
+    text = report(tmp_path / "arm.h5", tmp_path / "arm.html").read_text(encoding="utf-8")
+    share = 1 / (1 + (0.04 * 600 / 2) ** 2)
+    assert f"Reserves exert {share:.2%} of elbow" in text
+    assert "Largest joint forces" in text
+    assert "Joint forces with and without muscles" in text
+    assert "Activations of the muscles" in text
+
+
+def test_reserves_share_the_moment_by_their_optimal_force_and_are_reported():
+    # minimise (F / 600)^2 + (r / 2)^2 subject to 0.04 F + r = M
+    moment = 1.5 * 9.81 * 0.15
+    run = mbdkit.inverse(forearm(recruitment={"capacity": "isometric", "reserves": {"elbow": 2.0}}))
+    reserve = moment / (1 + (0.04 * 600 / 2) ** 2)
+    np.testing.assert_allclose(run.actuators["reserve.elbow"].value, reserve, rtol=1e-12)
+    np.testing.assert_allclose(run.muscles["biceps"].force, (moment - reserve) / 0.04, rtol=1e-12)
+    np.testing.assert_allclose(run.actuators["elbow"].value, moment, rtol=1e-12)
+    assert f"reserves      elbow {reserve / moment:.2%}" in run.summary()
+
+
+def test_full_capacity_and_passive_force_bound_the_activation():
+    from mbdkit.muscles.force_curves import CURVES
+
+    length = np.array([(0.3 - 0.18) / 0.12])
+    force = 1.5 * 9.81 * 0.15 / 0.04
+    curves = CURVES["de-groote-fregly"]
+    active, passive = (600.0 * curve(length)[0][0] for curve in (curves.active, curves.passive))
+    active *= curves.velocity(0 * length)[0][0]
+    for is_passive in (False, True):
+        run = mbdkit.inverse(forearm(recruitment={"passive": is_passive}))
+        wanted = (force - is_passive * passive) / active
+        np.testing.assert_allclose(run.muscles["biceps"].activation, wanted, rtol=1e-12)
+        np.testing.assert_allclose(run.muscles["biceps"].fiber_length, 0.12, rtol=1e-12)
+
+
+def test_frames_that_muscles_cannot_produce_are_named_with_the_smallest_reserves():
+    moment = 1.5 * 9.81 * 0.15
+    spec = forearm()
+    spec["model"]["muscles"]["biceps"]["max_force"] = 20.0
+    lacking = moment - 0.04 * 20.0
+    with pytest.raises(RunError, match="cannot produce the motion in 11 of 11 frames") as error:
+        mbdkit.inverse(spec)
+    assert f"elbow {lacking:.4g} N m" in str(error.value)
+    run = mbdkit.inverse(spec | {"recruitment": {"capacity": "isometric", "reserves": 1.0}})
+    np.testing.assert_allclose(run.actuators["reserve.elbow"].value, lacking, rtol=1e-10)
+
+
+def test_a_muscle_that_is_too_strong_for_the_minimum_activation_is_named():
+    # expected: by hand; the smallest moment is 0.01 * 0.04 m * max_force
+    moment = 1.5 * 9.81 * 0.15
+    spec = forearm(recruitment={"minimum": 0.01, "capacity": "isometric"})
+    muscles = spec["model"]["muscles"]
+    below = {"body": "ground", "point": [0.04, -0.3]}
+    muscles["triceps"] = muscles["biceps"] | {"path": [below, muscles["biceps"]["path"][1]]}
+    muscles["biceps"]["max_force"] = 6e5
+    with pytest.raises(RunError, match="prevents the motion in 11 of 11 frames") as error:
+        mbdkit.inverse(spec)
+    assert f"elbow needs {moment:.4g} N m, but muscle 'biceps' alone exerts 240 N m" in str(error.value)
+
+
+@pytest.mark.parametrize(
+    ("changes", "criteria"),
+    [
+        # expected: by hand; the elbow needs 2.2 N m with an arm of 0.04 m, and fibres of 0.12 m fit the path
+        ({}, set()),
+        ({"max_force": 20.0}, {"reserves"}),
+        ({"max_force": 0.3}, {"reserves", "max-force"}),
+        ({"optimal_length": 0.05}, {"reserves", "fibers"}),  # 2.4 optimal lengths
+        ({"optimal_length": 0.08}, set()),
+    ],
+)
+def test_muscles_that_cannot_produce_the_motion_alone_make_the_verdict_doubtful(changes, criteria):
+    spec = forearm(recruitment={"reserves": 1.0})
+    spec["model"]["muscles"]["biceps"] |= changes
+    run = mbdkit.inverse(spec)
+    assert {reason.partition(":")[0] for reason in run.verdict_reasons} == criteria
+    assert run.verdict == ("doubtful" if criteria else "unknown")
+    if "max-force" in criteria:
+        accepted = mbdkit.inverse(spec | {"accept": sorted(criteria)})
+        assert accepted.verdict == "unknown"
+        assert all(reason.startswith("Accepted by the spec: ") for reason in accepted.verdict_reasons)
+
+
+def test_an_inertia_in_square_millimetres_makes_the_verdict_doubtful():
+    spec = forearm()
+    name = next(iter(spec["model"]["bodies"]))
+    spec["model"]["bodies"][name]["inertia"] = 3920.0
+    (reason,) = mbdkit.inverse(spec).verdict_reasons
+    assert reason.startswith(f"inertia: the inertia of 3920 kg m^2 at model.bodies.{name}.inertia")
+
+
+@pytest.mark.parametrize(
+    ("recruitment", "key", "message"),
+    [
+        ({"exponent": 0}, "recruitment.exponent", "at least 1"),
+        ({"minimum": 1.0}, "recruitment.minimum", "less than 1"),
+        ({"reserves": {"elbo": 1.0}}, "recruitment.reserves.elbo", "there is no actuator 'elbo'"),
+        ({"power": 2}, "recruitment.power", "unknown key"),
+    ],
+)
+def test_wrong_recruitment_gets_one_sentence_with_its_key(recruitment, key, message):
+    with pytest.raises(SpecError) as error:
+        mbdkit.inverse(forearm(recruitment=recruitment))
+    assert error.value.key == key
+    assert message in str(error.value)
+
+
+def test_recruitment_needs_muscles_and_muscles_without_it_are_told():
+    spec = forearm()
+    del spec["recruitment"]
+    run = mbdkit.inverse(spec)
+    assert any("exert no force because the spec has no `recruitment`" in warning for warning in run.warnings)
+    assert list(run.muscles) == []
+    del spec["model"]["muscles"]
+    with pytest.raises(SpecError, match="needs muscles, but the model has none"):
+        mbdkit.inverse(spec | {"recruitment": {}})
+
+
+@pytest.mark.parametrize("exponent", [1, 3, "inf"])
+def test_all_exponents_produce_the_moments(exponent):
+    spec = leg_spec(exponent=exponent, reserves=1.0)
+    run = mbdkit.inverse(spec)
+    assert np.max(run.array("muscles/certificate")) < 1e-9
+    moment = sum(run.moment_arms(name, "knee.angle") * muscle.force for name, muscle in run.muscles.items())
+    whole = moment + run.actuators["reserve.knee"].value
+    np.testing.assert_allclose(whole, run.actuators["knee"].value, rtol=0, atol=1e-8)
+
+
+def test_error_bars_of_tensions_cover_the_errors_of_noisy_angles():
+    random = np.random.default_rng(5)
+    exact = mbdkit.inverse(leg_spec(changed={"curves": "de-groote-fregly"}, capacity="isometric"))
+    spec = leg_spec(changed={"curves": "de-groote-fregly"}, capacity="isometric")
+    data, columns = spec["motion"]["data"], {}
+    for name in ("hip", "knee"):
+        data[name] = (np.array(data[name]) + random.normal(0, 1e-3, 81)).tolist()
+        columns[f"{name}.angle"] = {"column": name, "deviation": 1e-3}
+    spec["motion"] = {"data": data, "columns": columns, "smooth": {"name": "butterworth", "cutoff": 8}}
+    run = mbdkit.inverse(spec)
+    inside = slice(10, -10)
+    covered = [
+        np.mean(np.abs(one.force - exact.muscles[name].force)[inside] <= one.force_error[inside] + 1e-9)
+        for name, one in run.muscles.items()
+    ]
+    assert np.mean(covered) > 0.85
+    sizes = [np.median(one.force_error[inside]) for one in run.muscles.values()]
+    assert max(sizes) < 0.3 * max(np.max(one.force) for one in run.muscles.values())

@@ -1,0 +1,115 @@
+"""Derivatives of goals and limits of designs with respect to the variables.
+
+They are exact if the gradients of all scenarios can be computed; otherwise, they are differences of runs.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from mbdkit.base.errors import MbdkitError
+from mbdkit.base.one_thread import one_thread_of_linear_algebra
+from mbdkit.base.plain_data import path_text
+from mbdkit.base.text import counted, told_apart
+from mbdkit.gradients.differentiated_expressions import definitions_of
+from mbdkit.gradients.gradient import Gradient, gradient_of_run_spec
+from mbdkit.gradients.gradient_check import GradientCheck, inaccurate_entries
+from mbdkit.gradients.gradient_parameters import resolved
+from mbdkit_biomech.inverse_dynamics.inverse_gradient import gradient_of_inverse
+from mbdkit.spec import RunSpec
+
+if TYPE_CHECKING:
+    from mbdkit_design.evaluation import Evaluator
+
+STEP = 1e-4
+"""Step of central differences, as a share of the bounds."""
+
+
+def derivatives(evaluator: Evaluator, x: np.ndarray) -> np.ndarray:
+    """Return the derivatives (S, K, n) of K goals and limits in S scenarios with respect to the n scaled variables.
+
+    The derivatives at a point `x` (n,) are exact unless a scenario has no gradients (see `Evaluator.why_differences`),
+    or a run fails at this point.
+    """
+    if evaluator.why_differences or np.any(np.isnan(evaluator.values(x[None]))):
+        return differences(evaluator, x)
+    try:
+        found = np.array([gradient.jacobian for gradient in gradients(evaluator, x, check=False)])
+    except MbdkitError as error:
+        evaluator.why_differences = str(error).rstrip(".")
+        return differences(evaluator, x)
+    evaluator.gradients += 1
+    return np.asarray(found * evaluator.widths)
+
+
+def differences(evaluator: Evaluator, x: np.ndarray) -> np.ndarray:
+    """Return derivatives (S, K, n) by central differences, or by one-sided differences at a bound."""
+    low, high = np.maximum(x - STEP, 0.0), np.minimum(x + STEP, 1.0)
+    sides = [np.where(np.eye(len(x), dtype=bool), side, x) for side in (low, high)]
+    values = evaluator.values(np.concatenate(sides))
+    below, above = values[: len(x)], values[len(x) :]
+    return np.asarray(np.moveaxis((above - below) / (high - low)[:, None, None], 0, -1))
+
+
+def unconfirmed(evaluator: Evaluator, x: np.ndarray) -> tuple[str, ...]:
+    """Return a sentence for each goal or limit whose derivatives at a point fail their check.
+
+    A frequent cause is a one-sided force law that begins to act exactly at a frame of a measured motion.
+    """
+    if evaluator.why_differences:
+        return ()
+    try:
+        checks = [gradient.check for gradient in gradients(evaluator, x, check=True)]
+    except MbdkitError:
+        return ()
+    return tuple(
+        _disagreement(check, m) for check in checks if check is not None for m in np.flatnonzero(~check.agrees).tolist()
+    )
+
+
+def _disagreement(check: GradientCheck, m: int) -> str:
+    """Return a sentence that says why the check of the derivative of a goal or limit failed."""
+    name = check.names[m]
+    if check.is_like_steps[m]:
+        return f"At the best point, {inaccurate_entries(check, m)}, unless {name} is not smooth there."
+    exact, by_differences = told_apart(check.derivative[m], check.extrapolated[m], 4)
+    return (
+        f"The derivative of {name} at the best point is not confirmed by differences, {exact} and {by_differences} in "
+        f"a random direction: {name} may not be smooth there."
+    )
+
+
+def gradients(evaluator: Evaluator, x: np.ndarray, *, check: bool) -> list[Gradient]:
+    """Return the gradients of goals and limits with respect to the variables at a point (n,), for each scenario.
+
+    Parameters
+    ----------
+    check
+        Whether the gradients are checked by differences of runs.
+
+    Raises
+    ------
+    MbdkitError
+        If a scenario has no gradients.
+    """
+    settings, found = evaluator.settings(x), []
+    for scenario in evaluator.scenarios:
+        spec = scenario.at(settings)
+        parameters = resolved(spec, [path_text(path) for path, _ in settings])
+        definitions = definitions_of(spec, [measure.name for measure in spec.defined_measures()])
+        with one_thread_of_linear_algebra():
+            found.append(
+                gradient_of_run_spec(spec, definitions, parameters, check=check)
+                if isinstance(spec, RunSpec)
+                else gradient_of_inverse(spec, definitions, parameters, check=check)
+            )
+    return found
+
+
+def derivatives_sentence(evaluator: Evaluator) -> str:
+    """Return a sentence that says how the derivatives were computed; empty if none were needed."""
+    if evaluator.why_differences:
+        return f"Derivatives are differences of runs: {evaluator.why_differences}."
+    return f"Derivatives are exact, computed at {counted(evaluator.gradients, 'point')}." if evaluator.gradients else ""

@@ -1,0 +1,336 @@
+"""The solution of a design: the best values of some numbers of a spec, with an estimate of their reliability."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from contextlib import suppress
+from dataclasses import asdict, dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from mbdkit.base.errors import SpecError
+from mbdkit.base.text import counted, table
+from mbdkit_design.compared_settings import Comparison, compare, comparison_table
+from mbdkit_design.derivatives import derivatives_sentence, unconfirmed
+from mbdkit_design.evaluation import Evaluator
+from mbdkit_design.front import front_table, pareto_front
+from mbdkit_design.gains import Gain, gains, goal_words, violations
+from mbdkit_design.identifiability import sentence, undetermined
+from mbdkit_design.limits_in_degrees import limits_in_degrees
+from mbdkit_design.point import DesignPoint, numbers, point_of
+from mbdkit_design.problem import Problem
+from mbdkit_design.search import Search, advice, searches
+from mbdkit_design.stages import Stages
+from mbdkit_design.trust import Trust, certified
+from mbdkit.spec import DesignSpec, RunSpec
+from mbdkit_studies.varied_starts import start_warnings_of_study
+
+LEAST_ERROR = 1e-3
+"""Errors of measures at their limits are reported if they exceed this share of the limit."""
+
+
+@dataclass(frozen=True)
+class Design:
+    """The result of a design.
+
+    Attributes
+    ----------
+    spec
+        Spec of the design.
+    start, best
+        The start point and the best point. On a Pareto front, the best point is the one closest to the smallest values
+        of all goals, each goal relative to its range on the front.
+    front
+        Points of the Pareto front, for two goals in ascending order of the first goal; only `best` for a single goal.
+    trust
+        Certification of the best point.
+    is_feasible
+        Whether the best point satisfies all limits.
+    runs, failures
+        Number of runs, and number of failed runs.
+    searches
+        Number of searches whose goal at the end is within 0.1 % of the best one, and number of all searches.
+    message
+        Reason why the best search ended.
+    derivatives
+        How the derivatives of goals and limits were computed, as a sentence; empty if none were needed.
+    unconfirmed
+        Goals and limits whose exact derivatives at the best point disagree with differences of runs, as sentences.
+    undetermined
+        Simultaneous changes of variables, by name, that do not affect the goal at the best point, so that only a
+        combination of these variables is determined, or none if a single variable changes. Empty for a Pareto front.
+    compared
+        Results of the design with other settings of the runs (`compare` of its spec); empty until they are computed.
+    changed_starts
+        Sentences about variables that set initial values of bodies which assembly changes.
+    is_converged
+        Whether the best search converged, and did not end because of its largest number of iterations, for example.
+    """
+
+    spec: DesignSpec
+    start: DesignPoint
+    best: DesignPoint
+    front: tuple[DesignPoint, ...]
+    trust: Trust
+    is_feasible: bool
+    runs: int
+    failures: int
+    searches: tuple[int, int]
+    message: str
+    derivatives: str = ""
+    unconfirmed: tuple[str, ...] = ()
+    undetermined: tuple[dict[str, float], ...] = ()
+    compared: tuple[Comparison, ...] = ()
+    is_converged: bool = True
+    changed_starts: tuple[str, ...] = ()
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the result as plain data for JSON; unknown numbers are None."""
+        points = {"start": self.start, "best": self.best}
+        plain: dict[str, Any] = _plain(
+            {name: asdict(point) for name, point in points.items()}
+            | {
+                "front": [asdict(point) for point in self.front],
+                "trust": asdict(self.trust),
+                "is_feasible": self.is_feasible,
+                "runs": self.runs,
+                "failures": self.failures,
+                "searches": {"at_best": self.searches[0], "all": self.searches[1]},
+                "message": self.message,
+                "is_converged": self.is_converged,
+                "derivatives": self.derivatives,
+                "unconfirmed": self.unconfirmed,
+                "undetermined": self.undetermined,
+                "changed_starts": self.changed_starts,
+                "compared": [asdict(one) for one in self.compared],
+            }
+        )
+        return plain
+
+    @classmethod
+    def from_dict(cls, spec: DesignSpec, data: Mapping[str, Any]) -> Design:
+        """Return the design from the result of `to_dict`.
+
+        Raises ValueError, KeyError or TypeError if the data are not valid.
+        """
+        trust = data["trust"]
+        return cls(
+            spec=spec,
+            start=DesignPoint.from_dict(spec, data["start"]),
+            best=DesignPoint.from_dict(spec, data["best"]),
+            front=tuple(DesignPoint.from_dict(spec, one) for one in data["front"]),
+            trust=Trust(
+                numbers(trust["errors"]),
+                numbers(trust["gain"]),
+                dict(trust["is_gain"]),
+                str(trust["verdict"]),
+                str(trust["reason"]),
+                tuple(map(str, trust["failures"])),
+                numbers(trust["gain_errors"]),
+                bool(trust["is_of_data"]),
+                str(trust.get("start_verdict", trust["verdict"])),
+                str(trust.get("start_reason", "")),
+            ),
+            is_feasible=bool(data["is_feasible"]),
+            runs=int(data["runs"]),
+            failures=int(data["failures"]),
+            searches=(int(data["searches"]["at_best"]), int(data["searches"]["all"])),
+            message=str(data["message"]),
+            derivatives=str(data["derivatives"]),
+            unconfirmed=tuple(map(str, data["unconfirmed"])),
+            undetermined=tuple(numbers(one) for one in data["undetermined"]),
+            is_converged=bool(data.get("is_converged", True)),
+            changed_starts=tuple(map(str, data.get("changed_starts", ()))),
+            compared=tuple(Comparison.from_dict(spec, one) for one in data["compared"]),
+        )
+
+    def summary(self) -> str:
+        """Return the result as text for a terminal."""
+        rows = [("", "START", "BEST", "ERROR")]
+        for name, value in self.best.variables.items():
+            rows.append((name, f"{self.start.variables[name]:.6g}", f"{value:.6g}", ""))
+        for name, value in self.best.goals.items():
+            error = self.trust.errors[name]
+            told = "unknown" if np.isnan(error) else f"{error:.1g}"
+            rows.append((name, f"{self.start.goals[name]:.6g}", f"{value:.6g}", told))
+        for name in self.spec.subject_to:
+            for scenario, measures in self.best.measures.items():
+                label = f"{scenario}: {name}" if scenario else name
+                error = self.trust.errors[name]
+                told = "unknown" if np.isnan(error) else f"{error:.1g}"
+                rows.append((label, f"{self.start.measures[scenario][name]:.6g}", f"{measures[name]:.6g}", told))
+        at_best, every = self.searches
+        lines = [*filter(None, [self.doubt]), self.trust.judgement]
+        lines += [*(f"{goal_words(one.name)}: {one.text()}" for one in self.gains), table(rows)]
+        lines += [f"{self.counted_runs}, {at_best} of {every} searches ended here: {self.message}"]
+        if self.derivatives:
+            lines.append(self.derivatives)
+        if len(self.front) > 1:
+            lines.append(front_table(self.front, self.best))
+        if self.compared:
+            remarks = (text for one in self.compared for text in (one.confirmation(), one.reason) if text)
+            lines += [comparison_table(self.best, self.compared), *remarks]
+        return "\n".join([*lines, *self.warnings])
+
+    @property
+    def doubt(self) -> str:
+        """Sentence that says that the best point violates limits, or why it may not be an optimum; empty otherwise.
+
+        It may not be an optimum if the search ended early, or if derivatives at the best point are not confirmed.
+        """
+        if not self.is_feasible:
+            wrong = "; ".join(violations(self.spec, self.best, self.start))
+            return f"No point that satisfies all limits was found; this one violates them least{wrong and ': '}{wrong}."
+        if not self.is_converged:
+            return (
+                f"This point may not be an optimum: the search ended early ({self.message.rstrip('.')}). "
+                f"{advice(self.message)}"
+            )
+        if not self.unconfirmed:
+            return ""
+        return (
+            "This point may not be an optimum: a goal or limit is not smooth there, and searches along gradients stop "
+            "at such points. Try the optimizer bundle, several `starts`, or a smooth goal, such as rms(...) instead of "
+            "a maximum."
+        )
+
+    @property
+    def counted_runs(self) -> str:
+        """Number of runs, and number of failed runs, in words."""
+        return counted(self.runs, "run") + (f" ({self.failures} failed)" if self.failures else "")
+
+    @property
+    def warnings(self) -> list[str]:
+        """Remarks on the best point for the user, as sentences."""
+        sides = {name: self.side(name) for name in self.best.variables}
+        at_bounds = [f"{name} is at its {side} bound." for name, side in sides.items() if side]
+        held = [
+            f"{name} has not moved from its start."
+            for name, side in sides.items()
+            if not side and abs(self.best.variables[name] - self.start.variables[name]) <= self._slack(name)
+        ]
+        told = [*at_bounds, *held, *map(sentence, self.undetermined), *self.unconfirmed, *self.changed_starts]
+        told += map(_as_sentence, limits_in_degrees(self.spec))
+        return [*told, *self._uncertain_limits(), *self.trust.sentences()]
+
+    def _uncertain_limits(self) -> list[str]:
+        """Return sentences about limits that the best point may violate because of the errors of its runs."""
+        found = []
+        for name, limit in self.spec.subject_to.items():
+            values, error = [measures[name] for measures in self.best.measures.values()], self.trust.errors[name]
+            for end in (limit.max, limit.min):
+                is_near = end is not None and min(abs(value - end) for value in values) < error
+                if is_near and error > LEAST_ERROR * abs(end or 1.0) and self.is_feasible:
+                    found.append(f"{name} may violate its limit of {end:g}, because its error is {error:.2g}.")
+        return found
+
+    @property
+    def gains(self) -> list[Gain]:
+        """The gain of each goal from the start to the best point."""
+        return gains(self.spec, self.start, self.best, self.trust)
+
+    def _slack(self, variable: str) -> float:
+        """Return the difference below which two values of a variable count as equal."""
+        low, high = self.spec.variables[variable].bounds
+        return 1e-6 * (high - low)
+
+    def side(self, variable: str) -> str:
+        """Return ``lower`` or ``upper`` if the best value of a variable is at this bound; otherwise an empty text."""
+        (low, high), best = self.spec.variables[variable].bounds, self.best.variables[variable]
+        slack = self._slack(variable)
+        return "lower" if best <= low + slack else "upper" if best >= high - slack else ""
+
+
+def solve(evaluator: Evaluator, stages: Stages) -> Design:
+    """Solve a design, without the comparisons with other settings of the runs."""
+    spec, first = evaluator.spec, evaluator.first
+    for warning in limits_in_degrees(spec):
+        stages.notify(f"warning: {warning}")
+    stages.begin("optimisation", evaluator)
+    problem = Problem(evaluator)
+    found = searches(problem, spec.optimizer, first)
+    at = ", ".join(f"{name} {value:.6g}" for name, value in evaluator.variables(found[0].end).items())
+    least, before = evaluator.totals(found[0].end)[0], evaluator.totals(first)[0]
+    stages.notify(f"{counted(evaluator.runs, 'run')}: the least {spec.totals[0]} is {least:.6g} at {at}; "
+                  f"at the start it is {before:.6g}")  # fmt: skip
+    front = [found[0]] if len(spec.totals) == 1 else pareto_front(evaluator, found[0], stages.notify)
+    best = front[0] if len(front) == 1 else _knee(evaluator, front)
+    stages.begin("errors of the result")
+    trust = certified(evaluator, first, best.end)
+    near = sum(
+        one.feasible == found[0].feasible and one.cost <= found[0].cost + 1e-3 * abs(found[0].cost) for one in found
+    )
+    alone = undetermined(problem, best.end) if len(spec.totals) == 1 else ()
+    return Design(
+        spec=spec,
+        start=point_of(evaluator, first),
+        best=point_of(evaluator, best.end),
+        front=tuple(point_of(evaluator, one.end) for one in front),
+        trust=trust,
+        is_feasible=best.feasible,
+        runs=evaluator.runs,
+        failures=evaluator.failures,
+        searches=(near, len(found)),
+        message=best.message,
+        is_converged=best.is_converged,
+        derivatives=derivatives_sentence(evaluator),
+        unconfirmed=unconfirmed(evaluator, best.end) if evaluator.gradients and not best.is_least else (),
+        undetermined=alone,
+        changed_starts=_changed_starts(evaluator, best.end),
+    )
+
+
+def _changed_starts(evaluator: Evaluator, best: np.ndarray) -> tuple[str, ...]:
+    """Return sentences about initial values that variables set and that assembly changes, over the bounds of the
+    variables, their start and the best point (n,).
+    """
+    points, told = (np.zeros_like(best), np.ones_like(best), evaluator.first, best), []
+    for scenario in evaluator.scenarios:
+        specs = []
+        for x in points:
+            with suppress(SpecError):  # some points within the bounds may have no valid spec
+                specs.append(scenario.at(evaluator.settings(x)))
+        told += start_warnings_of_study(spec for spec in specs if isinstance(spec, RunSpec))
+    return tuple(map(_as_sentence, dict.fromkeys(told)))
+
+
+def _as_sentence(warning: str) -> str:
+    return f"{warning[0].upper()}{warning[1:]}."
+
+
+def with_comparisons(evaluator: Evaluator, design: Design, stages: Stages) -> Design:
+    """Return a design to which the comparisons with other settings of the runs (`compare` of its spec) are added.
+
+    Parameters
+    ----------
+    evaluator
+        A new evaluator of the design. With the evaluator of the optimisation, the number of runs would depend on
+        whether a call was interrupted.
+    """
+    best = evaluator.point(design.best.variables)
+    # these outcomes are stored by the optimisation, and therefore not computed again
+    evaluator.outcomes(np.array([evaluator.first, best]))
+    evaluator.runs, evaluator.failures = design.runs, design.failures
+    compared = tuple(compare(evaluator, name, best, stages) for name in design.spec.compare)
+    return replace(design, runs=evaluator.runs, failures=evaluator.failures, compared=compared)
+
+
+def _knee(evaluator: Evaluator, front: list[Search]) -> Search:
+    """Return the point that is closest to the smallest values of all goals, each relative to its range on the front."""
+    goals = np.array([evaluator.totals(one.end) for one in front])
+    range_ = np.ptp(goals, axis=0)
+    away = np.linalg.norm((goals - goals.min(axis=0)) / np.where(range_ > 0, range_, 1.0), axis=1)
+    return front[int(np.argmin(away))]
+
+
+def _plain(data: Any) -> Any:
+    """Return plain data with None in place of nan."""
+    match data:
+        case dict():
+            return {key: _plain(value) for key, value in data.items()}
+        case list() | tuple():
+            return [_plain(value) for value in data]
+        case float() if not np.isfinite(data):
+            return None
+    return data

@@ -1,0 +1,167 @@
+"""Loading of design specs from files and mappings, with the specs of their scenarios."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterable, Mapping
+from pathlib import Path as FilePath
+from typing import Any
+
+from mbdkit.base.errors import SpecError
+from mbdkit.base.plain_data import Path, copied, parse_path, path_text
+from mbdkit.base.text import did_you_mean, listed
+from mbdkit_design.design_spec import DesignSpec, Scenario, variable_path
+from mbdkit_biomech.inverse_dynamics.inverse_spec import InverseSpec
+from mbdkit.spec.loading import example_names, read_source
+from mbdkit.spec.reading import Document, parse_key, put, set_value
+from mbdkit.spec.run_spec import RunSpec
+from mbdkit.spec.spec_kinds import is_inverse
+from mbdkit_studies.study_loading import base_source, document_of
+
+
+def load_design_spec(source: Any, assignments: Iterable[str] = (), **sections: Any) -> DesignSpec:
+    """Load and validate a design spec and the specs of its scenarios, and return the design spec.
+
+    Parameters
+    ----------
+    source
+        A file (YAML, TOML, JSON), ``"-"`` for standard input, the name of a packaged design, a mapping, a
+        `Document` that was already read, or a `DesignSpec`. A file named as `base` is relative to the folder of the
+        design file or, without such a file, to the working folder.
+    assignments
+        Assignments to keys of the design spec, such as ``"optimizer.starts=8"``, with values in YAML.
+    sections
+        Top-level keys of the spec; they replace those in `source`.
+
+    Raises
+    ------
+    SpecError
+        If the spec is not valid, with the file, line and key path if known.
+    """
+    assignments = tuple(assignments)
+    if isinstance(source, DesignSpec) and source.specs and not assignments and not sections:
+        return source
+    document, folder = _document(source)
+    document.data |= sections
+    document.keywords = frozenset(sections)
+    if "mbdkit_design" not in document.data:
+        for key, command in (("mbdkit_study", "study"), ("mbdkit", "run")):
+            if key in document.data:
+                message = f"this is the spec of a {command}; a design spec begins with `mbdkit_design: 1`"
+                raise document.place(SpecError(message, key=key))
+    try:
+        for assignment in assignments:
+            set_value(document, assignment)
+        spec = DesignSpec(**document.data)
+        spec._document = document
+        spec._specs = {
+            name: _scenario_spec(spec, name, situation, folder) for name, situation in spec.situations.items()
+        }
+        for compared, settings in spec.compare.items():
+            changes = {
+                path_text(("compare", compared, key)): (parse_key(key), value) for key, value in settings.items()
+            }
+            spec._compared_specs[compared] = {
+                name: _scenario_spec(spec, name, situation, folder, changes)
+                for name, situation in spec.situations.items()
+            }
+    except SpecError as error:
+        raise document.place(error) from None
+    return spec
+
+
+def _document(source: Any) -> tuple[Document, FilePath]:
+    """Return the document of a design, and the folder to which file names in it are relative."""
+    if isinstance(source, DesignSpec):
+        source = source.model_dump(exclude_unset=True)
+
+    def packaged(name: str) -> tuple[Document, FilePath] | None:
+        return (read_source(name), FilePath()) if name in example_names("design") else None
+
+    return document_of(source, ("design", "designs"), packaged, lambda: example_names("design"))
+
+
+Given = dict[str, tuple[Path, Any]]
+"""Settings of a base: key path and value of each, by the key of the design that states it."""
+
+
+def _scenario_spec(
+    design: DesignSpec, name: str, scenario: Scenario, folder: FilePath, changes: Given | None = None
+) -> RunSpec | InverseSpec:
+    """Return the spec of a scenario, whose measures are the goals and limits, with the variables at their start values.
+
+    Parameters
+    ----------
+    changes
+        Settings that are applied last.
+    """
+    own = scenario.base is not None
+    base, place = (scenario.base, ("scenarios", name, "base")) if own else (design.base, ("base",))
+    assert base is not None
+    if isinstance(base, str):
+        document = read_source(base_source(base, folder, path_text(place), "design"))
+    else:
+        document = Document(copied(base))
+    data = copied(document.data)
+    given: Given = {path_text(("overrides", key)): (parse_key(key), value) for key, value in design.overrides.items()}
+    for key, value in scenario.overrides.items():
+        given[path_text(("scenarios", name, "overrides", key))] = (parse_key(key), value)
+    _put_all(data, given)
+    chosen: Given = {}
+    for key, variable in design.variables.items():
+        _check_variable(key, data)
+        chosen[path_text(("variables", key))] = (variable_path(key), variable.written)
+    chosen |= changes or {}
+    _put_all(data, chosen)
+    given |= chosen
+    data["measures"] = {
+        measure.name: {"value": measure.expression} | ({"unit": measure.unit} if measure.unit else {})
+        for measure in design.defined_measures()
+    }
+    kind = InverseSpec if is_inverse(data) else RunSpec
+    try:
+        spec = kind(**data)
+        spec.mechanism()
+    except SpecError as error:
+        raise _located(error, given, document, path_text(place)) from None
+    own_file = document.file or (design._document.file if design._document is not None else "")
+    spec._document = Document(data, own_file, folder=document.folder)
+    return spec
+
+
+def _put_all(data: dict[str, Any], given: Given) -> None:
+    """Set values in a base."""
+    for where, (path, value) in given.items():
+        try:
+            put(data, path, value)
+        except SpecError as error:
+            raise SpecError(error.message, key=where) from None
+
+
+def _check_variable(name: str, data: Mapping[str, Any]) -> None:
+    """Raise SpecError if a variable is neither a parameter of the base nor a key below an element of the base."""
+    path, place = variable_path(name), dict(data)  # type: Path, Any
+    for depth, part in enumerate(path):
+        if not isinstance(place, Mapping):
+            return  # a list, or a mistake that `put` or the validation of the base reports
+        if part in place:
+            place = place[part]
+            continue
+        if depth == len(path) - 1 and path[0] != "parameters":
+            return  # an option that an element of the base does not set; validation of the spec checks the name
+        known = [str(key) for key in place]
+        hint = did_you_mean(str(part), known) or (f"; there are {listed(known)}" if known else "")
+        what = f"parameter '{part}'" if path[0] == "parameters" else f"'{path_text(path[: depth + 1])}'"
+        inner = "" if depth == len(path) - 1 or hint.startswith(" (") else "; if it has a default, set it in the base"
+        raise SpecError(f"the base has no {what}{hint}{inner}", key=path_text(("variables", name)))
+
+
+def _located(error: SpecError, given: Given, document: Document, place: str) -> SpecError:
+    """Return an error in the spec of a scenario, located at the key of the design that set the wrong value, or else in
+    the base.
+    """
+    path = parse_path(error.key)
+    for where, (key, _) in given.items():
+        if path[: len(key)] == key:
+            return SpecError(f"{error.key}: {error.message}", key=where)
+    return document.place(error) if os.path.basename(document.file) else error.located(prefix=place)

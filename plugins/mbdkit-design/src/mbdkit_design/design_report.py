@@ -1,0 +1,156 @@
+"""The report of a design: the mechanism at the start and at the best point, its loads, and whether the gain exceeds the
+errors.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import ExitStack, contextmanager
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from mbdkit.base.terminal import say
+from mbdkit_design.compared_settings import compared_with
+from mbdkit_design.gains import costs, goal_units, goal_words, measure_units
+from mbdkit_design.landscape import Cut, Sensitivity, cuts, sensitivities
+from mbdkit_design.robustness import robustness
+from mbdkit_design.solve_design import WORKER, evaluating
+from mbdkit_design.stages import Stages
+from mbdkit_design.store import WHICH, DesignFolder, runs_of
+from mbdkit_design.trust import QUESTIONED
+from mbdkit_report.figures.drawing_geometry import mechanism_of
+from mbdkit_report.figures.mechanism_drawing import NamedPose
+from mbdkit_report.figures.page_model import Section, Table
+from mbdkit_design.design_charts import POINT_WORDS, Pair, front_charts, landscape_charts, load_charts, variable_unit
+from mbdkit_design.design_verdict import costs_table, design_verdict, robustness_table
+from mbdkit_biomech.inverse_dynamics.load_frames import load_drawing
+from mbdkit_report.pages.methods_used import methods
+from mbdkit_report.pages.model_section import drawing
+from mbdkit_report.pages.report_page import ReportPage
+from mbdkit_report.pages.run_report import TONES, environment, film_of
+from mbdkit_design.sensitivity_bars import sensitivity_section
+from mbdkit.spec.key_words import key_words
+from mbdkit.spec.yaml_reader import write_yaml
+from mbdkit_studies.executor_pool import Engine
+
+if TYPE_CHECKING:
+    from mbdkit_design.design import Design
+    from mbdkit_design.gains import Cost
+    from mbdkit_design.point import DesignPoint
+
+_NUMBERS = 60_000
+"""Approximate number of pose values in each animation."""
+COSTS = 2
+"""Largest number of loads in the headline. Only loads that the design increases are shown."""
+
+
+@contextmanager
+def design_report(path: Path, workers: int = 1) -> Iterator[ReportPage]:
+    """Context manager that provides the report of a design with a result. The archives of its runs are open within the
+    context. The report includes points around the best point, which are evaluated first.
+
+    Parameters
+    ----------
+    workers
+        Number of processes that evaluate the points.
+    """
+    folder = DesignFolder(path)
+    design = folder.read()
+    with ExitStack() as stack:
+        pairs = stack.enter_context(runs_of(design, path))
+        with (
+            folder.locked(),
+            evaluating(design.spec, folder, Engine(workers, None, WORKER), Stages(design.spec, say)) as evaluator,
+        ):
+            best = evaluator.point(design.best.variables)
+            around = {"": cuts(evaluator, best)}
+            around |= {
+                one.name: cuts(compared_with(evaluator, one.name), best) for one in design.compared if one.believed
+            }
+            changes = sensitivities(evaluator, best)
+            elsewhere = costs(pairs)
+            tables = costs_table(elsewhere), robustness_table(design, robustness(evaluator, best))
+        yield _page(design, path, pairs, around, changes, elsewhere, tables)
+
+
+def _page(
+    design: Design,
+    path: Path,
+    pairs: Mapping[str, Pair],
+    around: Mapping[str, Sequence[Cut]],
+    changes: Sequence[Sensitivity],
+    elsewhere: Sequence[Cost],
+    tables: Sequence[Table],
+) -> ReportPage:
+    first = next(iter(pairs.values()))["best"]
+    document = design.spec._document
+    data = {} if document is None else dict(document.data)
+    units = goal_units(design.spec)
+    words = {name: key_words(name) for name in design.spec.variables}
+    verdict = design_verdict(design)
+    figures = (*load_charts(design, pairs), *front_charts(design, units), *landscape_charts(design, around, units))
+    return ReportPage(
+        title=design.spec.title or path.resolve().name,
+        settings=f"{design.counted_runs} \u00b7 {design.spec.optimizer.name} \u00b7 {design.message}",
+        headline=(
+            ("verdict", design.trust.level),
+            *((goal_words(one.name), one.text()) for one in design.gains),
+            *((key_words(name), _value(design, design.best, name)) for name in design.best.variables),
+            *(("it costs elsewhere", one.text()) for one in elsewhere[:COSTS] if one.share > 0),
+        ),
+        tone=TONES.get(design.trust.level, ""),
+        verdict=replace(verdict, figures=figures, tables=(*verdict.tables, *(one for one in tables if one.rows))),
+        films=tuple(_films(pairs)),
+        methods=methods([pair["best"].spec for pair in pairs.values()]),
+        environment=environment(first.provenance, {"created (UTC)": first.created_utc}),
+        reproduce="Save the spec below as design.yaml; it has all bases, but not the tables that these name.",
+        commands="mbdkit design design.yaml --report",
+        spec=write_yaml(data),
+        spec_file="design.yaml",
+        alarm=_alarm(design),
+        sections=(*_devices(design, pairs), sensitivity_section(changes, words, measure_units(design.spec))),
+        beside_verdict=("goals", "variables", "compared", "costs", "robustness"),
+    )
+
+
+def _alarm(design: Design) -> str:
+    """Return the warning at the top of the page; empty if there is none."""
+    if not design.is_feasible:
+        return "NO POINT SATISFIES ALL LIMITS"
+    return design.doubt or (design.trust.judgement if design.trust.level in QUESTIONED else "")
+
+
+def _devices(design: Design, pairs: Mapping[str, Pair]) -> Iterator[Section]:
+    """Yield sections with drawings: the mechanism at the start and at the best point, both in the first scenario, and
+    the forces at the best point in each scenario.
+    """
+    name, pair = next(iter(pairs.items()))
+    for which, run in pair.items():
+        pose = np.asarray(run.array("trajectory/position")[0])
+        shown = drawing(NamedPose.of(mechanism_of(run), list(run.bodies), pose, np.asarray(run.time)))
+        where = f" Scenario: {name}." if name else ""
+        point: DesignPoint = getattr(design, which)
+        values = ", ".join(f"{key_words(key)} {_value(design, point, key)}" for key in point.variables)
+        sentence = f"With {values}."
+        title = f"The device {POINT_WORDS[which]}"
+        yield Section(f"device-{which}", title, (sentence,), replace(shown, caption=shown.caption + where))
+    for index, (scenario, runs) in enumerate(pairs.items()):
+        frames = load_drawing(runs["best"], mechanism_of(runs["best"]))
+        if frames is not None:
+            where = f" in the scenario {scenario}" if scenario else ""
+            yield Section(f"work-{index + 1}", f"The device at work{where}", (), frames)
+
+
+def _value(design: Design, point: DesignPoint, name: str) -> str:
+    """Return the value of a variable at a point, with its unit, as text."""
+    return f"{point.variables[name]:.6g} {variable_unit(design, name)}".rstrip()
+
+
+def _films(pairs: Mapping[str, Pair]) -> Iterator[dict[str, Any]]:
+    """Yield the animations of the runs at the best point and at the start."""
+    for scenario, pair in pairs.items():
+        for which in reversed(WHICH):
+            yield film_of(pair[which], _NUMBERS, f"{scenario}, {which}" if scenario else which)

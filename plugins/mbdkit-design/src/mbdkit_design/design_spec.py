@@ -1,0 +1,374 @@
+"""The spec of a design: variables of a base spec, goals to minimise, limits, and the optimiser."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import replace
+from typing import Annotated, Any, ClassVar, Literal, Self
+
+from pydantic import (
+    AfterValidator,
+    BeforeValidator,
+    ConfigDict,
+    Field,
+    ModelWrapValidatorHandler,
+    PrivateAttr,
+    SerializerFunctionWrapHandler,
+    model_serializer,
+    model_validator,
+)
+
+from mbdkit.base.errors import SpecError
+from mbdkit.base.plain_data import Path, copied, path_text, value_text
+from mbdkit.base.units import Unit, read_quantity
+from mbdkit.mechanism.checks import check_name
+from mbdkit.mechanism.values import Number, Positive, pair
+from mbdkit_biomech.inverse_dynamics.inverse_spec import InverseSpec
+from mbdkit.spec.model_spec import StrictSpec
+from mbdkit.spec.reading import parse_key
+from mbdkit.spec.run_spec import RunSpec
+from mbdkit.spec.sections import Count, Section
+from mbdkit.spec.study_measures import DefinedMeasure, defined
+from mbdkit_studies.study_spec import Base, Overrides
+
+GOAL = "goal"
+"""Name of the only goal if `minimize` is an expression."""
+
+
+class _WithUnit(Section):
+    """Base class of sections whose numbers may have units, which must fit each other.
+
+    Whether a unit fits the key that a number sets is checked by the spec of the run.
+    """
+
+    _unit: Unit | None = PrivateAttr(default=None)
+
+    @model_validator(mode="wrap")
+    @classmethod
+    def _without_unit(cls, data: Any, handler: ModelWrapValidatorHandler[Self]) -> Self:
+        if not isinstance(data, Mapping):
+            return handler(data)
+        values, units = copied(data), []  # type: dict[str, Any], list[Unit]
+        for key, value in values.items():
+            numbers = value if isinstance(value, list) else [value]
+            for place, number in enumerate(numbers if key in cls.NUMBERS else ()):
+                try:
+                    quantity = read_quantity(number)
+                except SpecError as error:
+                    raise error.located(prefix=key) from None
+                if quantity is None:
+                    continue
+                numbers[place] = quantity[0]
+                units.append(quantity[1])
+                if not (quantity[1].fits(units[0]) or units[0].fits(quantity[1])):
+                    raise SpecError(f"has the unit {quantity[1]}, which does not fit the unit {units[0]}", key=key)
+            values[key] = numbers if isinstance(value, list) else numbers[0]
+        section = handler(values)
+        section._unit = units[0] if units else None
+        return section
+
+    @model_serializer(mode="wrap")
+    def _with_unit(self, serialize: SerializerFunctionWrapHandler) -> Any:
+        """Write numbers with their SI unit, so that a spec that is read again writes the same values into its bases."""
+        data = serialize(self)
+        if self._unit is not None:
+            for key in self.NUMBERS:
+                match data.get(key):
+                    case list() | tuple() as numbers:
+                        data[key] = [self._text(number) for number in numbers]
+                    case float() as number:
+                        data[key] = self._text(number)
+        return data
+
+    def _text(self, number: float) -> float | str:
+        """Return a number with its SI unit, if it has one."""
+        return number if self._unit is None else f"{number!r} {self._unit.si}"
+
+    NUMBERS: ClassVar[tuple[str, ...]]
+    """Keys that may have a unit."""
+
+
+class Variable(_WithUnit):
+    """A number of the base spec that the optimiser chooses."""
+
+    NUMBERS: ClassVar[tuple[str, ...]] = ("bounds", "start")
+
+    bounds: Annotated[tuple[Number, Number], BeforeValidator(pair("two numbers [lower, upper]"))]
+    """Smallest and largest value."""
+    start: Number | None = None
+    """Value at which the search begins, and with which the optimum is compared; by default, the middle of the
+    bounds."""
+
+    @model_validator(mode="after")
+    def _start_in_bounds(self) -> Variable:
+        low, high = self.bounds
+        if low >= high:
+            hint = "; to fix it, set its key under `overrides`" if low == high else ""
+            raise SpecError(f"the lower bound {low:g} should be less than the upper bound {high:g}{hint}", key="bounds")
+        if self.start is not None and not low <= self.start <= high:
+            raise SpecError(f"should be within the bounds {low:g} and {high:g}, not {self.start:g}", key="start")
+        return self
+
+    @property
+    def first(self) -> float:
+        """Value at which the search begins."""
+        return 0.5 * (self.bounds[0] + self.bounds[1]) if self.start is None else self.start
+
+    @property
+    def written(self) -> float | str:
+        """The first value, with its SI unit if the variable has one."""
+        return self._text(self.first)
+
+
+class Limit(_WithUnit):
+    """A measure that the design keeps within limits, in every scenario."""
+
+    NUMBERS: ClassVar[tuple[str, ...]] = ("max", "min")
+
+    value: str
+    """Expression of a run, as in `measures`."""
+    max: Number | None = None
+    """Largest value."""
+    min: Number | None = None
+    """Smallest value."""
+
+    @model_validator(mode="after")
+    def _has_a_limit(self) -> Limit:
+        if self.max is None and self.min is None:
+            raise SpecError("is missing: give `max`, `min` or both", key="max")
+        if self.max is not None and self.min is not None and self.min > self.max:
+            raise SpecError(f"should be at most `max`, {self.max:g}, not {self.min:g}", key="min")
+        return self
+
+    @property
+    def measure(self) -> dict[str, str]:
+        """The expression, with the SI unit of the limits if they have one."""
+        return {"value": self.value} | ({} if self._unit is None else {"unit": self._unit.si})
+
+
+class Scenario(Section):
+    """One of several situations in which a design is used, such as walking and standing up."""
+
+    base: Base | None = None
+    """The spec of a run or of inverse dynamics for this situation: the name of a packaged example, a file, or a
+    mapping; by default, the `base` at the top level of the design."""
+    overrides: Overrides = Field(default_factory=dict)
+    """Dotted keys to set in the base."""
+    weight: Positive = 1.0
+    """Weight of the goals of this scenario in the sum over the scenarios."""
+
+
+class LocalOptimizer(Section):
+    """A method that follows gradients to a local minimum, from one or several starts.
+
+    `bundle` is for goals and limits with kinks, such as maxima over time: it combines the gradients of nearby points.
+    """
+
+    name: Literal["slsqp", "trust-constr", "bundle", "least-squares"]
+    starts: Count = 1
+    """Number of starts: the first at the `start` of the variables, the others in a Sobol sequence within the bounds."""
+    seed: Annotated[int, Field(ge=0)] = 0
+    """Seed of the Sobol sequence."""
+    tolerance: Positive = 1e-9
+    """Relative change of the goal, and of the variables relative to the distance between their bounds, at which a
+    search ends."""
+    max_iterations: Count = 100
+    """Largest number of iterations of each search."""
+
+
+class GlobalOptimizer(Section):
+    """Differential evolution, which needs no gradients."""
+
+    name: Literal["differential-evolution"]
+    population: Count = 15
+    """Population size (number of members) for each variable."""
+    seed: Annotated[int, Field(ge=0)] = 0
+    """Seed of the random numbers."""
+    tolerance: Positive = 1e-6
+    """Spread of the population, relative to its mean, at which the search ends."""
+    max_iterations: Count = 200
+    """Largest number of generations."""
+
+
+class EvolutionStrategy(Section):
+    """CMA-ES, which needs no gradients, for two variables or more; by the package `cma`."""
+
+    name: Literal["cma-es"]
+    population: Annotated[int, Field(ge=3)] | None = None
+    """Population size (number of members of a generation); by default 4 + 3 log(n) for n variables."""
+    spread: Annotated[float, Field(gt=0, le=1)] = 0.25
+    """Standard deviation of the first generation around the start, as a share of the distance between the bounds."""
+    seed: Annotated[int, Field(ge=0)] = 0
+    """Seed of the random numbers."""
+    tolerance: Positive = 1e-9
+    """Relative change of the goal, and of the variables relative to the distance between their bounds, at which the
+    search ends."""
+    max_iterations: Count = 500
+    """Largest number of generations."""
+
+
+Optimizer = LocalOptimizer | GlobalOptimizer | EvolutionStrategy
+
+
+def _check_goals(given: Any) -> Any:
+    if not isinstance(given, str | Mapping):
+        raise SpecError(f"should be an expression, or a mapping of names and expressions, not {value_text(given)}")
+    if isinstance(given, Mapping) and not given:
+        raise SpecError("needs at least one goal, such as `torque: rms(joints.motor.torque)`")
+    return given
+
+
+def _check_comparison(settings: dict[str, Any]) -> dict[str, Any]:
+    if not settings:
+        raise SpecError("needs dotted keys of the base and their values, such as {time.step: 0.1}")
+    return settings
+
+
+def _check_variables(variables: dict[str, Variable]) -> dict[str, Variable]:
+    if not variables:
+        raise SpecError("needs at least one variable, such as `stiffness: {bounds: [0, 100]}`")
+    for name in variables:
+        if not parse_key(name):
+            raise SpecError(
+                "should be the name of a parameter, or a dotted key of the base spec", key=path_text((name,))
+            )
+    return variables
+
+
+MOST_SCENARIOS = 1000
+"""Maximum number of scenarios; the spec of each is validated before the first run."""
+
+
+def _check_scenarios(scenarios: dict[str, Scenario]) -> dict[str, Scenario]:
+    if len(scenarios) > MOST_SCENARIOS:
+        raise SpecError(f"has {len(scenarios)} scenarios; a design has at most {MOST_SCENARIOS}")
+    return scenarios
+
+
+class DesignSpec(StrictSpec):
+    """The complete input of a design: a base spec, the numbers to choose, what to minimise and what to keep.
+
+    Raises
+    ------
+    SpecError
+        If the spec is not valid, with the key path.
+    """
+
+    model_config = ConfigDict(title="mbdkit design spec", defer_build=True)
+    ABSENT_BY_DEFAULT: ClassVar[tuple[str, ...]] = ()
+
+    mbdkit_design: Literal[1]
+    """Version of the spec format."""
+    title: str = ""
+    """Title, free text."""
+    base: Base | None = None
+    """The spec of a run or of inverse dynamics: the name of a packaged example, a file, or a mapping."""
+    overrides: Overrides = Field(default_factory=dict)
+    """Dotted keys to set in the base of every scenario, such as `time.end: 5.0`."""
+    scenarios: Annotated[dict[str, Scenario], AfterValidator(_check_scenarios)] = Field(default_factory=dict)
+    """Situations by name. Goals and limits are evaluated in each of them. By default, the base is the only situation.
+    """
+    variables: Annotated[dict[str, Variable], AfterValidator(_check_variables)]
+    """The numbers to choose, by the name of a parameter or a dotted key, such as `model.forces.spring.stiffness`."""
+    minimize: Annotated[str | dict[str, str], BeforeValidator(_check_goals)]
+    """What to minimise: an expression of a run, as in `measures`, or several by name, which give a Pareto front."""
+    subject_to: dict[str, Limit] = Field(default_factory=dict)
+    """Measures that are kept within limits, by name."""
+    optimizer: Annotated[Optimizer, Field(discriminator="name")] = LocalOptimizer(name="slsqp")
+    """The method: `slsqp`, `trust-constr`, `least-squares` or `differential-evolution` of SciPy, `cma-es` or `bundle`,
+    and its options; `least-squares` minimises the sum of the squares of all expressions of `minimize`."""
+    front: Annotated[int, Field(ge=3, le=1000)] = 9
+    """Number of points of a Pareto front of two goals, both ends included. With three goals: number of limits for the
+    second goal, and for the third; the first goal is minimised for all combinations of these limits."""
+    compare: dict[str, Annotated[Overrides, AfterValidator(_check_comparison)]] = Field(default_factory=dict)
+    """Other settings of the runs, each under a name of your choice, with which the optimisation is repeated, such as
+    another integrator or step: `{coarse: {time.step: 0.1}}`. The best point for each of these settings is then
+    evaluated with the settings of the design."""
+
+    _specs: dict[str, RunSpec | InverseSpec] = PrivateAttr(default_factory=dict)
+    _compared_specs: dict[str, dict[str, RunSpec | InverseSpec]] = PrivateAttr(default_factory=dict)
+
+    @model_validator(mode="after")
+    def _consistent(self) -> DesignSpec:
+        if self.base is None and not self.scenarios:
+            raise SpecError("is missing: the spec to improve (a packaged example, a file or a mapping)", key="base")
+        for name, scenario in self.scenarios.items():
+            check_name(name, path_text(("scenarios", name)))
+            if self.base is None and scenario.base is None:
+                raise SpecError(
+                    "is missing: give the spec to improve, here or at the top level of the design",
+                    key=path_text(("scenarios", name, "base")),
+                )
+        if self.sums_squares and self.subject_to:
+            raise SpecError(
+                "does not support limits (`subject_to`); use slsqp, bundle or trust-constr", key="optimizer.name"
+            )
+        if len(self.totals) > 3:
+            raise SpecError(
+                f"has {len(self.goals)} goals; a Pareto front has two or three. Combine some of them in one expression",
+                key="minimize",
+            )
+        if self.optimizer.name == "cma-es" and len(self.variables) == 1:
+            raise SpecError(
+                "needs two variables or more; use slsqp or differential-evolution for one", key="optimizer.name"
+            )
+        self._check_comparisons()
+        for name in self.subject_to:
+            if name in self.goals:
+                raise SpecError("is the name of a goal too; choose another one", key=path_text(("subject_to", name)))
+        tuple(self.defined_measures())
+        return self
+
+    def _check_comparisons(self) -> None:
+        if self.compare and len(self.totals) > 1:
+            raise SpecError("is not available for Pareto fronts, only for a single goal; omit it", key="compare")
+        for name, settings in self.compare.items():
+            if not name.strip() or not name.isprintable():
+                raise SpecError(f"needs printable text as the name of settings, not {name!r}", key="compare")
+            for key in settings:
+                if parse_key(key) in map(variable_path, self.variables):
+                    where = path_text(("compare", name, key))
+                    raise SpecError("is a variable of the design, which the optimizer chooses", key=where)
+
+    @property
+    def goals(self) -> dict[str, str]:
+        """Expressions of the goals by name."""
+        return {GOAL: self.minimize} if isinstance(self.minimize, str) else dict(self.minimize)
+
+    @property
+    def sums_squares(self) -> bool:
+        """Whether the sum of the squares of all goals is minimised, instead of the goals themselves."""
+        return self.optimizer.name == "least-squares"
+
+    @property
+    def totals(self) -> tuple[str, ...]:
+        """Names of the functions that are minimised: the goals, or their sum of squares."""
+        return (GOAL,) if self.sums_squares else tuple(self.goals)
+
+    @property
+    def situations(self) -> dict[str, Scenario]:
+        """The scenarios by name; without scenarios, the base is the only one, and has an empty name."""
+        return self.scenarios or {"": Scenario()}
+
+    @property
+    def specs(self) -> Mapping[str, RunSpec | InverseSpec]:
+        """The validated specs of the scenarios by name, with the variables at their start values."""
+        return self._specs
+
+    @property
+    def compared_specs(self) -> Mapping[str, Mapping[str, RunSpec | InverseSpec]]:
+        """The validated specs of the scenarios for each set of settings in `compare`, by the name of the set."""
+        return self._compared_specs
+
+    def defined_measures(self) -> Iterator[DefinedMeasure]:
+        """Yield goals and limits as measures, with their locations in this spec."""
+        for one in defined(self.goals, ("minimize",)):
+            yield one if isinstance(self.minimize, Mapping) else replace(one, place=("minimize",))
+        for name, limit in self.subject_to.items():
+            yield from defined({name: limit.measure}, ("subject_to",))
+
+
+def variable_path(name: str) -> Path:
+    """Return the key path that a variable sets; a name without dots refers to a parameter."""
+    path = parse_key(name)
+    return path if len(path) > 1 else ("parameters", *path)

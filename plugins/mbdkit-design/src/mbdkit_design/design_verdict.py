@@ -1,0 +1,208 @@
+"""The verdict on a design: its gain, whether the gain exceeds the errors, and the tables of its points."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from mbdkit_report.analysis.verdict import Answer, Claim, Verdict
+from mbdkit.base.text import counted
+from mbdkit_design.gains import Cost, goal_units, goal_words, measure_units
+from mbdkit_design.robustness import Deviation
+from mbdkit_design.trust import QUESTIONED
+from mbdkit_report.figures.page_model import Cell, Column, Table
+from mbdkit_design.design_charts import variable_unit
+from mbdkit.spec.key_words import key_words
+from mbdkit.spec.yaml_reader import write_yaml
+
+if TYPE_CHECKING:
+    from mbdkit_design.compared_settings import Comparison
+    from mbdkit_design.design import Design
+
+SAME = 1e-3
+"""Largest difference at which two optima count as equal. Differences of variables are relative to the distance between
+their bounds; differences of goals are relative to the goal at the start or at the best point, whichever is larger.
+"""
+
+
+def design_verdict(design: Design) -> Verdict:
+    """Return the verdict on a design, without charts."""
+    claims = [
+        _certified(design),
+        *_gains(design),
+        *_limits(design),
+        *(_compared(design, one) for one in design.compared),
+    ]
+    at_best, every = design.searches
+    note = f"{at_best} of {every} searches ended at this point to 0.1 % of the goal."
+    alone = " A single search finds a local minimum; `optimizer.starts` makes several." if every == 1 else ""
+    return Verdict(
+        name="design",
+        title="Verdict",
+        sentence=" ".join([*(claim.sentence for claim in claims if claim.sentence), *design.warnings]),
+        claims=tuple(claims),
+        tables=tuple(_tables(design)),
+        notes=(" ".join(filter(None, (note + alone, design.derivatives))),),
+    )
+
+
+def _gains(design: Design) -> Iterator[Claim]:
+    """Yield for each goal the claim that its gain exceeds the estimated errors."""
+    for one in design.gains:
+        unit = f" {one.unit}" if one.unit else ""
+        known = "of unknown error" if np.isnan(one.error) else f"with an estimated error of {one.error:.1g}{unit}"
+        answer = Answer.OPEN if one.is_real is None else Answer.YES if one.is_real else Answer.NO
+        statement = f"The gain of the {goal_words(one.name)} exceeds the errors of both points."
+        sentence = f"The {goal_words(one.name)} changes {one.text()}."
+        found = f"{one.start:.6g} to {one.best:.6g}{unit}, {known}"
+        yield Claim(f"gain-{one.name}", statement, "", found, answer, sentence)
+
+
+def _certified(design: Design) -> Claim:
+    level = design.trust.level
+    answer = {"good": Answer.YES, "unknown": Answer.OPEN, "doubtful": Answer.PARTLY}.get(level, Answer.NO)
+    sentence = design.trust.judgement if level in QUESTIONED else ""
+    return Claim("runs", "The runs at the start and at the best point can be trusted.", "", level, answer, sentence)
+
+
+def _limits(design: Design) -> Iterator[Claim]:
+    if design.spec.subject_to:
+        answer = Answer.YES if design.is_feasible else Answer.NO
+        text = f"{counted(len(design.spec.subject_to), 'limit')} in {counted(len(design.spec.specs), 'scenario')}"
+        yield Claim("limits", "The best point satisfies all limits.", "", text, answer, "")
+
+
+def _compared(design: Design, one: Comparison) -> Claim:
+    """Return the claim that the search with other settings of the runs finds the same best point."""
+    name = f"compared-{[*design.spec.compare].index(one.name) + 1}"
+    statement = f"With {one.name}, the best point is the same."
+    if one.believed is None or one.actual is None:
+        return Claim(name, statement, "", one.reason, Answer.NO, one.reason)
+    (goal,) = design.best.goals
+    unit = f" {units}" if (units := goal_units(design.spec)[goal]) else ""
+    believed, actual, best = (point.goals[goal] for point in (one.believed, one.actual, design.best))
+    moved = max(
+        abs(one.believed.variables[key] - design.best.variables[key]) / (high - low)
+        for key, (low, high) in ((key, variable.bounds) for key, variable in design.spec.variables.items())
+    )
+    size = max(abs(best), abs(design.start.goals[goal]))
+    same = moved <= SAME and abs(believed - best) <= SAME * size and one.is_feasible
+    in_fact = "a run fails there" if one.fails else f"it is {actual:.6g}{unit}"
+    text = f"goal there {believed:.6g}{unit}, in fact {in_fact}; best {best:.6g}{unit}"
+    if same:
+        return Claim(name, statement, "", text, Answer.YES, f"{one.confirmation()} {one.reason}".strip())
+    beyond = "" if one.is_feasible or one.fails else ", and limits are violated there"
+    sentence = (
+        f"With {one.name}, the optimum seems to have a {goal_words(goal)} of {believed:.6g}{unit}; in fact "
+        f"{in_fact}{beyond}. {one.confirmation()} {one.reason}"
+    )
+    return Claim(name, statement, "", text, Answer.NO, sentence.rstrip())
+
+
+def _tables(design: Design) -> Iterator[Table]:
+    """Yield the tables of variables, of goals and limits in each scenario and, if there are any, of searches with other
+    settings of the runs and of points of the Pareto front.
+    """
+    start, best = design.start.variables, design.best.variables
+    rows: list[tuple[Cell, ...]] = [
+        (key_words(name), variable.bounds[0], start[name], best[name], variable.bounds[1],
+         variable_unit(design, name), design.side(name))
+        for name, variable in design.spec.variables.items()
+    ]  # fmt: skip
+    names = ("variable", "lower bound", "start", "best", "upper bound", "unit", "at a bound")
+    yield Table("variables", "Variables", tuple(map(Column, names)), tuple(rows))
+    yield _goal_table(design)
+    if design.compared:
+        yield _comparison_table(design)
+    if len(design.front) > 1:
+        yield _front_table(design)
+
+
+def _goal_table(design: Design) -> Table:
+    units = measure_units(design.spec)
+    rows: list[tuple[Cell, ...]] = []
+    for scenario, measures in design.best.measures.items():
+        for name, value in measures.items():
+            limit = design.spec.subject_to.get(name)
+            rows.append(
+                (scenario, name, units[scenario, name], design.start.measures[scenario][name], value,
+                 None if limit is None else limit.min, None if limit is None else limit.max)
+            )  # fmt: skip
+    names = ["scenario", "goal or limit", "unit", "start", "best", "smallest", "largest"]
+    if not design.spec.scenarios:
+        names, rows = names[1:], [row[1:] for row in rows]
+    text = "; ".join(f"{measure.name}: {measure.expression}" for measure in design.spec.defined_measures())
+    return Table("goals", "Goals and limits", tuple(map(Column, names)), tuple(rows), text)
+
+
+def costs_table(costs: Sequence[Cost]) -> Table:
+    """Return the table of the loads that differ between the start and the best point."""
+    rows: list[tuple[Cell, ...]] = [
+        (one.scenario, one.label, one.unit, one.start, one.best, None if np.isinf(one.share) else 100 * one.share)
+        for one in costs
+    ]
+    columns = tuple(map(Column, ("scenario", "load", "unit", "start", "best", "change in %")))
+    if not any(one.scenario for one in costs):
+        rows, columns = [row[1:] for row in rows], columns[1:]
+    return Table(
+        "costs", "Loads elsewhere", columns, tuple(rows), "Largest forces and torques that change by 1 % or more."
+    )
+
+
+def robustness_table(design: Design, deviations: Sequence[Deviation]) -> Table:
+    """Return the table of the goals at the best point if one number of the model differs from its given value."""
+    units = goal_units(design.spec)
+    columns = [Column("number"), Column("off by")]
+    for name in design.best.goals:
+        columns += [Column(f"{goal_words(name)} if {word}", units[name]) for word in ("smaller", "larger")]
+    limits = bool(design.spec.subject_to)
+    rows: list[tuple[Cell, ...]] = [
+        (one.words, one.size, *(float(value) for value in one.goals.T.ravel()),
+         *((", ".join(one.exceeds),) if limits else ()))
+        for one in deviations
+    ]  # fmt: skip
+    best = ", ".join(f"{goal_words(name)} {value:.4g}" for name, value in design.best.goals.items())
+    note = f"At the best point: {best}. Bounds of the variables do not apply here."
+    columns += [Column("limits exceeded")] if limits else []
+    return Table("robustness", "If a number is not met exactly", tuple(columns), tuple(rows), note)
+
+
+def _comparison_table(design: Design) -> Table:
+    """Return the table of the best points of this design and of the searches with other settings of the runs."""
+    (goal,) = design.best.goals
+    best = design.best
+    rows: list[tuple[Cell, ...]] = [("this design", *best.variables.values(), best.goals[goal], best.goals[goal],
+                                     "yes" if design.is_feasible else "no")]  # fmt: skip
+    for one in design.compared:
+        if one.believed is None or one.actual is None:
+            rows.append((one.name, *(None for _ in best.variables), None, None, "no best point"))
+        else:
+            actual = None if one.fails else one.actual.goals[goal]
+            limits = "a run fails" if one.fails else "yes" if one.is_feasible else "no"
+            rows.append((one.name, *one.believed.variables.values(), one.believed.goals[goal], actual, limits))
+    unit = goal_units(design.spec)[goal]
+    columns = (
+        Column("best point with"),
+        *(Column(key_words(name), variable_unit(design, name)) for name in best.variables),
+        Column("goal with it", unit),
+        Column("goal in fact", unit),
+        Column("satisfies limits"),
+    )
+    text = "; ".join(
+        f"{name}: {write_yaml(settings).strip().replace(chr(10), ', ')}"
+        for name, settings in design.spec.compare.items()
+    )
+    note = f"The goal in fact, and whether limits are satisfied, are computed with the settings of the design. {text}."
+    return Table("compared", "Results with other settings", columns, tuple(rows), note)
+
+
+def _front_table(design: Design) -> Table:
+    units = goal_units(design.spec)
+    columns = (
+        *(Column(name, units[name]) for name in design.best.goals),
+        *(Column(key_words(name), variable_unit(design, name)) for name in design.best.variables),
+    )
+    rows = tuple((*one.goals.values(), *one.variables.values()) for one in design.front)
+    return Table("front-points", "Points of the Pareto front", columns, rows)

@@ -1,0 +1,48 @@
+"""Carries out the tasks of designs, in a worker process of this machine or in one that an executor has started."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Sequence
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+from mbdkit_design.computing import plain_outcome
+from mbdkit_design.evaluation import ScenarioRuns
+from mbdkit.spec import InverseSpec, RunSpec
+from mbdkit.spec.reading import Document
+from mbdkit_studies import worker
+
+
+def main() -> None:
+    """Process tasks until standard input is closed."""
+    worker.main(_carry)
+
+
+def compute(tasks: Sequence[dict[str, Any]], of_version: str) -> list[dict[str, Any]]:
+    """Carry out tasks in a process that an executor has started; see `mbdkit_studies.worker.compute`."""
+    return worker.compute(tasks, of_version, _carry)
+
+
+def _carry(task: dict[str, Any], notify: Callable[[str], None]) -> dict[str, Any]:
+    runs = _scenario(json.dumps(task["spec"]), task["kind"], task["folder"])
+    points = [[(tuple(path), value) for path, value in settings] for settings in task["settings"]]
+    return {
+        "status": "complete",
+        "reason": "",
+        "results": [plain_outcome(outcome) for outcome in runs.outcomes(points)],
+    }
+
+
+@lru_cache(maxsize=16)
+def _scenario(text: str, kind: str, folder: str) -> ScenarioRuns:
+    """Return the runs of a scenario; cached, so that further points need less preparation."""
+    data = json.loads(text)
+    spec = InverseSpec(**data) if kind == "inverse" else RunSpec(**data)
+    spec._document = Document(data, folder=Path(folder))
+    return ScenarioRuns(spec)
+
+
+if __name__ == "__main__":
+    main()

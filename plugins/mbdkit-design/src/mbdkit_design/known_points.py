@@ -1,0 +1,173 @@
+"""The points that a design has evaluated, stored in memory and in a file from which the next call continues."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+from typing import Any
+from zlib import crc32
+
+from mbdkit.base.errors import SpecError, file_error
+from mbdkit.base.files import check_regular, replacing
+from mbdkit.base.text import counted, shown
+from mbdkit_design.computing import is_passing, outcome_of, plain_outcome
+from mbdkit_design.evaluation import Job, Outcome
+from mbdkit_design.point import Notify
+
+
+def read_versioned(text: str | bytes, name: str, path: Path) -> dict[str, Any]:
+    """Return data that begin with a format version under this name; an empty mapping if the text contains something
+    else.
+
+    Raises
+    ------
+    SpecError
+        If the version is later than 1.
+    """
+    try:
+        data = json.loads(text)
+    except (ValueError, RecursionError):
+        return {}
+    version = data.get(name) if isinstance(data, dict) else None
+    if isinstance(version, int) and version > 1:
+        message = f"this file has format version {version}, this mbdkit reads 1; install a later version of mbdkit"
+        raise SpecError(message, file=path)
+    return data if version == 1 else {}
+
+
+NOT_READ = (ValueError, KeyError, TypeError, AttributeError, OverflowError, RecursionError)
+"""Exceptions that occur if the data that are read are not those of a design."""
+
+VERSION = "mbdkit_points"
+"""Name of the format version in the first line of the file."""
+FIRST = json.dumps({VERSION: 1}).encode()
+SUM = "crc32"
+"""Name of the check sum of a line. It is computed from the JSON text of the line without the check sum."""
+
+Compute = Callable[[Sequence[Job]], Iterator[tuple[Job, Outcome]]]
+
+
+class PointFile:
+    """A text file with a line of JSON for each evaluated scenario and point: ``points.jsonl``.
+
+    The first line has the format version. Each further line has the ``scenario``, the ``settings`` of its keys, the
+    ``values`` of goals and limits by name (null if the run failed), the ``verdict`` on the run, the ``reason`` if the
+    run failed or is judged doubtful or bad, the ``errors`` of the values, in the same order, if they were estimated,
+    and a check sum. Lines are appended, so that a killed process leaves at most one unfinished line. The next process
+    removes unfinished and damaged lines, and computes their points again.
+
+    Parameters
+    ----------
+    names
+        Names of goals and limits, in order.
+    notify
+        Called with a sentence if lines are damaged.
+    """
+
+    def __init__(self, path: Path, names: Sequence[str], notify: Notify):
+        self.path, self._names, self._notify = path, names, notify
+
+    def read(self) -> dict[str, Outcome]:
+        """Return the outcomes in the file by `Job.key`, after removing unfinished and damaged lines from the file.
+
+        If there is no file, it is created.
+
+        Raises
+        ------
+        SpecError
+            If the file is not a list of points of this design, or was written by a later version of mbdkit.
+        ResourceError
+            If the system refuses to read or write the file.
+        """
+        try:
+            if self.path.exists() and not self.path.is_dir():
+                check_regular(self.path)
+            text = self.path.read_bytes() if self.path.exists() else b""
+        except OSError as error:
+            raise _refused(error, self.path) from error
+        first, *lines = text[: text.rfind(b"\n") + 1].split(b"\n")[:-1] or [FIRST]
+        if not read_versioned(first, VERSION, self.path):
+            message = (
+                "this is not a list of evaluated points of this design; replace the design in the folder with "
+                "--overwrite"
+            )
+            raise SpecError(message, file=self.path)
+        known = {line: point for line in lines if (point := self._parsed(line)) is not None}
+        if damaged := len(lines) - len(known):
+            which = (
+                "is damaged and was removed; its run is"
+                if damaged == 1
+                else "are damaged and were removed; their runs are"
+            )
+            self._notify(f"{counted(damaged, 'line')} of {shown(self.path)} {which} made again")
+        sound = b"".join(line + b"\n" for line in (first, *known))
+        if sound != text:
+            with replacing(self.path) as temporary:
+                temporary.write_bytes(sound)
+        return dict(known.values())
+
+    def add(self, job: Job, outcome: Outcome) -> None:
+        """Append a line; raise ResourceError if the system refuses to write it."""
+        plain = plain_outcome(outcome)
+        plain["values"] = dict(zip(self._names, plain["values"], strict=True))
+        data = {"scenario": job.scenario, "settings": job.values, **plain}
+        line = json.dumps(data | {SUM: crc32(json.dumps(data).encode())})
+        try:
+            with self.path.open("a", encoding="utf-8") as file:
+                file.write(line + "\n")
+        except OSError as error:
+            raise _refused(error, self.path) from error
+
+    def _parsed(self, line: bytes) -> tuple[str, Outcome] | None:
+        """Return key and outcome of a line; None if it is damaged."""
+        try:
+            data: dict[str, Any] = json.loads(line)
+            if data.pop(SUM) != crc32(json.dumps(data).encode()):
+                return None
+            values = [data["values"][name] for name in self._names]
+            return json.dumps([data["scenario"], data["settings"]]), outcome_of(data | {"values": values})
+        except NOT_READ:
+            return None
+
+
+class KnownPoints:
+    """Source of outcomes of a design: known ones are looked up, others are computed and stored.
+
+    Parameters
+    ----------
+    compute
+        Function that computes jobs, and yields each when it is done.
+    file
+        File in which outcomes are stored; None if they are not stored.
+    progress
+        Called with the number of known outcomes, and the number of failures among them.
+    """
+
+    def __init__(
+        self, compute: Compute, file: PointFile | None = None, progress: Callable[[int, int], None] | None = None
+    ):
+        self._compute, self._file, self._progress = compute, file, progress
+        self._known = {} if file is None else file.read()
+        self._failed = sum(outcome.verdict == "failed" for outcome in self._known.values())
+
+    @property
+    def count(self) -> int:
+        """Number of known outcomes."""
+        return len(self._known)
+
+    def __call__(self, jobs: Sequence[Job]) -> list[Outcome]:
+        """Return the outcome of each job."""
+        missing = {job.key: job for job in jobs if job.key not in self._known}
+        for job, outcome in self._compute(list(missing.values())):
+            self._known[job.key] = outcome
+            self._failed += outcome.verdict == "failed"
+            if self._file is not None and not is_passing(outcome):
+                self._file.add(job, outcome)
+            if self._progress is not None:
+                self._progress(self.count, self._failed)
+        return [self._known[job.key] for job in jobs]
+
+
+def _refused(error: OSError, path: Path) -> Exception:
+    return file_error(error.errno, f"the points of the design cannot be stored: {error.strerror or error}", file=path)

@@ -1,0 +1,161 @@
+"""The effect of inexact numbers on a design, such as dimensions of the built device and measured masses of its user."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from mbdkit.base.plain_data import Path, canonical
+from mbdkit.base.text import table
+from mbdkit_design.evaluation import Evaluator, Job, Settings
+from mbdkit_design.gains import goal_words
+from mbdkit.spec import DesignSpec
+from mbdkit_design.design_spec import variable_path
+from mbdkit.spec.key_words import key_unit, key_words
+from mbdkit.spec.model_spec import ModelSpec
+
+OFF = 0.05
+"""Relative deviation of variables and masses."""
+MOVED = 0.002
+"""Deviation of a coordinate of an attachment [m]."""
+_ELEMENTS = ("forces", "springs")
+_INERTIA = {"mass": "inertia", "masses": "inertias"}
+"""Key of the inertia beside the key of a mass."""
+_POINTS = ("points", "point", "at", "from", "to")
+MOST = 12
+"""Largest number of masses that are varied (those of the heaviest bodies), and largest number of rows that are printed.
+"""
+
+
+@dataclass(frozen=True)
+class Deviation:
+    """Goals and limits of a design if one number deviates from its value at the best point.
+
+    Attributes
+    ----------
+    words, size
+        Name of the number, and size of the deviation, such as 5 % or 2 mm.
+    goals
+        (2, G) goals with the number reduced and increased by the deviation; nan where a run fails.
+    exceeds
+        Names of the limits that are violated with the reduced or the increased number.
+    """
+
+    words: str
+    size: str
+    goals: np.ndarray
+    exceeds: tuple[str, ...]
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return plain data for JSON; None where a run fails."""
+        goals = [[value if np.isfinite(value) else None for value in side] for side in self.goals.tolist()]
+        return {"number": self.words, "off_by": self.size, "goals": goals, "exceeds": self.exceeds}
+
+
+def robustness(evaluator: Evaluator, best: np.ndarray) -> list[Deviation]:
+    """Return goals and limits near the best point (n,), with one number changed at a time.
+
+    Each variable and each of the `MOST` largest masses of the model are changed by 5 %. The inertia of a body is
+    changed with its mass, as if its density changed, unless it is a variable or follows from the mass. Each attachment
+    of a force element is moved by 2 mm along x and along y.
+    """
+    settings = evaluator.settings(best)
+    specs = [runs.at(settings) for runs in evaluator.scenarios]
+    moved = [dict(_numbers(spec, [path for path, _ in settings])) for spec in specs]
+    cases: list[tuple[str, str, list[Sequence[Settings]]]] = [
+        (key_words(name), f"{100 * OFF:g} %", [[[(variable_path(name), value * (1 + off))] for off in (-OFF, OFF)]]
+         * len(specs))
+        for name, value in evaluator.variables(best).items()
+    ]  # fmt: skip
+    for path in moved[0]:
+        if all(path in one for one in moved):
+            size = f"{1000 * MOVED:g} mm" if path[1] in _ELEMENTS else f"{100 * OFF:g} %"
+            head, of, body = key_words(path).partition(" of ")
+            if len(moved[0][path][0]) > 1:
+                head += f" and {key_words(_inertia_of(path)).partition(' of ')[0]}"
+            cases.append((f"{head}{of}{body}", size, [one[path] for one in moved]))
+    jobs = [
+        Job(scenario, [*settings, *both[side]])
+        for _, _, by_scenario in cases
+        for side in (0, 1)
+        for scenario, both in zip(evaluator.spec.specs, by_scenario, strict=True)
+    ]
+    values = np.array([one.values for one in evaluator.run(jobs)])
+    values = values.reshape(len(cases), 2, len(specs), len(evaluator.names))
+    return [
+        Deviation(words, size, np.array([evaluator.sums(one) for one in of_case]), evaluator.exceeded(of_case))
+        for (words, size, _), of_case in zip(cases, values, strict=True)
+    ]
+
+
+def _numbers(spec: ModelSpec, taken: Sequence[Path]) -> Iterator[tuple[Path, Sequence[Settings]]]:
+    """Yield the paths of masses and of coordinates of attachments in a model, with the settings for both deviations.
+
+    Numbers at or below the paths in `taken` are left out.
+    """
+    model = canonical(spec.model)
+    found = [path for path in _paths(model, ("model",)) if not any(path[: len(one)] == one for one in taken)]
+    masses = [path for path in found if path[1] not in _ELEMENTS and key_unit(path, [spec]) == "kg"]
+    for path in sorted(masses, key=lambda path: -abs(_at(model, path)))[:MOST]:
+        paths = [path, *(one for one in found if one == _inertia_of(path))]
+        yield path, [_scaled(model, paths, 1 + off) for off in (-OFF, OFF)]
+    for path in found:
+        if path[1] in _ELEMENTS and any(key in path for key in _POINTS) and key_unit(path, [spec]) == "m":
+            value = _at(model, path)
+            yield path, [_setting(model, path, value + off) for off in (-MOVED, MOVED)]
+
+
+def _inertia_of(path: Path) -> Path:
+    """Return the path that the inertia beside a mass would have."""
+    place = max(place for place, part in enumerate(path) if isinstance(part, str))
+    return (*path[:place], _INERTIA.get(str(path[place]), ""), *path[place + 1 :])
+
+
+def _scaled(model: Any, paths: Sequence[Path], factor: float) -> Settings:
+    return [one for path in paths for one in _setting(model, path, factor * _at(model, path))]
+
+
+def _paths(holder: Any, path: Path) -> Iterator[Path]:
+    """Yield the paths of the numbers in plain data."""
+    if isinstance(holder, dict | list):
+        for key, value in holder.items() if isinstance(holder, dict) else enumerate(holder):
+            yield from _paths(value, (*path, key))
+    elif isinstance(holder, int | float) and not isinstance(holder, bool):
+        yield path
+
+
+def _at(model: Any, path: Path) -> Any:
+    for part in path[1:]:
+        model = model[part]
+    return model
+
+
+def _setting(model: Any, path: Path, value: float) -> Settings:
+    """Return the setting of a number. A number in a list is set with the whole list, because the base may omit the
+    list.
+    """
+    depth = next((place for place, part in enumerate(path) if isinstance(part, int)), len(path))
+    return [(path[:depth], _replaced(_at(model, path[:depth]), path[depth:], value))]
+
+
+def _replaced(holder: Any, path: Path, value: float) -> Any:
+    """Return nested lists with another number at a path."""
+    if not path:
+        return value
+    return [_replaced(one, path[1:], value) if place == path[0] else one for place, one in enumerate(holder)]
+
+
+def robustness_text(spec: DesignSpec, deviations: Sequence[Deviation]) -> str:
+    """Return the deviations with the largest first goal as a table for a terminal, in descending order of this goal."""
+    ranked = sorted(deviations, key=lambda one: -np.max(np.nan_to_num(one.goals[:, 0], nan=np.inf)))
+    sides = [f"{goal_words(name)} {sign}".upper() for name in spec.totals for sign in "-+"]
+    rows = [("NUMBER", "OFF BY", *sides, *(("EXCEEDS",) if spec.subject_to else ()))]
+    for one in ranked[:MOST]:
+        goals = (f"{value:.4g}" if np.isfinite(value) else "fails" for value in one.goals.T.ravel())
+        limits = (", ".join(one.exceeds),) if spec.subject_to else ()
+        rows.append((one.words, one.size, *goals, *limits))
+    rest = len(ranked) - MOST
+    return table(rows) + (f"\nand {rest} numbers with a smaller effect, which the report has" if rest > 0 else "")

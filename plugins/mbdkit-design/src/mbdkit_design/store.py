@@ -1,0 +1,166 @@
+"""The folder of a design: its spec, the points it has evaluated, its result, and archives of the start and best point.
+
+- ``design.yaml``: the spec, with its bases written out;
+- ``points.jsonl``: a line for each evaluated scenario and point, from which the next call continues;
+- ``design.json``: the result;
+- ``start.h5``, ``best.h5``: archives of the start and of the best point, for each scenario if there are several;
+- ``report.html``: the page of ``mbdkit design --report``.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from mbdkit.archive.part_file import remove_checkpoint
+from mbdkit.archive.reader import load
+from mbdkit.base.errors import SpecError
+from mbdkit.base.files import replacing
+from mbdkit.base.plain_data import canonical_text
+from mbdkit_design.design import Design
+from mbdkit_design.evaluation import ScenarioRuns
+from mbdkit_design.known_points import NOT_READ, read_versioned
+from mbdkit_design.point import DesignPoint
+from mbdkit_design.trust import check_of
+from mbdkit_biomech.inverse_dynamics.inverse_run import compute_run
+from mbdkit.runs.simulation import simulate
+from mbdkit.spec import DesignSpec, InverseSpec, RunSpec, load_design_spec
+from mbdkit_design.design_spec import variable_path
+from mbdkit.spec.reading import read_file
+from mbdkit_studies.owned_folder import OwnedFolder
+
+if TYPE_CHECKING:
+    from mbdkit.archive.run import Run
+
+VERSION = "mbdkit_result"
+"""Name of the format version in the result."""
+WHICH = ("start", "best")
+"""Points for which archives are written."""
+
+
+class DesignFolder(OwnedFolder[DesignSpec]):
+    """Paths in the folder of a design, and its lock."""
+
+    KIND = "design"
+
+    def __init__(self, path: Path):
+        self.points = path / "points.jsonl"
+        self.result = path / "design.json"
+        super().__init__(path, self.points, self.result)
+
+    def archive(self, which: str, scenario: str) -> Path:
+        """Return the path of the archive of a point, ``start`` or ``best``, in a scenario."""
+        return self.path / (f"{which}-{scenario}.h5" if scenario else f"{which}.h5")
+
+    def is_same(self, spec: DesignSpec) -> bool:
+        """See `OwnedFolder.is_same`."""
+        return canonical_text(written_out(load_design_spec(self.spec))) == canonical_text(written_out(spec))
+
+    def plain_spec(self, spec: DesignSpec) -> dict[str, Any]:
+        """See `OwnedFolder.plain_spec`."""
+        return written_out(spec)
+
+    def remove_results(self) -> None:
+        """Remove the archives of the start and of the best point."""
+        scenarios = read_file(self.spec).data.get("scenarios")
+        names = [str(name) for name in scenarios] if isinstance(scenarios, dict) and scenarios else [""]
+        for archive in (self.archive(which, name) for which in WHICH for name in names):
+            if archive.parent == self.path and not archive.is_dir():
+                archive.unlink(missing_ok=True)
+
+    def read(self) -> Design:
+        """Return the design and its result.
+
+        Raises
+        ------
+        SpecError
+            If the folder contains no design, or if its result is missing or is not that of the design.
+        """
+        if not self.spec.is_file():
+            raise SpecError("this folder contains no design (no design.yaml)", file=self.path)
+        spec = load_design_spec(self.spec)
+        if not self.result.is_file():
+            message = "this design has no result yet; `mbdkit design` with the same spec and this folder continues it"
+            raise SpecError(message, file=self.path)
+        data = read_versioned(self.result.read_bytes(), VERSION, self.result)
+        try:
+            return Design.from_dict(spec, data)
+        except NOT_READ:
+            raise SpecError("this is not the result of the design.yaml beside it", file=self.result) from None
+
+    def write(self, design: Design) -> list[Path]:
+        """Write archives of the start and of the best point and then the result, and return these files."""
+        archives = [path for which in WHICH for path in self._archives(design, which)]
+        self.write_result(design)
+        return [self.result, *archives]
+
+    def write_result(self, design: Design) -> None:
+        """Write the result alone."""
+        with replacing(self.result) as temporary:
+            temporary.write_text(json.dumps({VERSION: 1, **design.to_dict()}, indent=2) + "\n", encoding="utf-8")
+
+    def _archives(self, design: Design, which: str) -> Iterator[Path]:
+        """Write the archives of a point, with the estimated errors of their runs, and yield their paths."""
+        point: DesignPoint = getattr(design, which)
+        settings = [(variable_path(name), value) for name, value in point.variables.items()]
+        for name, scenario in design.spec.specs.items():
+            spec = ScenarioRuns(scenario).at([*settings, *check_of(scenario)])
+            path = self.archive(which, name)
+            run = (
+                simulate(spec, path=path, overwrite=True)
+                if isinstance(spec, RunSpec)
+                else compute_run(spec, path=path, overwrite=True)
+            )
+            with run:
+                interrupted = run.status == "interrupted"
+            if interrupted:
+                path.unlink()
+                remove_checkpoint(path)
+                raise KeyboardInterrupt
+            yield path
+
+
+@contextmanager
+def runs_of(design: Design, folder: Path) -> Iterator[dict[str, dict[str, Run]]]:
+    """Open the archives of a design: the runs at the ``start`` and at the ``best`` point by scenario."""
+    store = DesignFolder(folder)
+    with ExitStack() as stack:
+        yield {
+            name: {which: stack.enter_context(load(store.archive(which, name))) for which in WHICH}
+            for name in design.spec.specs
+        }
+
+
+def written_out(spec: DesignSpec) -> dict[str, Any]:
+    """Return a design as plain data that refer to no other spec: each scenario contains its base with all overrides."""
+    data: dict[str, Any] = spec.model_dump(mode="json", exclude_unset=True)
+    data.pop("overrides", None)
+    bases = {name: _base(one) for name, one in spec.specs.items()}
+    if not spec.scenarios:
+        return data | {"base": bases[""]}
+    data.pop("base", None)
+    data["scenarios"] = {
+        name: {"base": bases[name], "weight": scenario.weight} for name, scenario in spec.scenarios.items()
+    }
+    return data
+
+
+def _base(spec: RunSpec | InverseSpec) -> dict[str, Any]:
+    """Return the spec of a scenario as plain data, without the measures, which the design defines."""
+    assert spec._document is not None
+    data = {key: value for key, value in spec._document.data.items() if key != "measures"}
+    if isinstance(spec, InverseSpec):
+        data["motion"] = _with_absolute_file(data["motion"], spec.folder)
+        if data.get("loads"):
+            data["loads"] = {name: _with_absolute_file(load, spec.folder) for name, load in data["loads"].items()}
+    return data
+
+
+def _with_absolute_file(section: dict[str, Any], folder: Path) -> dict[str, Any]:
+    """Return a section in which the file name does not depend on the folder of the spec."""
+    file = section.get("file")
+    return section if file is None else section | {"file": os.path.abspath(folder / file)}

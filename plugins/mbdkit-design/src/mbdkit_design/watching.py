@@ -1,0 +1,133 @@
+"""The state of a study or design that another process computes, from the files in its folder."""
+
+from __future__ import annotations
+
+import json
+import math
+import re
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+from mbdkit.base.errors import SpecError
+from mbdkit.base.text import counted, listed
+from mbdkit_design.problem import FEASIBLE
+from mbdkit_design.store import DesignFolder
+from mbdkit.spec import load_design_spec, load_study_spec
+from mbdkit_design.design_spec import Limit
+from mbdkit_studies.folder_lock import LOCK, Owner
+from mbdkit_studies.planned_points import PlannedPoints
+from mbdkit_studies.study_blocks import StudyBlocks
+from mbdkit_studies.study_folder import StudyFolder
+
+_RUN = re.compile(r"[0-9a-f]{16}\.h5")
+_BLOCK = re.compile(r"block-[0-9]{6,}\.h5")
+
+
+@dataclass(frozen=True)
+class Work:
+    """The progress of a study or design.
+
+    Parameters
+    ----------
+    text
+        The progress in words.
+    done, total
+        Number of runs or blocks that are done, and their total number; the latter is nan for a design, whose end
+        depends on its search.
+    is_complete
+        Whether the result exists, and no process is computing.
+    owners
+        The processes that compute the study or design, in words.
+    """
+
+    text: str
+    done: int
+    total: float
+    is_complete: bool
+    owners: tuple[str, ...]
+
+    def line(self, before: Work | None = None, seconds: float = math.nan) -> str:
+        """Return the state as one line, with the remaining time, estimated from an earlier state `seconds` ago."""
+        parts = [self.text]
+        if self.is_complete:
+            parts.append("complete")
+        elif not self.owners:
+            parts.append("no process is computing it; the same command continues it")
+        else:
+            parts.append(f"computed by {listed(self.owners, 'and')}")
+            made = self.done - before.done if before is not None else 0
+            if made > 0 and math.isfinite(self.total):
+                parts.append(f"about {_duration((self.total - self.done) * seconds / made)} left")
+        return "; ".join(parts)
+
+
+def work_in(folder: Path) -> Work:
+    """Return the state of the study or design in a folder.
+
+    Raises
+    ------
+    SpecError
+        If the folder contains neither.
+    """
+    if (folder / "design.yaml").is_file():
+        return _of_design(folder)
+    if (folder / "study.yaml").is_file():
+        return _of_study(folder)
+    raise SpecError("this folder contains no study (study.yaml) and no design (design.yaml)", file=str(folder))
+
+
+def _of_study(folder: Path) -> Work:
+    paths, spec = StudyFolder(folder), load_study_spec(folder / "study.yaml")
+    names = [path.name for path in paths.runs.iterdir()] if paths.runs.is_dir() else []
+    points = PlannedPoints(spec)
+    blocks = sum(bool(_BLOCK.fullmatch(name)) for name in names)
+    runs = sum(bool(_RUN.fullmatch(name)) for name in names)
+    done, total, noun = (runs, len(points), "run")
+    if blocks or spec.in_blocks:
+        done, total, noun = blocks, StudyBlocks.of(spec, points).count, "block"
+    owners = tuple(_owners(folder))
+    return Work(f"{done} of {counted(total, noun)}", done, total, paths.index.is_file() and not owners, owners)
+
+
+def _of_design(folder: Path) -> Work:
+    paths, spec = DesignFolder(folder), load_design_spec(folder / "design.yaml")
+    values = []
+    lines = paths.points.read_text("utf-8").splitlines()[1:] if paths.points.is_file() else []
+    goal = next(iter(spec.goals))
+    for line in lines:
+        try:
+            found = json.loads(line)["values"]
+            is_allowed = all(_is_within(found[name], limit) for name, limit in spec.subject_to.items())
+            values.append(found[goal] if is_allowed else None)
+        except (ValueError, KeyError, TypeError):  # the line is still being written
+            continue
+    known = [value for value in values if isinstance(value, int | float)]
+    which = " within the limits" if spec.subject_to else ""
+    least = f", least {goal} of a run{which} {min(known):.4g}" if known else ""
+    owners = tuple(_owners(folder))
+    complete = paths.result.is_file() and not owners  # comparisons and robustness are computed after the result
+    return Work(f"{counted(len(values), 'run')}{least}", len(values), math.nan, complete, owners)
+
+
+def _is_within(value: float | None, limit: Limit) -> bool:
+    """Return whether a value satisfies a limit, except for rounding errors."""
+    if value is None:
+        return False
+    low, high = (-math.inf if limit.min is None else limit.min, math.inf if limit.max is None else limit.max)
+    slack = FEASIBLE * max(abs(end) for end in (value, low, high) if math.isfinite(end))
+    return low - slack <= value <= high + slack
+
+
+def _owners(folder: Path) -> Iterator[str]:
+    """Yield the processes that hold a lock of the folder, in words."""
+    for lock in sorted(folder.glob(f"{LOCK}*")):
+        owner = Owner.of(lock)
+        if owner is not None and not owner.is_dead:
+            yield f"process {owner.pid} on {owner.host} since {owner.since}"
+
+
+def _duration(seconds: float) -> str:
+    if seconds < 120:
+        return f"{seconds:.0f} s"
+    return f"{seconds / 60:.0f} min" if seconds < 7200 else f"{seconds / 3600:.1f} h"

@@ -1,0 +1,105 @@
+"""Derivatives of goals and limits with respect to the variables: exact ones beside differences, and what is said of
+them."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+import mbdkit
+from mbdkit_design.derivatives import derivatives, derivatives_sentence, differences, unconfirmed
+from mbdkit_design.evaluation import Evaluator
+from mbdkit_design.landscape import sensitivities
+from mbdkit_design.sensitivity_bars import _svg
+from mbdkit.spec import load_design_spec
+from tests.designs.swinging_shank import BRACE, ONE, T, design_of, mean, moments, shank, swing
+
+LIMITS = {"stored": {"value": "max(forces.brace.potential)", "max": 50.0}}
+
+
+def inverse_of_swing() -> dict[str, Any]:
+    data = {"time": T.tolist(), "angle": (0.2 + 0.5 * np.sin(3 * T)).tolist()}
+    motion = {"data": data, "columns": {"knee.angle": "angle"}, "smooth": "quintic"}
+    return {"mbdkit": 1, "model": shank().to_spec(), "motion": motion}
+
+
+@pytest.mark.parametrize("kind", ["run", "inverse dynamics"])
+def test_exact_derivatives_are_those_of_the_measures(kind: str) -> None:
+    # expected: central differences of the measures
+    base, goal = (
+        (swing(), {}) if kind == "run" else (inverse_of_swing(), {"minimize": "mean((-forces.brace.value - 2)**2)"})
+    )
+    evaluator = Evaluator(load_design_spec(design_of(base, subject_to=LIMITS, **goal)))
+    x = np.array([0.4, 0.3])
+    exact = derivatives(evaluator, x)
+    assert derivatives_sentence(evaluator) == "Derivatives are exact, computed at 1 point."
+    np.testing.assert_allclose(exact, differences(evaluator, x), rtol=1e-6, atol=1e-9 * np.max(np.abs(exact)))
+
+
+def test_the_optimum_is_found_to_more_digits_than_by_differences() -> None:
+    # expected: the regression of the moments
+    angle, moment = moments()
+    matrix = [[mean(angle**2), -mean(angle)], [-mean(angle), 1.0]]
+    k, k_free = np.linalg.solve(matrix, [-mean(angle * moment), mean(moment)])
+    found = mbdkit.design(design_of(swing(step=0.05), optimizer={"name": "slsqp", "tolerance": 1e-15, "starts": 2}))
+    assert found.derivatives.startswith("Derivatives are exact")
+    assert found.derivatives in found.summary()
+    assert found.unconfirmed == ()
+    assert found.best.variables[f"{BRACE}.stiffness"] == pytest.approx(k, rel=1e-6)
+    assert found.best.variables[f"{BRACE}.free_angle"] == pytest.approx(k_free / k, rel=1e-6)
+
+
+def test_differences_say_why_they_are_used() -> None:
+    spec = swing() | {"integrator": {"name": "scipy-dop853"}}
+    spec["time"] = {key: value for key, value in spec["time"].items() if key != "step"}
+    spec["output"] = {"interval": 0.01}
+    found = mbdkit.design(design_of(spec, optimizer={"name": "slsqp", "max_iterations": 2}))
+    assert found.derivatives.startswith("Derivatives are differences of runs: integrator: mbdkit:scipy-dop853 has no")
+    assert found.to_dict()["derivatives"] in found.summary()
+
+
+def test_a_corner_of_the_goal_at_the_best_point_is_named() -> None:
+    # expected: |k - 20| phi_max has a corner at k = 20, where differences are zero
+    most = 20.0 * 0.7 + 1e-9  # the angle is 0.2 + 0.5 sin(3 t)
+    goal = f"abs(max(abs(forces.brace.value)) - {most:.17g})"
+    evaluator = Evaluator(load_design_spec(design_of(swing(), variables=ONE, minimize=goal)))
+    (sentence,) = unconfirmed(evaluator, np.array([0.1]))
+    assert "derivative of goal at the best point is not confirmed" in sentence
+    assert unconfirmed(evaluator, np.array([0.2])) == ()
+
+
+def test_a_result_at_a_corner_of_the_goal_is_an_optimum_if_no_side_descends() -> None:
+    # |k - 20| phi_max is least at its corner k = 20, where its derivatives do not say so
+    most = 20.0 * 0.7 + 1e-9
+    goal = f"abs(max(abs(forces.brace.value)) - {most:.17g})"
+    (name,) = ONE
+    found = mbdkit.design(design_of(swing(step=0.05), variables={name: {**ONE[name], "start": 20.0}}, minimize=goal))
+    assert found.best.variables[name] == pytest.approx(20.0, rel=1e-9)
+    assert "at a kink; from there, no linearization of a nearby point leads to a lower cost" in found.message
+    assert not found.doubt
+    doubtful = replace(found, unconfirmed=("The derivative of goal is not confirmed.",))
+    assert doubtful.summary().startswith("This point may not be an optimum: a goal or limit is not smooth there")
+    assert f"{name} has not moved from its start." in found.warnings
+    rounded = replace(found.best, variables={name: 20.0 - 1e-12})  # the last digits of a point change in the search
+    assert f"{name} has not moved from its start." in replace(found, best=rounded).warnings
+
+
+def test_sensitivities_at_a_corner_have_two_sides_and_no_sign() -> None:
+    # expected: |k - 20| phi_max has a corner at k = 20, and (k - 20)^2 phi_max^2 has none; bounds as in ONE
+    most = 20.0 * 0.7
+    for power, corner in ((1, True), (2, False)):
+        goal = f"abs(max(abs(forces.brace.value)) - {most:.17g})**{power}"
+        evaluator = Evaluator(load_design_spec(design_of(swing(), variables=ONE, minimize=goal)))
+        (one,) = sensitivities(evaluator, np.array([0.1]))
+        (name,) = one.changes
+        assert bool(one.corners) == corner
+        if corner:
+            low, high = ONE[name]["bounds"]
+            change = 0.01 * (high - low) * 0.7
+            assert one.corners[name] == pytest.approx((change, change), rel=1e-3)
+            assert np.isnan(one.changes[name])
+            svg = str(_svg([one], {name: "stiffness"}, {(one.scenario, one.measure): "N m"}, 700.0))
+            assert "if increased" in svg

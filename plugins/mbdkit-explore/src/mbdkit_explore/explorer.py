@@ -1,0 +1,123 @@
+"""Runs of a spec with the values of sliders: computes motion, forces and verdict for the page."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from mbdkit.archive.headlines import MOST, headline_texts
+from mbdkit.base.errors import MbdkitError
+from mbdkit.base.plain_data import copied, plain
+from mbdkit.base.text import shown
+from mbdkit_explore.sliders import sliders
+from mbdkit_biomech.inverse_dynamics.inverse_run import inverse
+from mbdkit_report.pages.run_report import TONES, film_of, yaml_text
+from mbdkit.runs.prepared_run import PreparedRun
+from mbdkit.spec import load_inverse_spec, load_spec
+from mbdkit_biomech.inverse_dynamics.inverse_spec import InverseSpec
+from mbdkit.spec.loading import read_source
+from mbdkit.spec.reading import put
+from mbdkit.spec.spec_kinds import is_inverse
+
+if TYPE_CHECKING:
+    from mbdkit.archive.run import Run
+    from mbdkit.spec.run_spec import RunSpec
+
+NUMBERS = 20_000
+"""Approximate number of pose values of a motion."""
+ROWS = 300
+"""Largest number of points of a curve."""
+CURVES = 6
+"""Largest number of curves: the joints with the largest forces or, in inverse dynamics, the actuators with the largest
+values.
+"""
+
+
+class Explorer:
+    """A spec with sliders.
+
+    Parameters
+    ----------
+    spec
+        The spec of a run or of inverse dynamics, whose values are the reference.
+    names
+        See `mbdkit_explore.sliders.sliders`.
+    """
+
+    def __init__(self, spec: RunSpec | InverseSpec, names: Sequence[str] | None = None):
+        self.spec, self.sliders = spec, sliders(spec, names)
+        self._by_key = {one.key: one for one in self.sliders}
+        self._data = plain(read_source(spec).data)
+        self._prepared = None if isinstance(spec, InverseSpec) else PreparedRun(spec)
+        self.title = str(spec.title or self._data["model"]["name"])
+
+    def answer(self, values: Mapping[str, float]) -> dict[str, Any]:
+        """Return the contents of the page for the given values of sliders, as JSON values; only the ``error`` and the
+        ``spec`` if the spec refuses a value or the run cannot be made.
+
+        Parameters
+        ----------
+        values
+            Values by key of the slider. Other sliders have the values of the spec; unknown keys are ignored.
+        """
+        known = {key: float(value) for key, value in values.items() if key in self._by_key}
+        changed = {key: value for key, value in known.items() if value != self._by_key[key].value}
+        data = copied(self._data)
+        for key, value in changed.items():
+            put(data, self._by_key[key].path, value)
+        try:
+            with self._prepared.run(changed) if self._prepared else self._inverse(data) as made:
+                return self._shown(made, data)
+        except MbdkitError as error:
+            return {"error": shown(str(error)), "spec": yaml_text(data)}
+
+    def _inverse(self, data: dict[str, Any]) -> Run:
+        document = read_source(self.spec)
+        document.data = copied(data)
+        return inverse(load_inverse_spec(document))
+
+    def _shown(self, made: Run, data: Mapping[str, Any]) -> dict[str, Any]:
+        every = headline_texts(made, "\u00b1", max(MOST, len(made.measures)))  # all measures
+        return {
+            "film": film_of(made, NUMBERS),
+            "verdict": made.verdict if made.status == "complete" else f"{made.status}: {made.status_reason}",
+            "reasons": [shown(one) for one in made.verdict_reasons],
+            "tone": TONES.get(made.verdict, "") if made.status == "complete" else "alarm",
+            "headlines": [[shown(label), text] for label, text in every],
+            "curves": _curves(made),
+            "spec": yaml_text(data),
+        }
+
+
+def _curves(made: Run) -> dict[str, Any]:
+    """Return the curves of a run over time: forces of joints or, in inverse dynamics, values of actuators. At most
+    `CURVES` are included, those with the largest values.
+    """
+    time = np.asarray(made.time)
+    if made.kind == "inverse":
+        names, unit = list(made.actuators), "N or N m"
+        values = made.array("actuators/value")
+    elif made.records("joints/reaction_force") and made.joint_names:
+        names, unit = list(made.joint_names), "N"
+        values = np.linalg.norm(made.array("joints/reaction_force"), axis=2)
+    else:
+        return {"time": [], "names": [], "values": [], "unit": ""}
+    order = np.argsort(-np.max(np.abs(np.nan_to_num(values)), axis=0), kind="stable")[:CURVES]
+    rows = np.unique(np.linspace(0, len(time) - 1, min(ROWS, len(time))).astype(int))
+    lines = [[float(f"{value:.5g}") for value in np.nan_to_num(values[rows, column])] for column in order]
+    return {"time": time[rows].tolist(), "names": [shown(names[k]) for k in order], "values": lines, "unit": unit}
+
+
+def explorer_of(source: Any, names: Sequence[str] | None = None, assignments: Iterable[str] = ()) -> Explorer:
+    """Return the explorer of a run spec or an inverse spec from any source.
+
+    Raises
+    ------
+    SpecError
+        If the spec is wrong, or a name does not denote one of its numbers.
+    """
+    document = read_source(source)
+    load = load_inverse_spec if is_inverse(document.data) else load_spec
+    return Explorer(load(document, assignments), names)

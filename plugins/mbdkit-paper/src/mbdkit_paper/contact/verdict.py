@@ -1,0 +1,285 @@
+"""Verdict on the packaged study `contact`: error, work, penetration and creep of the three treatments of contacts.
+
+Errors are the largest differences of positions from closed forms at the recorded times.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from mbdkit_report.analysis.verdict import Answer, Axis, Claim, Figure, Line, Table, Verdict, columns_of, exceeds, together, told
+from mbdkit.mechanism.contacts import STICK
+from mbdkit_paper.drift.combination import COMBINATION, state_of, two
+from mbdkit_studies.point_selection import STEP, family, value
+
+if TYPE_CHECKING:
+    from mbdkit.archive.run import Run
+    from mbdkit_studies.study import Study
+    from mbdkit_studies.study_point import StudyPoint
+
+G = 9.81
+EXACT = 1e-9
+"""Errors of event-driven runs, and penetration [m] and creep [m/s] of rigid bodies, count as zero below this."""
+PER_STEP = 3.0
+"""Largest accepted error of time-stepping, divided by the step [m/s]."""
+SOFT = "-compliant"
+FINEST = "event-driven, DOP853"
+
+
+def ball(t: np.ndarray) -> np.ndarray:
+    """Return the height of the ball's center, which falls by 1 m and keeps half of its speed in each impact."""
+    fall = math.sqrt(2.0 / G)
+    height, begin, speed = 1.0 - 0.5 * G * t**2, fall, 0.5 * G * fall
+    for _ in range(60):
+        after = t - begin
+        height = np.where(after > 0.0, speed * after - 0.5 * G * after**2, height)
+        begin, speed = begin + 2.0 * speed / G, 0.5 * speed
+    return 0.1 + np.where(t > begin, 0.0, height)
+
+
+def _block(friction: float) -> Callable[[np.ndarray], np.ndarray]:
+    """Return the distance [m] of a block along an incline of 30 degrees, as a function of time; it starts uphill with 2
+    m/s.
+    """
+    pull, hold = 0.5 * G, friction * math.cos(math.radians(30.0)) * G
+    stop = 2.0 / (pull + hold)
+
+    def way(t: np.ndarray) -> np.ndarray:
+        up = 2.0 * t - 0.5 * (pull + hold) * t**2
+        down = stop - 0.5 * max(pull - hold, 0.0) * (t - stop) ** 2
+        return np.where(t < stop, up, down)
+
+    return way
+
+
+def belt(t: np.ndarray) -> np.ndarray:
+    """Return the position of the block on the belt over its first 5 + 3.9026 + 5 s: it sticks, slips and sticks."""
+    slips = 5.0 + 3.902605407814523
+    slip = 0.5 + 0.5 * np.cos(t - 5.0) + 0.2 * np.sin(t - 5.0)
+    return np.where(t < 5.0, 0.2 * t, np.where(t < slips, slip, 0.2 * (t - slips)))
+
+
+def _along(run: Run) -> np.ndarray:
+    return run["block"].position @ [math.cos(math.radians(30.0)), 0.5]
+
+
+CLOSED: dict[str, tuple[Callable[[Run], np.ndarray], Callable[[np.ndarray], np.ndarray]]] = {
+    "ball": (lambda run: run["ball"].position[:, 1], ball),
+    "incline": (_along, _block(0.3)),
+    "hold": (_along, _block(0.7)),
+    "belt": (lambda run: run["block"].position[:, 0], belt),
+}
+"""Coordinate of a run to be compared, and its closed form, for each case."""
+FRICTION = ("incline", "hold", "belt")
+"""Cases in which contacts have friction and no restitution."""
+HOUSNER = (1.0 - 1.5 / 17.0) ** 2
+"""Share of its energy that the rocking block retains in an impact: (1 - 1.5 sin^2 alpha)^2. Here, sin^2 alpha = 1/17
+with the angle alpha between the diagonal and the vertical side of the block (G. W. Housner, 1963)."""
+
+
+@dataclass(frozen=True)
+class Touched:
+    """One run of the study.
+
+    Attributes
+    ----------
+    step
+        Step [s]; 0 for compliant runs, whose steps are adaptive.
+    error
+        Largest error of the position [m]; in the case `rocking`, error of the share of energy that the impact keeps.
+    penetration, creep
+        Deepest overlap [m], and largest slip while a contact sticks [m/s].
+    steps, seconds
+        Number of steps, and processor time [s].
+    state
+        Reason why the run is not complete; empty otherwise.
+    """
+
+    case: str
+    method: str
+    step: float
+    error: float
+    penetration: float
+    creep: float
+    steps: float
+    seconds: float
+    state: str
+
+    @property
+    def name(self) -> str:
+        """Case, method and step in one line."""
+        return f"{self.case}, {self.method}" + (f", {self.step:g} s" if self.step else "")
+
+
+def verdict(study: Study) -> Verdict:
+    """Return the verdict on the packaged study `contact`."""
+    found = [_of(study, point) for point in study.points if point.family != "painleve"]
+    claims = told((_exact(found), _first_order(found), _closed(found), _softer(found), _painleve(study)))
+    rows = [
+        (
+            one.case, one.method, one.step or "adaptive", one.state or two(one.error),
+            one.state or two(one.penetration), one.state or two(one.creep), one.state or int(one.steps),
+            one.state or two(one.seconds),
+        )
+        for one in found
+    ]  # fmt: skip
+    columns = columns_of("case; method; step [s]; error [m]; penetration [m]; creep [m/s]; steps; time [s]")
+    return Verdict(
+        "contact",
+        study.spec.title,
+        " ".join(claim.sentence for claim in claims),
+        claims,
+        (Table("contact", "Error, penetration, creep and work", columns, tuple(rows), NOTE, headline=True),),
+        (_figure(found),),
+        (RESTITUTION,),
+    )
+
+
+NOTE = (
+    "Errors are the largest differences of positions from closed forms at the recorded times; of the rocking block, "
+    "that of the share of energy which its first impact keeps. Penetration is the deepest overlap, creep the largest "
+    "slip while a contact sticks, both at the recorded times. Times are those of this machine."
+)
+RESTITUTION = (
+    "The compliant ball keeps another share of its speed in each impact, because the restitution of its law depends on "
+    "the speed: that error is one of the law, not of the method."
+)
+
+
+def _of(study: Study, point: StudyPoint) -> Touched:
+    case = point.family.removesuffix(SOFT)
+    step = 0.0 if point.family.endswith(SOFT) else float(point.axes[STEP])
+    error = penetration = creep = math.nan
+    run = study.run(point) if point.status == "complete" else None
+    if run is not None:
+        with run:
+            error, (penetration, creep) = _error(run, case), _overlap(run)
+    steps, seconds = value(point, "steps"), value(point, "wall_s")
+    return Touched(
+        case, str(point.axes[COMBINATION]), step, error, penetration, creep, steps, seconds, state_of([point])
+    )
+
+
+def _error(run: Run, case: str) -> float:
+    if case in CLOSED:
+        coordinate, closed = CLOSED[case]
+        return float(np.max(np.abs(coordinate(run) - closed(run.time))))
+    above = np.asarray(run.energy.total) - 0.4 * G  # energy above that of the block at rest; there is one impact
+    return abs(float(above[-1] / above[0]) - HOUSNER)
+
+
+def _overlap(run: Run) -> tuple[float, float]:
+    every = [run.contacts[name] for name in run.contacts]
+    depth = max(max(0.0, -float(np.min(one.gap))) for one in every)
+    creep = max(float(np.max(np.abs(one.slip[one.mode == STICK]), initial=0.0)) for one in every)
+    return depth, creep
+
+
+def _worst(found: Sequence[Touched], of: Callable[[Touched], float]) -> tuple[float, str]:
+    """Return the largest value and the name of its run; nan if a value is unknown."""
+    values = [of(one) for one in found]
+    if not values or not all(math.isfinite(each) for each in values):
+        return math.nan, "a run that is not complete"
+    place = int(np.argmax(values))
+    return values[place], found[place].name
+
+
+def _exact(found: Sequence[Touched]) -> Claim:
+    own = [one for one in found if one.method == FINEST]
+    worst, name = _worst(own, lambda one: one.error)
+    return Claim(
+        "exact",
+        "Event-driven runs follow the closed forms at any step.",
+        f"within {EXACT:g}",
+        f"at most {worst:.1e} ({name})",
+        exceeds(EXACT, worst),
+        f"{FINEST} is within {worst:.1e} of every closed form, with steps of up to {max(x.step for x in own):g} s."
+        if own
+        else "",
+    )
+
+
+def _first_order(found: Sequence[Touched]) -> Claim:
+    own = [one for one in found if one.method == "time-stepping" and one.case in CLOSED]
+    worst, name = _worst(own, lambda one: one.error / one.step)
+    return Claim(
+        "first-order",
+        "The error of time-stepping is bounded by one constant times the step.",
+        f"below {PER_STEP:g} m/s",
+        f"error over step at most {worst:.2g} m/s ({name})",
+        exceeds(PER_STEP, worst),
+        f"Errors of time-stepping are at most {worst:.2g} m/s times the step.",
+    )
+
+
+def _closed(found: Sequence[Touched]) -> Claim:
+    rigid = [one for one in found if one.step]
+    overlap, name = _worst(rigid, lambda one: one.penetration)
+    creep, creeping = _worst([one for one in rigid if one.method == FINEST], lambda one: one.creep)
+    return Claim(
+        "closed",
+        "Rigid bodies do not overlap, and those of event-driven runs do not creep while they stick.",
+        f"below {EXACT:g}",
+        f"overlap at most {overlap:.1e} m ({name}), creep {creep:.1e} m/s ({creeping})",
+        exceeds(EXACT, max(overlap, creep)),
+        f"Rigid bodies overlap by at most {overlap:.1e} m in {len(rigid)} runs, and creep by at most {creep:.1e} m/s "
+        "in event-driven ones.",
+    )
+
+
+def _softer(found: Sequence[Touched]) -> Claim:
+    """Return the claim that the stiffest compliant runs with friction have less overlap and error than the softest."""
+    answers, told_cases = [], []
+    for case in FRICTION:
+        own = [one for one in found if one.case == case and not one.step]
+        if not own:
+            return Claim("softer", "", "", "", Answer.OPEN, "")
+        soft, stiff = own[0], own[-1]
+        answers += [exceeds(soft.penetration, stiff.penetration), exceeds(soft.error, stiff.error)]
+        told_cases.append(
+            f"{case}: error {soft.error:.1e} to {stiff.error:.1e} m, overlap {soft.penetration:.1e} to "
+            f"{stiff.penetration:.1e} m, creep {soft.creep:.1e} to {stiff.creep:.1e} m/s, in {stiff.steps:.0f} steps"
+        )
+    answer = together(answers)
+    computed = "; ".join(told_cases)
+    return Claim(
+        "softer",
+        "Compliant runs with friction overlap less, and follow the closed forms better, the stiffer they are.",
+        "",
+        computed,
+        answer,
+        f"Errors and overlaps of compliant runs {'fall' if answer is Answer.YES else 'do not always fall'} from the "
+        f"softest to the stiffest, {computed}.",
+    )
+
+
+def _painleve(study: Study) -> Claim:
+    points = sorted(family(study, "painleve"), key=lambda point: float(next(iter(point.axes.values()))))
+    runs = {float(next(iter(point.axes.values()))): point.status for point in points}
+    wrong = [mu for mu, status in runs.items() if status != ("complete" if mu < 4.0 / 3.0 else "failed")]
+    missing = not runs or any(status not in ("complete", "failed") for status in runs.values())
+    passed = max((mu for mu, status in runs.items() if status == "complete"), default=math.nan)
+    return Claim(
+        "painleve",
+        "Painleve's rod has no solution at a friction of more than 4/3, and only then.",
+        "4/3",
+        f"runs with a friction of up to {passed:g}",
+        Answer.OPEN if missing else Answer.NO if wrong else Answer.YES,
+        f"Painleve's rod is refused at a friction above {passed:g}, as 4/3 requires.",
+    )
+
+
+def _figure(found: Sequence[Touched]) -> Figure:
+    lines = []
+    for case in CLOSED:
+        own = [one for one in found if one.case == case and one.method == "time-stepping" and not one.state]
+        if own:
+            lines.append(Line(case, np.array([one.step for one in own]), np.array([one.error for one in own])))
+    caption = "Largest error of time-stepping on each case against the step."
+    return Figure("steps", "Error of time-stepping", caption, Axis("step", "s", log=True), Axis("error", "m", log=True),
+                  tuple(lines))  # fmt: skip

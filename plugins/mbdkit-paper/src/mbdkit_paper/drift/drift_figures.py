@@ -1,0 +1,67 @@
+"""Figures of the verdict on drift: errors against the step, and energy with and without projection."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from mbdkit_report.analysis.verdict import Axis, Figure, Line
+from mbdkit_paper.drift.combination import COMBINATION, LONG, Combination
+
+if TYPE_CHECKING:
+    from mbdkit_studies.study import Study
+
+DRAWN = ("RK4", "Gauss 2", "Radau IIA 3", "Generalized-alpha", "RATTLE")
+"""Methods whose errors are drawn, with all formulations and stabilizations; more lines would not be legible."""
+
+
+def errors(found: Sequence[Combination]) -> tuple[Figure, ...]:
+    """Return one figure per mechanism of the errors of positions against the step."""
+    figures = []
+    for mechanism in dict.fromkeys(one.mechanism for one in found):
+        lines = []
+        for one in found:
+            group = one.method.partition(",")[0]
+            if one.mechanism == mechanism and one.errors and group in DRAWN:
+                steps = sorted(one.errors)
+                seen = np.array([one.errors[step] for step in steps])
+                lines.append(Line(one.method, np.array(steps), np.where(seen > 0, seen, np.nan), "both", one.method))
+        figures.append(
+            Figure(
+                f"error-{mechanism}",
+                f"Error against the step: {mechanism}",
+                "Largest distance of a body from the reference, relative to the mechanism's size.",
+                Axis("step", "s", log=True),
+                Axis("error of positions", log=True),
+                tuple(lines),
+            )
+        )
+    return tuple(figures)
+
+
+def energies(study: Study, methods: Collection[str]) -> tuple[Figure, ...]:
+    """Return one figure per mechanism of the energy balance of the long runs of some methods."""
+    figures = []
+    for name in study.families:
+        lines = []
+        for point in study.family(name) if name.endswith(LONG) else ():
+            label = str(point.axes.get(COMBINATION))
+            run = study.run(point) if label in methods and point.status == "complete" else None
+            if run is not None:
+                with run:
+                    lines.append(Line(label, run.time, run.energy.balance, "line", label))
+        if lines:
+            mechanism = name.removesuffix(LONG)
+            figures.append(
+                Figure(
+                    f"energy-{mechanism}",
+                    f"Energy with and without projection: {mechanism}",
+                    "Energy balance of the long run; its slope is the trend, the remainder oscillation.",
+                    Axis("time", "s"),
+                    Axis("energy balance", "J"),
+                    tuple(lines),
+                )
+            )
+    return tuple(figures)

@@ -1,0 +1,268 @@
+"""Verdict on the packaged study `drift`: order, drift, energy and cost by formulation and stabilization."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from typing import TYPE_CHECKING
+
+from mbdkit_report.analysis.verdict import Answer, Claim, Range, Table, Verdict, columns_of, exceeds, together, told
+from mbdkit_paper.drift.combination import Combination, Undetermined, combinations
+from mbdkit_paper.drift.drift_figures import energies, errors
+
+if TYPE_CHECKING:
+    from mbdkit_studies.study import Study
+
+NEAR, APART = 0.2, 0.3
+"""Observed and expected order agree if they differ by at most `NEAR`, and disagree if they differ by `APART` or more.
+"""
+TENFOLD = Range.around(10.0, 3.0)
+REVERSIBLE = 1e-11
+"""Largest reversibility defect, relative to the size, that round-off over about 20,000 steps can explain."""
+NAMES = ("q", "v", "lambda")
+
+#: Orders from the literature: name of the claim, label on the axis `method`, orders of positions q, velocities v and
+#: multipliers lambda (None if not given), source.
+EXPECTED: tuple[tuple[str, str, tuple[float | None, ...], str], ...] = (
+    ("radau-index-3", "Radau IIA 3, index-3", (5, 3, 2), "Hairer, Lubich, Roche 1989"),
+    ("radau-index-2", "Radau IIA 3, index-2", (5, 5, 3), "Hairer, Lubich, Roche 1989"),
+    ("radau-ggl", "Radau IIA 3, ggl", (5, 5, 3), "Gear, Gupta, Leimkuhler 1985"),
+    ("generalized-alpha", "Generalized-alpha, index-3", (2, 2, 2), "Arnold, Bruls 2007"),
+    ("rattle", "RATTLE, index-3", (2, 2, None), "Leimkuhler, Skeel 1994"),
+)
+PLAIN, ORDINARY, SYMMETRIC = "Gauss 2", "Gauss 2, projected", "Gauss 2, projected symmetrically"
+PROJECTED = ", projected"
+
+COLUMNS = columns_of(
+    "mechanism; method; order q; v; lambda; multipliers; drift q; v [1/s]; "
+    "energy trend [1/s]; trend / error; oscillation; reversal; evaluations; "
+    "factorizations; time [us]"
+)
+NOTE = (
+    "Orders: from errors against Gauss 6 at the three finest neighbouring steps whose slopes agree above the round-off "
+    "floor; multipliers are those of the method ('own') if it computes them, else the index-1 multipliers at its "
+    "states. Drift: largest misalignment over all steps, and velocity misalignment in the recorded rows, of the long "
+    "run, relative to the mechanism's size. Energy trend: least-squares slope of the energy balance, relative to the "
+    "largest kinetic energy, and its ratio to its standard error, which includes correlated oscillation; 'none' below "
+    "three standard errors or at round-off. Oscillation: largest distance of the balance from that line. Reversal: "
+    "distance from the start after the long run and the same run with reversed velocities, relative to the size. Cost "
+    "per step of the long run on this machine."
+)
+
+
+def verdict(study: Study) -> Verdict:
+    """Return the verdict on the packaged study `drift`.
+
+    Parameters
+    ----------
+    study
+        The study; see `combinations` for the required families.
+    """
+    found = combinations(study)
+    table = Table("drift", "Results by combination", COLUMNS, tuple(_rows(found)), NOTE, headline=True)
+    claims = [_orders(found, *expected) for expected in EXPECTED]
+    claims += [_projection_keeps_the_order(found), _projection_cuts_the_error(found)]
+    claims += [_reversibility(found), _energy(found)]
+    decided = told(claims)
+    return Verdict(
+        "drift",
+        "Formulations and stabilizations against drift",
+        " ".join(claim.sentence for claim in decided if claim.answer is not Answer.OPEN),
+        decided,
+        (table,),
+        errors(found) + energies(study, (PLAIN, ORDINARY, SYMMETRIC)),
+        _notes(found),
+    )
+
+
+def _rows(found: Sequence[Combination]) -> list[tuple[str | int | float | bool | None, ...]]:
+    return [(one.mechanism, one.method, *one.cells()) for one in found]
+
+
+def _notes(found: Sequence[Combination]) -> tuple[str, ...]:
+    absent = dict.fromkeys(one.method for one in found if one.position_order == "not installed")
+    return (f"Left out because they are not installed: {', '.join(absent)}.",) if absent else ()
+
+
+def _by(found: Sequence[Combination], method: str) -> dict[str, Combination]:
+    """Return the results of one method by mechanism."""
+    return {one.mechanism: one for one in found if one.method == method}
+
+
+def order_meets(found: float | Undetermined, expected: float) -> Answer:
+    """Return whether an observed order is the expected one.
+
+    The answer is yes if they differ by at most `NEAR`, and open if they differ by less than `APART` or the observed
+    order is unknown. Otherwise, it is partly for a higher order, and no for a lower one.
+    """
+    if isinstance(found, str):
+        return Answer.OPEN
+    away = found - expected
+    if abs(away) <= NEAR:
+        return Answer.YES
+    if abs(away) < APART:
+        return Answer.OPEN
+    return Answer.PARTLY if away > 0 else Answer.NO
+
+
+def all_of(answers: Sequence[Answer]) -> Answer:
+    """Return whether all conditions hold: the first of no, partly and open that is among the answers, else yes."""
+    for answer in (Answer.NO, Answer.PARTLY, Answer.OPEN):
+        if answer in answers:
+            return answer
+    return Answer.YES
+
+
+def _known(answers: Mapping[str, Answer]) -> Answer:
+    """Combine the answers for several mechanisms, ignoring open ones; open if all are open."""
+    return together([answer for answer in answers.values() if answer is not Answer.OPEN])
+
+
+def _told_of(answers: Mapping[str, Answer]) -> str:
+    """Return text that says for how many mechanisms a claim holds."""
+    holding = [name for name, answer in answers.items() if answer is Answer.YES]
+    undecided = [name for name, answer in answers.items() if answer is Answer.OPEN]
+    text = f"on {len(holding)} of {len(answers) - len(undecided)} mechanisms"
+    return text + (f" (open: {', '.join(undecided)})" if undecided else "")
+
+
+def _figure(value: float | Undetermined, form: str = ".2f") -> str:
+    return value if isinstance(value, str) else format(value, form)
+
+
+def _orders(
+    found: Sequence[Combination], name: str, label: str, expected: tuple[float | None, ...], source: str
+) -> Claim:
+    answers, computed = {}, []
+    for mechanism, one in _by(found, label).items():
+        seen = (one.position_order, one.velocity_order, one.multiplier_order)
+        asked = [order_meets(order, wanted) for order, wanted in zip(seen, expected, strict=True) if wanted is not None]
+        answers[mechanism] = all_of(asked)
+        shown = [_figure(order) for order, wanted in zip(seen, expected, strict=True) if wanted is not None]
+        computed.append(f"{'/'.join(shown)} ({mechanism})")
+    wanted = "/".join(f"{order:g}" for order in expected if order is not None)
+    of = ", ".join(letter for letter, order in zip(NAMES, expected, strict=True) if order is not None)
+    return Claim(
+        name,
+        f"{label} has the orders {wanted} of {of}.",
+        f"{wanted} ({source})",
+        ", ".join(computed),
+        _known(answers),
+        f"{label} shows the orders {wanted} of {of} {_told_of(answers)}.",
+    )
+
+
+def _pairs(found: Sequence[Combination]) -> list[tuple[Combination, Combination]]:
+    """Return pairs of results for the same method, without and with ordinary projection."""
+    plain = {(one.mechanism, one.method): one for one in found}
+    return [
+        (plain[key], one)
+        for one in found
+        if (key := (one.mechanism, one.method.removesuffix(PROJECTED))) in plain and one.method.endswith(PROJECTED)
+    ]
+
+
+def _projection_keeps_the_order(found: Sequence[Combination]) -> Claim:
+    answers, computed = {}, []
+    for one, projected in _pairs(found):
+        for letter, before, after in (
+            ("q", one.position_order, projected.position_order),
+            ("v", one.velocity_order, projected.velocity_order),
+        ):
+            answer = Answer.OPEN if isinstance(before, str) else order_meets(after, before)
+            answers[f"{one.method}, {one.mechanism}, {letter}"] = answer
+            if answer in (Answer.NO, Answer.PARTLY):
+                computed.append(f"{letter} from {_figure(before)} to {_figure(after)} ({one.method}, {one.mechanism})")
+    decided = [answer for answer in answers.values() if answer is not Answer.OPEN]
+    kept = sum(answer is Answer.YES for answer in decided)
+    return Claim(
+        "projection-order",
+        "Projection keeps the order.",
+        "kept (Hairer, Lubich, Wanner 2006, IV.4)",
+        f"kept in {kept} of {len(decided)} cases" + (f"; {', '.join(computed)}" if computed else ""),
+        _known(answers),
+        f"Projection keeps the order of q or v in {kept} of {len(decided)} cases.",
+    )
+
+
+def gain(plain: Combination, projected: Combination) -> float:
+    """Return the factor by which projection reduces the error of positions, as geometric mean over common steps.
+
+    Steps at which either error is at round-off level are ignored; the result is nan if none is left.
+    """
+    ratios = [
+        math.log(plain.errors[step] / projected.errors[step])
+        for step in plain.errors.keys() & projected.errors.keys()
+        if min(plain.errors[step], projected.errors[step]) > 1e-12
+    ]
+    return math.exp(sum(ratios) / len(ratios)) if ratios else math.nan
+
+
+def _projection_cuts_the_error(found: Sequence[Combination]) -> Claim:
+    gains = {f"{one.method}, {one.mechanism}": gain(one, projected) for one, projected in _pairs(found)}
+    answers = {name: TENFOLD.holds(value) for name, value in gains.items()}
+    known = sorted((value, name) for name, value in gains.items() if math.isfinite(value))
+    between = f"{known[0][0]:.2g} ({known[0][1]}) to {known[-1][0]:.2g} ({known[-1][1]})" if known else "unknown"
+    middle = f", median {known[len(known) // 2][0]:.2g}" if known else ""
+    return Claim(
+        "projection-error",
+        "Projection reduces the error about tenfold.",
+        f"about 10 on the unit pendulum, taken as {TENFOLD}",
+        f"{between}{middle}",
+        _known(answers),
+        f"Projection reduces the error of positions by a factor of {between}{middle}.",
+    )
+
+
+def _reversibility(found: Sequence[Combination]) -> Claim:
+    labels = (PLAIN, ORDINARY, SYMMETRIC)
+    by = [_by(found, label) for label in labels]
+    answers, computed = {}, []
+    for mechanism in by[0]:
+        defects = [one[mechanism].reversal if mechanism in one else "missing" for one in by]
+        wanted: tuple[Callable[[float], Answer], ...] = (
+            lambda defect: exceeds(REVERSIBLE, defect),
+            lambda defect: exceeds(defect, REVERSIBLE),
+            lambda defect: exceeds(REVERSIBLE, defect),
+        )
+        answers[mechanism] = all_of(
+            [
+                Answer.OPEN if isinstance(defect, str) else holds(defect)
+                for defect, holds in zip(defects, wanted, strict=True)
+            ]
+        )
+        computed.append(f"{', '.join(_figure(defect, '.0e') for defect in defects)} ({mechanism})")
+    return Claim(
+        "projection-reversibility",
+        "Gauss is not reversible with ordinary projection, but is with symmetric projection.",
+        "defect grows from 1e-14 to 1e-7 with ordinary projection, not with symmetric (Hairer 2000)",
+        f"defect without, with ordinary and with symmetric projection: {'; '.join(computed)}",
+        _known(answers),
+        f"Gauss 2 is not reversible with ordinary projection, but is without and with symmetric projection, "
+        f"{_told_of(answers)}.",
+    )
+
+
+def _energy(found: Sequence[Combination]) -> Claim:
+    ordinary, symmetric = _by(found, ORDINARY), _by(found, SYMMETRIC)
+    answers, computed = {}, []
+    for mechanism, one in ordinary.items():
+        other = symmetric.get(mechanism)
+        has = [one.has_trend, None if other is None else other.has_trend]
+        answers[mechanism] = all_of(
+            [
+                Answer.OPEN if found is None else Answer.YES if found is wanted else Answer.NO
+                for found, wanted in zip(has, (True, False), strict=True)
+            ]
+        )
+        shown = [_figure(which.trend, ".0e") if which is not None else "missing" for which in (one, other)]
+        computed.append(f"{shown[0]}, {shown[1]} ({mechanism})")
+    return Claim(
+        "projection-energy",
+        "With ordinary projection the energy of Gauss has a trend, with symmetric projection it has none.",
+        "a trend, and none (Hairer 2000)",
+        f"trend per second, relative to the kinetic energy, ordinary and symmetric: {'; '.join(computed)}",
+        _known(answers),
+        "The energy of Gauss 2 has a trend with ordinary projection and none with symmetric projection "
+        f"{_told_of(answers)}.",
+    )

@@ -1,0 +1,128 @@
+"""Verdict on the packaged study `no-drift`: whether misalignment stays at round-off level over many steps."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from mbdkit_report.analysis.verdict import Answer, Claim, Table, Verdict, columns_of, exceeds, told
+from mbdkit_paper.drift.combination import COMBINATION, state_of, two
+from mbdkit_studies.point_selection import value
+
+if TYPE_CHECKING:
+    from mbdkit_studies.study import Study
+    from mbdkit_studies.study_point import StudyPoint
+
+HELD = 1e-12
+"""Bound on misalignment [1] and on velocity misalignment [1/s], both relative to the size of the mechanism."""
+
+COLUMNS = columns_of("mechanism; method; steps; positions; velocities [1/s]; time [s]; projections")
+NOTE = (
+    "Largest misalignment and velocity misalignment of any joint over all steps, recorded or not, relative to the "
+    "mechanism's size. Times are those of this machine."
+)
+
+
+@dataclass(frozen=True)
+class Held:
+    """Misalignment of one long run.
+
+    Attributes
+    ----------
+    mechanism, method
+        Family of the study, and label on the axis `method`.
+    position, velocity
+        Largest misalignments relative to the size of the mechanism [1, 1/s]; nan if the run is not complete.
+    state
+        Reason why the run is not complete: `failed`, `missing` or `not installed`; empty otherwise.
+    """
+
+    mechanism: str
+    method: str
+    position: float
+    velocity: float
+    state: str
+
+    @property
+    def name(self) -> str:
+        """Mechanism and method in one line."""
+        return f"{self.mechanism}, {self.method}"
+
+
+def verdict(study: Study) -> Verdict:
+    """Return the verdict on the packaged study `no-drift`.
+
+    Parameters
+    ----------
+    study
+        A study of long runs with the axis `method` and one family for each mechanism.
+
+    Raises
+    ------
+    LookupError
+        If the study has no such axis.
+    """
+    found = [_held(point) for point in study.points]
+    rows = [
+        (
+            one.mechanism,
+            one.method,
+            one.state or int(value(point, "steps")),
+            one.state or two(one.position),
+            one.state or two(one.velocity),
+            one.state or two(value(point, "wall_s")),
+            one.state or int(value(point, "projections")),
+        )
+        for one, point in zip(found, study.points, strict=True)
+    ]
+    claims = told(
+        (
+            _holds(found, "positions", [one.position for one in found], "misalignment over all steps"),
+            _holds(
+                found, "velocities", [one.velocity for one in found], "velocity misalignment per second over all steps"
+            ),
+        )
+    )
+    return Verdict(
+        "no-drift",
+        study.spec.title,
+        " ".join(claim.sentence for claim in claims),
+        claims,
+        (Table("no-drift", "Largest misalignments", COLUMNS, tuple(rows), NOTE, headline=True),),
+    )
+
+
+def _held(point: StudyPoint) -> Held:
+    size = value(point, "mechanism_size")
+    position, velocity = value(point, "misalignment_max"), value(point, "velocity_misalignment_every_step")
+    return Held(
+        point.family,
+        str(point.axes[COMBINATION]),
+        position / size if size > 0 else math.nan,
+        velocity / size if size > 0 else math.nan,
+        state_of([point]),
+    )
+
+
+def _holds(found: Sequence[Held], name: str, values: Sequence[float], what: str) -> Claim:
+    """Return the claim that all values lie below the bound: no if any value does not, open if any is unknown."""
+    answers = [exceeds(HELD, each) for each in values]
+    worst = max(
+        ((each, one.name) for each, one in zip(values, found, strict=True) if math.isfinite(each)), default=None
+    )
+    beyond = [one.name for one, answer in zip(found, answers, strict=True) if answer is Answer.NO]
+    unknown = [one.name for one, each in zip(found, values, strict=True) if not math.isfinite(each)]
+    answer = Answer.NO if beyond else Answer.OPEN if Answer.OPEN in answers or not answers else Answer.YES
+    computed = "no run is complete" if worst is None else f"at most {worst[0]:.1e} ({worst[1]})"
+    computed += f"; unknown for {'; '.join(unknown)}" if unknown else ""
+    return Claim(
+        name,
+        f"No run's {name} drift: their misalignment stays below {HELD:g} of the mechanism's size.",
+        f"below {HELD:g}",
+        computed,
+        answer,
+        f"The {what} stays below {HELD:g} of the mechanism's size in {sum(a is Answer.YES for a in answers)} of "
+        f"{len(answers)} runs, {computed}." + (f" Exceptions: {'; '.join(beyond)}." if beyond else ""),
+    )

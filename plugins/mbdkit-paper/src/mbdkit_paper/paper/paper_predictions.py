@@ -1,0 +1,254 @@
+"""Predictions of the paper: misalignment of the knee linkage with four joints, and growth with each joint."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from mbdkit_report.analysis.verdict import Answer, Axis, Band, Cell, Claim, Column, Figure, Line, Range, Table, columns_of, together
+from mbdkit_report.figures.quantity_text import least_most
+from mbdkit_paper.paper.published_results import GAUSS2, GAUSS3, METHODS, PAPER_STEP
+from mbdkit_studies.point_selection import METHOD, STEP, family
+
+if TYPE_CHECKING:
+    from mbdkit.archive.run import Run
+    from mbdkit_studies.study import Study
+
+PREDICTED = {GAUSS2: Range(1e-3, 1.0, "mm"), GAUSS3: Range(1e-7, 1e-4, "mm")}
+PER_JOINT = Range(10.0, 100.0)
+SPRING, FREE = "support spring", "no spring"
+
+
+def steps_within(steps: np.ndarray, values: np.ndarray, wanted: Range) -> tuple[float, float]:
+    """Return the longest interval of steps in which all values lie in a range, interpolated in logarithms.
+
+    Parameters
+    ----------
+    steps
+        (K,) ascending steps [s].
+    values
+        (K,) misalignments; values that are not finite count as outside.
+
+    Returns
+    -------
+    float, float
+        Lower and upper end of the interval; the first or last step if the values do not leave the range before it. Both
+        are nan if no value lies in the range.
+    """
+    inside = np.isfinite(values) & (values >= wanted.low) & (values <= wanted.high)
+    best = range(0)
+    start = 0
+    for k in range(len(steps) + 1):
+        if k < len(steps) and inside[k]:
+            continue
+        if k - start > len(best):
+            best = range(start, k)
+        start = k + 1
+    if not best:
+        return math.nan, math.nan
+    return (
+        _crossing(steps, values, best.start, best.start - 1, wanted),
+        _crossing(steps, values, best.stop - 1, best.stop, wanted),
+    )
+
+
+def _crossing(steps: np.ndarray, values: np.ndarray, inner: int, outer: int, wanted: Range) -> float:
+    """Return the step at which the values leave a range, between a step inside and its neighbour outside.
+
+    Without a positive value at the neighbour, the step inside is returned.
+    """
+    if not 0 <= outer < len(steps) or not math.isfinite(values[outer]) or values[outer] <= 0:
+        return float(steps[inner])
+    border = wanted.low if values[outer] < wanted.low else wanted.high
+    share = math.log(border / values[inner]) / math.log(values[outer] / values[inner])
+    return math.exp(math.log(steps[inner]) + share * math.log(steps[outer] / steps[inner]))
+
+
+def knee(study: Study) -> tuple[tuple[Claim, ...], Table, Figure]:
+    """Test the predictions for the knee linkage over a range of steps."""
+    points = family(study, "knee")
+    rows: list[tuple[Cell, ...]] = []
+    spans: dict[tuple[str, str], tuple[float, float]] = {}
+    curves: dict[tuple[str, str], tuple[np.ndarray, np.ndarray]] = {}
+    for springs in (SPRING, FREE):
+        for method in METHODS:
+            steps, values = points.at({METHOD: method, "model.springs": springs}).along(STEP, "misalignment_max")
+            curves[springs, method] = steps, 1e3 * values
+            if method in PREDICTED:
+                spans[springs, method] = steps_within(steps, 1e3 * values, PREDICTED[method])
+    for springs in (SPRING, FREE):
+        for k, step in enumerate(curves[springs, GAUSS2][0]):
+            found = [float(curves[springs, method][1][k]) for method in METHODS]
+            rows.append(
+                (springs, float(step), *found, *(str(PREDICTED[m].holds(found[METHODS.index(m)])) for m in PREDICTED))
+            )
+    period = swing(study)
+    claims = [_knee_claim(method, curves, spans, period) for method in PREDICTED]
+    claims.append(_both_claim(spans))
+    columns = (Column("knee"), Column("step", "s"), *(Column(method, "mm") for method in METHODS))
+    columns += tuple(Column(f"{method} as predicted") for method in PREDICTED)
+    table = Table(
+        "knee-prediction",
+        "Largest misalignment of the knee's four joints after 150 steps",
+        columns,
+        tuple(rows),
+        "Predicted: 0.001 to 1 mm with two stages, 1e-7 to 1e-4 mm with three.",
+    )
+    lines = tuple(
+        Line(f"{method}, {springs}", *curves[springs, method], "both", method)
+        for springs in (SPRING, FREE)
+        for method in METHODS
+    )
+    figure = Figure(
+        "knee-prediction",
+        "Misalignment of the knee over steps",
+        "Shaded: the paper's predictions for two and for three stages. Whether they hold depends on the step.",
+        Axis("step", "s", log=True),
+        Axis("misalignment", "mm", log=True),
+        lines,
+        tuple(Band(f"predicted, {method}", wanted.low, wanted.high) for method, wanted in PREDICTED.items()),
+    )
+    return tuple(claims), table, figure
+
+
+def _knee_claim(
+    method: str,
+    curves: dict[tuple[str, str], tuple[np.ndarray, np.ndarray]],
+    spans: dict[tuple[str, str], tuple[float, float]],
+    period: float,
+) -> Claim:
+    wanted = PREDICTED[method]
+    steps, values = curves[SPRING, method]
+    low, high = spans[SPRING, method]
+    at = _interpolated(steps, values, PAPER_STEP)
+    there = wanted.holds(at)
+    answer = Answer.OPEN if not len(steps) or np.all(np.isnan(values)) else Answer.PARTLY
+    if answer is Answer.PARTLY and math.isnan(low):
+        answer = Answer.NO
+    at_paper = {Answer.YES: "inside the range", Answer.NO: "outside it"}.get(there, "at its limit")
+    resolved = ""
+    if math.isfinite(period):
+        fine = period / PER_SWING
+        expected = _interpolated(steps, values, fine)
+        resolved = (
+            f" With {PER_SWING} steps per swing (h = {fine:.2g} s), as for the paper's pendulum, the misalignment of "
+            f"the knee is {expected:.0e} mm."
+        )
+    free = spans[FREE, method]
+    return Claim(
+        "knee-" + method.lower().replace(" ", ""),
+        f"The misalignment of the knee linkage with four revolute joints is {wanted} with {method}.",
+        str(wanted),
+        f"{at:.1e} mm at h = 0.1 s; the prediction holds for steps of {_span(low, high)}",
+        answer,
+        f"The prediction for {method} holds for steps of {_span(low, high)} ({_span(*free)} without the spring); at "
+        f"the paper's step of 0.1 s the misalignment of the knee is {at:.1e} mm, {at_paper}.{resolved}",
+    )
+
+
+def _both_claim(spans: dict[tuple[str, str], tuple[float, float]]) -> Claim:
+    common = []
+    for springs in (SPRING, FREE):
+        low = max(spans[springs, method][0] for method in PREDICTED)
+        high = min(spans[springs, method][1] for method in PREDICTED)
+        common.append((low, high) if low < high else (math.nan, math.nan))
+    found = math.isfinite(common[0][0])
+    known = all(math.isfinite(end) for end in (*spans[SPRING, GAUSS2], *spans[SPRING, GAUSS3]))
+    return Claim(
+        "knee-both",
+        "Both predictions for the knee hold at one step.",
+        "0.001 to 1 mm and 1e-7 to 1e-4 mm",
+        f"both hold for steps of {_span(*common[0])}" if found else "at no step do both hold",
+        (Answer.PARTLY if found else Answer.NO) if known else Answer.OPEN,
+        "The misalignment of the knee linkage is as predicted, 0.001 to 1 mm with two stages and 1e-7 to 1e-4 mm with "
+        f"three, only for steps of {_span(*common[0])} ({_span(*common[1])} without its spring)."
+        if found
+        else "At no step is the misalignment of the knee linkage as predicted with both methods.",
+    )
+
+
+def _span(low: float, high: float) -> str:
+    return "no length" if math.isnan(low) else f"{low:.2g} to {high:.2g} s"
+
+
+def _interpolated(steps: np.ndarray, values: np.ndarray, step: float) -> float:
+    keep = np.isfinite(values) & (values > 0)
+    if not np.any(keep) or not steps[keep][0] <= step <= steps[keep][-1]:
+        return math.nan
+    return float(np.exp(np.interp(math.log(step), np.log(steps[keep]), np.log(values[keep]))))
+
+
+PER_SWING = 75
+"""Number of steps of 0.1 s in a swing (a period) of the paper's single pendulum: 7.5 s with the assumed parameters."""
+
+
+def swing(study: Study) -> float:
+    """Return the period of the knee without a spring [s]; nan if the required run is missing."""
+    for point in family(study, "knee").at({METHOD: GAUSS3, "model.springs": FREE, STEP: 0.025}):
+        run = study.run(point)
+        if run is not None:
+            with run:
+                return _period(run)
+    return math.nan
+
+
+def _period(run: Run) -> float:
+    """Return twice the time between the first two reversals of the shank after the start."""
+    rate, time = run["shank"].angular_velocity, run.time
+    turns = np.flatnonzero(rate[1:-1] * rate[2:] < 0) + 1
+    if len(turns) < 2:
+        return math.nan
+    at = time[turns] + (time[turns + 1] - time[turns]) * rate[turns] / (rate[turns] - rate[turns + 1])
+    return 2 * float(at[1] - at[0])
+
+
+def joints(study: Study) -> tuple[Claim, Table, Figure]:
+    """Test on chains the claim that misalignment grows by a factor of 10 to 100 with each further joint."""
+    points = family(study, "joints")
+    steps = [float(step) for step in points.labels(STEP)]
+    curves = {
+        (method, step): points.at({METHOD: method, STEP: step}).along("model.n", "misalignment_max")
+        for method in METHODS
+        for step in steps
+    }
+    factors = {key: values[1:] / values[:-1] for key, (_, values) in curves.items()}
+    claimed = {key: found for key, found in factors.items() if key[0] in PREDICTED}
+    answers = [PER_JOINT.holds(float(factor)) for found in claimed.values() for factor in found]
+    first = [float(found[0]) for found in claimed.values() if len(found)]
+    later = [float(factor) for found in claimed.values() for factor in found[1:] if math.isfinite(factor)]
+    rows: list[tuple[Cell, ...]] = []
+    for (method, step), (numbers, values) in curves.items():
+        for k, number in enumerate(numbers):
+            factor = float(factors[method, step][k - 1]) if k else None
+            rows.append((method, step, int(number), float(values[k]), factor))
+    beyond = sum(answer is Answer.YES for key, found in claimed.items() for answer in map(PER_JOINT.holds, found[1:]))
+    answer = together(answers)
+    cost = f"the factor is {least_most(first)} for the second joint; the {len(later)} factors for later joints are "
+    claim = Claim(
+        "per-joint",
+        "The misalignment grows by a factor of 10 to 100 with each further revolute joint.",
+        "a factor of 10 to 100 per joint",
+        f"a factor of {least_most(first)} for the second joint, and of {least_most(later)} for each joint from the "
+        "third to the tenth",
+        answer,
+        f"The misalignment {'grows' if answer is Answer.YES else 'does not grow'} by a factor of 10 to 100 with each "
+        f"further joint: {cost}{least_most(later)}, and {beyond or 'none'} of them {'is' if beyond == 1 else 'are'} in "
+        "this range.",
+    )
+    columns = columns_of("method; step [s]; joints; misalignment [m]; factor per added joint")
+    table = Table("joints-chain", "Largest misalignment of a chain by its number of joints", columns, tuple(rows))
+    lines = tuple(
+        Line(f"{method}, h = {step:g} s", numbers, values, "both", method)
+        for (method, step), (numbers, values) in curves.items()
+    )
+    figure = Figure(
+        "joints-chain",
+        "Misalignment by number of joints",
+        "Chains of rods of 20 m over 15 s. A factor of 10 per joint would be a straight line over nine decades.",
+        Axis("revolute joints"),
+        Axis("misalignment", "m", log=True),
+        lines,
+    )
+    return claim, table, figure

@@ -1,0 +1,238 @@
+"""Published results of the paper: paths of the end point (Fig. 3) and misalignment over the steps (Fig. 4)."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from mbdkit_report.analysis.verdict import Answer, Axis, Cell, Claim, Column, Figure, Line, Range, Table, columns_of, exceeds, together
+from mbdkit_studies.point_selection import METHOD, MODEL, STEP, family, value
+
+if TYPE_CHECKING:
+    from mbdkit.archive.run import Run
+    from mbdkit_studies.study import Study
+    from mbdkit_studies.study_point import StudyPoint
+
+GILL, GAUSS2, GAUSS3 = "RK-Gill", "Gauss 2", "Gauss 3"
+METHODS = (GILL, GAUSS2, GAUSS3)
+
+#: Misalignment stated in the paper [m], by model and method.
+PUBLISHED = {("single", GAUSS2): 1e-6, ("double", GAUSS2): 1e-5, ("single", GAUSS3): 1e-10, ("double", GAUSS3): 1e-8}
+FACTOR = 3.0
+PAPER_STEP = 0.1
+
+VISIBLE = 0.01
+"""Distances between two paths above this share of the length of the pendulum are visible in a figure."""
+
+
+def magnitudes(study: Study) -> tuple[Claim, Table]:
+    """Compare the four published misalignments with the computed ones."""
+    points = family(study, "published")
+    rows: list[tuple[Cell, ...]] = []
+    answers, computed = [], []
+    for (model, method), published in PUBLISHED.items():
+        found = points.at({MODEL: model, METHOD: method}).value("misalignment_max")
+        answers.append(Range.around(published, FACTOR).holds(found))
+        computed.append(f"{found:.1e} m ({model} pendulum, {method})")
+        rows.append((model, method, published, found, found / published, str(answers[-1])))
+    answer = together(answers)
+    number = sum(one is Answer.YES for one in answers)
+    claim = Claim(
+        "magnitudes",
+        "With two-stage and three-stage Gauss, the misalignment of the single and the double pendulum has the "
+        "published magnitudes.",
+        "1e-6 m (single pendulum) and 1e-5 m (double pendulum) with two stages, 1e-10 m and 1e-8 m with three",
+        ", ".join(computed),
+        answer,
+        f"{number} of the 4 published misalignments are reproduced within a factor of {FACTOR:.0f}. The paper does not "
+        "state masses, lengths and initial angles; we assume values for them.",
+    )
+    columns = columns_of("model; method; published [m]; computed [m]; computed / published; within a factor of 3")
+    return claim, Table("magnitudes", "Largest misalignment, published and computed", columns, tuple(rows))
+
+
+def ranking(study: Study) -> tuple[Claim, Claim, Table]:
+    """Test for every model and step whether RK-Gill is the worst method, and whether Gauss 3 is better than Gauss 2."""
+    groups: dict[tuple[str, float], dict[str, StudyPoint]] = {}
+    for name in ("published", "joints", "knee", "steps", "precision", "one-metre"):
+        for point in family(study, name):
+            method = str(point.axes[METHOD])
+            if method in METHODS:
+                groups.setdefault((_model(point), float(point.axes.get(STEP, PAPER_STEP))), {})[method] = point
+    rows: list[tuple[Cell, ...]] = []
+    worst, best, exceptions = [], [], []
+    for model in dict.fromkeys(model for model, _ in groups):
+        steps = sorted((step for name, step in groups if name == model), reverse=True)
+        for step in steps:
+            cell = groups[model, step]
+            values = [value(cell[method], "misalignment_max") if method in cell else math.nan for method in METHODS]
+            gill, two, three = values
+            is_worst = together([exceeds(gill, two), exceeds(gill, three)])
+            if method_overflowed(cell.get(GILL)) and not math.isnan(max(two, three)):
+                is_worst = Answer.YES
+            worst.append(is_worst)
+            best.append(exceeds(two, three))
+            if is_worst in (Answer.NO, Answer.PARTLY):
+                exceptions.append(
+                    f"{model}, step {step:g} s, with a misalignment of at least {min(values):.1g} m with all methods"
+                )
+            rows.append((model, step, *values, str(is_worst), str(best[-1])))
+    columns = (Column("model"), Column("step", "s"), *(Column(method, "m") for method in METHODS))
+    columns += columns_of("RK-Gill worst; Gauss 3 better than Gauss 2")
+    table = Table(
+        "ranking",
+        "Largest misalignment of the paper's three methods, every model and step",
+        columns,
+        tuple(rows),
+        "Empty: the run failed because its joints fell apart or numbers overflowed, or because Newton's method found "
+        "no solution of the stage equations. A method that fell apart or overflowed counts as worse than one that did "
+        "not. Open: both failed, or both are at round-off.",
+    )
+    but = f" Exceptions: {'; '.join(exceptions)}." if exceptions else ""
+    yes, decided = worst.count(Answer.YES), len(worst) - worst.count(Answer.OPEN)
+    undecided = f" ({len(worst) - decided} more are undecided because runs failed)" if decided < len(worst) else ""
+    gill_claim = Claim(
+        "gill-worst",
+        "RK-Gill is by far the worst of the three methods.",
+        "RK-Gill is worst for the single and the double pendulum at h = 0.1 s",
+        f"RK-Gill is worst in {yes} of {decided} pairs of model and step{undecided}",
+        together([answer for answer in worst if answer is not Answer.OPEN]),
+        f"The misalignment is largest with RK-Gill in {yes} of {decided} pairs of model and step.{but}",
+    )
+    yes, decided = best.count(Answer.YES), len(best) - best.count(Answer.OPEN)
+    undecided = f" ({len(best) - decided} more are undecided because runs failed)" if decided < len(best) else ""
+    gauss_claim = Claim(
+        "gauss3-better",
+        "Three-stage Gauss gives a smaller misalignment than two-stage Gauss.",
+        "three-stage Gauss is better for the single and the double pendulum at h = 0.1 s",
+        f"three-stage Gauss is better in {yes} of {decided} pairs of model and step{undecided}",
+        together([answer for answer in best if answer is not Answer.OPEN]),
+        f"Three-stage Gauss is better than two-stage Gauss in {yes} of {decided} pairs of model and step.",
+    )
+    return gill_claim, gauss_claim, table
+
+
+def method_overflowed(point: StudyPoint | None) -> bool:
+    """Return whether the run of a point failed because its joints fell apart or its numbers overflowed."""
+    return point is not None and point.status == "failed" and point.reason.startswith(("fell-apart", "not-finite"))
+
+
+def _model(point: StudyPoint) -> str:
+    """Return the name of the model of a point, as used in the table."""
+    if "model.n" in point.axes:
+        rods = int(point.axes["model.n"])
+        return f"{rods} rods of 20 m" if rods > 1 else "1 rod of 20 m"
+    if "model.springs" in point.axes:
+        return f"knee, {point.axes['model.springs']}"
+    rods = {"single": 1, "double": 2}.get(str(point.axes.get(MODEL)), 1 if point.family == "steps" else 2)
+    length = 1 if point.family == "one-metre" else 20
+    return f"{rods} rod{'s' if rods > 1 else ''} of {length} m" + (", from the horizontal" if length == 1 else "")
+
+
+def end_point(run: Run) -> np.ndarray:
+    """Return the path (T, 2) [m] of the free end of the last rod of a chain."""
+    model = run.spec["model"]
+    length = model["length"] if "length" in model else model["lengths"][-1]
+    rod = run[list(run.bodies)[-1]]
+    along = np.stack([np.cos(rod.angle), np.sin(rod.angle)], axis=1)
+    return np.asarray(rod.position + 0.5 * length * along)
+
+
+def trajectories(study: Study) -> tuple[Claim, tuple[Figure, ...], tuple[Figure, ...]]:
+    """Return the claim that the paths depend on the method, and the figures of the paths and of the misalignments."""
+    paths, drifts = [], []
+    apart: dict[str, float] = {}
+    for name, model in (("published", "single"), ("published", "double"), ("one-metre", "double")):
+        points = family(study, name).at({MODEL: model} | ({STEP: 0.1} if name == "one-metre" else {}))
+        path: dict[str, np.ndarray] = {}
+        histories: dict[str, dict[str, np.ndarray]] = {}
+        for point in points:
+            run = study.run(point)
+            if run is not None:
+                with run:
+                    path[str(point.axes[METHOD])] = end_point(run)
+                    histories[str(point.axes[METHOD])] = {
+                        joint: drift.misalignment for joint, drift in run.joints.items()
+                    }
+        size = 1.0 if name == "one-metre" else 20.0
+        size *= 2 if model == "double" else 1
+        apart[f"{name} {model}"] = _apart(path) / size
+        label = model if name == "published" else f"{model}-one-metre"
+        paths.append(_path_figure(label, path, size))
+        if name == "published":
+            drifts.append(_drift_figure(model, histories))
+    single, double, metre = (apart[f"{name}"] for name in ("published single", "published double", "one-metre double"))
+    answers = [exceeds(double, VISIBLE), exceeds(metre, VISIBLE)]
+    claim = Claim(
+        "paths",
+        "The path of the double pendulum depends on the method.",
+        "visibly different paths at h = 0.1 s",
+        f"the paths differ by at most {double:.1e} times the length of the pendulum with rods of 20 m, and by at most "
+        f"{metre:.2g} times this length with rods of 1 m released from the horizontal (single pendulum of "
+        f"20 m: {single:.1e})",
+        together(answers),
+        "With the lengths that reproduce the published misalignments, the three paths of the double pendulum cannot be "
+        "distinguished in a figure; with rods of 1 m released from the horizontal they diverge within seconds. We "
+        "found no parameters that reproduce both Fig. 3 and Fig. 4 of the paper.",
+    )
+    return claim, tuple(paths), tuple(drifts)
+
+
+def _apart(path: dict[str, np.ndarray]) -> float:
+    """Return the largest distance between the paths of two methods at equal times, up to the end of a failed run.
+
+    The distance is nan unless there is a path for each of the three methods.
+    """
+    paths = list(path.values())
+    distances = [0.0]
+    for i, one in enumerate(paths):
+        for other in paths[:i]:
+            rows = min(len(one), len(other))
+            distance = np.linalg.norm(one[:rows] - other[:rows], axis=1)
+            distances.append(float(np.max(distance[np.isfinite(distance)], initial=0.0)))
+    return max(distances) if len(paths) == len(METHODS) else math.nan
+
+
+def _path_figure(label: str, path: dict[str, np.ndarray], size: float) -> Figure:
+    lines = []
+    for method, points in path.items():
+        shown = np.where(
+            np.abs(points) <= 1.5 * size, points, np.nan
+        )  # points outside the reach of the pendulum are not drawn
+        lines.append(Line(method, shown[:, 0], shown[:, 1], "line", method))
+    model = label.removesuffix("-one-metre")
+    what = (
+        "rods of 1 m, released from the horizontal" if label != model else "rods of 20 m, released 40 degrees below it"
+    )
+    return Figure(
+        f"trajectory-{label}",
+        f"Path of the end point, {model} pendulum, h = 0.1 s",
+        f"The paper's Fig. 3 with {what}.",
+        Axis("x", "m"),
+        Axis("y", "m"),
+        tuple(lines),
+        equal=True,
+    )
+
+
+def _drift_figure(model: str, histories: dict[str, dict[str, np.ndarray]]) -> Figure:
+    lines = [
+        Line(f"{method}, {joint}", np.arange(len(history)), _positive(history), "line", method)
+        for method, joints in histories.items()
+        for joint, history in joints.items()
+    ]
+    return Figure(
+        f"drift-{model}",
+        f"Misalignment over the steps, {model} pendulum, h = 0.1 s",
+        "The paper's Fig. 4: misalignment grows with RK-Gill, and stays near that of the first swing with Gauss.",
+        Axis("step"),
+        Axis("misalignment", "m", log=True),
+        tuple(lines),
+    )
+
+
+def _positive(values: np.ndarray) -> np.ndarray:
+    """Return values for a logarithmic axis, with nan for zeros."""
+    return np.where(values > 0, values, np.nan)

@@ -1,0 +1,194 @@
+"""JSON data of an animation on a page: poses, paths and joint gaps, read by `templates/player.js`."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from mbdkit_report.figures.beam_curves import largest_moment
+from mbdkit_report.figures.drawing_geometry import Drawing, mechanism_of
+from mbdkit_report.figures.palette import body_colors, color_key, trace_colors
+from mbdkit_report.figures.plane_geometry import Array
+from mbdkit_report.figures.scene import Scene, scene
+
+if TYPE_CHECKING:
+    from mbdkit.archive.run import Run
+    from mbdkit.mechanism.mechanism import Mechanism
+
+RATE = 50
+"""Frames per second; fewer if there are many bodies."""
+_GRAIN = 1.0 / 20_000  # unit of positions, as a share of the view; a fourteenth of a pixel on a wide screen
+_ANGLE = 2e-4  # unit of angles [rad]
+_JOINTS = 40  # largest number of joints with gaps
+_SAME = 1e-9  # m; closer points of a body are drawn as one point
+
+
+def film_data(run: Run, numbers: int, label: str = "") -> dict[str, Any]:
+    """Return the data of an animation of a run.
+
+    Parameters
+    ----------
+    numbers
+        Approximate number of pose values, six bytes each.
+    label
+        Name of the run on a page with several runs.
+    """
+    most = int(np.clip(numbers // (3 * max(1, len(run.bodies))), 30, 1_000))
+    shown = scene(run, rate=RATE, most=most, shortest=2.0, longest=30.0)
+    return {"label": label} | _scene_data(shown) | {"gaps": _gap_data(run, shown)}
+
+
+def _scene_data(shown: Scene) -> dict[str, Any]:
+    """Return the drawing, and the poses as integers: positions in units of `_GRAIN` times the size of the view, angles
+    in units of `_ANGLE`.
+    """
+    drawing = shown.drawing
+    (x0, x1), (y0, y1) = shown.xlim, shown.ylim
+    size = max(x1 - x0, y1 - y0)
+    grain = size * _GRAIN
+    centre = np.array([(x0 + x1) / 2, (y0 + y1) / 2, 0.0])
+    with np.errstate(invalid="ignore", over="ignore"):
+        poses = np.clip((shown.poses - centre) / (grain, grain, _ANGLE), -2e9, 2e9).round()
+    colors = body_colors(drawing)
+    flat = [None if value != value else int(value) for value in poses.reshape(-1).tolist()]
+    return {
+        "time": _short(shown.time, 9),
+        "speed": shown.speed,
+        "view": [x0, x1, y0, y1],
+        "grain": [grain, _ANGLE],
+        "bodies": list(drawing.bodies),
+        "colors": [color_key(color) for color in colors],
+        "links": [[name, color_key(colors[drawing.link_numbers.index(k)])] for k, name in enumerate(drawing.links)],
+        "owner": drawing.owner.tolist(),
+        "local": _short(drawing.local, 6),
+        "outlines": [list(outline) for outline in drawing.outlines],
+        **_beam_data(shown),
+        "pins": list(drawing.pins),
+        "grounds": list(drawing.grounds),
+        "centres": list(drawing.centres),
+        "springs": [list(ends) for ends in drawing.springs],
+        "muscles": [list(points) for points in drawing.muscles],
+        "shapes": [list(points) for points in drawing.shapes],
+        "bars": [list(ends) for ends in drawing.bars],
+        "guides": [list(ends) for ends in drawing.guides],
+        "sliders": list(drawing.sliders),
+        "welds": list(drawing.welds),
+        "traces": [
+            {"label": trace.label, "point": trace.point, "color": color_key(color)}
+            for trace, color in zip(shown.traces, trace_colors(drawing, shown.traces), strict=True)
+        ],
+        "poses": flat,
+    }
+
+
+def _beam_data(shown: Scene) -> dict[str, Any]:
+    """Return the curves of the beams, and their bending moments in percent of the largest magnitude."""
+    beams = [
+        {"name": beam.name, "corners": list(beam.corners), "element": beam.elements_of_intervals,
+         "elements": beam.elements, "body": beam.nodes[0]}
+        for beam in shown.drawing.beams
+    ]  # fmt: skip
+    most = largest_moment(shown.moments)
+    if not most or shown.moments is None:
+        return {"beams": beams, "bending": None}
+    percent = np.nan_to_num(100.0 * shown.moments / most, posinf=100.0, neginf=-100.0).round().astype(int)
+    return {"beams": beams, "bending": {"largest": most, "percent": percent.reshape(-1).tolist()}}
+
+
+def _gap_data(run: Run, shown: Scene) -> dict[str, Any]:
+    """Return the gaps of the joints with the largest gaps [m], and the largest gap in any frame."""
+    found: Gaps = gaps(run, shown.drawing, shown.poses).largest(_JOINTS)
+    size = np.hypot(found.vectors[..., 0], found.vectors[..., 1])
+    return {
+        "joints": list(found.joints),
+        "ends": [list(ends) for ends in found.ends],
+        "largest": float(np.max(size[np.isfinite(size)], initial=0.0)),
+        "vectors": _short(found.vectors, 3),
+    }
+
+
+def _short(values: Array, digits: int) -> list[float | None]:
+    return [float(f"{value:.{digits}g}") if abs(value) < np.inf else None for value in values.reshape(-1).tolist()]
+
+
+@dataclass(frozen=True)
+class Gaps:
+    """Gaps of the joints over F frames.
+
+    Parameters
+    ----------
+    ends
+        For each joint, the indices in the drawing's table of its points on the first and the second body.
+    vectors
+        Vector from the required to the actual position of the second body's point [m], in the global frame, shape (F,
+        J, 2). Its length is the misalignment of the joint.
+    """
+
+    joints: tuple[str, ...]
+    ends: tuple[tuple[int, int], ...]
+    vectors: Array
+
+    def largest(self, count: int) -> Gaps:
+        """Return the `count` largest gaps, in the order of the joints."""
+        size = np.nan_to_num(np.hypot(self.vectors[..., 0], self.vectors[..., 1]), nan=np.inf).max(axis=0, initial=0.0)
+        kept = sorted(np.argsort(-size, kind="stable")[:count].tolist())
+        return Gaps(
+            tuple(self.joints[joint] for joint in kept),
+            tuple(self.ends[joint] for joint in kept),
+            self.vectors[:, kept],
+        )
+
+
+def gaps(run: Run, drawing: Drawing, poses: Array) -> Gaps:
+    """Return the gaps of the joints of a run; none if its mechanism is not known. Drivers, and joints that do not
+    connect two points, are left out.
+
+    Parameters
+    ----------
+    poses
+        x [m], y [m] and angle [rad] of each body, shape (F, B, 3).
+    """
+    mechanism = mechanism_of(run)
+    if mechanism is None or tuple(mechanism.bodies) != drawing.bodies:
+        return Gaps((), (), np.zeros((len(poses), 0, 2)))
+    return _gaps_of(mechanism, drawing, poses)
+
+
+def _gaps_of(mechanism: Mechanism, drawing: Drawing, poses: Array) -> Gaps:
+    index = {"ground": -1} | {name: number for number, name in enumerate(mechanism.bodies)}
+    names, ends, vectors = [], [], []
+    for name, joint in mechanism.joints.items():
+        if joint.is_driver or joint.points is None:
+            continue
+        a, b = (index[body] for body in joint.bodies)
+        found = [_find(drawing, body, local) for body, local in zip((a, b), joint.points, strict=True)]
+        gap = _world(poses, b, joint.points[1]) - _world(poses, a, joint.points[0])
+        names.append(name)
+        ends.append((found[0], found[1]))
+        angles = [poses[:, body, 2] if body >= 0 else np.zeros(len(poses)) for body in (a, b)]
+        vectors.append(joint.gap(gap, np.stack(angles, axis=-1)))
+    stacked = np.stack(vectors, axis=1) if vectors else np.zeros((len(poses), 0, 2))
+    return Gaps(tuple(names), tuple(ends), stacked)
+
+
+def _find(drawing: Drawing, body: int, local: tuple[float, float]) -> int:
+    """Return the index of a body's point in the drawing's table."""
+    here = np.flatnonzero(drawing.owner == body)
+    nearest = here[np.argmin(np.hypot(*(drawing.local[here] - np.asarray(local)).T))]
+    assert np.hypot(*(drawing.local[nearest] - np.asarray(local))) < _SAME
+    return int(nearest)
+
+
+def _world(poses: Array, body: int, local: tuple[float, float]) -> Array:
+    """Return the global positions of a point of a body [m], shape (F, 2); the table of the drawing has only rounded
+    points.
+    """
+    x, y = local
+    if body < 0:
+        return np.tile([x, y], (len(poses), 1))
+    with np.errstate(invalid="ignore"):  # the states of a failed run may contain infinities
+        cosine, sine = np.cos(poses[:, body, 2]), np.sin(poses[:, body, 2])
+    world: Array = poses[:, body, :2] + np.stack([cosine * x - sine * y, sine * x + cosine * y], axis=-1)
+    return world

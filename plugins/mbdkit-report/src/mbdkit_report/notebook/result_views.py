@@ -1,0 +1,263 @@
+"""The display of each kind of object in notebooks: sentences, pictures and tables as HTML that loads no other files."""
+
+from __future__ import annotations
+
+import base64
+import html
+from dataclasses import dataclass, replace
+from functools import singledispatch
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from mbdkit_biomech.inverse_dynamics.workload import Workload
+from mbdkit.archive.accuracy import Accuracy
+from mbdkit.archive.history import JointHistories
+from mbdkit.archive.run import Run
+from mbdkit.archive.run_summary import answer_lines, summary_lines
+from mbdkit.base.errors import MbdkitError
+from mbdkit.base.html_view import HtmlView
+from mbdkit.base.text import shown
+from mbdkit_report.figures.curves import take
+from mbdkit_report.figures.drawing_geometry import mechanism_of
+from mbdkit_report.figures.mechanism_drawing import NamedPose
+from mbdkit_report.figures.page_model import Cell, Column, Illustration, Table, columns_of
+from mbdkit_report.figures.plane_geometry import Array
+from mbdkit.gradients.gradient import Gradient
+from mbdkit_statics.equilibrium import Equilibrium
+from mbdkit_statics.mechanics_summary import beam_ends, beam_rows, clean, equilibrium_facts, modes_facts, moves_most, remark, sharing
+from mbdkit_statics.modes import Modes
+from mbdkit.mechanism.beams import beam_of
+from mbdkit.mechanism.mechanism import Mechanism
+from mbdkit_report.plot import drift_plot, reactions_plot
+from mbdkit_report.plot.caption import caption
+from mbdkit_report.plot.charts import chart_image
+from mbdkit_statics.mode_shapes import modes_figure
+from mbdkit_report.plot.style import png
+from mbdkit_report.pages.model_section import composition, drawing, element_tables
+from mbdkit_report.pages.report_page import FILTERS
+from mbdkit_report.pages.run_report import TONES
+from mbdkit_studies.study_report import runs_table, settings
+from mbdkit_report.pages.templating import render
+from mbdkit_studies.study import Study
+from mbdkit_studies.study_headlines import headlines
+from mbdkit_studies.study_notes import notes
+
+
+@dataclass(frozen=True)
+class Picture:
+    """A Matplotlib figure with a description for readers who do not see it."""
+
+    figure: Figure
+    description: str
+
+    @property
+    def source(self) -> str:
+        """The figure as a data URL."""
+        return f"data:image/png;base64,{base64.b64encode(png(self.figure)).decode('ascii')}"
+
+    @property
+    def width(self) -> int:
+        """Width on the page [px]."""
+        return round(float(self.figure.get_size_inches()[0]) * 96)
+
+
+@dataclass(frozen=True)
+class View:
+    """The content that a notebook shows for an object.
+
+    Parameters
+    ----------
+    title
+        Heading.
+    sentences
+        Paragraphs below it.
+    tone
+        ``good``, ``warn`` or ``alarm`` if the first paragraph has a colour.
+    facts
+        Labels and texts, as in a summary; a text without a label continues the one above.
+    drawing, pictures
+        Illustration of the mechanism, and other pictures.
+    tables
+        Tables with their titles.
+    is_folded
+        Whether tables are closed until the reader opens them.
+    """
+
+    title: str
+    sentences: tuple[str, ...] = ()
+    tone: str = ""
+    facts: tuple[tuple[str, str], ...] = ()
+    drawing: Illustration | None = None
+    pictures: tuple[Picture, ...] = ()
+    tables: tuple[Table, ...] = ()
+    is_folded: bool = False
+
+    def html(self) -> str:
+        """Return the HTML; all texts are escaped."""
+        return render("notebook.html", {"view": self}, FILTERS)
+
+
+_CHART = (5.4, 3.3)
+"""Width and height of a chart of a run [inch]."""
+
+
+def html_of(thing: HtmlView) -> str:
+    """Return the HTML of an object; if it cannot be read, like a closed run, the HTML states the reason."""
+    try:
+        return view(thing).html()
+    except MbdkitError as error:
+        return f"<pre>{html.escape(shown(f'{thing!r}: {error}'))}</pre>"
+
+
+@singledispatch
+def view(thing: HtmlView) -> View:
+    """Return the view of an object."""
+    raise TypeError(f"there is no view for a {type(thing).__name__}: register one with `view.register`")
+
+
+@view.register
+def _(run: Run) -> View:
+    (_, verdict), *lines = summary_lines(run)
+    sentences, tone = [f"Verdict {verdict}"], TONES.get(run.verdict, "")
+    while lines and not lines[0][0]:
+        sentences.append(lines.pop(0)[1])
+    title = f"Run: {caption(run).title}"
+    answers = [text for _, text in answer_lines(run)]
+    sentences += answers
+    lines = [line for line in lines if line[0] != "run" and line[1] not in answers]  # the title names the run
+    if not len(run.time):
+        return View(title, tuple(sentences), tone, tuple(lines))
+    pose = take(run.dataset("trajectory/position"), np.array([0], dtype=np.intp))[0]
+    named = NamedPose.of(mechanism_of(run), list(run.bodies), pose, np.asarray(run.time)[:1])
+    charts = [*reactions_plot.charts(run), *drift_plot.charts(run)[:1]]
+    pictures = tuple(
+        Picture(chart_image(replace(chart, caption=""), *_CHART), f"{chart.title}. {chart.caption}") for chart in charts
+    )
+    return View(title, tuple(sentences), tone, tuple(lines), drawing(named), pictures)
+
+
+@view.register
+def _(mechanism: Mechanism) -> View:
+    title = "Mechanism" if mechanism.name == "mechanism" else f"Mechanism {mechanism.name}"
+    if not mechanism.bodies:
+        return View(title, ("It has no bodies yet.",))
+    pose = np.array([(*body.position, body.angle) for body in mechanism.bodies.values()])
+    named = NamedPose.of(mechanism, list(mechanism.bodies), pose, np.zeros(1))
+    tables = tuple(element_tables(named))
+    return View(title, (composition(mechanism),), drawing=drawing(named), tables=tables, is_folded=True)
+
+
+@view.register
+def _(study: Study) -> View:
+    title = " ".join(study.spec.title.split()) or study.folder.resolve().name
+    answers = [f"{name}: {told}" for name, told in (*headlines(study, "±"), *notes(study))]
+    return View(f"Study: {title}", (settings(study), *answers), tables=(runs_table(study),))
+
+
+@view.register
+def _(found: Equilibrium) -> View:
+    bodies: list[tuple[Cell, ...]] = [
+        (name, *clean(place))
+        for name, place in zip(found.bodies, found.position, strict=True)
+        if beam_of(name) not in found.beams
+    ]
+    ends: list[tuple[Cell, ...]] = [(name, *place, *moved) for name, place, moved in beam_ends(found)]
+    forces = np.column_stack([found.reaction_force, found.reaction_torque])
+    forces[np.abs(forces) < 1e-12 * np.max(np.abs(forces), initial=0.0)] = 0.0
+    joints: list[tuple[Cell, ...]] = [(name, *row) for name, row in zip(found.joints, forces.tolist(), strict=True)]
+    place = columns_of("body; x [m]; y [m]; angle [rad]")
+    force = columns_of("joint; force x [N]; force y [N]; torque [N m]")
+    tables = (
+        Table("bodies", "Positions of the bodies", place, tuple(bodies)),
+        Table("reactions", "Reactions in the joints", force, tuple(joints), sharing(found)),
+        Table("beam-ends", "Ends of beams",
+              columns_of("end of beam; x [m]; y [m]; angle [rad]; moved by x [m]; moved by y [m]; turned by [rad]"),
+              tuple(ends)),
+        Table("beams", "Internal forces at the ends of beams and where they are largest",
+              columns_of("beam; at [m]; moment [N m]; shear [N]; axial [N]"), tuple(beam_rows(found))),
+    )  # fmt: skip
+    (_, stability), *facts = equilibrium_facts(found)
+    tone = {"stable": "good", "unstable": "alarm"}.get(found.stability, "")
+    picture = _posed(found.mechanism, found.position, found.time)
+    filled = tuple(table for table in tables if table.rows)
+    return View("Equilibrium", (stability[:1].upper() + stability[1:],), tone, tuple(facts), picture, tables=filled)
+
+
+def _posed(mechanism: Mechanism | None, position: Array, time: float) -> Illustration | None:
+    """Return the drawing of a mechanism in a position (B, 3) at a time [s]; None without a mechanism."""
+    if mechanism is None:
+        return None
+    return drawing(NamedPose.of(mechanism, list(mechanism.bodies), position, np.array([time])))
+
+
+@view.register
+def _(found: Modes) -> View:
+    rows: list[tuple[Cell, ...]] = []
+    for k, value in enumerate(found.eigenvalues.tolist()):
+        swings: list[Cell] = [None, None, None]
+        if value.imag:
+            swings = [float(x[k]) for x in (found.natural_frequency, found.frequency_hz, found.damping_ratio + 0.0)]
+        rows.append((k + 1, *swings, moves_most(found, k), remark(value)))
+    columns = [*columns_of("mode; natural frequency [rad/s]; frequency [Hz]; damping ratio; moves most; remark")]
+    if not any(row[-1] for row in rows):
+        rows, columns = [row[:-1] for row in rows], columns[:-1]
+    pictures: tuple[Picture, ...] = ()
+    if found.mechanism is not None:
+        figure = modes_figure(found, found.mechanism, "Mode shapes")
+        pictures = (Picture(figure, "Shapes of the slowest modes, displaced in both directions"),)
+    table = Table("modes", "All modes", tuple(columns), tuple(rows))
+    return View("Modes", facts=tuple(modes_facts(found)), pictures=pictures, tables=(table,))
+
+
+@view.register
+def _(found: Gradient) -> View:
+    columns = [*columns_of("measure; unit; value"), *(Column(f"by {name}") for name in found.parameters)]
+    rows: list[tuple[Cell, ...]] = [
+        (name, unit, float(value), *found.texts(name, "\u00b1"))
+        for name, unit, value in zip(found.measures, found.units, found.value, strict=True)
+    ]
+    check = () if found.check is None else (str(found.check),)
+    note = "In the unit of the measure for each SI unit of the parameter."
+    table = Table("gradient", "Derivatives", tuple(columns), tuple(rows), note)
+    return View("Gradient", (*found.doubts, *found.remarks, *check), tables=(table,))
+
+
+@view.register
+def _(found: Workload) -> View:
+    rows: list[tuple[Cell, ...]] = [
+        (one.name, one.kind, load.units, load.peak, load.peak_error, load.peak_time, load.impulse)
+        for one in found.elements
+        for load in (one.load, one.torque)
+        if load is not None
+    ]
+    columns = columns_of("element; kind; unit; peak; \u00b1 error; time of the peak [s]; impulse [unit s]")
+    table = Table("workload", "Loads", columns, tuple(rows))
+    return View("Workload", (f"From {found.start:g} s to {found.end:g} s.", found.note), tables=(table,))
+
+
+@view.register
+def _(found: Accuracy) -> View:
+    largest = [
+        ("position", "m", found.position_error_max),
+        ("angle", "rad", found.angle_error_max),
+        ("reaction force", "N", _largest(found.reaction_error, found.rows_known)),
+        ("reaction torque", "N m", _largest(found.torque_error, found.rows_known)),
+    ]
+    until = "of all rows" if found.is_complete else f"until {found.known_until:.4g} s"
+    table = Table("errors", f"Largest estimated errors {until}", columns_of("quantity; unit; error"), tuple(largest))
+    return View("Accuracy", (found.method,), tables=(table,))
+
+
+@view.register
+def _(joints: JointHistories) -> View:
+    rows: list[tuple[Cell, ...]] = []
+    for name, joint in joints.items():
+        force, torque = np.linalg.norm(joint.reaction_force, axis=1), np.abs(joint.reaction_torque)
+        rows.append((name, " - ".join(joint.bodies), _largest(force), _largest(torque), joint.misalignment_max))
+    columns = columns_of("joint; between; largest force [N]; largest torque [N m]; largest misalignment [m]")
+    return View("Joints", tables=(Table("joints", "Largest values in the recorded rows", columns, tuple(rows)),))
+
+
+def _largest(values: Array, rows: int | None = None) -> float:
+    return float(np.max(values[:rows], initial=0.0))

@@ -1,0 +1,253 @@
+"""The section on the model: a drawing with names, and tables of bodies, beams, joints, force elements, markers and
+parameters.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from mbdkit.base.strict_model import description
+from mbdkit.base.text import listed
+from mbdkit_report.figures.curves import take
+from mbdkit_report.figures.mechanism_drawing import NARROW, WIDE, NamedPose, mechanism_svg, names_shown, own_forces
+from mbdkit_report.figures.page_model import Cell, Column, Illustration, Section, Table, columns_of
+from mbdkit_report.figures.quantity_text import count
+from mbdkit.mechanism.parameters import parameter_values
+from mbdkit.mechanism.pathways import JointAngles, path_ends
+from mbdkit.mechanism.values import Table as TimeTable
+from mbdkit.spec.key_words import described_unit
+
+if TYPE_CHECKING:
+    from mbdkit.archive.run import Run
+    from mbdkit.mechanism.mechanism import Mechanism
+
+ROWS = 200
+"""Largest number of rows in a table."""
+_TIMES = 400  # number of recorded times at which the drawing evaluates loads; up to twice as many may be used
+_PLACE = {"type", "bodies", "body", "reaction_body", "points", "point", "at", "from_", "to", "pathway", "law", "value"}
+_PLACE |= {"motion", "frame"}
+"""Keys of elements that are not listed as options, because they give positions or are described elsewhere."""
+
+
+def model_section(run: Run, mechanism: Mechanism | None) -> Section:
+    """Return the section on the mechanism of a run that has rows.
+
+    Parameters
+    ----------
+    mechanism
+        The mechanism of the run; None if it is not known.
+    """
+    pose = take(run.dataset("trajectory/position"), np.array([0], dtype=np.intp))[0]
+    times = np.asarray(run.time)[:: max(1, len(run.time) // _TIMES)]
+    shown = NamedPose.of(mechanism, list(run.bodies), pose, times)
+    tables = element_tables(shown)
+    if shown.mechanism is None:
+        sentence = ""
+    else:
+        sentence = f"{composition(shown.mechanism)} Positions in the tables are global, at the start."
+        tables += [table for table in [_parameters(run.spec)] if table.rows]
+    lacks = f"{run.not_drawn[:1].upper()}{run.not_drawn[1:]}." if run.not_drawn else ""
+    sentences = tuple(filter(None, (sentence, lacks)))
+    return Section("model", "What was modelled", sentences, drawing(shown), tuple(tables), is_input=True)
+
+
+def element_tables(shown: NamedPose) -> list[Table]:
+    """Return tables of the bodies, beams, joints, force elements and markers of a mechanism; only of the bodies if its
+    model is not available. Empty tables are left out.
+    """
+    tables = [_bodies(shown)]
+    if shown.mechanism is not None:
+        tables += [_beams(shown.mechanism), _joints(shown), _forces(shown), _markers(shown)]
+    return [table for table in tables if table.rows]
+
+
+def composition(mechanism: Mechanism) -> str:
+    """Return sentences on the elements of a mechanism, its mass, and gravity."""
+    drivers = sum(joint.is_driver for joint in mechanism.joints.values())
+    nodes = sum(beam.node_count for beam in mechanism.beams.values())
+    parts = [count(len(mechanism.bodies) - nodes, "body", "bodies")]
+    parts += [f"{count(len(mechanism.beams), 'beam')} ({nodes} nodes)"] * bool(mechanism.beams)
+    parts += [count(len(mechanism.joints) - drivers, "joint")]
+    parts += [count(drivers, "driver")] * bool(drivers)
+    forces = own_forces(mechanism)
+    parts += [count(len(forces), "force element")] * bool(forces)
+    x, y = mechanism.gravity
+    gravity = f"Gravity is ({x:g}, {y:g}) m/s²." if x or y else "There is no gravity."
+    mass = sum(body.mass for body in mechanism.bodies.values())
+    return f"A planar mechanism of {listed(parts, 'and')}, with a mass of {mass:.4g} kg. {gravity}"
+
+
+def drawing(shown: NamedPose) -> Illustration:
+    """Return the drawing of a mechanism. The names of its elements are shown unless there are too many."""
+    elements = shown.mechanism
+    names = list(shown.drawing.links)
+    if elements is not None:
+        names += [*elements.joints, *own_forces(elements), *elements.markers]
+    description = "Drawing of the mechanism"
+    caption = f"The mechanism at t = {shown.times[0]:.6g} s."
+    if names_shown(shown):
+        description += f" with the names {listed(names, 'and')}"
+        caption += " Bodies have the colours that they have in the animation."
+    else:
+        caption += " It has too many elements to name them all here; the tables list them."
+    return Illustration(mechanism_svg(shown, WIDE), mechanism_svg(shown, NARROW), description, caption)
+
+
+def _limited(name: str, title: str, columns: Sequence[Column], rows: list[tuple[Cell, ...]]) -> Table:
+    note = f"The first {ROWS} of {len(rows):,}." if len(rows) > ROWS else ""
+    return Table(name, title, tuple(columns), tuple(rows[:ROWS]), note)
+
+
+def _bodies(shown: NamedPose) -> Table:
+    known = {} if shown.mechanism is None else shown.mechanism.bodies
+    nodes = {node for beam in shown.drawing.beams for node in beam.nodes}
+    rows: list[tuple[Cell, ...]] = []
+    for number, (name, (_, _, angle)) in enumerate(zip(shown.drawing.bodies, shown.pose.tolist(), strict=True)):
+        if number in nodes:
+            continue
+        body = known.get(name)
+        centre = shown.place(name, (0.0, 0.0)).tolist()
+        rows.append((name, *((body.mass, body.inertia) if body else ()), *centre, angle))
+    columns = [Column("body"), *([*columns_of("mass [kg]; moment of inertia [kg m²]")] if known else [])]
+    columns += columns_of("x [m]; y [m]; angle [rad]")
+    return _limited("bodies", "Bodies", columns, rows)
+
+
+def _beams(mechanism: Mechanism) -> Table:
+    rows: list[tuple[Cell, ...]] = []
+    for name, beam in mechanism.beams.items():
+        stiffness, (mass, _) = beam.section_stiffness, beam.inertia_per_length
+        nodes = f"{name}.0 to {name}.{beam.node_count - 1}"
+        rows.append((name, nodes, beam.length, mass * beam.length, *stiffness, beam.damping))
+    columns = [
+        *columns_of(
+            "beam; nodes; length [m]; mass [kg]; axial stiffness [N]; shear stiffness [N]; "
+            "bending stiffness [N m²]; damping [s]"
+        )
+    ]
+    return _limited("model-beams", "Beams", columns, rows)
+
+
+def _joints(shown: NamedPose) -> Table:
+    assert shown.mechanism is not None
+    rows: list[tuple[Cell, ...]] = []
+    for name, joint in shown.mechanism.joints.items():
+        held = joint.attachments()
+        place: tuple[Cell, Cell] = (None, None)
+        if held:
+            x, y = shown.place(*held[-1][1:]).tolist()
+            place = (x, y)
+        rows.append((name, joint.type, _between(joint.bodies), *place, _joint_details(joint)))
+    columns = [*columns_of("joint; type; between; x [m]; y [m]; data")]
+    rows, columns = _without_empty_data(rows, columns)
+    return _limited("model-joints", "Joints and drivers", columns, rows)
+
+
+def _without_empty_data(
+    rows: list[tuple[Cell, ...]], columns: list[Column]
+) -> tuple[list[tuple[Cell, ...]], list[Column]]:
+    """Return rows and columns without the last column if all its cells are empty."""
+    if any(row[-1] for row in rows):
+        return rows, columns
+    return [row[:-1] for row in rows], columns[:-1]
+
+
+def _forces(shown: NamedPose) -> Table:
+    rows: list[tuple[Cell, ...]] = []
+    force: Any
+    assert shown.mechanism is not None
+    for name, force in own_forces(shown.mechanism).items():
+        load = getattr(force, "load", None)
+        if load is None:
+            between = _between(path_ends(force.pathway.segments(shown.mechanism.joints)))
+        else:
+            between = _between((load.reaction_body, load.body))
+        kind = f"{force.type}: {force.law}" if force.type == "law" else force.type
+        rows.append((name, kind, between, _force_details(force, shown)))
+    columns = [*columns_of("force element; type; between; data")]
+    rows, columns = _without_empty_data(rows, columns)
+    return _limited("model-forces", "Springs, dampers and loads", columns, rows)
+
+
+def _markers(shown: NamedPose) -> Table:
+    assert shown.mechanism is not None
+    rows: list[tuple[Cell, ...]] = []
+    for name, marker in shown.mechanism.markers.items():
+        x, y = shown.place(marker.body, marker.held).tolist()
+        rows.append((name, marker.body, *shown.rounded(marker.held).tolist(), x, y))
+    columns = [*columns_of("marker; body; x in its frame [m]; y in its frame [m]; x [m]; y [m]")]
+    return _limited("markers", "Markers", columns, rows)
+
+
+def _parameters(spec: Mapping[str, Any]) -> Table:
+    given = spec.get("parameters") or {}
+    values = parameter_values(given)
+    rows: list[tuple[Cell, ...]] = [
+        (name, text if isinstance(text, str) else None, values[name]) for name, text in given.items()
+    ]
+    columns = [*columns_of("parameter; expression; value")]
+    return _limited("parameters", "Parameters", columns, rows)
+
+
+def _between(bodies: tuple[str, str]) -> str:
+    return " - ".join(bodies)
+
+
+def _joint_details(joint: Any) -> str:
+    if joint.is_driver and isinstance(joint.motion, TimeTable):
+        (start, *_, end), (first, *_, last) = joint.motion.table
+        unit = joint.coordinate_unit
+        values = f"{joint.coordinate} from {first:.4g} {unit} at {start:.4g} s to {last:.4g} {unit} at {end:.4g} s"
+        return f"{values}, {_motion(joint.motion)}"
+    if joint.is_driver:
+        return f"{joint.coordinate} = {_motion(joint.motion)} {joint.coordinate_unit}"
+    told = []
+    if getattr(joint, "length", None) is not None:
+        told.append(f"length {joint.length:.6g} m")
+    if getattr(joint, "center", None) is not None:
+        told += [f"center {key} = {_motion(value)} m" for key, value in joint.center.functions if value != 0.0]
+    if getattr(joint, "axis", None) is not None:
+        told.append("axis ({:.4g}, {:.4g})".format(*joint.direction))
+    if getattr(joint, "angle", None) is not None:
+        told.append(f"angle {joint.angle:.6g} rad")
+    return ", ".join(told)
+
+
+def _force_details(force: Any, shown: NamedPose) -> str:
+    load = getattr(force, "load", None)
+    if load is None:
+        radii = force.pathway.radii if isinstance(force.pathway, JointAngles) else {}
+        pulleys = [f"radius {radius:.6g} m at {joint}" for joint, radius in radii.items()]
+        return ", ".join([*pulleys, *_options(force)])
+    if load.kind == "torque":
+        return f"{_motion(load.values[0])} N m"
+    frame = "of the body" if load.kind == "body_force" else "global"
+    where = "({:.4g}, {:.4g}) m".format(*shown.rounded(load.point))
+    return f"({_motion(load.values[0])}, {_motion(load.values[1])}) N, {frame} frame, at {where} of {load.body}"
+
+
+def _options(force: Any) -> list[str]:
+    """Return the options of a spring, damper or force law as texts, with their units where known. Options that are zero
+    or that describe the position are left out.
+    """
+    told = []
+    for name, value in force:  # including the options of a force law of a plugin
+        if name in _PLACE or value is None or value == 0:
+            continue
+        words = [name.replace("_", " "), _motion(value)]
+        if isinstance(value, float) and name in type(force).model_fields:
+            words.append(described_unit(description(type(force), name), force.pathway.length_unit))
+        told.append(" ".join(filter(None, words)))
+    return told
+
+
+def _motion(value: Any) -> str:
+    """Return a function of time, or another option, as text."""
+    if isinstance(value, TimeTable):
+        return f"table of {len(value.table[0])} points ({value.interpolation})"
+    if isinstance(value, tuple) and value and isinstance(value[0], tuple):
+        return f"of {len(value[0])} points"
+    return f"{value:.6g}" if isinstance(value, float) else str(value)

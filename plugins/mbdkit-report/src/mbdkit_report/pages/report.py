@@ -1,0 +1,130 @@
+"""`report`: write the report of a run, study or design as one self-contained page, and its charts as images."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from mbdkit_report.analysis.verdict import Verdict
+from mbdkit.archive.changed_contents import hash_warnings
+from mbdkit.archive.reader import load
+from mbdkit.base.errors import SpecError
+from mbdkit.base.files import check_output, check_suffix, replacing
+from mbdkit.base.logs import warn_on_stderr
+from mbdkit_report.plot.charts import image_files, write_chart_images
+from mbdkit_report.pages.report_page import ReportPage
+from mbdkit_report.pages.run_report import run_report
+from mbdkit_report.pages.verdict_text import markdown_text
+
+SUFFIXES = (".html", ".htm", ".md")
+
+
+def report(
+    path: str | os.PathLike[str],
+    output: str | os.PathLike[str] | None = None,
+    *,
+    figures: str | os.PathLike[str] | None = None,
+    overwrite: bool = False,
+) -> Path:
+    """Write the report of a run, study or design and return the path of the page; see `write_report`."""
+    return write_report(path, output, figures=figures, overwrite=overwrite)[0]
+
+
+def write_report(
+    path: str | os.PathLike[str],
+    output: str | os.PathLike[str] | None = None,
+    *,
+    figures: str | os.PathLike[str] | None = None,
+    overwrite: bool = False,
+    workers: int = 1,
+) -> tuple[Path, Verdict]:
+    """Write the report of a run, of a study or of a design, and return its path and the verdict.
+
+    Parameters
+    ----------
+    path
+        A run archive, or the folder of a study or of a design.
+    output
+        Path of the page, ending in .html, .htm or .md; by default ``NAME-report.html`` beside the archive, or
+        ``report.html`` in the folder. A page that ends in .md contains the verdict, the claims and the tables as
+        Markdown.
+    figures
+        Folder for the charts as PNG and SVG. By default the charts of a run or design are not written; those of a study
+        are written to ``figures`` in its folder, unless `output` is given.
+    overwrite
+        Whether existing files may be replaced.
+    workers
+        Number of processes that evaluate points around the best point of a design.
+
+    Raises
+    ------
+    SpecError
+        If `path` does not exist, or is a folder without a study or design; if a run has no rows; if `output` does not
+        end in .html, .htm or .md; or if the page or a chart cannot be written, for example because it exists and
+        `overwrite` is false. The paths are checked before the first file is written.
+    """
+    source = Path(path)
+    is_folder = os.path.isdir(source)
+    is_study = is_folder and not (source / "design.yaml").is_file()
+    if output is None:
+        target = source / "report.html" if is_folder else source.with_name(f"{source.stem}-report.html")
+        figures = source / "figures" if is_study and figures is None else figures
+    else:
+        target = Path(output)
+    folder = None if figures is None else Path(figures)
+    if not os.path.exists(source):
+        raise SpecError("there is no run archive, and no folder of a study or design, of this name", file=source)
+    check_suffix(target, SUFFIXES, "a report")
+    check_output(target, overwrite=overwrite, source=source)
+    _check_figures(folder, overwrite)
+    with _document(source, workers) as document:
+        page = markdown_text(document) if target.suffix == ".md" else document.html()
+        stands = os.path.isfile(target) and target.read_bytes() == page.encode()
+        with replacing(target, overwrite=overwrite, source=source) as temporary:
+            temporary.write_bytes(page.encode())
+        drawn = document.verdict.figures
+        # Drawing the images is slow. It is skipped if the page is unchanged and all images exist.
+        if folder is not None and not (stands and all(file.exists() for file in image_files(drawn, folder))):
+            write_chart_images(drawn, folder)
+    return target, document.verdict
+
+
+@contextmanager
+def _document(source: Path, workers: int) -> Iterator[ReportPage]:
+    if not os.path.isdir(source):
+        with load(source) as run:
+            warnings = hash_warnings(run)
+            warn_on_stderr(warnings)
+            yield run_report(run, warnings)
+    elif (source / "design.yaml").is_file():
+        from mbdkit_design.design_report import design_report
+
+        with design_report(source, workers) as page:
+            yield page
+    elif not (source / "study.yaml").is_file():
+        raise SpecError("this folder contains no study and no design: no study.yaml, no design.yaml", file=source)
+    else:
+        from mbdkit_studies.study_report import study_report
+        from mbdkit_studies.carry_out import load_study
+
+        yield study_report(load_study(source))
+
+
+def _check_figures(folder: Path | None, overwrite: bool) -> None:
+    """Raise SpecError if the charts cannot be written to `folder`."""
+    if folder is None:
+        return
+    if not os.path.lexists(folder):
+        if not os.path.isdir(folder.parent):
+            raise SpecError(f"the folder {folder.parent} does not exist; create it first", file=folder)
+        return
+    if not os.path.isdir(folder):
+        raise SpecError("this is not a folder; choose a folder for the figures with --figures", file=folder)
+    if any(folder.iterdir()) and not overwrite:
+        raise SpecError(
+            "this folder is not empty; choose another with --figures, or replace the figures of the same names with "
+            "--overwrite",
+            file=folder,
+        )

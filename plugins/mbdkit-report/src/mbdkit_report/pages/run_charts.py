@@ -1,0 +1,168 @@
+"""Charts in the report of a run, with marks at events. Charts of forces come first, charts of misalignment and energy
+balance last. A joint has the same colour in all charts if there are no more joints than colours.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from mbdkit.archive.headlines import ROUND_OFF
+from mbdkit_report.figures.curves import bands
+from mbdkit_report.figures.drawing_geometry import choose_traces, draw_run
+from mbdkit_report.figures.page_model import Axis, Figure, Line, Mark
+from mbdkit_report.figures.palette import INK, PALETTE, body_colors, trace_colors
+from mbdkit.mechanism.bodies import GROUND
+from mbdkit_report.plot.plot_kinds import PLOT_KINDS, plot_module
+from mbdkit.quantities.array import Recorded
+from mbdkit.quantities.table import BY_GROUP, RECORDED
+from mbdkit_report.pages.answer_section import Peaks
+from mbdkit_biomech.inverse_dynamics.load_sections import inverse_charts
+
+if TYPE_CHECKING:
+    from mbdkit.archive.run import Run
+
+MARKS = 60
+"""No events are marked if a run has more event crossings than this."""
+DRIFT = ("misalignment", "velocity-misalignment", "angle-misalignment", "balance")
+"""Charts that show how well the constraints and the energy hold."""
+_TIME = Axis("time", "s")
+_FIRST = ("reactions", "torques", "forces", "beams")
+_OF_MOTION = ("m", "rad", "m/s", "rad/s")
+"""Units of the recorded arrays whose charts come after the chart of the trajectory."""
+_OF_JOINTS = (
+    "reactions",
+    "torques",
+    *(chart.name for array in BY_GROUP["joints"].columns if isinstance(array, Recorded) for chart in array.charts),
+    *DRIFT[:3],
+)
+
+
+def run_charts(run: Run) -> tuple[Figure, ...]:
+    """Return the charts of a run that has rows. Quantities that the run did not record are left out."""
+    of_kinds = {kind: list(plot_module(kind).charts(run)) for kind in PLOT_KINDS}
+    charts = [chart for kind in _FIRST for chart in of_kinds.pop(kind, [])]
+    recorded = [chart for path in RECORDED for chart in recorded_charts(run, path)]
+    moving = [chart for chart in recorded if chart.y.unit in _OF_MOTION]
+    charts += [
+        *inverse_charts(run),
+        *component_charts(run),
+        *(chart for chart in recorded if chart.y.unit not in _OF_MOTION),
+    ]
+    charts += [*of_kinds.pop("trajectory"), *moving, *(chart for of_kind in of_kinds.values() for chart in of_kind)]
+    charts.sort(key=lambda chart: chart.name in DRIFT)
+    marks = _marks(run)
+    colors = _colors(run)
+    return tuple(
+        replace(
+            _colored(chart, colors.get(chart.name, {})),
+            marks=(*chart.marks, *marks) if chart.x == _TIME else chart.marks,
+        )
+        for chart in charts
+    )
+
+
+def _colors(run: Run) -> Mapping[str, Mapping[str, str]]:
+    """Return the colours of curves by the name of the chart and the label of the curve; curves not listed take colours
+    in order.
+    """
+    drawing = draw_run(run)
+    traces = choose_traces(drawing)
+    paths = {trace.label: color for trace, color in zip(traces, trace_colors(drawing, traces), strict=True)}
+    few = run.joint_names if len(run.joint_names) <= len(PALETTE) else ()
+    joints = dict(zip(few, PALETTE, strict=False))
+    return {"trajectory": paths} | dict.fromkeys(_OF_JOINTS, joints)
+
+
+def _colored(chart: Figure, colors: Mapping[str, str]) -> Figure:
+    lines = (replace(line, color=line.color or colors.get(line.group or line.label, "")) for line in chart.lines)
+    return replace(chart, lines=tuple(lines))
+
+
+def _marks(run: Run) -> tuple[Mark, ...]:
+    """Return marks at the times of events; empty if there are too many. Only the first mark of each event has its
+    name.
+    """
+    if len(run.events) > MARKS:
+        return ()
+    named: set[str] = set()
+    marks = []
+    for event in run.events:
+        marks.append(Mark("" if event.name in named else event.name, event.time))
+        named.add(event.name)
+    return tuple(marks)
+
+
+LINES = len(PALETTE)
+"""Largest number of curves in the chart of a recorded array. Of more curves, those with the largest values are drawn.
+"""
+COMPONENTS = 4
+"""Largest number of joints whose force components are shown: the joints with the largest forces."""
+_POINTS = 1_000
+_SIDES = (("first", "joints/reaction_force_first"), ("second", "joints/reaction_force_second"))
+
+
+def component_charts(run: Run) -> list[Figure]:
+    """Return charts of the force components of the `COMPONENTS` joints with the largest forces, in the frames of both
+    bodies of each joint; empty if these components were not recorded.
+    """
+    if not all(run.records(path) for _, path in _SIDES):
+        return []
+    time, data = np.asarray(run.time), run.dataset("joints/reaction_force")
+    peaks = np.nan_to_num(Peaks.of(time, data, lambda f: np.hypot(f[..., 0], f[..., 1])).value)
+    most = np.argsort(-peaks, kind="stable")[:COMPONENTS].tolist()
+    colors = dict(zip(run.bodies, body_colors(draw_run(run)), strict=True)) | {GROUND: INK}
+    joints = list(run.joints.values())
+    return [_components(run, joints[k], colors) for k in sorted(most) if peaks[k] > ROUND_OFF * peaks[most[0]]]
+
+
+def _components(run: Run, joint: Any, colors: dict[str, str]) -> Figure:
+    lines = []
+    for body, (_, path) in zip(joint.bodies, _SIDES, strict=True):
+        curves = bands(np.asarray(run.time), run.column(path, joint.index, slice(0, 2)), points=_POINTS)
+        frame = "global {}" if body == GROUND else f"{{}} of {body}"
+        color = colors.get(body, "")
+        lines += [Line(frame.format(axis), *curves.curve(k), color=color, group=body) for k, axis in enumerate("xy")]
+    caption = (
+        f"Components of the force of {joint.bodies[0]} on {joint.bodies[1]} along the axes that are fixed to each body."
+    )
+    title = f"Force in {joint.name}, in the frames of its bodies"
+    return Figure(f"components-{joint.index + 1}", title, caption, _TIME, Axis("force component", "N"), tuple(lines))
+
+
+def recorded_charts(run: Run, path: str) -> list[Figure]:
+    """Return the charts of a recorded array; empty if the run did not record it. Columns with different units have
+    different charts. Charts whose values are all zero are left out.
+    """
+    array = RECORDED[path]
+    if not array.charts or not run.records(path):
+        return []
+    names = [str(name) for name in run.array(f"{array.group}/{array.dims[1]}")]
+    units = [array.units] * len(names)
+    if array.row_units:
+        units = [str(unit) for unit in run.array(f"{array.group}/{array.row_units}")]
+    found = []
+    for chart in array.charts:
+        lines = _lines(run, path, names, [column for column, unit in enumerate(units) if unit == chart.unit])
+        if lines:
+            axis = Axis(chart.axis, "" if chart.unit == "1" else chart.unit)
+            found.append(Figure(chart.name, chart.title, chart.caption, _TIME, axis, lines))
+    return found
+
+
+def _lines(run: Run, path: str, names: Any, chosen: Any) -> tuple[Line, ...]:
+    """Return lines of the `chosen` columns of an array, at most `LINES`: those with the largest values. Columns whose
+    values are all zero are left out.
+    """
+    columns = list(chosen)
+    time, data = np.asarray(run.time), run.dataset(path)
+    peaks = np.nan_to_num(Peaks.of(time, data).value[columns]) if columns else np.zeros(0)
+    order = np.argsort(-peaks, kind="stable")[:LINES]
+    shown = sorted(columns[place] for place in order if peaks[place] > 0)
+    if not shown:
+        return ()
+    curves = bands(time, data, points=_POINTS)
+    return tuple(Line(names[column], *curves.curve(column)) for column in shown)

@@ -1,0 +1,114 @@
+"""The report of one run."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any
+
+from mbdkit.archive.headlines import headline_texts
+from mbdkit_report.figures.curves import require_rows
+from mbdkit_report.figures.drawing_geometry import mechanism_of
+from mbdkit_report.figures.page_model import Cell, Table, columns_of
+from mbdkit_report.figures.player_data import film_data
+from mbdkit_report.plot.caption import caption
+from mbdkit_report.pages.answer_section import answer_section, beam_section, gradient_section
+from mbdkit_biomech.inverse_dynamics.load_frames import with_arrows
+from mbdkit_biomech.inverse_dynamics.load_sections import inverse_sections
+from mbdkit_report.pages.methods_used import methods
+from mbdkit_report.pages.model_section import model_section
+from mbdkit_report.pages.report_page import ReportPage
+from mbdkit_report.pages.run_charts import DRIFT
+from mbdkit_report.pages.run_verdict import run_verdict
+from mbdkit.spec.yaml_reader import write_yaml
+
+if TYPE_CHECKING:
+    from mbdkit.archive.run import Run
+
+TONES = {"good": "good", "doubtful": "warn", "bad": "alarm"}
+"""Name of the colour of the first headline (`ReportPage.tone`) for each verdict."""
+_NUMBERS = 240_000  # approximate number of pose values of the animation; they take about 1.5 megabytes
+
+
+def run_report(run: Run, warnings: Sequence[str] = ()) -> ReportPage:
+    """Return the report of a run.
+
+    Parameters
+    ----------
+    warnings
+        Sentences about the archive, such as `hash_warnings`, which are shown at the top of the page.
+
+    Raises
+    ------
+    SpecError
+        If the run has no rows.
+    """
+    require_rows(run)
+    head = caption(run)
+    mechanism = mechanism_of(run)
+    beams, gradients = beam_section(run, mechanism), gradient_section(run)
+    found = [*inverse_sections(run, mechanism), answer_section(run), beams, gradients]
+    command = "inverse" if run.kind == "inverse" else "run"
+    return ReportPage(
+        title=head.title,
+        settings=head.settings,
+        alarm=_alarm(run, head.alarm, warnings),
+        headline=(("verdict", run.verdict), *headline_texts(run, "\u00b1")),
+        tone=TONES.get(run.verdict, ""),
+        verdict=run_verdict(run),
+        films=(film_of(run, _NUMBERS),),
+        methods=methods([run.spec]),
+        environment=environment(run.provenance, {"run": run.run_id, "created (UTC)": run.created_utc}),
+        reproduce="Save the spec below as run.yaml. With the same versions on the same machine the arrays are "
+        f"identical bit for bit; their SHA-256 is {run.data_sha256 or 'unknown, because the run did not finish'}.",
+        commands=f"mbdkit {command} run.yaml\nmbdkit rerun {run.path.name if run.path else 'run.h5'}",
+        spec=yaml_text(run.spec),
+        spec_file="run.yaml",
+        sections=(model_section(run, mechanism), *(section for section in found if section is not None)),
+        beside_verdict=("misalignment", "contacts", "errors", *DRIFT),
+    )
+
+
+def film_of(run: Run, numbers: int, label: str = "") -> dict[str, Any]:
+    """Return the data of the player, with arrows of forces for inverse dynamics; see `film_data` for the arguments."""
+    film = film_data(run, numbers, label)
+    return with_arrows(run, mechanism_of(run), film) if run.kind == "inverse" else film
+
+
+def _alarm(run: Run, ending: str, warnings: Sequence[str]) -> str:
+    """Return the warning at the top of the page: that the run stopped early, or that its results must not be trusted,
+    and the `warnings`; empty if there is none.
+    """
+    questioned = f"VERDICT: {run.verdict.upper()}" if run.verdict in ("doubtful", "bad") else ""
+    first = ending.partition(": ")[0] or questioned  # without the reason, which the section "Verdict" gives
+    return ". ".join(filter(None, [first, *(f"{warning[0].upper()}{warning[1:]}" for warning in warnings)]))
+
+
+def environment(provenance: Mapping[str, Any], first: Mapping[str, str]) -> Table:
+    """Return the table of the provenance of a run; the rows `first` come first."""
+    rows: list[tuple[Cell, ...]] = [(name, str(value)) for name, value in first.items()]
+    rows += [(name.replace("_", " "), str(value)) for name, value in sorted(provenance.items())]
+    return Table("environment", "Environment", columns_of("item; value"), tuple(rows))
+
+
+def yaml_text(spec: Mapping[str, Any]) -> str:
+    """Return a run spec as YAML with its keys in the usual order."""
+    return write_yaml({key: spec[key] for key in sorted(spec, key=_place)})
+
+
+_ORDER = (
+    "mbdkit",
+    "title",
+    "parameters",
+    "model",
+    "formulation",
+    "stabilization",
+    "integrator",
+    "time",
+    "output",
+    "events",
+    "limits",
+)
+
+
+def _place(key: str) -> int:
+    return _ORDER.index(key) if key in _ORDER else len(_ORDER)

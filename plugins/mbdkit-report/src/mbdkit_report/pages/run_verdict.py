@@ -1,0 +1,216 @@
+"""The verdict on one run and its claims: trust, estimated errors, completion, misalignment, and energy balance."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from mbdkit_report.analysis.growth import Growth, growth_law
+from mbdkit_report.analysis.verdict import Answer, Claim, Verdict
+from mbdkit.archive.accuracy_summary import accuracy_sentence
+from mbdkit.archive.run_summary import without_suspicion
+from mbdkit_report.figures.curves import bands, take
+from mbdkit_report.figures.drawing_geometry import draw_run, mechanism_of
+from mbdkit_report.figures.quantity_text import count, duration, length, proportion
+from mbdkit_report.plot.element_quantity import ElementQuantity, angle_misalignment, joint_misalignment
+from mbdkit_report.pages.run_charts import run_charts
+from mbdkit_report.pages.run_tables import run_tables
+from mbdkit.trust.criteria import ENERGY, MISALIGNMENT, ROUND_OFF, Level, rounding
+from mbdkit.trust.energy_record import gravity_level
+
+if TYPE_CHECKING:
+    from mbdkit.archive.run import Run
+
+_LAWS = {
+    "bounded": "it does not grow",
+    "linear": "it grows in proportion to time",
+    "quadratic": "it grows with the square of time",
+    "exponential": "it grows exponentially",
+}
+
+MOST_LAWS = 3
+"""The growth is not described if this many laws of growth, or more, fit the data."""
+
+
+def run_verdict(run: Run) -> Verdict:
+    """Return the verdict on a run, with its charts and tables."""
+    claims = [_trust(run), *_accuracy(run), _completion(run)]
+    if run.records("joints/misalignment") and run.joint_names:
+        claims.append(_joints(run))
+        claims += _angles(run)
+    if run.records("energy/balance"):
+        claims.append(_energy(run))
+    noise = _rounding_errors(run)
+    return Verdict(
+        name="run",
+        title="Verdict",
+        sentence=" ".join(claim.sentence for claim in claims),
+        claims=tuple(claims),
+        tables=tuple(one for one in run_tables(run) if one.name not in noise),
+        figures=tuple(one for one in run_charts(run) if one.name not in noise),
+        notes=_notes(run),
+    )
+
+
+def _rounding_errors(run: Run) -> set[str]:
+    """Return the names of the charts and tables that would show nothing but rounding errors."""
+    found: set[str] = set()
+    if (
+        run.records("joints/misalignment")
+        and run.joint_names
+        and run.misalignment_max <= ROUND_OFF * mechanism_size(run)
+    ):
+        found |= {"misalignment", "velocity-misalignment"}
+    if run.records("energy/balance"):
+        off, kinetic = (float(np.max(np.abs(run.dataset(f"energy/{name}")[:]))) for name in ("balance", "kinetic"))
+        if off <= max(rounding(max(kinetic, _largest_energy(run))), ROUND_OFF * kinetic):
+            found.add("balance")
+    return found
+
+
+def _notes(run: Run) -> tuple[str, ...]:
+    if not run.redundancy:
+        return ()
+    shared = ""
+    if run.records("joints/reaction_force"):
+        names = str(run.file["joints/reaction_force"].attrs.get("not_unique", ""))
+        shared = f" The reactions of {names} are not unique; the reactions of least norm are shown."
+    return (f"The mechanism is overconstrained: {run.redundancy}.{shared}",)
+
+
+_ANSWERS: dict[Level | None, Answer] = {
+    None: Answer.YES,
+    "good": Answer.YES,
+    "unknown": Answer.OPEN,
+    "doubtful": Answer.PARTLY,
+    "bad": Answer.NO,
+}
+
+
+def _trust(run: Run) -> Claim:
+    sentence = f"The verdict is {run.verdict}."
+    if run.verdict_reasons:
+        sentence += " " + " ".join(run.verdict_reasons)
+    elif not run.is_judged:
+        sentence += (
+            " The archive contains no verdict: it was written by a version without verdicts, or the run crashed."
+        )
+    elif run.verdict == "unknown":
+        sentence = f"The verdict is unknown: {without_suspicion(run)}."
+    return Claim("trust", "The results can be trusted", "", run.verdict, _ANSWERS[run.verdict], sentence)
+
+
+def _accuracy(run: Run) -> list[Claim]:
+    """Return the claim on the estimated errors; empty if errors were not estimated."""
+    accuracy = run.accuracy
+    told = accuracy_sentence(run, with_force=bool(run.measures))
+    if accuracy is None or not told:
+        return []
+    answer = Answer.YES if accuracy.is_complete else Answer.PARTLY if accuracy.rows_known else Answer.NO
+    return [Claim("accuracy", "The errors are known", "", told, answer, f"{told[0].upper()}{told[1:]}.")]
+
+
+def _completion(run: Run) -> Claim:
+    start, end, steps = float(run.time[0]), float(run.time[-1]), run.stats.get("steps")
+    motion = f"{end - start:.4g} s of motion"
+    taken = f" in {count(int(steps), 'step')}" if steps else ""
+    cost = f" and {duration(float(run.stats['wall_s']))} of computing" if "wall_s" in run.stats else ""
+    if run.status == "complete":
+        sentence = f"The run completed: {motion}{taken}{cost}."
+        if run.status_reason:
+            sentence += f" It ended at an event: {run.status_reason.removeprefix('event: ')}"
+    elif run.status == "running":
+        sentence = f"The run has not finished: it crashed or is still running, after {motion}."
+    else:
+        reason = run.status_reason.removeprefix("interrupted: ").rstrip(".")
+        word = "failed" if run.status == "failed" else "was interrupted"
+        sentence = f"The run {word} at t = {end:.6g} s, after {motion}{taken}: {reason}."
+    answer = Answer.YES if run.status == "complete" else Answer.NO
+    return Claim("completion", "The run completed", "", f"{end:.6g} s", answer, sentence)
+
+
+def _joints(run: Run) -> Claim:
+    quantity = joint_misalignment(run)
+    worst = max(run.joints.values(), key=lambda joint: np.nan_to_num(joint.misalignment_max, nan=math.inf))
+    most, size = worst.misalignment_max, mechanism_size(run)
+    if not math.isfinite(most):
+        sentence = f"The misalignment of joint {worst.name} is not finite."
+        return Claim("misalignment", "The joints stay together", "", "not finite", Answer.NO, sentence)
+    share = most / size if size > 0 else math.nan
+    parts = [f"The largest misalignment is {length(most)}, of joint {worst.name}"]
+    if most == 0.0:
+        parts = ["All joints stay closed exactly"]
+    elif share <= ROUND_OFF:
+        parts.append("which is round-off of double precision")
+    elif math.isfinite(share):
+        parts.append(f"{proportion(share)} of the mechanism's size")
+        parts += _growth_words(quantity, list(run.joint_names).index(worst.name))
+    answer = Answer.OPEN if not math.isfinite(share) else _ANSWERS[MISALIGNMENT.level(share)]
+    advice = " This is too large for reliable forces: use a smaller step or a method of higher order."
+    sentence = ", ".join(parts) + "." + (advice if answer in (Answer.NO, Answer.PARTLY) else "")
+    return Claim("misalignment", "The joints stay together", "", f"{most:.3g} m ({worst.name})", answer, sentence)
+
+
+def _growth_words(quantity: ElementQuantity, column: int) -> list[str]:
+    values = quantity.data.high[:, column]
+    try:
+        growth: Growth = growth_law(quantity.data.time, values)
+    except ValueError:  # too few rows, or not finite
+        return []
+    laws = [_LAWS[law] for law in growth.candidates if law in _LAWS]
+    if not 0 < len(laws) < MOST_LAWS:  # no law fits, or too many do
+        return []
+    return ["and " + " or ".join([laws[0], *(law.removeprefix("it ") for law in laws[1:])])]
+
+
+def _angles(run: Run) -> list[Claim]:
+    quantity = angle_misalignment(run)
+    if quantity.zero:
+        return []
+    column, most = quantity.largest
+    name = quantity.elements[column]
+    sentence = f"The largest error of a prescribed angle is {most:.2g} rad, of joint {name}."
+    answer = _ANSWERS[MISALIGNMENT.level(most)]
+    return [Claim("angles", "Prescribed angles are met", "", f"{most:.3g} rad ({name})", answer, sentence)]
+
+
+def _energy(run: Run) -> Claim:
+    balance = bands(run.time, run.dataset("energy/balance")[:][:, None])
+    kinetic = bands(run.time, run.dataset("energy/kinetic")[:][:, None])
+    off, most = float(balance.peaks[0]), float(kinetic.peaks[0])
+    share = off / most if most > 0 else math.nan
+    if not math.isfinite(off) or not np.all(np.isfinite(balance.high)):
+        sentence = "The energy is not finite."
+        return Claim("energy", "Energy is balanced", "", "not finite", Answer.NO, sentence)
+    sentence = f"Energy is balanced to {off:.2g} J"
+    smallest = rounding(max(most, _largest_energy(run)))
+    sentence += f", {proportion(share)} of the largest kinetic energy." if most > smallest else "."
+    is_rounding = off <= smallest
+    answer = Answer.YES if is_rounding else Answer.OPEN if not math.isfinite(share) else _ANSWERS[ENERGY.level(share)]
+    if answer in (Answer.NO, Answer.PARTLY):
+        sentence += (
+            " This is too large: smooth the motion, and cut off its ends, where derivatives are least accurate."
+            if run.kind == "inverse"
+            else " This is too large: use a smaller step or a method of higher order."
+        )
+    return Claim("energy", "Energy is balanced", "", f"{off:.3g} J", answer, sentence)
+
+
+def _largest_energy(run: Run) -> float:
+    """Return the largest absolute value of the energies whose rounding errors the energy balance contains [J]."""
+    names = ("potential", "work", "dissipated")
+    largest = max(float(np.max(np.abs(run.dataset(f"energy/{name}")[:]), initial=0.0)) for name in names)
+    model = mechanism_of(run)
+    if model is None:
+        return largest
+    mass, inertia = np.array([(body.mass, body.inertia or 0.0) for body in model.bodies.values()]).T
+    return max(largest, gravity_level(mass, inertia, np.asarray(model.gravity)))
+
+
+def mechanism_size(run: Run) -> float:
+    """Return the size of the mechanism at the start [m]: the width or height of its drawing, whichever is larger."""
+    drawing = draw_run(run)
+    pose = take(run.dataset("trajectory/position"), np.array([0], dtype=np.intp))
+    return float(np.max(np.ptp(drawing.world(pose)[0], axis=0), initial=0.0))

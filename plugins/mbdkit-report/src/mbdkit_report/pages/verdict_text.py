@@ -1,0 +1,77 @@
+"""A verdict as text for the terminal, as JSON values and as Markdown."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+from mbdkit_report.analysis.verdict import Verdict
+from mbdkit.base.text import markdown
+from mbdkit.base.text import table as aligned
+from mbdkit_report.figures.page_model import Table
+from mbdkit_report.pages.report_page import ReportPage, cell_text
+
+
+def headlines(verdict: Verdict) -> tuple[Table, ...]:
+    """Return the tables of a verdict that contain its headline numbers."""
+    return tuple(table for table in verdict.tables if table.headline)
+
+
+def terminal_text(verdict: Verdict) -> str:
+    """Return claims and headline tables as text for the terminal; empty if there is no headline table."""
+    shown = headlines(verdict)
+    if not shown:
+        return ""
+    parts = []
+    for table in shown:
+        parts += [table.title, aligned(_cells(table), "  "), table.note]
+    parts += [f"{claim.answer!s:<6} {claim.statement} Found: {claim.computed}." for claim in verdict.claims]
+    return "\n".join(filter(None, parts))
+
+
+def json_values(verdict: Verdict) -> dict[str, Any]:
+    """Return the sentence, the claims and the headline tables of a verdict as JSON values; {} if it has no headline
+    table.
+    """
+    shown = headlines(verdict)
+    if not shown:
+        return {}
+    values = verdict.to_dict()
+    names = [table.name for table in shown]
+    tables = [table for table in values["tables"] if table["name"] in names]
+    return {"sentence": values["sentence"], "claims": values["claims"], "tables": tables}
+
+
+def markdown_text(document: ReportPage) -> str:
+    """Return a report as Markdown: its heading and sections, the verdict with its claims and notes, and the headline
+    tables. Without headline tables all tables of the verdict are included.
+    """
+    verdict = document.verdict
+    parts = [f"# {markdown(document.title)}", markdown(document.settings), markdown(document.alarm)]
+    for section in document.sections:
+        parts += [f"## {markdown(section.title)}", *map(markdown, section.sentences)]
+        parts += [_table(table, "###") for table in section.tables]
+    parts += ["## Verdict"] * bool(document.sections) + [markdown(verdict.sentence)]
+    if verdict.claims:
+        rows = [["claim", "expected or published", "found", ""]]
+        rows += [[claim.statement, claim.published, claim.computed, str(claim.answer)] for claim in verdict.claims]
+        parts += ["## Claims", _piped(rows)]
+    parts += [_table(table, "##") for table in headlines(verdict) or verdict.tables]
+    parts += [markdown(note) for note in verdict.notes]
+    return "\n\n".join(filter(None, parts)) + "\n"
+
+
+def _table(table: Table, level: str) -> str:
+    """Return a table in Markdown with its title and note."""
+    return "\n\n".join(filter(None, [f"{level} {markdown(table.title)}", markdown(table.note), _piped(_cells(table))]))
+
+
+def _cells(table: Table) -> list[list[str]]:
+    heading = [f"{column.label} [{column.unit}]" if column.unit else column.label for column in table.columns]
+    return [heading, *([cell_text(cell) for cell in row] for row in table.rows)]
+
+
+def _piped(rows: Sequence[Sequence[str]]) -> str:
+    """Return a table in Markdown; the first of `rows` is the heading."""
+    heading, *others = ["| " + " | ".join(markdown(cell) for cell in row) + " |" for row in rows]
+    return "\n".join([heading, "| " + " | ".join(["---"] * len(rows[0])) + " |", *others])

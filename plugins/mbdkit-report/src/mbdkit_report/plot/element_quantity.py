@@ -1,0 +1,356 @@
+"""A quantity of every joint or force element over time, with estimated errors, drawn in a panel or as a chart."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from matplotlib.axes import Axes
+
+from mbdkit.archive.headlines import plus_minus
+from mbdkit.archive.history import UnknownNameError
+from mbdkit.archive.peak_errors import errors_of_frames, whole_peak_errors
+from mbdkit.archive.run_views import Names
+from mbdkit_report.figures.beam_curves import distributed_loads
+from mbdkit_report.figures.curves import UNKNOWN, Array, Bands, band_over_time, bands, errors_at
+from mbdkit_report.figures.page_model import Axis, Figure, Line, Mark
+from mbdkit_report.figures.palette import FAINT, INK, PALETTE, PAPER
+from mbdkit_report.plot.charts import draw_panel
+from mbdkit_report.plot.style import legend, powers_of_ten
+
+if TYPE_CHECKING:
+    from mbdkit.archive.run import Run
+
+SMALLEST = 1e-18
+"""Lowest value of a logarithmic axis; the round-off of a length of 1 m is about a hundred times larger."""
+
+MOST = len(PALETTE)
+"""Largest number of elements in a chart if no elements are named."""
+
+
+@dataclass(frozen=True)
+class ElementQuantity:
+    """A quantity of several elements, which are joints or force elements, over time.
+
+    Parameters
+    ----------
+    name, unit
+        Name and unit for labels.
+    elements
+        Names of the J elements.
+    data
+        One curve for each element.
+    errors
+        (K, J) estimated errors at the times of `data`, nan where unknown; None if they were not estimated.
+    known_until
+        Time until which the errors are known [s]; nan if they are known to the end, or were not estimated.
+    peak_errors
+        (J,) errors of the largest values, with what rows miss between them, nan where unknown; None if the run has no
+        error estimates.
+    """
+
+    name: str
+    unit: str
+    elements: Sequence[str]
+    data: Bands
+    errors: Array | None = None
+    known_until: float = math.nan
+    peak_errors: Array | None = None
+
+    @property
+    def zero(self) -> bool:
+        """Whether every value is zero."""
+        return not np.any(np.nan_to_num(self.data.peaks) > 0)
+
+    @property
+    def largest(self) -> tuple[int, float]:
+        """Index of the element with the largest magnitude, and this magnitude."""
+        column = int(np.argmax(np.nan_to_num(self.data.peaks, nan=-1.0)))
+        return column, float(self.data.peaks[column])
+
+    @property
+    def nonzero_columns(self) -> list[int]:
+        """Indices of the elements that have values other than zero; nan counts as such a value."""
+        return [int(column) for column in np.flatnonzero(np.nan_to_num(self.data.peaks, nan=1.0))]
+
+    def largest_columns(self, count: int) -> list[int]:
+        """Return the indices of at most `count` elements with the largest magnitudes, in the order of the elements."""
+        size = np.nan_to_num(self.data.peaks, nan=np.inf)
+        return sorted(np.argsort(-size, kind="stable")[:count].tolist())
+
+    def only(self, columns: list[int]) -> ElementQuantity:
+        """Return the same quantity for some of the elements."""
+        data = self.data
+        part = Bands(data.time, data.low[:, columns], data.high[:, columns], data.peaks[columns], data.exact)
+        errors = None if self.errors is None else self.errors[:, columns]
+        elements = [self.elements[column] for column in columns]
+        peaks = None if self.peak_errors is None else self.peak_errors[columns]
+        return replace(self, elements=elements, data=part, errors=errors, peak_errors=peaks)
+
+
+def has_elements(run: Run) -> bool:
+    """Return whether a run recorded force elements, or has actuators."""
+    return run.records("forces/value") or bool(run.actuators)
+
+
+def element_values(run: Run, unit: str, name: str) -> ElementQuantity:
+    """Return the values of the force elements and actuators whose `unit` is ``N`` or ``N m``; the result may have no
+    elements.
+
+    Force elements that represent the distributed loads of beams are left out.
+
+    Raises
+    ------
+    NotRecordedError
+        If the run did not record force elements, and has no actuators.
+    """
+    time, acting = np.asarray(run.time), list(run.actuators.values())
+    forces = [] if acting and not run.records("forces/value") else list(run.forces.values())
+    units = [one.units for one in forces] + [one.units for one in acting]
+    loads = distributed_loads(run) if forces else ()
+    columns = [column for column, given in enumerate(units) if given == unit]
+    columns = [column for column in columns if column >= len(forces) or forces[column].name not in loads]
+    data: Any = run.dataset("forces/value") if forces else np.zeros((len(time), 0))
+    if acting:
+        data = np.column_stack([data[:], run.array("actuators/value")])
+    taken = [force.name for force in forces]
+    names = taken + [f"{one.name} (actuator)" if one.name in taken else one.name for one in acting]
+    quantity = ElementQuantity(name, unit, tuple(names), bands(time, data))
+    if run.accuracy is not None:
+        quantity = replace(quantity, peak_errors=np.full(len(names), np.nan))
+    if acting and run.accuracy is not None:
+        bars = run.array("actuators/value_error")
+        own = errors_of_frames(run, "actuators.value", list(run.actuators), np.abs(run.array("actuators/value")), bars)
+        errors = np.column_stack([np.full((len(time), len(forces)), np.nan), bars])
+        quantity = replace(
+            quantity,
+            errors=errors_at(run.accuracy, errors, quantity.data.time),
+            peak_errors=np.concatenate([np.full(len(forces), np.nan), own]),
+        )
+    return quantity.only(columns)
+
+
+def joint_quantity(
+    run: Run, name: str, path: str, unit: str, values: Callable[[Array], Array] = np.asarray
+) -> ElementQuantity:
+    """Return a quantity of all joints, read from an array of the archive group /joints.
+
+    Parameters
+    ----------
+    path
+        Path of the array, of shape (T, J, ...).
+    values
+        Function that maps a block of rows to one value for each row and joint, such as the norm over the last axis.
+    """
+    return ElementQuantity(name, unit, run.joint_names, bands(np.asarray(run.time), run.dataset(path), values))
+
+
+def joint_misalignment(run: Run) -> ElementQuantity:
+    """Return the misalignment of every joint [m]."""
+    return joint_quantity(run, "misalignment", "joints/misalignment", "m")
+
+
+def velocity_misalignment(run: Run) -> ElementQuantity:
+    """Return the velocity misalignment of every joint [m/s]."""
+    return joint_quantity(run, "velocity misalignment", "joints/velocity_misalignment", "m/s")
+
+
+def angle_misalignment(run: Run) -> ElementQuantity:
+    """Return the angle misalignment of every joint [rad]; zero for joints that do not constrain an angle."""
+    return joint_quantity(run, "angle misalignment", "joints/angle_misalignment", "rad")
+
+
+def reaction_force(run: Run) -> ElementQuantity:
+    """Return the magnitude of the reaction force of every joint [N], with its estimated error."""
+    force = joint_quantity(
+        run, "reaction force", "joints/reaction_force", "N", lambda force: np.hypot(force[..., 0], force[..., 1])
+    )
+    return with_peak_errors(run, with_errors(run, force, "reaction_error"), "reaction_error")
+
+
+def reaction_torque(run: Run) -> ElementQuantity:
+    """Return the reaction torque of every joint [N m], with its estimated error."""
+    torque = joint_quantity(run, "reaction torque", "joints/reaction_torque", "N m")
+    return with_peak_errors(run, with_errors(run, torque, "torque_error"), "torque_error")
+
+
+def with_errors(
+    run: Run, quantity: ElementQuantity, name: str, joints: Sequence[int] | slice = slice(None)
+) -> ElementQuantity:
+    """Add the estimated errors of joints to a quantity, if they were estimated.
+
+    Parameters
+    ----------
+    name
+        Attribute of `Accuracy`: ``reaction_error`` or ``torque_error``.
+    joints
+        Index of the joint of each element; by default the elements are all joints.
+    """
+    accuracy = run.accuracy
+    if accuracy is None:
+        return quantity
+    errors = errors_at(accuracy, getattr(accuracy, name)[:, joints], quantity.data.time)
+    until = math.nan if accuracy.is_complete else accuracy.known_until
+    return replace(quantity, errors=errors, known_until=until)
+
+
+def with_peak_errors(run: Run, quantity: ElementQuantity, name: str) -> ElementQuantity:
+    """Add the errors of the largest values to a quantity of all joints, if errors were estimated.
+
+    Parameters
+    ----------
+    name
+        Attribute of `Accuracy`: ``reaction_error`` or ``torque_error``.
+    """
+    if run.accuracy is None:
+        return quantity
+    return replace(quantity, peak_errors=whole_peak_errors(run, name))
+
+
+def picked(quantity: ElementQuantity, wanted: Names, what: str, most: int = MOST) -> list[int]:
+    """Return the indices of the wanted elements or, if None, of at most `most` elements with the largest values.
+    Elements whose values are all zero are then left out, except a single one if there are no others.
+
+    Parameters
+    ----------
+    what
+        Kind of the elements, such as ``joint``.
+
+    Raises
+    ------
+    UnknownNameError
+        If there is no such element.
+    """
+    if wanted is None:
+        columns = quantity.nonzero_columns
+        return [columns[k] for k in quantity.only(columns).largest_columns(most)] or quantity.largest_columns(1)
+    names = [wanted] if isinstance(wanted, str) else list(dict.fromkeys(wanted))
+    for name in names:
+        if name not in quantity.elements:
+            raise UnknownNameError(what, name, list(quantity.elements))
+    return [quantity.elements.index(name) for name in names]
+
+
+def element_lines(quantity: ElementQuantity, groups: Sequence[str] = ()) -> tuple[Line, ...]:
+    """Return a line of a chart for each element.
+
+    A long run is divided into bands of consecutive rows. Its lines show the largest value of each band or, if any value
+    is negative, the smallest and the largest value.
+
+    Parameters
+    ----------
+    groups
+        Group of each line; by default its element.
+    """
+    data = quantity.data
+    signed = bool(np.nanmin(data.low, initial=0.0) < 0.0)
+    found = []
+    for k, (label, group) in enumerate(zip(quantity.elements, groups or quantity.elements, strict=True)):
+        time, values = data.curve(k) if signed else (data.time, data.high[:, k])
+        found.append(Line(label, time, values, group=group, band=_band(quantity, k)))
+    return tuple(found)
+
+
+def element_chart(name: str, title: str, caption: str, axis: Axis, quantity: ElementQuantity, **look: Any) -> Figure:
+    """Return a chart of a quantity of some elements over time, with a mark at the time until which errors are known.
+
+    Parameters
+    ----------
+    **look
+        Further arguments of `element_lines`.
+    """
+    marks: tuple[Mark, ...] = ()
+    if quantity.errors is not None:
+        caption += " Bands show estimated errors; those narrower than a line are hidden by it."
+    if math.isfinite(quantity.known_until):
+        marks = (Mark(UNKNOWN, quantity.known_until),)
+    return Figure(name, title, caption, Axis("time", "s"), axis, element_lines(quantity, **look), marks=marks)
+
+
+def _band(quantity: ElementQuantity, column: int) -> Array | None:
+    """Return the outline of the error band around the curve of one element; None if the error is unknown or not
+    estimated.
+    """
+    if quantity.errors is None:
+        return None
+    data = quantity.data
+    return band_over_time(data.time, data.low[:, column], data.high[:, column], quantity.errors[:, column])
+
+
+def draw_elements(axes: Axes, quantity: ElementQuantity, what: str, *, log: bool = False, title: str = "") -> None:
+    """Draw a quantity of the elements over time.
+
+    If there are not more elements than colours, each is drawn. Otherwise, the maximum over all elements and the five
+    elements with the largest values are drawn.
+
+    Parameters
+    ----------
+    what
+        Kind of the elements in the plural, such as ``joints``.
+    title
+        Title of the panel; by default it states the largest value.
+    """
+    elements, data = quantity.elements, quantity.data
+    few, handles, labels, floor = quantity, [], [], _floor(data.high) if log else -np.inf
+    if len(elements) > MOST:
+        few = quantity.only(quantity.largest_columns(MOST - 1))
+        top = np.max(np.nan_to_num(np.maximum(np.abs(data.low), np.abs(data.high))), axis=1)
+        handles = axes.plot(data.time, np.maximum(top, floor), color=INK, linewidth=2.2, alpha=0.45)
+        labels = [f"largest of {len(elements)}"]
+    chart = element_chart("", "", "", Axis(quantity.name, quantity.unit, log), few)
+    if log:
+        chart = replace(chart, lines=tuple(replace(line, y=np.maximum(line.y, floor)) for line in chart.lines))
+    if not elements:
+        title = f"{quantity.name}: there are no {what}"
+    elif not title:
+        column, most = quantity.largest
+        title = f"{quantity.name}: largest {_with_error(quantity, column, most)} ({elements[column]})"
+    handles += draw_panel(axes, chart, title)
+    axes.set_ylabel(f"{quantity.name}\n[{quantity.unit}]")
+    legend(axes, handles, [*labels, *few.elements])
+    if log:
+        _show_floor(axes, floor, data.high, quantity.unit)
+    elif elements:
+        powers_of_ten(axes)
+        if np.nanmin(data.low, initial=0.0) >= 0.0:
+            axes.set_ylim(bottom=0.0)
+
+
+def _with_error(quantity: ElementQuantity, column: int, largest: float) -> str:
+    """Return the largest value of an element with its estimated error, such as ``368.2 ± 0.3 N``; without an error if
+    no errors were estimated.
+    """
+    if quantity.peak_errors is None or not np.isfinite(largest):
+        return value_text(largest, quantity.unit)
+    error = float(quantity.peak_errors[column])
+    if not np.isfinite(error):
+        return f"{value_text(largest, quantity.unit)}, error unknown"
+    return f"{plus_minus(largest, error, '±')} {quantity.unit}"
+
+
+def value_text(value: float, unit: str) -> str:
+    """Return a value with its unit, or ``not finite``."""
+    return f"{value:.3g} {unit}" if np.isfinite(value) else "not finite"
+
+
+def _floor(values: Array) -> float:
+    """Return the largest power of ten below 99.5 % of the positive values, but at least `SMALLEST`."""
+    positive = values[values > 0]
+    if not positive.size:
+        return SMALLEST
+    return float(max(SMALLEST, 10.0 ** np.floor(np.log10(np.quantile(positive, 0.005)))))
+
+
+def _show_floor(axes: Axes, floor: float, values: Array, unit: str) -> None:
+    """Set the limits of a logarithmic axis. If values below `floor` are drawn at `floor`, add a note that says so."""
+    top = float(np.nanmax(values, initial=0.0))
+    axes.set_ylim(floor * 0.8, max(top * 2.0, floor * 10.0))
+    if np.any(values < floor):
+        axes.text(
+            0.995, 0.02, f"values below {floor:.0e} {unit} are drawn there", transform=axes.transAxes,
+            size=7.5, color=FAINT, ha="right", va="bottom",
+            bbox={"facecolor": PAPER, "edgecolor": "none", "alpha": 0.8, "pad": 1.0},
+        )  # fmt: skip

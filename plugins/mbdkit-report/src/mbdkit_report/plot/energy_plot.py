@@ -1,0 +1,131 @@
+"""The plot `energy`: the energies over time, and their balance in a separate panel."""
+
+from __future__ import annotations
+
+from functools import partial
+from typing import TYPE_CHECKING
+
+import numpy as np
+from matplotlib.axes import Axes
+
+from mbdkit.archive.run_views import Names
+from mbdkit.base.errors import SpecError
+from mbdkit.base.text import did_you_mean, listed
+from mbdkit_report.figures.curves import Array, bands
+from mbdkit_report.figures.page_model import Axis, Figure, Line
+from mbdkit_report.figures.palette import INK, PALETTE
+from mbdkit_report.plot.charts import Panel, draw_panel
+from mbdkit_report.plot.style import legend, powers_of_ten
+
+if TYPE_CHECKING:
+    from mbdkit.archive.run import Run
+
+COLORS = {
+    "kinetic": PALETTE[1],
+    "potential": PALETTE[0],
+    "dissipated": PALETTE[3],
+    "work": PALETTE[2],
+    "total": INK,
+    "balance": PALETTE[4],
+}
+TERMS = ("total", "kinetic", "potential", "dissipated", "work")
+"""Energies that a chart shows, the most important first."""
+
+_TIME = Axis("time", "s")
+
+
+def panels(run: Run) -> list[Panel]:
+    """Return the panels of the energies and of their balance."""
+    values = _read(run, *COLORS)
+    energies, balance = _charts(run, values)
+    _, base = _relative(values)
+    largest, kinetic = (float(np.nanmax(np.abs(values[name]), initial=0.0)) for name in ("balance", "kinetic"))
+    share = f", {largest / kinetic:.2g} of the largest kinetic energy" if kinetic > 0 else ""
+    titles = {
+        "energy": f"energy (potential and total relative to the potential at the start, {base:.4g} J)",
+        "balance": f"balance (total + dissipated - work - start): largest {largest:.3g} J{share}",
+    }
+    return [Panel(partial(_draw, chart=chart, title=titles[chart.name])) for chart in (energies, balance)]
+
+
+def _draw(axes: Axes, chart: Figure, title: str) -> None:
+    lines = draw_panel(axes, chart, title)
+    if chart.needs_key:
+        legend(axes, lines, [line.label for line in chart.lines])
+    powers_of_ten(axes)
+
+
+def charts(run: Run) -> list[Figure]:
+    """Return the charts of the energies and of their balance."""
+    return list(_charts(run, _read(run, *COLORS))) if run.records("energy/balance") else []
+
+
+def _charts(run: Run, values: dict[str, Array]) -> tuple[Figure, Figure]:
+    energies, base = _relative(values)
+    lines = tuple(_line(run, name, curve, name) for name, curve in energies.items())
+    caption = f"Potential and total energy are relative to the potential energy at the start, {base:.4g} J."
+    return (
+        Figure("energy", "Energy", caption, _TIME, Axis("energy", "J"), lines),
+        Figure(
+            "balance",
+            "Energy balance",
+            "Total + dissipated - work, minus its value at the start. Without numerical error it is zero.",
+            _TIME,
+            Axis("balance", "J"),
+            (_line(run, "balance", values["balance"], "balance"),),
+        ),
+    )
+
+
+def _line(run: Run, name: str, values: Array, label: str) -> Line:
+    return Line(label, *bands(run.time, values[:, None]).curve(0), group=name, color=COLORS[name])
+
+
+def chart(run: Run, *, terms: Names = None, most: int = len(TERMS)) -> Figure:
+    """Return the chart of some energies, with potential and total relative to the potential at the start.
+
+    Parameters
+    ----------
+    terms
+        Some of ``kinetic``, ``potential``, ``total``, ``dissipated``, ``work`` and ``balance``. By default, the
+        balance is left out, as are dissipated energy and work if they are zero.
+
+    Raises
+    ------
+    SpecError
+        If there is no such energy.
+    """
+    names = [terms] if isinstance(terms, str) else list(terms or ())
+    for name in names:
+        if name not in COLORS:
+            raise SpecError(
+                f"terms of the energy are {listed(COLORS, 'and')}, not {name!r}{did_you_mean(name, COLORS)}"
+            )
+    values = _read(run, *COLORS)
+    relative, base = _relative(values)
+    if terms is None:
+        names = [name for name in TERMS if name in relative][:most]
+    shown = {name: relative.get(name, values[name]) for name in COLORS if name in names}
+    labels = {"potential": "potential (0 at the start)"} if base else {}
+    lines = (_line(run, name, curve, labels.get(name, name)) for name, curve in shown.items())
+    label = "energy balance" if names == ["balance"] else "energy"
+    return Figure("energy", "Energy", "", _TIME, Axis(label, "J"), tuple(lines))
+
+
+def _read(run: Run, *names: str) -> dict[str, Array]:
+    return {name: np.asarray(run.dataset(f"energy/{name}")[:], dtype=np.float64) for name in names}
+
+
+def _relative(values: dict[str, Array]) -> tuple[dict[str, Array], float]:
+    """Return the energies to draw, and the potential energy at the start, which is subtracted from the potential and
+    the total energy.
+
+    The balance is left out, as are dissipated energy and work if they are zero.
+    """
+    base = float(values["potential"][0]) if len(values["potential"]) else 0.0
+    found = {}
+    for name, curve in values.items():
+        if name == "balance" or (name in ("dissipated", "work") and not np.any(np.nan_to_num(curve))):
+            continue
+        found[name] = curve - base if name in ("potential", "total") else curve
+    return found, base

@@ -1,0 +1,114 @@
+"""The plot `reactions`: forces in the joints over time, as magnitudes or components, and torques in a second panel."""
+
+from __future__ import annotations
+
+from functools import partial
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from mbdkit.archive.run_views import Components, Names
+from mbdkit.base.errors import SpecError
+from mbdkit.base.text import did_you_mean, listed
+from mbdkit_report.figures.curves import Array, bands
+from mbdkit_report.figures.page_model import Axis, Figure
+from mbdkit_report.plot.charts import Panel
+from mbdkit_report.plot.element_quantity import MOST, ElementQuantity, draw_elements, element_chart, picked, reaction_force, with_errors
+from mbdkit_report.plot.torques_plot import carried_torque
+
+if TYPE_CHECKING:
+    from mbdkit.archive.run import Run
+
+COMPONENTS: dict[str, tuple[str, ...]] = {
+    "magnitude": (),
+    "global": ("x", "y"),
+    "body": ("axial", "shear"),
+    "x": ("x",),
+    "y": ("y",),
+    "axial": ("axial",),
+    "shear": ("shear",),
+}
+"""Components to draw, by the value of the option `components`; none for the magnitude."""
+
+_AXIS = {"x": "joint force, x component", "y": "joint force, y component"}
+_AXIS |= {"axial": "axial joint force", "shear": "shear joint force"}
+
+
+def panels(run: Run) -> list[Panel]:
+    """Return the panel of the forces and, if joints transmit torques, a panel of the torques of these joints.
+
+    Drivers that exert only a torque, such as motors, are left out of the panel of the forces.
+    """
+    force = reaction_force(run)
+    idle = {
+        name for name, peak in zip(force.elements, force.data.peaks, strict=True) if name in run.drivers and not peak
+    }
+    force = force.only([column for column, name in enumerate(force.elements) if name not in idle])
+    found = [Panel(partial(draw_elements, quantity=force, what="joints"))]
+    if (torque := carried_torque(run, force)) is not None:
+        found.append(Panel(partial(draw_elements, quantity=torque, what="joints")))
+    return found
+
+
+def charts(run: Run) -> list[Figure]:
+    """Return the chart of the magnitudes of the forces."""
+    return [chart(run)] if run.records("joints/reaction_force") and run.joint_names else []
+
+
+def chart(run: Run, *, joints: Names = None, components: Components | str = "magnitude", most: int = MOST) -> Figure:
+    """Return the chart of the forces in some joints.
+
+    Parameters
+    ----------
+    joints
+        Names of joints; by default those with the largest forces.
+    components
+        ``magnitude``; ``x``, ``y`` or both (``global``), in the global frame; ``axial``, ``shear`` or both (``body``),
+        along the x and the y axis of the second body of the joint, or of the first body if the second is the ground.
+
+    Raises
+    ------
+    SpecError
+        If there are no such components, or the mechanism has no joints.
+    UnknownNameError
+        If there is no such joint.
+    """
+    if components not in COMPONENTS:
+        hint = did_you_mean(components, COMPONENTS)
+        raise SpecError(f"components should be {listed(COMPONENTS, 'or')}, not {components!r}{hint}")
+    force = reaction_force(run)
+    if not force.elements:
+        raise SpecError("the mechanism of this run has no joints, so that there are no joint forces to draw")
+    shown = COMPONENTS[components]
+    columns = picked(force, joints, "joint", max(1, most // max(1, len(shown))))
+    caption = "Force that the first body of each joint exerts on the second"
+    if not shown:
+        axis = Axis("joint force", "N")
+        return element_chart("reactions", "Joint forces", f"{caption}: magnitude.", axis, force.only(columns))
+    parts = _components(run, columns, shown)
+    groups = [run.joint_names[column] for column in columns for _ in shown]
+    axis = Axis(_AXIS.get(components, "joint force"), "N")
+    frame = (
+        "the global frame"
+        if shown[0] in ("x", "y")
+        else "the frame of the second body, or of the first if it is ground"
+    )
+    caption = f"{caption}: {listed(shown, 'and')} in {frame}."
+    return element_chart("reactions", "Joint forces", caption, axis, parts, groups=groups)
+
+
+def _components(run: Run, columns: list[int], shown: tuple[str, ...]) -> ElementQuantity:
+    """Return components of the forces in some joints: first all components in the first joint, and so on."""
+    values, labels = [], []
+    for column in columns:
+        name = run.joint_names[column]
+        path = "joints/reaction_force"
+        if shown[0] not in ("x", "y"):
+            path += "_first" if run.joints[name].bodies[1] == "ground" else "_second"
+        force = run.column(path, column, None)
+        values += [force[:, int(component in ("y", "shear"))] for component in shown]
+        labels += [name if len(shown) == 1 else f"{name}, {component}" for component in shown]
+    together: Array = np.stack(values, axis=1)
+    quantity = ElementQuantity("joint force", "N", labels, bands(np.asarray(run.time), together))
+    # The estimate bounds the norm of the error of the vector, and therefore the error of every component.
+    return with_errors(run, quantity, "reaction_error", [column for column in columns for _ in shown])

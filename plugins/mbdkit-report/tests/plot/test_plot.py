@@ -1,0 +1,282 @@
+from __future__ import annotations
+
+import subprocess
+import sys
+import time
+from types import SimpleNamespace
+
+import matplotlib as mpl
+import numpy as np
+import pytest
+from PIL import Image
+
+from mbdkit.archive.history import NotRecordedError
+from mbdkit.base.errors import ResourceError, SpecError
+from mbdkit_report.figures.page_model import Axis, Figure, Line
+from mbdkit_report.plot import energy_plot, save_plot
+from mbdkit_report.plot.charts import chart_image
+from mbdkit_report.plot.plot_kinds import PLOT_KINDS
+from mbdkit_report.plot.save_plot import figure, plot
+from mbdkit_report.plot.style import save
+
+kinds = pytest.mark.parametrize("kind", PLOT_KINDS)
+ODD = {
+    "title": r"$\frac{ \undefined $ _x_ 振り子 & <b>" + " longer" * 40,
+    "joints": ["_a$x^$", r"$\b$"],
+    "model": {"name": "acme:unknown"},
+}
+"""Texts of a run that Matplotlib would read as mathematics."""
+
+
+def texts(picture) -> str:
+    """All text of a figure."""
+    found = [text.get_text() for text in picture.texts]
+    for axes in picture.axes:
+        found += [axes.get_title(loc="left"), axes.get_xlabel(), axes.get_ylabel()]
+        found += [text.get_text() for text in axes.texts]
+        if axes.get_legend():
+            found += [text.get_text() for text in axes.get_legend().get_texts()]
+    return "\n".join(found)
+
+
+@kinds
+def test_a_png_is_a_picture_of_a_thousand_dots_with_something_on_it(make_run, tmp_path, kind):
+    before = dict(mpl.rcParams)
+    path = plot(make_run(), kind, tmp_path / "picture.png")
+    assert dict(mpl.rcParams) == before  # the settings of others are left alone
+    with Image.open(path) as image:
+        assert image.format == "PNG"
+        assert image.width == 1080
+        assert 400 < image.height < 1300
+        assert image.info["dpi"][0] == pytest.approx(150, abs=0.1)
+        assert len(image.convert("RGB").getcolors(1_000_000)) > 50
+
+
+@pytest.mark.parametrize(("name", "first"), [("a.svg", b"<?xml"), ("a.pdf", b"%PDF"), ("a.PNG", b"\x89PNG")])
+def test_the_suffix_is_the_format(make_run, tmp_path, name, first):
+    assert plot(make_run(), "drift", tmp_path / name).read_bytes().startswith(first)
+
+
+@pytest.mark.parametrize("name", ["a.jpg", "a", "a.h5"])
+def test_another_suffix_is_refused_in_a_sentence(make_run, tmp_path, name):
+    with pytest.raises(SpecError, match=r"must end in \.png, \.svg or \.pdf"):
+        plot(make_run(), "drift", tmp_path / name)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_the_command_line_lists_the_kinds_without_loading_matplotlib():
+    code = "import sys, mbdkit.cli, mbdkit_report.plot.plot_kinds; print('matplotlib' in sys.modules)"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "False"
+
+
+def test_a_kind_with_charts_alone_is_plotted_from_them(make_run, monkeypatch):
+    monkeypatch.setattr(save_plot, "plot_module", lambda kind: SimpleNamespace(charts=energy_plot.charts))
+    picture = figure(make_run(), "any")
+    assert [axes.get_ylabel() for axes in picture.axes] == ["energy [J]", "balance [J]"]
+    assert [axes.get_xlabel() for axes in picture.axes] == ["", "time [s]"]
+
+
+def test_an_unknown_kind_is_refused_with_the_kinds_there_are(make_run):
+    with pytest.raises(SpecError, match="trajectory, drift, energy, reactions"):
+        figure(make_run(), "drfit")
+
+
+def test_a_folder_that_is_not_there_is_named(make_run, tmp_path):
+    with pytest.raises(SpecError, match="does not exist; create it first"):
+        plot(make_run(), "energy", tmp_path / "no" / "a.png")
+
+
+@kinds
+def test_titles_axes_and_units_are_written(make_run, kind):
+    text = texts(figure(make_run(), kind))
+    assert "a swinging chain" in text
+    assert "n-pendulum · gauss, 2 stages · step 0.02 s · complete" in text
+    units = {"trajectory": ("[m]",), "drift": ("[m]", "[m/s]"), "energy": ("[J]",), "reactions": ("[N]",)}
+    units |= {"torques": ("[N m]",), "forces": ("[N]",), "beams": ("[N m]",)}
+    for unit in (*units[kind], *(("time [s]",) if kind != "trajectory" else ())):
+        assert unit in text
+
+
+@kinds
+def test_a_run_that_failed_says_so_in_the_picture(make_run, kind):
+    run = make_run(rows=11, status="failed", reason="newton-failed: the step at t = 0.2 s")
+    assert "FAILED at t = 0.2 s: newton-failed: the step at t = 0.2 s" in texts(figure(run, kind))
+
+
+@kinds
+def test_a_run_of_one_row_is_drawn(make_run, tmp_path, kind):
+    plot(make_run(rows=1, status="failed", reason="singular: at the start"), kind, tmp_path / "a.png")
+
+
+@kinds
+def test_a_run_without_rows_has_nothing_to_draw(make_run, kind):
+    with pytest.raises(SpecError, match="no rows"):
+        figure(make_run(rows=0, status="failed", reason="singular: at the start"), kind)
+
+
+@kinds
+def test_numbers_that_are_not_finite_and_odd_texts_do_not_stop_a_picture(make_run, tmp_path, kind):
+    def spoil(data):
+        for name, values in data.items():
+            if name != "time" and not name.startswith("constraints"):
+                values[-3:-1] *= 1e300
+                values[-1] = np.nan
+
+    run = make_run(change=spoil, status="failed", reason="not-finite: the state is not finite", **ODD)
+    plot(run, kind, tmp_path / "a.png")
+
+
+@pytest.mark.parametrize("kind", ["drift", "energy", "reactions"])
+def test_what_was_not_recorded_is_named(make_run, kind):
+    run = make_run(quantities=frozenset())
+    with pytest.raises(NotRecordedError, match=r"output\.quantities"):
+        figure(run, kind)
+    figure(run, "trajectory")
+
+
+def test_text_is_taken_literally(make_run):
+    assert "_a$x^$" in texts(figure(make_run(**ODD), "drift"))
+
+
+def test_drift_names_the_largest_misalignment_and_the_floor_to_which_zeros_are_lifted(make_run):
+    picture = figure(make_run(), "drift")
+    assert "misalignment: largest over every step 1.8e-08 m (J2)" in texts(picture)
+    axes = picture.axes[0]
+    assert axes.get_yscale() == "log"
+    floor = min(line.get_ydata().min() for line in axes.get_lines())
+    assert floor > 0
+    assert f"values below {floor:.0e} m are drawn there" in texts(picture)
+
+
+def test_misalignment_that_is_exactly_zero_is_drawn_at_the_smallest_floor(make_run):
+    def close(data):
+        data["joints/misalignment"][:] = 0.0
+
+    axes = figure(make_run(change=close), "drift").axes[0]
+    assert {value for line in axes.get_lines() for value in line.get_ydata()} == {1e-18}
+
+
+def test_driven_angles_have_a_panel_of_their_own_with_the_joints_that_they_concern(make_run):
+    def drive(data):
+        data["joints/angle_misalignment"][:, 1] = 1e-7
+
+    assert len(figure(make_run(), "drift").axes) == 2
+    axes = figure(make_run(change=drive), "drift").axes
+    assert len(axes) == 3
+    assert "[rad]" in axes[2].get_ylabel()
+    assert [text.get_text() for text in axes[2].get_legend().get_texts()] == ["J2"]
+
+
+def test_reaction_torques_have_a_panel_where_they_are_more_than_round_off(make_run):
+    def twist(size):
+        def change(data):
+            data["joints/reaction_torque"][:, 0] = -size
+
+        return change
+
+    assert len(figure(make_run(change=twist(1e-13)), "reactions").axes) == 1
+    axes = figure(make_run(change=twist(2.0)), "reactions").axes
+    assert axes[1].get_title(loc="left") == "reaction torque: largest 2 N m (J1)"
+
+
+def test_reaction_is_the_length_of_the_force(make_run):
+    def pull(data):
+        data["joints/reaction_force"][:] = [3.0, -4.0]
+
+    line = figure(make_run(change=pull), "reactions").axes[0].get_lines()[0]
+    np.testing.assert_array_equal(line.get_ydata(), 5.0)
+
+
+def test_energy_shows_the_balance_on_a_scale_of_its_own(make_run):
+    picture = figure(make_run(), "energy")
+    assert "largest 1e-11 J" in texts(picture)
+    low, high = picture.axes[1].get_ylim()
+    assert high - low < 1e-10
+    assert [text.get_text() for text in picture.axes[0].get_legend().get_texts()] == ["kinetic", "potential", "total"]
+
+
+def test_the_paths_are_those_of_the_run(make_run):
+    run = make_run(rods=1)
+    path = figure(run, "trajectory").axes[0].get_lines()
+    angle = run["rod1"].angle
+    end = np.stack([np.cos(angle), np.sin(angle)], axis=-1)
+    assert any(
+        len(line.get_xdata()) == len(angle) and np.allclose(line.get_xydata(), end, rtol=0, atol=1e-14) for line in path
+    )
+
+
+def test_a_mechanism_without_joints_is_drawn(make_run, tmp_path):
+    model = {"name": "mechanism", "bodies": {"ball": {"mass": 1.0}}}
+    time = 0.02 * np.arange(151)
+    poses = np.stack([time, 3 * time - 4.9 * time**2, 0 * time], axis=-1)[:, None]
+    run = make_run(model=model, bodies=["ball"], joints=[], poses=poses)
+    for kind in PLOT_KINDS:
+        plot(run, kind, tmp_path / "a.png")
+
+
+@pytest.mark.parametrize("kind", ["drift", "reactions", "trajectory"])
+def test_a_thousand_joints_over_many_rows_stay_readable_and_quick(make_run, tmp_path, kind):
+    run = make_run(rods=1000, rows=400)
+    begin = time.perf_counter()
+    picture = figure(run, kind)
+    assert all(len(axes.get_legend().get_texts()) <= 8 for axes in picture.axes if axes.get_legend())
+    path = tmp_path / "a.svg"
+    save(picture, path)
+    assert time.perf_counter() - begin < 10.0
+    assert path.stat().st_size < 1_500_000
+
+
+@pytest.mark.parametrize("kind", ["drift", "reactions", "trajectory"])
+def test_a_long_run_is_cut_down_to_what_a_picture_can_show(make_run, tmp_path, kind):
+    path = plot(make_run(rows=100_000, step=1e-3), kind, tmp_path / "a.svg")
+    assert path.stat().st_size < 2_500_000
+
+
+def test_a_picture_that_cannot_be_finished_leaves_the_old_one_and_nothing_else(make_run, tmp_path, monkeypatch):
+    path = tmp_path / "a.png"
+    path.write_bytes(b"old")
+
+    def fail(*args, **kwargs):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr("matplotlib.figure.Figure.savefig", fail)
+    with pytest.raises(ResourceError, match="No space left"):
+        plot(make_run(), "energy", path)
+    assert path.read_bytes() == b"old"
+    assert list(tmp_path.iterdir()) == [path]
+
+
+def test_drawing_needs_neither_pyplot_nor_sympy_nor_numba():
+    code = (
+        "import sys, mbdkit_report.plot.save_plot, mbdkit_report.pages.animate\n"
+        "from mbdkit_report.figures.drawing_geometry import draw_mechanism\n"
+        "from mbdkit.archive.stored_mechanism import built_mechanism, mechanism_json, read_mechanism\n"
+        "built = built_mechanism({'model': {'name': 'double-pendulum'}}, '1.1').mechanism\n"
+        "draw_mechanism(read_mechanism(mechanism_json(built), list(built.bodies)).mechanism)\n"
+        "print([name for name in ('matplotlib.pyplot', 'sympy', 'numba') if name in sys.modules])"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "[]"
+
+
+def test_axes_end_at_the_limits(make_run, tmp_path, monkeypatch):
+    drawn = []
+    monkeypatch.setattr(save_plot, "save", lambda picture, target: drawn.append(picture))
+    plot(make_run(), "drift", tmp_path / "a.png", size=(85.0, 60.0), x_limits=(0.01, 0.02), y_limits=(1e-9, 1.0))
+    (axes,) = drawn[0].axes
+    assert axes.get_xlim() == (0.01, 0.02)
+    assert axes.get_ylim() == (1e-9, 1.0)
+    with pytest.raises(SpecError, match="the x limits should be two different numbers, not 1 and 1"):
+        plot(make_run(), "drift", tmp_path / "a.png", x_limits=(1.0, 1.0))
+    with pytest.raises(SpecError, match="the y axis is logarithmic"):
+        plot(make_run(), "drift", tmp_path / "a.png", size=(85.0, 60.0), y_limits=(0.0, 1.0))
+
+
+def test_a_curve_that_is_exactly_zero_is_named_on_a_logarithmic_axis_and_long_captions_are_wrapped() -> None:
+    x = np.array([0.0, 1.0])
+    lines = (Line("closed", x, 0 * x), Line("open", x, 1e-6 + x))
+    chart = Figure("drift", "Drift", "word " * 60, Axis("time", "s"), Axis("misalignment", "m", log=True), lines)
+    assert [line.label for line in chart.lines] == ["closed (exactly 0)", "open"]
+    drawn = [text.get_text() for text in chart_image(chart).texts]
+    assert sum(text.count("word") for text in drawn) == 60

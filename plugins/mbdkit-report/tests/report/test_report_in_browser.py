@@ -1,0 +1,433 @@
+"""The report in a real headless browser, by eye, by keyboard, by screen reader, on a telephone."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+import pytest
+from axe_playwright_python.sync_playwright import Axe
+
+import mbdkit
+from mbdkit_report.figures.mechanism_drawing import WIDE, NamedPose, mechanism_svg, names_shown
+from mbdkit_report.figures.palette import PALETTE
+from mbdkit_report.figures.player_data import film_data
+from mbdkit_report.plot.caption import caption
+from mbdkit_report.plot.energy_plot import COLORS
+from mbdkit_report.pages.report import report
+from mbdkit_report.pages.run_report import run_report
+from mbdkit_report.pages.templating import inline, render
+from mbdkit.spec import example_names, load_spec
+from mbdkit.spec.yaml_reader import read_yaml
+from tests.browser import opened, until
+
+EVIL = "</script><script>alert('x')</script><img src=https://evil.example/x.png onerror=alert(1)> & \"q\""
+
+# Contrast and structure that a reader depends on; everything that axe knows of WCAG 2.1 A and AA.
+RULES = {"runOnly": {"type": "tag", "values": ["wcag2a", "wcag2aa", "wcag21a", "wcag21aa", "best-practice"]}}
+
+
+@pytest.fixture
+def page(browser, page_path):
+    watched = opened(browser, page_path)
+    yield watched
+    watched.page.context.close()
+
+
+@pytest.fixture(scope="module")
+def shared_page(browser, page_path):
+    """A page for tests that leave the player alone and depend on nothing that another of them changes."""
+    watched = opened(browser, page_path)
+    yield watched
+    watched.page.context.close()
+
+
+def position(page):
+    return int(page.locator("#scrub").input_value())
+
+
+def test_answers_come_first(shared_page):
+    tab = shared_page.page
+    headings = tab.locator("main h2").all_inner_texts()
+    assert headings[:3] == ["Motion", "Largest forces and torques", "Verdict"]
+    assert tab.locator("header dt").all_inner_texts()[0] == "verdict"
+    assert "The run completed" in tab.locator("p.verdict").inner_text()
+
+
+def test_the_animation_moves_and_can_be_stopped(page):
+    tab = page.page
+    tab.locator("#stage").scroll_into_view_if_needed()
+    before = tab.evaluate("document.getElementById('stage').toDataURL()")
+    start = position(tab)
+    until(tab, f"document.getElementById('scrub').valueAsNumber > {start + 10}")
+    assert tab.evaluate("document.getElementById('stage').toDataURL()") != before
+    tab.get_by_role("button", name="Pause").click()
+    stopped = position(tab)
+    picture = tab.evaluate("document.getElementById('stage').toDataURL()")
+    tab.wait_for_timeout(300)
+    assert position(tab) == stopped
+    assert tab.evaluate("document.getElementById('stage').toDataURL()") == picture
+
+
+def alarmed(page):
+    """Count the pixels of the colour in which gaps are drawn."""
+    return page.evaluate(
+        """() => {
+            const canvas = document.getElementById("stage");
+            const { data } = canvas.getContext("2d").getImageData(0, 0, canvas.width, canvas.height);
+            let count = 0;
+            for (let k = 0; k < data.length; k += 4)
+                if (Math.hypot(data[k] - 0xb0, data[k + 1], data[k + 2] - 0x20) < 30) count++;
+            return count;
+        }"""
+    )
+
+
+def test_the_slider_magnifies_the_gaps(page):
+    tab = page.page
+    tab.get_by_role("button", name="Pause").click()
+    tab.locator("#scrub").evaluate("e => { e.value = e.max; e.dispatchEvent(new Event('input')); }")
+    slider = tab.get_by_label("Magnify the gaps in the joints")
+    assert slider.get_attribute("aria-valuetext") == "not magnified"
+    assert alarmed(tab) == 0
+    counts = []
+    for share in (0.8, 0.9, 1.0):
+        slider.evaluate(f"e => {{ e.value = e.max * {share}; e.dispatchEvent(new Event('input')); }}")
+        counts.append(alarmed(tab))
+    assert 0 < counts[0] < counts[1] < counts[2]
+    assert "times" in slider.get_attribute("aria-valuetext")
+    # At its end the slider draws the largest gap over an eighth of the picture, whatever it is in metres.
+    drawn = tab.evaluate(
+        """() => {
+            const [film] = JSON.parse(document.getElementById("films").textContent);
+            const [left, right, bottom, top] = film.view;
+            const factor = 10 ** document.getElementById("magnify").valueAsNumber;
+            return factor * film.gaps.largest / Math.max(right - left, top - bottom);
+        }"""
+    )
+    assert drawn == pytest.approx(0.12, rel=0.03)  # the slider has steps of a hundredth of a decade
+
+
+def test_the_gap_of_a_joint_is_drawn_between_its_bodies_ends(shared_page):
+    """Magnified M times, the drawn points of a joint lie M gaps apart, whatever the drawing's own rounding."""
+    tab = shared_page.page
+    apart, wanted = tab.evaluate(
+        """() => {
+            const [film] = JSON.parse(document.getElementById("films").textContent);
+            const stage = new Stage(document.createElement("canvas"));
+            stage.show(film);
+            const frame = film.time.length - 1, joint = film.gaps.joints.indexOf("J2"), [a, b] = film.gaps.ends[joint];
+            const vector = factor => {
+                stage.place(frame, factor);
+                return [0, 1].map(k => stage.world[2 * b + k] - stage.world[2 * a + k]);
+            };
+            const [x, y] = vector(1), [far_x, far_y] = vector(101);
+            return [Math.hypot(far_x - x, far_y - y), 100 * Math.hypot(...stage.gap(frame, joint))];
+        }"""
+    )
+    assert wanted > 0
+    assert apart == pytest.approx(wanted, rel=1e-6)
+
+
+def test_the_keyboard_reaches_every_control_in_the_order_of_the_page(shared_page):
+    tab = shared_page.page
+    seen = []
+    for _ in range(110):
+        tab.keyboard.press("Tab")
+        name = tab.evaluate("document.activeElement.id || document.activeElement.dataset.figure || ''")
+        if name and name not in seen:
+            seen.append(name)
+    order = ["scrub", "play", "back", "next", "speed", "whole", "magnify", "misalignment", "trajectory"]
+    assert [name for name in seen if name in order] == order
+
+
+def test_the_keyboard_plays_steps_and_magnifies(page):
+    tab = page.page
+    tab.locator("#play").focus()
+    tab.keyboard.press("Space")
+    assert tab.locator("#play").inner_text() == "Play"
+    tab.locator("#next").focus()
+    before = position(tab)
+    tab.keyboard.press("Enter")
+    assert position(tab) == before + 1
+    tab.locator("#magnify").focus()
+    tab.keyboard.press("End")
+    assert "times" in tab.locator("#gap").inner_text()
+
+
+def test_the_keyboard_zooms_a_figure_and_shows_all_again(shared_page):
+    tab = shared_page.page
+    chart = tab.locator('[data-figure="misalignment"]')
+    width = "e => e._fullLayout.xaxis.range[1] - e._fullLayout.xaxis.range[0]"
+    whole = chart.evaluate(width)
+    chart.focus()
+    tab.keyboard.press("+")
+    assert chart.evaluate(width) == pytest.approx(0.7 * whole)
+    tab.keyboard.press("0")
+    assert chart.evaluate(width) == pytest.approx(whole)
+
+
+def test_the_button_of_a_curve_hides_it_and_brings_it_back(shared_page):
+    tab = shared_page.page
+    figure = tab.locator("#figure-misalignment")
+    assert figure.locator(".scatterlayer .trace").count() == 2
+    button = figure.get_by_role("button", name="J1")
+    button.focus()
+    tab.keyboard.press("Enter")
+    assert button.get_attribute("aria-pressed") == "false"
+    assert figure.locator(".scatterlayer .trace").count() == 1
+    tab.keyboard.press("Enter")
+    assert figure.locator(".scatterlayer .trace").count() == 2
+
+
+def test_the_times_of_events_are_marked_in_figures(browser, tmp_path):
+    events = {"low": {"when": "rod1.angle + pi/2"}}
+    with mbdkit.run("pendulum", time={"end": 2.0, "step": 0.01}, events=events, archive=tmp_path / "run.h5"):
+        pass
+    tab = browser.new_page()
+    tab.goto(report(tmp_path / "run.h5").as_uri())
+    shapes = "chart => chart._fullLayout.shapes.map(shape => shape.x0)"
+    assert tab.locator('[data-figure="energy"]').evaluate(shapes) == pytest.approx([0.48333371, 1.45000114], abs=1e-6)
+    assert tab.locator('[data-figure="energy"] .annotation-text').all_text_contents() == ["low"]
+    tab.close()
+
+
+def test_the_player_of_inverse_dynamics_shows_and_hides_forces(browser, tmp_path):
+    m = mbdkit.Mechanism()
+    rod = m.body("rod", mass=2.0, inertia=0.2, position=(0.0, -0.5))
+    m.revolute("hip", m.ground, rod, at=(0, 0))
+    time = np.linspace(0.0, 1.0, 51)
+    spec = {"mbdkit": 1, "model": m.to_spec(), "motion": {"data": {"time": time, "hip.angle": 0.3 * np.sin(6 * time)}}}
+    mbdkit.inverse(spec, archive=tmp_path / "run.h5").close()
+    tab = opened(browser, report(tmp_path / "run.h5"), reduced_motion="reduce").page
+    picture = "document.getElementById('stage').toDataURL()"
+    assert "force in a joint" in tab.locator("#legend").inner_text()
+    assert "longest arrow" in tab.locator("#legend").inner_text()
+    shown = tab.evaluate(picture)
+    tab.get_by_role("checkbox", name="Forces").uncheck()
+    hidden = tab.evaluate(picture)
+    assert hidden != shown
+    tab.get_by_role("checkbox", name="Forces").check()
+    assert tab.evaluate(picture) == shown
+    tab.context.close()
+
+
+def test_the_mouse_zooms_a_figure(shared_page):
+    tab = shared_page.page
+    chart = tab.locator('[data-figure="misalignment"]')
+    chart.scroll_into_view_if_needed()
+    box = chart.locator(".nsewdrag").first.bounding_box()
+    width = "e => e._fullLayout.xaxis.range[1] - e._fullLayout.xaxis.range[0]"
+    whole = chart.evaluate(width)
+    tab.mouse.move(box["x"] + 0.3 * box["width"], box["y"] + 0.2 * box["height"])
+    tab.mouse.down()
+    tab.mouse.move(box["x"] + 0.6 * box["width"], box["y"] + 0.8 * box["height"], steps=5)
+    tab.mouse.up()
+    tab.wait_for_timeout(200)
+    assert chart.evaluate(width) == pytest.approx(0.3 * whole, rel=0.05)
+
+
+def test_headings_are_in_order_and_everything_that_is_seen_has_a_name(browser, any_path):
+    tab = opened(browser, any_path).page
+    levels = tab.evaluate("[...document.querySelectorAll('h1,h2,h3,h4')].map(e => Number(e.tagName[1]))")
+    assert levels[0] == 1
+    assert levels.count(1) == 1
+    assert all(after - before <= 1 for before, after in pairwise(levels))
+    unnamed = tab.evaluate(
+        """() => [...document.querySelectorAll("canvas, .chart, input, button, select")]
+            .filter(e => !(e.ariaLabel || e.labels?.length || e.textContent.trim()) && !e.closest(".modebar"))
+            .map(e => e.outerHTML.slice(0, 80))"""
+    )
+    assert unnamed == []
+    tab.context.close()
+
+
+def test_axe_finds_nothing_to_mend(browser, any_path):
+    # The colours are the same on both pages: one is looked at in the light, and one in the dark.
+    watched = opened(browser, any_path, color_scheme="light" if any_path.name == "study.html" else "dark")
+    watched.page.wait_for_timeout(300)
+    found = Axe().run(watched.page, options=RULES)
+    assert found.response["violations"] == [], found.generate_report()
+    watched.page.context.close()
+
+
+def test_in_the_dark_page_and_figures_are_dark_and_follow_a_change(browser, page_path):
+    watched = opened(browser, page_path, color_scheme="dark")
+    tab = watched.page
+    dark = tab.evaluate("getComputedStyle(document.body).backgroundColor")
+    paper = "document.querySelector('.chart .main-svg').style.background"
+    assert dark == "rgb(22, 24, 27)"
+    assert tab.evaluate(paper) == dark
+    tab.emulate_media(color_scheme="light")
+    until(tab, f"{paper} === 'rgb(255, 255, 255)'")
+    assert tab.evaluate("getComputedStyle(document.body).backgroundColor") == "rgb(255, 255, 255)"
+    tab.context.close()
+
+
+@pytest.mark.parametrize(("light", "paper"), [("true", "#ffffff"), ("false", "#16181b")])
+def test_the_player_in_a_notebook_is_as_dark_as_its_theme(browser, make_run, tmp_path, light, paper):
+    path = tmp_path / "notebook.html"
+    cell = make_run().animate()._repr_html_()
+    path.write_text(f'<!DOCTYPE html><body data-jp-theme-light="{light}">{cell}</body>', encoding="utf-8")
+    tab = opened(browser, path, color_scheme="null").page  # no emulation, which frames would follow
+    until(tab, "frames.length === 1")
+    tab.wait_for_timeout(300)
+    shown = tab.frames[1].evaluate("getComputedStyle(document.documentElement).getPropertyValue('--paper').trim()")
+    assert shown == paper
+    tab.context.close()
+
+
+def test_who_asks_for_less_motion_gets_a_still_picture(browser, page_path):
+    watched = opened(browser, page_path, reduced_motion="reduce")
+    watched.page.wait_for_timeout(400)
+    assert position(watched.page) == 0
+    assert watched.page.locator("#play").inner_text() == "Play"
+    watched.page.context.close()
+
+
+def test_of_several_films_the_reader_chooses_one(browser, make_run, tmp_path):
+    runs = [make_run(), make_run(rods=3)]
+    films = [film_data(run, 10_000, label) for run, label in zip(runs, ("two rods", "three rods"), strict=True)]
+    path = tmp_path / "films.html"
+    path.write_text(render("animation.html", {"caption": caption(runs[0]), "films": films}), encoding="utf-8")
+    watched = opened(browser, path)
+    tab = watched.page
+    assert tab.locator("#legend li").count() == 2
+    tab.get_by_label("Run").select_option(label="three rods")
+    assert tab.locator("#legend li").count() == 3
+    assert tab.locator("#stage").get_attribute("aria-label") == "The mechanism in motion: three rods"
+    assert watched.console == []
+    tab.context.close()
+
+
+def test_text_from_a_spec_does_no_harm(browser, make_run, tmp_path):
+    run = make_run(
+        title=EVIL, bodies=[EVIL, "<b>"], joints=[f"A {EVIL}", "J<b>"], status="failed", reason=f"not-finite: {EVIL}",
+        model={"name": f"acme:{EVIL}"},
+    )  # fmt: skip
+    path = tmp_path / "evil.html"
+    path.write_text(run_report(run).html(), encoding="utf-8")
+    watched = opened(browser, path)
+    tab = watched.page
+    tab.wait_for_timeout(300)
+    assert tab.locator("h1").inner_text() == EVIL
+    assert tab.locator("img, main b").count() == 0
+    assert EVIL in tab.locator("p.verdict").inner_text()
+    assert tab.locator("#figure-misalignment .key button").first.inner_text() == f"A {EVIL}"
+    assert watched.console == []
+    assert watched.outside == []
+    tab.context.close()
+
+
+BUTTONS = ["Download plot as a PNG", "Zoom", "Pan", "Zoom in", "Zoom out", "Reset axes"]
+
+
+def test_the_console_is_silent_and_no_control_sends_anything_anywhere(browser, any_path):
+    watched = opened(browser, any_path)
+    tab, pages = watched.page, []
+    tab.context.on("page", lambda page: pages.append(page.url))
+    bars = tab.evaluate(
+        "[...document.querySelectorAll('.modebar')]"
+        ".map(bar => [...bar.querySelectorAll('.modebar-btn')].map(button => button.dataset.title))"
+    )
+    assert bars
+    for bar in bars:
+        assert bar == BUTTONS
+    assert tab.locator("form, iframe, a[href^=http]").count() == 0
+    tab.evaluate(
+        """() => {
+            for (const details of document.querySelectorAll("details")) details.open = true;
+            const click = () => new MouseEvent("click", { bubbles: true });
+            for (const control of document.querySelectorAll("button")) control.dispatchEvent(click());
+        }"""
+    )
+    tab.wait_for_timeout(1000)
+    assert (watched.console, watched.outside, pages) == ([], [], [])
+    assert tab.url == any_path.resolve().as_uri()
+    tab.context.close()
+
+
+def test_the_policy_of_the_page_stops_what_a_script_might_try(page):
+    tab = page.page
+    blocked = tab.evaluate(
+        """async () => {
+            const form = document.createElement("form");
+            form.action = "https://evil.example/";
+            document.body.append(form);
+            const said = [];
+            document.addEventListener("securitypolicyviolation", event => said.push(event.effectiveDirective));
+            form.submit();
+            await fetch("https://evil.example/").catch(() => 0);
+            await new Promise(resolve => setTimeout(resolve, 200));
+            return said.sort();
+        }"""
+    )
+    assert blocked == ["connect-src", "form-action"]
+    assert page.outside == []
+
+
+def test_the_spec_can_be_saved_and_copied(page):
+    tab = page.page
+    tab.locator("summary", has_text="Spec").click()
+    with tab.expect_download() as begun:
+        tab.get_by_role("button", name="Download: run.yaml").click()
+    assert begun.value.suggested_filename == "run.yaml"
+    saved = Path(begun.value.path()).read_text(encoding="utf-8")
+    assert load_spec(read_yaml(saved)[0]).integrator.name == "rk4"
+    tab.context.grant_permissions(["clipboard-read", "clipboard-write"])
+    tab.get_by_role("button", name="Copy: Spec").click()
+    until(tab, "[...document.querySelectorAll('.tools button')].some(button => button.textContent === 'Copied')")
+    assert tab.evaluate("navigator.clipboard.readText()") == saved
+
+
+def test_a_body_has_one_colour_in_drawing_player_and_chart(browser, tmp_path):
+    archive = tmp_path / "arm.h5"
+    mbdkit.run("gravity-balanced-arm", time={"end": 0.2, "step": 0.02}, archive=archive).close()
+    watched = opened(browser, report(archive))
+    tab = watched.page
+    legend = tab.evaluate(
+        "Object.fromEntries([...document.querySelectorAll('#legend li')].map(li => "
+        "[li.textContent, li.firstChild.style.background]))"
+    )
+    patches = tab.evaluate("[...document.querySelectorAll('.wide .patch')].map(p => p.style.getPropertyValue('--own'))")
+    assert patches == list(legend.values())
+    figures = tab.evaluate("JSON.parse(document.getElementById('figure-data').textContent).figures")
+    components = {line["label"]: line["color"] for line in figures["components-1"]["lines"]}
+    assert f"var(--{components['x of upper']})" == legend["upper"]
+    energy = {line["label"]: line["color"] for line in figures["energy"]["lines"]}
+    assert {name: PALETTE.index(COLORS[name]) for name in ("kinetic", "potential", "work")} == {
+        name: int(energy[name][1:]) for name in ("kinetic", "potential", "work")
+    }
+    tab.context.close()
+
+
+def test_names_in_drawings_of_examples_do_not_overlap(browser, tmp_path):
+    drawings = []
+    for name in sorted(example_names("run")):
+        mechanism = load_spec(name).mechanism()
+        pose = np.array([(*body.position, body.angle) for body in mechanism.bodies.values()])
+        shown = NamedPose.of(mechanism, list(mechanism.bodies), pose, np.array([0.0]))
+        drawings += [f'<div class="wide" title="{name}">{mechanism_svg(shown, WIDE)}</div>'] * names_shown(shown)
+    path = tmp_path / "drawings.html"
+    style = f"<style>:root {{ {inline('light.css')} }} {inline('style.css')}{inline('drawing.css')}</style>"
+    path.write_text(f'<!DOCTYPE html>{style}<figure class="drawing">{"".join(drawings)}</figure>', encoding="utf-8")
+    watched = opened(browser, path)
+    found = watched.page.evaluate(
+        """() => [...document.querySelectorAll("div.wide")].flatMap(drawing => {
+            const frame = drawing.querySelector("svg").getBoundingClientRect();
+            const names = [...drawing.querySelectorAll("text")].map(
+                text => [text.textContent, text.getBoundingClientRect()]);
+            const inside = ([, a]) => a.left >= frame.left && a.right <= frame.right
+                && a.top >= frame.top - 1 && a.bottom <= frame.bottom + 1;
+            const meet = (a, b) => Math.min(a.right, b.right) - Math.max(a.left, b.left) > 1
+                && Math.min(a.bottom, b.bottom) - Math.max(a.top, b.top) > 3;
+            return [
+                ...names.filter(name => !inside(name)).map(([text]) => `${drawing.title}: ${text} outside`),
+                ...names.flatMap(([text, a], k) => names.slice(0, k).filter(([, b]) => meet(a, b))
+                    .map(([other]) => `${drawing.title}: ${text} on ${other}`)),
+            ];
+        })"""
+    )
+    assert found == []
+    watched.page.context.close()

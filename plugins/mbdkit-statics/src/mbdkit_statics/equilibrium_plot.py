@@ -1,0 +1,50 @@
+"""Picture of an equilibrium: the mechanism at rest, and the internal forces along its beams."""
+
+from __future__ import annotations
+
+from matplotlib.figure import Figure
+
+from mbdkit_report.figures.drawing_geometry import draw_mechanism
+from mbdkit_report.figures.page_model import Axis, Line
+from mbdkit_report.figures.page_model import Figure as Chart
+from mbdkit_report.figures.palette import body_colors
+from mbdkit_report.figures.plane_geometry import view_box
+from mbdkit_report.figures.pose import Pose
+from mbdkit_statics.equilibrium import Equilibrium
+from mbdkit.mechanism.mechanism import Mechanism
+from mbdkit_report.plot.caption import Caption
+from mbdkit_report.plot.charts import draw_chart
+from mbdkit_report.plot.style import dress, new_figure
+
+FORCES = (("Bending moment", "N m", 3), ("Shear force", "N", 2), ("Axial force", "N", 1))
+"""Title, unit and column of `Equilibrium.beams` for each chart."""
+
+
+def equilibrium_figure(found: Equilibrium, mechanism: Mechanism, title: str) -> Figure:
+    """Return a figure of the mechanism at rest and, if it has beams, of the internal forces along them."""
+    drawing = draw_mechanism(mechanism)
+    points = drawing.world(found.position)
+    (x0, x1), (y0, y1), _ = view_box(points[None], points)
+    charts = beam_charts(found)
+    figure = new_figure(Caption(title, f"{found.stability} · t = {found.time:g} s"), 6.4, 3.4 + 2.0 * len(charts))
+    grid = figure.add_gridspec(1 + len(charts), 1, height_ratios=[1.6, *[1.0] * len(charts)])
+    axes = dress(figure.add_subplot(grid[0]))
+    axes.set_aspect("equal", adjustable="box")
+    edge = 0.03 * (x1 - x0)
+    axes.set(xlim=(x0 - edge, x1 + edge), ylim=(y0, y1), xlabel="x / m", ylabel="y / m")
+    size = max(float(x1 - x0), float(y1 - y0), 1e-300)
+    Pose(axes, drawing, body_colors(drawing), size, alpha=0.85).move(points)
+    for k, chart in enumerate(charts):
+        draw_chart(figure.add_subplot(grid[k + 1]), chart, chart.title)
+    return figure
+
+
+def beam_charts(found: Equilibrium) -> list[Chart]:
+    """Return the charts of the internal forces along the beams; none if there are no beams."""
+    along = Axis("distance from the end a", "m")
+    return [
+        Chart(title.lower().replace(" ", "-"), title, "", along, Axis(title.lower(), unit),
+              tuple(Line(name, values[:, 0], values[:, column]) for name, values in found.beams.items()))
+        for title, unit, column in FORCES
+        if found.beams
+    ]  # fmt: skip

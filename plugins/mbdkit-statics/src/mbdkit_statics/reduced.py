@@ -1,0 +1,350 @@
+"""Linearised equations along the degrees of freedom: stiffness and damping on the constraint manifold.
+
+A mechanism of up to `DENSE` coordinates is reduced to its degrees of freedom with an orthogonal basis of the null space
+of the constraint Jacobian. The equations of larger mechanisms remain sparse, and ARPACK finds a few of their modes by
+inverse iteration.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.linalg import eigvalsh_tridiagonal, ldl
+from scipy.sparse import block_array, csc_array, csr_array, diags_array
+from scipy.sparse.linalg import splu
+
+from mbdkit.base.errors import SpecError
+from mbdkit.runs.assembled_mechanism import PreparedMechanism
+from mbdkit_statics.states_at_rest import CoupledStates, StatesAtRest, StaticEquations
+
+DENSE = 1500
+"""Largest number of coordinates for which the equations are reduced with a dense basis."""
+
+NEGATIVE = 1e-6
+"""Tolerance of the search for a negative stiffness, relative to the inverse of the eigenvalue closest to zero."""
+
+BLURRED = 1e-10
+"""An eigenvalue of a dense matrix below this share of the largest one may have a relative rounding error above one per
+cent.
+"""
+
+SYMMETRIC = 1e-15
+"""A skew part of a matrix below this share of the largest entry is attributed to rounding."""
+
+PILOTS = 3
+"""Number of inverse iterations by which `_pilot` estimates the lowest frequency."""
+
+
+@dataclass(frozen=True)
+class State:
+    """A state to linearise about: time [s], position, velocity, acceleration (n,) and multipliers (m,)."""
+
+    t: float
+    q: np.ndarray
+    v: np.ndarray
+    a: np.ndarray
+    lam: np.ndarray
+
+
+@dataclass(frozen=True)
+class Reduced:
+    """``y'' + damping y' + stiffness y = 0`` for the motion ``basis y`` about a state.
+
+    Attributes
+    ----------
+    basis : (n, f) array
+        Basis of the degrees of freedom, orthonormal in the mass metric [1/sqrt(kg)].
+    stiffness, damping : (f, f) arrays
+        Stiffness and damping in this basis [1/s^2, 1/s].
+    turning : (n, f) array
+        Time derivative of the basis; zero at rest.
+    """
+
+    basis: np.ndarray
+    stiffness: np.ndarray
+    damping: np.ndarray
+    turning: np.ndarray
+
+
+def in_statics(prepared: PreparedMechanism) -> PreparedMechanism:
+    """Return a mechanism for statics, in which the first-order states, if there are any, are functions of the
+    position.
+
+    Raises
+    ------
+    SpecError
+        If contacts are rigid, or if there are first-order states that this analysis does not support, such as those of
+        muscles.
+    """
+    mechanism = prepared.workspace.mechanism
+    if mechanism.contact_treatment.is_rigid:
+        message = "an analysis of a mechanism at rest needs compliant contacts: use `treatment: compliant`"
+        raise SpecError(message, key="contact.treatment")
+    if not mechanism.states:
+        return prepared
+    if mechanism.muscles:
+        mechanism.refuse_states("an analysis of muscles at rest")
+    if prepared.equations.n > DENSE:
+        mechanism.refuse_states(f"an analysis of more than {DENSE // 3} bodies")
+    return replace(prepared, equations=StaticEquations(prepared.workspace))
+
+
+def coupled_states(prepared: PreparedMechanism, at: State, small: Reduced, z: np.ndarray) -> CoupledStates:
+    """Return the small motions of the first-order states about a state in which their values are `z` (Z,)."""
+    states = StatesAtRest(prepared.workspace, prepared.equations)
+    force, by_state = states.by_states(at.t, at.q, at.v, z)
+    by_position, by_velocity = states.rates_by_motion(at.t, at.q, at.v, z)
+    moved = by_position @ small.basis + by_velocity @ small.turning
+    return CoupledStates(states.names, small.basis.T @ force, moved, by_velocity @ small.basis, by_state)
+
+
+def reduce(prepared: PreparedMechanism, at: State, z: np.ndarray | None = None) -> Reduced:
+    """Linearise the equations about a state, along the degrees of freedom; `z` (Z,) are its first-order states.
+
+    M is the mass matrix, Phi are the constraints with the multipliers lam, and Q are the applied forces. A deviation
+    ``Z(t) y`` stays tangent to the constraint manifold. The basis Z moves with the mechanism and does not rotate within
+    the tangent space, ``Z^T M Z' = 0``. The time derivative ``P = Z'`` is therefore the solution of
+    ``Phi_q P = -d(Phi_q v + Phi_t)/dq Z`` with the smallest norm in the mass metric. The stiffness is
+    ``Z^T (K Z + C P) - P^T M P`` and the damping ``Z^T C Z``, with ``K = d(Phi_q^T lam - Q)/dq`` and ``C = -dQ/dv``. In
+    a state at rest P is zero.
+    """
+    p, free = prepared.equations, np.flatnonzero(~prepared.held)
+    if z is not None:
+        prepared.workspace.take_states(z)
+    root = np.sqrt(p.mass[free])
+    scaled = p.constraint_jacobian(at.t, at.q).toarray()[:, free] / root
+    q, r = np.linalg.qr(scaled.T, mode="complete")
+    basis = q[:, p.m :] / root[:, None]
+    tangents = p.tangents(at.t, at.q, at.v, at.a, at.lam)
+    k, c = (x.toarray()[np.ix_(free, free)] for x in (tangents.stiffness, tangents.damping))
+    turning = 0.5 * tangents.gamma_v.toarray()[:, free] @ basis  # d(Phi_q v + Phi_t)/dq is -gamma_v / 2
+    normal = q[:, : p.m] @ np.linalg.solve(r[: p.m].T, turning)  # M^1/2 P
+    stiffness = basis.T @ (k @ basis + c @ (normal / root[:, None])) - normal.T @ normal
+    everywhere, turned = np.zeros((2, p.n, basis.shape[1]))
+    everywhere[free], turned[free] = basis, normal / root[:, None]
+    return Reduced(everywhere, stiffness, basis.T @ c @ basis, turned)
+
+
+def at_rest(prepared: PreparedMechanism, q: np.ndarray, lam: np.ndarray) -> State:
+    """Return the state of rest at position `q` (n,) with the multipliers `lam` (m,)."""
+    none = np.zeros(prepared.equations.n)
+    return State(prepared.equations.t0, q, none, none, lam)
+
+
+def least_stiffness(prepared: PreparedMechanism, at: State) -> float:
+    """Return the lowest eigenvalue of the stiffness along the degrees of freedom, at rest [1/s^2].
+
+    Nodes of slender beams have so little inertia that the largest eigenvalues can be 1e15 times the lowest one. The
+    rounding errors of the large eigenvalues then hide the lowest one, which is found by inverse iteration instead.
+    """
+    if prepared.equations.n <= DENSE:
+        values = _eigenvalues(reduce(prepared, at).stiffness)
+        least, largest = float(np.min(values)), float(np.max(np.abs(values)))
+        if abs(least) > BLURRED * largest or largest == 0.0:
+            return least
+    return _least_by_inverse_iteration(prepared, at)
+
+
+def _eigenvalues(stiffness: np.ndarray) -> np.ndarray:
+    """Return the real parts of the eigenvalues of a stiffness (f, f), which is symmetric without follower forces."""
+    skew = np.max(np.abs(stiffness - stiffness.T), initial=0.0)
+    if skew <= SYMMETRIC * np.max(np.abs(stiffness), initial=0.0):
+        return np.asarray(np.linalg.eigvalsh(stiffness))
+    return np.asarray(np.linalg.eigvals(stiffness).real)
+
+
+def softest_motion(prepared: PreparedMechanism, at: State) -> tuple[float, np.ndarray]:
+    """Return the lowest stiffness at rest, for unit mass [1/s^2], and the motion (n,) that has this stiffness.
+
+    Only for mechanisms of up to `DENSE` coordinates.
+    """
+    small = reduce(prepared, at)
+    values, vectors = np.linalg.eigh(0.5 * (small.stiffness + small.stiffness.T))
+    return float(values[0]), small.basis @ vectors[:, 0]
+
+
+def stiffness_scale(prepared: PreparedMechanism, at: State) -> float:
+    """Return the largest stiffness of a single coordinate, for unit mass [1/s^2]."""
+    p = prepared.equations
+    diagonal = p.tangents(at.t, at.q, at.v, at.a, at.lam).stiffness.diagonal()
+    return float(np.max(np.abs(diagonal) / p.mass))
+
+
+def softest_scale(prepared: PreparedMechanism, at: State) -> float:
+    """Return the sum of the magnitudes of the terms of the lowest stiffness at rest, for unit mass [1/s^2].
+
+    Rounding errors of the lowest stiffness are proportional to this sum. For mechanisms that are too large to be
+    reduced, the result is the largest stiffness of a single coordinate; see `stiffness_scale`.
+    """
+    p = prepared.equations
+    if p.n > DENSE:
+        return stiffness_scale(prepared, at)
+    way = np.abs(softest_motion(prepared, at)[1])
+    return float(way @ (abs(p.tangents(at.t, at.q, at.v, at.a, at.lam).stiffness) @ way))
+
+
+def lowest(prepared: PreparedMechanism, at: State, count: int) -> tuple[np.ndarray, np.ndarray]:
+    """Return the eigenvalues [1/s] closest to zero, and their shapes (n, k), of a large mechanism at rest.
+
+    ARPACK runs in shift-invert mode on the first-order form; the real shift is half of the estimated lowest frequency.
+
+    Parameters
+    ----------
+    count
+        Number of eigenvalues; both eigenvalues of a conjugate pair are counted.
+    """
+    from scipy.sparse.linalg import LinearOperator, eigs
+
+    p, n = prepared.equations, prepared.equations.n
+    shift = 0.5 * np.sqrt(_pilot(prepared, at)[0])
+    state = at.t, at.q, at.v, at.a, at.lam
+    tangents = p.tangents(*state)
+    matrix = p.iteration_matrix(*state, mass=shift**2, damping=shift, stiffness=1.0)
+    no_rows = np.zeros(p.m)
+
+    def inverse(x: np.ndarray) -> np.ndarray:
+        """Solve ``dv - shift dq = f``, ``-K dq - C dv - shift M dv = M g`` for (dq, dv) within the free motions.
+
+        K, C and M are the matrices of stiffness, damping and mass; `x` contains f and g.
+        """
+        f, g = x[:n], x[n:]
+        right = -p.mass * (g + shift * f) - tangents.damping @ f
+        dq, _ = matrix.solve(right, no_rows)
+        return np.concatenate([dq, f + shift * dq])
+
+    first = np.concatenate([_pilot(prepared, at)[1]] * 2)
+    inverted, vectors = eigs(
+        LinearOperator((2 * n, 2 * n), matvec=inverse, dtype=float), k=count, v0=inverse(first), tol=1e-13
+    )
+    return shift + 1 / inverted, vectors[:n]
+
+
+def _pilot(prepared: PreparedMechanism, at: State) -> tuple[float, np.ndarray]:
+    """Return an estimate of the square of the lowest frequency [1/s^2] and of its mode shape (n,).
+
+    The estimate is the Rayleigh quotient after `PILOTS` inverse iterations from a random vector. A motion without
+    stiffness would make the matrix singular; a shift of 1e-9 times the quotient of the start vector prevents this. The
+    shift is also the lower bound of the estimate.
+    """
+    p = prepared.equations
+    state, no_rows = (at.t, at.q, at.v, at.a, at.lam), np.zeros(p.m)
+    x = np.where(prepared.held, 0.0, np.random.default_rng(0).standard_normal(p.n))
+    stiffness = p.tangents(*state).stiffness
+    x, _ = p.solve(at.t, at.q, p.mass * x, no_rows)
+    square = abs(float(x @ (stiffness @ x)) / float(x @ (p.mass * x)))
+    scale = square or 1.0
+    for _ in range(PILOTS):
+        x, _ = p.iteration_matrix(*state, mass=1e-9 * scale, stiffness=1.0).solve(p.mass * x, no_rows)
+        x = x / np.sqrt(float(x @ (p.mass * x)))
+        square = abs(float(x @ (stiffness @ x)))
+    return max(square, 1e-9 * scale), x
+
+
+def _least_by_inverse_iteration(prepared: PreparedMechanism, at: State) -> float:
+    """Return the lowest eigenvalue of a large mechanism [1/s^2]; if some are negative, the negative one closest to
+    zero.
+
+    ARPACK first finds the eigenvalue of the inverse matrix with the largest absolute value. If it is positive, a second
+    search looks for the lowest eigenvalue of the inverse. Most eigenvalues of the inverse are close to zero, where a
+    relative tolerance would require more accuracy than is needed. The second search therefore shifts all eigenvalues by
+    the first one, so that the tolerance `NEGATIVE` is relative to the first one.
+    """
+    from scipy.sparse.linalg import LinearOperator, eigsh
+
+    p = prepared.equations
+    square, first = _pilot(prepared, at)
+    matrix = p.iteration_matrix(at.t, at.q, at.v, at.a, at.lam, mass=0.01 * square, stiffness=1.0)
+    root, no_rows = np.sqrt(p.mass), np.zeros(p.m)
+
+    def inverse(x: np.ndarray) -> np.ndarray:
+        solved: np.ndarray = root * matrix.solve(root * x, no_rows)[0]
+        return solved
+
+    def extreme(matvec: Callable[[np.ndarray], np.ndarray], which: str, start: np.ndarray, tolerance: float) -> float:
+        operator = LinearOperator((p.n, p.n), matvec=matvec, dtype=float)
+        return float(eigsh(operator, k=1, which=which, v0=start, tol=tolerance, return_eigenvectors=False)[0])
+
+    found = extreme(inverse, "LM", root * first, 1e-12)
+    if found > 0:
+        anything = np.random.default_rng(0).standard_normal(p.n)
+        least = extreme(lambda x: inverse(x) + found * x, "SA", anything, NEGATIVE) - found
+        found = least if least < -10 * NEGATIVE * found else found
+    return 1 / found - 0.01 * square
+
+
+INVERSE_ITERATIONS = 3
+"""Number of inverse iterations used to find the motion for which a matrix is almost singular."""
+
+
+def unstable_motions(prepared: PreparedMechanism, at: State) -> int:
+    """Return the number of independent motions along which an equilibrium is unstable.
+
+    For mechanisms of more than `DENSE` coordinates, the result is 1 if there are any such motions, and otherwise 0. If
+    follower forces make the stiffness unsymmetric, the eigenvalues with negative real part are counted.
+    """
+    if not prepared.freedoms:
+        return 0
+    if prepared.equations.n > DENSE:
+        return int(least_stiffness(prepared, at) < 0)
+    matrix = static_matrix(prepared, at)[0].toarray()
+    if np.max(np.abs(matrix - matrix.T)) > SYMMETRIC * np.max(np.abs(matrix)):
+        return int(np.sum(np.linalg.eigvals(reduce(prepared, at).stiffness).real < 0))
+    _, blocks, _ = ldl(0.5 * (matrix + matrix.T))
+    # By Sylvester's law of inertia, the matrix has as many negative eigenvalues as the blocks of this factorization.
+    signs = eigvalsh_tridiagonal(np.diag(blocks).copy(), np.diag(blocks, 1).copy())
+    return int(np.sum(signs < 0)) - prepared.equations.m
+
+
+def static_matrix(prepared: PreparedMechanism, at: State) -> tuple[csc_array, np.ndarray]:
+    """Return the matrix of statics (n + m, n + m), whose rows and columns are scaled so that their largest entries are
+    near 1, and the scale factors.
+
+    The angles of point masses, which have no stiffness, are given an artificial stiffness.
+    """
+    p = prepared.equations
+    stiffness = p.tangents(at.t, at.q, at.v, at.a, at.lam).stiffness + diags_array(prepared.held.astype(float))
+    jacobian = p.constraint_jacobian(at.t, at.q)
+    matrix = csr_array(block_array([[stiffness, jacobian.T], [jacobian, None]]))
+    factors = np.ones(matrix.shape[0])
+    for _ in range(2):  # D. Ruiz, A scaling algorithm to equilibrate both rows and columns norms in matrices (2001)
+        largest = abs(matrix).max(axis=1).toarray().ravel()
+        scale = 1 / np.sqrt(np.where(largest > 0, largest, 1.0))
+        factors *= scale
+        matrix = diags_array(scale) @ matrix @ diags_array(scale)
+    return csc_array(matrix), factors
+
+
+def singular_motion(prepared: PreparedMechanism, at: State) -> np.ndarray:
+    """Return the motion and the multipliers (n + m,) that solve the homogeneous equations of statics near a singular
+    state.
+    """
+    matrix, factors = static_matrix(prepared, at)
+    lu = splu(matrix + 1e-14 * diags_array(np.ones(matrix.shape[0]), format="csc"))
+    x = np.random.default_rng(0).standard_normal(matrix.shape[0])
+    for _ in range(INVERSE_ITERATIONS):
+        x = lu.solve(x)
+        x /= np.linalg.norm(x)
+    return np.asarray(factors * x)
+
+
+def distance_to_singular(prepared: PreparedMechanism, at: State, border: np.ndarray) -> float:
+    """Return a smooth function of a state that changes its sign where the matrix of statics is singular.
+
+    The matrix is extended by `border` (n + m,) as an additional row and column, and the right-hand side is 1 in the
+    last row only. The function is the last unknown; by Cramer's rule, it is the ratio of the two determinants
+    (Govaerts, Numerical Methods for Bifurcations of Dynamical Equilibria, section 3.2).
+
+    Parameters
+    ----------
+    border
+        Solution of the homogeneous equations near the singular state; see `singular_motion`.
+    """
+    matrix, factors = static_matrix(prepared, at)
+    row = border / factors
+    beside = csr_array((row / np.linalg.norm(row))[None])
+    bordered = csc_array(block_array([[matrix, beside.T], [beside, None]]))
+    right = np.zeros(len(border) + 1)
+    right[-1] = 1.0
+    return float(splu(bordered).solve(right)[-1])

@@ -1,0 +1,220 @@
+"""Static equilibria, compared with statics, minimisation and long damped runs."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from scipy.optimize import minimize
+
+import mbdkit
+from mbdkit_statics.mechanics_summary import equilibrium_text
+
+from .chains import G, hung_between, spec, weight_on_a_spring
+
+
+def test_a_weight_stretches_its_spring_by_its_weight_over_the_stiffness() -> None:
+    # expected: Hooke's law
+    found = mbdkit.equilibrium(weight_on_a_spring(stiffness=400.0, damping=3.0, mass=2.0))
+    assert found["block"][1] == pytest.approx(-1.0 - 2.0 * G / 400.0, rel=1e-14)
+    assert found.stability == "stable"
+    assert found.stiffness == pytest.approx(400.0 / 2.0, rel=1e-13)
+
+
+@pytest.mark.parametrize("angles", [[0.0, 0.0], [2.0, -3.0], [1.5, 1.6], [-1.5, 0.3]])
+def test_two_rods_end_hanging_wherever_they_start(angles: list[float]) -> None:
+    # expected: both tilts are -pi/2 up to whole turns; the upper joint carries both weights
+    found = mbdkit.equilibrium(spec({"name": "double-pendulum", "angles": angles}))
+    np.testing.assert_allclose(np.sin(found.position[:, 2]), -1.0, rtol=0, atol=1e-15)
+    np.testing.assert_allclose(np.cos(found.position[:, 2]), 0.0, rtol=0, atol=1e-13)
+    np.testing.assert_allclose(found.reaction_force, [[0.0, 2 * G], [0.0, G]], rtol=0, atol=1e-11)
+    assert found.stability == "stable"
+    assert found.residual < 1e-14
+
+
+def test_an_inverted_pendulum_is_in_balance_and_said_to_be_unstable() -> None:
+    # expected: theta'' = +3 g / (2 L) theta
+    found = mbdkit.equilibrium(spec({"name": "single-pendulum", "angle": math.pi / 2}))
+    assert found.stability == "unstable"
+    assert found["rod1"][2] == math.pi / 2
+    assert found.stiffness == pytest.approx(-1.5 * G, rel=1e-13)
+
+
+def test_a_body_without_forces_is_in_neutral_balance() -> None:
+    m = mbdkit.Mechanism(gravity=(0.0, 0.0))
+    m.body("puck", mass=1.0, inertia=0.1, position=(1.0, 2.0), angle=0.5)
+    found = mbdkit.equilibrium(m)
+    assert found.stability == "neutral"
+    np.testing.assert_array_equal(found["puck"], [1.0, 2.0, 0.5])
+
+
+def test_rods_between_two_supports_hang_as_minimisation_finds_them() -> None:
+    # expected: SciPy minimises the height of the rods over their tilts, under the two conditions that close the chain
+    n, length, span = 12, 0.25, 2.0
+    found = mbdkit.equilibrium(hung_between(span, n, length))
+
+    def height(tilt: np.ndarray) -> float:
+        rise = length * np.sin(tilt)
+        return float(np.sum(np.cumsum(rise) - rise / 2))
+
+    def gap(tilt: np.ndarray) -> np.ndarray:
+        return np.array([np.sum(length * np.cos(tilt)) - span, np.sum(length * np.sin(tilt))])
+
+    lowest = minimize(
+        height, np.linspace(-0.9, 0.9, n), constraints={"type": "eq", "fun": gap}, method="SLSQP",
+        options={"ftol": 1e-15, "maxiter": 500},
+    )  # fmt: skip
+    assert lowest.success
+    np.testing.assert_allclose(found.position[:, 2], lowest.x, rtol=0, atol=1e-6)
+    assert found.stability == "stable"
+
+
+def test_rods_between_two_supports_obey_the_statics_of_each_rod() -> None:
+    # expected: statics: one horizontal force H throughout, and on rod i tan(tilt) = (vertical force at its middle) / H
+    n = 12
+    found = mbdkit.equilibrium(hung_between(2.0, n, 0.25))
+    horizontal, vertical = found.reaction_force.T
+    np.testing.assert_allclose(horizontal, horizontal[0], rtol=1e-12)
+    middle = 0.5 * (vertical[:-1] + vertical[1:])  # joint i is at the left end of rod i
+    np.testing.assert_allclose(np.tan(found.position[:, 2]), middle / horizontal[0], rtol=0, atol=1e-12)
+    assert vertical[0] - vertical[-1] == pytest.approx(n * G, rel=1e-13)
+
+
+def test_the_knee_rests_where_a_long_damped_run_comes_to_rest() -> None:
+    # expected: a run of 40 s at the example's own step, in which motion decays by exp(-1.5 t); its joints drift 3e-11 m
+    # apart, which is 1e-9 of the rods' length and so of the forces
+    found = mbdkit.equilibrium("knee")
+    run = mbdkit.run("knee", time={"end": 40.0, "step": 0.005})
+    assert run.misalignment_max < 1e-10
+    for i, name in enumerate(found.bodies):
+        np.testing.assert_allclose(run[name].position[-1], found.position[i, :2], rtol=0, atol=1e-10)
+        np.testing.assert_allclose(run[name].angle[-1], found.position[i, 2], rtol=0, atol=1e-9)
+    for j, name in enumerate(found.joints):
+        np.testing.assert_allclose(run.joints[name].reaction_force[-1], found.reaction_force[j], rtol=1e-8)
+
+
+def test_drivers_are_held_where_they_are_at_the_start_time() -> None:
+    # expected: a pendulum on a support at x = sin(t) hangs below it
+    m = mbdkit.Mechanism()
+    m.body("cart", mass=1.0, inertia=0.1)
+    m.body("bob", mass=1.0, inertia=0.02, position=(0.3, -0.4))
+    m.prismatic("rail", m.ground, "cart", at=(0.0, 0.0), axis=(1.0, 0.0), angle=0.0)
+    m.driver("push", m.ground, "cart", coordinate="x", motion="sin(t)")
+    m.revolute("pin", "cart", "bob", points=((0.0, 0.0), (-0.3, 0.4)))
+    found = mbdkit.equilibrium(m, time={"start": 1.0, "end": 2.0, "step": 1.0})
+    np.testing.assert_allclose(found["bob"][:2], [math.sin(1.0), -0.5], rtol=0, atol=1e-14)
+    assert abs(found.reaction_force[found.joints.index("push"), 0]) < 1e-12
+
+
+def test_redundant_supports_are_balanced_and_named() -> None:
+    # expected: two equal cranks carry a weight between them; a third crank, in the middle, is redundant
+    m = mbdkit.Mechanism()
+    m.body("beam", mass=3.0, inertia=1.0, position=(0.8, 0.6))
+    for i, x in enumerate((-1.0, 0.0, 1.0)):
+        m.body(f"crank{i}", mass=1.0, inertia=0.1, position=(x + 0.4, 0.3), angle=math.atan2(0.6, 0.8))
+        m.revolute(f"A{i}", m.ground, f"crank{i}", at=(x, 0.0))
+        m.revolute(f"B{i}", f"crank{i}", "beam", at=(x + 0.8, 0.6))
+    found = mbdkit.equilibrium(m)
+    np.testing.assert_allclose(found["beam"], [0.0, -1.0, 0.0], rtol=0, atol=1e-12)
+    assert found.shared
+    assert found.reaction_force[::2, 1].sum() == pytest.approx(6.0 * G, rel=1e-12)
+
+
+def test_what_falls_for_ever_has_no_equilibrium_and_is_named() -> None:
+    m = mbdkit.Mechanism()
+    m.body("stone", mass=1.0, inertia=0.1)
+    with pytest.raises(mbdkit.SpecError, match=r"no static equilibrium.*body 'stone'.*9\.81 m/s\^2"):
+        mbdkit.equilibrium(m)
+
+
+@pytest.mark.parametrize("n", [30, pytest.param(100, marks=pytest.mark.slow)])
+def test_long_chains_fall_from_a_tangle_into_a_stable_equilibrium(n: int) -> None:
+    # expected: every rod hangs, whichever way it was turned
+    angles = (-1.0 + np.random.default_rng(5).standard_normal(n)).tolist()
+    found = mbdkit.equilibrium(spec({"name": "n-pendulum", "n": n, "angles": angles}))
+    np.testing.assert_allclose(np.sin(found.position[:, 2]), -1.0, rtol=0, atol=1e-12)
+    assert found.stability == "stable"
+
+
+@pytest.mark.parametrize(("angle", "stability", "sign"), [(0.0, "stable", 1), (math.pi / 2, "unstable", -1)])
+def test_a_chain_too_large_for_dense_matrices_hangs_or_stands_too(angle: float, stability: str, sign: int) -> None:
+    # expected: the lowest frequency of a heavy hanging cord, j0 / 2 sqrt(g / L), with j0 the first zero of J0;
+    # 600 rods come within 1e-5 of it. Standing upright, gravity has the other sign
+    n = 600
+    found = mbdkit.equilibrium(spec({"name": "n-pendulum", "n": n, "length": 1.0 / n, "mass": 1.0 / n, "angle": angle}))
+    assert found.stability == stability
+    assert found.stiffness == pytest.approx(sign * (2.404825557695773 / 2) ** 2 * G, rel=1e-5)
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_a_column_that_buckles_ends_beside_its_upright_position(seed: int) -> None:
+    # a search that starts near the upright position ends on it, a saddle, as if it were stable: the weight exceeds what
+    # the soft hinges carry
+    random = np.random.default_rng(seed)
+    m = mbdkit.Mechanism()
+    below = m.ground
+    for i in range(3):
+        tilt = math.pi / 2 + random.normal() * 10 ** random.uniform(-5, -1)
+        rod = m.body(f"b{i}", mass=1.0, inertia=1 / 12, position=(0.0, 0.5 + i), angle=tilt)
+        m.revolute(f"j{i}", below, rod, points=[(0.0, 0.0) if i == 0 else (0.5, 0.0), (-0.5, 0.0)])
+        m.torsion_spring(f"t{i}", below, rod, stiffness=10.0, free_angle=math.pi / 2 if i == 0 else 0.0)
+        below = rod
+    found = mbdkit.equilibrium(m)
+    assert found.stability == "stable"
+    assert found.stiffness > 0
+
+
+@pytest.mark.parametrize("nodes", [2, 3])
+def test_internal_forces_of_a_beam_at_rest_reach_its_ends(nodes: int) -> None:
+    """Beam theory, small deflections: moment w L^2 / 2 + P L and shear force w L + P at the clamp, P at the tip."""
+    length, weight, force = 2.0, 7850 * 1e-3 * 9.81, 10.0
+    m = mbdkit.Mechanism()
+    m.beam("bar", a=(0, 0), b=(length, 0), elements=8, nodes=nodes, E=2.1e13, nu=0.3, A=1e-3, I=5e-7, density=7850)
+    tip = m.beams["bar"].node_names("bar")[-1]
+    m.weld("clamp", m.ground, "bar.0", at=(0, 0))
+    m.force("tip", tip, value=(0, -force))
+    found = mbdkit.equilibrium(m, integrator={"name": "radau-iia"}, time={"end": 1.0, "step": 0.1})
+    at, axial, shear, moment = found.beams["bar"].T
+    assert at[[0, 1, -1]] == pytest.approx([0, length / 16, length])
+    assert -moment[0] == pytest.approx(weight * length**2 / 2 + force * length, rel=1e-6)
+    assert -moment[0] == pytest.approx(found.reaction_torque[0], rel=1e-6)
+    assert -shear[[0, -1]] == pytest.approx([weight * length + force, force], rel=1e-6)
+    assert [moment[-1], axial[0]] == pytest.approx([0, 0], abs=1e-5 * weight)
+    (row,) = (line.split() for line in equilibrium_text(found).splitlines() if line.startswith(f"{tip} "))
+    sag = weight * length**4 / (8 * 2.1e13 * 5e-7) + force * length**3 / (3 * 2.1e13 * 5e-7)
+    assert float(row[5]) == pytest.approx(-sag, rel=0.01 if nodes == 2 else 2e-3)  # shear adds 0.12 %
+
+
+def test_coarse_corrected_elements_bend_far() -> None:
+    # expected: 0.74457 L under the force 6 EI/L^2 across the tip, in Mattiasson's table of the elastica (1981)
+    m = mbdkit.Mechanism(gravity=(0.0, 0.0))
+    stiffness = {"axial": 4e6, "bending": 4 / 3, "shear": "none"}
+    rod = m.beam("rod", a=(0, 0), b=(1, 0), elements=4, corrected=True, stiffness=stiffness, mass_per_length=0.157)
+    m.weld("clamp", m.ground, rod[0], at=(0.0, 0.0))
+    m.force("tip", rod[-1], value=(0.0, 8.0))
+    found = mbdkit.equilibrium(m)
+    assert found[rod[-1]][1] == pytest.approx(0.74457, rel=0.01)
+    assert found.stability == "stable"
+    assert "too coarse: its moments or deflections may be wrong by about 1.5 %" in found.warnings[0]
+
+
+@pytest.mark.parametrize(("elements", "nodes", "is_coarse"), [(8, 3, True), (20, 2, True), (60, 2, False)])
+def test_beams_that_bend_within_an_element_are_told(
+    elements: int, nodes: int, is_coarse: bool, capsys: pytest.CaptureFixture[str]
+) -> None:
+    # expected: elastica under a force P across its tip, M^2 = 2 P EI sin(angle of the tip) at the clamp
+    force, bending = 3000.0, 2.75
+    m = mbdkit.Mechanism(gravity=(0.0, 0.0))
+    stiffness = {"axial": 1e7, "bending": bending, "shear": "none"}
+    shape = {"a": (0.0, 0.0), "b": (0.5, 0.0), "elements": elements, "nodes": nodes}
+    blade = m.beam("blade", **shape, stiffness=stiffness, mass_per_length=0.2)
+    m.weld("clamp", m.ground, blade[0], at=(0.0, 0.0))
+    m.force("tip", blade[-1], value=(0.0, -force))
+    found = mbdkit.equilibrium(m)
+    expected = np.sqrt(2.0 * force * bending * np.sin(-found[blade[-1]][2]))
+    assert (abs(found.reaction_torque[0] / expected - 1.0) > 0.01) == is_coarse
+    assert [warning.partition(":")[0] for warning in found.warnings] == [
+        "the elements of beam 'blade' are too coarse"
+    ] * is_coarse
+    assert capsys.readouterr().err.count("too coarse") == is_coarse

@@ -1,0 +1,194 @@
+"""Studies, which are families of runs: `study`, and the state of long work: `watch`."""
+
+from __future__ import annotations
+
+import contextlib
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import typer
+from typer.core import TyperCommand
+
+from mbdkit.base.progress_bars import count_bar
+from mbdkit.base.terminal import STOPPED_EARLY, say, show, show_json, silence
+from mbdkit.cli.common_options import (
+    PLAIN,
+    BaseSet,
+    Cluster,
+    Printing,
+    StudyName,
+    Workers,
+    cores,
+    grouped,
+    output_to,
+    stem,
+)
+
+
+class StudyCommand(TyperCommand):
+    """The command `study`, whose help is followed by the names of the installed studies."""
+
+    def format_epilog(self, ctx: Any, formatter: Any) -> None:
+        """Write the names of the packaged studies."""
+        from mbdkit.spec import study_names
+
+        formatter.write_paragraph()
+        formatter.write_text(f"Packaged studies: {', '.join(study_names())}.")
+
+
+@dataclass
+class Stored:
+    """Options for what a study computes in its folder, and what it stores there."""
+
+    store: Annotated[
+        Literal["files", "all", "histories", "summary", "hashes"] | None,
+        typer.Option(
+            "--store",
+            help=(
+                "What is stored of each run: one archive per run, `files` (about 140 kB); or, in files of many runs, "
+                "`all` arrays (84 kB), `histories`: positions and reactions over time (26 kB), `summary`: counters, "
+                "times and misalignments (0.8 kB), or `hashes`. Every choice keeps spec, verdict and measures of each "
+                "run, so that the run can be computed again (`study.remake`). The default is `files` for up to 500 "
+                "runs and for studies with a `reference` or `repeats`, and otherwise `all`."
+            ),
+        ),
+    ] = None
+    assignments: BaseSet = None
+    overwrite: Annotated[
+        bool,
+        typer.Option(
+            "--overwrite",
+            help="Replace the study in the folder: remove its spec, runs, report and figures; other files are kept.",
+        ),
+    ] = False
+
+
+@contextlib.contextmanager
+def _saying_how_to_continue(overwrite: bool) -> Iterator[None]:
+    """After an interrupt, say how to continue the study."""
+    try:
+        yield
+    except KeyboardInterrupt:
+        how = "call the same command again, without --overwrite" if overwrite else "call the same command again"
+        say(f"to continue, {how}: it keeps complete runs, and continues others from their last checkpoint")
+        raise
+
+
+study_app = typer.Typer(add_completion=False, **PLAIN)
+
+
+@study_app.command(cls=StudyCommand)
+@grouped
+def study(
+    spec: StudyName,
+    *,
+    output: Annotated[Path | None, output_to("DIR", "The study's folder; by default ./SPEC.")] = None,
+    workers: Workers = None,
+    shard: Annotated[
+        str | None,
+        typer.Option("--shard", metavar="i/N", help="Compute only part i of N of the runs, or of the blocks."),
+    ] = None,
+    cluster: Cluster,
+    stored: Stored,
+    with_report: Annotated[
+        bool,
+        typer.Option(
+            "--report", help="Also write report.html and figures/, replacing old ones, and print the main table."
+        ),
+    ] = False,
+    printing: Printing,
+) -> None:
+    """Run a study: many variants of one spec.
+
+    Writes an archive for each run, or blocks of many runs, and index.h5, a table with
+    one row for each run. A second call computes only missing runs; failed runs are not
+    repeated.
+
+    --set changes the base of every run, like the overrides of the study; keys that an
+    axis or a sample varies cannot be set.
+
+    For a study with a sample, --report shows histograms, Sobol indices and quantiles
+    over time; `mbdkit guide studies` explains these.
+
+    With --executor dask or submitit, workers on other machines compute the runs and
+    write them into the folder, which must have the same path there.
+
+    Exit status 3 if runs are missing, for example because the disk is full or a process
+    died; a second call tries again.
+    """
+    from mbdkit_studies.carry_out import study as carry_out
+    from mbdkit_studies.executors import opened
+    from mbdkit_studies.folder_lock import Shard
+    from mbdkit_studies.study_summary import outcome, summary
+
+    part = None if shard is None else Shard.parse(shard)
+    path = output if output is not None else Path(stem(spec))
+    notify = silence if printing.quiet else say
+    with (
+        _saying_how_to_continue(stored.overwrite),
+        opened(cluster.asked(workers), path, notify) as executor,
+        count_bar(path.name, printing.quiet) as progress,
+    ):
+        result = carry_out(
+            spec,
+            out=path,
+            workers=workers or cores(),
+            executor=executor,
+            shard=part,
+            progress=progress,
+            notify=notify,
+            assignments=stored.assignments or (),
+            overwrite=stored.overwrite,
+            store=stored.store,
+        )
+    page, told, values = None, "", {}
+    if with_report:
+        from mbdkit_report.pages.report import write_report
+        from mbdkit_report.pages.verdict_text import json_values, terminal_text
+
+        page, verdict = write_report(path, overwrite=True)
+        told, values = terminal_text(verdict), json_values(verdict)
+    if printing.as_json:
+        more = {} if page is None else {"report": str(page)} | ({"verdict": values} if values else {})
+        show_json(outcome(result) | more)
+    elif not printing.quiet:
+        show(summary(result))
+        if page is not None:
+            show(f"report     {page}")
+        if told:
+            show(f"\n{told}")
+    if result.unfinished:
+        if printing.as_json or printing.quiet:
+            say(f"unfinished: {result.unfinished[0]}")
+        raise typer.Exit(STOPPED_EARLY)
+
+
+def watch(
+    folder: Annotated[Path, typer.Argument(metavar="FOLDER", help="The folder of a study or design.")],
+    *,
+    every: Annotated[
+        float, typer.Option("--every", min=0.1, metavar="SECONDS", help="Time between two checks of the folder.")
+    ] = 10.0,
+    once: Annotated[bool, typer.Option("--once", help="Print the state now, and end.")] = False,
+) -> None:
+    """Show the progress of a study or design of another process.
+
+    Prints a line whenever the state has changed, until the work is complete, or until
+    no process computes it. Nothing in the folder is changed.
+    """
+    from mbdkit_design.watching import work_in
+
+    begin, first, printed = time.monotonic(), work_in(folder), ""
+    now = first
+    while True:
+        line = now.line(first, time.monotonic() - begin)
+        if now.text != printed or now.is_complete or not now.owners or once:
+            show(line)
+            printed = now.text
+        if once or now.is_complete or not now.owners:
+            return
+        time.sleep(every)
+        now = work_in(folder)

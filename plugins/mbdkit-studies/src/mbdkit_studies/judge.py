@@ -1,0 +1,109 @@
+"""Evaluation of a study by the verdict function that its spec names, and the lookup of this function."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any
+
+from mbdkit.base.errors import PluginError, SpecError, with_place
+from mbdkit.base.text import did_you_mean, listed
+from mbdkit.registry.items import StudyPlugin
+from mbdkit.registry.manager import registry
+
+if TYPE_CHECKING:
+    from mbdkit_report.analysis.verdict import Verdict
+    from mbdkit.registry.catalogue import Registered
+    from mbdkit_studies.study_spec import StudySpec
+    from mbdkit_studies.study import Study
+
+
+def judge(study: Study) -> Verdict:
+    """Return the verdict on a study.
+
+    If the spec of the study names a packaged study as its ``verdict``, the verdict function of that study is called.
+    Otherwise, the general verdict is returned.
+
+    Parameters
+    ----------
+    study
+        The study. It may be incomplete; claims that depend on missing runs remain open.
+
+    Raises
+    ------
+    SpecError
+        If there is no verdict with the name in the spec, or several distributions have one, or if the verdict function
+        requires other families and axes than those of the study.
+    PluginError
+        If the verdict function of another distribution fails or returns no Verdict.
+    """
+    name = study.spec.verdict
+    if not name:
+        from mbdkit_studies.general_verdict import general_verdict
+
+        return general_verdict(study)
+    item, function = find_verdict(study.spec)
+    try:
+        verdict: Any = function(study)
+    except (LookupError, ValueError) as error:
+        wrong = (
+            f"the verdict '{name}' requires the families and axes of the packaged study '{name}'; this one has others"
+        )
+        raise study.spec.placed(SpecError(wrong, key="verdict")) from error
+    except (Exception, SystemExit) as error:
+        if item.origin.distribution == "mbdkit":
+            raise
+        raise PluginError(f"the verdict of '{item.id}' raised {with_place(error)}") from error
+    return _checked(verdict, item)
+
+
+def _checked(verdict: Any, item: Registered) -> Verdict:
+    from mbdkit_report.analysis.verdict import Verdict
+
+    if not isinstance(verdict, Verdict):
+        what = type(verdict).__name__
+        raise PluginError(
+            f"the verdict of '{item.id}' is an object of type {what}, not an mbdkit_report.analysis.verdict.Verdict"
+        )
+    return verdict
+
+
+def check_verdict(spec: StudySpec) -> None:
+    """Check that the verdict named in a study spec exists.
+
+    Parameters
+    ----------
+    spec
+        The study spec; its ``verdict`` is the name of a packaged study with a verdict function, or empty.
+
+    Raises
+    ------
+    SpecError
+        If there is no such verdict.
+    """
+    if spec.verdict:
+        find_verdict(spec)
+
+
+def find_verdict(spec: StudySpec) -> tuple[Registered, Callable[[Any], Any]]:
+    """Return the packaged study that a spec names as its verdict, and the verdict function of that study.
+
+    Raises
+    ------
+    SpecError
+        If there is no such verdict, or several distributions have one.
+    """
+    installed = registry()
+    studies = {item: item.plugin for item in installed.of_kind("study") if isinstance(item.plugin, StudyPlugin)}
+    judges = {item: study for item, study in studies.items() if study.has_verdict}
+    if any(spec.verdict in (item.name, item.id) for item in judges):
+        try:
+            found = installed.get("study", spec.verdict)
+        except SpecError as error:  # the name is ambiguous: several distributions use it
+            raise spec.placed(SpecError(error.message, key="verdict")) from None
+        judge = judges[found].verdict
+        assert judge is not None
+        return found, judge
+    names = [installed.accepted(item)[0] for item in judges]
+    hint, advice = did_you_mean(spec.verdict, names), installed.advice(spec.verdict)
+    message = f"there is no verdict '{spec.verdict}'{hint}; verdicts: {listed(names)}{advice}"
+    raise spec.placed(SpecError(message, key="verdict"))

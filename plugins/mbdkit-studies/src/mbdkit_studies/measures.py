@@ -1,0 +1,403 @@
+"""Measures: scalar results of each run of a study, computed for many runs at once; nan if undefined for a run."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from mbdkit_report.analysis.energy import Trend, trends
+from mbdkit_report.analysis.reference import EVERY_ROW, LAST_ROW, carries_multipliers, common_rows, multiplier_error, offsets
+from mbdkit.archive.history import NotRecordedError
+from mbdkit.archive.layout import BY_PATH
+from mbdkit.archive.peak_errors import missed_between_rows, missed_of_verdict
+from mbdkit.base.errors import MbdkitError
+from mbdkit.mechanism.size import mechanism_sizes
+from mbdkit.spec.study_measures import REFERENCE, SECOND_RUN
+
+if TYPE_CHECKING:
+    from mbdkit.archive.finished_run import FinishedRun
+    from mbdkit.archive.run import Run
+
+
+class RunGroup:
+    """R runs with the same names of bodies, joints and so on, which recorded the same arrays at the same T times.
+
+    Parameters
+    ----------
+    runs
+        The runs, at least one.
+    reference
+        Reference run, if the group is a single run and has one.
+    recorded
+        Arrays of each run by `Array.key`, if they are in memory.
+    """
+
+    def __init__(
+        self,
+        runs: Sequence[Run],
+        reference: Run | None = None,
+        recorded: Sequence[Mapping[str, np.ndarray]] = (),
+    ):
+        self.runs, self.reference, self._recorded = runs, reference, recorded
+        self.first = runs[0]
+        self._arrays: dict[str, np.ndarray] = {}
+
+    def __len__(self) -> int:
+        return len(self.runs)
+
+    @property
+    def time(self) -> np.ndarray:
+        """(T,) times of the rows [s]."""
+        return self.first.time
+
+    @cached_property
+    def complete(self) -> np.ndarray:
+        """(R,) whether a run reached its end."""
+        return np.array([run.status == "complete" for run in self.runs])
+
+    @cached_property
+    def trends(self) -> list[Trend]:
+        """Trend of the energy balance of each run; raises ValueError if there are too few rows."""
+        return trends(self.time, self.array("energy/balance"))
+
+    def records(self, path: str) -> bool:
+        """Return whether the runs recorded the array with this path in the layout of archives."""
+        return self.first.records(path)
+
+    def array(self, path: str) -> np.ndarray:
+        """Return the array with this path, stacked for all runs, (R, T, ...)."""
+        if path not in self._arrays:
+            self._arrays[path] = np.stack(self._each(path))
+        return self._arrays[path]
+
+    def first_rows(self, path: str) -> np.ndarray:
+        """Return the first row of the array with this path for each run, (R, ...)."""
+        return np.stack([values[0] for values in self._each(path)])
+
+    def _each(self, path: str) -> list[np.ndarray]:
+        key = BY_PATH[path].key
+        if self._recorded and key in self._recorded[0]:
+            return [one[key] for one in self._recorded]
+        return [run.array(path) for run in self.runs]
+
+    def everywhere(self, value: float) -> np.ndarray:
+        """Return an array (R,) with the same value for each run."""
+        return np.full(len(self), value)
+
+
+def places_by_group(runs: Sequence[FinishedRun]) -> Iterator[list[int]]:
+    """Yield lists of the indices of runs; the runs of each list can form a `RunGroup`."""
+    groups: dict[bytes, list[list[int]]] = {}
+    for index, run in enumerate(runs):
+        alike = groups.setdefault(run.arrays["time"].tobytes(), [])
+        for places in alike:
+            other = runs[places[0]]
+            if run.layout == other.layout and run.names == other.names:
+                places.append(index)
+                break
+        else:
+            alike.append([index])
+    for lists in groups.values():
+        yield from lists
+
+
+@dataclass(frozen=True)
+class Measure:
+    """A scalar result of a run.
+
+    Parameters
+    ----------
+    units
+        SI units.
+    take
+        Function of a group of R runs that returns their values, (R,). The value of a run does not depend on other runs.
+    needs
+        What the measure needs in addition to the run: `REFERENCE`, or an empty string.
+    """
+
+    units: str
+    long_name: str
+    take: Callable[[RunGroup], np.ndarray]
+    needs: str = ""
+
+    def of(self, run: Run, reference: Run | None = None) -> float:
+        """Return the value of one run.
+
+        Parameters
+        ----------
+        reference
+            Reference run of `run`, if it has one.
+        """
+        return float(self.take(RunGroup([run], reference))[0])
+
+
+def _one_by_one(take: Callable[[Run, Run | None], float]) -> Callable[[RunGroup], np.ndarray]:
+    """Return a function for `Measure.take` that calls `take` with each run of a group and its reference run or None."""
+    return lambda group: np.array([take(run, group.reference) for run in group.runs])
+
+
+def _largest_of(values: np.ndarray) -> np.ndarray:
+    """Return the largest value of each run, (R,), from values (R, ...); 0 for runs without values."""
+    return np.asarray(np.max(values.reshape(len(values), -1), axis=1, initial=0.0))
+
+
+def _largest(path: str) -> Callable[[RunGroup], np.ndarray]:
+    def take(group: RunGroup) -> np.ndarray:
+        if not group.records(path):
+            return group.everywhere(math.nan)
+        return _largest_of(np.abs(group.array(path)))
+
+    return take
+
+
+def _misalignment(group: RunGroup) -> np.ndarray:
+    return np.array([run.misalignment_max for run in group.runs])
+
+
+def _reaction(group: RunGroup) -> np.ndarray:
+    if not group.records("joints/reaction_force"):
+        return group.everywhere(math.nan)
+    force = group.array("joints/reaction_force")
+    return np.asarray(np.sqrt(_largest_of(force[..., 0] * force[..., 0] + force[..., 1] * force[..., 1])))
+
+
+def _largest_value(units: str) -> Callable[[RunGroup], np.ndarray]:
+    """Return a function for `Measure.take`: the largest absolute value of the force elements whose unit is `units`.
+
+    The value is 0 if there are no such force elements.
+    """
+
+    def take(group: RunGroup) -> np.ndarray:
+        try:
+            forces = group.first.forces
+        except NotRecordedError:
+            return group.everywhere(math.nan)
+        chosen = [index for index, force in enumerate(forces.values()) if force.units == units]
+        return _largest_of(np.abs(group.array("forces/value")[:, :, chosen])) if chosen else group.everywhere(0.0)
+
+    return take
+
+
+def _end_balance(group: RunGroup) -> np.ndarray:
+    if not group.records("energy/balance") or not len(group.time):
+        return group.everywhere(math.nan)
+    return group.array("energy/balance")[:, -1]
+
+
+def _error(part: slice, rows: slice) -> Callable[[RunGroup], np.ndarray]:
+    """Return a function for `Measure.take`: the largest error of the coordinates `part` of any body.
+
+    The error is the difference from the reference run, in `rows` of the run.
+    """
+
+    def take(run: Run, reference: Run | None) -> float:
+        if reference is None or not run.status == reference.status == "complete":
+            return math.nan
+        if (
+            run.status_reason or reference.status_reason
+        ):  # an event ended one of the two runs early, so that their end times may differ
+            return math.nan
+        difference = offsets(run, reference, rows)[..., part]
+        return float(np.max(np.linalg.norm(difference, axis=-1), initial=0.0))
+
+    return _one_by_one(take)
+
+
+def _rate_error(part: slice) -> Callable[[RunGroup], np.ndarray]:
+    """Return a function for `Measure.take`: the largest error of the velocity components `part` of any body.
+
+    The error is the difference from the reference run, at the times that both runs recorded, without the start.
+    """
+
+    def take(run: Run, reference: Run | None) -> float:
+        if reference is None or not run.status == reference.status == "complete":
+            return math.nan
+        mine, theirs = common_rows(run, reference)
+        if not len(mine):
+            return math.nan
+        velocity = [which.array("trajectory/velocity") for which in (run, reference)]
+        difference = (velocity[0][mine] - velocity[1][theirs])[..., part]
+        return float(np.max(np.linalg.norm(difference, axis=-1), initial=0.0))
+
+    return _one_by_one(take)
+
+
+def _multiplier_error(run: Run, reference: Run | None) -> float:
+    if reference is None or not run.status == reference.status == "complete":
+        return math.nan
+    if not all(which.records("constraints/multiplier") for which in (run, reference)):
+        return math.nan
+    return multiplier_error(run, reference)
+
+
+def _own_multipliers(group: RunGroup) -> np.ndarray:
+    own = float(carries_multipliers(group.first)) if group.records("constraints/multiplier") else math.nan
+    return group.everywhere(own)
+
+
+def _trend(value: Callable[[Trend], float]) -> Callable[[RunGroup], np.ndarray]:
+    """Return a function for `Measure.take`: a value that is based on the trend of the energy balance.
+
+    The value is nan for runs that are not complete or have too few rows.
+    """
+
+    def take(group: RunGroup) -> np.ndarray:
+        if not group.complete.any() or not group.records("energy/balance"):
+            return group.everywhere(math.nan)
+        try:
+            return np.where(group.complete, [value(one) for one in group.trends], math.nan)
+        except ValueError:
+            return group.everywhere(math.nan)
+
+    return take
+
+
+def _duration(group: RunGroup) -> np.ndarray:
+    return group.everywhere(float(group.time[-1] - group.time[0]) if len(group.time) else math.nan)
+
+
+def _size(group: RunGroup) -> np.ndarray:
+    if not len(group.time):
+        return group.everywhere(math.nan)
+    try:
+        mechanisms = [run.mechanism for run in group.runs]
+    except MbdkitError:  # the file of a run does not hold it
+        return group.everywhere(math.nan)
+    return mechanism_sizes(mechanisms, group.first_rows("trajectory/position"))
+
+
+_XY, _THETA = slice(0, 2), slice(2, 3)
+
+MEASURES: Mapping[str, Measure] = {
+    "misalignment_max": Measure("m", "largest misalignment of any joint over every step", _misalignment),
+    "velocity_misalignment_max": Measure(
+        "m/s",
+        "largest velocity misalignment of any joint in the recorded rows",
+        _largest("joints/velocity_misalignment"),
+    ),
+    "angle_misalignment_max": Measure(
+        "rad", "largest angle misalignment of any joint in the recorded rows", _largest("joints/angle_misalignment")
+    ),
+    "energy_balance_max": Measure("J", "largest absolute energy balance", _largest("energy/balance")),
+    "energy_balance_end": Measure("J", "energy balance at the end", _end_balance),
+    "energy_scale": Measure("J", "largest kinetic energy", _largest("energy/kinetic")),
+    "reaction_force_max": Measure("N", "largest reaction force of any joint in the recorded rows", _reaction),
+    "element_force_max": Measure("N", "largest force of any force element in the recorded rows", _largest_value("N")),
+    "element_torque_max": Measure(
+        "N m", "largest torque of any force element in the recorded rows", _largest_value("N m")
+    ),
+    "driver_power_max": Measure(
+        "W", "largest absolute power of any driver in the recorded rows", _largest("joints/driver_power")
+    ),
+    "end_error": Measure(
+        "m", "largest distance of a body from the reference at the end", _error(_XY, LAST_ROW), REFERENCE
+    ),
+    "end_angle_error": Measure(
+        "rad", "largest angle error of a body against the reference at the end", _error(_THETA, LAST_ROW), REFERENCE
+    ),
+    "trajectory_error": Measure(
+        "m", "largest distance of a body from the reference in the recorded rows", _error(_XY, EVERY_ROW), REFERENCE
+    ),
+    "trajectory_angle_error": Measure(
+        "rad",
+        "largest angle error of a body against the reference in the recorded rows",
+        _error(_THETA, EVERY_ROW),
+        REFERENCE,
+    ),
+    "velocity_error": Measure(
+        "m/s",
+        "largest velocity error of a body against the reference in the rows that both runs recorded",
+        _rate_error(_XY),
+        REFERENCE,
+    ),
+    "angular_velocity_error": Measure(
+        "rad/s",
+        "largest angular velocity error of a body against the reference in the rows that both runs recorded",
+        _rate_error(_THETA),
+        REFERENCE,
+    ),
+    "multiplier_error": Measure(
+        "1",
+        "largest error of a multiplier in the rows that both runs recorded, relative to the largest one of its unit; "
+        "multipliers of the method if it computes any, else index-1 multipliers",
+        _one_by_one(_multiplier_error),
+        REFERENCE,
+    ),
+    "own_multipliers": Measure("1", "1 if the method computes multipliers itself, else 0", _own_multipliers),
+    "energy_trend": Measure("W", "slope of the energy balance over time", _trend(lambda trend: trend.slope)),
+    "energy_trend_error": Measure("W", "standard error of that slope", _trend(lambda trend: trend.error)),
+    "energy_oscillation": Measure(
+        "J", "largest distance of the energy balance from its trend", _trend(lambda trend: trend.oscillation)
+    ),
+    "duration": Measure("s", "time from the first recorded row to the last", _duration),
+    "mechanism_size": Measure(
+        "m", "longer side of the bounding box of joint points and centres of mass at the start", _size
+    ),
+}
+
+
+def _known_until(run: Run, reference: Run | None) -> float:
+    return math.nan if run.accuracy is None else run.accuracy.known_until
+
+
+def _reaction_error_share(run: Run, reference: Run | None) -> float:
+    if run.accuracy is None or not run.records("joints/reaction_force"):
+        return math.nan
+    force = run.array("joints/reaction_force")
+    missed = missed_between_rows(run, "joints.force", run.joint_names, np.linalg.norm(force, axis=2))
+    missed = missed_of_verdict(missed, run.joint_names, run.spec.get("measures") or {})
+    worst = run.accuracy.figures(run.joint_names, force, missed).worst_joint
+    return 0.0 if worst is None else worst.share
+
+
+def _position_error(run: Run, reference: Run | None) -> float:
+    return math.nan if run.accuracy is None else run.accuracy.position_error_max
+
+
+def _angle_error(run: Run, reference: Run | None) -> float:
+    return math.nan if run.accuracy is None else run.accuracy.angle_error_max
+
+
+#: Measures of runs whose spec has ``check: true``, in addition to those that the study requests.
+OF_CHECKED_RUNS: Mapping[str, Measure] = {
+    "known_until": Measure("s", "time until which the estimated errors are known", _one_by_one(_known_until)),
+    "reaction_error_share": Measure(
+        "1",
+        "largest estimated error of a reaction force up to known_until, relative to the joint's largest force",
+        _one_by_one(_reaction_error_share),
+    ),
+    "position_error_estimate": Measure(
+        "m", "largest estimated error of the position of a body up to known_until", _one_by_one(_position_error)
+    ),
+    "angle_error_estimate": Measure(
+        "rad", "largest estimated error of the angle of a body up to known_until", _one_by_one(_angle_error)
+    ),
+}
+#: Measures that need a second run: units and description.
+SECOND: Mapping[str, tuple[str, str]] = {
+    "reversibility_defect": (
+        "m",
+        "mass-weighted distance from the start after the run and its reversal",
+    ),
+    "reversibility_velocity_defect": (
+        "m/s",
+        "mass-weighted difference from the start velocities after the run and its reversal",
+    ),
+    "velocity_misalignment_every_step": ("m/s", "largest velocity misalignment of any joint over every step"),
+}
+
+
+def built_in_measures() -> Mapping[str, str]:
+    """Return the names of the built-in measures, each with what it needs in addition to the run."""
+    return {name: measure.needs for name, measure in MEASURES.items()} | dict.fromkeys(SECOND, SECOND_RUN)
+
+
+def worst_joint(run: Run) -> str:
+    """Return the name of the joint with the largest misalignment over every step; empty if all are zero."""
+    joints = sorted(run.joints.values(), key=lambda joint: -joint.misalignment_max)
+    return joints[0].name if joints and joints[0].misalignment_max > 0 else ""

@@ -1,0 +1,215 @@
+"""The runs of a study that stores one archive per run."""
+
+from __future__ import annotations
+
+import hashlib
+from collections import Counter
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from typing import Any
+
+from mbdkit.archive.fingerprint import data_sha256
+from mbdkit.archive.hdf5_errors import DAMAGE
+from mbdkit.archive.reader import load
+from mbdkit.archive.run import Run
+from mbdkit.archive.untrusted_file import is_sparse
+from mbdkit.base.errors import ResourceError, SpecError
+from mbdkit.base.text import counted
+from mbdkit.runs.integrals import functionals_of
+from mbdkit_studies.study_spec import StudySpec
+from mbdkit_studies.archive_rows import ArchiveRows
+from mbdkit_studies.folder_lock import Shard
+from mbdkit_studies.run_store import MISSING, Noted, Round, RunStore
+from mbdkit_studies.study_folder import StudyFolder
+from mbdkit_studies.study_index import Index, Row
+from mbdkit_studies.study_plan import plan_study
+from mbdkit_studies.tasks import Outcome, Task
+
+
+class RunFiles(RunStore[str]):
+    """Stores an archive for each run; the results of second runs and repeated timings are stored in the index.
+
+    Second runs and timings are computed after the missing runs, and only by calls for the whole study, not for a shard.
+    Timings are made one after another in a separate process of this machine.
+    """
+
+    def __init__(self, spec: StudySpec, folder: StudyFolder):
+        super().__init__(spec, folder)
+        self.plan = plan_study(spec)
+        self.count = len(self.plan.runs)
+        self._hashes: dict[str, str] = {}
+        self._timings: dict[str, tuple[float, ...]] = {}
+        self._second: dict[str, Outcome] = {}
+
+    def begin(self, shard: Shard | None, notify: Callable[[str], None]) -> int:
+        """See `RunStore.begin`."""
+        for name, count in Counter(point.lacking for point in self.plan.points if point.lacking).items():
+            notify(f"{counted(count, 'run')} left out: the distribution {name} is not installed")
+        before = self.index_before()
+        rows = [] if before is None else before.rows()
+        self._by_run = {row.run_id: row for row in rows}
+        self._measured = {(row.run_id, row.reference_id): row for row in rows}
+        missing = set(self.missing(self.plan.runs))
+        own = [run_id for index, run_id in enumerate(self.plan.runs) if shard is None or shard.has(index)]
+        self._missing = [run_id for run_id in own if run_id in missing]
+        self._again = self._to_run_again() if shard is None else []
+        self._repeats = self._missing_repeats() if shard is None else {}
+        return len(self._missing) + len(self._again) + len(self._repeats)
+
+    def _to_run_again(self) -> list[str]:
+        """Return the runs that still need a second run; reference runs never do."""
+        if not self.spec.second_run_measures:
+            return []
+        wanted = dict.fromkeys(point.run_id for point in self.plan.points if not point.lacking)
+        return [run_id for run_id in wanted if self._run_twice(run_id) is None]
+
+    def _missing_repeats(self) -> dict[str, int]:
+        """Return the number of timings to make, by run, for the runs that lack timings."""
+        wanted: dict[str, int] = {}
+        for point in self.plan.points:
+            count = point.grid.repeats
+            if not point.lacking and count > max(1, len(self._repeats_before(point.run_id))):
+                wanted[point.run_id] = max(count, wanted.get(point.run_id, 0))
+        return wanted
+
+    def rounds(self) -> Iterator[Round]:
+        """Yield the missing runs, then the second runs and the timings of complete runs."""
+        runs = [self._task(run_id, measures=self.plan.expressions) for run_id in self._missing]
+        yield Round(runs, len(runs))
+        second = self.spec.second_run_measures
+        again = [self._task(run_id, second=second) for run_id in self._again if self._is_complete(run_id)]
+        yield Round(again, len(self._again))
+        repeats = [(run_id, count) for run_id, count in self._repeats.items() if self._is_complete(run_id)]
+        timings = [self._task(run_id, repeats=count) for run_id, count in repeats]
+        yield Round(timings, len(self._repeats), one_by_one=True)
+
+    def _task(self, run_id: str, **content: Any) -> Task:
+        """Return the task that computes a run, with or without writing its archive."""
+        spec = self.plan.runs[run_id].canonical_json()
+        return Task(run_id, {"spec": spec, **content}, self.folder.archive(run_id), writes="measures" in content)
+
+    def _is_complete(self, run_id: str) -> bool:
+        return self.outcome(run_id).status == "complete"
+
+    def note(self, task: Task, outcome: Outcome) -> Noted:
+        """See `RunStore.note`."""
+        unfinished = [outcome.reason] if outcome.is_passing else []
+        if "second" in task.content:
+            self._second[task.key] = outcome
+        elif "repeats" in task.content:
+            self._timings[task.key] = outcome.seconds
+        else:
+            self.note_file(task.key, outcome)
+            return Noted(1, int(outcome.status == "failed" or outcome.is_passing), unfinished)
+        return Noted(unfinished=unfinished)
+
+    def index(self) -> Index:
+        """Return the index of the archives that exist; rows of unchanged archives are copied from the previous
+        index.
+        """
+        points = self.plan.points
+        archives = ArchiveRows.of(self.spec, points)
+        known: dict[tuple[str, str], Row] = {}
+        rows = []
+        for point in points:
+            if point.lacking:
+                row = archives.left_out(point.lacking)
+            else:
+                key = point.run_id, point.reference_id
+                if key not in known:
+                    known[key] = self._row(archives, *key)
+                row = known[key]
+            rows.append(replace(row, family=point.family, axes=point.axes))
+        references = dict.fromkeys(reference_id for _, reference_id in known if reference_id)
+        return Index.of_rows(rows, [self._row(archives, run_id, "") for run_id in references], self.plan.defined)
+
+    def _row(self, archives: ArchiveRows, run_id: str, reference_id: str) -> Row:
+        """Return the row of a run, without its family and axes."""
+        path, outcome = self.folder.archive(run_id), self.outcome(run_id)
+        row = None if archives.use_plugins else self._measured_before(run_id, reference_id)
+        if row is None and (outcome.status == "missing" or not path.exists()):
+            row = archives.without_archive(run_id, outcome)
+        if row is None:
+            is_compared = bool(reference_id) and self._is_complete(reference_id)
+            sha256 = self._file_sha256(run_id)
+            try:
+                reference = self.folder.archive(reference_id) if is_compared else None
+                row = replace(archives.row(path, reference, self.plan.runs[run_id]), file_sha256=sha256)
+            except (SpecError, ResourceError) as error:  # the archive was damaged after it was computed
+                row = archives.without_archive(run_id, Outcome("missing", f"error: {error}"))
+        row = archives.with_second_run(row, self._second.get(run_id), self._run_twice(run_id))
+        seconds = tuple(self._timings.get(run_id) or self._repeats_before(run_id))
+        return replace(archives.with_timings(row, seconds), reference_id=reference_id)
+
+    def _is_unchanged(self, run_id: str) -> bool:
+        """Return whether the archive of a run has the same bytes as when it was indexed."""
+        row = self._by_run.get(run_id)
+        return row is not None and bool(row.file_sha256) and row.file_sha256 == self._file_sha256(run_id)
+
+    def _file_sha256(self, run_id: str) -> str:
+        """Return the SHA-256 of the bytes of the archive of a run; empty if it is missing, sparse or unreadable."""
+        if run_id not in self._hashes:
+            path = self.folder.archive(run_id)
+            try:
+                if not path.is_file() or is_sparse(path):
+                    return ""
+                with path.open("rb") as file:
+                    self._hashes[run_id] = hashlib.file_digest(file, "sha256").hexdigest()
+            except OSError:
+                return ""
+        return self._hashes[run_id]
+
+    def _repeats_before(self, run_id: str) -> tuple[float, ...]:
+        """Return the serial timings of a run from earlier calls [s]."""
+        return self._by_run[run_id].repeats if run_id in self._by_run else ()
+
+    def _run_twice(self, run_id: str) -> Row | None:
+        """Return the indexed row of a run that was computed twice, if its archive has not changed since; else None."""
+        return self._by_run[run_id] if self._is_unchanged(run_id) and self._by_run[run_id].second_run else None
+
+    def _measured_before(self, run_id: str, reference_id: str) -> Row | None:
+        """Return the indexed row of a run if its archive and that of its reference have not changed; else None.
+
+        Rows of index formats before 1.2, which have no verdict, are not used.
+        """
+        row = self._measured.get((run_id, reference_id))
+        unchanged = all(self._is_unchanged(name) for name in (run_id, reference_id) if name)
+        return row if unchanged and row is not None and row.verdict else None
+
+    def forget(self, key: str) -> None:
+        """See `RunStore.forget`."""
+        super().forget(key)
+        self._hashes.pop(key, None)
+
+    def indexed(self, key: str) -> Outcome | None:
+        """See `RunStore.indexed`."""
+        row = self._by_run.get(key)
+        if row is None:
+            return None
+        is_refused = row.status_reason.startswith("wrong-input")  # invalid input leaves no archive
+        is_known = self._is_unchanged(key) or (is_refused and not self.folder.archive(key).exists())
+        return Outcome(row.status, row.status_reason) if is_known else None
+
+    def read(self, key: str) -> Outcome:
+        """See `RunStore.read`."""
+        path = self.folder.archive(key)
+        try:
+            run = load(path)
+        except (SpecError, ResourceError):
+            return MISSING
+        with run:
+            if run.run_id != key or run.spec_sha256 != self.plan.runs[key].sha256():
+                raise SpecError(
+                    "this archive contains another run than its name says; move it to another folder", file=path
+                )
+            try:
+                sound = data_sha256(run.file) == run.data_sha256
+            except DAMAGE:
+                sound = False
+            ended = run.status in ("complete", "failed") and self._has_integrals(run)
+            return Outcome(run.status, run.status_reason) if sound and ended else MISSING
+
+    def _has_integrals(self, run: Run) -> bool:
+        """Return whether a run has the time integrals that the measures of the study need."""
+        needed = {integral.text for integral in functionals_of(self.plan.runs[run.run_id], self.plan.expressions)}
+        return needed <= run.integrals.keys()

@@ -1,0 +1,446 @@
+"""Studies with samples: reproducible members, values in specs and index, sensitivities and quantiles over time."""
+
+from __future__ import annotations
+
+import copy
+import re
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import scipy.stats
+
+import mbdkit
+from mbdkit import MbdkitError, SpecError
+from mbdkit_studies.sobol_indices import SobolIndices, sobol_indices
+from mbdkit_studies.sample_section import Sample
+from mbdkit_studies import sampled_values as module
+from mbdkit_studies.folder_lock import Shard
+from mbdkit_studies.sampled_values import sampled_values
+from mbdkit_studies.sensitivity import Sensitivity
+from mbdkit_studies.study_headlines import _sobol_words, headlines
+from mbdkit_studies.study_notes import notes
+from tests.analysis.test_sobol_indices import FIRST, TOTAL, ishigami
+from tests.analysis.test_sobol_indices import values as ishigami_values
+
+BODY = {"mass": 1.0, "inertia": 1.0, "position": [0.0, 0.0], "angle": 0.0}
+THROW: dict[str, Any] = {
+    "mbdkit_study": 1,
+    "base": {
+        "model": {"name": "mechanism", "gravity": [0.0, 0.0], "bodies": {"ball": BODY}, "joints": {}},
+        "integrator": {"name": "rk4"},
+        "time": {"end": 0.4, "step": 0.1},
+    },
+    "sample": {
+        "n": 16,
+        "seed": 3,
+        "variables": {
+            "model.bodies.ball.velocity.0": {"uniform": [1, 3]},
+            "model.bodies.ball.mass": {"lognorm": {"s": 0.2, "scale": 2.0}},
+        },
+    },
+    "measures": {"distance": "final(ball.x)", "work": "max(energy.kinetic)"},
+}
+THROW["base"]["model"]["bodies"]["ball"] = BODY | {"velocity": [0.0, 0.0]}
+SPEED, MASS = THROW["sample"]["variables"]
+
+
+@pytest.fixture
+def throw() -> dict[str, Any]:
+    """A study of 16 throws with random speed and mass, for a test to change."""
+    return copy.deepcopy(THROW)
+
+
+@pytest.fixture(scope="module")
+def thrown(tmp_path_factory: pytest.TempPathFactory) -> mbdkit.Study:
+    """The study of throws, run; not to be changed."""
+    return mbdkit.study(THROW, out=tmp_path_factory.mktemp("samples") / "throws")
+
+
+def _sample(**keys: Any) -> Sample:
+    return Sample(**({"n": 64, "seed": 1, "variables": {"a": {"uniform": [0, 1]}, "b": {"norm": []}}} | keys))
+
+
+def _values(**keys: Any) -> np.ndarray:
+    return np.array(list(sampled_values(_sample(**keys)).values()))
+
+
+@pytest.mark.parametrize("method", ["sobol", "halton", "random"])
+@pytest.mark.parametrize("design", ["plain", "saltelli"])
+def test_a_larger_sample_keeps_the_members_of_a_smaller_one(method: str, design: str) -> None:
+    few, many = (_values(n=n, method=method, design=design) for n in (11, 50))
+    assert np.array_equal(few, many[:, : few.shape[1]])
+
+
+@pytest.mark.parametrize("method", ["sobol", "halton", "latin-hypercube", "random"])
+def test_the_seed_alone_decides_the_values(method: str) -> None:
+    assert np.array_equal(_values(method=method), _values(method=method))
+    assert not np.any(_values(method=method) == _values(method=method, seed=2))
+
+
+@pytest.mark.parametrize("method", ["sobol", "halton", "latin-hypercube", "random"])
+def test_values_have_the_distributions_of_scipy(method: str) -> None:
+    variables = {"a": {"triang": [0.3, 1, 2]}, "b": {"truncnorm": [-1, 3, 5, 2]}}
+    found = sampled_values(_sample(n=1024, method=method, variables=variables))
+    for values, expected in (
+        (found["a"], scipy.stats.triang(0.3, 1, 2)),
+        (found["b"], scipy.stats.truncnorm(-1, 3, 5, 2)),
+    ):
+        test = scipy.stats.kstest(values, expected.cdf)
+        # One value in each of n classes, of equal probability, has at most 1/n.
+        assert test.pvalue > 1e-3 if method in ("random", "halton") else test.statistic <= 1.001 / 1024
+
+
+def test_the_runs_of_a_saltelli_design_mix_two_points() -> None:
+    runs = _values(n=8, design="saltelli").T.reshape(8, 4, 2)
+    first, second = runs[:, 0], runs[:, 1]
+    assert np.array_equal(runs[:, 2], np.stack([second[:, 0], first[:, 1]], axis=1))
+    assert np.array_equal(runs[:, 3], np.stack([first[:, 0], second[:, 1]], axis=1))
+    assert len(np.unique(runs[:, :2, 0])) == 16
+
+
+def test_values_stand_in_specs_and_index_as_plain_floats(thrown: mbdkit.Study) -> None:
+    expected = sampled_values(Sample(**THROW["sample"]))
+    frame = thrown.to_frame()
+    assert np.array_equal(frame[SPEED], expected[SPEED])
+    assert np.array_equal(frame[MASS], expected[MASS])
+    assert frame["distance"].to_numpy() == pytest.approx(0.4 * expected[SPEED])
+    assert frame["work"].to_numpy() == pytest.approx(expected[MASS] * expected[SPEED] ** 2 / 2)
+    run = thrown.run(5)
+    assert run is not None
+    speed = run.spec["model"]["bodies"]["ball"]["velocity"][0]
+    assert type(speed) is float
+    assert speed == expected[SPEED][5]
+    assert mbdkit.run(run.spec).data_sha256 == run.data_sha256
+    assert thrown.remake(5).data_sha256 == run.data_sha256
+    assert list(thrown.select(f"{SPEED} > 2")["number"]) == list(1 + np.flatnonzero(expected[SPEED] > 2))
+
+
+def test_results_do_not_depend_on_workers_or_shards(
+    thrown: mbdkit.Study, throw: dict[str, Any], tmp_path: Path
+) -> None:
+    hashes = list(thrown.to_frame()["data_sha256"])
+    assert len(set(hashes)) == 16
+    throw["block"] = 6
+    for number in (2, 1):
+        parts = mbdkit.study(throw, out=tmp_path / "shards", shard=Shard(number, 2))
+    assert list(parts.to_frame()["data_sha256"]) == hashes
+    assert list(mbdkit.study(throw, out=tmp_path / "workers", workers=2).to_frame()["data_sha256"]) == hashes
+
+
+def test_a_study_goes_on_with_the_values_in_its_folder(
+    throw: dict[str, Any], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    throw |= {"block": 4, "store": "hashes"}
+    made = mbdkit.study(throw, out=tmp_path / "s")
+    before = list(made.to_frame()[SPEED])
+    (tmp_path / "s" / "runs" / "block-000001.h5").unlink()
+    monkeypatch.setattr(module, "unit_points", lambda sample, d: np.full((sample.n, d), 0.5))  # as another SciPy might
+    again = mbdkit.study(throw, out=tmp_path / "s")
+    assert again.computed == 4
+    assert list(again.to_frame()[SPEED]) == before
+    throw["sample"]["seed"] = 4
+    with pytest.raises(SpecError, match="this folder belongs to another study"):
+        mbdkit.study(throw, out=tmp_path / "s")
+
+
+def test_axes_repeat_the_sample(throw: dict[str, Any], tmp_path: Path) -> None:
+    throw |= {"axes": [{"time.end": [0.2, 0.4]}], "store": "histories"}
+    throw["sample"] |= {"n": 4, "design": "saltelli"}
+    study = mbdkit.study(throw, out=tmp_path / "s")
+    frame = study.to_frame()
+    assert list(frame["time.end"]) == [0.2] * 16 + [0.4] * 16
+    assert list(frame[SPEED][:16]) == list(frame[SPEED][16:])
+    dataset = study.to_xarray()
+    assert dataset["distance"].shape == (2, 16)
+    assert np.allclose(dataset["distance"], np.outer([0.2, 0.4], dataset[SPEED]))
+    with pytest.raises(MbdkitError, match=r"has 2 samples; choose one by `where`, such as where=\{'time.end': 0.2\}"):
+        study.sensitivity("distance")
+    with pytest.raises(MbdkitError, match="the study has no runs with these labels"):
+        study.sensitivity("distance", where={"time.end": 3})
+    one, other = (study.sensitivity("distance", where={"time.end": end}) for end in (0.2, 0.4))
+    assert one.total == pytest.approx(other.total, nan_ok=True)  # from 4 members, an interval may cover 0 to 1
+    assert one.total[1] == pytest.approx(0, abs=1e-12)  # the mass has no influence
+    assert study.quantiles("ball.x", where={"time.end": 0.2}).time[-1] == 0.2
+
+
+@pytest.fixture(scope="module")
+def of_ishigami(tmp_path_factory: pytest.TempPathFactory) -> mbdkit.Study:
+    """The Ishigami function of the angles of three bodies at rest, as a measure of runs."""
+    bodies = dict.fromkeys("abc", BODY)
+    value = "sin(final(a.angle)) + 7*sin(final(b.angle))**2 + 0.1*final(c.angle)**4*sin(final(a.angle))"
+    spec = {
+        "mbdkit_study": 1,
+        "base": {
+            "model": {"name": "mechanism", "gravity": [0.0, 0.0], "bodies": bodies, "joints": {}},
+            "integrator": {"name": "rk4"},
+            "time": {"end": 0.1, "step": 0.1},
+        },
+        "sample": {
+            "n": 256,
+            "seed": 1,
+            "design": "saltelli",
+            "variables": {f"model.bodies.{name}.angle": {"uniform": [-np.pi, np.pi]} for name in "abc"},
+        },
+        "store": "histories",
+        "measures": {"y": {"value": value, "unit": "1"}},
+    }
+    return mbdkit.study(spec, out=tmp_path_factory.mktemp("samples") / "ishigami")
+
+
+def test_the_indices_of_the_ishigami_function_come_from_its_runs(of_ishigami: mbdkit.Study) -> None:
+    assert of_ishigami.spec.sample is not None
+    points = np.array(list(sampled_values(of_ishigami.spec.sample).values()))
+    found = of_ishigami.sensitivity("y")
+    expected = sobol_indices(ishigami(points).reshape(-1, 5), seed=1)
+    assert found.first == pytest.approx(expected.first, abs=1e-12)
+    assert found.indices.total_high == pytest.approx(expected.total_high, abs=1e-12)
+    assert np.all(found.indices.first_low <= FIRST)
+    assert np.all(found.indices.first_high >= FIRST)
+    assert found.total == pytest.approx(TOTAL, abs=0.03)
+    few = of_ishigami.sensitivity("y", members=16)
+    assert np.max(np.abs(few.total - TOTAL)) > 3 * np.max(np.abs(found.total - TOTAL))
+    assert few.members == 16
+    frame = found.to_frame()
+    assert list(frame.index) == [f"model.bodies.{name}.angle" for name in "abc"]
+    assert list(frame["total"]) == list(found.total)
+
+
+def test_the_headline_says_shares_alone_and_with_interactions(of_ishigami: mbdkit.Study) -> None:
+    """The shares are those of the table, near the exact ones: 31 %, 44 % and 0 % alone, 56 %, 44 % and 24 % in all."""
+    ((_, told),) = headlines(of_ishigami)
+    found = of_ishigami.sensitivity("y")
+    (a, b, c), (all_a, _, all_c) = (np.round(100 * share).astype(int) for share in (found.first, found.total))
+    interval = r"\(\d+ to \d+\) %"
+    assert re.search(rf"angle of a explains {a} {interval} alone and {all_a} {interval} with interactions", told)
+    assert re.search(
+        rf"angle of b explains {b} {interval}, angle of c explains {c} {interval} alone and {all_c} ", told
+    )
+    assert "where the order of angle of a and angle of b is uncertain" in told
+    for members in (8, 16):
+        few = of_ishigami.sensitivity("y", members=members)
+        words = _sobol_words(few)
+        assert words.startswith("the sample is too small to tell which variables explain it")
+    wanted = int(re.search(r"sample\.n=(\d+)", words)[1])
+    first = sobol_indices(ishigami_values(wanted, "random"), resamples=200)
+    assert 0.05 < np.max(first.total_high - first.total_low) < 0.25  # 20 % or better, without a waste of runs
+
+
+def test_total_indices_below_first_order_indices_are_said_to_be_sampling_errors(of_ishigami: mbdkit.Study) -> None:
+    assert of_ishigami.sensitivity("y").note == ""
+    ends = SobolIndices(*np.array([[0.6], [0.4], [0.8], [0.5], [0.3], [0.7]]))
+    found = Sensitivity("y", ("model.length",), ends, 0.95, 64, 0)
+    assert found.note in str(found)
+    # the width is inversely proportional to the root of the members: 64 (0.4/0.05)^2 = 4096
+    assert found.note == (
+        "The total index of y for length is smaller than the first-order index, because of sampling errors: from 64 "
+        "members, the intervals are up to 0.4 wide; about sample.n=4096 makes them 0.05 wide."
+    )
+
+
+def test_a_run_is_opened_by_the_number_that_answers_give(of_ishigami: mbdkit.Study) -> None:
+    frame = of_ishigami.to_frame()
+    number = int(headlines(of_ishigami)[0][1].rpartition("largest ")[2].partition("in run ")[2].split()[0])
+    assert frame["y"].max() == frame["y"][number - 1]
+    for run in (of_ishigami.run(number=number), of_ishigami.remake(number=number), of_ishigami.run(number - 1)):
+        assert run is not None
+        with run:
+            assert run["a"].angle[0] == frame["model.bodies.a.angle"][number - 1]
+            assert run.measures["y"] == frame["y"].max()  # a measure that the study defines, not the run
+    with pytest.raises(MbdkitError, match="the study has no run number 0; its runs have the numbers 1 to 1280"):
+        of_ishigami.run(number=0)
+    with pytest.raises(MbdkitError, match=r"no run with index 1280; .*study\.run\(number=1280\) is the last run"):
+        of_ishigami.run(1280)
+    with pytest.raises(MbdkitError, match="give a run by its index from 0"):
+        of_ishigami.run(1, number=2)
+    with pytest.raises(SpecError, match=r"there is no column 'angle'; write model\.bodies\.a\.angle, model\.bodies\.b"):
+        of_ishigami.select("angle > 1")
+
+
+def test_the_report_shows_the_sample(of_ishigami: mbdkit.Study) -> None:
+    from mbdkit_studies.study_report import study_report
+
+    verdict = study_report(of_ishigami).verdict
+    counts = verdict.figure("histogram-y").lines[0].y
+    assert counts[1:-1:2].sum() == 1280
+    total = verdict.figure("sobol-total-y")
+    assert [line.x[-1] for line in total.lines] == [256] * 3
+    assert sorted(line.y[-1] for line in total.lines) == sorted(of_ishigami.sensitivity("y").total)
+    scatter = verdict.figure("over-model-bodies-a-angle-y").lines[0]
+    assert scatter.y == pytest.approx(of_ishigami.to_frame()["y"].to_numpy())
+    rows = verdict.table("sobol").rows
+    assert [row[5] for row in rows] == pytest.approx(of_ishigami.sensitivity("y").total, abs=1e-3)
+    bands = verdict.figure("quantiles-a-angle")
+    assert bands.lines[0].y[-1] == pytest.approx(np.median(of_ishigami.to_frame()["model.bodies.a.angle"]))
+    assert len(verdict.table("runs").rows) == 500
+
+
+def test_members_with_failed_runs_are_left_out(throw: dict[str, Any], tmp_path: Path) -> None:
+    throw["sample"] |= {"n": 32, "design": "saltelli"}
+    throw["sample"]["variables"][MASS] = {"uniform": [-0.1, 1.0]}
+    study = mbdkit.study(throw, out=tmp_path / "s")
+    frame = study.to_frame()
+    failed = (frame[MASS] < 0).to_numpy().reshape(32, 4).any(axis=1)
+    assert 0 < failed.sum() < 32
+    assert list(frame["status"][frame[MASS] < 0].unique()) == ["failed"]
+    found = study.sensitivity("work")
+    assert (found.members, found.left_out) == (32 - failed.sum(), failed.sum())
+    good = frame["work"].to_numpy().reshape(32, 4)[~failed]
+    assert found.total == pytest.approx(sobol_indices(good, resamples=1).total)
+
+
+def test_bad_runs_are_left_out_of_statistics_and_named(tmp_path: Path) -> None:
+    spec = {
+        "mbdkit_study": 1,
+        "base": {"model": {"name": "single-pendulum"}, "integrator": {"name": "rk4"}, "time": {"end": 1, "step": 0.1}},
+        "sample": {"n": 24, "method": "random", "seed": 1, "variables": {"time.step": {"uniform": [0.001, 0.14]}}},
+        "measures": {"peak": "max(abs(joints.J1.force))"},
+        "store": "histories",
+    }
+    study = mbdkit.study(spec, out=tmp_path / "s")
+    frame = study.to_frame()
+    is_bad = (frame["verdict"] == "bad").to_numpy()
+    assert 4 < is_bad.sum() < 20
+    good = frame["peak"][~is_bad]
+    found = study.statistics("peak")
+    assert (found.runs, found.bad) == (len(good), is_bad.sum())
+    assert found.mean.value == pytest.approx(good.mean())
+    assert found.std.value == pytest.approx(good.std())
+    assert found.mean_with_bad == pytest.approx(frame["peak"].mean())
+    half = scipy.stats.t.ppf(0.975, len(good) - 1) * good.std() / np.sqrt(len(good))
+    assert found.mean.high - found.mean.value == pytest.approx(half)
+    assert study.quantiles("rod1.angle", 0.5, times=[0.0]).count == len(good)
+    ((_, told),) = headlines(study)
+    assert f"N in run {good.idxmax() + 1} (" in told
+    labels = dict(notes(study))
+    assert labels["based on"].startswith(f"{len(good)} of 24 runs, without {is_bad.sum()} bad")
+    first = ", ".join(map(str, 1 + np.flatnonzero(is_bad)[:6]))
+    begin = f"{is_bad.sum()} runs ({first}, ...), not used in answers; The energy balance is violated by up to"
+    assert labels["bad"].startswith(begin)
+    assert f" (run {1 + np.argmax(is_bad)}: time.step " in labels["bad"]
+    spec["sample"]["variables"] = {"time.step": {"uniform": [0.11, 0.14]}}
+    all_bad = mbdkit.study(spec, out=tmp_path / "all")
+    assert headlines(all_bad) == [("peak", "unknown, because all 24 runs with a value are rated bad")]
+    with pytest.raises(MbdkitError, match="from at least 3 complete runs that are not rated bad"):
+        all_bad.statistics("peak")
+
+
+@pytest.mark.parametrize("store", ["all", "histories"])
+def test_reasons_of_several_sentences_are_counted_whole(tmp_path: Path, store: str) -> None:
+    spec = {
+        "mbdkit_study": 1,
+        "base": {"model": {"name": "single-pendulum"}, "integrator": {"name": "rk4"}, "time": {"end": 1, "step": 0.25}},
+        "axes": [{"time.step": [0.25]}],
+        "store": store,
+    }
+    study = mbdkit.study(spec, out=tmp_path / "s")
+    with study.run(0) as run:
+        (several,) = (reason for reason in run.verdict_reasons if ". " in reason)
+        told = [text for label, text in notes(study) if label == "bad"]
+        assert len(told) == len(run.verdict_reasons)
+    assert sum(several.rstrip(".") in one for one in told) == 1
+
+
+def test_runs_with_several_reasons_of_one_kind_are_counted_once(tmp_path: Path) -> None:
+    spec = {
+        "mbdkit_study": 1,
+        "base": {
+            "model": {"name": "double-pendulum", "angles": [45, 60]},
+            "integrator": {"name": "rk4"},
+            "time": {"end": 0.01, "step": 0.001},
+        },
+        "axes": [{"time.step": [0.001, 0.002]}],
+    }
+    told = [text for label, text in notes(mbdkit.study(spec, out=tmp_path / "s")) if label == "doubtful"]
+    assert [text.partition(";")[0] for text in told] == ["2 runs (1, 2)"]
+
+
+def test_quantiles_over_time_are_those_of_the_closed_form(thrown: mbdkit.Study) -> None:
+    bands = thrown.quantiles("ball.x", [0.1, 0.5])
+    speeds = thrown.to_frame()[SPEED]
+    assert bands.time == pytest.approx([0, 0.1, 0.2, 0.3, 0.4])
+    assert bands.values == pytest.approx(np.outer(np.quantile(speeds, [0.1, 0.5]), bands.time))
+    assert bands.unit == "m"
+    assert list(bands.to_frame().columns) == [0.1, 0.5]
+    assert thrown.quantiles("abs(ball.velocity)", 0.5, times=[0.05, 1.0]).values[0, 0] == pytest.approx(speeds.median())
+
+
+def test_quantiles_are_of_the_runs_that_reach_a_time(throw: dict[str, Any], tmp_path: Path) -> None:
+    throw["sample"]["variables"] = {SPEED: {"uniform": [1, 3]}, "time.end": {"uniform": [0.1, 0.5]}}
+    throw |= {"block": 5, "store": "histories"}
+    study = mbdkit.study(throw, out=tmp_path / "s")
+    frame = study.to_frame()
+    bands = study.quantiles("ball.x", [0.25, 0.75])
+    for place in (10, 100, 190):
+        speeds = frame[SPEED][frame["time.end"] >= bands.time[place]]
+        assert bands.count[place] == len(speeds)
+        assert bands.values[:, place] == pytest.approx(np.quantile(speeds, [0.25, 0.75]) * bands.time[place])
+    assert np.isnan(study.quantiles("ball.x", 0.5, times=[9.0]).values[0, 0])
+
+
+def test_studies_in_files_have_quantiles_as_well(throw: dict[str, Any], tmp_path: Path) -> None:
+    del throw["sample"]
+    throw["axes"] = [{SPEED: [1.0, 2.0, 3.0]}]
+    study = mbdkit.study(throw, out=tmp_path / "s")
+    assert study.quantiles("ball.x", 0.5).values[0] == pytest.approx([0, 0.2, 0.4, 0.6, 0.8])
+    assert study.quantiles("ball.x", 0.5, where={SPEED: 3.0}).values[0] == pytest.approx([0, 0.3, 0.6, 0.9, 1.2])
+
+
+ASKED: dict[str, tuple[str, tuple[Any, ...], dict[str, Any], str]] = {
+    "plain sample": ("sensitivity", ("distance",), {}, "need a sample with `design: saltelli`"),
+    "vector": ("quantiles", ("ball.velocity",), {}, "is a vector, which has no quantiles"),
+    "one number": ("quantiles", ("max(ball.x)",), {}, "functions that reduce values over time"),
+    "constant": ("quantiles", ("3",), {}, "does not change over time"),
+    "unknown body": ("quantiles", ("bal.x",), {}, "did you mean 'ball'?"),
+    "probability": ("quantiles", ("ball.x", 5), {}, "numbers from 0 to 1"),
+    "times": ("quantiles", ("ball.x",), {"times": []}, "the times should be an array"),
+    "where": ("quantiles", ("ball.x",), {"where": {"time.end": 1}}, "leave out `where`"),
+}
+
+
+@pytest.mark.parametrize(("name", "arguments", "options", "message"), ASKED.values(), ids=ASKED)
+def test_wrong_questions_are_refused(
+    thrown: mbdkit.Study, name: str, arguments: tuple[Any, ...], options: dict[str, Any], message: str
+) -> None:
+    with pytest.raises(MbdkitError) as error:
+        getattr(thrown, name)(*arguments, **options)
+    assert message in str(error.value)
+
+
+def test_questions_about_indices_are_checked(of_ishigami: mbdkit.Study) -> None:
+    with pytest.raises(MbdkitError, match="the study has no measure 'z'"):
+        of_ishigami.sensitivity("z")
+    with pytest.raises(MbdkitError, match="choose from 2 to 256 of them, not 500"):
+        of_ishigami.sensitivity("y", members=500)
+    with pytest.raises(MbdkitError, match="a probability between 0 and 1"):
+        of_ishigami.sensitivity("y", confidence=95)
+
+
+def test_what_is_not_stored_has_no_quantiles(throw: dict[str, Any], tmp_path: Path) -> None:
+    study = mbdkit.study(throw | {"store": "summary"}, out=tmp_path / "s")
+    with pytest.raises(MbdkitError, match=r"keeps no values over time \(store: summary\)"):
+        study.quantiles("ball.x")
+
+
+def test_a_key_of_the_sample_is_set_by_an_assignment(throw: dict[str, Any], tmp_path: Path) -> None:
+    study = mbdkit.study(throw, assignments=["sample.n=4", "time.end=0.2"], out=tmp_path / "study")
+    assert len(study.points) == 4
+    with study.run(3) as run:
+        assert run.time[-1] == 0.2
+    with pytest.raises(SpecError, match=r"--set sample\.m=4.*unknown key; known here: n, method"):
+        mbdkit.study(throw, assignments=["sample.m=4"], out=tmp_path / "other")
+
+
+def test_the_packaged_sample_of_knee_supports(tmp_path: Path) -> None:
+    study = mbdkit.study("knee-spring", assignments=["sample.n=2"], out=tmp_path / "knees")
+    table = study.to_frame()
+    assert set(table["status"]) == {"complete"}
+    assert not set(table["verdict"]) & {"doubtful", "bad"}
+    for place in (0, len(table) - 1):
+        with study.run(place) as run:
+            force = run.joints["C"].reaction_force + run.joints["D"].reaction_force
+            highest = np.linalg.norm(force, axis=1).max()  # of the rows; the peak is that of the motion between them
+            assert highest <= table["peak"][place] <= 1.001 * highest
+            support = run.spec["model"]["springs"]["support"]
+            assert support["stiffness"] == table["model.springs.support.stiffness"][place]

@@ -1,0 +1,142 @@
+"""The study as Python and other programs see it."""
+
+from __future__ import annotations
+
+import sys
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import mbdkit
+from mbdkit.base.errors import MbdkitError, SpecError
+from mbdkit_studies.study import Study
+
+
+def test_a_study_is_opened_from_its_folder_alone(finished):
+    study = mbdkit.load_study(finished.folder)
+    assert isinstance(study, Study)
+    assert study.computed == 0
+    assert study.spec.sha256() == finished.spec.sha256()
+    assert [point.row for point in study.points] == [point.row for point in finished.points]
+    assert study.families == {"": "Two methods, two steps"}
+    assert study.axes() == {"integrator": ["rk4", "Gauss 2"], "time.step": [0.02, 0.01]}
+
+
+@pytest.mark.parametrize("what", ["nothing", "no index"])
+def test_a_folder_without_a_study_is_refused(what, copied, tmp_path):
+    folder = tmp_path / "missing"
+    if what == "no index":
+        folder = copied
+        (folder / "index.h5").unlink()
+    with pytest.raises(SpecError):
+        mbdkit.load_study(folder)
+
+
+def test_a_point_knows_its_place_its_spec_and_its_run(finished):
+    point = finished.points[3]
+    assert point.number == 4
+    assert point.label == "Gauss 2; time.step 0.01"
+    assert point.spec.run_id() == point.run_id
+    with finished.run(point) as run, finished.reference(point) as reference:
+        assert run.run_id == point.run_id
+        assert reference.run_id == point.reference_id == finished.references[0].run_id
+        assert point.values["misalignment_max"] == run.misalignment_max
+        assert point.values["energy_balance_max"] == abs(run.energy.balance).max()
+        assert point.values["steps"] == run.stats["steps"] == 50
+        apart = run.array("trajectory/position")[-1] - reference.array("trajectory/position")[-1]
+        assert point.values["end_error"] == pytest.approx(np.hypot(apart[:, 0], apart[:, 1]).max(), rel=1e-12)
+        assert point.values["end_angle_error"] == pytest.approx(abs(apart[:, 2]).max(), rel=1e-12)
+    assert finished.references[0].spec.integrator.stages == 4
+    assert [run.run_id for _, run in finished.runs()] == [point.run_id for point in finished.points]
+
+
+def test_errors_fall_with_the_fourth_power_of_the_step_for_methods_of_order_four(finished):
+    for coarse, fine in (finished.points[:2], finished.points[2:]):
+        for measure in ("end_error", "trajectory_error", "end_angle_error", "trajectory_angle_error"):
+            ratio = coarse.values[measure] / fine.values[measure]
+            assert np.log2(ratio) == pytest.approx(4.0, abs=0.3)
+
+
+def test_a_frame_has_one_row_a_run(finished):
+    frame = finished.to_frame()
+    assert list(frame.columns[:4]) == ["number", "family", "integrator", "time.step"]
+    assert list(frame["integrator"]) == ["rk4", "rk4", "Gauss 2", "Gauss 2"]
+    assert list(frame["time.step"]) == [0.02, 0.01, 0.02, 0.01]
+    assert list(frame["status"]) == ["complete"] * 4
+    assert frame["misalignment_max"].max() == max(point.values["misalignment_max"] for point in finished.points)
+
+
+def test_an_array_has_one_dimension_an_axis_and_units(finished):
+    grid = finished.to_xarray()
+    assert grid["end_error"].dims == ("integrator", "time.step")
+    chosen = grid["end_error"].sel({"integrator": "Gauss 2", "time.step": 0.01})
+    assert float(chosen) == finished.points[3].values["end_error"]
+    assert grid["end_error"].units == "m"
+    assert str(grid["status"].values[0, 0]) == "complete"
+
+
+@pytest.mark.parametrize("package", ["pandas", "xarray"])
+def test_a_package_that_is_not_installed_is_named(package, finished, monkeypatch):
+    monkeypatch.setitem(sys.modules, package, None)
+    method = {"pandas": finished.to_frame, "xarray": finished.to_xarray}[package]
+    with pytest.raises(MbdkitError, match=f"pip install {package}"):
+        method()
+
+
+def test_an_unknown_family_is_named(finished):
+    with pytest.raises(MbdkitError, match="no family 'fig4'"):
+        finished.family("fig4")
+
+
+def test_netcdf_tools_open_the_index(finished):
+    import netCDF4
+    import xarray
+
+    path = finished.folder / "index.h5"
+    with xarray.open_dataset(path, engine="h5netcdf", group="runs") as runs:
+        assert runs["time.step"].dims == ("run",)
+        assert list(runs["integrator"].values) == ["rk4", "rk4", "Gauss 2", "Gauss 2"]
+        assert runs["end_error"].units == "m"
+    with netCDF4.Dataset(path) as file:
+        assert list(file["runs"]["run_id"][:]) == [point.run_id for point in finished.points]
+        assert len(file["references"].dimensions["reference"]) == 1
+
+
+def test_measures_may_be_chosen(tmp_path):
+    study = mbdkit.study(
+        {
+            "mbdkit_study": 1,
+            "base": "pendulum",
+            "overrides": {"time": {"end": 0.1, "step": 0.01}, "output.quantities": ["joints"]},
+            "axes": [{"model.length": [1.0]}],
+            "measures": ["misalignment_max", "energy_balance_max"],
+        },
+        out=tmp_path / "out",
+    )
+    values = study.points[0].values
+    assert values["misalignment_max"] >= 0
+    assert np.isnan(values["energy_balance_max"])  # not recorded
+    assert "end_error" not in values
+    assert "energy_scale" not in values
+
+
+def test_another_run_under_the_name_of_a_run_is_refused(copied, tmp_path):
+    study = mbdkit.load_study(copied)
+    first, second = study.points[0], study.points[1]
+    first.path.write_bytes(second.path.read_bytes())
+    with pytest.raises(SpecError, match="another run in place of run 1") as refused:
+        study.run(first)
+    assert refused.value.file == str(first.path)
+    study.references[0].path.write_bytes(second.path.read_bytes())
+    with pytest.raises(SpecError, match="in place of the reference run"):
+        study.reference(second)
+
+
+def test_every_number_of_a_study_with_a_reference_is_computed_again(finished):
+    for point in finished.points:
+        finished.remake(point)
+    errors = dict(finished.points[1].values, trajectory_error=1e-9)
+    falsified = replace(finished.points[1], row=replace(finished.points[1].row, values=errors))
+    with pytest.raises(MbdkitError, match="the index has other values of trajectory_error"):
+        finished.remake(falsified)

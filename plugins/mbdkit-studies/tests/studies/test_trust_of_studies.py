@@ -1,0 +1,67 @@
+"""Runs of a study that are not to be trusted are visible in its table, its summary and its report."""
+
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+
+import h5py
+import pytest
+
+import mbdkit
+from mbdkit.archive.fingerprint import data_sha256
+from mbdkit_studies.study_report import study_report
+from mbdkit_studies.study_summary import outcome, summary
+
+STUDY = {
+    "mbdkit_study": 1,
+    "title": "two methods",
+    "base": {
+        "mbdkit": 1,
+        "model": {"name": "double-pendulum"},
+        "integrator": {"name": "gauss", "stages": 3},
+        "time": {"end": 2.0, "step": 0.05},
+    },
+    "axes": [{"integrator": [{"name": "gauss", "stages": 3}, {"name": "rk-gill"}]}],
+}
+
+
+@pytest.fixture(scope="module")
+def study(tmp_path_factory: pytest.TempPathFactory) -> mbdkit.Study:
+    return mbdkit.study(STUDY, out=tmp_path_factory.mktemp("study") / "two")
+
+
+def test_the_table_of_a_study_has_the_verdict_of_each_run(study: mbdkit.Study) -> None:
+    frame = study.to_frame()
+    assert list(frame["status"]) == ["complete", "complete"]
+    assert list(frame["verdict"]) == ["unknown", "bad"]
+    assert frame["verdict_reasons"][0] == ""
+    assert frame["verdict_reasons"][1].startswith("Joint 'J2' is misaligned by up to ")
+    assert [point.verdict for point in study.points] == ["unknown", "bad"]
+    with h5py.File(study.folder / "index.h5") as file:
+        assert list(file["runs/verdict"].asstr()[:]) == ["unknown", "bad"]
+
+
+def test_the_report_of_a_study_shows_the_verdicts(study: mbdkit.Study) -> None:
+    page = study_report(study)
+    table = page.verdict.table("runs")
+    place = [column.label for column in table.columns].index("verdict")
+    assert [row[place] for row in table.rows] == ["unknown", "bad"]
+    assert page.settings.endswith("2 complete \u00b7 1 bad")
+
+
+def test_the_summary_of_a_study_counts_the_verdicts(study: mbdkit.Study) -> None:
+    assert "verdicts   1 unknown, 1 bad" in summary(study)
+    assert outcome(study)["verdicts"] == {"unknown": 1, "bad": 1}
+
+
+def test_an_index_without_verdicts_is_read_and_renewed_from_the_archives(study: mbdkit.Study, tmp_path: Path) -> None:
+    folder = shutil.copytree(study.folder, tmp_path / "two")
+    with h5py.File(folder / "index.h5", "r+") as file:
+        for group in ("runs", "references"):
+            del file[f"{group}/verdict"], file[f"{group}/verdict_reasons"]
+        file.attrs.modify("data_sha256", data_sha256(file))
+    assert [point.verdict for point in mbdkit.load_study(folder).points] == ["", ""]
+    again = mbdkit.study(STUDY, out=folder)
+    assert again.computed == 0
+    assert [point.verdict for point in again.points] == ["unknown", "bad"]

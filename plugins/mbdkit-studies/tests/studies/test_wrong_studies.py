@@ -1,0 +1,348 @@
+"""Wrong study specs end with exit status 2 and one message that names file, line and key; nothing is left behind."""
+
+from __future__ import annotations
+
+import os
+
+import pytest
+
+from tests.spec_texts import place
+
+STUDY = """\
+mbdkit_study: 1
+base:
+  model: {name: double-pendulum}
+  time: {end: 1.0, step: 0.01}
+overrides:
+  output.every: 2
+axes:
+  - integrator:
+      - {name: rk4}
+      - {name: gauss, stages: 2}
+  - time.step: [0.1, 0.05]
+reference:
+  integrator: {name: gauss, stages: 4}
+"""
+
+
+def study(old: str, new: str) -> str:
+    assert old in STUDY
+    return STUDY.replace(old, new)
+
+
+#: What is wrong: the spec, the line, the key, words of the message.
+WRONG = {
+    "unknown key": (study("axes:", "axis:"), 7, "axis", "did you mean 'axes'?"),
+    "no version": (study("mbdkit_study: 1\n", ""), None, "mbdkit_study", "write `mbdkit_study: 1`"),
+    "a version to come": (study("mbdkit_study: 1", "mbdkit_study: 2"), 1, "mbdkit_study", "should be 1"),
+    "a run spec": (study("mbdkit_study: 1", "mbdkit: 1"), 1, "mbdkit", "`mbdkit run` runs"),
+    "no base": ("mbdkit_study: 1\naxes: [{time.step: [1]}]\n", None, "base", "is missing"),
+    "nothing that varies": (STUDY[: STUDY.index("axes:")], None, "", "needs `axes`"),
+    "an example that is none": (
+        "mbdkit_study: 1\nbase: knnee\naxes: [{time.step: [1]}]\n",
+        2,
+        "base",
+        "did you mean 'knee'?",
+    ),
+    "axes that are no list": (study("  - integrator", "    integrator"), 11, "", "not valid YAML"),
+    "an axis that is a list": (
+        study("  - time.step: [0.1, 0.05]", "  - [time.step, 0.1]"),
+        11,
+        "axes[1]",
+        "should be a mapping",
+    ),
+    "an axis of nothing": (study("time.step: [0.1, 0.05]", "{}"), 11, "axes[1]", "at least one key"),
+    "values that are no list": (study("[0.1, 0.05]", "0.1"), 11, 'axes[1]."time.step"', "should be a list of values"),
+    "no values": (study("[0.1, 0.05]", "[]"), 11, 'axes[1]."time.step"', "at least one value"),
+    "a mistyped spacing": (
+        study("[0.1, 0.05]", "{geomspce: [1, 2, 3]}"),
+        11,
+        'axes[1]."time.step".geomspce',
+        "did you mean 'geomspace'?",
+    ),
+    "keys of different length": (
+        study("[0.1, 0.05]", "[0.1, 0.05]\n    time.end: [1.0]"),
+        11,
+        "axes[1]",
+        "'time.step' has 2 and 'time.end' has 1",
+    ),
+    "one key on two axes": (
+        study("[0.1, 0.05]", "[0.1]\n  - time.step: [0.2]"),
+        12,
+        'axes[2]."time.step"',
+        "is already in axes[1]",
+    ),
+    "a key under one that comes later": (
+        study("  - integrator:", "  - integrator.stages: [1]\n  - integrator:"),
+        9,
+        "axes[1].integrator",
+        "as 'integrator.stages'",
+    ),
+    "no key at all": (study("  - time.step:", "  - .step:"), 11, 'axes[1].".step"', "dotted key"),
+    "a mistyped key of the run": (
+        study("time.step: [", "time.stpe: ["),
+        11,
+        'axes[1]."time.stpe"[0]',
+        "did you mean 'step'?",
+    ),
+    "a value that a run refuses": (
+        study("0.05]", "-0.05]"),
+        11,
+        'axes[1]."time.step"[1]',
+        "should be greater than 0, not -0.05 (in run 2: rk4; time.step -0.05)",
+    ),
+    "an unknown integrator": (
+        study("{name: rk4}", "{name: rk5}"),
+        9,
+        "axes[0].integrator[0].name",
+        "did you mean 'rk4'?",
+    ),
+    "an option of a labelled object": (
+        study("{name: rk4}", "{label: x, value: {name: gauss, stages: 9}}"),
+        9,
+        "axes[0].integrator[0].value.stages",
+        "should be at most 6",
+    ),
+    "a mistake in the base": (study("double-pendulum", "duoble-pendulum"), 3, "base.model.name", "'double-pendulum'"),
+    "a mistake in the overrides": (study("output.every", "output.evry"), 6, 'overrides."output.evry"', "mean 'every'?"),
+    "an override of what has no keys": (
+        study("output.every", "time.step.small"),
+        6,
+        'overrides."time.step.small"',
+        "so it has no 'small'",
+    ),
+    "a combination that a run refuses": (
+        study("output.every: 2", "output: {interval: 0.1}"),
+        6,
+        "overrides.output.interval",
+        "no dense output",
+    ),
+    "a key that only together is wrong": (
+        study("time.step: [0.1, 0.05]", "time.steps: [10]"),
+        11,
+        'axes[1]."time.steps"[0]',
+        "time: takes exactly one of `end` and `steps`, not both; null removes a key, as in --set time.steps=null",
+    ),
+    "a reference that is a number": (
+        STUDY[: STUDY.index("reference:")] + "reference: 5\n",
+        12,
+        "reference",
+        "should be 'none' or a mapping (`key: value`), not 5",
+    ),
+    "a mistake in the reference": (
+        study("stages: 4", "stages: 7"),
+        13,
+        "reference.integrator.stages",
+        "in the reference of run 1",
+    ),
+    "a reference of another length": (
+        STUDY + "  time.end: 2.0\n",
+        12,
+        "reference",
+        "the reference of run 1 goes from 0 s to 2 s, the run from 0 s to 1 s",
+    ),
+    "a reference of other bodies": (
+        STUDY + "  model: {name: single-pendulum}\n",
+        12,
+        "reference",
+        "the reference of run 1 has the bodies rod1, the run has rod1, rod2; both should have the same",
+    ),
+    "an unknown measure": (STUDY + "measures: [end_eror]\n", 14, "measures[0]", "did you mean 'end_error'?"),
+    "an error without reference": (
+        STUDY[: STUDY.index("reference:")] + "measures: [end_error]\n",
+        12,
+        "measures[0]",
+        "needs a `reference`",
+    ),
+    "no repeats": (STUDY + "repeats: 0\n", 14, "repeats", "at least 1"),
+    "several keys beside one": (
+        study("[0.1, 0.05]", "[0.1, {label: x, set: {time.step: 0.1}}]"),
+        11,
+        'axes[1]."time.step"[1]',
+        "cannot mix values with and without `set`",
+    ),
+    "several keys of which one is none": (
+        study("time.step: [0.1, 0.05]", "name: [{label: x, set: {.step: 0.1}}]"),
+        11,
+        'axes[1].name[0].set.".step"',
+        "dotted key",
+    ),
+    "several keys of which one is set by another axis": (
+        study(
+            "time.step: [0.1, 0.05]", "name: [{label: x, set: {time.step: 0.1, integrator.name: rk4}}]\n  - time: [{}]"
+        ),
+        12,
+        "axes[2].time",
+        "would replace a key that is set in axes[1], as 'time.step'",
+    ),
+    "a name that two axes have": (
+        study("time.step: [0.1, 0.05]", "integrator: [{label: x, set: {time.step: 0.1}}]"),
+        11,
+        "axes[1].integrator",
+        "is already in axes[0]",
+    ),
+    "a mistake in one of several keys": (
+        study("time.step: [0.1, 0.05]", "name: [{label: x, set: {time.step: 0.1, time.stpe: 2}}]"),
+        11,
+        'axes[1].name[0].set."time.stpe"',
+        "did you mean 'step'?",
+    ),
+    "an unknown integrator of a distribution that is installed": (
+        study("{name: rk4}", "{label: x, value: {name: rk5}, if_installed: mbdkit}"),
+        9,
+        "axes[0].integrator[0].value.name",
+        "did you mean 'rk4'?",
+    ),
+    "a mistyped condition": (
+        study("{name: rk4}", "{label: x, value: {name: rk4}, if_instaled: mbdkit}"),
+        9,
+        "axes[0].integrator[0].if_instaled",
+        "did you mean 'if_installed'?",
+    ),
+    "a distribution that is a number": (
+        study("{name: rk4}", "{label: x, value: {name: rk4}, if_installed: 3}"),
+        9,
+        "axes[0].integrator[0].if_installed",
+        "should be the name of a Python package, such as mbdkit-generalized-alpha, not 3",
+    ),
+    "a mistyped reversal": (STUDY + "measures: [reversibility_defct]\n", 14, "measures[0]", "'reversibility_defect'?"),
+    "axes beside families": (STUDY + "families: {a: {}}\n", 7, "axes", "give each family its own axes"),
+    "a family with a mistyped key": (
+        "mbdkit_study: 1\nbase: pendulum\nfamilies:\n  a:\n    axs: []\n",
+        5,
+        "families.a.axs",
+        "did you mean 'axes'?",
+    ),
+    "a mistake in a family": (
+        "mbdkit_study: 1\nbase: pendulum\nfamilies:\n  a:\n    axes:\n      - time.step: [0]\n",
+        6,
+        'families.a.axes[0]."time.step"[0]',
+        "should be greater than 0",
+    ),
+    "a family without base": (
+        "mbdkit_study: 1\nfamilies:\n  a:\n    axes: [{time.step: [1]}]\n",
+        3,
+        "families.a.base",
+        "is missing",
+    ),
+    "too many runs": (
+        study("[0.1, 0.05]", "{linspace: [0.1, 0.2, 9000]}"),
+        7,
+        "axes",
+        "makes 18000 runs; a study has at most 10000",
+    ),
+    **{
+        f"an axis called {name}": (
+            study("  - integrator:", f"  - {name}:")
+            .replace("{name: rk4}", "{label: a, set: {time.end: 1.0}}")
+            .replace("{name: gauss, stages: 2}", "{label: b, set: {time.end: 2.0}}"),
+            8,
+            f"axes[0].{name}",
+            "is a column of the index of every study",
+        )
+        for name in (
+            "status",
+            "status_reason",
+            "run",
+            "run_id",
+            "reference",
+            "steps",
+            "wall_s",
+            "misalignment_max",
+            "family",
+            "verdict",
+            "file_sha256",
+            "number",
+            "wall_median_s",
+            "repeat",
+            "known_until",
+            "reversibility_defect",
+        )
+    },
+    "axes of the same name in the index": (
+        study(
+            "  - time.step: [0.1, 0.05]",
+            "  - a/b: [{label: x, set: {time.step: 0.1}}]\n  - a|b: [{label: y, set: {time.end: 2.0}}]",
+        ),
+        12,
+        "axes[2].a|b",
+        "'a|b' and 'a/b' would be one column",
+    ),
+    "a zero in the name of an axis": (
+        study("  - time.step: [0.1, 0.05]", '  - "a\\0b": [{label: x, set: {time.step: 0.1}}]'),
+        11,
+        "axes[1].a?b",
+        "contains the character '\\x00'",
+    ),
+    "a zero in a label": (
+        study("  - time.step: [0.1, 0.05]", '  - "a": [{label: "x\\0", set: {time.step: 0.1}}]'),
+        11,
+        "axes[1].a[0].set",
+        "contains the character '\\x00'",
+    ),
+    "a blank name of an axis": (
+        study("  - time.step: [0.1, 0.05]", '  - "  ": [{label: x, set: {time.step: 0.1}}]'),
+        11,
+        'axes[1]."  "',
+        "is blank",
+    ),
+    "a long name of an axis": (
+        study("  - time.step: [0.1, 0.05]", f"  - {'a' * 300}: [{{label: x, set: {{time.step: 0.1}}}}]"),
+        11,
+        f"axes[1].{'a' * 289}...",
+        "is longer than 255 bytes",
+    ),
+    "not finite": (study("[0.1, 0.05]", "[.nan]"), 11, 'axes[1]."time.step"[0]', "finite"),
+}
+
+
+@pytest.mark.parametrize("case", WRONG)
+def test_a_wrong_study_is_refused_with_file_line_and_key(case, refusal, in_tmp_path):
+    text, line, key, words = WRONG[case]
+    (in_tmp_path / "spec.yaml").write_text(text)
+    message = refusal("study", "spec.yaml")
+    assert message.startswith(place("spec.yaml", line, key))
+    assert words in message
+
+
+def test_the_study_that_all_of_these_are_made_from_is_right(in_tmp_path):
+    from mbdkit.spec import load_study_spec
+    from mbdkit_studies.planned_points import plan_points
+
+    (in_tmp_path / "spec.yaml").write_text(STUDY)
+    assert [point.spec.time.step for point in plan_points(load_study_spec("spec.yaml"))] == [0.1, 0.05, 0.1, 0.05]
+
+
+def test_a_mistake_in_the_file_of_the_base_is_placed_there(refusal, in_tmp_path):
+    (in_tmp_path / "base.yaml").write_text("mbdkit: 1\nmodel:\n  name: double-pendulum\n  lenghts: [1, 1]\n")
+    (in_tmp_path / "spec.yaml").write_text("mbdkit_study: 1\nbase: base.yaml\naxes: [{integrator: [{name: rk4}]}]\n")
+    message = refusal("study", "spec.yaml")
+    assert message.startswith("base.yaml:4: model.lenghts: unknown key (did you mean 'lengths'?)")
+
+
+def test_run_says_that_a_study_is_a_study(refusal, in_tmp_path):
+    (in_tmp_path / "spec.yaml").write_text(STUDY)
+    message = refusal("run", "spec.yaml")
+    assert message.startswith("spec.yaml:1: mbdkit_study: this is a study spec, which `mbdkit study` runs")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (("nonsense",), "no packaged study with this name"),
+        (("convergnce",), "did you mean 'convergence'?"),
+        (("spec.yaml", "--shard", "3/2"), "given as NUMBER/COUNT"),
+        (("spec.yaml", "--shard", "half"), "given as NUMBER/COUNT"),
+        (("spec.yaml", "-o", "missing/out"), "does not exist; create it first"),
+        (("spec.yaml", "-o", "file"), "this is not a folder"),
+        (("spec.yaml", "-o", "other"), "contains other files and no study.yaml"),
+    ],
+)
+def test_wrong_arguments_are_refused_before_any_work(arguments, words, refusal, in_tmp_path):
+    (in_tmp_path / "spec.yaml").write_text(STUDY)
+    (in_tmp_path / "file").write_text("precious")
+    (in_tmp_path / "other").mkdir()
+    (in_tmp_path / "other" / "file").write_text("precious")
+    message = refusal("study", *arguments)
+    assert words in message
+    assert os.listdir(in_tmp_path / "other") == ["file"]

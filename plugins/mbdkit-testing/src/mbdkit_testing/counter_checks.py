@@ -1,0 +1,197 @@
+"""Checks that the counters of a run are correct, and measures the cost of a step, which has no limit."""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import scipy.integrate
+
+from mbdkit.base.text import listed
+from mbdkit.engine.equations_of_motion import EquationsOfMotion
+from mbdkit.engine.formulation import FORMULATIONS
+from mbdkit.engine.iteration_matrix import IterationMatrix
+from mbdkit.stepping.python_stepper import PythonStepper
+from mbdkit_testing.check import check
+from mbdkit_testing.check_result import Result, failed, passed, skipped, warned
+from mbdkit_testing.integrator_under_test import IntegratorUnderTest, drive
+from mbdkit_testing.trial_models import COASTING, FORCED_PENDULUM
+
+STEPS = 17
+
+
+class InstrumentedEquations(EquationsOfMotion):
+    """Equations of motion that count their evaluations independently of the counters of a run."""
+
+    def __init__(self, workspace: Any):
+        self.seen: Counter[str] = Counter()
+        super().__init__(workspace)
+
+    def accelerations(self, t: float, q: np.ndarray, v: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Count and return the accelerations."""
+        self.seen["rhs_evaluations"] += 1
+        return super().accelerations(t, q, v)
+
+    def residual(self, t: float, q: np.ndarray, v: np.ndarray, a: np.ndarray, lam: np.ndarray) -> np.ndarray:
+        """Count and return the residual."""
+        self.seen["rhs_evaluations"] += 1
+        return super().residual(t, q, v, a, lam)
+
+    def project_positions(self, t: float, q: np.ndarray) -> np.ndarray:
+        """Count and project."""
+        self.seen["projections"] += 1
+        return super().project_positions(t, q)
+
+    def project_velocities(self, t: float, q: np.ndarray, v: np.ndarray) -> np.ndarray:
+        """Count and project."""
+        self.seen["projections"] += 1
+        return super().project_velocities(t, q, v)
+
+    def _evaluate_tangents(self, *arguments: Any) -> None:
+        self.seen["jacobian_evaluations"] += 1
+        super()._evaluate_tangents(*arguments)
+
+    def _factorized(self, *arguments: Any) -> IterationMatrix:
+        self.seen["factorizations of iteration matrices"] += 1
+        return super()._factorized(*arguments)
+
+
+@check("honesty.counters")
+def counters(integrator: IntegratorUnderTest) -> Result:
+    """The counters of a run agree with those of instrumented equations of motion."""
+    made = integrator.method()
+    workspace = integrator.workspace(FORCED_PENDULUM)
+    if made.traits.family == "scipy":
+        return _of_solver(integrator, made)
+    stepper = integrator.stepper(workspace, 0.2, STEPS, method=made)
+    adaptive = integrator.claims.adaptive
+    seen: dict[str, int] = {} if adaptive else {"steps": STEPS, "accepted": STEPS, "rejected": 0}
+    instrumented = None
+    if isinstance(stepper, PythonStepper):
+        instrumented = InstrumentedEquations(workspace)
+        instrumented.counters = stepper.counters
+        stepper.equations = instrumented
+    drive(stepper)
+    if instrumented is not None:
+        asked = instrumented.seen
+        seen |= {name: asked[name] for name in ("rhs_evaluations", "jacobian_evaluations", "projections")}
+    elif not adaptive and made.traits.is_explicit and (tableau := made.traits.tableau) is not None:
+        evaluations = STEPS * tableau.stages - (STEPS - 1) * tableau.is_first_same_as_last
+        seen |= {"rhs_evaluations": evaluations, "jacobian_evaluations": 0, "newton_iterations": 0}
+    said = stepper.counters
+    wrong = [
+        f"{name} {getattr(said, name)} instead of {count}"
+        for name, count in seen.items()
+        if getattr(said, name) != count
+    ]
+    if wrong:
+        return failed(f"its counters say {listed(wrong, 'and')}")
+    if instrumented is not None and said.factorizations < instrumented.seen["factorizations of iteration matrices"]:
+        return failed(f"its counters say {said.factorizations} factorizations, fewer than it requested")
+    return passed(rhs_evaluations=said.rhs_evaluations, jacobian_evaluations=said.jacobian_evaluations)
+
+
+def _of_solver(integrator: IntegratorUnderTest, made: Any) -> Result:
+    base = getattr(scipy.integrate, made.solver) if isinstance(made.solver, str) else made.solver
+    seen: Counter[str] = Counter()
+
+    def instrumented(fun: Any, t0: float, y0: np.ndarray, end: float, **options: Any) -> Any:
+        def counted(t: float, y: np.ndarray) -> Any:
+            seen["rhs_evaluations"] += 1
+            return fun(t, y)
+
+        if "jac" in options:
+            jacobian = options["jac"]
+
+            def counted_jacobian(t: float, y: np.ndarray) -> Any:
+                seen["jacobian_evaluations"] += 1
+                return jacobian(t, y)
+
+            options["jac"] = counted_jacobian
+        return base(counted, t0, y0, end, **options)
+
+    method = replace(made, solver=instrumented)
+    stepper = integrator.stepper(integrator.workspace(FORCED_PENDULUM), 1.0, STEPS, method=method)
+    drive(stepper)
+    wrong = [
+        f"{name} {getattr(stepper.counters, name)} instead of {seen[name]}"
+        for name in ("rhs_evaluations", "jacobian_evaluations")
+        if getattr(stepper.counters, name) < seen[name]
+    ]
+    if wrong:
+        return failed(f"its counters say {listed(wrong, 'and')}")
+    return passed(**{name: int(getattr(stepper.counters, name)) for name in ("rhs_evaluations", "steps")})
+
+
+@check("honesty.rows")
+def rows(integrator: IntegratorUnderTest) -> Result:
+    """The counters of all recorded intervals add up to those of the run."""
+    with integrator.run(FORCED_PENDULUM, {"end": 0.3, "step": 0.01}, output={"every": 7}) as run:
+        if run.status != "complete":
+            return failed(f"the run did not complete: {run.status_reason}")
+        stats = run.stats
+        for column, name in (("steps", "steps"), ("iterations", "newton_iterations"), ("rejected", "rejected")):
+            total = int(np.sum(run.array(f"steps/{column}")))
+            if total != stats[name]:
+                return failed(f"intervals sum up to {total} {column}, the run says {stats[name]}")
+        if stats["accepted"] + stats["rejected"] < stats["steps"]:
+            return failed(
+                f"{stats['steps']} steps are not {stats['accepted']} accepted and {stats['rejected']} rejected"
+            )
+    return passed(steps=int(stats["steps"]))
+
+
+@check("honesty.needs")
+def needs(integrator: IntegratorUnderTest) -> Result:
+    """The method uses tangents if and only if its claims name them in `needs`."""
+    with integrator.run(FORCED_PENDULUM, {"end": 0.2, "step": 0.01}) as run:
+        if run.status != "complete":
+            return skipped(f"the run did not complete: {run.status_reason}".rstrip("."))
+        used = run.stats["jacobian_evaluations"] > 0
+    said = "tangents" in integrator.claims.needs
+    if used and not said:
+        return failed("it uses tangents, which `needs` does not name")
+    if said and not used and not integrator.claims.adaptive:
+        return warned("`needs` names tangents, but it did not use them here")
+    return passed(tangents="yes" if used else "no")
+
+
+@check("honesty.projections")
+def projections(integrator: IntegratorUnderTest) -> Result:
+    """The method does not project the state onto the constraints in every step, unless the formulation solves for
+    multipliers: otherwise, the spec chooses the stabilization.
+    """
+    if integrator.method().traits.family != "python":
+        return skipped("it is not a class with `step`, so it cannot project")
+    with integrator.run(FORCED_PENDULUM, {"end": 0.2, "step": 0.01}) as run:
+        if run.status != "complete":
+            return skipped(f"the run did not complete: {run.status_reason}".rstrip("."))
+        count, steps = int(run.stats["projections"]), int(run.stats["steps"])
+    if count >= steps and not FORMULATIONS[integrator.formulation].solves_multipliers:
+        return failed("it projects in every step, a stabilization that the spec did not request", projections=count)
+    return passed(projections=count)
+
+
+@check("cost.step")
+def cost_of_a_step(integrator: IntegratorUnderTest) -> Result:
+    """Time and evaluations per step on two rods without forces; reported without a limit."""
+    steps = 300
+    time = {"end": 3.0} if integrator.claims.adaptive else {"steps": steps, "step": 0.01}
+    best, stats = float("inf"), {}
+    for _ in range(3):
+        with integrator.run(COASTING, time, output={"every": 10**6}) as run:
+            if run.status != "complete":
+                return skipped(f"the run did not complete: {run.status_reason}".rstrip("."))
+            stats = dict(run.stats)
+            best = min(best, float(stats["wall_s"]))
+    count = int(stats["steps"])
+    return passed(
+        us_per_step=round(1e6 * best / count, 2),
+        rhs_per_step=round(stats["rhs_evaluations"] / count, 2),
+        iterations_per_step=round(stats["newton_iterations"] / count, 2),
+    )
+
+
+CHECKS = (counters, rows, needs, projections, cost_of_a_step)

@@ -1,0 +1,141 @@
+"""Misalignment of the joints: exactly zero, or its order in the step size, and its growth with time."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from mbdkit_report.analysis.growth import growth_law, worst_history
+from mbdkit_report.analysis.order import observed_order
+from mbdkit.archive.run import Run
+from mbdkit.engine.formulation import FORMULATIONS
+from mbdkit_testing.check import Check, Skip, check
+from mbdkit_testing.check_result import Figure, Result, failed, passed
+from mbdkit_testing.integrator_under_test import IntegratorUnderTest
+from mbdkit_testing.invariant_checks import coarse_step
+from mbdkit_testing.order_checks import BELOW, BELOW_HIGH, HIGH
+from mbdkit_testing.trial_models import DRIVEN_PENDULUM, SWINGING, Model
+
+EXACT = 1e-11
+"""Misalignment [m, m/s] below which the constraints count as satisfied; rounding and iterations may leave this much."""
+HELD = {name: one.holds for name, one in FORMULATIONS.items() if one.solves_multipliers} | {
+    name: ("position", "velocity") for name, one in FORMULATIONS.items() if one.coordinates == "joint"
+}
+"""Levels, ``position`` and ``velocity``, at which each formulation satisfies the constraints to round-off.
+
+This is true for the models of these checks, which have no closed loops.
+"""
+ROUNDING = 1e-15
+COARSE = 0.1
+"""Misalignments [m, m/s] above this limit, a tenth of the mechanism's size, do not follow a power of the step size."""
+REFINEMENTS, FINEST = 24, 120
+"""Largest number of refinements of the step, and largest ratio of the coarsest to the finest step."""
+FEWEST = 5
+"""Number of step sizes over which the order must be observed."""
+
+
+def _level(level: str, model: Model) -> Check[IntegratorUnderTest]:
+    def rate(integrator: IntegratorUnderTest) -> Result:
+        if integrator.claims.adaptive:
+            return _of_tolerance(integrator, level, model)
+        order = integrator.order
+        ratio = min(2.0, 4.0 ** (1 / order))
+        steps, found = [], []
+        for k in range(REFINEMENTS):
+            steps.append(1.5 * coarse_step(integrator) / ratio**k)
+            with integrator.run(model, {"end": 2.0, "step": steps[-1]}) as run:
+                found.append(_worst(run, level))
+            if found[-1] < 100 * ROUNDING or steps[0] / steps[-1] > FINEST:
+                break
+        sizes = np.array(found)
+        if not np.any(np.isfinite(sizes)):
+            raise Skip("no run completed at any step size")
+        largest = float(np.nanmax(sizes))
+        figures: dict[str, Figure] = {"largest": largest, "finest": float(sizes[-1])}
+        if largest < EXACT:
+            return passed(drift="exact", **figures).within({"largest": EXACT})
+        if why := _must_hold(integrator, level):
+            return failed(f"{why}, but the constraints do not hold at {level} level", **figures)
+        small = np.where(sizes < COARSE, sizes, np.nan)
+        seen = observed_order(np.array(steps), small, floor=ROUNDING, fewest=FEWEST)
+        if not seen.found:
+            return passed(drift="no clear power", **figures)
+        figures = {"rate": round(seen.order, 3), **figures}
+        if seen.order < order - (BELOW if order < HIGH else BELOW_HIGH):
+            return failed(f"drift has order {seen.order:.2f}, less than the claimed order {order:g}", **figures)
+        limits = {"rate": f"at least {order:g} - {BELOW if order < HIGH else BELOW_HIGH:g}"}
+        return passed(drift="polynomial", **figures).within(limits)
+
+    rate.__doc__ = f"Misalignment at {level} level is zero, or converges at least with the claimed order."
+    return Check(f"drift.{level}", rate, slow=level == "velocity")
+
+
+def _must_hold(integrator: IntegratorUnderTest, level: str) -> str:
+    """Return the reason why the constraints should hold to round-off at a level; empty if they need not."""
+    claims = integrator.claims
+    if level in HELD.get(integrator.formulation, ()):
+        return f"{integrator.formulation} enforces them"
+    if level in claims.constraints_hold:
+        return f"it claims constraints_hold = {list(claims.constraints_hold)}"
+    if level == "position" and claims.drift.strip().rstrip(".").lower() in ("none", "no drift"):
+        return f"it claims drift = '{claims.drift}'"
+    return ""
+
+
+def _worst(run: Run, level: str) -> float:
+    """Return the largest misalignment of a complete run [m or m/s]; NaN if the run is not complete."""
+    if run.status != "complete":
+        return math.nan
+    if level == "position":
+        return run.misalignment_max
+    return float(np.max(run.array("joints/velocity_misalignment")))
+
+
+def _of_tolerance(integrator: IntegratorUnderTest, level: str, model: Model) -> Result:
+    with integrator.run(model, {"end": 2.0}) as run:
+        size = _worst(run, level)
+    if not math.isfinite(size):
+        return failed("the run did not complete")
+    if size > EXACT and (why := _must_hold(integrator, level)):
+        return failed(f"{why}, but the constraints do not hold at {level} level", largest=size)
+    return passed(drift="exact" if size < EXACT else "of the tolerance", largest=size)
+
+
+@check("drift.growth", slow=True)
+def growth(integrator: IntegratorUnderTest) -> Result:
+    """Growth law of the misalignment of a double pendulum over 30 s; reported without a limit."""
+    step = coarse_step(integrator) / 2
+    time = {"end": 30.0} if integrator.claims.adaptive else {"end": 30.0, "step": step}
+    with integrator.run(SWINGING, time) as run:
+        if run.status != "complete":
+            raise Skip(f"the run did not complete: {run.status_reason}".rstrip("."))
+        history = worst_history(run)
+        if np.max(history) < EXACT:
+            return passed(growth="exact", largest_m=float(np.max(history)))
+        found = growth_law(run.time, history)
+    return passed(growth=found.law, exponent=round(found.exponent, 2), largest_m=float(np.max(history)))
+
+
+@check("drift.formulations")
+def formulations(integrator: IntegratorUnderTest) -> Result:
+    """With each further formulation that the method claims, the constraints hold at the levels that it enforces."""
+    others = [name for name in integrator.claims.formulations if name != integrator.formulation and name in HELD]
+    if not others:
+        raise Skip(f"besides {integrator.formulation}, it claims no formulation that enforces the constraints")
+    figures: dict[str, Figure] = {}
+    for name in others:
+        for level in HELD[name]:
+            with integrator.run(
+                DRIVEN_PENDULUM, {"end": 2.0, "step": coarse_step(integrator) / 4}, formulation=name
+            ) as run:
+                size = _worst(run, level)
+                if not math.isfinite(size):
+                    return failed(f"on {name} a run did not complete: {run.status_reason}")
+            figures[f"{name} {level}"] = size
+            if size > EXACT:
+                return failed(f"on {name} the constraints should hold at {level} level", **figures)
+    return passed(**figures).within(dict.fromkeys(figures, EXACT))
+
+
+CHECKS = (_level("position", SWINGING), _level("velocity", DRIVEN_PENDULUM), growth, formulations)

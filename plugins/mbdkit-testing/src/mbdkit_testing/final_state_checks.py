@@ -1,0 +1,119 @@
+"""Checks of final states: of free fall, after a shorter last step, and from starts at which derivatives vanish."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from mbdkit_testing.check import Skip, check
+from mbdkit_testing.check_result import Result, failed, passed
+from mbdkit_testing.integrator_under_test import IntegratorUnderTest
+from mbdkit_testing.order_checks import ENDS, HIGH, NEAR_ROUNDING, PROBLEMS, error_at_tolerance, reference
+from mbdkit_testing.trial_models import COASTING_BODY, FORCED_PENDULUM, RESTING
+
+FALL, FALL_ADAPTIVE, FALL_STEPS = 1e-10, 1e-3, 100
+"""Largest error of free fall [m, rad, m/s] with fixed and with adaptive steps, and number of steps before the last.
+
+The first error counts as rounding; the second is larger, because adaptive methods may begin with order 1.
+"""
+LAST_STEPS = (0.97, 0.6, 0.3, 0.04, 1e-3, 1e-6)
+"""Sizes of a shorter last step, relative to the other steps."""
+LAST_COUNT, LAST_TIMES = 24, 10.0
+"""Number of steps before the shorter last one, and largest factor by which the last step may increase the error."""
+RESTING_TOLERANCES, RESTING_TIMES = (1e-4, 1e-7), 1e3
+"""Tolerances of adaptive methods in runs from rest, and largest error as a multiple of the tolerance."""
+FINER_RESTING = (1, 2, 4, 8, 16)
+"""Factors by which the number of steps is multiplied; the last two are used only if the first three do not show the
+order.
+"""
+FIRST_RESTING, STARTS_OF_FIXED = 24, 3
+"""For methods with fixed steps: smallest number of steps, and number of starts at rest that are tried.
+
+Methods of high order begin with half this number of steps. Only some of the starts are tried, because methods with
+fixed steps have no error estimate that could vanish by accident.
+"""
+
+
+@check("state.free-fall")
+def free_fall(integrator: IntegratorUnderTest) -> Result:
+    """The final velocity and angle of a body in free fall are exact, also after a shorter last step; its position is
+    exact unless the claimed order is below 2.
+    """
+    worst, limit = 0.0, FALL_ADAPTIVE if integrator.claims.adaptive else FALL
+    for share in LAST_STEPS:
+        end = 2.0 if integrator.claims.adaptive else (FALL_STEPS + share) * 0.02
+        time = {"end": end} if integrator.claims.adaptive else {"end": end, "step": 0.02}
+        with integrator.run(COASTING_BODY, time, output={"every": 10**9}) as run:
+            if run.status != "complete":
+                raise Skip(f"the run of a free body did not complete: {run.status_reason}".rstrip("."))
+            body = run["mass"]
+            gravity = np.array([0.0, -9.81])
+            defects = [body.velocity[-1] - (np.array([30.0, -7.0]) + gravity * end), body.angle[-1] - 9.0 * end]
+            if integrator.claims.order is None or integrator.claims.order >= 2:
+                exact = np.array([0.4, -0.2]) + np.array([30.0, -7.0]) * end + gravity * end**2 / 2
+                defects.append(body.position[-1] - exact)
+            else:  # the force acts along y only
+                defects.append(body.position[-1, 0] - 0.4 - 30.0 * end)
+        defect = float(max(np.max(np.abs(one)) for one in defects))
+        worst = max(worst, defect)
+        if not defect <= limit:
+            last = "" if integrator.claims.adaptive else f" at the end of a last step of {share:g} times the others"
+            return failed(f"the motion of a free body in free fall is wrong{last}", defect=defect)
+        if integrator.claims.adaptive:
+            break
+    return passed(defect=worst).within({"defect": limit})
+
+
+@check("state.last-step")
+def last_step(integrator: IntegratorUnderTest) -> Result:
+    """A shorter last step does not make the final state worse."""
+    (state, _, floor), end, order = reference("forced-pendulum"), ENDS["forced-pendulum"], integrator.order
+
+    def error(step: float) -> float:
+        return float(np.max(np.abs(integrator.final_state(FORCED_PENDULUM, end, step) - state)))
+
+    usual = max(error(end / number) for number in (LAST_COUNT, LAST_COUNT + 1))
+    if not np.isfinite(usual):
+        raise Skip("the runs did not complete")
+    limit, worst = max(LAST_TIMES * usual, 100 * floor, NEAR_ROUNDING), 0.0
+    for share in LAST_STEPS:
+        worst = max(worst, error(end / (LAST_COUNT + share)))
+        if not worst <= limit:
+            cause = f"a last step of {share:g} times the others gives an error of {worst:.2g}, otherwise {usual:.2g}"
+            return failed(cause, order=order)
+    return passed(error=worst).within({"error": limit})
+
+
+@check("state.resting-starts")
+def resting_starts(integrator: IntegratorUnderTest) -> Result:
+    """From starts at rest at which derivatives of the motion vanish, the errors of the method decrease with the claimed
+    order or, for an adaptive method, with the tolerance.
+    """
+    worst, count = 0.0, len(RESTING) if integrator.claims.adaptive else STARTS_OF_FIXED
+    for name in list(RESTING)[:count]:
+        problem = f"resting: {name}"
+        state, _, floor = reference(problem)
+        small = max(100 * floor, NEAR_ROUNDING)
+        if integrator.claims.adaptive:
+            if "rtol" not in integrator.plugin.options.model_fields:
+                raise Skip("it has no option `rtol`")
+            for rtol in RESTING_TOLERANCES:
+                error = error_at_tolerance(integrator, problem, rtol, state)
+                if not error <= max(RESTING_TIMES * rtol, small):
+                    return failed(f"from rest with {name}, its error is {error:.2g} at a tolerance of {rtol:g}")
+        else:
+            first = FIRST_RESTING if integrator.order < HIGH else FIRST_RESTING // 2
+            model, end, errors = PROBLEMS[problem], ENDS[problem], list[float]()
+            for finer in FINER_RESTING:  # until the order is visible; large steps of a method of low order hide it
+                final = integrator.final_state(model, end, end / (first * finer))
+                errors.append(float(np.max(np.abs(final - state))))
+                error = errors[-1]
+                order = float(np.max(-np.diff(np.log2(np.maximum(errors, 1e-300))), initial=0.0))
+                if len(errors) > 2 and (error <= small or order >= 0.85 * integrator.order):
+                    break
+            else:
+                return failed(f"from rest with {name}, it has the order {order:.2f} at an error of {error:.2g}")
+        worst = max(worst, error)
+    return passed(starts=count, finest_error=worst)
+
+
+CHECKS = (free_fall, last_step, resting_starts)

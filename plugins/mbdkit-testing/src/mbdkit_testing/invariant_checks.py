@@ -1,0 +1,175 @@
+"""Geometric properties: reversibility, quadratic invariants, symplecticity, long-term energy."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+
+from mbdkit_report.analysis.energy import Trend, trend
+from mbdkit.engine.workspace import Workspace
+from mbdkit_testing.check import Check, Skip, check
+from mbdkit_testing.check_result import Figure, Result, failed, passed, skipped, unclaimed, warned
+from mbdkit_testing.integrator_under_test import IntegratorUnderTest
+from mbdkit_testing.trial_models import FREE_FOUR_BAR, HARMONIC, ORBIT, SWINGING, Model
+
+REVERSED = 1e-9
+"""Distance from the start, after integrating forward and backward, that counts as rounding."""
+CONSERVED = 1e-10
+"""Relative change of a quadratic invariant that counts as rounding."""
+SYMPLECTIC = 1e-7
+"""Defect of the symplectic form that counts as an error of the finite differences."""
+STEPS_OF_ORDER = {1: 0.01, 2: 0.02, 3: 0.04, 4: 0.05, 5: 0.08, 6: 0.1, 7: 0.14, 8: 0.2}
+"""Step sizes [s] by order at which errors are well above rounding."""
+
+
+def coarse_step(integrator: IntegratorUnderTest) -> float:
+    """Return a step size [s] at which the errors of the method are well above rounding."""
+    order = integrator.claims.order
+    return 0.05 if order is None else STEPS_OF_ORDER.get(math.ceil(order), 0.25)
+
+
+def _reversible(name: str, model: Model, duration: float) -> Check[IntegratorUnderTest]:
+    def there_and_back(integrator: IntegratorUnderTest) -> Result:
+        steps = round(duration / coarse_step(integrator))
+        workspace = integrator.workspace(model)
+        q, v = integrator.moved(workspace, duration, steps)
+        back = replace(workspace, q0=q, v0=-v)
+        defect = _distance(integrator.moved(back, duration, steps), workspace)
+        finer = integrator.moved(workspace, duration, 2 * steps)
+        own = float(max(np.max(np.abs(q - finer[0])), np.max(np.abs(v - finer[1]))))
+        if integrator.claims.adaptive:
+            return unclaimed(defect=defect)
+        figures = {"defect": defect, "own_error": own, "step_s": duration / steps}
+        if integrator.claims.symmetric:
+            if defect > REVERSED:
+                return failed("it claims to be symmetric, but does not return to its start", **figures)
+            if own < 100 * REVERSED:
+                return skipped("its errors are too small to distinguish symmetry from accuracy", **figures)
+            return passed(**figures).within({"defect": REVERSED})
+        if defect < REVERSED and own > 100 * REVERSED:
+            return warned("it returns to its start like a symmetric method, but does not claim symmetry", **figures)
+        return unclaimed(**figures)
+
+    there_and_back.__doc__ = (
+        f"On the {name.replace('-', ' ')} with reversed velocities, a symmetric method returns to its start."
+    )
+    return Check(f"geometry.reversibility-{name}", there_and_back)
+
+
+def _distance(state: tuple[np.ndarray, np.ndarray], workspace: Workspace) -> float:
+    q, v = state
+    return float(max(np.max(np.abs(q - workspace.q0)), np.max(np.abs(v + workspace.v0))))
+
+
+@check("geometry.quadratic-invariants")
+def quadratic_invariants(integrator: IntegratorUnderTest) -> Result:
+    """A method that claims to conserve quadratic invariants conserves angular momentum and the energy of a linear
+    spring, also in large steps.
+    """
+    step = 2 * coarse_step(integrator)
+    time = {"end": 40.0} if integrator.claims.adaptive else {"steps": 400, "step": step}
+    with integrator.run(ORBIT, time) as run:
+        _require_complete(run.status, run.status_reason)
+        x, u = run["mass"].position, run["mass"].velocity
+        momentum = x[:, 0] * u[:, 1] - x[:, 1] * u[:, 0]
+    with integrator.run(HARMONIC, time) as run:
+        _require_complete(run.status, run.status_reason)
+        energy = run.energy.total
+    figures: dict[str, Figure] = {
+        "momentum_change": float(np.max(np.abs(momentum / momentum[0] - 1))),
+        "energy_change": float(np.max(np.abs(energy / energy[0] - 1))),
+    }
+    lost = [
+        name.partition("_")[0] for name, change in figures.items() if isinstance(change, float) and change > CONSERVED
+    ]
+    if integrator.claims.quadratic_invariants and lost:
+        return failed(f"it claims to conserve quadratic invariants, but {lost[0]} changes", **figures)
+    if not lost and not integrator.claims.quadratic_invariants:
+        return warned("it conserves quadratic invariants, but does not claim it", **figures)
+    if not integrator.claims.quadratic_invariants:
+        return unclaimed(**figures)
+    return passed(**figures).within(dict.fromkeys(figures, CONSERVED))
+
+
+@check("geometry.symplectic-form")
+def symplectic_form(integrator: IntegratorUnderTest) -> Result:
+    """If the method claims to be symplectic, the Jacobian J of a few steps of a mass in a central field satisfies
+    J^T S J = S, where S is the matrix of the symplectic form.
+    """
+    if integrator.claims.adaptive:
+        return skipped("it is adaptive: the step size depends on the state")
+    step, steps, small = 4 * coarse_step(integrator), 3, 1e-5
+    workspace = integrator.workspace(ORBIT)
+
+    def image(change: np.ndarray) -> np.ndarray:
+        q0, v0 = workspace.q0.copy(), workspace.v0.copy()
+        q0[:2] += change[:2]
+        v0[:2] += change[2:]
+        q, v = integrator.moved(replace(workspace, q0=q0, v0=v0), steps * step, steps)
+        return np.concatenate([q[:2], v[:2]])
+
+    columns = [
+        (8 * (image(small * e) - image(-small * e)) - (image(2 * small * e) - image(-2 * small * e))) / (12 * small)
+        for e in np.eye(4)
+    ]
+    jacobian = np.array(columns).T
+    form = np.block([[np.zeros((2, 2)), np.eye(2)], [-np.eye(2), np.zeros((2, 2))]])
+    defect = float(np.max(np.abs(jacobian.T @ form @ jacobian - form)))
+    if not integrator.claims.symplectic:
+        return unclaimed(defect=defect)
+    if defect > SYMPLECTIC:
+        return failed("it claims to be symplectic, but does not conserve the symplectic form", defect=defect)
+    return passed(defect=defect).within({"defect": SYMPLECTIC})
+
+
+@check("geometry.energy")
+def energy(integrator: IntegratorUnderTest) -> Result:
+    """If the method claims to be symplectic or symmetric, the energy of a mass in a central field has no long-term
+    trend.
+    """
+    found, duration = energy_trend(integrator, ORBIT)
+    change = found.slope * duration
+    figures = {"trend_J_per_s": found.slope, "error_J_per_s": found.error, "largest_J": found.largest}
+    if not (integrator.claims.symplectic or integrator.claims.symmetric):
+        return unclaimed(**figures)
+    if found.drifts and found.largest > 1e-11 and abs(change) > 0.3 * found.largest:
+        return failed("it claims to be symplectic or symmetric, but its energy has a trend", **figures)
+    return passed(**figures)
+
+
+@check("geometry.energy-jointed", slow=True)
+def energy_jointed(integrator: IntegratorUnderTest) -> Result:
+    """Trend of the energy of a conservative double pendulum, including effects of drift; reported without a limit."""
+    found, _ = energy_trend(integrator, SWINGING)
+    return passed(trend_J_per_s=found.slope, error_J_per_s=found.error, largest_J=found.largest)
+
+
+def energy_trend(integrator: IntegratorUnderTest, model: Model) -> tuple[Trend, float]:
+    """Return the trend of the energy balance in a run, and the duration of the run [s].
+
+    The run takes 1000 steps of half the size `coarse_step`; an adaptive method takes its own steps over the same
+    duration.
+    """
+    step = coarse_step(integrator) / 2
+    duration = 1000 * step
+    time = {"end": duration} if integrator.claims.adaptive else {"steps": 1000, "step": step}
+    with integrator.run(model, time) as run:
+        _require_complete(run.status, run.status_reason)
+        return trend(run.time, run.energy.balance), duration
+
+
+def _require_complete(status: str, reason: str) -> None:
+    if status != "complete":
+        raise Skip(f"the run did not complete: {reason}".rstrip("."))
+
+
+CHECKS = (
+    _reversible("pendulum", SWINGING, 4.0),
+    _reversible("four-bar", FREE_FOUR_BAR, 2.0),
+    quadratic_invariants,
+    symplectic_form,
+    energy,
+    energy_jointed,
+)

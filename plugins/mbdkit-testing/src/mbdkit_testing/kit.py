@@ -1,0 +1,123 @@
+"""The list of checks of each kind of plugin, and the function that runs them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import asdict
+from typing import Any
+
+from mbdkit.base.logs import to_stderr
+from mbdkit.registry.catalogue import Kind, Registered, Registry
+from mbdkit.registry.manager import registry
+from mbdkit_testing import contract_checks, counter_checks, drift_checks, failure_checks, final_state_checks, force_law_checks, invariant_checks, measure_checks, model_checks, newton_checks, option_effect_checks, order_checks, restart_checks, study_checks, tableau_checks
+from mbdkit_testing.check import Check
+from mbdkit_testing.check_result import Report, Result
+from mbdkit_testing.integrator_under_test import IntegratorUnderTest
+from mbdkit_testing.options_under_test import plain_options
+
+INTEGRATOR_CHECKS: tuple[Check[IntegratorUnderTest], ...] = (
+    *contract_checks.CHECKS,
+    *tableau_checks.CHECKS,
+    *order_checks.CHECKS,
+    *final_state_checks.CHECKS,
+    *newton_checks.CHECKS,
+    *invariant_checks.CHECKS,
+    *drift_checks.CHECKS,
+    *counter_checks.CHECKS,
+    *failure_checks.CHECKS,
+    *restart_checks.CHECKS,
+)
+CHECKS: dict[Kind, tuple[Check[Any], ...]] = {
+    "integrator": INTEGRATOR_CHECKS,
+    "model": model_checks.CHECKS,
+    "force-law": (*force_law_checks.CHECKS, *option_effect_checks.CHECKS),
+    "study": study_checks.CHECKS,
+    "measure": measure_checks.CHECKS,
+}
+Watch = Callable[[int, int, str], None]
+
+
+def checks_of(kind: Kind, *, quick: bool = False) -> Iterator[Check[Any]]:
+    """Yield the checks of a kind of plugin in order, without the slow ones if `quick`."""
+    return (check for check in CHECKS[kind] if not (quick and check.slow))
+
+
+def plugin_under_test(kind: Kind, name: str, options: Mapping[str, Any], installed: Registry | None = None) -> Any:
+    """Return a plugin with options, in the form that the checks use.
+
+    Raises
+    ------
+    SpecError
+        If there is no such plugin, or its options are invalid.
+    """
+    installed = installed or registry()
+    item = installed.get(kind, name)
+    chosen = plain_options(item, options)
+    types: dict[Kind, Callable[[Registered, dict[str, Any], Registry], Any]] = {
+        "integrator": IntegratorUnderTest,
+        "model": model_checks.ModelUnderTest,
+        "force-law": force_law_checks.ForceLawUnderTest,
+        "study": study_checks.StudyUnderTest,
+        "measure": measure_checks.MeasureUnderTest,
+    }
+    return types[kind](item, chosen, installed)
+
+
+def verify(
+    kind: Kind,
+    name: str,
+    options: Mapping[str, Any] | None = None,
+    *,
+    quick: bool = False,
+    installed: Registry | None = None,
+    watch: Watch | None = None,
+    notify: Callable[[str], None] = to_stderr,
+) -> Report:
+    """Run all checks of a plugin.
+
+    Parameters
+    ----------
+    name
+        Short or long name.
+    options
+        Options of the plugin. An option with neither a default nor a given value gets an example value; see
+        `plain_options`.
+    quick
+        Whether to leave out the slow checks.
+    installed
+        The registry; by default all installed plugins.
+    watch
+        Called before each check with its index, the number of checks, and its name.
+    notify
+        Called with messages about long operations.
+
+    Raises
+    ------
+    SpecError
+        If there is no such plugin, or its options are invalid.
+    """
+    under_test = plugin_under_test(kind, name, options or {}, installed)
+    checks = list(checks_of(kind, quick=quick))
+    results: list[Result] = []
+    for number, check in enumerate(checks):
+        if watch is not None:
+            watch(number, len(checks), check.name)
+        results.append(check.run(under_test))
+    item: Registered = under_test.item
+    return Report(
+        id=item.id,
+        kind=kind,
+        version=item.origin.version,
+        options=under_test.options,
+        claims=_claims(kind, under_test),
+        results=tuple(results),
+    )
+
+
+def _claims(kind: Kind, under_test: Any) -> dict[str, Any]:
+    if kind == "model":
+        return {}
+    try:
+        return asdict(under_test.claims) if kind == "integrator" else dict(under_test.claims)
+    except (Exception, SystemExit):  # a check reports it
+        return {}

@@ -1,0 +1,90 @@
+"""Checks of a measure: it returns numbers, is repeatable, and modifies nothing."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from mbdkit.archive.run import Run
+from mbdkit.base.errors import MbdkitError
+from mbdkit.registry.catalogue import Registered, Registry
+from mbdkit.registry.item_options import named_options
+from mbdkit.registry.items import MeasurePlugin
+from mbdkit.runs.simulation import simulate
+from mbdkit.spec.loading import load_spec
+from mbdkit_testing.check import Skip, check
+from mbdkit_testing.check_result import Result, failed, passed, warned
+from mbdkit_testing.options_under_test import options_result, validated
+
+EXAMPLES = ("double-pendulum", "knee", "slider-crank")
+"""Packaged examples; a measure is applied to a short run of each of them."""
+
+
+@dataclass
+class MeasureUnderTest:
+    """A measure with options.
+
+    Parameters
+    ----------
+    options
+        Options of the measure, as in a study spec.
+    """
+
+    item: Registered
+    options: dict[str, Any]
+    installed: Registry
+    claims: dict[str, Any] = field(default_factory=dict)
+
+    @property
+    def plugin(self) -> MeasurePlugin:
+        """The plugin item."""
+        plugin = self.item.plugin
+        assert isinstance(plugin, MeasurePlugin)
+        return plugin
+
+    def runs(self) -> Iterator[tuple[str, Run]]:
+        """Yield runs of packaged examples with their names."""
+        for name in EXAMPLES:
+            with simulate(load_spec(name, time={"steps": 20, "step": 0.005})) as run:
+                yield name, run
+
+    def take(self, run: Run) -> Any:
+        """Return the value of the measure for a run."""
+        return self.plugin.take(run, validated(named_options(self.item), {"name": self.item.id, **self.options}))
+
+
+@check("measure.options")
+def options(measure: MeasureUnderTest) -> Result:
+    """The measure's options round-trip through JSON and have descriptions."""
+    return options_result(measure.plugin.options, measure.options)
+
+
+@check("measure.value")
+def value(measure: MeasureUnderTest) -> Result:
+    """For a run of a suitable packaged example, it returns a number, and the same number when called again."""
+    values: dict[str, float] = {}
+    refused = ""
+    for name, run in measure.runs():
+        try:
+            first, second = measure.take(run), measure.take(run)
+        except MbdkitError as error:  # for example, the measure needs a body that the example does not have
+            refused = refused or f"{name}: {error}"
+            continue
+        if not isinstance(first, int | float | np.number) or isinstance(first, bool):
+            return failed(f"for a run of {name} it returned an object of type {type(first).__name__}, not a number")
+        if not np.array_equal(first, second, equal_nan=True):
+            return failed(f"for a run of {name} it returned {first!r} and then {second!r}")
+        values[name] = float(first)
+    if not values:
+        raise Skip(
+            f"it cannot be computed for any packaged example ({refused}); use --set to give options that match one"
+        )
+    if all(np.isnan(list(values.values()))):
+        return warned("it returned nan for every example that it was tried on")
+    return passed(**values)
+
+
+CHECKS = (options, value)

@@ -1,0 +1,51 @@
+"""Check that the iteration of a step does not stop so early that results become less accurate."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from mbdkit.methods.kinds import ImplicitRungeKutta, Method
+from mbdkit_testing.check import Skip, check
+from mbdkit_testing.check_result import Result, failed, passed, skipped
+from mbdkit_testing.integrator_under_test import IntegratorUnderTest, drive
+from mbdkit_testing.order_checks import NEAR_ROUNDING
+from mbdkit_testing.trial_models import FORCED_PENDULUM
+
+SAME = 0.01
+"""Largest change of the result by further iterations, as a share of the error of the result."""
+
+
+@check("newton.tolerance")
+def tolerance(integrator: IntegratorUnderTest) -> Result:
+    """Iterating to round-off changes the result by less than a hundredth of the error of the result."""
+    _require_iterations(integrator)
+    steps = 50
+    own = integrator.method()
+    if own.traits.tableau is not None:  # explicit methods are skipped above
+        exact: Method = ImplicitRungeKutta(own.traits.tableau)
+    elif "tolerance" in integrator.plugin.options.model_fields:
+        exact = integrator.method(tolerance=1e-13)
+    else:
+        return skipped("it is not given by a tableau and has no option `tolerance`")
+
+    def end(method: Method, steps: int) -> np.ndarray:
+        return np.concatenate(
+            drive(integrator.stepper(integrator.workspace(FORCED_PENDULUM), 1.0, steps, method=method))
+        )
+
+    found, iterated = end(own, steps), end(exact, steps)
+    change, error = float(np.max(np.abs(found - iterated))), float(np.max(np.abs(iterated - end(exact, 2 * steps))))
+    if change > SAME * error + NEAR_ROUNDING:
+        return failed("its iteration stops early: iterating to rounding changes the result", change=change, error=error)
+    return passed(change=change, error=error).within({"change": SAME * error + NEAR_ROUNDING})
+
+
+def _require_iterations(integrator: IntegratorUnderTest) -> None:
+    if integrator.claims.adaptive:
+        raise Skip("it is adaptive")
+    with integrator.run(FORCED_PENDULUM, {"end": 0.1, "step": 0.02}) as run:
+        if not run.stats["newton_iterations"]:
+            raise Skip("it does not iterate")
+
+
+CHECKS = (tolerance,)

@@ -1,0 +1,104 @@
+"""Requirement on force laws that each option has an effect."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+
+from mbdkit.base.errors import SpecError
+from mbdkit.base.text import listed
+from mbdkit.mechanism.force_law import ExpressionLaw
+from mbdkit_testing.check import Skip, check
+from mbdkit_testing.check_result import Result, failed, passed, warned
+from mbdkit_testing.force_law_checks import RANDOM_OF_VARIANTS, ForceLawUnderTest
+from mbdkit_testing.options_under_test import variants
+
+DRAWS, STRIDE = 16, 2
+"""Number of random sets of options at which an option that had no effect before is varied again, and number of changes
+per option from one set to the next.
+
+An option may act only in a branch that other options select, as an exponent of a damping does unless the damping is 0.
+"""
+
+
+@check("law.option-effects")
+def option_effects(law: ForceLawUnderTest) -> Result:
+    """Each option changes the force, the potential, the rate of a state or the valid range for some values."""
+    names = list(law.plugin.options.model_fields)
+    if not names:
+        raise Skip("it has no options")
+    tried, effective = set(), {state.name for state in law.plugin.law.states}
+    symbols = _symbols(law)
+    if symbols is not None and (absent := [name for name in names if name not in symbols | effective]):
+        return failed(
+            f"its {_options(absent)} no effect, because the expressions of the law do not contain "
+            f"{'its symbol' if len(absent) == 1 else 'their symbols'}; use or remove {_pronoun(absent)}"
+        )
+    for chosen in _choices(law):
+        for name, other in variants(law.item, chosen):
+            option = name.partition(" = ")[0]
+            if option in effective:
+                continue
+            try:
+                if _differ(_at(law, chosen), _at(law, other)):
+                    effective.add(option)
+                tried.add(option)
+            except SpecError:  # the law refuses the values
+                continue
+        if effective >= set(names):
+            break
+    if idle := [name for name in names if name in tried - effective]:
+        return warned(
+            f"its {_options(idle)} no effect for {DRAWS} random sets of values; use or remove "
+            f"{_pronoun(idle)}, unless {_pronoun(idle)} should act in rare cases only"
+        )
+    return passed(options=len(names))
+
+
+def _options(names: list[str]) -> str:
+    return f"option {names[0]} has" if len(names) == 1 else f"options {listed(names, 'and')} have"
+
+
+def _pronoun(names: list[str]) -> str:
+    return "it" if len(names) == 1 else "them"
+
+
+def _choices(law: ForceLawUnderTest) -> Iterator[dict[str, Any]]:
+    """Yield the options under test, and sets of options on a random walk through their variants."""
+    chosen, generator = law.options, np.random.default_rng(5)
+    yield chosen
+    for _ in range(DRAWS):
+        for _ in range(STRIDE * len(law.plugin.options.model_fields)):
+            if others := list(variants(law.item, chosen)):
+                _, chosen = others[generator.integers(len(others))]
+        yield chosen
+
+
+def _at(law: ForceLawUnderTest, options: dict[str, Any]) -> ForceLawUnderTest:
+    return ForceLawUnderTest(law.item, options, law.installed, RANDOM_OF_VARIANTS)
+
+
+def _differ(one: ForceLawUnderTest, two: ForceLawUnderTest) -> bool:
+    """Whether two sets of options give different values at the samples of either, or different valid ranges."""
+    if not np.array_equal(one.span, two.span):
+        return True
+    places = np.concatenate([one.places, two.places])
+    rates = one.rates(places), two.rates(places)
+    return not np.array_equal(one(places), two(places), equal_nan=True) or any(
+        not np.array_equal(rates[0][name], rates[1][name], equal_nan=True) for name in rates[0]
+    )
+
+
+def _symbols(law: ForceLawUnderTest) -> set[str] | None:
+    """Return the names of the symbols in the expressions of a law; None if functions compute values of it."""
+    given = law.plugin.law
+    if not isinstance(given, ExpressionLaw) or given.parameters is not None or callable(given.valid_range):
+        return None
+    expressions = [given.force, given.potential, *(rate for rate, _ in given.rates.values())]
+    made = [one() if callable(one) else one for one in expressions]
+    return {str(symbol) for one in made for symbol in getattr(one, "free_symbols", ())}
+
+
+CHECKS = (option_effects,)

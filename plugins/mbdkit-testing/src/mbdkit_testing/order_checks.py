@@ -1,0 +1,321 @@
+"""Checks of convergence as the step size or the tolerance decreases.
+
+They test exactness on polynomials, observed orders on nonlinear non-autonomous problems, and errors of adaptive
+methods.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from functools import cache
+
+import numpy as np
+
+from mbdkit_report.analysis.order import ObservedOrder, observed_order
+from mbdkit.spec.formulation_choice import choice_of
+from mbdkit.spec.loading import load_spec
+from mbdkit_testing.check import Check, Skip, check
+from mbdkit_testing.check_result import Figure, Result, failed, passed, skipped, warned
+from mbdkit_testing.integrator_under_test import IntegratorUnderTest, final_state
+from mbdkit_testing.trial_models import BEAM, DRIVEN_PENDULUM, FORCED_PENDULUM, FOUR_BAR, RESTING, Model, pushed
+
+PROBLEMS: dict[str, Model] = {
+    "forced-pendulum": FORCED_PENDULUM,
+    "driven-pendulum": DRIVEN_PENDULUM,
+    "four-bar": FOUR_BAR,
+    "beam": BEAM,
+    **{f"resting: {name}": model for name, model in RESTING.items()},
+}
+USUAL = tuple(name for name in PROBLEMS if not name.startswith("resting"))
+"""Names of the problems each of which has a check of its own; the other problems are starts at rest."""
+ENDS = dict.fromkeys(PROBLEMS, 1.0) | {"driven-pendulum": 3.0}
+"""Duration of each problem [s]; long enough that errors follow a power of the step before they reach rounding."""
+BELOW, ABOVE = 0.2, 0.5
+"""An observed order below the claimed one by more than `BELOW` fails; above it by more than `ABOVE` is a warning."""
+MOST_STEPS, MOST_PYTHON_STEPS = 8192, 1024
+FIRST_STEPS = 5
+HIGH = 8
+"""For orders above this, errors may reach rounding before they follow a power of the step."""
+BELOW_HIGH = 0.5
+"""Replaces `BELOW` for high orders, for which few step sizes are neither too coarse nor dominated by round-off.
+
+An observed order between the two limits is inconclusive.
+"""
+TOLERANCES = (1e-4, 1e-6, 1e-8, 1e-10)
+OBEYS = 10.0
+"""Smallest factor by which the error of an adaptive method must decrease over four decades of the tolerance."""
+POLYNOMIAL = 1e-13
+NEAR_ROUNDING = 1e-11
+"""Errors below this count as rounding, for which the order need not hold."""
+FINEST = 3
+"""Number of refinements over which the order at the finest steps is measured."""
+
+
+@cache
+def reference(problem: str) -> tuple[np.ndarray, np.ndarray, float]:
+    """Return the reference state and multipliers at the end, and the rounding error of the state.
+
+    State and multipliers are computed by Gauss collocation with 6 stages in 60 steps per second. The rounding error is
+    estimated by the difference between the states with 60 and 75 steps per second.
+    """
+    from mbdkit.runs.simulation import simulate  # it does not print warnings, which would concern the test problem
+
+    found, end = [], ENDS[problem]
+    gauss = {"name": "mbdkit:gauss", "stages": 6}
+    for rate in (60, 75):
+        time = {"end": end, "step": 1 / rate}
+        spec = load_spec({"mbdkit": 1, "model": PROBLEMS[problem], "integrator": gauss, "time": time})
+        with simulate(spec).check() as result:
+            found.append((final_state(result), result.array("constraints/multiplier")[-1].copy()))
+    (state, multipliers), (other, _) = found
+    return state, multipliers, max(float(np.max(np.abs(state - other))), 1e-15)
+
+
+class Convergence:
+    """Errors of an integrator on a problem, over a sequence of step sizes.
+
+    Parameters
+    ----------
+    formulation
+        The formulation; by default the one that the checks use.
+
+    Attributes
+    ----------
+    steps
+        (K,) step sizes [s] of the K runs, coarsest first.
+    position_errors, velocity_errors, multiplier_errors
+        (K,) largest error at the end of each run, for multipliers relative to the largest one; NaN if the run failed.
+    floor
+        Rounding error of the reference.
+    """
+
+    def __init__(self, integrator: IntegratorUnderTest, problem: str, formulation: str | None = None):
+        state, multipliers, self.floor = reference(problem)
+        formulation = formulation or integrator.formulation
+        claimed = integrator.claims.orders_on(formulation)
+        assert claimed is not None
+        self.order = max(claimed.positions, claimed.velocities)
+        steps, errors, end = [], [], ENDS[problem]
+        for number in numbers_of_steps(integrator, min(order for order in claimed if order is not None)):
+            time = {"end": end, "step": end / number}
+            with integrator.run(PROBLEMS[problem], time, output={"every": 10**9}, formulation=formulation) as run:
+                of_positions, of_velocities = (float(np.max(np.abs(x))) for x in np.split(final_state(run) - state, 2))
+                of_multipliers = math.nan
+                if claimed.multipliers is not None and run.status == "complete":
+                    own = run.array("constraints/method_multiplier")[-1]
+                    of_multipliers = float(np.max(np.abs(own - multipliers)) / np.max(np.abs(multipliers)))
+                errors.append((of_positions, of_velocities, of_multipliers))
+            steps.append(end / number)
+            if max(errors[-1][:2]) < 10 * self.floor:
+                break
+        self.steps = np.array(steps)
+        self.position_errors, self.velocity_errors, self.multiplier_errors = np.array(errors).T
+
+    @property
+    def errors(self) -> np.ndarray:
+        """Largest error of any position or velocity (K,)."""
+        largest: np.ndarray = np.maximum(self.position_errors, self.velocity_errors)
+        return largest
+
+    @property
+    def observed(self) -> ObservedOrder:
+        """The observed order of positions and velocities."""
+        return self.observed_in(self.errors)
+
+    def observed_in(self, errors: np.ndarray) -> ObservedOrder:
+        """Return the observed order of errors (K,) of positions or velocities."""
+        return observed_order(self.steps, errors, floor=self.floor, fewest=4 if self.order > HIGH else 3)
+
+    @property
+    def observed_of_multipliers(self) -> ObservedOrder:
+        """The observed order of the multipliers, down to the smallest error, because rounding grows as steps become
+        smaller.
+        """
+        errors = self.multiplier_errors
+        some = slice(0, 1 + int(np.nanargmin(errors))) if np.isfinite(errors).any() else slice(None)
+        return observed_order(self.steps[some], errors[some])
+
+
+def numbers_of_steps(integrator: IntegratorUnderTest, order: float) -> Iterator[int]:
+    """Yield increasing numbers of steps; from one to the next, the error of a method of this order falls fourfold.
+
+    Step sizes are at most halved each time, so that the error of a method of an order below 2 falls less.
+    """
+    ratio = min(2.0, max(4.0 ** (1 / order), 1.05))
+    most = MOST_PYTHON_STEPS if integrator.method().traits.family == "python" else MOST_STEPS
+    exact = float(FIRST_STEPS)
+    while exact <= most:
+        yield round(exact)
+        exact = max(exact * ratio, round(exact) + 1)
+
+
+def convergence(integrator: IntegratorUnderTest, problem: str) -> Convergence:
+    """Return the errors on a problem, cached."""
+    return integrator.cached(f"convergence on {problem}", lambda: Convergence(integrator, problem))
+
+
+def compare_orders(claimed: float, observed: ObservedOrder, errors: np.ndarray, what: str = "order") -> Result:
+    """Compare an observed order with the claimed one; return the result of the check."""
+    finite = errors[np.isfinite(errors)]
+    if len(finite) == 0:
+        return failed("no run completed at any step size")
+    figures = {"claimed": claimed, "smallest_error": float(finite.min())}
+    if not observed.found:
+        if claimed > HIGH and finite.min() < 1e-12:
+            return skipped("its errors reach rounding before they follow a power of the step", **figures)
+        return failed(f"it claims {what} {claimed:g}, but its errors follow no power of the step", **figures)
+    figures = {
+        "measured": round(observed.order, 3),
+        "coarsest": observed.steps[0],
+        "finest": observed.steps[-1],
+        **figures,
+    }
+    if claimed > HIGH and claimed - BELOW_HIGH < observed.order < claimed - BELOW:
+        return skipped("its errors reach rounding before they follow that power of the step closely", **figures)
+    if observed.order < claimed - BELOW:
+        return failed(f"it claims {what} {claimed:g}, but the observed one is {observed.order:.2f}", **figures)
+    if observed.order > claimed + ABOVE:
+        return warned(f"it claims {what} {claimed:g}, but the observed one is {observed.order:.2f}", **figures)
+    return passed(**figures).within({"measured": f"from {claimed - BELOW:g} to {claimed + ABOVE:g}"})
+
+
+def _on(problem: str) -> Check[IntegratorUnderTest]:
+    def observed(integrator: IntegratorUnderTest) -> Result:
+        claimed = integrator.order
+        found = convergence(integrator, problem)
+        return compare_orders(claimed, found.observed, found.errors)
+
+    observed.__doc__ = (
+        f"The error on the {problem.replace('-', ' ')}, nonlinear and non-autonomous, converges with the claimed order."
+    )
+    return Check(f"order.{problem}", observed, slow=problem == "driven-pendulum")
+
+
+@check("order.multipliers")
+def multipliers(integrator: IntegratorUnderTest) -> Result:
+    """The method's own multipliers converge with the order claimed for them."""
+    claimed = integrator.claims.multiplier_order
+    if claimed is None:
+        raise Skip("it claims no order of multipliers")
+    found = convergence(integrator, "forced-pendulum")
+    return compare_orders(claimed, found.observed_of_multipliers, found.multiplier_errors, "order of multipliers")
+
+
+@check("order.formulations", slow=True)
+def formulations(integrator: IntegratorUnderTest) -> Result:
+    """With each other formulation that the method claims, positions, velocities and multipliers converge as claimed."""
+    claimed_names = (name for name in integrator.claims.formulations if name != integrator.formulation)
+    # those with options apply to loops, which the model of this check does not have
+    others = [name for name in claimed_names if choice_of(name) == name]
+    if not others:
+        raise Skip(f"it claims only {integrator.formulation}")
+    if integrator.claims.adaptive:
+        raise Skip("it is adaptive and claims no order")
+    figures: dict[str, Figure] = {}
+    remark = ""
+    for name in others:
+        claimed = integrator.claims.orders_on(name)
+        assert claimed is not None
+        found = Convergence(integrator, "forced-pendulum", name)
+        seen = []
+        kinds = (
+            ("positions", claimed.positions, found.position_errors),
+            ("velocities", claimed.velocities, found.velocity_errors),
+            ("multipliers", claimed.multipliers, found.multiplier_errors),
+        )
+        for what, order, errors in kinds:
+            if order is None:
+                continue
+            observed = found.observed_of_multipliers if what == "multipliers" else found.observed_in(errors)
+            finding = compare_orders(order, observed, errors, f"order of {what}")
+            if finding.outcome == "fail":
+                return failed(f"on {name} {finding.cause}", **finding.figures)
+            if finding.outcome == "warn":
+                remark = remark or f"on {name} {finding.cause}"
+            seen.append(f"{observed.order:.2f}")
+        figures[name] = "/".join(seen)
+    return warned(remark, **figures) if remark else passed(**figures)
+
+
+@check("order.finest")
+def finest(integrator: IntegratorUnderTest) -> Result:
+    """The order holds at the finest steps until errors approach rounding."""
+    order, found = integrator.order, convergence(integrator, "forced-pendulum")
+    keep = np.isfinite(found.errors) & (found.errors > 0)
+    steps, errors = found.steps[keep], found.errors[keep]
+    if len(steps) <= FINEST:
+        raise Skip("too few runs completed")
+    smallest = float(errors.min())
+    slope = float(np.log(errors[-1] / errors[-1 - FINEST]) / np.log(steps[-1] / steps[-1 - FINEST]))
+    if slope < order - 0.5 and errors[-1] > NEAR_ROUNDING:
+        return failed(
+            f"at the finest steps its order is only {slope:.2f}, at an error of {errors[-1]:.1g}",
+            slope_at_finest=slope,
+            smallest_error=smallest,
+        )
+    return passed(slope_at_finest=round(slope, 2), smallest_error=smallest)
+
+
+def error_at_tolerance(integrator: IntegratorUnderTest, problem: str, rtol: float, state: np.ndarray) -> float:
+    """Return the largest error of a run with the tolerance `rtol` at its end, where the reference is `state`."""
+    options = {"rtol": rtol, **({"atol": rtol} if "atol" in integrator.plugin.options.model_fields else {})}
+    time = {"end": ENDS[problem]}
+    with integrator.run(PROBLEMS[problem], time, options=options, output={"every": 10**9}) as run:
+        return float(np.max(np.abs(final_state(run) - state)))
+
+
+@check("order.polynomials")
+def polynomials(integrator: IntegratorUnderTest) -> Result:
+    """One step of a method of order p gives the exact velocity and position of a mass if they are polynomials of a
+    degree of at most p in time.
+    """
+    order = int(integrator.order)
+    worst, first = 0.0, None
+    for power in range(order):
+        with integrator.run(pushed(power), {"end": 1.0, "step": 1.0}) as run:
+            if run.status != "complete":
+                raise Skip(f"the run of a free mass did not complete: {run.status_reason}".rstrip("."))
+            body = run["mass"]
+            defect = abs(float(body.velocity[-1, 0]) - 1 / (power + 1))
+            if power < order - 1:
+                defect = max(defect, abs(float(body.position[-1, 0]) - 1 / ((power + 1) * (power + 2))))
+        worst = max(worst, defect)
+        if defect > POLYNOMIAL and first is None:
+            first = power
+    if first is None:
+        return passed(degree=order, defect=worst).within({"defect": POLYNOMIAL})
+    cause = f"under the force t^{first} one step of 1 s is not exact, as order {order} requires"
+    if integrator.method().traits.family == "python":
+        return warned(f"{cause} of methods that are linear in the forces", defect=worst)
+    return failed(cause, defect=worst)
+
+
+def _with_tolerance(problem: str) -> Check[IntegratorUnderTest]:
+    def obeys(integrator: IntegratorUnderTest) -> Result:
+        if not integrator.claims.adaptive:
+            raise Skip("it has fixed steps")
+        if "rtol" not in integrator.plugin.options.model_fields:
+            raise Skip("it has no option `rtol`")
+        state, _, floor = reference(problem)
+        errors = [error_at_tolerance(integrator, problem, rtol, state) for rtol in TOLERANCES]
+        figures = {f"error_at_{rtol:g}": error for rtol, error in zip(TOLERANCES, errors, strict=True)}
+        if not np.all(np.isfinite(errors)):
+            return failed("a run did not complete", **figures)
+        for coarse, fine in zip(errors, errors[2:], strict=False):
+            if fine > max(coarse / OBEYS, 100 * floor):
+                return failed("its error does not decrease with the tolerance", **figures)
+        return passed(**figures)
+
+    obeys.__doc__ = f"The error on the {problem.replace('-', ' ')} decreases with the tolerance."
+    return Check(f"tolerance.{problem}", obeys, slow=problem == "driven-pendulum")
+
+
+CHECKS = (
+    polynomials,
+    *(_on(problem) for problem in USUAL),
+    finest,
+    multipliers,
+    formulations,
+    *(_with_tolerance(problem) for problem in USUAL),
+)

@@ -1,0 +1,102 @@
+"""The checks of a plugin as pytest tests."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from functools import cache
+from typing import Any
+
+from mbdkit.registry.catalogue import Kind
+from mbdkit_testing.check import Check
+from mbdkit_testing.check_result import Result, figures_text
+from mbdkit_testing.kit import checks_of, plugin_under_test
+
+
+class ConformanceWarning(UserWarning):
+    """Warning for a check that passed with a remark."""
+
+
+@dataclass(frozen=True)
+class Case:
+    """A check of a plugin as a test; calling the object runs the check.
+
+    A failure raises AssertionError, and a remark issues a ConformanceWarning. A check that does not apply, or whose
+    property is not claimed, is skipped.
+    """
+
+    kind: Kind
+    plugin: str
+    options: tuple[tuple[str, Any], ...]
+    check: Check[Any]
+
+    def __call__(self) -> Result:
+        """Run the check."""
+        import pytest
+
+        result = self.check.run(_under_test(self.kind, self.plugin, self.options))
+        if result.outcome == "skip":
+            pytest.skip(result.cause)
+        if result.outcome == "not claimed":
+            pytest.skip(f"not claimed; measured: {figures_text(result)}")
+        if result.outcome == "fail":
+            raise AssertionError(
+                f"{self.plugin}: {result.name}: {result.cause} ({figures_text(result) or 'no figures'})"
+            )
+        if result.outcome == "warn":
+            warnings.warn(f"{self.plugin}: {result.name}: {result.cause}", ConformanceWarning, stacklevel=2)
+        return result
+
+    def __str__(self) -> str:
+        return self.check.name
+
+
+@cache
+def _under_test(kind: Kind, name: str, options: tuple[tuple[str, Any], ...]) -> Any:
+    return plugin_under_test(kind, name, dict(options))
+
+
+def cases(kind: Kind, name: str, options: dict[str, Any] | None = None, *, quick: bool = False) -> Iterator[Case]:
+    """Yield the checks of a plugin as tests."""
+    frozen = tuple((options or {}).items())
+    return (Case(kind, name, frozen, check) for check in checks_of(kind, quick=quick))
+
+
+def conformance(
+    *,
+    integrator: str | None = None,
+    model: str | None = None,
+    force_law: str | None = None,
+    measure: str | None = None,
+    options: dict[str, Any] | None = None,
+    quick: bool = False,
+) -> Callable[[Callable[[Case], Any]], Callable[[Case], Any]]:
+    """Return a decorator that runs a test once for each check of a plugin, with the check as its argument ``case``.
+
+    Parameters
+    ----------
+    integrator, model, force_law, measure
+        Short or long name of the plugin; exactly one of the four is given.
+    quick
+        Whether to leave out the slow checks.
+
+    Examples
+    --------
+    >>> @conformance(integrator="gauss", options={"stages": 3})
+    ... def test_gauss_conforms(case):
+    ...     case()
+    """
+    import pytest
+
+    given: dict[Kind, str | None] = {
+        "integrator": integrator,
+        "model": model,
+        "force-law": force_law,
+        "measure": measure,
+    }
+    named = [(kind, name) for kind, name in given.items() if name is not None]
+    if len(named) != 1:
+        raise TypeError("conformance needs exactly one of integrator=, model=, force_law= and measure=")
+    kind, name = named[0]
+    return pytest.mark.parametrize("case", list(cases(kind, name, options, quick=quick)), ids=str)

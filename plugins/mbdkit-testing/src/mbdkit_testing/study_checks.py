@@ -1,0 +1,76 @@
+"""Checks of a packaged study: its spec expands to valid runs, and its verdict function handles missing runs."""
+
+from __future__ import annotations
+
+import tempfile
+from dataclasses import dataclass, field
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+from mbdkit.registry.catalogue import Registered, Registry
+from mbdkit_studies.study_loading import load_study_spec
+from mbdkit_studies.study_spec import StudySpec
+from mbdkit_studies.carry_out import study
+from mbdkit_studies.folder_lock import Shard
+from mbdkit_studies.judge import judge
+from mbdkit_studies.planned_points import plan_points
+from mbdkit_testing.check import check
+from mbdkit_testing.check_result import Result, failed, passed
+
+
+@dataclass
+class StudyUnderTest:
+    """A packaged study under test.
+
+    Parameters
+    ----------
+    item
+        The study in the registry.
+    options
+        Empty: studies have no options.
+    installed
+        The registry of installed plugins, in which the study is looked up by name.
+    """
+
+    item: Registered
+    options: dict[str, Any]
+    installed: Registry
+    claims: dict[str, Any] = field(default_factory=dict)
+
+    @cached_property
+    def spec(self) -> StudySpec:
+        """The spec of the packaged study."""
+        return load_study_spec(self.item.id)
+
+
+@check("study.spec")
+def spec(subject: StudyUnderTest) -> Result:
+    """The study spec is valid, and so is the first run of each family among the runs that need no further
+    distributions.
+    """
+    points = plan_points(subject.spec)
+    first = {point.family: point for point in reversed(points) if not point.lacking}
+    for point in first.values():
+        point.spec.mechanism()
+    return (
+        passed(runs=len(points), families=len(first))
+        if first
+        else failed("none of its runs can be built with the installed distributions")
+    )
+
+
+@check("study.verdict")
+def verdict(subject: StudyUnderTest) -> Result:
+    """The verdict function handles a study in which only the first run was made, with at most 50 steps."""
+    cut = subject.spec.model_dump(mode="json", exclude_unset=True)
+    cut["overrides"] = {**cut.get("overrides", {}), "limits.max_steps": 50}
+    cut["repeats"] = 1
+    count = len(plan_points(load_study_spec(cut)))
+    with tempfile.TemporaryDirectory(prefix="mbdkit-study-") as folder:
+        tiny = study(cut, out=Path(folder) / "study", shard=Shard(1, 2 * count), notify=lambda text: None)
+        found = judge(tiny)
+    return passed(claims=len(found.claims), tables=len(found.tables), figures=len(found.figures))
+
+
+CHECKS = (spec, verdict)

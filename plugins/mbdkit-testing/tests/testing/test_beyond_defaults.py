@@ -1,0 +1,139 @@
+"""Verification beyond the defaults: options, claims of drift, the criterion of a pass, and where a plugin failed."""
+
+from __future__ import annotations
+
+import inspect
+from dataclasses import replace
+
+import pytest
+import sympy
+
+import mbdkit
+from mbdkit.base.errors import with_place
+from mbdkit.registry.manager import registry
+from mbdkit.runs.simulation import simulate
+from mbdkit_testing import Report, Result, checks_of, verify
+from mbdkit_testing.drift_checks import CHECKS as DRIFT
+from mbdkit_testing.kit import plugin_under_test
+from mbdkit_testing.options_under_test import variants
+
+from . import corpus
+
+
+def one(name: str, kind: str, installed: corpus.Registry) -> Result:
+    """Run one check of the plugin ``mine``."""
+    check = next(check for check in checks_of(kind) if check.name == name)
+    return check.run(plugin_under_test(kind, "mine", {}, installed))
+
+
+def test_a_negative_damping_of_a_passive_law_is_caught_though_its_default_is_0() -> None:
+    found = one("law.other-options", "force-law", corpus.offer_damper(corpus.LooseDamping))
+    assert found.outcome == "fail"
+    assert found.cause.startswith("with damping = -1: it claims to be passive, but adds energy")
+    assert found.cause.endswith("if that is not meant, give the option bounds")
+    assert one("law.passivity", "force-law", corpus.offer_damper(corpus.LooseDamping)).outcome == "pass"
+    assert one("law.other-options", "force-law", corpus.offer_damper(corpus.BoundedDamping)).outcome == "pass"
+
+
+STIFFNESS, FREE_LENGTH, LENGTH = sympy.symbols("stiffness free_length length", real=True)
+SPRINGS = {
+    "used": (corpus.offer_spring(STIFFNESS * (LENGTH - FREE_LENGTH)), "pass", ""),
+    "used beyond 4 m only": (corpus.offer_spring(STIFFNESS * sympy.Max(LENGTH - 4 - FREE_LENGTH / 100, 0)), "pass", ""),
+    "not in the expression": (
+        corpus.offer_spring(STIFFNESS * LENGTH), "fail",
+        "its option free_length has no effect, because the expressions of the law do not contain its symbol",
+    ),
+    "not passed on": (
+        corpus.offer_spring(STIFFNESS * LENGTH, parameters=lambda options: {"stiffness": options.stiffness}), "warn",
+        "its option free_length has no effect for 16 random sets of values",
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", SPRINGS)
+def test_options_that_do_not_change_the_force_are_found(name: str) -> None:
+    installed, outcome, message = SPRINGS[name]
+    found = one("law.option-effects", "force-law", installed)
+    assert found.outcome == outcome, found
+    assert found.cause.startswith(message)
+
+
+def test_values_of_options_are_within_their_bounds_and_the_same_each_time() -> None:
+    item = registry().get("integrator", "gauss")
+    tried = list(variants(item, {"stages": 2}))
+    assert tried == list(variants(item, {"stages": 2}))
+    stages = {options["stages"] for _, options in tried}
+    assert stages <= {1, 2, 3, 4, 5, 6}
+    assert len(stages) > 2
+    assert any(options.get("stage_solver") == "fixed-point" for _, options in tried)
+
+
+def test_an_integrator_that_fails_with_another_option_is_caught() -> None:
+    installed = corpus.offer(corpus.fragile, corpus.Fragile, order=4, needs=("accelerations",))
+    found = one("contract.other-options", "integrator", installed)
+    assert found.outcome == "fail"
+    assert "TypeError" in found.cause
+
+
+@pytest.mark.parametrize(
+    ("claims", "outcome", "message"),
+    [
+        ({"drift": "none"}, "fail", "it claims drift = 'none', but the constraints do not hold at position level"),
+        ({"constraints_hold": ("position",)}, "fail", "it claims constraints_hold = ['position']"),
+        ({"drift": "of order 4"}, "pass", ""),
+    ],
+)
+def test_a_claim_of_no_drift_is_held(claims: dict[str, object], outcome: str, message: str) -> None:
+    installed = corpus.offer_method(corpus.RungeKutta, order=4, needs=("accelerations",), **claims)
+    found = DRIFT[0].run(plugin_under_test("integrator", "mine", {}, installed))
+    assert found.outcome == outcome
+    assert message in found.cause
+
+
+def test_a_pass_says_what_was_compared_with_what() -> None:
+    text = verify("force-law", "one-sided", {"stiffness": 50.0, "acts": "tension"}, quick=True).text()
+    lines = {line.split()[0]: line for line in text.splitlines() if line.startswith("  ")}
+    assert "(at most 1e-05)" in lines["derivatives.length"]
+    assert "The law's values are finite and repeatable" in lines["law.finite"]
+
+
+def test_one_error_is_told_once_with_the_checks_that_failed() -> None:
+    error = "AttributeError: '{}' object has no attribute 'mass' (/plugin.py, line 29)"
+    raised = Result("fail", f"it raised {error.format('Equations')}", name="contract.inputs")
+    run = Result(
+        "fail", f"the run failed: plugin-error: rocket raised {error.format('Counted')}", name="order.four-bar"
+    )
+    left, other = replace(run, outcome="skip", name="drift.growth"), Result("fail", "order 1", name="state.free-fall")
+    text = Report("a:b", "integrator", "1", {}, {}, (raised, run, left, other)).text()
+    assert text.count("line 29") == text.count("order.four-bar") == text.count("state.free-fall") == 1
+    assert (
+        f"2 checks failed, 1 skipped: the plugin raised {error.format('Equations')}\n  failed: contract.inputs" in text
+    )
+    assert "not verified: 3 failed; " in text
+
+
+def test_an_exception_of_a_method_is_told_with_its_line_and_chained() -> None:
+    installed = corpus.offer_method(corpus.Raises, order=4, needs=("accelerations",))
+    under_test = plugin_under_test("integrator", "mine", {}, installed)
+    lines, first = inspect.getsourcelines(corpus.Raises)
+    line = first + next(i for i, text in enumerate(lines) if "raise LookupError" in text)
+    with simulate(under_test.spec({"name": "double-pendulum"}, {"end": 0.1, "step": 0.01})) as run:
+        assert run.status_reason == (
+            "plugin-error: integrator acme:mine raised LookupError: no table for this step "
+            f"({corpus.__file__}, line {line})."
+        )
+        with pytest.raises(mbdkit.RunError) as caught:
+            run.check()
+    assert isinstance(caught.value.__cause__, LookupError)
+
+
+def test_an_exception_in_a_step_is_told_first_and_is_the_cause_of_all_failures() -> None:
+    installed = corpus.offer_method(corpus.Raises, order=4, needs=("accelerations",))
+    report = verify("integrator", "acme:mine", installed=installed, quick=True)
+    text = report.text()
+    assert text.index("the plugin raised LookupError: no table for this step") < text.index("CHECK  ")
+    assert {one.name: one.cause for one in report.of("fail") if "LookupError" not in one.cause} == {}
+
+
+def test_an_exception_without_a_plugin_has_no_place() -> None:
+    assert with_place(ValueError("too small")) == "ValueError: too small"

@@ -1,0 +1,227 @@
+"""Each plugin of the corpus is caught, and by the check that says what is wrong with it."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import pytest
+
+import mbdkit
+from mbdkit.registry.catalogue import Registry
+from mbdkit_testing import Result, checks_of, verify
+from mbdkit_testing.kit import plugin_under_test
+
+from . import corpus, subtle
+
+RK4 = {"order": 4, "needs": ("accelerations",)}
+MIDPOINT = {"order": 2, "needs": ("tangents",), "symmetric": True, "symplectic": True, "quadratic_invariants": True}
+
+EULER = {"order": 1, "needs": ("accelerations",), "symplectic": True}
+
+RIGHT = {
+    "symplectic Euler": ("integrator", corpus.offer_method(corpus.SymplecticEuler, **EULER)),
+    "runge-kutta": ("integrator", corpus.offer_method(corpus.RungeKutta, **RK4)),
+    "midpoint": ("integrator", corpus.offer_method(corpus.Midpoint, **MIDPOINT)),
+    "pendulum": ("model", corpus.offer_model()),
+    "driven": ("model", corpus.offer_model(motion="0.5*sin(2*t)")),
+    "hardening": ("force-law", corpus.offer_law(corpus.hardening)),
+    "contact": ("force-law", corpus.offer_law(subtle.hertz)),
+    "dry friction": ("force-law", corpus.offer_law(subtle.dry_friction, potential=False)),
+    "a steep stop": ("force-law", corpus.offer_law(subtle.steep)),
+    "a root": (
+        "force-law",
+        subtle.ranged(subtle.right_where_it_says_it_holds, length=(0.0, math.inf), time=(0.0, 4.0)),
+    ),
+}
+
+WRONG: dict[str, tuple[Any, Registry, str]] = {
+    "a wrong coefficient": ("integrator", corpus.offer_method(corpus.WrongCoefficient, **RK4), "order.four-bar"),
+    "a wrong stage time": ("integrator", corpus.offer_method(corpus.WrongStageTime, **RK4), "order.forced-pendulum"),
+    "a loose Newton": ("integrator", corpus.loose_gauss(1e-4), "newton.tolerance"),
+    "a default that is too loose": ("integrator", corpus.loose_by_default(), "newton.tolerance"),
+    "a Newton that is left out at fine steps": (
+        "integrator",
+        corpus.offer_method(corpus.LazyNewton, **MIDPOINT),
+        "order.finest",
+    ),
+    "a Newton that ends while bodies move": (
+        "integrator",
+        corpus.offer_method(corpus.LooseNewton, **MIDPOINT),
+        "geometry.reversibility-pendulum",
+    ),
+    "a wrong Jacobian, used once": (
+        "integrator",
+        corpus.offer_method(corpus.WrongJacobian, **MIDPOINT),
+        "geometry.symplectic-form",
+    ),
+    "a claim of symmetry": (
+        "integrator",
+        corpus.offer_method(corpus.RungeKutta, **RK4, symmetric=True),
+        "geometry.reversibility-pendulum",
+    ),
+    "a tableau's claim of symmetry": ("integrator", corpus.trapezoid(symmetric=True), "tableau.symmetry"),
+    "a claim of symplecticity": (
+        "integrator",
+        corpus.offer_method(corpus.RungeKutta, **RK4, symplectic=True),
+        "geometry.symplectic-form",
+    ),
+    "a claim of invariants": (
+        "integrator",
+        corpus.offer_method(corpus.RungeKutta, **RK4, quadratic_invariants=True),
+        "geometry.quadratic-invariants",
+    ),
+    "a claim of invariants by a method that keeps one of them": (
+        "integrator",
+        corpus.offer_method(corpus.SymplecticEuler, **EULER, quadratic_invariants=True),
+        "geometry.quadratic-invariants",
+    ),
+    "an over-claim of order": (
+        "integrator",
+        corpus.offer_method(corpus.RungeKutta, **RK4 | {"order": 5}),
+        "order.forced-pendulum",
+    ),
+    "a claim to hold the joints": (
+        "integrator",
+        corpus.offer_method(corpus.RungeKutta, **RK4, formulations=("index-3",)),
+        "drift.position",
+    ),
+    "a lying counter": ("integrator", corpus.offer_method(corpus.LyingCounter, **RK4), "honesty.counters"),
+    "tangents that it does not own up to": (
+        "integrator",
+        corpus.offer_method(corpus.Midpoint, **MIDPOINT | {"needs": ()}),
+        "honesty.needs",
+    ),
+    "hidden stabilization": ("integrator", corpus.offer_method(corpus.Stabilized, **RK4), "honesty.projections"),
+    "a changed input": ("integrator", corpus.offer_method(corpus.ChangesItsInput, **RK4), "contract.inputs"),
+    "a buffer": ("integrator", corpus.offer_method(corpus.ReturnsItsBuffer, **RK4), "contract.inputs"),
+    "a swallowed NaN": ("integrator", corpus.offer_method(corpus.SwallowsNaN, **RK4), "failure.not-a-number"),
+    "a memory outside the state": (
+        "integrator",
+        corpus.offer_method(corpus.Forgetful, order=2, needs=("accelerations",)),
+        "restart.state",
+    ),
+    "a memory that a look inside a step changes": (
+        "integrator",
+        corpus.offer_method(corpus.Alternating, order=1, needs=("accelerations",)),
+        "restart.stretches",
+    ),
+    "a solver that obeys no tolerance": ("integrator", corpus.offer_solver(), "tolerance.forced-pendulum"),
+    "a driver with a corner": ("model", corpus.offer_model(motion="0.5*abs(t - 0.4)"), "model.drivers"),
+    "a model that is another each time": ("model", corpus.offer_model(random=True), "model.repeatable"),
+    "a wrong derivative in the length": ("force-law", corpus.offer_law(corpus.wrong_slope), "derivatives.length"),
+    "a wrong derivative in the rate": ("force-law", corpus.offer_law(corpus.wrong_rate), "derivatives.rate"),
+    "a potential of the wrong sign": ("force-law", corpus.offer_law(corpus.wrong_potential), "law.potential"),
+    "a damper that pushes": ("force-law", corpus.offer_law(corpus.pushes), "law.passivity"),
+    "a law that is no number": (
+        "force-law",
+        corpus.offer_law(corpus.no_number, potential=False, passive=False),
+        "law.finite",
+    ),
+}
+SUBTLE_LAWS = {
+    subtle.creates_energy_at_some_rates: "law.passivity",
+    subtle.creates_energy_in_a_corner: "law.passivity",
+    subtle.creates_energy_for_a_second: "law.passivity",
+    subtle.creates_a_little: "law.passivity",
+    subtle.wrong_slope_when_long: "derivatives.length",
+    subtle.wrong_slope_below_zero: "derivatives.length",
+    subtle.wrong_slope_near_zero: "derivatives.length",
+    subtle.wrong_slope_of_the_product: "derivatives.length",
+    subtle.wrong_rate_when_fast: "derivatives.rate",
+    subtle.wrong_rate_late: "derivatives.rate",
+    subtle.stiffer_after_two_seconds: "law.potential",
+    subtle.flickers: "law.potential",
+    subtle.potential_jumps: "law.potential",
+}
+SUBTLE_LAWS_WITHOUT_POTENTIAL = {
+    subtle.creates_energy_when_long: "law.passivity",
+    subtle.springy_but_passive: "law.passivity",
+    subtle.no_number_when_short: "law.finite",
+}
+SUBTLE_METHODS = {
+    subtle.Growing: "state.free-fall",
+    subtle.EndShort: "state.free-fall",
+    subtle.EndAlmostShort: "state.last-step",
+    subtle.NoEnd: "state.free-fall",
+    subtle.Single: "order.finest",
+    subtle.Wrapped: "state.free-fall",
+    subtle.Clipped: "state.free-fall",
+    subtle.OwnClock: "contract.start-time",
+    subtle.EarlyTimeOnly: "contract.start-time",
+}
+WRONG |= {one.__name__: ("force-law", corpus.offer_law(one), name) for one, name in SUBTLE_LAWS.items()}
+WRONG |= {
+    one.__name__: ("force-law", corpus.offer_law(one, potential=False), name)
+    for one, name in SUBTLE_LAWS_WITHOUT_POTENTIAL.items()
+}
+WRONG |= {one.__name__: ("integrator", corpus.offer_method(one, **RK4), name) for one, name in SUBTLE_METHODS.items()}
+WRONG |= {
+    "a wrong slope in the range of a law": (
+        "force-law",
+        subtle.ranged(subtle.wrong_where_it_says_it_holds, length=(20.0, 30.0)),
+        "derivatives.length",
+    ),
+    "a step size that a symmetric start deceives": (
+        "integrator",
+        subtle.offer_derivative_solver(),
+        "state.resting-starts",
+    ),
+}
+
+
+def outcome(kind: Any, installed: Registry, name: str) -> Result:
+    """Return what one check says of a plugin."""
+    assert not installed.failures
+    check = next(check for check in checks_of(kind) if check.name == name)
+    return check.run(plugin_under_test(kind, "acme:mine", {}, installed))
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        pytest.param(name, marks=[pytest.mark.slow] * (name in ("midpoint", "symplectic Euler", "runge-kutta")))
+        for name in RIGHT
+    ],
+)
+def test_what_is_right_is_accused_by_no_check_that_catches_what_is_wrong(name: str) -> None:
+    kind, installed = RIGHT[name]
+    assert not installed.failures
+    report = verify(kind, "acme:mine", installed=installed, quick=True)
+    assert report.verified, report.text()
+    assert not report.of("warn"), report.text()
+    assert {check for other, _, check in WRONG.values() if other == kind} <= {result.name for result in report.results}
+
+
+@pytest.mark.parametrize("name", WRONG)
+def test_what_is_wrong_is_caught_by_the_check_that_says_so(name: str) -> None:
+    kind, installed, expected = WRONG[name]
+    found = outcome(kind, installed, expected)
+    assert found.outcome == "fail", found
+    assert found.cause
+
+
+def test_a_method_that_tries_for_ever_is_cut_short(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("mbdkit_testing.check.TIME_LIMIT", 1.0)
+    found = outcome("integrator", corpus.offer_method(corpus.Endless, **RK4), "failure.not-a-number")
+    assert found.outcome == "fail"
+    assert found.cause == "it did not finish within 1 s"
+
+
+def test_an_under_claim_is_a_warning_and_no_failure() -> None:
+    found = outcome("integrator", corpus.offer_method(corpus.RungeKutta, **RK4 | {"order": 3}), "order.four-bar")
+    assert found.outcome == "warn"
+    assert found.figures["measured"] == pytest.approx(4.0, abs=0.2)  # the order of the classical method
+
+
+def test_a_wrong_stage_time_does_not_show_where_nothing_depends_on_time() -> None:
+    # what makes this one treacherous: there it is the classical method
+    wrong = outcome("integrator", corpus.offer_method(corpus.WrongStageTime, **RK4), "geometry.energy")
+    assert wrong.figures == outcome(*RIGHT["runge-kutta"], "geometry.energy").figures
+
+
+def test_a_tableau_with_a_wrong_coefficient_cannot_even_be_built() -> None:
+    with pytest.raises(mbdkit.MbdkitError, match="order condition of order 2 has the defect"):
+        mbdkit.ButcherTableau("mine", [[], ["1/2"]], ["1/2", "1/2"], [0, "1/2"], 2)
+    with pytest.raises(mbdkit.MbdkitError, match="row 2 of a sums to its node plus"):
+        mbdkit.ButcherTableau("mine", [[], ["1/2"]], [0, 1], [0, "1/3"], 2)
