@@ -9,13 +9,11 @@ import importlib
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
-from mbdkit.base import higher_layers
+from mbdkit.base import higher_layers, moved_modules
 from mbdkit.base.lazy_names import lazy
 
 if TYPE_CHECKING:
-    from mbdkit_report import plot
     from mbdkit import spec
-    from mbdkit_biomech.inverse_dynamics.workload import Workload, workload
     from mbdkit.archive.reader import load
     from mbdkit.archive.run import Run
     from mbdkit.base.errors import (
@@ -27,17 +25,8 @@ if TYPE_CHECKING:
         SpecError,
         StepError,
     )
-    from mbdkit_design.design import Design
-    from mbdkit_design.solve_design import design, load_design
     from mbdkit.engine.equations_of_motion import EquationsOfMotion
-    from mbdkit_explore.server import explore
     from mbdkit.gradients.gradient import Gradient, gradient
-    from mbdkit_biomech.inverse_dynamics.inverse_gradient import inverse_gradient
-    from mbdkit_biomech.inverse_dynamics.inverse_run import inverse
-    from mbdkit_statics.equilibrium import Equilibrium, equilibrium
-    from mbdkit_statics.equilibrium_path import EquilibriumPath, equilibrium_path
-    from mbdkit_statics.kinematics import Kinematics, kinematics
-    from mbdkit_statics.modes import Linearization, Modes, linearize, modes
     from mbdkit.mechanism.force_law import ExpressionLaw, FunctionLaw
     from mbdkit.mechanism.mechanism import Mechanism
     from mbdkit.methods.kinds import ExplicitRungeKutta, ImplicitRungeKutta, StepMethod, StepState, Tolerances
@@ -48,6 +37,17 @@ if TYPE_CHECKING:
     from mbdkit.runs.resuming import resume
     from mbdkit.runs.simulation import run
     from mbdkit.spec import DesignSpec, InverseSpec, RunSpec, StudySpec
+    from mbdkit_biomech.inverse_dynamics.inverse_gradient import inverse_gradient
+    from mbdkit_biomech.inverse_dynamics.inverse_run import inverse
+    from mbdkit_biomech.inverse_dynamics.workload import Workload, workload
+    from mbdkit_design.design import Design
+    from mbdkit_design.solve_design import design, load_design
+    from mbdkit_explore.server import explore
+    from mbdkit_report import plot
+    from mbdkit_statics.equilibrium import Equilibrium, equilibrium
+    from mbdkit_statics.equilibrium_path import EquilibriumPath, equilibrium_path
+    from mbdkit_statics.kinematics import Kinematics, kinematics
+    from mbdkit_statics.modes import Linearization, Modes, linearize, modes
     from mbdkit_studies.carry_out import ensemble, load_study, study
     from mbdkit_studies.study import Study
 
@@ -189,7 +189,9 @@ if not TYPE_CHECKING:  # type checkers see only the names above
             from importlib.metadata import version
 
             return version("mbdkit")
-        return importlib.import_module(f"mbdkit.{name}") if name in ("plot", "spec") else _lazy(name)
+        if name in ("plot", "spec"):
+            return importlib.import_module("mbdkit_report.plot" if name == "plot" else "mbdkit.spec")
+        return _lazy(name)
 
 
 def __dir__() -> list[str]:
@@ -219,3 +221,4 @@ higher_layers.moment_arms = _of_higher_layer("mbdkit_biomech.inverse_dynamics.mo
 higher_layers.run_frame = _of_higher_layer("mbdkit.archive.group_table", "to_frame")
 higher_layers.built_in_measures = _of_higher_layer("mbdkit_studies.measures", "built_in_measures")
 higher_layers.html_of = _of_higher_layer("mbdkit_report.notebook.result_views", "html_of")
+moved_modules.install()

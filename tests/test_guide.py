@@ -15,8 +15,8 @@ from mbdkit.cli import app
 from mbdkit.guide.pages import pages
 from mbdkit.registry.manager import registry
 from mbdkit.spec import load_spec
-from mbdkit_testing import spec_page
 from mbdkit.spec.yaml_reader import read_yaml
+from mbdkit_testing import spec_page
 from tests.printed_code import fenced_blocks, run_blocks
 
 ROOT = Path(mbdkit.__file__).parent

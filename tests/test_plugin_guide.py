@@ -10,8 +10,8 @@ from types import ModuleType
 import pytest
 
 import mbdkit
-from mbdkit_biomech.inverse_dynamics.model_criteria import mechanism_doubts
 from mbdkit.registry.manager import registry
+from mbdkit_biomech.inverse_dynamics.model_criteria import mechanism_doubts
 
 from .installing import install_module, install_project, python
 

@@ -10,13 +10,13 @@ import pytest
 from typer.testing import CliRunner
 
 import mbdkit
-from mbdkit_report.analysis.verdict import Answer
 from mbdkit.cli import app
 from mbdkit.guide.pages import find_page
-from mbdkit_studies.study_loading import load_study_spec
-from mbdkit_studies.judge import judge
 from mbdkit_paper.paper.published_results import magnitudes
 from mbdkit_paper.paper.source_paper import BIBTEX, TITLE
+from mbdkit_report.analysis.verdict import Answer
+from mbdkit_studies.judge import judge
+from mbdkit_studies.study_loading import load_study_spec
 from tests.benchmarks.paper_page import BEGIN, END, IN_SHORT, OF_A_MACHINE, full_entry
 from tests.printed_code import fenced_blocks, run_blocks
 

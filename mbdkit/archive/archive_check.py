@@ -13,7 +13,6 @@ import h5py
 import numpy as np
 
 from mbdkit.archive import layout
-from mbdkit_studies.blocks import Block
 from mbdkit.archive.fingerprint import attributes_sha256, blocks, data_sha256, datasets, is_text, spec_sha256
 from mbdkit.archive.hdf5_errors import DAMAGE, cause
 from mbdkit.archive.layout import BY_PATH, FORMAT_VERSION
@@ -25,6 +24,7 @@ from mbdkit.quantities.array import FLOAT, TEXT, Array
 from mbdkit.quantities.names import AXES, COORDINATES
 from mbdkit.quantities.table import KINDS
 from mbdkit.trust.criteria import LEVELS
+from mbdkit_studies.blocks import Block
 
 
 @dataclass(frozen=True)

@@ -21,7 +21,6 @@ from mbdkit.archive.headlines import (
     largest_torques,
     plus_minus,
 )
-from mbdkit_biomech.inverse_dynamics.inverse_summary import inverse_lines, times_of_unknown_errors
 from mbdkit.archive.peak_errors import missed_between_rows, peak_errors
 from mbdkit.base.errors import MbdkitError
 from mbdkit.base.text import counted, listed, shown
@@ -30,6 +29,7 @@ from mbdkit.mechanism.contacts import SLIP, STICK
 from mbdkit.mechanism.mechanism import gravity_text
 from mbdkit.spec.formulation_choice import name_of
 from mbdkit.trust.criteria import NOTHING_SUSPICIOUS, rounding
+from mbdkit_biomech.inverse_dynamics.inverse_summary import inverse_lines, times_of_unknown_errors
 
 if TYPE_CHECKING:
     from mbdkit.archive.history import Impacts

@@ -28,9 +28,9 @@ from mbdkit.cli.common_options import (
     output_to,
     stem,
 )
-from mbdkit_design.commands import validate_design
-from mbdkit_biomech.commands import repeated_inverse, validate_inverse
 from mbdkit.cli.outcome import exit_with, tell
+from mbdkit_biomech.commands import repeated_inverse, validate_inverse
+from mbdkit_design.commands import validate_design
 
 if TYPE_CHECKING:
     from mbdkit.archive.run import Run

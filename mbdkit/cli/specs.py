@@ -97,8 +97,8 @@ def examples_copy(
     from mbdkit.base.errors import SpecError
     from mbdkit.base.files import check_suffix, replacing
     from mbdkit.base.text import did_you_mean, listed
-    from mbdkit.spec.example_notebooks import jupyter_text, notebook_names, notebook_text
     from mbdkit.spec import example_names, example_text
+    from mbdkit.spec.example_notebooks import jupyter_text, notebook_names, notebook_text
     from mbdkit.spec.loading import example_table
 
     notebooks = notebook_names()

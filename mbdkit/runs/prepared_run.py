@@ -18,10 +18,10 @@ from mbdkit.runs.lane_runs import LaneRuns
 from mbdkit.runs.run_in_memory import run_in_memory
 from mbdkit.runs.simulation import simulate
 from mbdkit.spec import RunSpec, load_spec
-from mbdkit_design.design_spec import variable_path
 from mbdkit.spec.key_words import keys_ending_in
 from mbdkit.spec.loading import RunSource, Sections
 from mbdkit.spec.varied_specs import VariedSpecs
+from mbdkit_design.design_spec import variable_path
 
 LONG = 15_000
 """Runs are computed by the vectorized loop until one takes more evaluations times bodies than this.

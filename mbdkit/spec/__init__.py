@@ -9,13 +9,13 @@ from typing import TYPE_CHECKING
 from mbdkit.base.lazy_names import lazy
 
 if TYPE_CHECKING:
-    from mbdkit_design.design_loading import load_design_spec
-    from mbdkit_design.design_spec import DesignSpec
-    from mbdkit_biomech.inverse_dynamics.inverse_loading import load_inverse_spec
-    from mbdkit_biomech.inverse_dynamics.inverse_spec import InverseSpec
     from mbdkit.spec.loading import example_names, example_text, load_spec
     from mbdkit.spec.run_spec import RunSpec
     from mbdkit.spec.sections import Limits, Output, Time
+    from mbdkit_biomech.inverse_dynamics.inverse_loading import load_inverse_spec
+    from mbdkit_biomech.inverse_dynamics.inverse_spec import InverseSpec
+    from mbdkit_design.design_loading import load_design_spec
+    from mbdkit_design.design_spec import DesignSpec
     from mbdkit_studies.study_loading import load_study_spec, study_names
     from mbdkit_studies.study_spec import StudySpec
 

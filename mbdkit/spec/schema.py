@@ -15,9 +15,9 @@ from mbdkit.mechanism.law_element import Law
 from mbdkit.registry.catalogue import Registry
 from mbdkit.registry.manager import registry
 from mbdkit.spec.choices import law_element
-from mbdkit_design.design_spec import DesignSpec
-from mbdkit_biomech.inverse_dynamics.inverse_spec import inverse_spec_type
 from mbdkit.spec.run_spec import spec_type
+from mbdkit_biomech.inverse_dynamics.inverse_spec import inverse_spec_type
+from mbdkit_design.design_spec import DesignSpec
 from mbdkit_studies.study_spec import StudySpec
 
 DRAFT = "https://json-schema.org/draft/2020-12/schema"

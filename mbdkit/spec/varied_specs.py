@@ -9,9 +9,9 @@ from typing import Any
 
 from mbdkit.base.plain_data import Path, copied, plain
 from mbdkit.spec.choices import RegistryLookup, registry_of
-from mbdkit_biomech.inverse_dynamics.inverse_spec import InverseSpec
 from mbdkit.spec.reading import put
 from mbdkit.spec.run_spec import RunSpec
+from mbdkit_biomech.inverse_dynamics.inverse_spec import InverseSpec
 
 
 class VariedSpecs:

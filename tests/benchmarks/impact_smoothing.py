@@ -9,10 +9,10 @@ import sys
 
 import matplotlib.pyplot as plt
 import numpy as np
+from tests.inverse_dynamics.running import differences, reference, running_spec, table
 
 import mbdkit
 from mbdkit.base.text import table as text_table
-from tests.inverse_dynamics.running import differences, reference, running_spec, table
 
 CHOICES = {
     "none": "none",

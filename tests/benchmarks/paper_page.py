@@ -11,9 +11,9 @@ import textwrap
 from pathlib import Path
 
 import mbdkit
+from mbdkit_paper.paper.source_paper import BIBTEX, TITLE
 from mbdkit_report.analysis.verdict import Answer, Claim, Verdict
 from mbdkit_studies.judge import judge
-from mbdkit_paper.paper.source_paper import BIBTEX, TITLE
 
 GUIDE = Path(mbdkit.__file__).parent / "guide" / "paper.md"
 README = Path(mbdkit.__file__).parent.parent / "README.md"

@@ -9,12 +9,12 @@ from __future__ import annotations
 
 import numpy as np
 import scipy.stats
+from tests.analysis.test_sobol_indices import FIRST, TAIL_SHARES, TOTAL, ishigami, tail
 
 from mbdkit_studies import sample_statistics
-from mbdkit_studies.sobol_indices import sobol_indices
 from mbdkit_studies.sample_section import Sample
 from mbdkit_studies.sampled_values import sampled_values
-from tests.analysis.test_sobol_indices import FIRST, TAIL_SHARES, TOTAL, ishigami, tail
+from mbdkit_studies.sobol_indices import sobol_indices
 
 SEEDS = 400
 SIZES = (8, 16, 32, 64, 128, 512)

@@ -17,6 +17,7 @@ from typing import Any
 
 import numpy as np
 from scipy.optimize import least_squares
+from tests.inverse_dynamics.running import reference, table
 
 from tests.benchmarks.walking_data import (
     COLUMNS,
@@ -37,7 +38,6 @@ from tests.benchmarks.walking_data import (
     rows,
     with_sole,
 )
-from tests.inverse_dynamics.running import reference, table
 
 HIGHEST = 20
 """Highest harmonic of the stride in the motions of hip and trunk; odd ones are zero, since steps are alike."""

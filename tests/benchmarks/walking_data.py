@@ -21,9 +21,9 @@ from typing import Any
 
 import numpy as np
 from scipy.optimize import least_squares
+from tests.inverse_dynamics.running import reference, table
 
 from mbdkit.models._segments import Person
-from tests.inverse_dynamics.running import reference, table
 
 STRIDE = 1.1396
 """Duration of a stride [s]."""

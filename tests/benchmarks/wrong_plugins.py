@@ -9,10 +9,11 @@ from __future__ import annotations
 import argparse
 import time
 
+from tests.testing.test_corpus import RIGHT, WRONG, outcome
+
 from mbdkit.base.errors import SpecError
 from mbdkit.registry.manager import registry
 from mbdkit_testing import verify
-from tests.testing.test_corpus import RIGHT, WRONG, outcome
 
 
 def main() -> None:

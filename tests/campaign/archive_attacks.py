@@ -18,9 +18,9 @@ import h5py
 import numpy as np
 
 from mbdkit.archive.archive_check import examine
-from mbdkit_studies.blocks import Block
 from mbdkit.archive.fingerprint import OF_SCALES, attributes_sha256, data_sha256, objects
 from mbdkit.archive.reader import load
+from mbdkit_studies.blocks import Block
 
 from .attack import Attack, Ending, in_child
 from .specs import pendulum

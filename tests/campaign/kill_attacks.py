@@ -29,12 +29,12 @@ import mbdkit.runs.run_checkpoint
 import mbdkit_studies.pool
 import mbdkit_studies.unfinished_block
 from mbdkit.archive.archive_check import check
-from mbdkit_studies.blocks import Block
 from mbdkit.archive.layout import LAYOUT, is_timing
 from mbdkit.archive.part_file import checkpoint_path
 from mbdkit.archive.run import Run
 from mbdkit.base.errors import MbdkitError
 from mbdkit.cli import main
+from mbdkit_studies.blocks import Block
 from mbdkit_studies.compute_block import compute_block
 from tests.forked_worker import ForkedWorker
 

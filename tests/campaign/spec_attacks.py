@@ -16,9 +16,9 @@ from mbdkit.base.errors import MbdkitError
 from mbdkit.runs.simulation import simulate
 from mbdkit.spec import example_names, load_design_spec, load_spec
 from mbdkit.spec.loading import example_text
-from mbdkit_studies.study_loading import load_study_spec, study_names
 from mbdkit.spec.yaml_reader import read_yaml, write_yaml
 from mbdkit_studies.planned_points import plan_points
+from mbdkit_studies.study_loading import load_study_spec, study_names
 
 from .attack import LONGEST_MESSAGE, Attack, in_child
 
@@ -81,7 +81,7 @@ def _specs() -> list[dict[str, Any]]:
 
 @cache
 def _studies() -> list[dict[str, Any]]:
-    folder = files("mbdkit.studies") / "packaged"
+    folder = files("mbdkit_paper")
     found = [read_yaml(path.read_text())[0] for path in sorted(Path(str(folder)).rglob("*.yaml"))]
     return [data for data in found if "mbdkit_study" in data]
 

@@ -14,10 +14,10 @@ from scipy.optimize import brentq
 
 import mbdkit
 from mbdkit.archive.run import Run
-from mbdkit_report.figures.drawing_geometry import draw_mechanism
 from mbdkit.mechanism.mechanism import Mechanism
-from mbdkit_report.pages.run_tables import run_tables
 from mbdkit.spec import load_spec
+from mbdkit_report.figures.drawing_geometry import draw_mechanism
+from mbdkit_report.pages.run_tables import run_tables
 
 G = 9.81
 STIFF = {"stiffness": 1e9, "transition_speed": 1e-3}

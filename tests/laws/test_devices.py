@@ -11,9 +11,9 @@ from scipy.integrate import quad
 
 import mbdkit
 from mbdkit import Mechanism, SpecError
+from mbdkit.spec import load_spec
 from mbdkit_report.figures.drawing_geometry import draw_mechanism
 from mbdkit_report.figures.mechanism_drawing import NamedPose, mechanism_svg
-from mbdkit.spec import load_spec
 
 T = np.linspace(0.0, 1.0, 101)
 SWEEP = {"end": 1.0, "step": 0.01}

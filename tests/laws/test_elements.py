@@ -12,9 +12,9 @@ import numpy as np
 
 import mbdkit
 from mbdkit import Mechanism
-from mbdkit_report.figures.drawing_geometry import draw_mechanism
 from mbdkit.spec import load_spec
 from mbdkit.spec.schema import run_schema
+from mbdkit_report.figures.drawing_geometry import draw_mechanism
 
 TIME = {"end": 0.1, "step": 0.01}
 

@@ -14,11 +14,11 @@ import pytest
 import mbdkit
 from mbdkit.base.errors import SpecError
 from mbdkit.base.plain_data import parse_path
-from mbdkit_report.figures.drawing_geometry import draw_run
 from mbdkit.mechanism.mechanism import Mechanism
 from mbdkit.mechanism.parameters import parameter_values
 from mbdkit.spec import load_spec
 from mbdkit.spec.reading import put
+from mbdkit_report.figures.drawing_geometry import draw_run
 
 SPEC: dict[str, Any] = {
     "mbdkit": 1,

@@ -53,11 +53,7 @@ def test_every_packaged_example_is_valid_and_names_the_schema(kind):
 @pytest.mark.parametrize("name", study_names())
 def test_every_packaged_study_is_valid_and_names_the_schema(name):
     assert load_study_spec(name).title
-    first = (
-        (files("mbdkit.studies") / "packaged" / name.replace("-", "_") / "study.yaml")
-        .read_text("utf-8")
-        .splitlines()[0]
-    )
+    first = (files("mbdkit_paper") / name.replace("-", "_") / "study.yaml").read_text("utf-8").splitlines()[0]
     assert first == f"# yaml-language-server: $schema={HOME.format('study')}"
 
 

@@ -17,12 +17,12 @@ from scipy.interpolate import make_interp_spline
 import mbdkit
 from mbdkit.base.errors import SpecError
 from mbdkit.engine.consistent_start import workspace_at_start
-from mbdkit_report.pages.run_tables import run_tables
 from mbdkit.runs.corners import stops_of
 from mbdkit.runs.preparation import caution, make_method, timetable
 from mbdkit.spec import load_spec
 from mbdkit.stepping.interface import Guards
 from mbdkit.stepping.start import start_method
+from mbdkit_report.pages.run_tables import run_tables
 from tests.linkages import driven_crank
 from tests.stepping.step_methods import Remembering, RungeKutta, run_with
 

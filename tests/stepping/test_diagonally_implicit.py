@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from tests.testing import corpus
 
 import mbdkit
 from mbdkit import ButcherTableau, ImplicitRungeKutta
@@ -20,7 +21,6 @@ from mbdkit.stepping.start import start_method
 from mbdkit_testing import checks_of
 from mbdkit_testing.integrator_under_test import drive
 from mbdkit_testing.kit import plugin_under_test
-from tests.testing import corpus
 
 G, K = "(2 - sqrt(2))/2", "(3 + sqrt(3))/6"
 TABLEAUS = {

@@ -11,8 +11,8 @@ import pytest
 import mbdkit
 from mbdkit.base.errors import SpecError
 from mbdkit.mechanism.mechanism import Mechanism
-from mbdkit_report.plot.caption import plain_name
 from mbdkit.spec import load_spec
+from mbdkit_report.plot.caption import plain_name
 from tests.engine.random_mechanisms import ladder
 
 from .running import EPS, assert_same_end

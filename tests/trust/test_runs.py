@@ -12,15 +12,15 @@ import numpy as np
 import pytest
 
 import mbdkit
-from mbdkit_report.analysis.verdict import Answer
 from mbdkit.archive.archive_check import check
 from mbdkit.archive.fingerprint import attributes_sha256, data_sha256
 from mbdkit.archive.info import describe
 from mbdkit.methods.kinds import StepMethod, StepState
-from mbdkit_report.pages.run_report import run_report
-from mbdkit_report.pages.run_verdict import run_verdict
 from mbdkit.runs.preparation import guards, size_at_start
 from mbdkit.spec import load_spec
+from mbdkit_report.analysis.verdict import Answer
+from mbdkit_report.pages.run_report import run_report
+from mbdkit_report.pages.run_verdict import run_verdict
 
 from .mechanisms import cranks, guided_tip, spec, two_cranks
 

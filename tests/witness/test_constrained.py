@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 
 import mbdkit
-from mbdkit_report.analysis.energy import trend
 from mbdkit.base.errors import SpecError
 from mbdkit.engine.equations_of_motion import EquationsOfMotion
+from mbdkit_report.analysis.energy import trend
 
 from . import constrained as dense
 from .parallelogram import Parallelogram

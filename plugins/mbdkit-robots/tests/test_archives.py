@@ -13,8 +13,8 @@ import numpy as np
 import pytest
 
 import mbdkit
-from mbdkit_studies.blocks import Block
 from mbdkit_report.figures.drawing_geometry import draw_run
+from mbdkit_studies.blocks import Block
 
 pytest.importorskip("defusedxml")
 

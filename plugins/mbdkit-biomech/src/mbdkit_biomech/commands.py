@@ -71,9 +71,9 @@ def workload(
     With --load, the workload is also printed for each phase of contact, each swing and each cycle, and --json contains
     the mean cycle from 0 to 100 % with its standard deviation. Drivers of a forward run count as actuators.
     """
-    from mbdkit_biomech.inverse_dynamics.workload import workload as of
     from mbdkit.archive.archive_check import blaming_damage
     from mbdkit.archive.reader import load as opened
+    from mbdkit_biomech.inverse_dynamics.workload import workload as of
 
     with blaming_damage(archive), opened(archive) as run:
         found = of(run, load=load, threshold=threshold)
@@ -96,9 +96,9 @@ def repeated_inverse(before: Run, archive: Path, output: Path | None, *, overwri
     """
     from mbdkit.base.errors import SpecError
     from mbdkit.base.text import shown
-    from mbdkit_biomech.inverse_dynamics.inverse_run import compute_run
     from mbdkit.spec import load_inverse_spec
     from mbdkit.spec.reading import Document
+    from mbdkit_biomech.inverse_dynamics.inverse_run import compute_run
 
     spec = load_inverse_spec(Document(before.spec, folder=archive.parent))
     folder = archive.parent.resolve()
@@ -114,13 +114,13 @@ def repeated_inverse(before: Run, archive: Path, output: Path | None, *, overwri
 
 def validate_inverse(source: str | Document, name: str, assignments: list[str]) -> None:
     """Check a spec of inverse dynamics, its data and their first frame, and print what would be computed."""
-    from mbdkit_biomech.inverse_dynamics.inverse_summary import UNUSED_DATA
-    from mbdkit_biomech.inverse_dynamics.compute import InverseProblem, check
-    from mbdkit_biomech.inverse_dynamics.data_verdict import doubts_before_computation
-    from mbdkit_biomech.inverse_dynamics.inverse_run import causes_named
     from mbdkit.measures.take import check_measures
     from mbdkit.mechanism.mechanism import gravity_text
     from mbdkit.spec import load_inverse_spec
+    from mbdkit_biomech.inverse_dynamics.compute import InverseProblem, check
+    from mbdkit_biomech.inverse_dynamics.data_verdict import doubts_before_computation
+    from mbdkit_biomech.inverse_dynamics.inverse_run import causes_named
+    from mbdkit_biomech.inverse_dynamics.inverse_summary import UNUSED_DATA
     from mbdkit_biomech.inverse_dynamics.named_actuators import free_roots
 
     spec = load_inverse_spec(source, assignments)

@@ -6,16 +6,16 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from tests.inverse_dynamics.drawn_mechanisms import COLUMNS, KINDS, RATE, Drawn, draw
 
 from mbdkit.base.errors import RunError
+from mbdkit.mechanism.mechanism_quantities import Quantities
+from mbdkit.spec import load_inverse_spec
 from mbdkit_biomech.inverse_dynamics import reduced_motion
 from mbdkit_biomech.inverse_dynamics.compute import Inverse, InverseProblem, compute, fit, forces_of, recorded_states
 from mbdkit_biomech.inverse_dynamics.error_bars import error_bars
 from mbdkit_biomech.inverse_dynamics.reduced_motion import Independent, motion_of_series
 from mbdkit_biomech.inverse_dynamics.smoothing import smoothed
-from mbdkit.mechanism.mechanism_quantities import Quantities
-from mbdkit.spec import load_inverse_spec
-from tests.inverse_dynamics.drawn_mechanisms import COLUMNS, KINDS, RATE, Drawn, draw
 
 TRIES = 200
 """Number of random sets of coordinates that are tried for one that determines the motion well."""

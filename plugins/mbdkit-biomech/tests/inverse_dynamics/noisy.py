@@ -8,10 +8,10 @@ from typing import Any
 import numpy as np
 
 import mbdkit
-from mbdkit_biomech.inverse_dynamics.compute import InverseProblem, compute, recorded_states
-from mbdkit_biomech.inverse_dynamics.error_bars import error_bars
 from mbdkit.mechanism.quantity_names import QuantityNames
 from mbdkit.spec import load_inverse_spec, load_spec
+from mbdkit_biomech.inverse_dynamics.compute import InverseProblem, compute, recorded_states
+from mbdkit_biomech.inverse_dynamics.error_bars import error_bars
 
 OBSERVED = {
     "knee": ("shank.angle",),

@@ -7,12 +7,12 @@ from typing import Any
 
 import numpy as np
 import pytest
+from tests.inverse_dynamics.c3d_files import DEC, INTEL, MIPS, Convention, Plate, c3d_bytes
+from tests.inverse_dynamics.test_bad_input import pendulum
 
 import mbdkit
 from mbdkit import SpecError
 from mbdkit_biomech.inverse_dynamics.table_files import read_table
-from tests.inverse_dynamics.c3d_files import DEC, INTEL, MIPS, Convention, Plate, c3d_bytes
-from tests.inverse_dynamics.test_bad_input import pendulum
 
 ezc3d = pytest.importorskip("ezc3d", reason="ezc3d is not installed: pip install mbdkit[c3d]")
 

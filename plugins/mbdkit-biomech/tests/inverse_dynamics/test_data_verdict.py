@@ -8,15 +8,15 @@ from typing import Any
 
 import numpy as np
 import pytest
+from tests.inverse_dynamics.drawn_faults import FAULTS, outcomes
+from tests.inverse_dynamics.hanging_leg import ANGLES, NOISE, SMOOTH, T, leg, not_of_ends, stance, told
 
 import mbdkit
 from mbdkit import SpecError
+from mbdkit.spec import load_inverse_spec
 from mbdkit_biomech.inverse_dynamics.column_criteria import suspicious_columns
 from mbdkit_biomech.inverse_dynamics.compute import InverseProblem
 from mbdkit_biomech.inverse_dynamics.data_verdict import doubts_before_computation
-from mbdkit.spec import load_inverse_spec
-from tests.inverse_dynamics.drawn_faults import FAULTS, outcomes
-from tests.inverse_dynamics.hanging_leg import ANGLES, NOISE, SMOOTH, T, leg, not_of_ends, stance, told
 
 PARTS = {"x": "real", "y": "imag"}
 

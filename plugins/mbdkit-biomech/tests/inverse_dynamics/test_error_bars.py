@@ -9,20 +9,20 @@ import numpy as np
 import pytest
 from scipy.signal import butter, filtfilt
 from scipy.stats import chi2
+from tests.inverse_dynamics.drawn_coverage import coverage
+from tests.inverse_dynamics.noisy import CUTOFF, DEVIATION, Truth, covered
+from tests.inverse_dynamics.test_closed_loops import TORQUES, moved
 
 import mbdkit
 from mbdkit import SpecError
-from mbdkit_biomech.inverse_dynamics.workload import workload
 from mbdkit.archive import archive_check
+from mbdkit.spec import load_inverse_spec, load_spec
 from mbdkit_biomech.inverse_dynamics import measure_samples
 from mbdkit_biomech.inverse_dynamics.compute import InverseProblem, compute
 from mbdkit_biomech.inverse_dynamics.error_bars import _norm_bound
 from mbdkit_biomech.inverse_dynamics.measure_samples import SAMPLES, SampledMeasures
+from mbdkit_biomech.inverse_dynamics.workload import workload
 from mbdkit_report.pages.run_report import run_report
-from mbdkit.spec import load_inverse_spec, load_spec
-from tests.inverse_dynamics.drawn_coverage import coverage
-from tests.inverse_dynamics.noisy import CUTOFF, DEVIATION, Truth, covered
-from tests.inverse_dynamics.test_closed_loops import TORQUES, moved
 
 T = np.linspace(0.0, 1.0, 101)
 

@@ -7,15 +7,15 @@ from typing import Any
 
 import numpy as np
 import pytest
+from tests.inverse_dynamics.hanging_leg import ANGLES, NOISE, SMOOTH, T, leg, not_of_ends, stance, told
 
 import mbdkit
 from mbdkit import SpecError
+from mbdkit.spec import load_inverse_spec
+from mbdkit.spec.loading import example_table
 from mbdkit_biomech.inverse_dynamics.compute import InverseProblem, compute
 from mbdkit_biomech.inverse_dynamics.data_verdict import doubts_about_data, doubts_before_computation
 from mbdkit_biomech.inverse_dynamics.missing_points import forces_at_centres, missing_points
-from mbdkit.spec import load_inverse_spec
-from mbdkit.spec.loading import example_table
-from tests.inverse_dynamics.hanging_leg import ANGLES, NOISE, SMOOTH, T, leg, not_of_ends, stance, told
 
 
 def test_a_unit_of_a_load_that_contradicts_the_file_is_named(tmp_path: Path) -> None:

@@ -10,12 +10,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from tests.inverse_dynamics.test_error_bars import pendulum
 
 import mbdkit
 from mbdkit import SpecError
 from mbdkit_biomech.inverse_dynamics.measured_table import Table
 from mbdkit_biomech.inverse_dynamics.table_files import read_table
-from tests.inverse_dynamics.test_error_bars import pendulum
 
 VICON = """
 

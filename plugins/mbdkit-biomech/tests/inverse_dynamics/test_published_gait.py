@@ -6,9 +6,9 @@ from typing import Any
 
 import numpy as np
 import pytest
+from tests.inverse_dynamics.running import JOINTS, differences, reference, running_spec, table
 
 import mbdkit
-from tests.inverse_dynamics.running import JOINTS, differences, reference, running_spec, table
 
 LIGHT = 1e-13
 """Mass [kg] and inertia of bodies that only carry joints."""

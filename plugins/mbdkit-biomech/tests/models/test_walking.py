@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from tests.inverse_dynamics.running import reference, table_of
 
 import mbdkit
 from mbdkit.spec.loading import example_table, read_source
@@ -22,7 +23,6 @@ from tests.benchmarks.walking_data import (
     fitted,
     series_in,
 )
-from tests.inverse_dynamics.running import reference, table_of
 
 TEXT = example_table("walking") or ""
 GAIT = series_in(TEXT)

@@ -6,6 +6,7 @@ from collections.abc import Iterator
 
 import numpy as np
 import pytest
+from tests.inverse_dynamics.running import table_of
 
 import mbdkit
 from mbdkit import Run
@@ -13,7 +14,6 @@ from mbdkit.spec import load_inverse_spec
 from mbdkit.spec.loading import example_table, read_source
 from tests.benchmarks.walking_both_legs import LEFT, residuals
 from tests.benchmarks.walking_data import ANGLES, GRAVITY, GRID, PERSON_MASS, PHASES, SPEED, STRIDE, series_in
-from tests.inverse_dynamics.running import table_of
 
 TEXT = example_table("walking-two-legs") or ""
 HALF = 50

@@ -1,9 +1,9 @@
 """The leg of `leg.py` as a mechanism, and its poses as positions of bodies."""
 
 import numpy as np
+from tests.muscles import leg
 
 from mbdkit import Mechanism
-from tests.muscles import leg
 
 SETTINGS = ("quadrant", "polynomial")
 """Keys that only OpenSim needs."""

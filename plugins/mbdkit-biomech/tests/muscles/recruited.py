@@ -3,7 +3,6 @@
 from typing import Any
 
 import numpy as np
-
 from tests.muscles import leg
 from tests.muscles.models import leg_mechanism
 

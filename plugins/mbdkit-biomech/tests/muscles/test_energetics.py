@@ -6,14 +6,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 from scipy.integrate import simpson
-
-import mbdkit
-from mbdkit import SpecError
-from mbdkit.muscles.energetics import metabolic_power
 from tests.muscles import leg
 from tests.muscles.models import leg_mechanism
 from tests.muscles.recruited import leg_spec
 from tests.muscles.test_recruitment import forearm
+
+import mbdkit
+from mbdkit import SpecError
+from mbdkit.muscles.energetics import metabolic_power
 from tests.runs.test_muscles_in_runs import FORCE, WIDTH, arm
 
 OPENSIM = json.loads((Path(__file__).parent / "opensim_muscles.json").read_text())["energetics"]

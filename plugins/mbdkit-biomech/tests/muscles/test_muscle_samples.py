@@ -2,12 +2,12 @@
 
 import numpy as np
 import pytest
+from tests.muscles.test_recruitment import forearm
 
 import mbdkit
 from mbdkit import SpecError
-from mbdkit_biomech.inverse_dynamics import measure_samples
 from mbdkit.spec import load_inverse_spec
-from tests.muscles.test_recruitment import forearm
+from mbdkit_biomech.inverse_dynamics import measure_samples
 
 FORCE = 1.5 * 9.81 * 0.15 / 0.04
 

@@ -5,12 +5,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from tests.muscles import leg
+from tests.muscles.recruited import leg_spec
 
 import mbdkit
 from mbdkit import RunError, SpecError
 from mbdkit_report.pages.report import report
-from tests.muscles import leg
-from tests.muscles.recruited import leg_spec
 
 OPENSIM = json.loads((Path(__file__).parent / "opensim_muscles.json").read_text())["recruitment"]
 INSIDE = slice(2, -2)

@@ -4,14 +4,14 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from tests.muscles.recruited import leg_spec
+from tests.muscles.test_recruitment import forearm
+from tests.muscles.test_shared_loads import FRAMES, by_casadi, problems
 
 import mbdkit
 from mbdkit import SpecError
 from mbdkit_biomech.inverse_dynamics.shared_loads import share_loads
 from mbdkit_biomech.inverse_dynamics.shared_loads_derivative import ProgrammeChange, change_of_shares
-from tests.muscles.recruited import leg_spec
-from tests.muscles.test_recruitment import forearm
-from tests.muscles.test_shared_loads import FRAMES, by_casadi, problems
 
 
 @pytest.mark.parametrize("reserves", [0.0, 20.0])

@@ -24,10 +24,10 @@ from mbdkit.cli.common_options import (
 )
 
 if TYPE_CHECKING:
-    from mbdkit_design.design import Design
-    from mbdkit_design.robustness import Deviation
     from mbdkit.spec import InverseSpec, RunSpec
     from mbdkit.spec.reading import Document
+    from mbdkit_design.design import Design
+    from mbdkit_design.robustness import Deviation
 
 
 LOADS_SHOWN = 3
@@ -80,11 +80,11 @@ def design(
 
     Exit status 3 if no point satisfies all limits, or a resource is not available.
     """
+    from mbdkit.spec import load_design_spec
     from mbdkit_design.robustness import robustness
     from mbdkit_design.solve_design import WORKER, evaluating, solved_in
     from mbdkit_design.stages import Stages
     from mbdkit_design.store import DesignFolder
-    from mbdkit.spec import load_design_spec
     from mbdkit_studies.executor_pool import Engine
     from mbdkit_studies.executors import opened
 
@@ -151,10 +151,10 @@ def _of_scenarios(told: Mapping[str, Iterable[str]]) -> Iterator[str]:
 
 def _cautions(spec: RunSpec | InverseSpec) -> Iterable[str]:
     """Return the warnings about a spec before its run."""
-    from mbdkit_biomech.inverse_dynamics.compute import InverseProblem
-    from mbdkit_biomech.inverse_dynamics.data_verdict import doubts_before_computation
     from mbdkit.runs.preparation import caution
     from mbdkit.spec import RunSpec
+    from mbdkit_biomech.inverse_dynamics.compute import InverseProblem
+    from mbdkit_biomech.inverse_dynamics.data_verdict import doubts_before_computation
 
     if isinstance(spec, RunSpec):
         return caution(spec)
@@ -166,10 +166,10 @@ def validate_design(source: Document, name: str, assignments: list[str]) -> None
     """Check a design spec, the specs of its scenarios and its expressions, and print
     what would be optimised.
     """
+    from mbdkit.spec import load_design_spec
     from mbdkit_design.evaluation import Evaluator
     from mbdkit_design.limits_in_degrees import limits_in_degrees
     from mbdkit_design.search import check_installed
-    from mbdkit.spec import load_design_spec
 
     spec = load_design_spec(source, assignments)
     check_installed(spec)

@@ -10,13 +10,13 @@ import numpy as np
 
 from mbdkit.base.errors import RunError
 from mbdkit.base.text import counted, table
+from mbdkit.spec import DesignSpec
+from mbdkit_design.design_spec import LocalOptimizer
 from mbdkit_design.evaluation import Evaluator
 from mbdkit_design.point import DesignPoint, point_of
 from mbdkit_design.problem import Problem
 from mbdkit_design.search import searches
 from mbdkit_design.stages import Stages
-from mbdkit.spec import DesignSpec
-from mbdkit_design.design_spec import LocalOptimizer
 
 
 @dataclass(frozen=True)

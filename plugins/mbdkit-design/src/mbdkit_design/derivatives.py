@@ -17,8 +17,8 @@ from mbdkit.gradients.differentiated_expressions import definitions_of
 from mbdkit.gradients.gradient import Gradient, gradient_of_run_spec
 from mbdkit.gradients.gradient_check import GradientCheck, inaccurate_entries
 from mbdkit.gradients.gradient_parameters import resolved
-from mbdkit_biomech.inverse_dynamics.inverse_gradient import gradient_of_inverse
 from mbdkit.spec import RunSpec
+from mbdkit_biomech.inverse_dynamics.inverse_gradient import gradient_of_inverse
 
 if TYPE_CHECKING:
     from mbdkit_design.evaluation import Evaluator

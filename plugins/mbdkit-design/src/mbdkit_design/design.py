@@ -11,6 +11,7 @@ import numpy as np
 
 from mbdkit.base.errors import SpecError
 from mbdkit.base.text import counted, table
+from mbdkit.spec import DesignSpec, RunSpec
 from mbdkit_design.compared_settings import Comparison, compare, comparison_table
 from mbdkit_design.derivatives import derivatives_sentence, unconfirmed
 from mbdkit_design.evaluation import Evaluator
@@ -23,7 +24,6 @@ from mbdkit_design.problem import Problem
 from mbdkit_design.search import Search, advice, searches
 from mbdkit_design.stages import Stages
 from mbdkit_design.trust import Trust, certified
-from mbdkit.spec import DesignSpec, RunSpec
 from mbdkit_studies.varied_starts import start_warnings_of_study
 
 LEAST_ERROR = 1e-3

@@ -13,10 +13,16 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from mbdkit.base.terminal import say
+from mbdkit.spec.key_words import key_words
+from mbdkit.spec.yaml_reader import write_yaml
+from mbdkit_biomech.inverse_dynamics.load_frames import load_drawing
 from mbdkit_design.compared_settings import compared_with
+from mbdkit_design.design_charts import POINT_WORDS, Pair, front_charts, landscape_charts, load_charts, variable_unit
+from mbdkit_design.design_verdict import costs_table, design_verdict, robustness_table
 from mbdkit_design.gains import costs, goal_units, goal_words, measure_units
 from mbdkit_design.landscape import Cut, Sensitivity, cuts, sensitivities
 from mbdkit_design.robustness import robustness
+from mbdkit_design.sensitivity_bars import sensitivity_section
 from mbdkit_design.solve_design import WORKER, evaluating
 from mbdkit_design.stages import Stages
 from mbdkit_design.store import WHICH, DesignFolder, runs_of
@@ -24,16 +30,10 @@ from mbdkit_design.trust import QUESTIONED
 from mbdkit_report.figures.drawing_geometry import mechanism_of
 from mbdkit_report.figures.mechanism_drawing import NamedPose
 from mbdkit_report.figures.page_model import Section, Table
-from mbdkit_design.design_charts import POINT_WORDS, Pair, front_charts, landscape_charts, load_charts, variable_unit
-from mbdkit_design.design_verdict import costs_table, design_verdict, robustness_table
-from mbdkit_biomech.inverse_dynamics.load_frames import load_drawing
 from mbdkit_report.pages.methods_used import methods
 from mbdkit_report.pages.model_section import drawing
 from mbdkit_report.pages.report_page import ReportPage
 from mbdkit_report.pages.run_report import TONES, environment, film_of
-from mbdkit_design.sensitivity_bars import sensitivity_section
-from mbdkit.spec.key_words import key_words
-from mbdkit.spec.yaml_reader import write_yaml
 from mbdkit_studies.executor_pool import Engine
 
 if TYPE_CHECKING:

@@ -23,12 +23,12 @@ from mbdkit.base.plain_data import Path, copied, path_text, value_text
 from mbdkit.base.units import Unit, read_quantity
 from mbdkit.mechanism.checks import check_name
 from mbdkit.mechanism.values import Number, Positive, pair
-from mbdkit_biomech.inverse_dynamics.inverse_spec import InverseSpec
 from mbdkit.spec.model_spec import StrictSpec
 from mbdkit.spec.reading import parse_key
 from mbdkit.spec.run_spec import RunSpec
 from mbdkit.spec.sections import Count, Section
 from mbdkit.spec.study_measures import DefinedMeasure, defined
+from mbdkit_biomech.inverse_dynamics.inverse_spec import InverseSpec
 from mbdkit_studies.study_spec import Base, Overrides
 
 GOAL = "goal"

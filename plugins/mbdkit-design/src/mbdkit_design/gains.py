@@ -9,15 +9,15 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from mbdkit.archive.headlines import largest_loads
-from mbdkit_design.problem import FEASIBLE
 from mbdkit.measures.take import describe
 from mbdkit_design.design_spec import GOAL
+from mbdkit_design.problem import FEASIBLE
 
 if TYPE_CHECKING:
     from mbdkit.archive.run import Run
+    from mbdkit_design.design_spec import DesignSpec
     from mbdkit_design.point import DesignPoint
     from mbdkit_design.trust import Trust
-    from mbdkit_design.design_spec import DesignSpec
 
 LEAST_CHANGE = 0.01
 """Smallest relative change of a load that is reported as a cost."""

@@ -8,10 +8,10 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
-from mbdkit_design.computing import plain_outcome
-from mbdkit_design.evaluation import ScenarioRuns
 from mbdkit.spec import InverseSpec, RunSpec
 from mbdkit.spec.reading import Document
+from mbdkit_design.computing import plain_outcome
+from mbdkit_design.evaluation import ScenarioRuns
 from mbdkit_studies import worker
 
 

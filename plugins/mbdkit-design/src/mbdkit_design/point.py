@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from mbdkit_design.evaluation import Evaluator
 from mbdkit.spec import DesignSpec
+from mbdkit_design.evaluation import Evaluator
 
 Notify = Callable[[str], None]
 """Function that receives a sentence for the user."""

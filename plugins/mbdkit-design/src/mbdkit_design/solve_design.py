@@ -10,6 +10,7 @@ from typing import Any
 
 from mbdkit.base.one_thread import one_thread_of_linear_algebra
 from mbdkit.base.text import counted
+from mbdkit.spec import DesignSpec, load_design_spec
 from mbdkit_design.computing import Computer
 from mbdkit_design.design import Design, solve, with_comparisons
 from mbdkit_design.evaluation import Evaluator
@@ -18,7 +19,6 @@ from mbdkit_design.point import Notify
 from mbdkit_design.search import check_installed
 from mbdkit_design.stages import Stages
 from mbdkit_design.store import DesignFolder
-from mbdkit.spec import DesignSpec, load_design_spec
 from mbdkit_studies.executor_pool import Engine, checked_executor
 
 WORKER = "mbdkit_design.job_worker"

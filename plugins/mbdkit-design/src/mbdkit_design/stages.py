@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from mbdkit_design.point import Notify
 from mbdkit.spec import DesignSpec
+from mbdkit_design.point import Notify
 
 if TYPE_CHECKING:
     from mbdkit_design.evaluation import Evaluator

@@ -21,16 +21,16 @@ from mbdkit.archive.reader import load
 from mbdkit.base.errors import SpecError
 from mbdkit.base.files import replacing
 from mbdkit.base.plain_data import canonical_text
+from mbdkit.runs.simulation import simulate
+from mbdkit.spec import DesignSpec, InverseSpec, RunSpec, load_design_spec
+from mbdkit.spec.reading import read_file
+from mbdkit_biomech.inverse_dynamics.inverse_run import compute_run
 from mbdkit_design.design import Design
+from mbdkit_design.design_spec import variable_path
 from mbdkit_design.evaluation import ScenarioRuns
 from mbdkit_design.known_points import NOT_READ, read_versioned
 from mbdkit_design.point import DesignPoint
 from mbdkit_design.trust import check_of
-from mbdkit_biomech.inverse_dynamics.inverse_run import compute_run
-from mbdkit.runs.simulation import simulate
-from mbdkit.spec import DesignSpec, InverseSpec, RunSpec, load_design_spec
-from mbdkit_design.design_spec import variable_path
-from mbdkit.spec.reading import read_file
 from mbdkit_studies.owned_folder import OwnedFolder
 
 if TYPE_CHECKING:

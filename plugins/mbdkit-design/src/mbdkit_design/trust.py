@@ -6,10 +6,10 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from mbdkit_design.evaluation import Evaluator, Job, Outcome, Settings
+from mbdkit.spec import InverseSpec, RunSpec
 from mbdkit_biomech.inverse_dynamics.error_bars import LEVEL
 from mbdkit_biomech.inverse_dynamics.measure_samples import SampledMeasures
-from mbdkit.spec import InverseSpec, RunSpec
+from mbdkit_design.evaluation import Evaluator, Job, Outcome, Settings
 
 WORST = ("failed", "bad", "doubtful", "unknown", "good")
 """Verdicts from the worst to the best."""

@@ -11,10 +11,10 @@ from pathlib import Path
 
 from mbdkit.base.errors import SpecError
 from mbdkit.base.text import counted, listed
-from mbdkit_design.problem import FEASIBLE
-from mbdkit_design.store import DesignFolder
 from mbdkit.spec import load_design_spec, load_study_spec
 from mbdkit_design.design_spec import Limit
+from mbdkit_design.problem import FEASIBLE
+from mbdkit_design.store import DesignFolder
 from mbdkit_studies.folder_lock import LOCK, Owner
 from mbdkit_studies.planned_points import PlannedPoints
 from mbdkit_studies.study_blocks import StudyBlocks

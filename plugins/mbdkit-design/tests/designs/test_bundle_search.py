@@ -8,12 +8,12 @@ from typing import Any, cast
 import numpy as np
 import pytest
 from scipy.optimize import OptimizeResult, linprog
+from tests.designs.swinging_shank import ANGLE, BRACE, design_of, moments, swing
 
 import mbdkit
 from mbdkit_design.bundle_search import STUCK, beyond_kink, bundle_search
 from mbdkit_design.design import Design
 from mbdkit_design.problem import Problem
-from tests.designs.swinging_shank import ANGLE, BRACE, design_of, moments, swing
 
 
 class LargestOf:

@@ -7,10 +7,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-
-import mbdkit
-from mbdkit import SpecError
-from mbdkit.spec import load_design_spec
 from tests.designs.oscillator import (
     COARSE,
     STIFFNESS,
@@ -20,6 +16,10 @@ from tests.designs.oscillator import (
     tuned,
     tuned_stiffness,
 )
+
+import mbdkit
+from mbdkit import SpecError
+from mbdkit.spec import load_design_spec
 
 GILL = {"integrator": {"name": "rk-gill"}, "time.step": COARSE}
 RADAU = {"integrator": {"name": "radau-iia", "stages": 3}}

@@ -13,22 +13,22 @@ from typing import Any
 
 import numpy as np
 import pytest
+from tests.designs.oscillator import STIFFNESS, tuned
 from typer.testing import CliRunner, Result
 
 import mbdkit
 from mbdkit import ResourceError, SpecError
 from mbdkit.cli import app
+from mbdkit.spec import load_design_spec
+from mbdkit.spec.yaml_reader import write_yaml
 from mbdkit_design import computing, store
 from mbdkit_design.computing import Computer
 from mbdkit_design.evaluation import Job
 from mbdkit_design.known_points import KnownPoints, PointFile
 from mbdkit_design.solve_design import WORKER
 from mbdkit_design.store import DesignFolder
-from mbdkit.spec import load_design_spec
-from mbdkit.spec.yaml_reader import write_yaml
 from mbdkit_studies import pool
 from mbdkit_studies.executor_pool import Engine
-from tests.designs.oscillator import STIFFNESS, tuned
 
 
 def command(*arguments: str) -> Result:

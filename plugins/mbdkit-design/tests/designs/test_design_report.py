@@ -6,13 +6,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-
-import mbdkit
-from mbdkit_report.analysis.verdict import Answer
-from mbdkit_design.design_report import design_report
-from mbdkit_report.pages.report_page import ReportPage
 from tests.designs.oscillator import COARSE, distance, moved, stiffness_of_runge_kutta, tuned, tuned_stiffness
 from tests.designs.swinging_shank import BRACE, T, design_of, mean, moments, swing
+
+import mbdkit
+from mbdkit_design.design_report import design_report
+from mbdkit_report.analysis.verdict import Answer
+from mbdkit_report.pages.report_page import ReportPage
 
 
 def page_of(given: dict[str, object], folder: Path) -> ReportPage:

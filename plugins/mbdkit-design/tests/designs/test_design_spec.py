@@ -9,8 +9,8 @@ from typer.testing import CliRunner
 
 from mbdkit import SpecError
 from mbdkit.cli import app
-from mbdkit_design.evaluation import Evaluator
 from mbdkit.spec import load_design_spec, load_spec, load_study_spec
+from mbdkit_design.evaluation import Evaluator
 
 TEXT = """mbdkit_design: 1
 base:

@@ -9,13 +9,13 @@ from typing import Any
 
 import numpy as np
 import pytest
+from tests.designs.swinging_shank import BRACE, ONE, T, design_of, mean, moments, shank, swing
 from typer.testing import CliRunner
 
 import mbdkit
 from mbdkit.base.errors import RunError
 from mbdkit.cli import app
 from mbdkit_design.design_verdict import design_verdict
-from tests.designs.swinging_shank import BRACE, ONE, T, design_of, mean, moments, shank, swing
 
 
 @pytest.mark.parametrize(("optimizer", "starts"), [("slsqp", 2), ("trust-constr", 1)])

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 import mbdkit
+from mbdkit.spec import load_design_spec, load_inverse_spec
+from mbdkit_biomech.inverse_dynamics import measure_samples
 from mbdkit_design.derivatives import derivatives, differences
 from mbdkit_design.evaluation import Evaluator
 from mbdkit_design.trust import certified
-from mbdkit_biomech.inverse_dynamics import measure_samples
-from mbdkit.spec import load_design_spec, load_inverse_spec
 
 ROWS, DEVIATION, LEVER = 50, 4.0, 0.3
 

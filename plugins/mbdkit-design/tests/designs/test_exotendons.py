@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-
-import mbdkit
 from tests.designs.exotendons import STIFFNESS, Gait, Norm, change, optimum, residual
 from tests.inverse_dynamics.running import reference, table
+
+import mbdkit
 
 STRIDE = 1.1396
 """Stride time of the table [s]."""

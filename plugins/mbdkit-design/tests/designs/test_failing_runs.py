@@ -7,15 +7,15 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from tests.designs.oscillator import moved, tuned
 
 import mbdkit
+from mbdkit.measures import take
+from mbdkit.spec import load_design_spec
+from mbdkit_design.design_verdict import design_verdict
 from mbdkit_design.evaluation import Evaluator
 from mbdkit_design.problem import Problem
 from mbdkit_design.search import searches
-from mbdkit.measures import take
-from mbdkit_design.design_verdict import design_verdict
-from mbdkit.spec import load_design_spec
-from tests.designs.oscillator import moved, tuned
 
 LIMIT = 3.0
 """Value of x at which the mass of the sledge is zero."""

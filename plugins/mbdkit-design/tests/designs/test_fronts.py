@@ -6,11 +6,11 @@ from typing import Any
 
 import numpy as np
 import pytest
+from tests.designs.oscillator import distance, moved, tuned
 
 import mbdkit
 from mbdkit import SpecError
 from mbdkit_design import search
-from tests.designs.oscillator import distance, moved, tuned
 
 CORNERS = np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]])
 ROUGH = {"name": "slsqp", "tolerance": 1e-6}

@@ -7,9 +7,9 @@ import math
 import numpy as np
 import pytest
 
+from mbdkit_design.design_loading import load_design_spec
 from mbdkit_design.evaluation import Evaluator
 from mbdkit_design.robustness import robustness, robustness_text
-from mbdkit_design.design_loading import load_design_spec
 
 DESIGN = {
     "mbdkit_design": 1,

@@ -6,10 +6,10 @@ from typing import Any
 
 import numpy as np
 import pytest
+from tests.designs.swinging_shank import BRACE, T, design_of, mean, moments, shank, swing
 
 import mbdkit
 from mbdkit import SpecError
-from tests.designs.swinging_shank import BRACE, T, design_of, mean, moments, shank, swing
 
 STRAP = "model.forces.strap"
 BOTH = {f"{name}.stiffness": {"bounds": [0.0, 200.0], "start": 20.0 + k} for k, name in enumerate((BRACE, STRAP))}

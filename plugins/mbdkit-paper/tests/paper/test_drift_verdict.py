@@ -12,13 +12,13 @@ from typing import Any
 import pytest
 
 import mbdkit
-from mbdkit_report.analysis.verdict import UNDECIDED, Answer
-from mbdkit_report.pages.verdict_text import json_values, terminal_text
-from mbdkit_studies.study_loading import load_study_spec
-from mbdkit_studies.judge import judge
 from mbdkit_paper.drift.combination import combinations
 from mbdkit_paper.drift.verdict import COLUMNS, order_meets
 from mbdkit_paper.drift.verdict import verdict as judge_drift
+from mbdkit_report.analysis.verdict import UNDECIDED, Answer
+from mbdkit_report.pages.verdict_text import json_values, terminal_text
+from mbdkit_studies.judge import judge
+from mbdkit_studies.study_loading import load_study_spec
 
 STEPS = (0.1, 0.05, 0.025, 0.0125)
 YES, NO, PARTLY, OPEN = Answer.YES, Answer.NO, Answer.PARTLY, Answer.OPEN

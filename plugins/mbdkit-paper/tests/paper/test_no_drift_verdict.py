@@ -8,8 +8,8 @@ from typing import Any
 
 import pytest
 
-from mbdkit_report.analysis.verdict import UNDECIDED, Answer
 from mbdkit_paper.no_drift.verdict import verdict as judge_no_drift
+from mbdkit_report.analysis.verdict import UNDECIDED, Answer
 
 
 def study(*runs: tuple[float, float, str]) -> Any:

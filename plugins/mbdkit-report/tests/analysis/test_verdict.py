@@ -8,7 +8,19 @@ import math
 import numpy as np
 import pytest
 
-from mbdkit_report.analysis.verdict import Answer, Axis, Claim, Column, Figure, Line, Range, Table, Verdict, exceeds, together
+from mbdkit_report.analysis.verdict import (
+    Answer,
+    Axis,
+    Claim,
+    Column,
+    Figure,
+    Line,
+    Range,
+    Table,
+    Verdict,
+    exceeds,
+    together,
+)
 
 YES, NO, PARTLY, OPEN = Answer.YES, Answer.NO, Answer.PARTLY, Answer.OPEN
 

@@ -15,8 +15,8 @@ from typer.testing import CliRunner
 import mbdkit
 from mbdkit.cli import app
 from mbdkit.guide.pages import find_page
-from mbdkit.spec.example_notebooks import jupyter_text, notebook_names, notebook_text, notebook_title
 from mbdkit.spec import example_names
+from mbdkit.spec.example_notebooks import jupyter_text, notebook_names, notebook_text, notebook_title
 
 FOLDER = Path(mbdkit.__file__).parent / "models" / "examples"
 KERNEL = "a notebook is executed by nbclient and ipykernel"

@@ -12,8 +12,8 @@ from PIL import Image
 
 from mbdkit.base.errors import SpecError
 from mbdkit_report.figures.scene import nearest_rows, round_speed, scene
-from mbdkit_report.plot import film
 from mbdkit_report.pages.animate import animate, page
+from mbdkit_report.plot import film
 
 EVIL = "</script><script>alert('x')</script><img src=https://evil.example/x.png onerror=alert(1)> @@DATA@@ & \"q\""
 

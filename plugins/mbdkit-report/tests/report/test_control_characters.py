@@ -9,9 +9,9 @@ from xml.etree import ElementTree
 import pytest
 
 import mbdkit
+from mbdkit_report.pages.report import report
 from mbdkit_report.plot.plot_kinds import PLOT_KINDS
 from mbdkit_report.plot.save_plot import plot
-from mbdkit_report.pages.report import report
 
 ESCAPE = "red \x1b[31m\x00\x07\u202egnp \ufffe"
 """Colours of a terminal, a null character, a bell, reversed text, and a character that XML does not allow."""

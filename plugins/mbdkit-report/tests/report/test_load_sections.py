@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 import mbdkit
-from mbdkit_report.figures.page_model import Section, Table
 from mbdkit_biomech.inverse_dynamics.load_sections import inverse_sections
+from mbdkit_report.figures.page_model import Section, Table
 from mbdkit_report.pages.run_report import mechanism_of, run_report
 
 T = np.linspace(0.0, 1.0, 51)

@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 
 import mbdkit
+from mbdkit.mechanism.beams import parts_of
+from mbdkit.spec import example_names, load_spec
 from mbdkit_report.figures.label_placement import LINE, Name, place_names
 from mbdkit_report.figures.mechanism_drawing import NARROW, WIDE, NamedPose, mechanism_svg, names_shown
-from mbdkit.mechanism.beams import parts_of
 from mbdkit_report.pages.run_report import run_report
-from mbdkit.spec import example_names, load_spec
 from tests.linkages import driven_wheel
 
 

@@ -9,15 +9,15 @@ import numpy as np
 import pytest
 
 import mbdkit
-from mbdkit_report.analysis.verdict import Answer
 from mbdkit.base.errors import SpecError
+from mbdkit.spec import example_names, load_spec
+from mbdkit.spec.yaml_reader import read_yaml
+from mbdkit_report.analysis.verdict import Answer
 from mbdkit_report.pages import run_verdict as module
 from mbdkit_report.pages.methods_used import methods
 from mbdkit_report.pages.report import report
 from mbdkit_report.pages.run_report import run_report, yaml_text
 from mbdkit_report.pages.run_verdict import run_verdict
-from mbdkit.spec import example_names, load_spec
-from mbdkit.spec.yaml_reader import read_yaml
 
 EVIL = "</script><script>alert('x')</script><img src=https://evil.example/x.png onerror=alert(1)> & \"q\""
 

@@ -10,16 +10,16 @@ import pytest
 from axe_playwright_python.sync_playwright import Axe
 
 import mbdkit
+from mbdkit.spec import example_names, load_spec
+from mbdkit.spec.yaml_reader import read_yaml
 from mbdkit_report.figures.mechanism_drawing import WIDE, NamedPose, mechanism_svg, names_shown
 from mbdkit_report.figures.palette import PALETTE
 from mbdkit_report.figures.player_data import film_data
-from mbdkit_report.plot.caption import caption
-from mbdkit_report.plot.energy_plot import COLORS
 from mbdkit_report.pages.report import report
 from mbdkit_report.pages.run_report import run_report
 from mbdkit_report.pages.templating import inline, render
-from mbdkit.spec import example_names, load_spec
-from mbdkit.spec.yaml_reader import read_yaml
+from mbdkit_report.plot.caption import caption
+from mbdkit_report.plot.energy_plot import COLORS
 from tests.browser import opened, until
 
 EVIL = "</script><script>alert('x')</script><img src=https://evil.example/x.png onerror=alert(1)> & \"q\""

@@ -37,9 +37,9 @@ def equilibrium(
     forces. Drivers and loads are evaluated at the start time; velocities are
     ignored. Gravity is (0, -9.81) m/s^2 unless `model.gravity` is given.
     """
+    from mbdkit.runs.assembled_mechanism import PreparedMechanism
     from mbdkit_statics import mechanics_summary
     from mbdkit_statics.equilibrium import equilibrium_of, spec_at
-    from mbdkit.runs.assembled_mechanism import PreparedMechanism
 
     if write is not None:
         check_output(write, overwrite=overwrite, source=spec)
@@ -57,8 +57,8 @@ def equilibrium(
         if left_out := [name for name in prepared.spec.parameters if name not in written["parameters"]]:
             notes.append(f"{write.name} has numbers in place of the parameters {listed(left_out, 'and')}")
     if output is not None:
-        from mbdkit_statics.equilibrium_plot import equilibrium_figure
         from mbdkit_report.plot.style import save
+        from mbdkit_statics.equilibrium_plot import equilibrium_figure
 
         mechanism = prepared.spec.mechanism()
         save(equilibrium_figure(found, mechanism, f"Equilibrium: {prepared.spec.title or mechanism.name}"), output)
@@ -89,17 +89,17 @@ def modes(
 
     Coordinates that drivers prescribe do not vibrate.
     """
+    from mbdkit.runs.assembled_mechanism import PreparedMechanism
     from mbdkit_statics import mechanics_summary
     from mbdkit_statics.modes import modes_of
-    from mbdkit.runs.assembled_mechanism import PreparedMechanism
 
     if output is not None:
         _check_picture(output, spec, overwrite=overwrite)
     prepared = PreparedMechanism.of(spec, assignments or ())
     found = modes_of(prepared, at, count)
     if output is not None:
-        from mbdkit_statics.mode_shapes import modes_figure
         from mbdkit_report.plot.style import save
+        from mbdkit_statics.mode_shapes import modes_figure
 
         mechanism = prepared.spec.mechanism()
         save(modes_figure(found, mechanism, f"Modes: {prepared.spec.title or mechanism.name}"), output)
@@ -122,9 +122,9 @@ def kinematics(
     Drivers must prescribe all degrees of freedom. The motion is computed at the times of
     the steps in the spec.
     """
+    from mbdkit.runs.assembled_mechanism import PreparedMechanism
     from mbdkit_statics import mechanics_summary
     from mbdkit_statics.kinematics import kinematics_of
-    from mbdkit.runs.assembled_mechanism import PreparedMechanism
 
     if output is not None:
         check_output(output, overwrite=overwrite, source=spec)

@@ -22,16 +22,27 @@ from mbdkit.engine.kernels.observe import constraints_at
 from mbdkit.engine.kernels.projection import STAGNANT
 from mbdkit.engine.nearest_state import ROUND_OFF
 from mbdkit.engine.observed_states import StateObserver
-from mbdkit_statics.reduced import DENSE, State, at_rest, coupled_states, in_statics, least_stiffness, reduce, softest_motion, softest_scale, stiffness_scale
-from mbdkit.runs.assembled_mechanism import PreparedMechanism
-from mbdkit_statics.states_at_rest import StaticEquations
 from mbdkit.mechanism.beam_shape import places_with_ends, with_ends
 from mbdkit.mechanism.beams import named_body
 from mbdkit.mechanism.mechanism import Mechanism
 from mbdkit.mechanism.parameters import parameters_in_use
 from mbdkit.quantities.states import States
+from mbdkit.runs.assembled_mechanism import PreparedMechanism
 from mbdkit.runs.coarse_beams import CoarseBeams
 from mbdkit.spec.loading import RunSource, Sections
+from mbdkit_statics.reduced import (
+    DENSE,
+    State,
+    at_rest,
+    coupled_states,
+    in_statics,
+    least_stiffness,
+    reduce,
+    softest_motion,
+    softest_scale,
+    stiffness_scale,
+)
+from mbdkit_statics.states_at_rest import StaticEquations
 
 MOST_STEPS = 1000
 """Largest number of attempted steps, including rejected ones; a search with more steps fails.

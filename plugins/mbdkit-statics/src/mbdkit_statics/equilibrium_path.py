@@ -14,11 +14,11 @@ from scipy.sparse import block_array, csr_array, diags_array
 from scipy.sparse.linalg import splu
 
 from mbdkit.base.errors import StepError
+from mbdkit.mechanism.beams import named_body
+from mbdkit.runs.assembled_mechanism import PreparedMechanism
+from mbdkit.spec.loading import RunSource, Sections
 from mbdkit_statics.equilibrium import joint_reactions, rest
 from mbdkit_statics.reduced import State, distance_to_singular, least_stiffness, singular_motion, unstable_motions
-from mbdkit.runs.assembled_mechanism import PreparedMechanism
-from mbdkit.mechanism.beams import named_body
-from mbdkit.spec.loading import RunSource, Sections
 
 Kind = Literal["limit point", "bifurcation"]
 

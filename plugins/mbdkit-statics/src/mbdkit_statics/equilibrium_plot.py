@@ -4,17 +4,17 @@ from __future__ import annotations
 
 from matplotlib.figure import Figure
 
+from mbdkit.mechanism.mechanism import Mechanism
 from mbdkit_report.figures.drawing_geometry import draw_mechanism
 from mbdkit_report.figures.page_model import Axis, Line
 from mbdkit_report.figures.page_model import Figure as Chart
 from mbdkit_report.figures.palette import body_colors
 from mbdkit_report.figures.plane_geometry import view_box
 from mbdkit_report.figures.pose import Pose
-from mbdkit_statics.equilibrium import Equilibrium
-from mbdkit.mechanism.mechanism import Mechanism
 from mbdkit_report.plot.caption import Caption
 from mbdkit_report.plot.charts import draw_chart
 from mbdkit_report.plot.style import dress, new_figure
+from mbdkit_statics.equilibrium import Equilibrium
 
 FORCES = (("Bending moment", "N m", 3), ("Shear force", "N", 2), ("Axial force", "N", 1))
 """Title, unit and column of `Equilibrium.beams` for each chart."""

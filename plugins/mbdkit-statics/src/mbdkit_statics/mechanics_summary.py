@@ -8,11 +8,11 @@ from typing import Any
 import numpy as np
 
 from mbdkit.base.text import counted, listed, table
+from mbdkit.mechanism.beams import beam_of
+from mbdkit.mechanism.mechanism import gravity_text
 from mbdkit_statics.equilibrium import Equilibrium
 from mbdkit_statics.kinematics import Kinematics
 from mbdkit_statics.modes import Modes
-from mbdkit.mechanism.beams import beam_of
-from mbdkit.mechanism.mechanism import gravity_text
 
 SHOWN = 20
 """Largest number of rows in a printed table."""

@@ -5,14 +5,14 @@ from __future__ import annotations
 import numpy as np
 from matplotlib.figure import Figure
 
+from mbdkit.mechanism.mechanism import Mechanism
 from mbdkit_report.figures.drawing_geometry import draw_mechanism
 from mbdkit_report.figures.palette import FAINT, body_colors
 from mbdkit_report.figures.plane_geometry import view_box
 from mbdkit_report.figures.pose import Pose
-from mbdkit_statics.modes import Modes
-from mbdkit.mechanism.mechanism import Mechanism
 from mbdkit_report.plot.caption import Caption
 from mbdkit_report.plot.style import dress, new_figure
+from mbdkit_statics.modes import Modes
 
 MOST = 6
 """Largest number of modes in a picture."""

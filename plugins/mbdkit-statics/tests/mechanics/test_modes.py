@@ -10,8 +10,8 @@ import sympy
 from scipy.linalg import eigh
 
 import mbdkit
-from mbdkit_statics.modes import oscillations
 from mbdkit.spec import load_spec
+from mbdkit_statics.modes import oscillations
 
 from .chains import G, chain_stiffness_and_mass, hung_between, spec, weight_on_a_spring
 

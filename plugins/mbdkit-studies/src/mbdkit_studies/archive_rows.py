@@ -13,10 +13,10 @@ from mbdkit.archive.run import Run
 from mbdkit.measures.take import with_error
 from mbdkit.spec import RunSpec
 from mbdkit.spec.study_measures import DefinedMeasure
-from mbdkit_studies.study_spec import StudySpec
 from mbdkit_studies.measures import MEASURES, OF_CHECKED_RUNS, SECOND, RunGroup, worst_joint
 from mbdkit_studies.planned_points import PlannedPoint
 from mbdkit_studies.study_index import BETWEEN_REASONS, Row, quartiles
+from mbdkit_studies.study_spec import StudySpec
 from mbdkit_studies.tasks import Outcome
 
 

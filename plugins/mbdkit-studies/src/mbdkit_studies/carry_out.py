@@ -14,7 +14,6 @@ from typing import Any
 
 import numpy as np
 
-from mbdkit_studies.block_writer import Store
 from mbdkit.archive.missing_plugins import advised
 from mbdkit.base.errors import SpecError
 from mbdkit.base.logs import logger_of
@@ -24,9 +23,8 @@ from mbdkit.base.terminal import say
 from mbdkit.base.text import counted, shown, without_numbers
 from mbdkit.spec.loading import RunSource, load_spec, read_source
 from mbdkit.spec.reading import parse_key
-from mbdkit_studies.study_loading import StudySource, load_study_spec
-from mbdkit_studies.study_spec import Storing, StudySpec
 from mbdkit_studies import member_table
+from mbdkit_studies.block_writer import Store
 from mbdkit_studies.execute import Execution, Options, Progress
 from mbdkit_studies.executor_pool import Engine, checked_executor
 from mbdkit_studies.folder_lock import Shard
@@ -34,6 +32,8 @@ from mbdkit_studies.sampled_values import with_sample_values
 from mbdkit_studies.study import Study
 from mbdkit_studies.study_blocks import with_store
 from mbdkit_studies.study_folder import StudyFolder
+from mbdkit_studies.study_loading import StudySource, load_study_spec
+from mbdkit_studies.study_spec import Storing, StudySpec
 
 _LOG = logger_of(__name__)
 

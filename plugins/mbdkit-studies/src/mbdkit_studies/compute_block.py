@@ -12,7 +12,6 @@ from functools import cached_property, lru_cache
 from pathlib import Path
 from typing import Any
 
-from mbdkit_studies.block_writer import BlockHeading, BlockRun, Store, kept, write_block
 from mbdkit.archive.finished_run import FinishedRun
 from mbdkit.archive.run import Run
 from mbdkit.archive.run_contents import ArrayContents, Heading
@@ -27,13 +26,14 @@ from mbdkit.measures.take import Description, with_error
 from mbdkit.runs.batch import CHUNK, Refused, refusal, simulate_in_any_order
 from mbdkit.runs.provenance import plugins_of, surroundings
 from mbdkit.spec import RunSpec
-from mbdkit_studies.study_loading import load_study_spec
 from mbdkit.spec.study_measures import DefinedMeasure
 from mbdkit.spec.varied_specs import VariedSpecs
+from mbdkit_studies.block_writer import BlockHeading, BlockRun, Store, kept, write_block
 from mbdkit_studies.measures import MEASURES, OF_CHECKED_RUNS, Measure, RunGroup, places_by_group
 from mbdkit_studies.planned_points import PlannedPoint
 from mbdkit_studies.study_blocks import stored
 from mbdkit_studies.study_folder import StudyFolder
+from mbdkit_studies.study_loading import load_study_spec
 from mbdkit_studies.study_plan import StudyPlan
 from mbdkit_studies.tasks import mark_of
 from mbdkit_studies.unfinished_block import UnfinishedBlock

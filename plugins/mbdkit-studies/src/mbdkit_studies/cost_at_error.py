@@ -8,11 +8,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from mbdkit_studies.cost import at_equal_work, work_for
+from mbdkit.trust.criteria import KNOWN_POSITION
 from mbdkit_report.analysis.verdict import Cell, Column, Table
+from mbdkit_studies.cost import at_equal_work, work_for
 from mbdkit_studies.point_selection import METHOD, OPERATIONS, value
 from mbdkit_studies.study_point import value_words
-from mbdkit.trust.criteria import KNOWN_POSITION
 
 if TYPE_CHECKING:
     from mbdkit_studies.study import Study

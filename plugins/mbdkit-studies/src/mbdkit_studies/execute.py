@@ -8,7 +8,6 @@ from typing import Any
 
 from mbdkit.base.errors import SpecError
 from mbdkit.base.interrupts import interrupts_delayed
-from mbdkit_studies.study_spec import StudySpec
 from mbdkit_studies import study_index
 from mbdkit_studies.executor_pool import Engine
 from mbdkit_studies.folder_lock import Shard
@@ -16,6 +15,7 @@ from mbdkit_studies.run_blocks import RunBlocks
 from mbdkit_studies.run_files import RunFiles
 from mbdkit_studies.run_store import RunStore
 from mbdkit_studies.study_folder import StudyFolder
+from mbdkit_studies.study_spec import StudySpec
 
 #: Function called with the number of computations that are done, their total number, and the number of failed runs. A
 #: run, a second run and a set of repeated timings count as one computation each.

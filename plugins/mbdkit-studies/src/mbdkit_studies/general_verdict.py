@@ -6,15 +6,15 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from mbdkit_report.analysis.order import observed_order
-from mbdkit_report.analysis.verdict import MARGIN, Cell, Column, Table, Verdict
 from mbdkit.base.errors import MbdkitError
 from mbdkit.mechanism.size import mechanism_size
+from mbdkit.trust.criteria import EPS, ROUND_OFF
+from mbdkit_report.analysis.order import observed_order
+from mbdkit_report.analysis.verdict import MARGIN, Cell, Column, Table, Verdict
 from mbdkit_studies.cost_at_error import cost_at_error
 from mbdkit_studies.point_selection import STEP, Points, value
 from mbdkit_studies.sample_groups import measured
 from mbdkit_studies.study_point import point_words, value_words
-from mbdkit.trust.criteria import EPS, ROUND_OFF
 
 if TYPE_CHECKING:
     from mbdkit_studies.study import Study

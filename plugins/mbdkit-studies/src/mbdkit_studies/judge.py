@@ -11,10 +11,10 @@ from mbdkit.registry.items import StudyPlugin
 from mbdkit.registry.manager import registry
 
 if TYPE_CHECKING:
-    from mbdkit_report.analysis.verdict import Verdict
     from mbdkit.registry.catalogue import Registered
-    from mbdkit_studies.study_spec import StudySpec
+    from mbdkit_report.analysis.verdict import Verdict
     from mbdkit_studies.study import Study
+    from mbdkit_studies.study_spec import StudySpec
 
 
 def judge(study: Study) -> Verdict:

@@ -8,10 +8,10 @@ from typing import Any
 
 import numpy as np
 
-from mbdkit_studies import sample_statistics
-from mbdkit_studies.sample_statistics import CONFIDENCE, Estimate
 from mbdkit.base.errors import MbdkitError
+from mbdkit_studies import sample_statistics
 from mbdkit_studies.sample_groups import SampledStudy, SampleGroup, measured, one_group
+from mbdkit_studies.sample_statistics import CONFIDENCE, Estimate
 
 QUANTILES = (0.05, 0.5, 0.95)
 FEWEST = 3

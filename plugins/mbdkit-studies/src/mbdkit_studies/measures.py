@@ -10,14 +10,21 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from mbdkit_report.analysis.energy import Trend, trends
-from mbdkit_report.analysis.reference import EVERY_ROW, LAST_ROW, carries_multipliers, common_rows, multiplier_error, offsets
 from mbdkit.archive.history import NotRecordedError
 from mbdkit.archive.layout import BY_PATH
 from mbdkit.archive.peak_errors import missed_between_rows, missed_of_verdict
 from mbdkit.base.errors import MbdkitError
 from mbdkit.mechanism.size import mechanism_sizes
 from mbdkit.spec.study_measures import REFERENCE, SECOND_RUN
+from mbdkit_report.analysis.energy import Trend, trends
+from mbdkit_report.analysis.reference import (
+    EVERY_ROW,
+    LAST_ROW,
+    carries_multipliers,
+    common_rows,
+    multiplier_error,
+    offsets,
+)
 
 if TYPE_CHECKING:
     from mbdkit.archive.finished_run import FinishedRun

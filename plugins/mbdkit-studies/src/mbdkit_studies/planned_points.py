@@ -20,9 +20,9 @@ from mbdkit.registry.manager import registry
 from mbdkit.spec import RunSpec
 from mbdkit.spec.reading import parse_key, put
 from mbdkit_studies.sample_section import unit_of
+from mbdkit_studies.sampled_values import rows_of, table_place, values_of
 from mbdkit_studies.study_spec import LARGEST_TABLE, Family, StudySpec
 from mbdkit_studies.value_sets import Value, expand, size
-from mbdkit_studies.sampled_values import rows_of, table_place, values_of
 
 #: Largest number of runs in a study that writes one file per run.
 LARGEST_STUDY = 10_000

@@ -11,12 +11,11 @@ from pathlib import Path
 
 import numpy as np
 
-from mbdkit_studies.blocks import Block
 from mbdkit.archive.layout import COUNTERS, TIMINGS
 from mbdkit.base.errors import MbdkitError, ResourceError, SpecError
 from mbdkit.measures.take import Description
 from mbdkit.runs.lane_runs import why_alone
-from mbdkit_studies.study_spec import StudySpec
+from mbdkit_studies.blocks import Block
 from mbdkit_studies.compute_block import MISALIGNMENT
 from mbdkit_studies.folder_lock import Shard
 from mbdkit_studies.run_store import MISSING, Noted, Round, RunStore
@@ -24,6 +23,7 @@ from mbdkit_studies.study_blocks import AnotherStudyError
 from mbdkit_studies.study_folder import StudyFolder
 from mbdkit_studies.study_index import BETWEEN_REASONS, Index, describe_column
 from mbdkit_studies.study_plan import plan_study
+from mbdkit_studies.study_spec import StudySpec
 from mbdkit_studies.tasks import Outcome, Task, forget_run_at_work
 from mbdkit_studies.unfinished_block import PIECE
 

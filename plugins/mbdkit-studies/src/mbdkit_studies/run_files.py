@@ -16,13 +16,13 @@ from mbdkit.archive.untrusted_file import is_sparse
 from mbdkit.base.errors import ResourceError, SpecError
 from mbdkit.base.text import counted
 from mbdkit.runs.integrals import functionals_of
-from mbdkit_studies.study_spec import StudySpec
 from mbdkit_studies.archive_rows import ArchiveRows
 from mbdkit_studies.folder_lock import Shard
 from mbdkit_studies.run_store import MISSING, Noted, Round, RunStore
 from mbdkit_studies.study_folder import StudyFolder
 from mbdkit_studies.study_index import Index, Row
 from mbdkit_studies.study_plan import plan_study
+from mbdkit_studies.study_spec import StudySpec
 from mbdkit_studies.tasks import Outcome, Task
 
 

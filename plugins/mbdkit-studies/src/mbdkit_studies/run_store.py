@@ -13,12 +13,12 @@ from importlib.metadata import version
 from typing import Generic, TypeVar
 
 from mbdkit.base.errors import ResourceError, SpecError
-from mbdkit_studies.study_spec import StudySpec
 from mbdkit_studies import study_index
 from mbdkit_studies.folder_lock import Shard
 from mbdkit_studies.study_folder import StudyFolder
 from mbdkit_studies.study_index import Index
 from mbdkit_studies.study_plan import StudyPlan
+from mbdkit_studies.study_spec import StudySpec
 from mbdkit_studies.tasks import Outcome, Task
 
 MISSING = Outcome("missing", "")

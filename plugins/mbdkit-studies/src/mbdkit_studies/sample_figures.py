@@ -10,15 +10,15 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from mbdkit_studies.sample_statistics import CONFIDENCE
-from mbdkit_studies.sobol_indices import ROUND_OFF
 from mbdkit.base.errors import MbdkitError
-from mbdkit_report.figures.page_model import Axis, Cell, Column, Figure, Line, Table
 from mbdkit.measures.reductions import REDUCTIONS
-from mbdkit_studies.study_figures import Quantity, asked_measures, is_wide
 from mbdkit.spec.key_words import key_words
+from mbdkit_report.figures.page_model import Axis, Cell, Column, Figure, Line, Table
 from mbdkit_studies.measure_statistics import statistics_of_group
 from mbdkit_studies.sample_groups import SampleGroup, measured, sample_groups
+from mbdkit_studies.sample_statistics import CONFIDENCE
+from mbdkit_studies.sobol_indices import ROUND_OFF
+from mbdkit_studies.study_figures import Quantity, asked_measures, is_wide
 from mbdkit_studies.study_point import axis_unit
 
 if TYPE_CHECKING:

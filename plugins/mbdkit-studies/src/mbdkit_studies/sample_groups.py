@@ -13,8 +13,8 @@ from mbdkit.base.text import did_you_mean, listed
 
 if TYPE_CHECKING:
     from mbdkit.archive.run import Run
-    from mbdkit_studies.study_spec import StudySpec
     from mbdkit_studies.planned_points import Grid, Label
+    from mbdkit_studies.study_spec import StudySpec
 
 
 class SampledStudy(Protocol):

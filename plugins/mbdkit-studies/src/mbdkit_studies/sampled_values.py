@@ -8,11 +8,11 @@ import numpy as np
 
 from mbdkit.base.errors import MbdkitError, SpecError
 from mbdkit.base.plain_data import Path, path_text
+from mbdkit_studies import member_table
 from mbdkit_studies.sample_section import Sample, frozen
+from mbdkit_studies.study_folder import StudyFolder
 from mbdkit_studies.study_loading import load_study_spec
 from mbdkit_studies.study_spec import Members, StudySpec
-from mbdkit_studies import member_table
-from mbdkit_studies.study_folder import StudyFolder
 
 _SMALLEST = 2.0**-54
 """Smallest coordinate of a point; it replaces 0, whose quantile is infinite for many distributions."""

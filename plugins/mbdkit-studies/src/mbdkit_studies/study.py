@@ -11,10 +11,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from mbdkit_studies.sample_statistics import CONFIDENCE
-from mbdkit_studies.sobol_indices import RESAMPLES
-from mbdkit_studies.block_writer import KEEPING_TIMES
-from mbdkit_studies.blocks import Block
 from mbdkit.archive.group_table import data_frame
 from mbdkit.archive.measured_values import ERROR, MeasuredValues
 from mbdkit.archive.reader import load
@@ -25,18 +21,22 @@ from mbdkit.base.files_read import FileRead, only_known
 from mbdkit.base.html_view import HtmlView
 from mbdkit.base.text import did_you_mean, listed
 from mbdkit.measures.take import Description
-from mbdkit_studies.study_loading import load_study_spec
-from mbdkit_studies.study_spec import StudySpec
 from mbdkit_studies import study_index
+from mbdkit_studies.block_writer import KEEPING_TIMES
+from mbdkit_studies.blocks import Block
 from mbdkit_studies.measure_statistics import MeasureStatistics, statistics
 from mbdkit_studies.planned_points import Grid, Label, PlannedPoints
 from mbdkit_studies.quantile_bands import QUANTILES, QuantileBands, quantiles
+from mbdkit_studies.sample_statistics import CONFIDENCE
 from mbdkit_studies.selection import select_rows
 from mbdkit_studies.sensitivity import Sensitivity, sensitivity
+from mbdkit_studies.sobol_indices import RESAMPLES
 from mbdkit_studies.study_blocks import StudyBlocks
 from mbdkit_studies.study_folder import StudyFolder
 from mbdkit_studies.study_index import TEXTS, describe_column
+from mbdkit_studies.study_loading import load_study_spec
 from mbdkit_studies.study_point import Points, StudyPoint, archive_of
+from mbdkit_studies.study_spec import StudySpec
 from mbdkit_studies.verified_runs import check_stored, remake
 
 if TYPE_CHECKING:

@@ -6,18 +6,18 @@ import math
 from dataclasses import dataclass
 from pathlib import Path
 
-from mbdkit_studies.block_writer import HISTORIES, Store
-from mbdkit_studies.blocks import Block
 from mbdkit.archive.disk_space import row_bytes
 from mbdkit.base.errors import MbdkitError, SpecError
 from mbdkit.engine.compile_mechanism import compile_mechanism
 from mbdkit.quantities.names import archive_names
 from mbdkit.runs.preparation import rows_expected
 from mbdkit.spec import RunSpec
-from mbdkit_studies.study_loading import load_study_spec
-from mbdkit_studies.study_spec import LARGEST_TABLE, StudySpec
+from mbdkit_studies.block_writer import HISTORIES, Store
+from mbdkit_studies.blocks import Block
 from mbdkit_studies.planned_points import PlannedPoints, number_of_points
 from mbdkit_studies.study_folder import StudyFolder
+from mbdkit_studies.study_loading import load_study_spec
+from mbdkit_studies.study_spec import LARGEST_TABLE, StudySpec
 
 MOST_FILES = 500
 """Number of runs above which studies are stored in blocks, unless files are requested."""

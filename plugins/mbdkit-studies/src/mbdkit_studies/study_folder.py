@@ -11,10 +11,10 @@ from pathlib import Path
 from typing import Any
 
 from mbdkit.base.errors import SpecError
-from mbdkit_studies.study_loading import load_study_spec
-from mbdkit_studies.study_spec import StudySpec
 from mbdkit_studies import member_table
 from mbdkit_studies.owned_folder import OwnedFolder, contains
+from mbdkit_studies.study_loading import load_study_spec
+from mbdkit_studies.study_spec import StudySpec
 
 #: Names of archives of runs (see `RunSpec.run_id`) and blocks, of their unfinished files and checkpoints, and of marks
 #: and pieces of blocks.

@@ -10,8 +10,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from mbdkit_studies.sample_statistics import Estimate, squared_correlation
-from mbdkit_studies.sobol_indices import members_for
 from mbdkit.archive.headlines import plus_minus
 from mbdkit.archive.measured_values import ERROR
 from mbdkit.base.errors import MbdkitError
@@ -20,6 +18,8 @@ from mbdkit.spec.key_words import key_words
 from mbdkit_studies.cost_at_error import error_headlines
 from mbdkit_studies.measure_statistics import MeasureStatistics, statistics_of_group
 from mbdkit_studies.sample_groups import SampleGroup, measured, sample_groups
+from mbdkit_studies.sample_statistics import Estimate, squared_correlation
+from mbdkit_studies.sobol_indices import members_for
 from mbdkit_studies.study_point import axis_unit, point_words
 
 if TYPE_CHECKING:

@@ -28,9 +28,9 @@ from mbdkit.base.errors import ArchiveError, SpecError
 from mbdkit.base.files import replacing
 from mbdkit.measures.take import Description
 from mbdkit.quantities.array import FLOAT, INTEGER, TEXT, Array
-from mbdkit_studies.study_spec import StudySpec
 from mbdkit_studies.measures import MEASURES, OF_CHECKED_RUNS, SECOND
 from mbdkit_studies.planned_points import Label
+from mbdkit_studies.study_spec import StudySpec
 
 FORMAT = "mbdkit-study"
 FILES_VERSION, BLOCKS_VERSION = "1.4", "2.0"

@@ -15,8 +15,8 @@ from mbdkit.registry.items import StudyPlugin
 from mbdkit.registry.manager import registry
 from mbdkit.spec.loading import example_names, exists, read_source
 from mbdkit.spec.reading import Document, parse_key, read_assignment, read_file, read_stdin, read_text, set_value
-from mbdkit_studies.sample_section import comparable
 from mbdkit.spec.spec_kinds import is_inverse
+from mbdkit_studies.sample_section import comparable
 from mbdkit_studies.study_spec import StudySpec
 from mbdkit_studies.value_sets import sets_together
 

@@ -10,10 +10,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from mbdkit_studies.sample_statistics import CONFIDENCE
 from mbdkit.archive.headlines import MESH_ERROR
 from mbdkit.archive.measured_values import ERROR
 from mbdkit.base.text import counted, listed, without_numbers
+from mbdkit_studies.sample_statistics import CONFIDENCE
 from mbdkit_studies.study_index import BETWEEN_REASONS, STATUSES
 from mbdkit_studies.study_point import valid_specs
 

@@ -18,14 +18,14 @@ from mbdkit.runs.notes import zero_reactions
 from mbdkit.runs.preparation import caution
 from mbdkit.spec import RunSpec
 from mbdkit.spec.reading import parse_key
-from mbdkit_studies.sample_section import typical_values
 from mbdkit.spec.study_measures import DefinedMeasure, expressions_of
-from mbdkit_studies.study_spec import StudySpec
 from mbdkit.spec.varied_specs import VariedSpecs
 from mbdkit_studies.judge import check_verdict
 from mbdkit_studies.planned_points import PlannedPoint, PlannedPoints, distinct_runs, grids, plan_points
+from mbdkit_studies.sample_section import typical_values
 from mbdkit_studies.study_blocks import StudyBlocks
 from mbdkit_studies.study_index import COLUMNS, axis_column
+from mbdkit_studies.study_spec import StudySpec
 from mbdkit_studies.varied_starts import start_warnings_of_study
 from mbdkit_studies.varied_values import notes_on_varied_values
 

@@ -10,9 +10,10 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from mbdkit_report.analysis.verdict import Verdict, columns_of
 from mbdkit.base.errors import SpecError
 from mbdkit.base.text import listed
+from mbdkit.trust.criteria import MISALIGNMENT
+from mbdkit_report.analysis.verdict import Verdict, columns_of
 from mbdkit_report.figures.page_model import Cell, Column, Table
 from mbdkit_report.figures.player_data import film_data
 from mbdkit_report.figures.quantity_text import count
@@ -20,16 +21,15 @@ from mbdkit_report.pages.methods_used import methods
 from mbdkit_report.pages.report_page import NO_FAILURES, ReportPage
 from mbdkit_report.pages.run_report import environment
 from mbdkit_report.pages.run_verdict import mechanism_size
-from mbdkit_studies.sample_figures import sample_figures, sample_tables
-from mbdkit_studies.study_figures import measure_columns, study_figures, with_slope_guides
 from mbdkit_studies.cost_at_error import is_timed
 from mbdkit_studies.judge import find_verdict, judge
 from mbdkit_studies.point_selection import OPERATIONS, value
+from mbdkit_studies.sample_figures import sample_figures, sample_tables
 from mbdkit_studies.sample_groups import sample_groups
+from mbdkit_studies.study_figures import measure_columns, study_figures, with_slope_guides
 from mbdkit_studies.study_headlines import headlines
 from mbdkit_studies.study_notes import notes
 from mbdkit_studies.study_point import axis_unit, point_words
-from mbdkit.trust.criteria import MISALIGNMENT
 
 if TYPE_CHECKING:
     from mbdkit_studies.study import Study

@@ -15,7 +15,6 @@ from mbdkit.base.plain_data import LONGEST_NAME, Path, copied, parse_path, path_
 from mbdkit.base.text import listed, shortened
 from mbdkit.spec.model_spec import StrictSpec
 from mbdkit.spec.reading import Document, parse_key, put
-from mbdkit_studies.sample_section import Sample, comparable
 from mbdkit.spec.sections import Section
 from mbdkit.spec.study_measures import (
     REFERENCE,
@@ -26,6 +25,7 @@ from mbdkit.spec.study_measures import (
     built_in_measures,
     defined,
 )
+from mbdkit_studies.sample_section import Sample, comparable
 from mbdkit_studies.value_sets import ValueSet, sets_together, size
 
 

@@ -8,18 +8,18 @@ from typing import TYPE_CHECKING, Any
 
 from mbdkit.base.plain_data import json_text
 from mbdkit.base.text import counted, shown
+from mbdkit.trust.criteria import LEVELS
 from mbdkit_studies.sample_section import central_range, unit_of
 from mbdkit_studies.study_headlines import headlines
 from mbdkit_studies.study_index import STATUSES
 from mbdkit_studies.study_notes import notes
-from mbdkit.trust.criteria import LEVELS
 
 if TYPE_CHECKING:
     from mbdkit.measures.take import Description
-    from mbdkit_studies.study_spec import StudySpec
     from mbdkit_studies.planned_points import Grid
     from mbdkit_studies.study import Study
     from mbdkit_studies.study_plan import StudyPlan
+    from mbdkit_studies.study_spec import StudySpec
 
 
 def summary(study: Study) -> str:

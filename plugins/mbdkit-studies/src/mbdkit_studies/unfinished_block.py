@@ -14,11 +14,11 @@ from pathlib import Path
 
 import numpy as np
 
-from mbdkit_studies.block_writer import BlockHeading, BlockRun, block_image
-from mbdkit_studies.blocks import Block
 from mbdkit.archive.hdf5_errors import DAMAGE
 from mbdkit.base.errors import MbdkitError
 from mbdkit.runs.provenance import DECIDE_LAST_BITS
+from mbdkit_studies.block_writer import BlockHeading, BlockRun, block_image
+from mbdkit_studies.blocks import Block
 from mbdkit_studies.tasks import Outcome
 
 INTERVAL = 2.0

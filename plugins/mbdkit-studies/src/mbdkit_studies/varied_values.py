@@ -15,9 +15,9 @@ from mbdkit.base.text import counted, listed
 from mbdkit.base.units import read_quantity
 from mbdkit.mechanism.parameters import names_in, parameter_values, parameters_in_use
 from mbdkit.spec.reading import parse_key
+from mbdkit_studies.planned_points import Grid, grids
 from mbdkit_studies.sample_section import frozen
 from mbdkit_studies.study_spec import StudySpec
-from mbdkit_studies.planned_points import Grid, grids
 
 WIDE = 3.0
 """Mean and standard deviation may be exchanged if the standard deviation exceeds this multiple of the mean."""

@@ -15,9 +15,9 @@ from mbdkit.base.text import listed
 from mbdkit.measures.take import with_error
 from mbdkit.runs.simulation import simulate
 from mbdkit.spec.study_measures import expressions_of
-from mbdkit_studies.study_spec import StudySpec
 from mbdkit_studies.measures import MEASURES, OF_CHECKED_RUNS
 from mbdkit_studies.study_point import StudyPoint
+from mbdkit_studies.study_spec import StudySpec
 
 
 def check_stored(run: Run, point: StudyPoint, path: Path) -> None:

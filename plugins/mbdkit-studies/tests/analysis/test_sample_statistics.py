@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 import scipy.stats
 
-from mbdkit_studies.sample_statistics import Estimate, mean, quantile, squared_correlation, standard_deviation
 from mbdkit_studies.sample_section import Sample
+from mbdkit_studies.sample_statistics import Estimate, mean, quantile, squared_correlation, standard_deviation
 from mbdkit_studies.sampled_values import sampled_values
 
 ASKED: tuple[Callable[[np.ndarray], Estimate], ...] = (

@@ -20,8 +20,8 @@ from matplotlib.figure import Figure
 
 import mbdkit
 from mbdkit.base.errors import MbdkitError, ResourceError, SpecError
-from mbdkit_report.pages.report import report
 from mbdkit.spec import load_study_spec
+from mbdkit_report.pages.report import report
 from mbdkit_studies import folder_lock
 from mbdkit_studies.folder_lock import WHOLE, Owner, Shard
 from mbdkit_studies.study_folder import StudyFolder

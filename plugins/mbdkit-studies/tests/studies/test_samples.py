@@ -10,19 +10,19 @@ from typing import Any
 import numpy as np
 import pytest
 import scipy.stats
+from tests.analysis.test_sobol_indices import FIRST, TOTAL, ishigami
+from tests.analysis.test_sobol_indices import values as ishigami_values
 
 import mbdkit
 from mbdkit import MbdkitError, SpecError
-from mbdkit_studies.sobol_indices import SobolIndices, sobol_indices
-from mbdkit_studies.sample_section import Sample
 from mbdkit_studies import sampled_values as module
 from mbdkit_studies.folder_lock import Shard
+from mbdkit_studies.sample_section import Sample
 from mbdkit_studies.sampled_values import sampled_values
 from mbdkit_studies.sensitivity import Sensitivity
+from mbdkit_studies.sobol_indices import SobolIndices, sobol_indices
 from mbdkit_studies.study_headlines import _sobol_words, headlines
 from mbdkit_studies.study_notes import notes
-from tests.analysis.test_sobol_indices import FIRST, TOTAL, ishigami
-from tests.analysis.test_sobol_indices import values as ishigami_values
 
 BODY = {"mass": 1.0, "inertia": 1.0, "position": [0.0, 0.0], "angle": 0.0}
 THROW: dict[str, Any] = {

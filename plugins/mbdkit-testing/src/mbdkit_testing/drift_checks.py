@@ -6,10 +6,10 @@ import math
 
 import numpy as np
 
-from mbdkit_report.analysis.growth import growth_law, worst_history
-from mbdkit_report.analysis.order import observed_order
 from mbdkit.archive.run import Run
 from mbdkit.engine.formulation import FORMULATIONS
+from mbdkit_report.analysis.growth import growth_law, worst_history
+from mbdkit_report.analysis.order import observed_order
 from mbdkit_testing.check import Check, Skip, check
 from mbdkit_testing.check_result import Figure, Result, failed, passed
 from mbdkit_testing.integrator_under_test import IntegratorUnderTest

@@ -7,8 +7,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from mbdkit_report.analysis.energy import Trend, trend
 from mbdkit.engine.workspace import Workspace
+from mbdkit_report.analysis.energy import Trend, trend
 from mbdkit_testing.check import Check, Skip, check
 from mbdkit_testing.check_result import Figure, Result, failed, passed, skipped, unclaimed, warned
 from mbdkit_testing.integrator_under_test import IntegratorUnderTest

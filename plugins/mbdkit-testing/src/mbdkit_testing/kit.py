@@ -9,7 +9,23 @@ from typing import Any
 from mbdkit.base.logs import to_stderr
 from mbdkit.registry.catalogue import Kind, Registered, Registry
 from mbdkit.registry.manager import registry
-from mbdkit_testing import contract_checks, counter_checks, drift_checks, failure_checks, final_state_checks, force_law_checks, invariant_checks, measure_checks, model_checks, newton_checks, option_effect_checks, order_checks, restart_checks, study_checks, tableau_checks
+from mbdkit_testing import (
+    contract_checks,
+    counter_checks,
+    drift_checks,
+    failure_checks,
+    final_state_checks,
+    force_law_checks,
+    invariant_checks,
+    measure_checks,
+    model_checks,
+    newton_checks,
+    option_effect_checks,
+    order_checks,
+    restart_checks,
+    study_checks,
+    tableau_checks,
+)
 from mbdkit_testing.check import Check
 from mbdkit_testing.check_result import Report, Result
 from mbdkit_testing.integrator_under_test import IntegratorUnderTest

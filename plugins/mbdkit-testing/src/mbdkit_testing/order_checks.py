@@ -12,9 +12,9 @@ from functools import cache
 
 import numpy as np
 
-from mbdkit_report.analysis.order import ObservedOrder, observed_order
 from mbdkit.spec.formulation_choice import choice_of
 from mbdkit.spec.loading import load_spec
+from mbdkit_report.analysis.order import ObservedOrder, observed_order
 from mbdkit_testing.check import Check, Skip, check
 from mbdkit_testing.check_result import Figure, Result, failed, passed, skipped, warned
 from mbdkit_testing.integrator_under_test import IntegratorUnderTest, final_state

@@ -8,8 +8,8 @@ from pathlib import Path
 from typing import Any
 
 from mbdkit.base.files import check_output, check_suffix, replacing
-from mbdkit_report.pages.templating import render
 from mbdkit.spec.yaml_reader import write_yaml
+from mbdkit_report.pages.templating import render
 from mbdkit_testing.check_result import Report, figures_text
 
 _TONES = {"pass": "yes", "fail": "no", "warn": "partly", "not claimed": "open", "skip": "open"}

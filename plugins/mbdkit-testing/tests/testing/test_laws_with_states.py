@@ -5,12 +5,12 @@ from __future__ import annotations
 import pytest
 import sympy
 from pydantic import BaseModel, ConfigDict, Field
+from tests.testing.corpus import _with
+from tests.testing.test_beyond_defaults import one
 
 from mbdkit import ExpressionLaw, ForceLawPlugin
 from mbdkit_testing import Result
 from tests.laws.motor import MOTOR
-from tests.testing.corpus import _with
-from tests.testing.test_beyond_defaults import one
 
 
 class Filter(BaseModel):

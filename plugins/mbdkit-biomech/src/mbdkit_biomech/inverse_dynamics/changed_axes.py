@@ -10,9 +10,9 @@ from mbdkit.base.errors import RunError, SpecError
 from mbdkit.base.text import listed
 from mbdkit_biomech.inverse_dynamics.compute import InverseProblem
 from mbdkit_biomech.inverse_dynamics.fit import Fitter, Target
+from mbdkit_biomech.inverse_dynamics.inverse_sections import ColumnOfTable
 from mbdkit_biomech.inverse_dynamics.marker_distances import marker_columns
 from mbdkit_biomech.inverse_dynamics.measured import rows_within, si_values, source_table, times_of
-from mbdkit_biomech.inverse_dynamics.inverse_sections import ColumnOfTable
 
 FITS, ROWS = 0.02, 5
 """Axes are probably wrong if the root mean square residual with other axes is below the first number (angles

@@ -11,11 +11,11 @@ from mbdkit_biomech.inverse_dynamics.changed_axes import changed_axes
 from mbdkit_biomech.inverse_dynamics.compute import Inverse
 from mbdkit_biomech.inverse_dynamics.doubt import ROUND_OFF, TO_DEVIATION, Doubt
 from mbdkit_biomech.inverse_dynamics.exchanged_markers import exchanged_markers
+from mbdkit_biomech.inverse_dynamics.inverse_sections import NoSmoothing, QuinticSpline
 from mbdkit_biomech.inverse_dynamics.marker_distances import far_apart, unlike_distances
 from mbdkit_biomech.inverse_dynamics.measured import Measured
 from mbdkit_biomech.inverse_dynamics.misplaced_marker import misplaced_marker
 from mbdkit_biomech.inverse_dynamics.time_criteria import off_neighbours, uneven_times, unit_of_time
-from mbdkit_biomech.inverse_dynamics.inverse_sections import NoSmoothing, QuinticSpline
 
 SPIKE, LEAST_SPIKE = 8.0, 0.005
 """Limits for outliers.

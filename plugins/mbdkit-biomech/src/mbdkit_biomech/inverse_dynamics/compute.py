@@ -11,24 +11,30 @@ from mbdkit.base.errors import RunError, SpecError
 from mbdkit.base.text import counted, listed
 from mbdkit.engine.kernels.observe import Observed
 from mbdkit.engine.observed_states import GivenForces, StateObserver
+from mbdkit.mechanism.quantity_names import QuantityNames
+from mbdkit.quantities.states import Muscles, States
+from mbdkit.runs.assembled_mechanism import AssembledMechanism
+from mbdkit.runs.law_ranges import LawRanges
+from mbdkit.spec import InverseSpec
+from mbdkit.stepping.interface import Nodes
 from mbdkit_biomech.inverse_dynamics.dynamics import Dynamics, largest_unbalanced, require_driven, solve_dynamics
 from mbdkit_biomech.inverse_dynamics.fit import Fitter
 from mbdkit_biomech.inverse_dynamics.loads import Loads, LoadSeries, loads_on, read_loads
 from mbdkit_biomech.inverse_dynamics.manifold import Manifold
 from mbdkit_biomech.inverse_dynamics.measured import Measured, read_motion
+from mbdkit_biomech.inverse_dynamics.named_actuators import NamedActuator, actuators_of, light_roots
 from mbdkit_biomech.inverse_dynamics.placed_gaps import PlacedGaps, place_gaps
 from mbdkit_biomech.inverse_dynamics.recruited import Recruited
 from mbdkit_biomech.inverse_dynamics.recruitment import Recruiter
-from mbdkit_biomech.inverse_dynamics.reduced_motion import Independent, Motion, independent_coordinates, motion_of_derivatives, motion_of_series
+from mbdkit_biomech.inverse_dynamics.reduced_motion import (
+    Independent,
+    Motion,
+    independent_coordinates,
+    motion_of_derivatives,
+    motion_of_series,
+)
 from mbdkit_biomech.inverse_dynamics.smoothing import smoothed
 from mbdkit_biomech.inverse_dynamics.unused_data import UnusedData
-from mbdkit.runs.assembled_mechanism import AssembledMechanism
-from mbdkit.mechanism.quantity_names import QuantityNames
-from mbdkit.quantities.states import Muscles, States
-from mbdkit.runs.law_ranges import LawRanges
-from mbdkit.spec import InverseSpec
-from mbdkit_biomech.inverse_dynamics.named_actuators import NamedActuator, actuators_of, light_roots
-from mbdkit.stepping.interface import Nodes
 
 _COLUMNS = "motion.columns"
 

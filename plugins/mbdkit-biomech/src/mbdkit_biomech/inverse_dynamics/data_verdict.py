@@ -9,10 +9,13 @@ from typing import NamedTuple
 
 import numpy as np
 
+from mbdkit.mechanism.improbable_bodies import inertias_about_joints
+from mbdkit.trust.criteria import Evidence, Judgement, judge
 from mbdkit_biomech.inverse_dynamics.column_criteria import column_doubts, doubts_before_fit
 from mbdkit_biomech.inverse_dynamics.compute import Inverse, InverseProblem
 from mbdkit_biomech.inverse_dynamics.doubt import Doubt
 from mbdkit_biomech.inverse_dynamics.error_bars import ErrorBars
+from mbdkit_biomech.inverse_dynamics.inverse_sections import Criterion
 from mbdkit_biomech.inverse_dynamics.knee_criterion import knee_doubts
 from mbdkit_biomech.inverse_dynamics.large_errors import large_errors
 from mbdkit_biomech.inverse_dynamics.load_criteria import load_doubts, units_of_loads
@@ -23,9 +26,6 @@ from mbdkit_biomech.inverse_dynamics.shared_columns import equal_columns, shared
 from mbdkit_biomech.inverse_dynamics.smoothing_criteria import cutoff_doubts
 from mbdkit_biomech.inverse_dynamics.stated_deviations import large_deviations
 from mbdkit_biomech.inverse_dynamics.turn_criteria import turn_doubts, uncertain_turns
-from mbdkit.mechanism.improbable_bodies import inertias_about_joints
-from mbdkit_biomech.inverse_dynamics.inverse_sections import Criterion
-from mbdkit.trust.criteria import Evidence, Judgement, judge
 
 
 class DataDoubts(NamedTuple):

@@ -27,9 +27,9 @@ import numpy as np
 
 from mbdkit.base.text import listed
 from mbdkit_biomech.inverse_dynamics.compute import Inverse
+from mbdkit_biomech.inverse_dynamics.inverse_sections import NoSmoothing, QuinticSpline, Smoothing
 from mbdkit_biomech.inverse_dynamics.noise import NoisePath
 from mbdkit_biomech.inverse_dynamics.smoothing import Smoothed, cutoff_of, fixed, smoothed_each, spline_of_ends
-from mbdkit_biomech.inverse_dynamics.inverse_sections import NoSmoothing, QuinticSpline, Smoothing
 
 NAMED = 4
 """Largest number of columns, actuators and joints that are named."""

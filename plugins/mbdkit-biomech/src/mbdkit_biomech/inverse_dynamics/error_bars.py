@@ -27,13 +27,20 @@ from mbdkit.archive.accuracy import Accuracy
 from mbdkit.base.errors import RunError, SpecError
 from mbdkit.base.text import listed
 from mbdkit_biomech.inverse_dynamics.compute import Inverse, forces_of, recorded_states
-from mbdkit_biomech.inverse_dynamics.ends_and_gaps import LongGap, changes_at_ends, changes_in_gaps, likely_at_ends, long_gaps, told_gaps
+from mbdkit_biomech.inverse_dynamics.ends_and_gaps import (
+    LongGap,
+    changes_at_ends,
+    changes_in_gaps,
+    likely_at_ends,
+    long_gaps,
+    told_gaps,
+)
+from mbdkit_biomech.inverse_dynamics.inverse_sections import ErrorBars as Asked
+from mbdkit_biomech.inverse_dynamics.inverse_sections import NoSmoothing, QuinticSpline, Smoothing
 from mbdkit_biomech.inverse_dynamics.muscle_samples import PROPERTIES, forces_with, known_mean, with_drawn_muscles
 from mbdkit_biomech.inverse_dynamics.noise import Noise, NoisePath, noise_of
 from mbdkit_biomech.inverse_dynamics.reduced_motion import Independent, motion_of_series, other_coordinates
 from mbdkit_biomech.inverse_dynamics.smoothing import Smoothed, fixed, smoothed, smoothed_each, with_cutoff
-from mbdkit_biomech.inverse_dynamics.inverse_sections import ErrorBars as Asked
-from mbdkit_biomech.inverse_dynamics.inverse_sections import NoSmoothing, QuinticSpline, Smoothing
 
 LEVEL = 0.95
 """Probability that an error is smaller than its bar."""

@@ -8,10 +8,10 @@ import numpy as np
 
 from mbdkit.base.errors import RunError
 from mbdkit.base.text import listed
+from mbdkit.mechanism.mechanism_quantities import GROUND
 from mbdkit_biomech.inverse_dynamics.fit import Fitter, Target
 from mbdkit_biomech.inverse_dynamics.marker_distances import marker_columns
 from mbdkit_biomech.inverse_dynamics.measured import Measured
-from mbdkit.mechanism.mechanism_quantities import GROUND
 
 FITS, BETTER = 0.02, 3.0
 """Two markers are exchanged if the root mean square residual with their columns exchanged is below the first number

@@ -39,18 +39,22 @@ from mbdkit.gradients.gradient import Gradient, gradient_of_run, require_derivat
 from mbdkit.gradients.gradient_check import Settings
 from mbdkit.gradients.gradient_parameters import Names, Parameter, read_names, resolved
 from mbdkit.gradients.parameter_differences import PreparedDerivatives
-from mbdkit_biomech.inverse_dynamics.compute import Inverse, InverseProblem, compute
-from mbdkit_biomech.inverse_dynamics.dynamics import Balance
-from mbdkit_biomech.inverse_dynamics.inverse_preparation import MOTION, InversePreparation
-from mbdkit_biomech.inverse_dynamics.inverse_run import compute_run
-from mbdkit_biomech.inverse_dynamics.recruited import Recruited
-from mbdkit_biomech.inverse_dynamics.recruitment_gradient import RecruitedChange, differentiated_muscles, require_derivatives_of
 from mbdkit.quantities.states import Muscles
 from mbdkit.spec import InverseSpec, load_inverse_spec
-from mbdkit_biomech.inverse_dynamics.inverse_loading import InverseSource
 from mbdkit.spec.varied_specs import varied_inverse
 from mbdkit.stepping.differentiated_stepper import dual_laws
 from mbdkit.stepping.dual_run import Seeds, constants, dual_states, new_dual_run
+from mbdkit_biomech.inverse_dynamics.compute import Inverse, InverseProblem, compute
+from mbdkit_biomech.inverse_dynamics.dynamics import Balance
+from mbdkit_biomech.inverse_dynamics.inverse_loading import InverseSource
+from mbdkit_biomech.inverse_dynamics.inverse_preparation import MOTION, InversePreparation
+from mbdkit_biomech.inverse_dynamics.inverse_run import compute_run
+from mbdkit_biomech.inverse_dynamics.recruited import Recruited
+from mbdkit_biomech.inverse_dynamics.recruitment_gradient import (
+    RecruitedChange,
+    differentiated_muscles,
+    require_derivatives_of,
+)
 
 WITHOUT_BARS: Settings = [(("motion", "errors"), "none")]  # type: ignore[list-item]
 """Settings that leave out the error bars. Measures do not need them, and they take ten times as long as the rest."""

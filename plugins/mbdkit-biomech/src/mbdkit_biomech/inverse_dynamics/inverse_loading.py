@@ -6,8 +6,8 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any, TypeAlias
 
-from mbdkit_biomech.inverse_dynamics.inverse_spec import InverseSpec
 from mbdkit.spec.loading import loaded
+from mbdkit_biomech.inverse_dynamics.inverse_spec import InverseSpec
 
 InverseSource: TypeAlias = str | Path | Mapping[str, object] | InverseSpec
 """A file, the name of a packaged example, a mapping, or a validated spec of inverse dynamics."""

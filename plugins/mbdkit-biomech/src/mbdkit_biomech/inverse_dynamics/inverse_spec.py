@@ -17,10 +17,17 @@ from mbdkit.mechanism.joints import joint_with_friction
 from mbdkit.mechanism.quantity_names import QuantityNames
 from mbdkit.registry.catalogue import Registered, Registry
 from mbdkit.spec.choices import Choice
-from mbdkit_biomech.inverse_dynamics.inverse_sections import Actuator, Criterion, Load, MeasuredMotion, Recruitment, Span
 from mbdkit.spec.model_spec import ModelSpec
-from mbdkit_biomech.inverse_dynamics.named_actuators import actuators_of, reserves_of
 from mbdkit.spec.study_measures import DefinedMeasure, RunMeasures, defined
+from mbdkit_biomech.inverse_dynamics.inverse_sections import (
+    Actuator,
+    Criterion,
+    Load,
+    MeasuredMotion,
+    Recruitment,
+    Span,
+)
+from mbdkit_biomech.inverse_dynamics.named_actuators import actuators_of, reserves_of
 
 if TYPE_CHECKING:
     from mbdkit.mechanism.mechanism import Mechanism

@@ -8,12 +8,19 @@ import numpy as np
 from scipy.ndimage import median_filter
 
 from mbdkit.base.text import listed
+from mbdkit.mechanism.mechanism_quantities import Coordinate, MarkerCoordinate, without_scale
 from mbdkit_biomech.inverse_dynamics.compute import Inverse, InverseProblem
 from mbdkit_biomech.inverse_dynamics.doubt import ROUND_OFF, TO_DEVIATION, Doubt
 from mbdkit_biomech.inverse_dynamics.error_bars import ErrorBars
-from mbdkit_biomech.inverse_dynamics.glitch_criterion import FORCE, LONGEST, MOMENT, glitch_doubts, limits_of_balance, spans
+from mbdkit_biomech.inverse_dynamics.glitch_criterion import (
+    FORCE,
+    LONGEST,
+    MOMENT,
+    glitch_doubts,
+    limits_of_balance,
+    spans,
+)
 from mbdkit_biomech.inverse_dynamics.load_point_criterion import centre_of_pressure, in_body, load_point_doubts
-from mbdkit.mechanism.mechanism_quantities import Coordinate, MarkerCoordinate, without_scale
 from mbdkit_biomech.inverse_dynamics.named_actuators import free_roots
 
 FRICTION = 1.0

@@ -10,13 +10,21 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from markupsafe import Markup
 
+from mbdkit.mechanism.mechanism import Mechanism
 from mbdkit_biomech.inverse_dynamics.cycles import crossings
-from mbdkit_report.figures.mechanism_drawing import CROWD, NARROW, WIDE, NamedPose, draw_scale_bar, draw_sketch, joint_point
+from mbdkit_report.figures.mechanism_drawing import (
+    CROWD,
+    NARROW,
+    WIDE,
+    NamedPose,
+    draw_scale_bar,
+    draw_sketch,
+    joint_point,
+)
 from mbdkit_report.figures.page_model import Illustration
 from mbdkit_report.figures.plane_geometry import Array
 from mbdkit_report.figures.scene import nearest_rows
 from mbdkit_report.figures.svg_canvas import Canvas
-from mbdkit.mechanism.mechanism import Mechanism
 
 if TYPE_CHECKING:
     from mbdkit.archive.run import Run

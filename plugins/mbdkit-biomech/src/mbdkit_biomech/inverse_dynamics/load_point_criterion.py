@@ -8,11 +8,11 @@ import numpy as np
 
 from mbdkit.base.text import listed
 from mbdkit.base.units import read_unit
+from mbdkit.mechanism.bodies import GROUND
 from mbdkit_biomech.inverse_dynamics.compute import Inverse
 from mbdkit_biomech.inverse_dynamics.doubt import TO_DEVIATION, Doubt
 from mbdkit_biomech.inverse_dynamics.glitch_criterion import spans
 from mbdkit_biomech.inverse_dynamics.loads import UNLOADED_SHARE
-from mbdkit.mechanism.bodies import GROUND
 
 OUTSIDE = 0.25
 """A point of application is implausible if its distance from the outline of the body on which the load acts exceeds

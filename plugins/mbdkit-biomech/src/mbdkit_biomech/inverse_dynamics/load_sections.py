@@ -9,16 +9,16 @@ from typing import TYPE_CHECKING
 import numpy as np
 from markupsafe import Markup
 
-from mbdkit_biomech.inverse_dynamics.workload import ElementWorkload, workload
 from mbdkit.archive.headlines import EXACT
-from mbdkit_biomech.inverse_dynamics.inverse_summary import reserve_shares
 from mbdkit.base.text import listed
+from mbdkit.mechanism.mechanism import Mechanism
+from mbdkit_biomech.inverse_dynamics.inverse_summary import reserve_shares
+from mbdkit_biomech.inverse_dynamics.load_frames import load_drawing
+from mbdkit_biomech.inverse_dynamics.workload import ElementWorkload, workload
 from mbdkit_report.figures.curves import bands
 from mbdkit_report.figures.mechanism_drawing import NARROW, WIDE, short_name
 from mbdkit_report.figures.page_model import Axis, Cell, Column, Figure, Illustration, Line, Section, Table, columns_of
 from mbdkit_report.figures.svg_canvas import svg_of
-from mbdkit.mechanism.mechanism import Mechanism
-from mbdkit_biomech.inverse_dynamics.load_frames import load_drawing
 
 if TYPE_CHECKING:
     from mbdkit.archive.run import Run

@@ -14,13 +14,20 @@ from scipy.interpolate import CubicSpline
 from mbdkit.base.errors import SpecError
 from mbdkit.base.plain_data import quoted
 from mbdkit.base.text import shown
-from mbdkit_biomech.inverse_dynamics.measured import GivenUnit, contradicted_units, si_values, source_table, times_of, unit_factor
-from mbdkit_biomech.inverse_dynamics.measured_table import Table
-from mbdkit_biomech.inverse_dynamics.reduced_motion import Motion
 from mbdkit.mechanism.mechanism_quantities import GROUND
 from mbdkit.mechanism.quantity_names import QuantityNames
 from mbdkit.spec import InverseSpec
 from mbdkit_biomech.inverse_dynamics.inverse_sections import ColumnOfTable, Load, TimeColumn
+from mbdkit_biomech.inverse_dynamics.measured import (
+    GivenUnit,
+    contradicted_units,
+    si_values,
+    source_table,
+    times_of,
+    unit_factor,
+)
+from mbdkit_biomech.inverse_dynamics.measured_table import Table
+from mbdkit_biomech.inverse_dynamics.reduced_motion import Motion
 
 UNLOADED, UNLOADED_SHARE = 10.0, 0.05
 """Forces below the first limit [N] and below this share of the largest force of a plate are too small to determine a

@@ -6,8 +6,8 @@ from itertools import combinations
 
 import numpy as np
 
-from mbdkit_biomech.inverse_dynamics.measured import Measured
 from mbdkit.mechanism.mechanism_quantities import MarkerCoordinate, Point
+from mbdkit_biomech.inverse_dynamics.measured import Measured
 
 UNLIKE = 5.0
 """The unit is doubtful if distances between markers of one body differ from the model by more than this factor.

@@ -15,6 +15,7 @@ import numpy as np
 from scipy.stats import chi2
 
 from mbdkit.base.errors import SpecError
+from mbdkit.spec import InverseSpec
 from mbdkit_biomech.inverse_dynamics.compute import Inverse, InverseProblem, compute, forces_of
 from mbdkit_biomech.inverse_dynamics.ends_and_gaps import changes_at_ends, changes_in_gaps, long_gaps
 from mbdkit_biomech.inverse_dynamics.error_bars import CUTOFFS, HIDDEN, LEVEL
@@ -24,7 +25,6 @@ from mbdkit_biomech.inverse_dynamics.noise import NoisePath, noise_of
 from mbdkit_biomech.inverse_dynamics.record import run_of
 from mbdkit_biomech.inverse_dynamics.reduced_motion import Independent, motion_of_series
 from mbdkit_biomech.inverse_dynamics.smoothing import Smoothed, fixed, smoothed_each, with_cutoff
-from mbdkit.spec import InverseSpec
 
 SAMPLES = 40
 """Number of samples; with this number, the relative scatter of the bounds is 1 / sqrt(2 * SAMPLES), 11 %."""

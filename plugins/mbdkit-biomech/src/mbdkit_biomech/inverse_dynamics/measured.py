@@ -17,14 +17,21 @@ from mbdkit.base.errors import SpecError
 from mbdkit.base.plain_data import quoted
 from mbdkit.base.text import counted, listed, shown
 from mbdkit.base.units import Unit, read_unit
-from mbdkit_biomech.inverse_dynamics.continued_angles import continued
-from mbdkit_biomech.inverse_dynamics.fit import Target
-from mbdkit_biomech.inverse_dynamics.measured_table import Table, table_of, unit_of_time_as_cause
-from mbdkit_biomech.inverse_dynamics.table_files import read_table
 from mbdkit.mechanism.mechanism_quantities import Quantities, Quantity
 from mbdkit.mechanism.quantity_names import QuantityNames
 from mbdkit.spec import InverseSpec
-from mbdkit_biomech.inverse_dynamics.inverse_sections import ColumnOfTable, Gaps, Load, MeasuredMotion, ObservedColumn, TimeColumn
+from mbdkit_biomech.inverse_dynamics.continued_angles import continued
+from mbdkit_biomech.inverse_dynamics.fit import Target
+from mbdkit_biomech.inverse_dynamics.inverse_sections import (
+    ColumnOfTable,
+    Gaps,
+    Load,
+    MeasuredMotion,
+    ObservedColumn,
+    TimeColumn,
+)
+from mbdkit_biomech.inverse_dynamics.measured_table import Table, table_of, unit_of_time_as_cause
+from mbdkit_biomech.inverse_dynamics.table_files import read_table
 
 LARGEST = 1e30
 """Largest value of a column in SI units; squares and products of larger values may overflow."""

@@ -6,10 +6,10 @@ import numpy as np
 
 from mbdkit.base.errors import RunError
 from mbdkit.base.text import listed
+from mbdkit.mechanism.mechanism_quantities import GROUND
 from mbdkit_biomech.inverse_dynamics.compute import Inverse
 from mbdkit_biomech.inverse_dynamics.fit import Target
 from mbdkit_biomech.inverse_dynamics.marker_distances import marker_columns
-from mbdkit.mechanism.mechanism_quantities import GROUND
 
 ON_OTHER, FARTHER = 3.0, 4.0
 """A marker seems to be on another body if the residuals of the other columns are smaller by the first factor without

@@ -10,16 +10,16 @@ from itertools import chain
 import numpy as np
 
 from mbdkit.archive.run_summary import PULLING
-from mbdkit_biomech.inverse_dynamics.compute import Inverse, recorded_states
-from mbdkit_biomech.inverse_dynamics.doubt import Doubt
-from mbdkit_biomech.inverse_dynamics.recruited import Recruited
 from mbdkit.mechanism.improbable_bodies import improbable_bodies, improbable_people, improbable_radii
 from mbdkit.mechanism.improbable_values import improbable_beams, improbable_lengths
 from mbdkit.mechanism.mechanism import Mechanism
 from mbdkit.runs.angles_in_degrees import angles_in_degrees
 from mbdkit.runs.coarse_beams import CoarseBeams
 from mbdkit.spec import InverseSpec
+from mbdkit_biomech.inverse_dynamics.compute import Inverse, recorded_states
+from mbdkit_biomech.inverse_dynamics.doubt import Doubt
 from mbdkit_biomech.inverse_dynamics.named_actuators import RESERVE
+from mbdkit_biomech.inverse_dynamics.recruited import Recruited
 
 RESERVE_SHARE = 0.1
 """A reserve is doubtful if its peak exceeds this share of the peak of the moment to which the reserve contributes.

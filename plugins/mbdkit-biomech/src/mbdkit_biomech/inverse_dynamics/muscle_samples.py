@@ -9,8 +9,8 @@ import numpy as np
 
 from mbdkit.base.errors import RunError
 from mbdkit_biomech.inverse_dynamics.compute import Inverse, InverseProblem, forces_of
-from mbdkit_biomech.inverse_dynamics.recruitment import Recruiter
 from mbdkit_biomech.inverse_dynamics.inverse_sections import MuscleDeviations
+from mbdkit_biomech.inverse_dynamics.recruitment import Recruiter
 
 PROPERTIES = ("max_force", "optimal_length", "tendon_length")
 

@@ -10,13 +10,13 @@ from typing import NamedTuple
 
 import numpy as np
 
+from mbdkit.mechanism.mechanism_quantities import Quantities
 from mbdkit_biomech.inverse_dynamics.compute import Inverse
+from mbdkit_biomech.inverse_dynamics.inverse_sections import Smoothing
 from mbdkit_biomech.inverse_dynamics.manifold import Directions
 from mbdkit_biomech.inverse_dynamics.measured import bridged
 from mbdkit_biomech.inverse_dynamics.reduced_motion import Independent
 from mbdkit_biomech.inverse_dynamics.smoothing import FEWEST, Smoothed, local_derivatives, smoothed_each
-from mbdkit.mechanism.mechanism_quantities import Quantities
-from mbdkit_biomech.inverse_dynamics.inverse_sections import Smoothing
 
 DRAWS = 20
 """Number of noise samples per column used to estimate the share of the noise that remains in the residuals."""

@@ -16,16 +16,16 @@ from mbdkit.archive.measured_values import MeasuredValues
 from mbdkit.archive.run import Run
 from mbdkit.archive.run_writer import Ending, Origin
 from mbdkit.archive.writer import ArchiveWriter
-from mbdkit_biomech.inverse_dynamics.compute import Inverse, reaction_forces_without_muscles, recorded_states
-from mbdkit_biomech.inverse_dynamics.data_verdict import DataDoubts, verdict_on_data
-from mbdkit_biomech.inverse_dynamics.ends_and_gaps import long_gaps
-from mbdkit_biomech.inverse_dynamics.error_bars import ErrorBars
-from mbdkit_biomech.inverse_dynamics.fit import raw_misalignment
 from mbdkit.measures.take import take_all
 from mbdkit.quantities.names import ArchiveNames, archive_names
 from mbdkit.quantities.table import BY_GROUP, RECORDED, sizes_of
 from mbdkit.runs.provenance import model_provenance
 from mbdkit.runs.recorder import shared_forces
+from mbdkit_biomech.inverse_dynamics.compute import Inverse, reaction_forces_without_muscles, recorded_states
+from mbdkit_biomech.inverse_dynamics.data_verdict import DataDoubts, verdict_on_data
+from mbdkit_biomech.inverse_dynamics.ends_and_gaps import long_gaps
+from mbdkit_biomech.inverse_dynamics.error_bars import ErrorBars
+from mbdkit_biomech.inverse_dynamics.fit import raw_misalignment
 
 TIMINGS = ("setup_s", "wall_s", "cpu_s")
 

@@ -22,18 +22,22 @@ import numpy as np
 from mbdkit.base.errors import RunError, SpecError
 from mbdkit.base.plain_data import quoted
 from mbdkit.base.text import counted, listed
-from mbdkit_biomech.inverse_dynamics.dynamics import Balance, Dynamics
-from mbdkit_biomech.inverse_dynamics.elastic_tendons import ElasticMuscles, in_equilibrium
-from mbdkit_biomech.inverse_dynamics.loads_over_time import ActivationDynamics, share_over_time, smallest_supplement_over_time
-from mbdkit_biomech.inverse_dynamics.recruited import Contraction, Recruited, Sharing
-from mbdkit_biomech.inverse_dynamics.reduced_motion import Motion
-from mbdkit_biomech.inverse_dynamics.shared_loads import Programme, Shared, share_loads, smallest_supplement
 from mbdkit.mechanism.muscles import Muscle
 from mbdkit.mechanism.quantity_names import QuantityNames
 from mbdkit.muscles.fibers import fibers_on_rigid_tendon
 from mbdkit.muscles.muscle_path import MusclePath
+from mbdkit_biomech.inverse_dynamics.dynamics import Balance, Dynamics
+from mbdkit_biomech.inverse_dynamics.elastic_tendons import ElasticMuscles, in_equilibrium
 from mbdkit_biomech.inverse_dynamics.inverse_sections import Recruitment
+from mbdkit_biomech.inverse_dynamics.loads_over_time import (
+    ActivationDynamics,
+    share_over_time,
+    smallest_supplement_over_time,
+)
 from mbdkit_biomech.inverse_dynamics.named_actuators import NamedActuator, reserves_of
+from mbdkit_biomech.inverse_dynamics.recruited import Contraction, Recruited, Sharing
+from mbdkit_biomech.inverse_dynamics.reduced_motion import Motion
+from mbdkit_biomech.inverse_dynamics.shared_loads import Programme, Shared, share_loads, smallest_supplement
 
 NO_ARM = 1e-9
 """A muscle does not act on a coordinate if its moment arm is at most this [m for angles, 1 for lengths]."""

@@ -22,11 +22,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from mbdkit.mechanism.mechanism_quantities import Quantities, Quantity
 from mbdkit_biomech.inverse_dynamics.fit import Fitter, Target
 from mbdkit_biomech.inverse_dynamics.manifold import Manifold
 from mbdkit_biomech.inverse_dynamics.measured import Measured
 from mbdkit_biomech.inverse_dynamics.smoothing import Smoothed
-from mbdkit.mechanism.mechanism_quantities import Quantities, Quantity
 
 PREFERRED = 0.2
 """If the observed quantities alone do not suffice, an observed quantity with at least this independence is preferred to

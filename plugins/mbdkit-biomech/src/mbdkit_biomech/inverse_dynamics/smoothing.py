@@ -12,8 +12,15 @@ from scipy.linalg import solveh_banded
 from scipy.signal import butter, filtfilt, lfilter, lfiltic
 
 from mbdkit.base.errors import SpecError
+from mbdkit_biomech.inverse_dynamics.inverse_sections import (
+    Butterworth,
+    NoSmoothing,
+    OpenSimFilter,
+    QuinticSpline,
+    Smoothing,
+    SmoothingSpline,
+)
 from mbdkit_biomech.inverse_dynamics.measured_table import unit_of_time_as_cause
-from mbdkit_biomech.inverse_dynamics.inverse_sections import Butterworth, NoSmoothing, OpenSimFilter, QuinticSpline, Smoothing, SmoothingSpline
 
 UNEVEN = 1e-3
 """Times count as evenly spaced if no interval deviates from the mean interval by more than this fraction of the mean.

@@ -10,8 +10,8 @@ from scipy.signal import periodogram
 from mbdkit.base.text import listed
 from mbdkit_biomech.inverse_dynamics.compute import Inverse
 from mbdkit_biomech.inverse_dynamics.doubt import Doubt
-from mbdkit_biomech.inverse_dynamics.smoothing import UNEVEN, cutoff_of
 from mbdkit_biomech.inverse_dynamics.inverse_sections import Butterworth, OpenSimFilter, SmoothingSpline
+from mbdkit_biomech.inverse_dynamics.smoothing import UNEVEN, cutoff_of
 
 EXCESS, REMOVED = 10.0, 0.2
 """Limits for what the smoothing removes near the cutoff.

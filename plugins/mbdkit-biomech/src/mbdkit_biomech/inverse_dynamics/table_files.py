@@ -17,7 +17,13 @@ from mbdkit.base.text import shown
 from mbdkit.base.units import NUMBER, read_unit
 from mbdkit_biomech.inverse_dynamics.c3d_file import read_c3d
 from mbdkit_biomech.inverse_dynamics.measured_table import DECIMAL_COMMA, Table, begins_like_number
-from mbdkit_biomech.inverse_dynamics.motion_capture_tables import Columns, is_qualisys, is_vicon, read_qualisys, read_vicon
+from mbdkit_biomech.inverse_dynamics.motion_capture_tables import (
+    Columns,
+    is_qualisys,
+    is_vicon,
+    read_qualisys,
+    read_vicon,
+)
 
 LONGEST_PREAMBLE = 100
 """Number of lines in which the first row of numbers is searched."""

@@ -7,12 +7,12 @@ from collections.abc import Iterable, Iterator
 import numpy as np
 
 from mbdkit.base.text import listed
-from mbdkit_biomech.inverse_dynamics.compute import Inverse
-from mbdkit_biomech.inverse_dynamics.doubt import Doubt
 from mbdkit.mechanism.bodies import GROUND
 from mbdkit.mechanism.forces import TorsionSpring
 from mbdkit.mechanism.law_element import Law
 from mbdkit.mechanism.pathways import AnglePathway, JointAngles
+from mbdkit_biomech.inverse_dynamics.compute import Inverse
+from mbdkit_biomech.inverse_dynamics.doubt import Doubt
 
 HALF_TURN = 2.8
 """The number of full turns of an angle is uncertain if the angle in the first row differs from that of the model by

@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from mbdkit_biomech.inverse_dynamics.cycles import Normalized, contacts, normalized
 from mbdkit.archive.accuracy_summary import exact_loads
 from mbdkit.archive.headlines import ROUND_OFF, plus_minus
 from mbdkit.archive.history import UnknownNameError
@@ -17,6 +16,7 @@ from mbdkit.archive.peak_errors import errors_of_frames, peak_errors
 from mbdkit.base.errors import SpecError
 from mbdkit.base.html_view import HtmlView
 from mbdkit.base.text import table
+from mbdkit_biomech.inverse_dynamics.cycles import Normalized, contacts, normalized
 
 if TYPE_CHECKING:
     from mbdkit.archive.run import Run

@@ -12,9 +12,21 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from mbdkit_report.analysis.verdict import Answer, Axis, Claim, Figure, Line, Table, Verdict, columns_of, exceeds, together, told
 from mbdkit.mechanism.contacts import STICK
 from mbdkit_paper.drift.combination import COMBINATION, state_of, two
+from mbdkit_report.analysis.verdict import (
+    Answer,
+    Axis,
+    Claim,
+    Figure,
+    Line,
+    Table,
+    Verdict,
+    columns_of,
+    exceeds,
+    together,
+    told,
+)
 from mbdkit_studies.point_selection import STEP, family, value
 
 if TYPE_CHECKING:

@@ -6,9 +6,9 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from typing import TYPE_CHECKING
 
-from mbdkit_report.analysis.verdict import Answer, Claim, Range, Table, Verdict, columns_of, exceeds, together, told
 from mbdkit_paper.drift.combination import Combination, Undetermined, combinations
 from mbdkit_paper.drift.drift_figures import energies, errors
+from mbdkit_report.analysis.verdict import Answer, Claim, Range, Table, Verdict, columns_of, exceeds, together, told
 
 if TYPE_CHECKING:
     from mbdkit_studies.study import Study

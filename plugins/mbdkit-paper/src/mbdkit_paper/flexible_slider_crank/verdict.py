@@ -13,8 +13,20 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from mbdkit_report.analysis.verdict import Answer, Axis, Claim, Column, Figure, Line, Table, Verdict, columns_of, exceeds, told
 from mbdkit_paper.drift.combination import state_of, two
+from mbdkit_report.analysis.verdict import (
+    Answer,
+    Axis,
+    Claim,
+    Column,
+    Figure,
+    Line,
+    Table,
+    Verdict,
+    columns_of,
+    exceeds,
+    told,
+)
 from mbdkit_studies.point_selection import METHOD, STEP, value
 
 if TYPE_CHECKING:

@@ -7,8 +7,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from mbdkit_report.analysis.verdict import Answer, Claim, Table, Verdict, columns_of, exceeds, told
 from mbdkit_paper.drift.combination import COMBINATION, state_of, two
+from mbdkit_report.analysis.verdict import Answer, Claim, Table, Verdict, columns_of, exceeds, told
 from mbdkit_studies.point_selection import value
 
 if TYPE_CHECKING:

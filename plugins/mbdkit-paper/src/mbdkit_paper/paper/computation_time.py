@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy.stats import theilslopes
 
-from mbdkit_report.analysis.verdict import Answer, Axis, Cell, Claim, Column, Figure, Line, Table, columns_of, exceeds
-from mbdkit_report.figures.quantity_text import two_digits
 from mbdkit_paper.paper.published_results import GILL, METHODS
 from mbdkit_paper.paper.substitution_timing import Substitution, measured
+from mbdkit_report.analysis.verdict import Answer, Axis, Cell, Claim, Column, Figure, Line, Table, columns_of, exceeds
+from mbdkit_report.figures.quantity_text import two_digits
 from mbdkit_studies.point_selection import METHOD, family, value
 
 if TYPE_CHECKING:

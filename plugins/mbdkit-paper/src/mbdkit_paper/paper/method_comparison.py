@@ -7,12 +7,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from mbdkit_studies.cost import at_equal_work, work_for
+from mbdkit_paper.paper.published_results import GAUSS2, GAUSS3, GILL
 from mbdkit_report.analysis.growth import growth_law, worst_history
 from mbdkit_report.analysis.order import observed_order
 from mbdkit_report.analysis.verdict import MARGIN, Answer, Axis, Cell, Claim, Figure, Line, Table, columns_of, together
 from mbdkit_report.figures.quantity_text import least_most
-from mbdkit_paper.paper.published_results import GAUSS2, GAUSS3, GILL
+from mbdkit_studies.cost import at_equal_work, work_for
 from mbdkit_studies.point_selection import METHOD, MODEL, STEP, Points, family, value
 
 if TYPE_CHECKING:

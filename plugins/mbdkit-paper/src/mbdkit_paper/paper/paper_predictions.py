@@ -7,9 +7,22 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from mbdkit_report.analysis.verdict import Answer, Axis, Band, Cell, Claim, Column, Figure, Line, Range, Table, columns_of, together
-from mbdkit_report.figures.quantity_text import least_most
 from mbdkit_paper.paper.published_results import GAUSS2, GAUSS3, METHODS, PAPER_STEP
+from mbdkit_report.analysis.verdict import (
+    Answer,
+    Axis,
+    Band,
+    Cell,
+    Claim,
+    Column,
+    Figure,
+    Line,
+    Range,
+    Table,
+    columns_of,
+    together,
+)
+from mbdkit_report.figures.quantity_text import least_most
 from mbdkit_studies.point_selection import METHOD, STEP, family
 
 if TYPE_CHECKING:

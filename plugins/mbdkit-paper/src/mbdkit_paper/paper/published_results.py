@@ -7,7 +7,20 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from mbdkit_report.analysis.verdict import Answer, Axis, Cell, Claim, Column, Figure, Line, Range, Table, columns_of, exceeds, together
+from mbdkit_report.analysis.verdict import (
+    Answer,
+    Axis,
+    Cell,
+    Claim,
+    Column,
+    Figure,
+    Line,
+    Range,
+    Table,
+    columns_of,
+    exceeds,
+    together,
+)
 from mbdkit_studies.point_selection import METHOD, MODEL, STEP, family, value
 
 if TYPE_CHECKING:

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from mbdkit_report.analysis.verdict import UNDECIDED, Answer, Verdict, told
 from mbdkit_paper.paper.choice_of_coordinates import coordinates
 from mbdkit_paper.paper.computation_time import substitution, times
 from mbdkit_paper.paper.method_comparison import growth, orders, work
 from mbdkit_paper.paper.paper_predictions import joints, knee
 from mbdkit_paper.paper.published_results import magnitudes, ranking, trajectories
 from mbdkit_paper.paper.source_paper import TITLE
+from mbdkit_report.analysis.verdict import UNDECIDED, Answer, Verdict, told
 
 if TYPE_CHECKING:
     from mbdkit_studies.study import Study

@@ -13,10 +13,26 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from mbdkit_studies.cost import at_equal_work, work_for
-from mbdkit_report.analysis.verdict import Answer, Axis, Band, Cell, Claim, Column, Figure, Line, Range, Table, Verdict, columns_of, exceeds, together, told
-from mbdkit_report.figures.quantity_text import least_most, two_digits
 from mbdkit_paper.textbook_four_bar.textbook_equations import GROUND, LENGTHS, LoopRun, integrate
+from mbdkit_report.analysis.verdict import (
+    Answer,
+    Axis,
+    Band,
+    Cell,
+    Claim,
+    Column,
+    Figure,
+    Line,
+    Range,
+    Table,
+    Verdict,
+    columns_of,
+    exceeds,
+    together,
+    told,
+)
+from mbdkit_report.figures.quantity_text import least_most, two_digits
+from mbdkit_studies.cost import at_equal_work, work_for
 from mbdkit_studies.point_selection import METHOD, STEP, family, value
 
 if TYPE_CHECKING:

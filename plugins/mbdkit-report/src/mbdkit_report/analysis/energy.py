@@ -7,8 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mbdkit_report.analysis.growth import BLOCKS, block_means, independent
 from mbdkit.archive.run import Run
+from mbdkit_report.analysis.growth import BLOCKS, block_means, independent
 
 SURE = 3.0
 """A slope counts as a drift if its magnitude is larger than this multiple of its standard error."""

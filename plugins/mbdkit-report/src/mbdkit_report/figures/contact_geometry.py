@@ -6,9 +6,9 @@ import math
 
 import numpy as np
 
-from mbdkit_report.figures.cable_geometry import Place
 from mbdkit.mechanism.contacts import LineShape, Shape
 from mbdkit.mechanism.mechanism import Mechanism
+from mbdkit_report.figures.cable_geometry import Place
 
 ON_CIRCLE = 24
 """Number of points of a circle."""

@@ -16,12 +16,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mbdkit.base.errors import MbdkitError
+from mbdkit.mechanism.pathways import JointAngles
 from mbdkit_report.figures.beam_curves import BeamCurve
 from mbdkit_report.figures.cable_geometry import Place, cable_places
 from mbdkit_report.figures.contact_geometry import contact_places
 from mbdkit_report.figures.muscle_geometry import muscle_places
 from mbdkit_report.figures.plane_geometry import Array, convex_hull
-from mbdkit.mechanism.pathways import JointAngles
 
 if TYPE_CHECKING:
     from mbdkit.archive.run import Run

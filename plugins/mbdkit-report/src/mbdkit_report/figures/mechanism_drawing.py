@@ -11,6 +11,13 @@ from typing import Any
 import numpy as np
 from markupsafe import Markup
 
+from mbdkit.mechanism.beams import parts_of
+from mbdkit.mechanism.bodies import GROUND
+from mbdkit.mechanism.mechanism import Mechanism
+from mbdkit.mechanism.motion_corners import jet_of
+from mbdkit.mechanism.pathways import JointAngles
+from mbdkit.mechanism.state_values import is_of_state
+from mbdkit.trust.criteria import ROUND_OFF
 from mbdkit_report.figures.beam_curves import bezier_polylines, largest_moment
 from mbdkit_report.figures.cable_geometry import cable_places
 from mbdkit_report.figures.drawing_geometry import Drawing, draw_centres, draw_mechanism
@@ -19,13 +26,6 @@ from mbdkit_report.figures.palette import body_colors, color_key
 from mbdkit_report.figures.plane_geometry import Array, zigzag
 from mbdkit_report.figures.quantity_text import length
 from mbdkit_report.figures.svg_canvas import Canvas, shade
-from mbdkit.mechanism.beams import parts_of
-from mbdkit.mechanism.bodies import GROUND
-from mbdkit.mechanism.mechanism import Mechanism
-from mbdkit.mechanism.motion_corners import jet_of
-from mbdkit.mechanism.pathways import JointAngles
-from mbdkit.mechanism.state_values import is_of_state
-from mbdkit.trust.criteria import ROUND_OFF
 
 WIDE, NARROW = 900.0, 350.0
 """Widths of the drawing on a screen or on paper, and on a telephone [px]."""

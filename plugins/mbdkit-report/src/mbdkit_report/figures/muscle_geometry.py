@@ -6,11 +6,11 @@ import math
 
 import numpy as np
 
-from mbdkit_report.figures.cable_geometry import Place
 from mbdkit.mechanism.coordinate_function import CoordinateFunction, names_of, value_and_slopes
 from mbdkit.mechanism.mechanism import Mechanism
 from mbdkit.mechanism.muscles import Muscle, PathItem
 from mbdkit.mechanism.quantity_names import QuantityNames
+from mbdkit_report.figures.cable_geometry import Place
 
 
 def muscle_places(mechanism: Mechanism, muscle: Muscle) -> list[Place]:

@@ -10,7 +10,6 @@ from functools import singledispatch
 import numpy as np
 from matplotlib.figure import Figure
 
-from mbdkit_biomech.inverse_dynamics.workload import Workload
 from mbdkit.archive.accuracy import Accuracy
 from mbdkit.archive.history import JointHistories
 from mbdkit.archive.run import Run
@@ -18,30 +17,40 @@ from mbdkit.archive.run_summary import answer_lines, summary_lines
 from mbdkit.base.errors import MbdkitError
 from mbdkit.base.html_view import HtmlView
 from mbdkit.base.text import shown
+from mbdkit.gradients.gradient import Gradient
+from mbdkit.mechanism.beams import beam_of
+from mbdkit.mechanism.mechanism import Mechanism
+from mbdkit_biomech.inverse_dynamics.workload import Workload
 from mbdkit_report.figures.curves import take
 from mbdkit_report.figures.drawing_geometry import mechanism_of
 from mbdkit_report.figures.mechanism_drawing import NamedPose
 from mbdkit_report.figures.page_model import Cell, Column, Illustration, Table, columns_of
 from mbdkit_report.figures.plane_geometry import Array
-from mbdkit.gradients.gradient import Gradient
-from mbdkit_statics.equilibrium import Equilibrium
-from mbdkit_statics.mechanics_summary import beam_ends, beam_rows, clean, equilibrium_facts, modes_facts, moves_most, remark, sharing
-from mbdkit_statics.modes import Modes
-from mbdkit.mechanism.beams import beam_of
-from mbdkit.mechanism.mechanism import Mechanism
-from mbdkit_report.plot import drift_plot, reactions_plot
-from mbdkit_report.plot.caption import caption
-from mbdkit_report.plot.charts import chart_image
-from mbdkit_statics.mode_shapes import modes_figure
-from mbdkit_report.plot.style import png
 from mbdkit_report.pages.model_section import composition, drawing, element_tables
 from mbdkit_report.pages.report_page import FILTERS
 from mbdkit_report.pages.run_report import TONES
-from mbdkit_studies.study_report import runs_table, settings
 from mbdkit_report.pages.templating import render
+from mbdkit_report.plot import drift_plot, reactions_plot
+from mbdkit_report.plot.caption import caption
+from mbdkit_report.plot.charts import chart_image
+from mbdkit_report.plot.style import png
+from mbdkit_statics.equilibrium import Equilibrium
+from mbdkit_statics.mechanics_summary import (
+    beam_ends,
+    beam_rows,
+    clean,
+    equilibrium_facts,
+    modes_facts,
+    moves_most,
+    remark,
+    sharing,
+)
+from mbdkit_statics.mode_shapes import modes_figure
+from mbdkit_statics.modes import Modes
 from mbdkit_studies.study import Study
 from mbdkit_studies.study_headlines import headlines
 from mbdkit_studies.study_notes import notes
+from mbdkit_studies.study_report import runs_table, settings
 
 
 @dataclass(frozen=True)

@@ -10,11 +10,11 @@ from typing import Any
 
 from mbdkit.base.errors import SpecError
 from mbdkit.base.text import listed
-from mbdkit_report.plot.caption import plain_name
 from mbdkit.registry.catalogue import Kind, Registered
 from mbdkit.registry.items import Claims, IntegratorPlugin
 from mbdkit.registry.manager import registry
 from mbdkit.spec.spec_kinds import is_inverse
+from mbdkit_report.plot.caption import plain_name
 
 _EQUATIONS = (
     "Planar motion in absolute coordinates: x, y and the angle of every body. The equations of motion are solved in "

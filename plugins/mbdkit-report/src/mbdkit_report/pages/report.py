@@ -7,16 +7,16 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from mbdkit_report.analysis.verdict import Verdict
 from mbdkit.archive.changed_contents import hash_warnings
 from mbdkit.archive.reader import load
 from mbdkit.base.errors import SpecError
 from mbdkit.base.files import check_output, check_suffix, replacing
 from mbdkit.base.logs import warn_on_stderr
-from mbdkit_report.plot.charts import image_files, write_chart_images
+from mbdkit_report.analysis.verdict import Verdict
 from mbdkit_report.pages.report_page import ReportPage
 from mbdkit_report.pages.run_report import run_report
 from mbdkit_report.pages.verdict_text import markdown_text
+from mbdkit_report.plot.charts import image_files, write_chart_images
 
 SUFFIXES = (".html", ".htm", ".md")
 
@@ -106,8 +106,8 @@ def _document(source: Path, workers: int) -> Iterator[ReportPage]:
     elif not (source / "study.yaml").is_file():
         raise SpecError("this folder contains no study and no design: no study.yaml, no design.yaml", file=source)
     else:
-        from mbdkit_studies.study_report import study_report
         from mbdkit_studies.carry_out import load_study
+        from mbdkit_studies.study_report import study_report
 
         yield study_report(load_study(source))
 

@@ -11,16 +11,16 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from mbdkit.archive.headlines import ROUND_OFF
+from mbdkit.mechanism.bodies import GROUND
+from mbdkit.quantities.array import Recorded
+from mbdkit.quantities.table import BY_GROUP, RECORDED
+from mbdkit_biomech.inverse_dynamics.load_sections import inverse_charts
 from mbdkit_report.figures.curves import bands
 from mbdkit_report.figures.drawing_geometry import choose_traces, draw_run
 from mbdkit_report.figures.page_model import Axis, Figure, Line, Mark
 from mbdkit_report.figures.palette import INK, PALETTE, body_colors, trace_colors
-from mbdkit.mechanism.bodies import GROUND
-from mbdkit_report.plot.plot_kinds import PLOT_KINDS, plot_module
-from mbdkit.quantities.array import Recorded
-from mbdkit.quantities.table import BY_GROUP, RECORDED
 from mbdkit_report.pages.answer_section import Peaks
-from mbdkit_biomech.inverse_dynamics.load_sections import inverse_charts
+from mbdkit_report.plot.plot_kinds import PLOT_KINDS, plot_module
 
 if TYPE_CHECKING:
     from mbdkit.archive.run import Run

@@ -6,20 +6,20 @@ from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 from mbdkit.archive.headlines import headline_texts
+from mbdkit.spec.yaml_reader import write_yaml
+from mbdkit_biomech.inverse_dynamics.load_frames import with_arrows
+from mbdkit_biomech.inverse_dynamics.load_sections import inverse_sections
 from mbdkit_report.figures.curves import require_rows
 from mbdkit_report.figures.drawing_geometry import mechanism_of
 from mbdkit_report.figures.page_model import Cell, Table, columns_of
 from mbdkit_report.figures.player_data import film_data
-from mbdkit_report.plot.caption import caption
 from mbdkit_report.pages.answer_section import answer_section, beam_section, gradient_section
-from mbdkit_biomech.inverse_dynamics.load_frames import with_arrows
-from mbdkit_biomech.inverse_dynamics.load_sections import inverse_sections
 from mbdkit_report.pages.methods_used import methods
 from mbdkit_report.pages.model_section import model_section
 from mbdkit_report.pages.report_page import ReportPage
 from mbdkit_report.pages.run_charts import DRIFT
 from mbdkit_report.pages.run_verdict import run_verdict
-from mbdkit.spec.yaml_reader import write_yaml
+from mbdkit_report.plot.caption import caption
 
 if TYPE_CHECKING:
     from mbdkit.archive.run import Run

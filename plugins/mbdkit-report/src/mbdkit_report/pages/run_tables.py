@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from mbdkit.archive.layout import COUNTERS, SOME_TIMINGS, TIMINGS
+from mbdkit.mechanism.contacts import STICK
 from mbdkit_report.figures.beam_curves import has_beams
 from mbdkit_report.figures.page_model import Cell, Column, Table, columns_of
-from mbdkit.mechanism.contacts import STICK
 from mbdkit_report.pages.answer_section import Peaks
 
 if TYPE_CHECKING:

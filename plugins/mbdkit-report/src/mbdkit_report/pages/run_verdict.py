@@ -7,18 +7,18 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from mbdkit_report.analysis.growth import Growth, growth_law
-from mbdkit_report.analysis.verdict import Answer, Claim, Verdict
 from mbdkit.archive.accuracy_summary import accuracy_sentence
 from mbdkit.archive.run_summary import without_suspicion
+from mbdkit.trust.criteria import ENERGY, MISALIGNMENT, ROUND_OFF, Level, rounding
+from mbdkit.trust.energy_record import gravity_level
+from mbdkit_report.analysis.growth import Growth, growth_law
+from mbdkit_report.analysis.verdict import Answer, Claim, Verdict
 from mbdkit_report.figures.curves import bands, take
 from mbdkit_report.figures.drawing_geometry import draw_run, mechanism_of
 from mbdkit_report.figures.quantity_text import count, duration, length, proportion
-from mbdkit_report.plot.element_quantity import ElementQuantity, angle_misalignment, joint_misalignment
 from mbdkit_report.pages.run_charts import run_charts
 from mbdkit_report.pages.run_tables import run_tables
-from mbdkit.trust.criteria import ENERGY, MISALIGNMENT, ROUND_OFF, Level, rounding
-from mbdkit.trust.energy_record import gravity_level
+from mbdkit_report.plot.element_quantity import ElementQuantity, angle_misalignment, joint_misalignment
 
 if TYPE_CHECKING:
     from mbdkit.archive.run import Run

@@ -35,12 +35,12 @@ def script_json(value: Any) -> Markup:
 
 def inline(name: str) -> Markup:
     """Return the text of a style sheet or script in this folder, not escaped."""
-    return Markup(files("mbdkit.report").joinpath("templates", name).read_text(encoding="utf-8"))
+    return Markup(files("mbdkit_report.pages").joinpath("templates", name).read_text(encoding="utf-8"))
 
 
 def _environment() -> Environment:
     environment = Environment(
-        loader=PackageLoader("mbdkit.report", "templates"),
+        loader=PackageLoader("mbdkit_report.pages", "templates"),
         autoescape=True,
         undefined=StrictUndefined,
         trim_blocks=True,

@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
-from mbdkit_report.analysis.verdict import Verdict
 from mbdkit.base.text import markdown
 from mbdkit.base.text import table as aligned
+from mbdkit_report.analysis.verdict import Verdict
 from mbdkit_report.figures.page_model import Table
 from mbdkit_report.pages.report_page import ReportPage, cell_text
 

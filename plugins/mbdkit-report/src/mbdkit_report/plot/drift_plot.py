@@ -13,7 +13,17 @@ from mbdkit.base.text import listed
 from mbdkit_report.figures.page_model import Axis, Figure
 from mbdkit_report.figures.quantity_text import length
 from mbdkit_report.plot.charts import Panel
-from mbdkit_report.plot.element_quantity import MOST, ElementQuantity, angle_misalignment, draw_elements, element_chart, joint_misalignment, picked, value_text, velocity_misalignment
+from mbdkit_report.plot.element_quantity import (
+    MOST,
+    ElementQuantity,
+    angle_misalignment,
+    draw_elements,
+    element_chart,
+    joint_misalignment,
+    picked,
+    value_text,
+    velocity_misalignment,
+)
 
 if TYPE_CHECKING:
     from mbdkit.archive.run import Run

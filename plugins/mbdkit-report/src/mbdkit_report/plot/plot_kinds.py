@@ -55,4 +55,4 @@ def plot_module(kind: str) -> PlotModule:
     """
     if kind not in PLOT_KINDS:
         raise SpecError(f"there is no kind of plot {kind!r}; the kinds are {', '.join(PLOT_KINDS)}")
-    return cast(PlotModule, import_module(f"mbdkit.plot.{kind}_plot"))
+    return cast(PlotModule, import_module(f"mbdkit_report.plot.{kind}_plot"))

@@ -13,7 +13,15 @@ from mbdkit.base.text import did_you_mean, listed
 from mbdkit_report.figures.curves import Array, bands
 from mbdkit_report.figures.page_model import Axis, Figure
 from mbdkit_report.plot.charts import Panel
-from mbdkit_report.plot.element_quantity import MOST, ElementQuantity, draw_elements, element_chart, picked, reaction_force, with_errors
+from mbdkit_report.plot.element_quantity import (
+    MOST,
+    ElementQuantity,
+    draw_elements,
+    element_chart,
+    picked,
+    reaction_force,
+    with_errors,
+)
 from mbdkit_report.plot.torques_plot import carried_torque
 
 if TYPE_CHECKING:

@@ -13,7 +13,17 @@ from mbdkit.base.errors import SpecError
 from mbdkit_report.figures.curves import Bands
 from mbdkit_report.figures.page_model import Axis, Figure
 from mbdkit_report.plot.charts import Panel
-from mbdkit_report.plot.element_quantity import MOST, ElementQuantity, draw_elements, element_chart, element_values, has_elements, picked, reaction_force, reaction_torque
+from mbdkit_report.plot.element_quantity import (
+    MOST,
+    ElementQuantity,
+    draw_elements,
+    element_chart,
+    element_values,
+    has_elements,
+    picked,
+    reaction_force,
+    reaction_torque,
+)
 
 if TYPE_CHECKING:
     from mbdkit.archive.run import Run

@@ -150,7 +150,7 @@ def _files(name: str, package: str, item: str, kind: NewKind) -> dict[str, str]:
 
     flavour = _FLAVOURS[kind]
     environment = Environment(
-        loader=PackageLoader("mbdkit.scaffold"), undefined=StrictUndefined, keep_trailing_newline=True
+        loader=PackageLoader("mbdkit_testing.scaffold"), undefined=StrictUndefined, keep_trailing_newline=True
     )
     words = {
         "name": name,

@@ -1,0 +1,112 @@
+"""Imports of modules under their old names, which work for one version with a warning."""
+
+from __future__ import annotations
+
+import importlib
+import sys
+import warnings
+from collections.abc import Sequence
+from importlib.abc import Loader, MetaPathFinder
+from importlib.machinery import ModuleSpec
+from types import ModuleType
+
+MOVED = {
+    "mbdkit.analysis.cost": "mbdkit_studies.cost",
+    "mbdkit.analysis.sample_statistics": "mbdkit_studies.sample_statistics",
+    "mbdkit.analysis.sobol_indices": "mbdkit_studies.sobol_indices",
+    "mbdkit.analysis.cycles": "mbdkit_biomech.inverse_dynamics.cycles",
+    "mbdkit.analysis.workload": "mbdkit_biomech.inverse_dynamics.workload",
+    "mbdkit.analysis": "mbdkit_report.analysis",
+    "mbdkit.archive.block_writer": "mbdkit_studies.block_writer",
+    "mbdkit.archive.blocks": "mbdkit_studies.blocks",
+    "mbdkit.archive.inverse_summary": "mbdkit_biomech.inverse_dynamics.inverse_summary",
+    "mbdkit.designs": "mbdkit_design",
+    "mbdkit.exploration": "mbdkit_explore",
+    "mbdkit.figures": "mbdkit_report.figures",
+    "mbdkit.inverse_dynamics": "mbdkit_biomech.inverse_dynamics",
+    "mbdkit.mechanics.source": "mbdkit.runs.assembled_mechanism",
+    "mbdkit.mechanics": "mbdkit_statics",
+    "mbdkit.models.leg": "mbdkit_biomech.models.leg",
+    "mbdkit.notebook.example_notebooks": "mbdkit.spec.example_notebooks",
+    "mbdkit.notebook": "mbdkit_report.notebook",
+    "mbdkit.plot.equilibrium_plot": "mbdkit_statics.equilibrium_plot",
+    "mbdkit.plot.mode_shapes": "mbdkit_statics.mode_shapes",
+    "mbdkit.plot": "mbdkit_report.plot",
+    "mbdkit.report.design_charts": "mbdkit_design.design_charts",
+    "mbdkit.report.design_report": "mbdkit_design.design_report",
+    "mbdkit.report.design_verdict": "mbdkit_design.design_verdict",
+    "mbdkit.report.sensitivity_bars": "mbdkit_design.sensitivity_bars",
+    "mbdkit.report.sample_figures": "mbdkit_studies.sample_figures",
+    "mbdkit.report.study_figures": "mbdkit_studies.study_figures",
+    "mbdkit.report.study_report": "mbdkit_studies.study_report",
+    "mbdkit.report.load_frames": "mbdkit_biomech.inverse_dynamics.load_frames",
+    "mbdkit.report.load_sections": "mbdkit_biomech.inverse_dynamics.load_sections",
+    "mbdkit.report": "mbdkit_report.pages",
+    "mbdkit.scaffold": "mbdkit_testing.scaffold",
+    "mbdkit.spec.design_loading": "mbdkit_design.design_loading",
+    "mbdkit.spec.design_spec": "mbdkit_design.design_spec",
+    "mbdkit.spec.inverse_loading": "mbdkit_biomech.inverse_dynamics.inverse_loading",
+    "mbdkit.spec.inverse_sections": "mbdkit_biomech.inverse_dynamics.inverse_sections",
+    "mbdkit.spec.inverse_spec": "mbdkit_biomech.inverse_dynamics.inverse_spec",
+    "mbdkit.spec.named_actuators": "mbdkit_biomech.inverse_dynamics.named_actuators",
+    "mbdkit.spec.sample_section": "mbdkit_studies.sample_section",
+    "mbdkit.spec.spec_page": "mbdkit_testing.spec_page",
+    "mbdkit.spec.study_loading": "mbdkit_studies.study_loading",
+    "mbdkit.spec.study_spec": "mbdkit_studies.study_spec",
+    "mbdkit.spec.value_sets": "mbdkit_studies.value_sets",
+    "mbdkit.studies.packaged": "mbdkit_paper",
+    "mbdkit.studies": "mbdkit_studies",
+    "mbdkit.testing": "mbdkit_testing",
+}
+"""New names of modules and packages; the first prefix that fits counts."""
+
+STABLE = ("mbdkit.plot", "mbdkit.testing")
+"""Names that stay: they are documented as names of mbdkit."""
+
+
+def current_name(name: str) -> str | None:
+    """Return the current name of a module that was moved, or None if it was not."""
+    if not name.startswith("mbdkit."):
+        return None
+    for old, new in MOVED.items():
+        if name == old or name.startswith(f"{old}."):
+            return new + name.removeprefix(old)
+    return None
+
+
+class _MovedModules(MetaPathFinder):
+    """Finds modules under their old names."""
+
+    def find_spec(
+        self, fullname: str, path: Sequence[str] | None, target: ModuleType | None = None
+    ) -> ModuleSpec | None:
+        """Return how to import the module of this old name, or None if no module was moved from it."""
+        current = current_name(fullname)
+        if current is None:
+            return None
+        if not fullname.startswith(STABLE):
+            message = f"{fullname} is now {current}; its old name works until mbdkit 0.4"
+            warnings.warn(message, DeprecationWarning, stacklevel=2)
+        return ModuleSpec(fullname, _SameModule(current))
+
+
+class _SameModule(Loader):
+    """Loads a module by importing the one that it is."""
+
+    def __init__(self, name: str) -> None:
+        self.module = importlib.import_module(name)
+        self.spec = self.module.__spec__
+
+    def create_module(self, spec: ModuleSpec) -> ModuleType:
+        """Return the module under its current name."""
+        return self.module
+
+    def exec_module(self, module: ModuleType) -> None:
+        """Restore the module's own spec, which the import system has replaced by that of the old name."""
+        module.__spec__ = self.spec
+
+
+def install() -> None:
+    """Let old names be imported."""
+    if not any(isinstance(finder, _MovedModules) for finder in sys.meta_path):
+        sys.meta_path.insert(0, _MovedModules())  # before the finder of paths, which would load a second copy
