@@ -20,7 +20,8 @@ ROOT = Path(__file__).resolve().parent.parent
 EXAMPLES = "mbdkit/models/examples"
 FILES = (
     "README.md", "CITATION.cff", "LICENSE", "mbdkit/README.md", "mbdkit/guide/*.md", f"{EXAMPLES}/*.*", "schemas/*",
-    "plugins/mbdkit-testing/README.md", "plugins/mbdkit-testing/src/mbdkit_testing/*.py", "plugins/*/src/*/__init__.py", "plugins/mbdkit-paper/src/mbdkit_paper/*/*.md",
+    "plugins/*/src/*/guide/*.md", "plugins/*/src/*/examples/*.*",
+    "plugins/*/src/*/__init__.py", "plugins/mbdkit-paper/src/mbdkit_paper/*/*.md",
     "plugins/README.md", "plugins/*/README.md",
     ".github/*.png", ".github/gallery/*.png",
 )  # fmt: skip
@@ -43,7 +44,7 @@ def on_page_markdown(markdown: str, page: Any, **_: Any) -> str:
     if page.file.src_uri == "plugins/README.md":
         markdown = re.sub(r"\]\((mbdkit-[\w-]+)\)", r"](\1/README.md)", markdown)
     if page.file.src_uri == f"{EXAMPLES}/README.md":
-        markdown = re.sub(r"\* Run: (`[^`]+`).*?\[([\w-]+\.yaml)\]\(\2\).*", _with_spec, markdown)
+        markdown = re.sub(r"\* Run: (`[^`]+`).*?\[([\w-]+\.yaml)\]\(([\w./-]+)\).*", _with_spec, markdown)
     return markdown
 
 
@@ -53,7 +54,7 @@ def _moved(uri: str) -> str:
 
 def _with_spec(found: re.Match[str]) -> str:
     """Return the line of an example with its spec beneath it, folded."""
-    text = (ROOT / EXAMPLES / found[2]).read_text(encoding="utf-8")
+    text = (ROOT / EXAMPLES / found[3]).read_text(encoding="utf-8")
     lines = "\n".join(f"    {line}".rstrip() for line in ["```yaml", *text.splitlines(), "```"])
     return f'{found[0]}\n\n??? example "{found[2]}"\n\n{lines}\n'
 

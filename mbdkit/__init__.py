@@ -5,12 +5,11 @@ Public names are imported on first use, which keeps ``import mbdkit`` fast.
 
 from __future__ import annotations
 
-import importlib
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
 from mbdkit.base import higher_layers, moved_modules
-from mbdkit.base.lazy_names import lazy
+from mbdkit.base.lazy_names import import_part, lazy
 
 if TYPE_CHECKING:
     from mbdkit import spec
@@ -190,7 +189,7 @@ if not TYPE_CHECKING:  # type checkers see only the names above
 
             return version("mbdkit")
         if name in ("plot", "spec"):
-            return importlib.import_module("mbdkit_report.plot" if name == "plot" else "mbdkit.spec")
+            return import_part("mbdkit_report.plot" if name == "plot" else "mbdkit.spec", f"mbdkit.{name}")
         return _lazy(name)
 
 
@@ -202,7 +201,7 @@ def _of_higher_layer(module: str, name: str) -> Callable[..., Any]:
     """Return a function that, when called, imports a function of another module and calls it."""
 
     def imported(*arguments: Any, **named: Any) -> Any:
-        return getattr(importlib.import_module(module), name)(*arguments, **named)
+        return getattr(import_part(module, name), name)(*arguments, **named)
 
     return imported
 
@@ -214,10 +213,7 @@ higher_layers.state_program = _of_higher_layer("mbdkit.events.state_program", "s
 higher_layers.state_values = _of_higher_layer("mbdkit.events.state_program", "state_values")
 higher_layers.check_gradients = _of_higher_layer("mbdkit.gradients.gradient", "check_gradients")
 higher_layers.gradients_json = _of_higher_layer("mbdkit.gradients.gradient", "gradients_json")
-higher_layers.draw_run = _of_higher_layer("mbdkit_report.plot.comparison", "draw_run")
-higher_layers.animation = _of_higher_layer("mbdkit_report.notebook.animation", "Animation")
 higher_layers.run_summary = _of_higher_layer("mbdkit.archive.run_summary", "summary")
-higher_layers.moment_arms = _of_higher_layer("mbdkit_biomech.inverse_dynamics.moment_arms", "moment_arms")
 higher_layers.run_frame = _of_higher_layer("mbdkit.archive.group_table", "to_frame")
 higher_layers.built_in_measures = _of_higher_layer("mbdkit_studies.measures", "built_in_measures")
 higher_layers.html_of = _of_higher_layer("mbdkit_report.notebook.result_views", "html_of")

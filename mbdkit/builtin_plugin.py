@@ -1,10 +1,11 @@
-"""The plugin of mbdkit itself, which registers models, integrators, laws, studies and commands as any plugin does."""
+"""The plugin of mbdkit itself, which registers models, integrators, laws and commands as any plugin does."""
 
 from __future__ import annotations
 
+from mbdkit.builtin_features import builtin_features
 from mbdkit.registry.hookspecs import hookimpl
 from mbdkit.registry.item import Item
-from mbdkit.registry.items import Command, ForceLawPlugin, IntegratorPlugin, ModelPlugin, StudyPlugin
+from mbdkit.registry.items import Command, ForceLawPlugin, IntegratorPlugin, ModelPlugin
 from mbdkit.registry.target import Target
 
 
@@ -32,14 +33,6 @@ def mbdkit_force_laws() -> list[ForceLawPlugin]:
     return list(LAWS)
 
 
-@hookimpl
-def mbdkit_studies() -> list[StudyPlugin]:
-    """Return the studies that mbdkit ships."""
-    from mbdkit_paper import STUDIES
-
-    return list(STUDIES)
-
-
 def _command(order: int, words: str, summary: str, function: str) -> Command:
     """Return the command that is called with the words; `function` is ``module:name`` in `mbdkit.cli`."""
     group, _, name = words.rpartition(" ")
@@ -49,36 +42,17 @@ def _command(order: int, words: str, summary: str, function: str) -> Command:
 COMMANDS = (
     _command(10, "run", "Run a spec and write its archive.", "runs:run"),
     _command(20, "validate", "Check a spec of any kind without running it.", "runs:validate"),
-    _command(30, "inverse", "Compute joint and actuator forces from a measured motion.", "inverse:inverse"),
-    _command(40, "workload", "Print the workload of joints: peaks, impulses and work.", "inverse:workload"),
-    _command(50, "equilibrium", "Find a static equilibrium, its stability and its forces.", "mechanics:equilibrium"),
-    _command(60, "modes", "Find natural frequencies, damping ratios and mode shapes.", "mechanics:modes"),
-    _command(70, "kinematics", "Compute the motion that drivers prescribe, without forces.", "mechanics:kinematics"),
-    _command(80, "study", "Run a study: many variants of one spec.", "studies:study_app"),
-    _command(90, "design", "Choose numbers of a spec so that measures become small.", "designs:design"),
-    _command(100, "plot", "Plot a run, or one quantity of several runs.", "pictures:plot"),
-    _command(110, "animate", "Animate a run.", "pictures:animate"),
-    _command(120, "report", "Write a report on a run, study or design as an HTML page.", "pictures:report"),
     _command(130, "rerun", "Run the spec of an archive again and compare the results.", "runs:rerun"),
     _command(140, "guide", "List the pages of the guide, print one, or search them.", "specs:guide"),
-    _command(150, "explore", "Change numbers of a spec with sliders in the browser.", "exploring:explore"),
-    _command(160, "watch", "Show the progress of a study or design of another process.", "studies:watch"),
     Command(name="schema", summary="Print the JSON schema of a spec, for editors.", order=170),
     _command(10, "schema run", "Print the JSON schema of a run spec.", "specs:schema_run"),
-    _command(20, "schema study", "Print the JSON schema of a study spec.", "specs:schema_study"),
-    _command(30, "schema inverse", "Print the JSON schema of a spec of inverse dynamics.", "specs:schema_inverse"),
-    _command(40, "schema design", "Print the JSON schema of a design spec.", "specs:schema_design"),
     Command(name="plugins", summary="List, verify and diagnose plugins; `new` creates one.", order=180),
     _command(10, "plugins list", "List installed plugins, and those that could not be loaded.", "plugins:plugins_list"),
     _command(20, "plugins show", "Show the options, claims and references of a plugin.", "plugins:plugins_show"),
     _command(25, "plugins where", "Print the file and line of the code that a name adds.", "plugins:plugins_where"),
     _command(
-        30, "plugins verify", "Verify the claims of a plugin by the checks of mbdkit.testing.", "plugins:plugins_verify"
-    ),
-    _command(
         40, "plugins doctor", "Show the plugins, the machine code in use, and any problems.", "plugins:plugins_doctor"
     ),
-    _command(50, "plugins new", "Create the project of a new plugin in ./NAME.", "plugins:plugins_new"),
     _command(190, "examples", "List the packaged examples, or copy one.", "specs:examples_app"),
     Command(name="archive", summary="Describe, check, compare and export run archives.", order=200),
     _command(10, "archive info", "Describe run archives.", "archives:archive_info"),
@@ -90,5 +64,5 @@ COMMANDS = (
 
 @hookimpl
 def mbdkit_items() -> list[Item]:
-    """Return the commands that mbdkit ships."""
-    return list(COMMANDS)
+    """Return the commands and features that mbdkit ships."""
+    return [*COMMANDS, *builtin_features()]

@@ -28,6 +28,7 @@ if TYPE_CHECKING:
         file_error,
     )
     from mbdkit.base.files import check_output, check_suffix, replacing
+    from mbdkit.base.files_read import read_data
     from mbdkit.base.plain_data import copied, parse_path, path_text, plain, quoted, value_text
     from mbdkit.base.progress_bars import progress_bar
     from mbdkit.base.strict_model import StrictModel
@@ -78,6 +79,19 @@ if TYPE_CHECKING:
     from mbdkit.quantities.names import archive_names
     from mbdkit.quantities.states import States
     from mbdkit.quantities.table import sizes_of
+    from mbdkit.registry.feature_items import (
+        Accessor,
+        CriterionItem,
+        Example,
+        FileFormat,
+        GuidePage,
+        PlotKind,
+        ReportSection,
+        SpecKind,
+        SummaryLine,
+        TableFormat,
+        ViewItem,
+    )
     from mbdkit.registry.hookspecs import hookimpl
     from mbdkit.registry.item import Item
     from mbdkit.registry.items import (
@@ -104,8 +118,14 @@ if TYPE_CHECKING:
     from mbdkit.spec.varied_specs import VariedSpecs
     from mbdkit.spec.yaml_reader import write_yaml
     from mbdkit.trust.criteria import Evidence, Judgement, Level, judge
+    from mbdkit.trust.finding import Finding
 
 _STABLE = {
+    "mbdkit.base.files_read": "read_data",
+    "mbdkit.trust.finding": "Finding",
+    "mbdkit.registry.feature_items": "Accessor CriterionItem "
+    "Example FileFormat GuidePage PlotKind ReportSection SpecKind "
+    "SummaryLine TableFormat ViewItem",
     "mbdkit.registry.hookspecs": "hookimpl",
     "mbdkit.registry.target": "Target",
     "mbdkit.registry.item": "Item",
@@ -178,6 +198,7 @@ _HOME = {name: module for table in (_STABLE, _OWN) for module, names in table.it
 __all__ = [
     "GROUND",
     "STABLE",
+    "Accessor",
     "Accuracy",
     "Archive",
     "Array",
@@ -190,6 +211,7 @@ __all__ = [
     "CompiledMechanism",
     "CoordinateFunction",
     "Count",
+    "CriterionItem",
     "Debug",
     "DefinedMeasure",
     "Document",
@@ -197,11 +219,15 @@ __all__ = [
     "EmbeddedPair",
     "EquationsOfMotion",
     "Evidence",
+    "Example",
     "ExplicitRungeKutta",
     "ExpressionLaw",
+    "FileFormat",
+    "Finding",
     "FinishedRun",
     "ForceLawPlugin",
     "FunctionLaw",
+    "GuidePage",
     "Headline",
     "ImplicitOptions",
     "ImplicitRungeKutta",
@@ -223,6 +249,7 @@ __all__ = [
     "Orders",
     "Overwrite",
     "Pathway",
+    "PlotKind",
     "PluginError",
     "Point",
     "Positive",
@@ -231,6 +258,7 @@ __all__ = [
     "QuantityNames",
     "Quiet",
     "Recorded",
+    "ReportSection",
     "ResourceError",
     "Revolute",
     "Run",
@@ -241,6 +269,7 @@ __all__ = [
     "Segment",
     "Set",
     "SpecError",
+    "SpecKind",
     "StateObserver",
     "States",
     "StepError",
@@ -249,7 +278,9 @@ __all__ = [
     "StrictModel",
     "StrictSpec",
     "StudyPlugin",
+    "SummaryLine",
     "Table",
+    "TableFormat",
     "TableauError",
     "Tangents",
     "Target",
@@ -259,6 +290,7 @@ __all__ = [
     "Unit",
     "UnsupportedMechanismError",
     "VariedSpecs",
+    "ViewItem",
     "Workspace",
     "archive_names",
     "build",
@@ -294,6 +326,7 @@ __all__ = [
     "progress_bar",
     "put",
     "quoted",
+    "read_data",
     "read_file",
     "read_quantity",
     "read_source",

@@ -1,8 +1,12 @@
 """The conformance kit, `mbdkit_testing`, under its stable name."""
 
-import sys
+from typing import TYPE_CHECKING
 
-import mbdkit_testing
-from mbdkit_testing import *  # noqa: F403
+if TYPE_CHECKING:
+    from mbdkit_testing import *  # noqa: F403
+else:
+    import sys
 
-sys.modules[__name__] = mbdkit_testing
+    import mbdkit_testing
+
+    sys.modules[__name__] = mbdkit_testing

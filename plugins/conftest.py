@@ -28,6 +28,15 @@ def _announce(folder: Path) -> None:
         sys.path.insert(0, str(folder / "src"))
 
 
-for _project in sorted(Path(__file__).parent.glob("*/pyproject.toml")):
-    _announce(_project.parent)
-sys.path.insert(0, _METADATA.name)
+_ANNOUNCED: set[Path] = set()
+
+
+def pytest_collect_file(file_path: Path) -> None:
+    """Announce a distribution when its tests are collected; tests of mbdkit and its parts see none."""
+    here = Path(__file__).parent
+    folder = here / file_path.relative_to(here).parts[0]
+    if folder not in _ANNOUNCED and (folder / "pyproject.toml").is_file():
+        _ANNOUNCED.add(folder)
+        _announce(folder)
+        if _METADATA.name not in sys.path:
+            sys.path.insert(0, _METADATA.name)

@@ -9,24 +9,24 @@ from pathlib import Path
 import pytest
 
 MODULES = (
-    "archive.reader",
-    "archive.run",
-    "archive.run_views",
-    "mechanics.equilibrium",
-    "mechanics.kinematics",
-    "mechanics.modes",
-    "mechanism.mechanism",
-    "methods.tableau",
-    "plot.comparison",
-    "runs.prepared_run",
-    "runs.simulation",
-    "studies.carry_out",
-    "studies.study",
+    "mbdkit.archive.reader",
+    "mbdkit.archive.run",
+    "mbdkit.archive.run_views",
+    "mbdkit.mechanism.mechanism",
+    "mbdkit.methods.tableau",
+    "mbdkit.runs.prepared_run",
+    "mbdkit.runs.simulation",
+    "mbdkit_report.plot.comparison",
+    "mbdkit_statics.equilibrium",
+    "mbdkit_statics.kinematics",
+    "mbdkit_statics.modes",
+    "mbdkit_studies.carry_out",
+    "mbdkit_studies.study",
 )
 
 
 def examples(module: str) -> list[doctest.DocTest]:
-    found = doctest.DocTestFinder().find(importlib.import_module(f"mbdkit.{module}"))
+    found = doctest.DocTestFinder().find(importlib.import_module(module))
     return [one for one in found if one.examples]
 
 

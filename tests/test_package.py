@@ -5,7 +5,6 @@ from __future__ import annotations
 import importlib
 import inspect
 import json
-import pkgutil
 import re
 import subprocess
 import sys
@@ -13,11 +12,12 @@ import sys
 import pytest
 
 import mbdkit
+from tests.first_party import modules
 
 MODULES = sorted(
-    info.name
-    for info in pkgutil.walk_packages(mbdkit.__path__, "mbdkit.")
-    if not info.name.endswith("__main__") and info.name != "mbdkit.engine.kernels.element_kernels"
+    name
+    for name, path in modules().items()
+    if path.name != "__main__.py" and name != "mbdkit.engine.kernels.element_kernels" and path.parent.name != "examples"
 )
 
 

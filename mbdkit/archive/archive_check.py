@@ -8,6 +8,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
+from typing import cast
 
 import h5py
 import numpy as np
@@ -23,8 +24,9 @@ from mbdkit.base.text import listed, one_line, shown
 from mbdkit.quantities.array import FLOAT, TEXT, Array
 from mbdkit.quantities.names import AXES, COORDINATES
 from mbdkit.quantities.table import KINDS
+from mbdkit.registry.feature_items import FileFormat
+from mbdkit.registry.manager import registry
 from mbdkit.trust.criteria import LEVELS
-from mbdkit_studies.blocks import Block
 
 
 @dataclass(frozen=True)
@@ -66,23 +68,15 @@ def examine(path: str | Path) -> Checked:
     try:
         file = open_archive(path)
     except SpecError as error:
-        return _examined_block(path) or Checked([shown(error.message)])
+        for item in registry().of_kind("file-format"):
+            of_kind = cast(FileFormat, item.plugin).problems
+            if of_kind is not None and (problems := of_kind()(path)) is not None:
+                return Checked(problems, True)
+        return Checked([shown(error.message)])
     with contextlib.closing(file):
         problems = _Checker(file).problems()
         covered = layout.ATTRIBUTES_HASH in file.attrs
     return Checked(problems or _unreadable(path), covered)
-
-
-def _examined_block(path: Path) -> Checked | None:
-    """Return the result of the check of a block of runs; None if the file is not a readable block."""
-    try:
-        with Block(path) as block:
-            sound = block.is_sound()
-    except (SpecError, FileNotFoundError):
-        return None
-    return Checked(
-        [] if sound else ["its arrays, attributes or dimension scales have changed since they were written"], True
-    )
 
 
 @contextlib.contextmanager

@@ -6,13 +6,16 @@ import os
 from collections.abc import Mapping
 from contextlib import ExitStack
 from pathlib import Path
+from typing import cast
 
 from mbdkit.archive.group_table import group_names, group_table
 from mbdkit.archive.run import Run
-from mbdkit.archive.table_formats import FORMATS, ExportedTable
+from mbdkit.archive.table_formats import ExportedTable
 from mbdkit.base.errors import SpecError, file_error
 from mbdkit.base.files import check_folder, check_output, replacing
 from mbdkit.base.text import did_you_mean, listed
+from mbdkit.registry.feature_items import TableFormat
+from mbdkit.registry.manager import registry
 
 
 def export(run: Run, folder: Path, to: str, *, overwrite: bool = False) -> list[Path]:
@@ -53,8 +56,9 @@ def export(run: Run, folder: Path, to: str, *, overwrite: bool = False) -> list[
 
 def check_format(to: str) -> None:
     """Raise SpecError if there is no format of this name."""
-    if to not in FORMATS:
-        raise SpecError(f"there is no format {to!r}{did_you_mean(to, FORMATS)}; the formats are {listed(FORMATS)}")
+    names = registry().names("table-format")
+    if to not in names:
+        raise SpecError(f"there is no format {to!r}{did_you_mean(to, names)}; the formats are {listed(names)}")
 
 
 def write_tables(
@@ -82,12 +86,13 @@ def write_tables(
     MbdkitError
         If the format needs a package that is not installed.
     """
+    write = cast(TableFormat, registry().get("table-format", to).plugin).write()
     is_new = _prepare(folder, list(tables), overwrite)
     try:
         with ExitStack() as stack:
             for path, table in tables.items():
                 temporary = stack.enter_context(replacing(path, overwrite=overwrite, source=source))
-                FORMATS[to](table, temporary)
+                write(table, temporary)
     except BaseException:
         if is_new:
             folder.rmdir()

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from functools import cached_property, partial
+from functools import cached_property
 from pathlib import Path
 from types import TracebackType
-from typing import TYPE_CHECKING, Any, Literal, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import h5py
 import numpy as np
@@ -50,8 +50,9 @@ from mbdkit.base.html_view import HtmlView
 from mbdkit.mechanism.mechanism import Mechanism
 from mbdkit.quantities.array import Kind
 from mbdkit.quantities.table import BY_GROUP, BY_WORD
+from mbdkit.registry.accessors import Extensible, computed
 from mbdkit.spec import RunSpec
-from mbdkit.spec.spec_kinds import is_inverse, refused_as_run
+from mbdkit.spec.spec_kinds import kind_of, refused
 from mbdkit.trust.criteria import LEVELS, Level
 
 if TYPE_CHECKING:
@@ -80,7 +81,7 @@ class evaluated(cached_property[T]):  # noqa: N801
             return self if run is None else self.func(run)
 
 
-class Run(HtmlView):
+class Run(HtmlView, Extensible):
     """A run: its spec, status and recorded data, in SI units and radians.
 
     Arrays are read-only and are read from the archive on first use. Close the run, or use it in a `with` block, to
@@ -197,8 +198,8 @@ class Run(HtmlView):
         """
         if self._contents.run_spec is not None:
             return self._contents.run_spec
-        if self.kind == "inverse":
-            raise refused_as_run()
+        if error := refused(self.spec, "run"):
+            raise error
         spec = RunSpec(**self.spec)
         if self._mechanism.mechanism is not None and not self._mechanism.not_drawn:
             spec.adopt(self._mechanism.mechanism, self.files or ())
@@ -243,9 +244,9 @@ class Run(HtmlView):
         return self._header.provenance
 
     @property
-    def kind(self) -> Literal["forward", "inverse"]:
-        """``forward`` for the integration of a motion, ``inverse`` for inverse dynamics of a measured motion."""
-        return "inverse" if is_inverse(self.spec) else "forward"
+    def kind(self) -> str:
+        """``forward`` for the integration of a motion, ``inverse`` for inverse dynamics, or a kind of a plugin."""
+        return kind_of(self.spec).run_kind
 
     @property
     def time(self) -> np.ndarray:
@@ -467,7 +468,7 @@ class Run(HtmlView):
         """
         if muscle not in self.mechanism.muscles:
             raise UnknownNameError("muscle", muscle, list(self.mechanism.muscles))
-        arms: np.ndarray = higher_layers.moment_arms(self, muscle, coordinate)
+        arms: np.ndarray = computed(self, "moment_arms", "mbdkit-biomech")(muscle, coordinate)
         return arms
 
     @evaluated
@@ -692,7 +693,7 @@ class Run(HtmlView):
     @property
     def plot(self) -> RunPlots:
         """Plots of the run on Matplotlib axes, such as ``run.plot.reactions(joints=["knee"])``."""
-        return RunPlots(partial(higher_layers.draw_run, self))
+        return RunPlots(computed(self, "plot", "mbdkit-report"))
 
     def animate(self) -> Animation:
         """Return an animation, which notebooks show with its controls.
@@ -704,7 +705,7 @@ class Run(HtmlView):
         SpecError
             If the run has no rows.
         """
-        animation: Animation = higher_layers.animation(self)
+        animation: Animation = computed(self, "animate", "mbdkit-report")
         return animation
 
     def summary(self) -> str:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 
@@ -27,9 +27,10 @@ from mbdkit.base.text import counted, listed, shown
 from mbdkit.mechanism.beams import beam_of
 from mbdkit.mechanism.contacts import SLIP, STICK
 from mbdkit.mechanism.mechanism import gravity_text
+from mbdkit.registry.feature_items import SummaryLine
+from mbdkit.registry.manager import registry
 from mbdkit.spec.formulation_choice import name_of
 from mbdkit.trust.criteria import NOTHING_SUSPICIOUS, rounding
-from mbdkit_biomech.inverse_dynamics.inverse_summary import inverse_lines, times_of_unknown_errors
 
 if TYPE_CHECKING:
     from mbdkit.archive.history import Impacts
@@ -68,7 +69,7 @@ def summary(run: Run) -> str:
 def summary_lines(run: Run) -> list[tuple[str, str]]:
     """Return the lines of the summary of a run, each with its label; continuation lines have none."""
     spec = run.spec
-    lines = [
+    first = [
         *verdict_lines(run),
         ("run", " ".join(str(spec.get("title") or "").split())),
         *answer_lines(run),
@@ -92,7 +93,8 @@ def summary_lines(run: Run) -> list[tuple[str, str]]:
         ("singularity", _singularity(run)),
         ("energy", _energy(run)),
         ("drivers", _drivers(run)),
-        *inverse_lines(run),
+    ]
+    last = [
         ("muscles", _muscles(run)),
         ("", _far_fibers(run)),
         ("contact", _contact_forces(run)),
@@ -103,7 +105,8 @@ def summary_lines(run: Run) -> list[tuple[str, str]]:
         ("counters", _counters(run.stats)),
         ("archive", "in memory" if run.path is None else str(run.path)),
     ]
-    return [(label, text) for label, text in lines if text]
+    added = [line for item in registry().of_kind("summary-line") for line in cast(SummaryLine, item.plugin).text()(run)]
+    return [(label, text) for label, text in [*first, *added, *last] if text]
 
 
 def verdict_lines(run: Run) -> list[tuple[str, str]]:
@@ -126,9 +129,29 @@ def without_suspicion(run: Run) -> str:
     estimated = run.verdict == "good" or (run.kind == "inverse" and run.accuracy is not None)
     if not estimated:
         return NOTHING_SUSPICIOUS
-    unknown = f"those {times}" if run.kind == "inverse" and (times := times_of_unknown_errors(run)) else ""
+    unknown = f"those {times}" if run.kind == "inverse" and (times := _times_of_unknown_errors(run)) else ""
     excluded = " and ".join(filter(None, (excluded_error(run), unknown)))
     return f"errors estimated{f', except {excluded}; ' if excluded else ', '}nothing suspicious seen"
+
+
+def known_rows(run: Run) -> np.ndarray:
+    """Return the rows (T,) in which all errors are known, or not estimated."""
+    errors = [] if run.accuracy is None else [run.accuracy.reaction_error]
+    errors += [run.array("actuators/value_error")] if errors and run.records("actuators/value_error") else []
+    known = np.ones(len(run.time), dtype=bool)
+    for one in errors:
+        known &= ~np.any(np.isnan(one), axis=1)
+    return known
+
+
+def _times_of_unknown_errors(run: Run) -> str:
+    """Return a phrase with the times at which errors of inverse dynamics are unknown; empty if all are known."""
+    borders = np.flatnonzero(np.diff(np.concatenate([[True], known_rows(run), [True]])))
+    spans = [
+        f"from t = {run.time[first]:.6g} to {run.time[end - 1]:.6g} s" for first, end in borders.reshape(-1, 2).tolist()
+    ]
+    more = f" and in {len(spans) - JOINTS_NAMED} more intervals" if len(spans) > JOINTS_NAMED else ""
+    return ", ".join(spans[:JOINTS_NAMED]) + more
 
 
 def _named(spec: Mapping[str, Any], kind: str) -> str:

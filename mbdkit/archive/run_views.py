@@ -18,7 +18,9 @@ BeamForce = Literal["moment", "shear", "axial"]
 
 
 class Animation(Protocol):
-    """An animation of a run, which notebooks show with its controls; see `mbdkit_report.notebook.animation.Animation`."""
+    """An animation of a run, which notebooks show with its controls; see
+    `mbdkit_report.notebook.animation.Animation`.
+    """
 
     def save(self, path: str | os.PathLike[str]) -> Path:
         """Write the animation to a file ending in .gif, .html or .mp4, and return its path."""

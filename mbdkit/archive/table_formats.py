@@ -1,13 +1,13 @@
 """Writes a table, such as a group of a run, as CSV, Parquet, MATLAB file, OpenSim storage or JSON.
 
-To add a format, write its function and add it to `FORMATS`.
+To add a format, write its function and an item `mbdkit.plugin.TableFormat`.
 """
 
 from __future__ import annotations
 
 import csv
 import re
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -145,16 +145,6 @@ def write_parquet(table: ExportedTable, path: Path) -> None:
     with parquet.ParquetWriter(path, schema) as writer:
         for time, values in table.blocks():
             writer.write_table(pyarrow.table([time, *values], schema=schema))
-
-
-FORMATS: Mapping[str, Callable[[ExportedTable, Path], None]] = {
-    "csv": write_csv,
-    "parquet": write_parquet,
-    "mat": write_mat,
-    "sto": write_sto,
-    "json": write_json,
-}
-"""Functions that write a table to a file, by name of the format; this name is also the suffix of the file."""
 
 
 def _names_and_units(table: ExportedTable) -> Iterator[tuple[str, str]]:

@@ -171,6 +171,21 @@ def _place_of(error: BaseException) -> str:
     return place
 
 
+class MissingPartError(MbdkitError, ImportError):
+    """A part of mbdkit is needed that is not installed.
+
+    Parameters
+    ----------
+    wanted
+        What needs the part.
+    part
+        The part, such as ``mbdkit-studies``.
+    """
+
+    def __init__(self, wanted: str, part: str):
+        super().__init__(f"{wanted} needs {part}, a part of mbdkit that is not installed")
+
+
 class RunError(MbdkitError):
     """A run did not complete; raised by `Run.check`."""
 

@@ -27,15 +27,6 @@ check_gradients: Callable[[Any, Any], None]
 gradients_json: Callable[[Any], str]
 """Returns the gradients requested by a run spec, in the form stored in its archive."""
 
-draw_run: Callable[..., Any]
-"""Draws a plot of a given kind for a run on axes, and returns the axes; see `mbdkit.archive.run_views.RunPlots`."""
-
-animation: Callable[[Any], Any]
-"""Returns the animation of a run; see `mbdkit.archive.run_views.Animation`."""
-
-moment_arms: Callable[[Any, str, str], Any]
-"""Returns the moment arms of a muscle about a coordinate at the recorded times of a run."""
-
 run_summary: Callable[[Any], str]
 """Returns the summary of a run as lines of text."""
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, cast
 
 import typer
 
@@ -101,12 +101,14 @@ def archive_export(
     """
     from mbdkit.archive.changed_contents import opened
     from mbdkit.archive.export import export
-    from mbdkit_studies.carry_out import load_study
-    from mbdkit_studies.runs_table import export_runs
+    from mbdkit.registry.feature_items import FileFormat
+    from mbdkit.registry.manager import registry
 
     folder = output if output is not None else archive.with_name(f"{archive.stem}-{to}")
-    if archive.is_dir() and (archive / "study.yaml").is_file():
-        files = export_runs(load_study(archive), folder, to, overwrite=overwrite)
+    formats = [cast(FileFormat, item.plugin) for item in registry().of_kind("file-format")]
+    kind = FileFormat.of_folder(archive, formats) if archive.is_dir() else None
+    if kind is not None and kind.export is not None:
+        files = kind.export()(archive, folder, to, overwrite=overwrite)
     else:
         with opened(archive) as loaded:
             files = export(loaded, folder, to, overwrite=overwrite)

@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 import inspect
-import os
-import sys
 from collections.abc import Callable
 from dataclasses import dataclass, fields, is_dataclass
 from functools import wraps
 from pathlib import Path
-from typing import Annotated, Any, Literal, get_type_hints
+from typing import Annotated, Any, get_type_hints
 
 import typer
 
@@ -42,10 +40,6 @@ AnySpecName = Annotated[
         metavar="SPEC", help="A YAML, TOML or JSON file, - for stdin, or a packaged example or study, such as knee."
     ),
 ]
-StudyName = Annotated[
-    str,
-    typer.Argument(metavar="SPEC", help="A YAML, TOML or JSON file, - for stdin, or a packaged study such as paper."),
-]
 Archive = Annotated[Path, typer.Argument(metavar="FILE.h5", help="A run archive.")]
 Archives = Annotated[list[Path], typer.Argument(metavar="FILE.h5", help="Run archives.")]
 Set = Annotated[
@@ -58,14 +52,6 @@ MotionSet = Annotated[
         "--set", metavar="KEY=VALUE", help="Set a key of the spec, such as motion.smooth.cutoff=6; may be repeated."
     ),
 ]
-BaseSet = Annotated[
-    list[str] | None,
-    typer.Option(
-        "--set",
-        metavar="KEY=VALUE",
-        help="Set a key in the base of every run, such as time.end=5, or of the sample (sample.n=64); may be repeated.",
-    ),
-]
 AsJson = Annotated[bool, typer.Option("--json", help="Print one JSON object on stdout.")]
 Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Print nothing but errors.")]
 Overwrite = Annotated[bool, typer.Option("--overwrite", help="Replace an existing file when the new one is complete.")]
@@ -74,54 +60,6 @@ Files = Annotated[
     typer.Option("--files", help="Read the files that the spec in the archive names, if they have the same SHA-256."),
 ]
 Debug = Annotated[bool, typer.Option("--debug", callback=_set_debug, help="Show the traceback of an error.")]
-Workers = Annotated[
-    int | None,
-    typer.Option(
-        "--workers",
-        min=1,
-        metavar="N",
-        help="Number of processes (by default one per core) or, with submitit, of jobs (by default up to 100).",
-    ),
-]
-ExecutorName = Annotated[
-    Literal["local", "dask", "submitit"],
-    typer.Option(
-        "--executor",
-        help="Where runs are computed: by processes of this machine, a Dask cluster, or jobs of Slurm (submitit).",
-    ),
-]
-Scheduler = Annotated[
-    str | None,
-    typer.Option(
-        "--scheduler",
-        metavar="ADDRESS",
-        help=(
-            "With dask: address of the scheduler, or its scheduler file; by default, Dask runs on this machine. "
-            "With submitit: slurm (default), or local, which runs the jobs on this machine for tests."
-        ),
-    ),
-]
-Slurm = Annotated[
-    list[str] | None,
-    typer.Option(
-        "--slurm", metavar="K=V", help="With submitit: an option of sbatch, such as time=60. Can be repeated."
-    ),
-]
-
-
-@dataclass
-class Cluster:
-    """Options of a command whose runs may be computed on other machines."""
-
-    executor: ExecutorName = "local"
-    scheduler: Scheduler = None
-    slurm: Slurm = None
-
-    def asked(self, workers: int | None) -> Any:
-        """Return these options in the form required by `mbdkit_studies.executors`."""
-        from mbdkit_studies.executors import Asked
-
-        return Asked(self.executor, self.scheduler, tuple(self.slurm or ()), workers)
 
 
 @dataclass
@@ -176,8 +114,3 @@ def check_new(path: Path, source: str, overwrite: bool) -> None:
     from mbdkit.archive.part_file import check_target
 
     check_target(path, overwrite=overwrite, source=source)
-
-
-def cores() -> int:
-    """Return the number of cores that this process may use."""
-    return len(os.sched_getaffinity(0)) if sys.platform == "linux" else os.cpu_count() or 1

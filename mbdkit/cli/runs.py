@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -29,14 +30,13 @@ from mbdkit.cli.common_options import (
     stem,
 )
 from mbdkit.cli.outcome import exit_with, tell
-from mbdkit_biomech.commands import repeated_inverse, validate_inverse
-from mbdkit_design.commands import validate_design
 
 if TYPE_CHECKING:
     from mbdkit.archive.run import Run
     from mbdkit.engine.assembly import AssembledState
     from mbdkit.engine.workspace import Workspace
     from mbdkit.spec import RunSpec
+    from mbdkit.spec.reading import Document
 
 BODIES_SHOWN = 20
 
@@ -139,31 +139,22 @@ def validate(spec: AnySpecName, assignments: Set = None, debug: Debug = False) -
     study, the expressions of its measures and the specs of all runs are checked (a few of
     them if many runs share a file); --set changes the base of every run.
     """
-    from mbdkit.spec import load_spec
     from mbdkit.spec.loading import read_source
-    from mbdkit.spec.spec_kinds import is_inverse
-    from mbdkit_studies.study_loading import load_study_spec, recognized
+    from mbdkit.spec.spec_kinds import kind_of, spec_kinds
 
-    source, is_study = recognized(spec)
-    if is_study:
-        from mbdkit_studies.study_blocks import is_for_blocks
-        from mbdkit_studies.study_plan import plan_study
-        from mbdkit_studies.study_summary import plan_summary
+    if spec != "-" and not os.path.isfile(spec):
+        for kind in spec_kinds():
+            if kind.is_packaged is not None and kind.is_packaged()(spec):
+                return kind.validate()(spec, spec, assignments or [])
+    document = read_source(spec)
+    return kind_of(document.data).validate()(document, spec, assignments or [])
 
-        study = load_study_spec(source, assignments or ())
-        plan = plan_study(study.stored_as(study.store or "all") if is_for_blocks(study) else study)
-        for warning in plan.warnings():
-            say(f"warning: {warning}")
-        show(f"{spec}: this study is valid\n{plan_summary(plan)}")
-        return
-    document = read_source(source)
-    if "mbdkit_design" in document.data:
-        validate_design(document, spec, assignments or [])
-        return
-    if is_inverse(document.data):
-        validate_inverse(document, spec, assignments or [])
-        return
-    checked = load_spec(document, assignments or ())
+
+def validate_run(source: Document, spec: str, assignments: list[str]) -> None:
+    """Check a run spec, build its mechanism, and print what it defines."""
+    from mbdkit.spec import load_spec
+
+    checked = load_spec(source, assignments)
     from mbdkit.base.errors import SpecError
     from mbdkit.engine.spanning_tree import cut_joints
     from mbdkit.mechanism.mechanism import gravity_text
@@ -290,20 +281,25 @@ def rerun(
 def _repeated(before: Run, archive: Path, output: Path | None, *, overwrite: bool, quiet: bool) -> Run:
     """Repeat the run in an archive."""
     from mbdkit.base.errors import SpecError
+    from mbdkit.spec.spec_kinds import kind_of_runs
+
+    try:
+        repeat = kind_of_runs(before.kind).repeat
+        if repeat is None:
+            raise SpecError(f"runs of the kind '{before.kind}' cannot be computed again")
+        with progress_bar(archive.name, quiet) as progress:
+            repeated: Run = repeat()(before, archive, output, overwrite=overwrite, progress=progress)
+            return repeated
+    except SpecError as error:
+        raise error.located(file=archive) from error
+
+
+def repeat_run(before: Run, archive: Path, output: Path | None, *, overwrite: bool, progress: Any) -> Run:
+    """Run the spec of an archive again."""
     from mbdkit.runs.simulation import simulate
     from mbdkit.spec import load_spec
 
-    try:
-        if before.kind == "inverse":
-            return repeated_inverse(before, archive, output, overwrite=overwrite)
-        checked = load_spec(before.spec)
-    except SpecError as error:
-        raise error.located(file=archive) from error
-    with progress_bar(archive.name, quiet) as progress:
-        try:
-            return simulate(checked, path=output, overwrite=overwrite, progress=progress)
-        except SpecError as error:
-            raise error.located(file=archive) from error
+    return simulate(load_spec(before.spec), path=output, overwrite=overwrite, progress=progress)
 
 
 @contextmanager

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated
 
 import typer
 
@@ -26,36 +26,6 @@ def schema_run(debug: Debug = False) -> None:
     show_json(run_schema(), indent=2)
 
 
-def schema_study(debug: Debug = False) -> None:
-    """Print the JSON schema of a study spec.
-
-    It contains the options of all installed models and integrators.
-    """
-    from mbdkit.spec.schema import study_schema
-
-    show_json(study_schema(), indent=2)
-
-
-def schema_inverse(debug: Debug = False) -> None:
-    """Print the JSON schema of a spec of inverse dynamics.
-
-    It contains the options of all installed models and force laws.
-    """
-    from mbdkit.spec.schema import inverse_schema
-
-    show_json(inverse_schema(), indent=2)
-
-
-def schema_design(debug: Debug = False) -> None:
-    """Print the JSON schema of a design spec.
-
-    It contains the options of all installed models, integrators and force laws.
-    """
-    from mbdkit.spec.schema import design_schema
-
-    show_json(design_schema(), indent=2)
-
-
 @examples_app.callback(invoke_without_command=True)
 def examples(context: typer.Context, debug: Debug = False) -> None:
     """List the packaged examples, specs and notebooks.
@@ -67,15 +37,14 @@ def examples(context: typer.Context, debug: Debug = False) -> None:
         return
     from mbdkit.spec.example_notebooks import notebook_names, notebook_title
     from mbdkit.spec.loading import example_names, read_source  # no validation, because it would import plugins
+    from mbdkit.spec.spec_kinds import spec_kinds
 
-    kinds: list[tuple[str, Literal["run", "inverse", "design"]]] = [
-        ("RUN", "run"),
-        ("INVERSE DYNAMICS", "inverse"),
-        ("DESIGN", "design"),
-    ]
     rows: list[tuple[str, str]] = []
-    for heading, kind in kinds:
-        rows += [(heading, "TITLE"), *((name, read_source(name).data["title"]) for name in example_names(kind))]
+    for kind in sorted(spec_kinds(), key=lambda kind: bool(kind.marker)):  # run specs first
+        if not kind.heading:
+            continue
+        titles = ((name, read_source(name).data["title"]) for name in example_names(kind.name))
+        rows += [(kind.heading, "TITLE"), *titles]
         rows.append(("", ""))
     show(table([*rows, ("NOTEBOOK", "TITLE"), *((name, notebook_title(name)) for name in notebook_names())]))
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from types import MappingProxyType
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -11,9 +12,12 @@ from mbdkit.base.errors import SpecError
 from mbdkit.base.plain_data import path_text
 from mbdkit.expressions.program import Program
 from mbdkit.measures.measure_expression import MeasureExpression
-from mbdkit.spec import InverseSpec, RunSpec
+from mbdkit.spec import RunSpec
 from mbdkit.spec.model_spec import ModelSpec
 from mbdkit.stepping.dual_run import Seeds
+
+if TYPE_CHECKING:
+    pass
 
 Measures = str | Sequence[str] | Mapping[str, str | Mapping[str, str]]
 """One expression, several, or expressions by name, as in the section `measures` of a spec."""
@@ -24,7 +28,7 @@ Definitions = Mapping[str, tuple[str, str]]
 NO_MEASURES: Definitions = MappingProxyType({})
 
 
-def definitions_of(spec: RunSpec | InverseSpec, measures: Measures) -> Definitions:
+def definitions_of(spec: ModelSpec, measures: Measures) -> Definitions:
     """Return the definitions of measures; names of measures of a spec may stand for their expressions.
 
     Raises SpecError if there are no measures, or if a name stands for a measure of a plugin.

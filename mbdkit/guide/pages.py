@@ -1,13 +1,15 @@
-"""The pages of the guide: every Markdown file in this folder is a page, which `mbdkit guide` finds by its name."""
+"""The pages of the guide, which `mbdkit guide` finds by their names: Markdown files of this folder and of plugins."""
 
 from __future__ import annotations
 
-import importlib.resources
 import re
 from dataclasses import dataclass
+from typing import cast
 
 from mbdkit.base.errors import SpecError
 from mbdkit.base.text import did_you_mean, listed
+from mbdkit.registry.feature_items import GuidePage
+from mbdkit.registry.manager import registry
 
 
 @dataclass(frozen=True)
@@ -36,9 +38,8 @@ class Page:
 
 def pages() -> dict[str, Page]:
     """Return all pages by topic, in alphabetical order."""
-    files = sorted(importlib.resources.files(__package__).iterdir(), key=lambda file: file.name)
-    topics = {file.name.removesuffix(".md"): file for file in files if file.name.endswith(".md")}
-    return {topic: Page(topic, file.read_text(encoding="utf-8")) for topic, file in topics.items()}
+    files = {item.name: cast(GuidePage, item.plugin).file for item in registry().of_kind("guide-page")}
+    return {topic: Page(topic, files[topic].read_text(encoding="utf-8")) for topic in sorted(files)}
 
 
 @dataclass(frozen=True)

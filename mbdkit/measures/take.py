@@ -14,7 +14,8 @@ from mbdkit.engine.compile_mechanism import characteristic_length
 from mbdkit.measures.measure_expression import MeasureExpression
 from mbdkit.measures.natural_size import natural_scales, natural_size
 from mbdkit.registry.items import MeasurePlugin
-from mbdkit.spec import InverseSpec, RunSpec
+from mbdkit.spec import RunSpec
+from mbdkit.spec.model_spec import ModelSpec
 from mbdkit.spec.study_measures import DefinedMeasure
 from mbdkit.trust.measure_error import measure_error
 
@@ -30,7 +31,7 @@ class Description:
     long_name: str
 
 
-def describe(measure: DefinedMeasure, spec: RunSpec | InverseSpec) -> Description:
+def describe(measure: DefinedMeasure, spec: ModelSpec) -> Description:
     """Check a measure for the runs of a spec, and return its unit and description.
 
     Raises
@@ -46,12 +47,12 @@ def describe(measure: DefinedMeasure, spec: RunSpec | InverseSpec) -> Descriptio
     return Description(plugin.units, plugin.summary)
 
 
-def is_taken(measure: DefinedMeasure, spec: RunSpec | InverseSpec) -> bool:
+def is_taken(measure: DefinedMeasure, spec: ModelSpec) -> bool:
     """Return whether a measure is computed for the runs of a spec."""
-    return not measure.of_base or measure.name in spec.measures
+    return not measure.of_base or any(own.name == measure.name for own in spec.defined_measures())
 
 
-def check_measures(spec: RunSpec | InverseSpec) -> None:
+def check_measures(spec: ModelSpec) -> None:
     """Raise SpecError, with the key below ``measures``, if the expression of a measure is not valid for the spec."""
     for measure in spec.defined_measures():
         try:
@@ -60,7 +61,7 @@ def check_measures(spec: RunSpec | InverseSpec) -> None:
             raise spec.placed(error.located(prefix=path_text(measure.place))) from None
 
 
-def take(measure: DefinedMeasure, run: Run, spec: RunSpec | InverseSpec) -> float:
+def take(measure: DefinedMeasure, run: Run, spec: ModelSpec) -> float:
     """Return the value of a measure for a run; nan if only another base spec of the study defines the measure.
 
     Parameters
@@ -88,7 +89,7 @@ def take(measure: DefinedMeasure, run: Run, spec: RunSpec | InverseSpec) -> floa
             raise PluginError(f"measure {measure.item.id} returned an object of type {what}, not a number") from None
 
 
-def error_of(measure: DefinedMeasure, value: float, run: Run, spec: RunSpec | InverseSpec) -> float:
+def error_of(measure: DefinedMeasure, value: float, run: Run, spec: ModelSpec) -> float:
     """Return the estimated error of the value of a measure; nan if unknown, as without `check` and for measures of
     plugins.
     """
@@ -103,7 +104,7 @@ def error_of(measure: DefinedMeasure, value: float, run: Run, spec: RunSpec | In
     return measure_error(value, [one / unit.factor for one in compared], natural_size(unit, *scales))
 
 
-def _contacts_are_undecided(run: Run, spec: RunSpec | InverseSpec) -> bool:
+def _contacts_are_undecided(run: Run, spec: ModelSpec) -> bool:
     """Return whether the errors of a run with rigid contacts are unknown at its end.
 
     The order of impacts may then be undecided. The comparison runs may choose the same order as the run, so that the
@@ -113,19 +114,19 @@ def _contacts_are_undecided(run: Run, spec: RunSpec | InverseSpec) -> bool:
     return isinstance(spec, RunSpec) and spec.has_rigid_contacts and accuracy is not None and not accuracy.is_complete
 
 
-def has_error(measure: DefinedMeasure, spec: RunSpec | InverseSpec) -> bool:
+def has_error(measure: DefinedMeasure, spec: ModelSpec) -> bool:
     """Return whether a measure of the runs of a spec has an error estimate, which may be nan."""
     return isinstance(spec, RunSpec) and spec.check and measure.item is None and is_taken(measure, spec)
 
 
-def with_error(measure: DefinedMeasure, run: Run, spec: RunSpec | InverseSpec) -> dict[str, float]:
+def with_error(measure: DefinedMeasure, run: Run, spec: ModelSpec) -> dict[str, float]:
     """Return the value of a measure and, if the run has a check, its estimated error, by names of columns."""
     value = take(measure, run, spec)
     errors = {measure.name + ERROR: error_of(measure, value, run, spec)} if has_error(measure, spec) else {}
     return {measure.name: value} | errors
 
 
-def take_all(run: Run, spec: RunSpec | InverseSpec) -> MeasuredValues:
+def take_all(run: Run, spec: ModelSpec) -> MeasuredValues:
     """Return the values of the measures of a run spec; if the measure of a plugin fails, nan with the reason."""
     values, units, reasons, errors, remarks = {}, {}, {}, {}, {}
     for measure in spec.defined_measures():
@@ -141,7 +142,7 @@ def take_all(run: Run, spec: RunSpec | InverseSpec) -> MeasuredValues:
     return MeasuredValues(values, units, reasons, errors, remarks)
 
 
-def _of_extrema(measure: DefinedMeasure, run: Run, spec: RunSpec | InverseSpec) -> list[str]:
+def _of_extrema(measure: DefinedMeasure, run: Run, spec: ModelSpec) -> list[str]:
     """Return a remark if recorded rows exceed an extremum of the motion between the ends of steps, or if an extremum
     lies at the end of a run.
     """
@@ -150,7 +151,7 @@ def _of_extrema(measure: DefinedMeasure, run: Run, spec: RunSpec | InverseSpec) 
     return MeasureExpression.parse(measure.expression, spec, measure.unit).remarks(run)
 
 
-def _why_unknown(measure: DefinedMeasure, error: float, run: Run, spec: RunSpec | InverseSpec) -> list[str]:
+def _why_unknown(measure: DefinedMeasure, error: float, run: Run, spec: ModelSpec) -> list[str]:
     """Return a remark if the error of a measure is unknown although the run has a check."""
     if not (isinstance(spec, RunSpec) and spec.check and math.isnan(error)):
         return []

@@ -54,23 +54,6 @@ MODELS = (
         references="REFERENCES",
     ),
     _model(
-        60,
-        "leg",
-        "One or two legs of thigh, shank and foot, scaled by body mass and height, on a fixed hip or on a free trunk.",
-        "leg",
-        "LegOptions",
-        references="REFERENCES",
-    ),
-    _model(
-        70,
-        "leg-four-bar",
-        "The same leg with a knee that is a crossed four-bar linkage.",
-        "leg",
-        "LegFourBarOptions",
-        "build_four_bar",
-        "FOUR_BAR_REFERENCES",
-    ),
-    _model(
         80, "mechanism", "Any mechanism of named bodies, joints, drivers and forces.", "free_form", "MechanismOptions"
     ),
 )

@@ -14,13 +14,11 @@ from mbdkit.base.text import did_you_mean, listed, table
 from mbdkit.registry.catalogue import KINDS, MBDKIT, Registered, Registry, Report
 from mbdkit.registry.item import Plugin
 from mbdkit.registry.item_options import named_options
-from mbdkit.registry.items import Command
 from mbdkit.registry.manager import registry
 from mbdkit.registry.policy import API
 
 Schema = dict[str, Any]
 WIDTH = 80
-PAGES = 3  # number of pages of the guide that are named for an item; those with the closest hits
 DEEPEST = 6  # largest number of levels of nested options, because the options of a plugin may be recursive
 
 
@@ -59,58 +57,6 @@ def find(name: str, installed: Registry | None = None) -> list[Registered]:
         names = list(dict.fromkeys(name for kind in kinds for name in installed.names(kind)))
         raise SpecError(f"there is no plugin '{name}'{did_you_mean(name, names)}; installed: {listed(names)}")
     return items
-
-
-def whereabouts(name: str, installed: Registry | None = None) -> dict[str, Any]:
-    """Return the items of any kind with a name, and for each the files and lines of its code and of its description.
-
-    Raises
-    ------
-    SpecError
-        If there is no such item.
-    """
-    from mbdkit.guide.pages import search
-    from mbdkit.registry.whereabouts import places
-
-    installed = installed or registry()
-    items = [item for item in installed.items if name in (item.id, item.name)]
-    if not items:
-        names = list(dict.fromkeys(item.name for item in installed.items))
-        raise SpecError(f"there is no item '{name}'{did_you_mean(name, names)}; see `mbdkit plugins list`")
-    return {
-        "items": [
-            {
-                "id": item.id,
-                "kind": item.kind,
-                "summary": item.plugin.summary,
-                "help": _help(item),
-                "entry_point": item.origin.entry_point,
-                "places": [place._asdict() for place in places(item)],
-                "guide": list(dict.fromkeys(hit.topic for hit in search(_guide_words(item))))[:PAGES],
-            }
-            for item in items
-        ]
-    }
-
-
-def whereabouts_text(found: Mapping[str, Any]) -> str:
-    """Return the result of `whereabouts` as text."""
-    lines = []
-    for item in found["items"]:
-        lines += [f"{item['id']} ({item['kind']}): {item['summary']}"]
-        lines += [f"  {place['field']}: {place['file']}:{place['line']}" for place in item["places"]]
-        lines += [f"  entry point: {item['entry_point']}", f"  help: {item['help']}"]
-        lines += [f"  guide: {listed(item['guide'])}"] if item["guide"] else []
-    return "\n".join(lines)
-
-
-def _help(item: Registered) -> str:
-    """Return the command that prints the help on an item."""
-    return f"mbdkit {item.name} --help" if isinstance(item.plugin, Command) else f"mbdkit plugins show {item.id}"
-
-
-def _guide_words(item: Registered) -> str:
-    return f"mbdkit {item.name}" if isinstance(item.plugin, Command) else item.name
 
 
 def details(item: Registered) -> dict[str, Any]:

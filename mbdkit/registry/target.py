@@ -7,7 +7,7 @@ import pkgutil
 import re
 from typing import Any, Generic, TypeVar
 
-from mbdkit.base.errors import PluginError, in_this_process, with_place
+from mbdkit.base.errors import MbdkitError, PluginError, in_this_process, with_place
 
 T = TypeVar("T")
 
@@ -58,6 +58,8 @@ class Target(Generic[T]):
             except KeyboardInterrupt:
                 raise
             except BaseException as error:  # a module may raise any exception, including SystemExit
+                if type(error) is MbdkitError:  # the installation or the environment is wrong
+                    raise
                 sentence = with_place(error)
                 raise PluginError(f"{self._distribution()} does not provide '{self.where}': {sentence}") from error
             if self.type is not None and not isinstance(value, self.type):

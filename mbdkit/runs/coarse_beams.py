@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from mbdkit.engine.compiled_mechanism import CompiledMechanism
     from mbdkit.mechanism.mechanism import Mechanism
     from mbdkit.quantities.states import States
+    from mbdkit.spec import RunSpec
     from mbdkit.trust.energy_record import EnergyRecord
 
 TURN = 0.75
@@ -94,9 +95,9 @@ class CoarseBeams:
         self._beams = [_WatchedBeam(name, beam, compiled) for name, beam in mechanism.beams.items()]
 
     @classmethod
-    def of(cls, mechanism: Mechanism, compiled: CompiledMechanism) -> CoarseBeams | None:
+    def of(cls, spec: RunSpec, compiled: CompiledMechanism, _size: float) -> CoarseBeams | None:
         """Return the `CoarseBeams` of a mechanism; None if it has no beams."""
-        return cls(mechanism, compiled) if mechanism.beams else None
+        return cls(spec.mechanism(), compiled) if spec.mechanism().beams else None
 
     def add(self, states: States) -> None:
         """Take note of states."""

@@ -48,7 +48,7 @@ class CoincidentEnds:
         self._last = np.zeros((0, len(names), 4))
 
     @classmethod
-    def of(cls, spec: RunSpec, compiled: CompiledMechanism) -> CoincidentEnds | None:
+    def of(cls, spec: RunSpec, compiled: CompiledMechanism, _size: float) -> CoincidentEnds | None:
         """Return the forces that are watched in a run; None if there are none, or if rows skip ends of steps."""
         columns = {one.name: column for column, one in enumerate(compiled.forces)}
         forces = spec.mechanism().forces

@@ -11,6 +11,7 @@ from mbdkit.engine.stored_arrays import fill
 if TYPE_CHECKING:
     from mbdkit.engine.compiled_mechanism import CompiledMechanism
     from mbdkit.quantities.states import States
+    from mbdkit.spec import RunSpec
     from mbdkit.trust.energy_record import EnergyRecord
 
 DEEP = 0.5
@@ -36,7 +37,7 @@ class DeepOverlaps:
         self._depth, self._time = np.zeros((2, len(self._pairs)))
 
     @classmethod
-    def of(cls, compiled: CompiledMechanism) -> DeepOverlaps | None:
+    def of(cls, _spec: RunSpec, compiled: CompiledMechanism, _size: float) -> DeepOverlaps | None:
         """Return the `DeepOverlaps` of a mechanism; None if it has no contacts of circles."""
         return cls(compiled) if any(one.pair.radius > 0.0 for one in compiled.contacts) else None
 

@@ -486,7 +486,7 @@ class _Group:
         begin = time.perf_counter()
         worst, extremes = recorded
         ending = "complete", ""
-        questions = doubts(member.spec, warnings), accepted_doubts(member.spec)
+        questions = doubts(member.spec, warnings), accepted_doubts(member.spec, warnings)
         judgement = judge(evidence_of_run(extremes, steps, ending, worst, member.size, *questions))
         if _LOG.isEnabledFor(logging.INFO):
             _LOG.info("run %s ends: complete, verdict %s", member.spec.run_id(), judgement.level)

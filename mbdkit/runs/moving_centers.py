@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from mbdkit.engine.compiled_mechanism import CompiledMechanism
     from mbdkit.mechanism.mechanism import Mechanism
     from mbdkit.quantities.states import States
+    from mbdkit.spec import RunSpec
     from mbdkit.trust.energy_record import EnergyRecord
 
 
@@ -32,9 +33,9 @@ class MovingCenters:
         self._reached = np.tile([[np.inf], [-np.inf]], len(self._joints))
 
     @classmethod
-    def of(cls, mechanism: Mechanism, compiled: CompiledMechanism) -> MovingCenters | None:
+    def of(cls, spec: RunSpec, compiled: CompiledMechanism, _size: float) -> MovingCenters | None:
         """Return the `MovingCenters` of a mechanism; None if no joint has a moving center."""
-        return cls(mechanism) if len(compiled.topology.centers) else None
+        return cls(spec.mechanism()) if len(compiled.topology.centers) else None
 
     def add(self, states: States) -> None:
         """Take note of states."""

@@ -20,8 +20,8 @@ from mbdkit.runs.simulation import simulate
 from mbdkit.spec import RunSpec, load_spec
 from mbdkit.spec.key_words import keys_ending_in
 from mbdkit.spec.loading import RunSource, Sections
+from mbdkit.spec.reading import variable_path
 from mbdkit.spec.varied_specs import VariedSpecs
-from mbdkit_design.design_spec import variable_path
 
 LONG = 15_000
 """Runs are computed by the vectorized loop until one takes more evaluations times bodies than this.

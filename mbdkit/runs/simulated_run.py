@@ -451,7 +451,13 @@ class SimulatedRun:
         # notes about the treatment of contacts, which do not question the result
         self.warnings = (*self.warnings, *notes)
         evidence = evidence_of_run(
-            self.recorder, steps, ending, misalignment_max, self.size, questions, accepted_doubts(self.spec)
+            self.recorder,
+            steps,
+            ending,
+            misalignment_max,
+            self.size,
+            questions,
+            accepted_doubts(self.spec, self.warnings),
         )
         errors, totals = None, {} if self.integrals is None else self.integrals.totals(self.recorder.of_event)
         if self.accuracy is not None:

@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     from mbdkit.engine.compiled_mechanism import CompiledMechanism
     from mbdkit.mechanism.mechanism import Mechanism
     from mbdkit.quantities.states import States
+    from mbdkit.spec import RunSpec
     from mbdkit.trust.energy_record import EnergyRecord
 
 MISSING = 0.1
@@ -81,8 +82,9 @@ class SlowFriction:
         self._peak = np.zeros(len(self._elements))
 
     @classmethod
-    def of(cls, mechanism: Mechanism, compiled: CompiledMechanism, size: float) -> SlowFriction | None:
+    def of(cls, spec: RunSpec, compiled: CompiledMechanism, size: float) -> SlowFriction | None:
         """Return the `SlowFriction` of a mechanism; None if it has no friction that depends on the slip velocity."""
+        mechanism = spec.mechanism()
         has_contacts = bool(mechanism.contacts) and not compiled.contact_treatment.is_rigid
         return cls(mechanism, compiled, size) if compiled.friction or has_contacts else None
 

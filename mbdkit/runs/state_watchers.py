@@ -2,20 +2,19 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, Protocol
+from collections.abc import Iterable
+from typing import TYPE_CHECKING, Any, Protocol, cast
 
 from mbdkit.quantities.states import States
-from mbdkit.runs.coarse_beams import CoarseBeams
-from mbdkit.runs.coincident_ends import CoincidentEnds
-from mbdkit.runs.deep_overlaps import DeepOverlaps
-from mbdkit.runs.moving_centers import MovingCenters
-from mbdkit.runs.slow_friction import SlowFriction
+from mbdkit.registry.feature_items import CriterionItem
+from mbdkit.registry.manager import registry
 from mbdkit.runs.warnings import passivity_warnings
 
 if TYPE_CHECKING:
     from mbdkit.engine.compiled_mechanism import CompiledMechanism
     from mbdkit.spec import RunSpec
     from mbdkit.trust.energy_record import EnergyRecord
+    from mbdkit.trust.finding import Finding
 
 
 class StateWatcher(Protocol):
@@ -24,8 +23,8 @@ class StateWatcher(Protocol):
     def add(self, states: States) -> None:
         """Take note of states, which are later than those of earlier calls."""
 
-    def warnings(self, energies: EnergyRecord) -> tuple[str, ...]:
-        """Return a sentence for each thing that is wrong; `energies` are the largest of the run."""
+    def warnings(self, energies: EnergyRecord) -> Iterable[str | Finding]:
+        """Return what is wrong, as sentences or findings; `energies` are the largest of the run."""
 
     def stored(self) -> Any:
         """Return the state as plain values, for a checkpoint."""
@@ -47,14 +46,13 @@ class StateWatchers:
 
     def __init__(self, spec: RunSpec, compiled: CompiledMechanism, size: float):
         self._mechanism = spec.mechanism()
-        found: dict[str, StateWatcher | None] = {
-            "centers": MovingCenters.of(self._mechanism, compiled),
-            "friction": SlowFriction.of(self._mechanism, compiled, size),
-            "ends": CoincidentEnds.of(spec, compiled),
-            "beams": CoarseBeams.of(self._mechanism, compiled),
-            "overlaps": DeepOverlaps.of(compiled),
-        }
-        self._watchers = {name: watcher for name, watcher in found.items() if watcher is not None}
+        self._watchers: dict[str, StateWatcher] = {}
+        for item in registry().of_kind(CriterionItem.kind):
+            criterion = cast(CriterionItem, item.plugin)
+            if criterion.stage == "rows":
+                watcher = criterion.find()(spec, compiled, size)
+                if watcher is not None:
+                    self._watchers[item.name] = watcher
 
     def __bool__(self) -> bool:
         return bool(self._watchers)
@@ -66,7 +64,7 @@ class StateWatchers:
 
     def warnings(self, energies: EnergyRecord) -> tuple[str, ...]:
         """Return a sentence for each thing that is wrong with the states or energies of a run."""
-        found = [sentence for watcher in self._watchers.values() for sentence in watcher.warnings(energies)]
+        found = [str(finding) for watcher in self._watchers.values() for finding in watcher.warnings(energies)]
         return (*found, *passivity_warnings(self._mechanism, energies))
 
     def stored(self) -> dict[str, Any]:

@@ -136,13 +136,15 @@ def doubts(spec: RunSpec, warnings: Sequence[str]) -> tuple[str, ...]:
     Excluded are warnings about intended limits of model and step, about unused parameters, short runs and reactions
     that are always zero, and those that the spec accepts.
     """
-    known: tuple[str, ...] = (*_known(spec), *accepted_doubts(spec)) if warnings else ()
+    known: tuple[str, ...] = (*_known(spec), *accepted_doubts(spec, warnings)) if warnings else ()
     return tuple(warning for warning in warnings if warning not in known)
 
 
-def accepted_doubts(spec: RunSpec) -> tuple[str, ...]:
+def accepted_doubts(spec: RunSpec, warnings: Sequence[str]) -> tuple[str, ...]:
     """Return the warnings that question the result, but are accepted by the spec."""
-    return _left_out(spec) if "left-out" in spec.accept else ()
+    own = _left_out(spec) if "left-out" in spec.accept else ()
+    others = tuple(f"{name}: " for name in spec.accept if name != "left-out")
+    return (*own, *(warning for warning in warnings if others and warning.startswith(others)))
 
 
 def _left_out(spec: RunSpec) -> tuple[str, ...]:

@@ -4,22 +4,25 @@ files.
 
 from __future__ import annotations
 
-import importlib.resources
 import json
 import re
-from typing import Any
+from pathlib import Path
+from typing import Any, cast
+
+from mbdkit.registry.feature_items import Example
+from mbdkit.registry.manager import registry
 
 _CELL = re.compile(r"^# %%(.*)\n", flags=re.MULTILINE)
 
 
 def notebook_names() -> list[str]:
     """Return the names of the packaged notebooks."""
-    return sorted(path.name.removesuffix(".py") for path in _folder().iterdir() if path.name.endswith(".py"))
+    return sorted(_notebooks())
 
 
 def notebook_text(name: str) -> str:
     """Return the script of the packaged notebook `name`."""
-    return str((_folder() / f"{name}.py").read_text("utf-8"))
+    return _notebooks()[name].read_text("utf-8")
 
 
 def notebook_title(name: str) -> str:
@@ -45,5 +48,7 @@ def _cell(number: int, kind: str, text: str) -> dict[str, Any]:
     return {"cell_type": "code", **common, "source": source, "outputs": [], "execution_count": None}
 
 
-def _folder() -> Any:
-    return importlib.resources.files("mbdkit.models") / "examples"
+def _notebooks() -> dict[str, Path]:
+    """Return the files of the packaged notebooks by name."""
+    files = (cast(Example, item.plugin).file for item in registry().of_kind("example"))
+    return {file.stem: file for file in files if file.suffix == ".py"}

@@ -6,21 +6,22 @@ This module also defines the types of these sources.
 from __future__ import annotations
 
 import functools
-import importlib.resources
 import os
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import Any, Literal, TypeAlias, TypedDict, TypeVar
+from typing import Any, Literal, TypeAlias, TypedDict, TypeVar, cast
 
 from mbdkit.base.errors import SpecError
 from mbdkit.base.plain_data import copied
 from mbdkit.base.text import did_you_mean, listed
 from mbdkit.engine.formulation import FormulationName
 from mbdkit.mechanism.mechanism import Mechanism
+from mbdkit.registry.feature_items import Example
+from mbdkit.registry.manager import registry
 from mbdkit.spec.model_spec import ModelSpec
 from mbdkit.spec.reading import Document, read_file, read_stdin, read_text, set_value
 from mbdkit.spec.run_spec import RunSpec
-from mbdkit.spec.spec_kinds import is_inverse, refused_as_inverse, refused_as_run
+from mbdkit.spec.spec_kinds import refused, spec_kinds
 
 Section: TypeAlias = Mapping[str, object]
 """A section of a spec, such as ``{"name": "gauss", "stages": 2}``."""
@@ -76,27 +77,19 @@ def load_spec(source: Any, overrides: Iterable[str] = (), **sections: Any) -> Ru
     SpecError
         If the spec is not valid, with the file, line and key path if known.
     """
-    return loaded(RunSpec, source, overrides, sections)
+    return loaded("run", RunSpec, source, overrides, sections)
 
 
-def loaded(kind: type[S], source: Any, overrides: Iterable[str], sections: Mapping[str, Any]) -> S:
-    """Return a validated spec of the given kind from any source."""
+def loaded(name: str, kind: type[S], source: Any, overrides: Iterable[str], sections: Mapping[str, Any]) -> S:
+    """Return a validated spec of the kind with this name, which is of the class `kind`, from any source."""
     if isinstance(source, kind) and not sections and not tuple(overrides):
         source.mechanism()
         return source
     document = read_source(source)
-    if "mbdkit_study" in document.data and "mbdkit" not in document.data:
-        message = "this is a study spec, which `mbdkit study` runs; a run spec begins with `mbdkit: 1`"
-        raise document.place(SpecError(message, key="mbdkit_study"))
-    if "mbdkit_design" in document.data:
-        message = "this is a design spec, which `mbdkit design` solves"
-        raise document.place(SpecError(message, key="mbdkit_design"))
     document.data |= sections
     document.keywords = frozenset(sections)
-    if kind is RunSpec and is_inverse(document.data):
-        raise document.place(refused_as_run())
-    if kind is not RunSpec and not is_inverse(document.data) and "integrator" in document.data:
-        raise document.place(refused_as_inverse())
+    if error := refused(document.data, name):
+        raise document.place(error)
     for assignment in overrides:
         set_value(document, assignment)
     try:
@@ -108,8 +101,8 @@ def loaded(kind: type[S], source: Any, overrides: Iterable[str], sections: Mappi
     return spec
 
 
-def example_names(kind: Literal["run", "inverse", "design"] | None = None) -> list[str]:
-    """Return the names of the packaged examples: of run specs, of specs of inverse dynamics, of designs, or of all.
+def example_names(kind: str | None = None) -> list[str]:
+    """Return the names of the packaged examples of specs of a kind, such as ``run`` or ``inverse``, or of all specs.
 
     `load_spec` accepts the names of run specs as a source, `load_inverse_spec` those of inverse dynamics, and
     `load_design_spec` those of designs.
@@ -119,15 +112,13 @@ def example_names(kind: Literal["run", "inverse", "design"] | None = None) -> li
 
 @functools.cache
 def _kinds() -> dict[str, str]:
-    """Return the kind of each packaged example by its name, in order of the names."""
-    found = {}
-    for path in _examples().iterdir():
-        name, suffix = os.path.splitext(path.name)
-        if suffix == ".yaml":
-            text = path.read_text("utf-8")
-            signs = {"design": "\nmbdkit_design:", "inverse": "\nmotion:"}
-            found[name] = next((kind for kind, sign in signs.items() if sign in text), "run")
-    return dict(sorted(found.items()))
+    """Return the kind of each packaged spec by its name, in order of the names."""
+    marked = [kind for kind in spec_kinds() if kind.marker]
+    kinds = {}
+    for name, path in _examples().items():
+        text = path.read_text("utf-8")
+        kinds[name] = next((kind.name for kind in marked if f"\n{kind.marker}:" in text), "run")
+    return kinds
 
 
 def example_text(name: str) -> str:
@@ -138,21 +129,23 @@ def example_text(name: str) -> str:
     SpecError
         If there is no example with this name.
     """
-    names = example_names()
-    if name not in names:
-        raise SpecError(f"there is no example '{name}'{did_you_mean(name, names)}; examples: {listed(names)}")
-    text: str = (_examples() / f"{name}.yaml").read_text("utf-8")
-    return text
+    files = _examples()
+    if name not in files:
+        raise SpecError(f"there is no example '{name}'{did_you_mean(name, files)}; examples: {listed([*files])}")
+    return files[name].read_text("utf-8")
 
 
 def example_table(name: str) -> str | None:
     """Return the text of the table ``NAME.csv`` that a packaged example reads; None if it reads no table."""
-    path = _examples() / f"{name}.csv"
-    return str(path.read_text("utf-8")) if path.is_file() else None
+    path = _examples()[name].with_suffix(".csv")
+    return path.read_text("utf-8") if path.is_file() else None
 
 
-def _examples() -> Any:
-    return importlib.resources.files("mbdkit.models") / "examples"
+@functools.cache
+def _examples() -> dict[str, Path]:
+    """Return the files of the packaged specs by name."""
+    files = {item.name: cast(Example, item.plugin).file for item in registry().of_kind("example")}
+    return {name: files[name] for name in sorted(files) if files[name].suffix == ".yaml"}
 
 
 def read_source(source: Any) -> Document:
@@ -189,7 +182,7 @@ def _named(source: str | Path) -> Document:
     path = Path(source)
     if str(source) in names and not os.path.isfile(path):
         document = read_text(example_text(str(source)), f"{source} (packaged example)")
-        document.folder = Path(str(_examples()))
+        document.folder = _examples()[str(source)].parent
         return document
     if not exists(path):
         raise SpecError(

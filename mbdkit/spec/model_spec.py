@@ -29,6 +29,7 @@ from mbdkit.spec.sections import QUANTITIES, Section
 
 if TYPE_CHECKING:
     from mbdkit.mechanism.mechanism import Mechanism
+    from mbdkit.spec.study_measures import DefinedMeasure
 
 
 class StrictSpec(Section):
@@ -158,6 +159,10 @@ class ModelSpec(StrictSpec):
     @abstractmethod
     def items(self) -> list[Registered]:
         """The registry entries of everything that the spec selects, such as the model."""
+
+    @abstractmethod
+    def defined_measures(self) -> tuple[DefinedMeasure, ...]:
+        """Return the measures of the result."""
 
     @property
     def recorded(self) -> frozenset[str]:

@@ -337,6 +337,12 @@ def _refuse_other_element(elements: Mapping[str, Any], path: Path, index: int) -
 
 
 @lru_cache(maxsize=1024)
+def variable_path(name: str) -> Path:
+    """Return the key path that a variable sets; a name without dots refers to a parameter."""
+    path = parse_key(name)
+    return path if len(path) > 1 else ("parameters", *path)
+
+
 def parse_key(key: str) -> Path:
     """Return the parts of a dotted key; an empty tuple if it is not valid, or has more parts than any spec allows."""
     bare = re.sub(QUOTED, "name", key)

@@ -21,6 +21,7 @@ from mbdkit.registry.catalogue import Kind, Registered, Registry
 from mbdkit.registry.item_options import item_of
 from mbdkit.registry.items import Claims, IntegratorPlugin
 from mbdkit.spec.choices import Choice, choice_of
+from mbdkit.spec.criterion_names import CriterionName
 from mbdkit.spec.formulation_choice import BY_ACCELERATIONS, FormulationChoice, formulation_of, name_of
 from mbdkit.spec.model_spec import ModelSpec
 from mbdkit.spec.sections import (
@@ -154,7 +155,7 @@ class RunSpec(ModelSpec):
     records the work of the impulse."""
     contact: ContactTreatment = ContactTreatment()
     """How contacts act."""
-    accept: list[Literal["left-out"]] = Field(default_factory=list)
+    accept: list[Annotated[str, CriterionName("run", ("left-out",))]] = Field(default_factory=list)
     """Criteria that are not applied in the verdict, because their findings are known and intended. `left-out`: effects
     that the file of a model describes, but the mechanism lacks."""
 

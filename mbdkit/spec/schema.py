@@ -1,10 +1,9 @@
-"""JSON schemas of the specs of runs, studies, inverse dynamics and designs, for editors and other tools."""
+"""JSON schema of run specs, for editors and other tools, and what the schemas of other specs have in common."""
 
 from __future__ import annotations
 
 import json
 import sys
-from collections.abc import Callable
 from typing import Any
 
 from pydantic import BaseModel
@@ -16,9 +15,7 @@ from mbdkit.registry.catalogue import Registry
 from mbdkit.registry.manager import registry
 from mbdkit.spec.choices import law_element
 from mbdkit.spec.run_spec import spec_type
-from mbdkit_biomech.inverse_dynamics.inverse_spec import inverse_spec_type
-from mbdkit_design.design_spec import DesignSpec
-from mbdkit_studies.study_spec import StudySpec
+from mbdkit.spec.spec_kinds import kind_named
 
 DRAFT = "https://json-schema.org/draft/2020-12/schema"
 EXPRESSION = "[-+*/(A-Za-z%]"
@@ -35,25 +32,13 @@ def run_schema(installed: Registry | None = None) -> dict[str, Any]:
         Registry of the models, integrators and force laws to include; by default, all that are installed.
     """
     chosen = installed if installed is not None else registry()
-    schema = _model_schema(spec_type(chosen), chosen)
+    schema = model_schema(spec_type(chosen), chosen)
     schema["required"].remove("integrator")
     schema["anyOf"] = [{"required": ["integrator"]}, {"required": ["accuracy"]}]
-    return {"$schema": DRAFT, **_described(schema)}
+    return {"$schema": DRAFT, **described(schema)}
 
 
-def inverse_schema(installed: Registry | None = None) -> dict[str, Any]:
-    """Return the JSON schema (draft 2020-12) of the spec of inverse dynamics.
-
-    Parameters
-    ----------
-    installed
-        Registry of the models and force laws to include; by default, all that are installed.
-    """
-    chosen = installed if installed is not None else registry()
-    return {"$schema": DRAFT, **_described(_model_schema(inverse_spec_type(chosen), chosen))}
-
-
-def _model_schema(spec: type[BaseModel], chosen: Registry) -> dict[str, Any]:
+def model_schema(spec: type[BaseModel], chosen: Registry) -> dict[str, Any]:
     """Return the schema of a spec with a model."""
     laws = [law_element(item) for item in chosen.of_kind("force-law")]
     models: list[type[BaseModel]] = [spec, Law, *laws]
@@ -110,57 +95,16 @@ def _allow_text(part: Any, pattern: str) -> None:
         _allow_text(inner, pattern)
 
 
-def study_schema(installed: Registry | None = None) -> dict[str, Any]:
-    """Return the JSON schema (draft 2020-12) of the study spec; its bases include the schema of the run spec.
-
-    Parameters
-    ----------
-    installed
-        Registry of the models, integrators and force laws to include; by default, all that are installed.
-    """
-    schema, run = _described(StudySpec.model_json_schema()), run_schema(installed)
-    base = {"type": "object", "properties": run["properties"], "additionalProperties": False}
-    for place in (schema, schema["$defs"]["Family"]):
-        place["properties"]["base"]["anyOf"] = [{"type": "string"}, {"$ref": "#/$defs/Base"}]
-    schema["$defs"] |= run["$defs"] | {"Base": base}
-    return {"$schema": DRAFT, **schema}
-
-
-def design_schema(installed: Registry | None = None) -> dict[str, Any]:
-    """Return the JSON schema (draft 2020-12) of the design spec; its bases are run specs and specs of inverse dynamics.
-
-    Parameters
-    ----------
-    installed
-        Registry of the models, integrators and force laws to include; by default, all that are installed.
-    """
-    schema = allow_units(_described(DesignSpec.model_json_schema()), "Variable", "Limit")
-    run, measured = run_schema(installed), inverse_schema(installed)
-    bases = {
-        name: {"type": "object", "properties": one["properties"], "additionalProperties": False}
-        for name, one in (("RunBase", run), ("InverseBase", measured))
-    }
-    for place in (schema, schema["$defs"]["Scenario"]):
-        place["properties"]["base"]["anyOf"] = [{"type": "string"}, *({"$ref": f"#/$defs/{name}"} for name in bases)]
-    schema["$defs"] |= measured["$defs"] | run["$defs"] | bases
-    return {"$schema": DRAFT, **schema}
-
-
-def _described(schema: dict[str, Any]) -> dict[str, Any]:
+def described(schema: dict[str, Any]) -> dict[str, Any]:
+    """Return a schema whose description ends before the errors that the class raises."""
     return schema | {"description": schema["description"].partition("\n\nRaises")[0]}
-
-
-SCHEMAS: dict[str, Callable[[Registry], dict[str, Any]]] = {
-    "run": run_schema,
-    "study": study_schema,
-    "inverse": inverse_schema,
-    "design": design_schema,
-}
 
 
 def builtin_schema_text(kind: str) -> str:
     """Return the text of ``schemas/KIND.schema.json``: the schema with only the built-in plugins."""
-    schema = SCHEMAS[kind](registry().only("mbdkit"))
+    schema_of = kind_named(kind).schema
+    assert schema_of is not None
+    schema = schema_of()(registry().only("mbdkit"))
     home = HOME.format(kind)
     return json.dumps({"$schema": schema.pop("$schema"), "$id": home, **schema}, indent=2, ensure_ascii=False) + "\n"
 

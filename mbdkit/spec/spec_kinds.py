@@ -1,29 +1,49 @@
-"""Distinguishes run specs from specs of inverse dynamics, without importing the models of either."""
+"""The kinds of specs: which kind a document is of, and the error where a spec of another kind is given."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, cast
 
-from mbdkit.base.errors import SpecError
+from mbdkit.base.errors import MissingPartError, SpecError
+from mbdkit.registry.feature_items import SpecKind
+from mbdkit.registry.manager import registry
 
-
-def is_inverse(data: Mapping[str, Any]) -> bool:
-    """Return whether plain data are a spec of inverse dynamics; only such specs have a section `motion`."""
-    return "motion" in data
-
-
-def refused_as_inverse() -> SpecError:
-    """Return the error for a run spec that is given in place of a spec of inverse dynamics."""
-    return SpecError(
-        "this is a run spec: run it with `mbdkit run`; a spec of inverse dynamics has a section `motion`, and neither "
-        "`integrator` nor a step",
-        key="integrator",
-    )
+_OF_PARTS = {"mbdkit_study": "mbdkit-studies", "mbdkit_design": "mbdkit-design", "motion": "mbdkit-biomech"}
+"""Parts of mbdkit by the markers of their specs, which are not run specs where the part is not installed either."""
 
 
-def refused_as_run() -> SpecError:
-    """Return the error for a spec of inverse dynamics that is given in place of a run spec."""
-    return SpecError(
-        "this is a spec of inverse dynamics, with a measured motion: compute it with `mbdkit inverse`", key="motion"
-    )
+def spec_kinds() -> list[SpecKind]:
+    """Return the kinds of specs in the order in which they are recognised; run specs come last."""
+    return [cast(SpecKind, item.plugin) for item in registry().of_kind("spec-kind")]
+
+
+def kind_named(name: str) -> SpecKind:
+    """Return the kind of specs with a name; raise SpecError if there is none."""
+    return cast(SpecKind, registry().get("spec-kind", name).plugin)
+
+
+def kind_of(data: Mapping[str, Any]) -> SpecKind:
+    """Return the kind of a spec, given as plain data; raise SpecError if the part for its kind is not installed."""
+    kinds = spec_kinds()
+    for marker, part in _OF_PARTS.items():
+        if marker in data and all(kind.marker != marker for kind in kinds):
+            raise SpecError(str(MissingPartError("a spec with this key", part)), key=marker)
+    return next(kind for kind in kinds if kind.recognises(data))
+
+
+def kind_of_runs(name: str) -> SpecKind:
+    """Return the kind of the specs whose runs have the `Run.kind` `name`."""
+    return next(kind for kind in spec_kinds() if kind.run_kind == name)
+
+
+def refused(data: Mapping[str, Any], wanted: str) -> SpecError | None:
+    """Return the error for a spec of another kind than the one with the name `wanted`; None if it may be of this
+    kind.
+    """
+    kind = kind_of(data)
+    if kind.name != wanted and kind.marker in data:
+        return SpecError(kind.given_instead, key=kind.marker)
+    if kind.name != wanted and "integrator" in data:
+        return SpecError(kind_named(wanted).run_instead, key="integrator")
+    return None

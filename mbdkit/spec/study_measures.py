@@ -13,7 +13,7 @@ from pydantic.json_schema import JsonSchemaValue
 from pydantic_core import CoreSchema
 
 from mbdkit.base import higher_layers
-from mbdkit.base.errors import SpecError, blaming
+from mbdkit.base.errors import MissingPartError, SpecError, blaming
 from mbdkit.base.plain_data import Path, path_text, value_text
 from mbdkit.base.text import did_you_mean, listed
 from mbdkit.base.units import read_unit
@@ -34,7 +34,10 @@ def built_in_measures() -> Mapping[str, str]:
 
     The values are `REFERENCE`, `SECOND_RUN`, or an empty text for measures that need nothing else.
     """
-    known: Mapping[str, str] = higher_layers.built_in_measures()
+    try:
+        known: Mapping[str, str] = higher_layers.built_in_measures()
+    except MissingPartError:
+        return {}
     return known
 
 

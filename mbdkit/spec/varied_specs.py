@@ -11,7 +11,6 @@ from mbdkit.base.plain_data import Path, copied, plain
 from mbdkit.spec.choices import RegistryLookup, registry_of
 from mbdkit.spec.reading import put
 from mbdkit.spec.run_spec import RunSpec
-from mbdkit_biomech.inverse_dynamics.inverse_spec import InverseSpec
 
 
 class VariedSpecs:
@@ -85,13 +84,3 @@ class VariedSpecs:
             return "".join([*chain.from_iterable(zip(fixed, texts, strict=True)), text])
 
         return filled
-
-
-def varied_inverse(spec: InverseSpec, values: Sequence[tuple[Path, Any]]) -> InverseSpec:
-    """Return a spec of inverse dynamics with values at key paths; raise SpecError if it is not valid."""
-    data = json.loads(spec.canonical_json())
-    for path, value in values:
-        put(data, path, value)
-    varied = InverseSpec(**data)
-    varied._document = spec._document
-    return varied

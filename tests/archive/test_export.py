@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import importlib.util
 import json
+import pkgutil
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -15,11 +16,12 @@ import pytest
 from scipy.io import loadmat
 
 import mbdkit
+from mbdkit.archive import table_formats
 from mbdkit.archive.export import export
 from mbdkit.archive.group_table import group_names, group_table
 from mbdkit.archive.history import NotRecordedError
-from mbdkit.archive.table_formats import FORMATS
 from mbdkit.base.errors import MbdkitError, ResourceError, SpecError
+from mbdkit.registry.target import Target
 from tests.synthetic_runs import make_run as make_run
 
 # A rod hangs on a pin and on a spring, has a name that spreadsheets would take for a formula, and passes its lowest
@@ -254,7 +256,8 @@ def test_an_export_that_fails_in_the_middle_leaves_nothing(run, tmp_path, monkey
         if table.group == "energy":
             raise OSError(28, "No space left on device")
 
-    monkeypatch.setitem(FORMATS, "csv", fail)
+    monkeypatch.setattr(table_formats, "write_csv", fail)
+    monkeypatch.setattr(Target, "__call__", lambda target: pkgutil.resolve_name(target.where))
     with pytest.raises(ResourceError, match="No space left"):
         export(run, tmp_path / "out", "csv")
     assert list(tmp_path.iterdir()) == []

@@ -1,7 +1,7 @@
 """`python -m tests.benchmarks.paper_page FOLDER`: writes what the study in FOLDER says of the source paper's claims.
 
-FOLDER is that of `mbdkit study paper -o FOLDER`. The page `plugins/mbdkit-paper/src/mbdkit_paper/guide/paper.md` gets all claims; the README gets some
-of them, between two markers.
+FOLDER is that of `mbdkit study paper -o FOLDER`. The page `paper` of the guide gets all claims; the README gets some of
+them, between two markers.
 """
 
 from __future__ import annotations
@@ -14,8 +14,9 @@ import mbdkit
 from mbdkit_paper.paper.source_paper import BIBTEX, TITLE
 from mbdkit_report.analysis.verdict import Answer, Claim, Verdict
 from mbdkit_studies.judge import judge
+from tests.first_party import PARTS
 
-GUIDE = Path(mbdkit.__file__).parent / "guide" / "paper.md"
+GUIDE = PARTS["mbdkit_paper"] / "guide" / "paper.md"
 README = Path(mbdkit.__file__).parent.parent / "README.md"
 BEGIN = "<!-- claims: begin (python -m tests.benchmarks.paper_page FOLDER) -->"
 END = "<!-- claims: end -->"

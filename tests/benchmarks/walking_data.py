@@ -1,4 +1,4 @@
-"""`python -m tests.benchmarks.walking_data plugins/mbdkit-biomech/src/mbdkit_biomech/examples/walking.csv`: the table of the example `walking`.
+"""`python -m tests.benchmarks.walking_data walking.csv`: the table of the example `walking`.
 
 The table is a fit to D. A. Winter's normal gait at natural cadence, whose means over a stride of 1.1396 s are tabulated
 every 2 %. Angles of hip, knee and ankle are Fourier series of the stride; the ground force is a series of sines of the

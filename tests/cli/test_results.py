@@ -100,7 +100,7 @@ def test_a_full_disk_under_stdout_is_an_error_in_one_line(tmp_path: Path) -> Non
     assert done.stderr == "error: No space left on device\n"
 
 
-@pytest.mark.parametrize("arguments", [("--version",), ("examples",), ("plugins", "new", "--help"), ("run", "-h")])
+@pytest.mark.parametrize("arguments", [("--version",), ("plugins", "new", "--help"), ("run", "-h")])
 def test_commands_that_need_no_plugin_import_none(tmp_path: Path, arguments: tuple[str, ...]) -> None:
     install_module(tmp_path / "site", "acme-slow", "raise SystemExit('imported')\n")
     done = python("-m", "mbdkit", *arguments, path=(tmp_path / "site",), cwd=tmp_path)

@@ -1,7 +1,6 @@
 """The packaged examples: each is a spec that soon runs to its end, and does what its comment says."""
 
 from functools import cache
-from importlib.resources import files
 
 import numpy as np
 import pytest
@@ -9,9 +8,8 @@ import scipy.interpolate
 from scipy.integrate import solve_bvp, solve_ivp
 
 import mbdkit
-from mbdkit.spec import example_names, load_spec
+from mbdkit.spec import example_names, example_text, load_spec
 
-EXAMPLES = files("mbdkit.models") / "examples"
 MODELINE = (
     "# yaml-language-server: $schema=https://raw.githubusercontent.com/mbdkit/mbdkit/main/schemas/run.schema.json"
 )
@@ -71,7 +69,7 @@ def test_packaged_example_that_is_dumped_and_read_again_is_the_same(name):
 @every_example
 def test_packaged_example_is_a_valid_spec_that_says_what_it_is(name):
     assert name in example_names("run")
-    text = (EXAMPLES / f"{name}.yaml").read_text(encoding="utf-8")
+    text = example_text(name)
     first, comment = text.splitlines()[:2]
     assert first == MODELINE
     assert comment.startswith("# ")

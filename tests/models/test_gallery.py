@@ -45,7 +45,7 @@ def test_entry_has_the_picture_the_command_the_spec_and_the_source_of_the_exampl
     entry = entries()[name]
     command = next(kind for kind in ("run", "inverse", "design") if name in example_names(kind))
     assert f"`mbdkit {command} {name}`" in entry
-    assert f"({name}.yaml)" in entry
+    assert re.search(rf"\([\w./-]*\b{re.escape(name)}\.yaml\)", entry)
     assert "* Source: " in entry
     assert set(re.findall(ADDRESS, entry)) <= set(re.findall(ADDRESS, comments(name)))
     shown, said = re.findall(r'<img src="(.*?)" width="\d+"\s+alt="(.+?)">', entry)[0]

@@ -14,8 +14,9 @@ import mbdkit
 import mbdkit.plugin
 from mbdkit.base.errors import PluginError, SpecError
 from mbdkit.cli import app
+from mbdkit.guide import item_places
 from mbdkit.plugin import Command, IntegratorPlugin, ModelPlugin, Target, hookimpl
-from mbdkit.registry import describe, manager
+from mbdkit.registry import manager
 from mbdkit.registry.item_options import named_options
 from mbdkit.registry.manager import checked, load_registry, registry
 from mbdkit.registry.policy import Policy
@@ -232,19 +233,19 @@ def test_one_entry_point_of_a_distribution_is_left_out(entry_point, swing):
         ("single-pendulum", "build", "mbdkit/models/pendulums.py", "def build_single("),
         ("table", "law", "mbdkit/laws/tabulated.py", "LAW = "),
         ("modes", "target", "plugins/mbdkit-statics/src/mbdkit_statics/commands.py", "def modes("),
-        ("plugins new", "target", "mbdkit/cli/plugins.py", "def plugins_new("),
+        ("plugins new", "target", "plugins/mbdkit-testing/src/mbdkit_testing/commands.py", "def plugins_new("),
         ("drift", "spec", "plugins/mbdkit-paper/src/mbdkit_paper/drift/study.yaml", ""),
     ],
 )
 def test_where_prints_the_line_that_defines_what_a_name_adds(name, field, file, begins):
-    found = describe.whereabouts(name)
+    found = item_places.whereabouts(name)
     (place,) = (place for item in found["items"] for place in item["places"] if place["field"] == field)
     path = Path(place["file"])
     assert path == Path(mbdkit.__file__).parents[1] / file
     assert path.read_text(encoding="utf-8").splitlines()[place["line"] - 1].startswith(begins)
-    assert f"{path}:{place['line']}" in describe.whereabouts_text(found)
+    assert f"{path}:{place['line']}" in item_places.whereabouts_text(found)
 
 
 def test_where_suggests_a_name():
     with pytest.raises(SpecError, match="there is no item 'gaus' \\(did you mean 'gauss'"):
-        describe.whereabouts("gaus")
+        item_places.whereabouts("gaus")

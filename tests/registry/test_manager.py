@@ -12,6 +12,7 @@ from pydantic import BaseModel, RootModel
 import mbdkit
 from mbdkit.base.errors import SpecError
 from mbdkit.registry.manager import checked, load_registry, registry
+from tests.first_party import PARTS
 
 
 def raising(error):
@@ -23,8 +24,10 @@ def raising(error):
 
 def test_the_built_ins_arrive_through_an_entry_point_like_any_others():
     ours = [ep for ep in importlib.metadata.entry_points(group="mbdkit") if ep.dist.name == "mbdkit"]
-    assert [ep.value for ep in ours] == ["mbdkit.builtin_plugin"]
-    assert {item.origin.entry_point for item in registry().only("mbdkit").items} == {"builtin = mbdkit.builtin_plugin"}
+    assert {ep.value for ep in ours} == {"mbdkit.builtin_plugin", *(f"{part}.plugin" for part in PARTS)}
+    assert {item.origin.entry_point.partition(" = ")[2] for item in registry().only("mbdkit").items} == {
+        ep.value for ep in ours
+    }
 
 
 def test_every_built_in_loads_and_states_summary_and_origin():

@@ -3,19 +3,16 @@
 from __future__ import annotations
 
 import copy
-from importlib.resources import files
 
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from mbdkit.base.errors import SpecError
-from mbdkit.spec import example_names, load_spec
+from mbdkit.spec import example_names, example_text, load_spec
 from mbdkit.spec.yaml_reader import read_yaml
 
-EXAMPLES = [
-    read_yaml((files("mbdkit.models") / "examples" / f"{name}.yaml").read_text())[0] for name in example_names("run")
-]
+EXAMPLES = [read_yaml(example_text(name))[0] for name in example_names("run")]
 
 ODD = st.one_of(
     st.none(),

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import sympy as sp
 
-from mbdkit.methods import gauss, integrators, radau_iia, rk4, rk_gill
+from mbdkit.methods import INTEGRATORS, gauss, radau_iia, rk4, rk_gill
 from mbdkit.methods.tableau import ButcherTableau, TableauError, collocation, rooted_trees
 
 SHIPPED = {"rk4": rk4.tableau(), "rk-gill": rk_gill.tableau()} | {f"gauss-{s}": gauss.tableau(s) for s in range(1, 7)}
@@ -40,7 +40,7 @@ def test_a_shipped_tableau_has_no_higher_order_than_it_claims(name: str) -> None
 @shipped
 def test_what_the_registry_claims_is_what_the_tableau_is(name: str) -> None:
     plugin_name, _, count = name.rpartition("-") if name[-1].isdigit() and "-" in name else (name, "", "")
-    plugin = next(p for p in integrators() if p.name == plugin_name)
+    plugin = next(p for p in INTEGRATORS if p.name == plugin_name)
     options = plugin.options(**({"stages": int(count)} if count else {}))
     claims, tableau = plugin.claims(options), SHIPPED[name]
     assert claims.order == tableau.order

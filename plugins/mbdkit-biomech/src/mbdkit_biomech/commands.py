@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -83,7 +83,7 @@ def workload(
             show(found.text())
 
 
-def repeated_inverse(before: Run, archive: Path, output: Path | None, *, overwrite: bool) -> Run:
+def repeated_inverse(before: Run, archive: Path, output: Path | None, *, overwrite: bool, progress: Any) -> Run:
     """Compute the inverse dynamics of an archive again.
 
     Tables are read from the folder of the archive only: an untrusted archive must not
@@ -146,3 +146,13 @@ def validate_inverse(source: str | Document, name: str, assignments: list[str]) 
     if problem.recruiter is not None:
         show(f"muscles      {', '.join(problem.recruiter.muscles)}")
     show("not checked  rows after the first, smoothed motion, loads and results, which `mbdkit inverse` checks")
+
+
+def schema_inverse(debug: Debug = False) -> None:
+    """Print the JSON schema of a spec of inverse dynamics.
+
+    It contains the options of all installed models and force laws.
+    """
+    from mbdkit_biomech.inverse_dynamics.inverse_schema import inverse_schema
+
+    show_json(inverse_schema(), indent=2)

@@ -1,7 +1,8 @@
-"""Designs, which choose numbers of a spec: `design`."""
+"""Designs, which choose numbers of a spec: `design`; and the state of long work: `watch`."""
 
 from __future__ import annotations
 
+import time
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import suppress
 from pathlib import Path
@@ -12,16 +13,8 @@ import typer
 from mbdkit.base.progress_bars import tally_bar
 from mbdkit.base.terminal import STOPPED_EARLY, say, show, show_json, silence
 from mbdkit.base.text import listed
-from mbdkit.cli.common_options import (
-    Cluster,
-    Printing,
-    Set,
-    Workers,
-    cores,
-    grouped,
-    output_to,
-    stem,
-)
+from mbdkit.cli.common_options import Debug, Printing, Set, grouped, output_to, stem
+from mbdkit_studies.command_options import Cluster, Workers, cores
 
 if TYPE_CHECKING:
     from mbdkit.spec import InverseSpec, RunSpec
@@ -187,3 +180,41 @@ def validate_design(source: Document, name: str, assignments: list[str]) -> None
     if spec.compare:
         show(f"compared     {', '.join(spec.compare)}")
     show(f"optimizer    {spec.optimizer.name}")
+
+
+def watch(
+    folder: Annotated[Path, typer.Argument(metavar="FOLDER", help="The folder of a study or design.")],
+    *,
+    every: Annotated[
+        float, typer.Option("--every", min=0.1, metavar="SECONDS", help="Time between two checks of the folder.")
+    ] = 10.0,
+    once: Annotated[bool, typer.Option("--once", help="Print the state now, and end.")] = False,
+) -> None:
+    """Show the progress of a study or design of another process.
+
+    Prints a line whenever the state has changed, until the work is complete, or until
+    no process computes it. Nothing in the folder is changed.
+    """
+    from mbdkit_design.watching import work_in
+
+    begin, first, printed = time.monotonic(), work_in(folder), ""
+    now = first
+    while True:
+        line = now.line(first, time.monotonic() - begin)
+        if now.text != printed or now.is_complete or not now.owners or once:
+            show(line)
+            printed = now.text
+        if once or now.is_complete or not now.owners:
+            return
+        time.sleep(every)
+        now = work_in(folder)
+
+
+def schema_design(debug: Debug = False) -> None:
+    """Print the JSON schema of a design spec.
+
+    It contains the options of all installed models, integrators and force laws.
+    """
+    from mbdkit_design.design_schema import design_schema
+
+    show_json(design_schema(), indent=2)

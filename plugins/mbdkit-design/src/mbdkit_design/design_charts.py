@@ -15,7 +15,7 @@ from mbdkit.measures.measured_quantities import recorded, unit_of
 from mbdkit.quantities.quantity import Quantity
 from mbdkit.spec import InverseSpec, RunSpec
 from mbdkit.spec.key_words import key_unit, key_words
-from mbdkit_design.design_spec import variable_path
+from mbdkit.spec.reading import variable_path
 from mbdkit_design.gains import goal_words
 from mbdkit_design.landscape import Cut
 from mbdkit_report.figures.curves import band_over_time, bands, errors_at

@@ -11,11 +11,11 @@ from mbdkit.base.errors import SpecError
 from mbdkit.base.plain_data import Path, copied, parse_path, path_text
 from mbdkit.base.text import did_you_mean, listed
 from mbdkit.spec.loading import example_names, read_source
-from mbdkit.spec.reading import Document, parse_key, put, set_value
+from mbdkit.spec.reading import Document, parse_key, put, set_value, variable_path
 from mbdkit.spec.run_spec import RunSpec
-from mbdkit.spec.spec_kinds import is_inverse
+from mbdkit_biomech.inverse_dynamics.inverse_loading import is_inverse
 from mbdkit_biomech.inverse_dynamics.inverse_spec import InverseSpec
-from mbdkit_design.design_spec import DesignSpec, Scenario, variable_path
+from mbdkit_design.design_spec import DesignSpec, Scenario
 from mbdkit_studies.study_loading import base_source, document_of
 
 

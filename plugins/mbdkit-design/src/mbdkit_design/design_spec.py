@@ -19,12 +19,12 @@ from pydantic import (
 )
 
 from mbdkit.base.errors import SpecError
-from mbdkit.base.plain_data import Path, copied, path_text, value_text
+from mbdkit.base.plain_data import copied, path_text, value_text
 from mbdkit.base.units import Unit, read_quantity
 from mbdkit.mechanism.checks import check_name
 from mbdkit.mechanism.values import Number, Positive, pair
 from mbdkit.spec.model_spec import StrictSpec
-from mbdkit.spec.reading import parse_key
+from mbdkit.spec.reading import parse_key, variable_path
 from mbdkit.spec.run_spec import RunSpec
 from mbdkit.spec.sections import Count, Section
 from mbdkit.spec.study_measures import DefinedMeasure, defined
@@ -366,9 +366,3 @@ class DesignSpec(StrictSpec):
             yield one if isinstance(self.minimize, Mapping) else replace(one, place=("minimize",))
         for name, limit in self.subject_to.items():
             yield from defined({name: limit.measure}, ("subject_to",))
-
-
-def variable_path(name: str) -> Path:
-    """Return the key path that a variable sets; a name without dots refers to a parameter."""
-    path = parse_key(name)
-    return path if len(path) > 1 else ("parameters", *path)

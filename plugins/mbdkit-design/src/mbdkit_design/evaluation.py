@@ -22,11 +22,11 @@ from mbdkit.measures.take import describe, error_of, take
 from mbdkit.runs.batch import simulate_batch
 from mbdkit.runs.lane_runs import LaneRuns
 from mbdkit.spec import DesignSpec, InverseSpec, RunSpec
-from mbdkit.spec.reading import parse_key
-from mbdkit.spec.varied_specs import VariedSpecs, varied_inverse
+from mbdkit.spec.reading import parse_key, variable_path
+from mbdkit.spec.varied_specs import VariedSpecs
+from mbdkit_biomech.inverse_dynamics.inverse_loading import varied_inverse
 from mbdkit_biomech.inverse_dynamics.inverse_run import compute_run
 from mbdkit_biomech.inverse_dynamics.measure_samples import SampledMeasures, sampled_measures
-from mbdkit_design.design_spec import variable_path
 
 Settings = Sequence[tuple[Path, Any]]
 """Key paths and their values."""

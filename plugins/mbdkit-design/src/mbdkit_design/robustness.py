@@ -13,7 +13,7 @@ from mbdkit.base.text import table
 from mbdkit.spec import DesignSpec
 from mbdkit.spec.key_words import key_unit, key_words
 from mbdkit.spec.model_spec import ModelSpec
-from mbdkit_design.design_spec import variable_path
+from mbdkit.spec.reading import variable_path
 from mbdkit_design.evaluation import Evaluator, Job, Settings
 from mbdkit_design.gains import goal_words
 

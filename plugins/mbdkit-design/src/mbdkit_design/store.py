@@ -23,10 +23,9 @@ from mbdkit.base.files import replacing
 from mbdkit.base.plain_data import canonical_text
 from mbdkit.runs.simulation import simulate
 from mbdkit.spec import DesignSpec, InverseSpec, RunSpec, load_design_spec
-from mbdkit.spec.reading import read_file
+from mbdkit.spec.reading import read_file, variable_path
 from mbdkit_biomech.inverse_dynamics.inverse_run import compute_run
 from mbdkit_design.design import Design
-from mbdkit_design.design_spec import variable_path
 from mbdkit_design.evaluation import ScenarioRuns
 from mbdkit_design.known_points import NOT_READ, read_versioned
 from mbdkit_design.point import DesignPoint

@@ -15,7 +15,7 @@ from mbdkit.runs.prepared_run import PreparedRun
 from mbdkit.spec import load_inverse_spec, load_spec
 from mbdkit.spec.loading import read_source
 from mbdkit.spec.reading import put
-from mbdkit.spec.spec_kinds import is_inverse
+from mbdkit_biomech.inverse_dynamics.inverse_loading import is_inverse
 from mbdkit_biomech.inverse_dynamics.inverse_run import inverse
 from mbdkit_biomech.inverse_dynamics.inverse_spec import InverseSpec
 from mbdkit_explore.sliders import sliders

@@ -12,8 +12,7 @@ from xml.etree.ElementTree import Element
 import numpy as np
 
 from mbdkit import Mechanism, SpecError
-from mbdkit.base.plain_data import quoted
-from mbdkit.base.text import did_you_mean, listed
+from mbdkit.plugin import did_you_mean, listed, quoted
 from mbdkit_opensim.frames import Frame, Frames
 from mbdkit_opensim.functions import center_of, constant
 from mbdkit_opensim.osim_document import (

@@ -14,7 +14,7 @@ from xml.etree.ElementTree import Element
 
 import numpy as np
 
-from mbdkit.base.text import listed
+from mbdkit.plugin import listed
 from mbdkit_opensim.osim_document import label_of, last_part, name_of, numbers_of, objects_of, refused, text_of
 
 FLAT = 1e-9

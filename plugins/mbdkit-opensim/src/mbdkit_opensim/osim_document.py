@@ -15,7 +15,7 @@ from defusedxml.common import DefusedXmlException
 from defusedxml.ElementTree import fromstring
 
 from mbdkit import ResourceError, SpecError
-from mbdkit.base.files_read import read_data
+from mbdkit.plugin import read_data
 from mbdkit_opensim.osim_format_3 import as_format_4, rename_switches
 
 OLDEST, WITH_FRAMES, WITH_SWITCHES = 30_000, 30_500, 30_508

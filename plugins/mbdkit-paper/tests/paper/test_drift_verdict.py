@@ -19,6 +19,7 @@ from mbdkit_report.analysis.verdict import UNDECIDED, Answer
 from mbdkit_report.pages.verdict_text import json_values, terminal_text
 from mbdkit_studies.judge import judge
 from mbdkit_studies.study_loading import load_study_spec
+from tests.first_party import PARTS
 
 STEPS = (0.1, 0.05, 0.025, 0.0125)
 YES, NO, PARTLY, OPEN = Answer.YES, Answer.NO, Answer.PARTLY, Answer.OPEN
@@ -232,7 +233,7 @@ def test_the_table_that_is_checked_in_is_of_the_packaged_study() -> None:
         if f"{name}-long" in spec["families"]
         for one in family["axes"][0]["method"]
     ]
-    text = (Path(mbdkit.__file__).parent / "studies" / "packaged" / "drift" / "DRIFT.md").read_text(encoding="utf-8")
+    text = (PARTS["mbdkit_paper"] / "drift" / "DRIFT.md").read_text(encoding="utf-8")
     heading, _, *rows = [line for line in text.splitlines() if line.count(" | ") == len(COLUMNS) - 1]
     assert [re.match(r"\| [^|]+ \| [^|]+ \|", row)[0] for row in rows] == expected, (
         "stale: `mbdkit study drift -o drift` and "

@@ -12,17 +12,17 @@ import typer
 
 from mbdkit.base.terminal import say, show
 from mbdkit.cli.common_options import Archive, Archives, Debug, Overwrite, Quiet, grouped, output_to
-from mbdkit_report.plot.plot_kinds import PLOT_KINDS
+from mbdkit_report.plot.plot_kinds import plot_kinds
 
 if TYPE_CHECKING:
     from mbdkit.archive.run import Run
 
-_KINDS_HELP = "; ".join(f"{kind}: {summary}" for kind, summary in PLOT_KINDS.items()) + "."
+_KINDS_HELP = "; ".join(f"{kind}: {summary}" for kind, summary in plot_kinds().items()) + "."
 
 
 def _check_kind(kind: str) -> str:
-    if kind not in PLOT_KINDS:
-        raise typer.BadParameter(f"there is no kind of plot {kind!r}; the kinds are {', '.join(PLOT_KINDS)}")
+    if kind not in plot_kinds():
+        raise typer.BadParameter(f"there is no kind of plot {kind!r}; the kinds are {', '.join(plot_kinds())}")
     return kind
 
 
@@ -135,7 +135,7 @@ def _check_options(kind: str, options: Mapping[str, object]) -> None:
 
     for name in options:
         if name not in options_of(kind):
-            kinds = [one for one in PLOT_KINDS if name in options_of(one)]
+            kinds = [one for one in plot_kinds() if name in options_of(one)]
             raise SpecError(f"--{name.removesuffix('s')} is an option of --kind {listed(kinds, 'or')}, not of {kind}")
 
 

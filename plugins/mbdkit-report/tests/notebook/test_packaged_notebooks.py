@@ -12,13 +12,13 @@ import pytest
 from matplotlib import pyplot
 from typer.testing import CliRunner
 
-import mbdkit
 from mbdkit.cli import app
 from mbdkit.guide.pages import find_page
 from mbdkit.spec import example_names
 from mbdkit.spec.example_notebooks import jupyter_text, notebook_names, notebook_text, notebook_title
+from tests.first_party import PARTS
 
-FOLDER = Path(mbdkit.__file__).parent / "models" / "examples"
+FOLDER = PARTS["mbdkit_report"] / "examples"
 KERNEL = "a notebook is executed by nbclient and ipykernel"
 
 

@@ -15,10 +15,8 @@ import pytest
 from PIL import Image
 
 from mbdkit.base.errors import SpecError
-from mbdkit_report.plot.plot_kinds import PLOT_KINDS
+from mbdkit_report.plot.plot_kinds import plot_kinds
 from mbdkit_report.plot.save_plot import plot, size_in_mm
-from tests.cli.conftest import mbdkit as mbdkit
-from tests.cli.conftest import refusal as refusal
 
 SVG = "{http://www.w3.org/2000/svg}"
 NAMES = ["_a$x^$", "振り子 & <b>"]
@@ -128,7 +126,7 @@ def test_one_run_without_a_size_keeps_its_heading(two: tuple[str, str], mbdkit: 
     assert "A" not in words
 
 
-@pytest.mark.parametrize("kind", PLOT_KINDS)
+@pytest.mark.parametrize("kind", plot_kinds())
 def test_the_default_file_is_named_after_the_first_run(
     two: tuple[str, str], mbdkit: Callable[..., Any], kind: str
 ) -> None:

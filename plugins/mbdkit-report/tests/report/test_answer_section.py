@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -13,6 +12,7 @@ import mbdkit
 from mbdkit_report.pages.answer_section import Peaks
 from mbdkit_report.pages.run_report import run_report
 from mbdkit_report.pages.verdict_text import markdown_text
+from tests.first_party import ROOT
 from tests.linkages import driven_wheel
 
 
@@ -82,7 +82,7 @@ def test_largest_values_are_found_beyond_what_is_not_finite():
 
 
 def test_an_archive_of_the_first_format_has_a_report():
-    with mbdkit.load(Path(__file__).parents[1] / "archive" / "format-1.0.h5") as run:
+    with mbdkit.load(ROOT / "tests" / "archive" / "format-1.0.h5") as run:
         document = run_report(run)
         assert [found.name for found in document.sections[1].tables] == ["drivers", "joints"]
         assert "largest power" not in [column.label for column in table(document, "drivers").columns]

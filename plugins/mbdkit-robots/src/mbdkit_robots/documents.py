@@ -12,8 +12,7 @@ from defusedxml.common import DefusedXmlException
 from defusedxml.ElementTree import fromstring
 
 from mbdkit import ResourceError, SpecError
-from mbdkit.base.files_read import read_data
-from mbdkit.base.text import listed
+from mbdkit.plugin import listed, read_data
 from mbdkit_robots.planar import refused
 
 LARGEST = 10 * 2**20

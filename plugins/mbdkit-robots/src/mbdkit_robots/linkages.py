@@ -9,8 +9,7 @@ from typing import Any
 
 import mbdkit
 from mbdkit import Mechanism
-from mbdkit.base.text import listed
-from mbdkit.mechanism.joints import Driver, Revolute
+from mbdkit.plugin import Driver, Revolute, listed
 from mbdkit_robots.documents import read_content
 from mbdkit_robots.planar import GROUND, refused
 

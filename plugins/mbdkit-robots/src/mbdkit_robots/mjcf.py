@@ -8,7 +8,7 @@ from xml.etree.ElementTree import Element
 
 import numpy as np
 
-from mbdkit.base.text import listed
+from mbdkit.plugin import listed
 from mbdkit_robots.documents import about, keyword, number, numbers, read_xml, unit
 from mbdkit_robots.mjcf_schema import (
     ACTUATORS,

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 from pydantic import BaseModel, ConfigDict, Field
 
 import mbdkit
-from mbdkit.mechanism.joint_friction import regularised_friction
+from mbdkit.plugin import regularised_friction
 from mbdkit_robots.linkages import read_linkage
 from mbdkit_robots.mjcf import read_mjcf
 from mbdkit_robots.planar import PlanarMechanism, Plane, SpatialModel

@@ -10,8 +10,7 @@ from typing import Any, Literal
 import numpy as np
 
 from mbdkit import Mechanism, SpecError
-from mbdkit.base.plain_data import quoted
-from mbdkit.base.text import did_you_mean, listed
+from mbdkit.plugin import did_you_mean, listed, quoted
 
 GROUND = "ground"
 KEY = "model.file"

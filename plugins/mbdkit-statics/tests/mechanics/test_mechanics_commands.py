@@ -10,11 +10,12 @@ from pathlib import Path
 import pytest
 
 from mbdkit.spec import load_spec
+from tests.spec_texts import SMALL
 
 
-def test_equilibrium_says_where_and_what_the_joints_carry(mbdkit, small, in_tmp_path):
+def test_equilibrium_says_where_and_what_the_joints_carry(mbdkit, in_tmp_path):
     # expected: both rods hang, the upper joint carries the two weights of 9.81 N
-    Path("two.yaml").write_text(small, encoding="utf-8")
+    Path("two.yaml").write_text(SMALL, encoding="utf-8")
     result = mbdkit("equilibrium", "two.yaml")
     assert result.exit_code == 0
     assert "stable" in result.stdout

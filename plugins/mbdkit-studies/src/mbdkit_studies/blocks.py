@@ -374,3 +374,13 @@ def _at(item: h5py.Dataset, row: int) -> Any:
 
 def _plain(value: Any) -> Any:
     return value.item() if isinstance(value, np.generic) else value
+
+
+def block_problems(path: Path) -> list[str] | None:
+    """Return the problems of a block of runs, for `mbdkit archive check`; None if the file is no readable block."""
+    try:
+        with Block(path) as block:
+            sound = block.is_sound()
+    except (SpecError, FileNotFoundError):
+        return None
+    return [] if sound else ["its arrays, attributes or dimension scales have changed since they were written"]

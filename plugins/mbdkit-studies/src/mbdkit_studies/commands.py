@@ -1,31 +1,23 @@
-"""Studies, which are families of runs: `study`, and the state of long work: `watch`."""
+"""Studies, which are families of runs: `study`."""
 
 from __future__ import annotations
 
 import contextlib
-import time
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 from typer.core import TyperCommand
 
 from mbdkit.base.progress_bars import count_bar
 from mbdkit.base.terminal import STOPPED_EARLY, say, show, show_json, silence
-from mbdkit.cli.common_options import (
-    PLAIN,
-    BaseSet,
-    Cluster,
-    Printing,
-    StudyName,
-    Workers,
-    cores,
-    grouped,
-    output_to,
-    stem,
-)
+from mbdkit.cli.common_options import PLAIN, Debug, Printing, grouped, output_to, stem
+from mbdkit_studies.command_options import BaseSet, Cluster, StudyName, Workers, cores
+
+if TYPE_CHECKING:
+    from mbdkit.spec.reading import Document
 
 
 class StudyCommand(TyperCommand):
@@ -166,29 +158,25 @@ def study(
         raise typer.Exit(STOPPED_EARLY)
 
 
-def watch(
-    folder: Annotated[Path, typer.Argument(metavar="FOLDER", help="The folder of a study or design.")],
-    *,
-    every: Annotated[
-        float, typer.Option("--every", min=0.1, metavar="SECONDS", help="Time between two checks of the folder.")
-    ] = 10.0,
-    once: Annotated[bool, typer.Option("--once", help="Print the state now, and end.")] = False,
-) -> None:
-    """Show the progress of a study or design of another process.
+def validate_study(source: str | Document, name: str, assignments: list[str]) -> None:
+    """Check a study spec, the expressions of its measures and the specs of its runs, and print what it defines."""
+    from mbdkit_studies.study_blocks import is_for_blocks
+    from mbdkit_studies.study_loading import load_study_spec
+    from mbdkit_studies.study_plan import plan_study
+    from mbdkit_studies.study_summary import plan_summary
 
-    Prints a line whenever the state has changed, until the work is complete, or until
-    no process computes it. Nothing in the folder is changed.
+    study = load_study_spec(source, assignments)
+    plan = plan_study(study.stored_as(study.store or "all") if is_for_blocks(study) else study)
+    for warning in plan.warnings():
+        say(f"warning: {warning}")
+    show(f"{name}: this study is valid\n{plan_summary(plan)}")
+
+
+def schema_study(debug: Debug = False) -> None:
+    """Print the JSON schema of a study spec.
+
+    It contains the options of all installed models and integrators.
     """
-    from mbdkit_design.watching import work_in
+    from mbdkit_studies.study_schema import study_schema
 
-    begin, first, printed = time.monotonic(), work_in(folder), ""
-    now = first
-    while True:
-        line = now.line(first, time.monotonic() - begin)
-        if now.text != printed or now.is_complete or not now.owners or once:
-            show(line)
-            printed = now.text
-        if once or now.is_complete or not now.owners:
-            return
-        time.sleep(every)
-        now = work_in(folder)
+    show_json(study_schema(), indent=2)

@@ -90,3 +90,10 @@ def export_runs(study: Study, folder: Path, to: str, *, overwrite: bool = False)
         {path: RunsTable(columns[0], tuple(columns[1:]), values)}, folder, to, overwrite=overwrite, source=None
     )
     return [path]
+
+
+def export_study(folder: Path, output: Path, to: str, *, overwrite: bool = False) -> list[Path]:
+    """Export the table of runs of the study in a folder; see `export_runs`."""
+    from mbdkit_studies.carry_out import load_study
+
+    return export_runs(load_study(folder), output, to, overwrite=overwrite)

@@ -15,7 +15,7 @@ from mbdkit.registry.items import StudyPlugin
 from mbdkit.registry.manager import registry
 from mbdkit.spec.loading import example_names, exists, read_source
 from mbdkit.spec.reading import Document, parse_key, read_assignment, read_file, read_stdin, read_text, set_value
-from mbdkit.spec.spec_kinds import is_inverse
+from mbdkit.spec.spec_kinds import kind_of, refused
 from mbdkit_studies.sample_section import comparable
 from mbdkit_studies.study_spec import StudySpec
 from mbdkit_studies.value_sets import sets_together
@@ -56,12 +56,11 @@ def load_study_spec(source: Any, assignments: Iterable[str] = ()) -> StudySpec:
         source, ("study", "studies"), _packaged_document, study_names, lambda name: registry().advice(name)
     )
     data = document.data
-    if "mbdkit_design" in data:
-        message = "this is a design spec, which `mbdkit design` solves"
-        raise document.place(SpecError(message, key="mbdkit_design"))
     if "mbdkit" in data and "mbdkit_study" not in data:
         message = "this is a run spec, which `mbdkit run` runs; a study spec begins with `mbdkit_study: 1`"
         raise document.place(SpecError(message, key="mbdkit"))
+    if error := refused(data, "study"):
+        raise document.place(error)
     try:
         bases = _write_out_bases(data, folder)
         for assignment in assignments:
@@ -122,28 +121,8 @@ def _check_axes(axes: Any, path: Path, assignment: str) -> None:
                     raise SpecError(message, file=f"--set {assignment}")
 
 
-def recognized(source: str) -> tuple[str | Document, bool]:
-    """Return a source for `load_study_spec` or `load_spec`, and whether it is a study spec.
-
-    Parameters
-    ----------
-    source
-        A file, ``"-"`` for standard input, or the name of a packaged example or study.
-
-    Raises
-    ------
-    SpecError
-        If the file cannot be read.
-    """
-    if source != "-" and not os.path.isfile(source):
-        return source, _is_study_name(source)
-    document = read_stdin() if source == "-" else read_file(FilePath(source))
-    has_grid = "model" not in document.data and bool({"axes", "families", "sample"} & document.data.keys())
-    return document, "mbdkit" not in document.data and ("mbdkit_study" in document.data or has_grid)
-
-
-def _is_study_name(name: str) -> bool:
-    """Whether a name is that of a packaged study, but not of a packaged spec of runs or of inverse dynamics."""
+def is_study_name(name: str) -> bool:
+    """Return whether a name is that of a packaged study, but not of a packaged spec of runs or of inverse dynamics."""
     return name not in {*example_names("run"), *example_names("inverse")} and _packaged(name) is not None
 
 
@@ -237,9 +216,10 @@ def _write_out_bases(data: dict[str, Any], folder: FilePath) -> dict[Path, Docum
         if isinstance(base, str):
             base = base_source(base, folder, path_text((*path, "base")), "study")
         documents[*path, "base"] = document = read_source(base)
-        if is_inverse(document.data):
-            message = "this is a spec of inverse dynamics; the base of a study is a run spec"
-            raise document.place(SpecError(message, key="motion"))
+        if (kind := kind_of(document.data)).run_kind not in ("forward", ""):
+            raise document.place(
+                SpecError(f"this is {kind.phrase}; the base of a study is a run spec", key=kind.marker)
+            )
         holder["base"] = document.data
     return documents
 

@@ -5,7 +5,8 @@ from __future__ import annotations
 import json
 import math
 from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -248,3 +249,11 @@ def _environment(study: Study) -> Table:
                 if not name.startswith(_OF_A_RUN):
                     said.setdefault(name, {})[str(found)] = None
     return environment({name: listed(found) for name, found in said.items()}, {"study": Path(study.folder).name})
+
+
+@contextmanager
+def study_page(folder: Path, workers: int) -> Iterator[ReportPage]:
+    """Yield the report of the study in a folder; it is made by one process, so that `workers` has no effect."""
+    from mbdkit_studies.carry_out import load_study
+
+    yield study_report(load_study(folder))

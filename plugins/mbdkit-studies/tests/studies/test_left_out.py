@@ -15,9 +15,10 @@ import mbdkit
 from mbdkit.archive.fingerprint import data_sha256
 from mbdkit_studies.study_report import study_report
 from mbdkit_studies.study_summary import outcome, summary
+from tests.first_party import ROOT
 from tests.installing import install_project, python
 
-PROJECT = Path(__file__).parents[2] / "plugins" / "mbdkit-generalized-alpha"
+PROJECT = ROOT / "plugins" / "mbdkit-generalized-alpha"
 STUDY: dict[str, Any] = {
     "mbdkit_study": 1,
     "title": "One of ours, one of a plugin",

@@ -102,7 +102,7 @@ def test_runs_of_other_versions_and_truncated_files_are_computed_again(
 
 
 def heading(version: str) -> Any:
-    study = mbdkit_studies.study_loading.load_study_spec(ONE_BLOCK)
+    study = mbdkit.spec.load_study_spec(ONE_BLOCK)
     now = compute_block_module.surroundings()
     return compute_block_module.BlockHeading(study.sha256(), "all", now | ({"mbdkit": version} if version else {}), {})
 

@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from mbdkit_testing.check_result import Report, Result
-from mbdkit_testing.kit import checks_of, verify
-from mbdkit_testing.pytest_suite import Case, ConformanceWarning, cases, conformance
+from mbdkit.base.lazy_names import lazy
+
+if TYPE_CHECKING:
+    from mbdkit_testing.check_result import Report, Result
+    from mbdkit_testing.kit import checks_of, verify
+    from mbdkit_testing.pytest_suite import Case, ConformanceWarning, cases, conformance
 
 __all__ = [
     "Case",
@@ -26,14 +29,29 @@ __all__ = [
 
 def check_integrator(name: str, options: Mapping[str, Any] | None = None, *, quick: bool = False) -> Report:
     """Run all checks of an integrator; see `mbdkit_testing.kit.verify`."""
-    return verify("integrator", name, options, quick=quick)
+    return _verify("integrator", name, options, quick=quick)
 
 
 def check_model(name: str, options: Mapping[str, Any] | None = None, *, quick: bool = False) -> Report:
     """Run all checks of a model; see `mbdkit_testing.kit.verify`."""
-    return verify("model", name, options, quick=quick)
+    return _verify("model", name, options, quick=quick)
 
 
 def check_force_law(name: str, options: Mapping[str, Any] | None = None, *, quick: bool = False) -> Report:
     """Run all checks of a force law; see `mbdkit_testing.kit.verify`."""
-    return verify("force-law", name, options, quick=quick)
+    return _verify("force-law", name, options, quick=quick)
+
+
+def _verify(kind: str, name: str, options: Mapping[str, Any] | None, *, quick: bool) -> Report:
+    from mbdkit_testing.kit import verify
+
+    return verify(kind, name, options, quick=quick)
+
+
+if not TYPE_CHECKING:
+    _HOMES = {
+        "check_result": ["Report", "Result"],
+        "kit": ["checks_of", "verify"],
+        "pytest_suite": ["Case", "ConformanceWarning", "cases", "conformance"],
+    }
+    __getattr__ = lazy(globals(), {name: f"{__name__}.{module}" for module, names in _HOMES.items() for name in names})

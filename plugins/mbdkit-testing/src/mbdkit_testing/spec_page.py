@@ -25,8 +25,9 @@ from mbdkit.mechanism.values import Table
 from mbdkit.registry.catalogue import Registered, Registry
 from mbdkit.registry.describe import claim_texts, options_in
 from mbdkit.registry.manager import registry
-from mbdkit.spec.schema import inverse_schema, run_schema
+from mbdkit.spec.schema import run_schema
 from mbdkit.spec.sections import Baumgarte, NoStabilization, Projection
+from mbdkit_biomech.inverse_dynamics.inverse_schema import inverse_schema
 from mbdkit_design.design_spec import DesignSpec
 from mbdkit_studies.study_spec import StudySpec
 

@@ -19,7 +19,7 @@ from mbdkit_testing.trial_models import DRIVEN_PENDULUM
 from mbdkit_testing.verification_page import html, write_page
 from mbdkit_testing.verification_table import BEGIN, END, VARIANTS, title
 
-README = Path(mbdkit.testing.__file__).with_name("README.md")
+README = Path(__file__).parents[2] / "README.md"
 OPTIONS: dict[str, dict[str, Any]] = {
     "linear": {"stiffness": 30.0, "damping": 1.0, "free_length": 0.5},
     "exponential": {"scale": 5.0, "growth": 2.0, "damping": 1.0, "free_length": 0.5, "acts": "tension"},

@@ -5,17 +5,19 @@ accept.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import NamedTuple, cast
 
 import numpy as np
 
 from mbdkit.mechanism.improbable_bodies import inertias_about_joints
+from mbdkit.registry.feature_items import CriterionItem
+from mbdkit.registry.manager import registry
 from mbdkit.trust.criteria import Evidence, Judgement, judge
+from mbdkit.trust.finding import Finding
 from mbdkit_biomech.inverse_dynamics.column_criteria import column_doubts, doubts_before_fit
 from mbdkit_biomech.inverse_dynamics.compute import Inverse, InverseProblem
 from mbdkit_biomech.inverse_dynamics.doubt import Doubt
 from mbdkit_biomech.inverse_dynamics.error_bars import ErrorBars
-from mbdkit_biomech.inverse_dynamics.inverse_sections import Criterion
 from mbdkit_biomech.inverse_dynamics.knee_criterion import knee_doubts
 from mbdkit_biomech.inverse_dynamics.large_errors import large_errors
 from mbdkit_biomech.inverse_dynamics.load_criteria import load_doubts, units_of_loads
@@ -48,10 +50,9 @@ class DataDoubts(NamedTuple):
 
 def doubts_about_data(result: Inverse, bars: ErrorBars | None) -> DataDoubts:
     """Return the doubts about the data and the model of a result, and remarks on the data."""
-    shared = shared_columns(result.problem)
-    found = [*shared, *column_doubts(result), *cutoff_doubts(result), *load_doubts(result, bars), *model_doubts(result)]
-    found += [*missing_points(result.problem), *turn_doubts(result), *knee_doubts(result), *record_doubts(result, bars)]
-    found += [*units_of_loads(result.problem), *large_errors(result, bars)]
+    items = (cast(CriterionItem, item.plugin) for item in registry().of_kind(CriterionItem.kind))
+    examining = [item.find() for item in items if item.stage == "data" and "inverse" in item.of]
+    found = [finding for find in examining for finding in find(result, bars)]
     remarks = (
         *equal_columns(result.problem),
         *forces_at_centres(result.problem),
@@ -59,7 +60,33 @@ def doubts_about_data(result: Inverse, bars: ErrorBars | None) -> DataDoubts:
         *large_deviations(result, bars),
         *inertias_about_joints(result.problem.names.mechanism),
     )
-    return _sorted(found, result.problem.spec.accept)._replace(remarks=remarks)
+    added = (str(one) for one in found if isinstance(one, Finding) and one.level is None)
+    return _sorted(found, result.problem.spec.accept)._replace(remarks=(*remarks, *added))
+
+
+def doubts_of_columns(result: Inverse, _bars: ErrorBars | None) -> list[Doubt]:
+    """Return the doubts about columns of the motion and their smoothing."""
+    return [*shared_columns(result.problem), *column_doubts(result), *cutoff_doubts(result)]
+
+
+def doubts_of_loads(result: Inverse, bars: ErrorBars | None) -> list[Doubt]:
+    """Return the doubts about loads."""
+    return [*load_doubts(result, bars)]
+
+
+def doubts_of_model(result: Inverse, _bars: ErrorBars | None) -> list[Doubt]:
+    """Return the doubts about the model, about forces without a point, and about turns and signs of angles."""
+    return [
+        *model_doubts(result),
+        *missing_points(result.problem),
+        *turn_doubts(result),
+        *knee_doubts(result),
+    ]
+
+
+def doubts_of_record(result: Inverse, bars: ErrorBars | None) -> list[Doubt]:
+    """Return the doubts about the record, the units of loads, and errors."""
+    return [*record_doubts(result, bars), *units_of_loads(result.problem), *large_errors(result, bars)]
 
 
 def doubts_before_computation(problem: InverseProblem) -> DataDoubts:
@@ -70,9 +97,10 @@ def doubts_before_computation(problem: InverseProblem) -> DataDoubts:
     return _sorted(found, problem.spec.accept)
 
 
-def _sorted(found: Sequence[Doubt], accepted: Sequence[Criterion]) -> DataDoubts:
-    """Separate open doubts from accepted ones."""
-    texts = [(one.criterion in accepted, f"{one.criterion}: {one.sentence}") for one in found]
+def _sorted(found: Sequence[Doubt | Finding], accepted: Sequence[str]) -> DataDoubts:
+    """Separate open doubts from accepted ones; remarks are left out."""
+    doubts = [one for one in found if not isinstance(one, Finding) or one.level is not None]
+    texts = [(one.criterion in accepted, f"{one.criterion}: {one.sentence}") for one in doubts]
     return DataDoubts(*(tuple(text for is_accepted, text in texts if is_accepted == side) for side in (False, True)))
 
 

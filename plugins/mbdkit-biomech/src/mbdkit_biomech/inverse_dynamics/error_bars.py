@@ -10,7 +10,8 @@ changes of the result with a lower and with a higher cutoff, minus the mean squa
 independent coordinates are not the measured quantities, the square of the effect of their choice is the squared change
 of the result if other coordinates are smoothed, minus the mean square of this change due to noise. Uncertain properties
 of muscles are drawn at random, and the mean squares of the resulting changes are added. The effects of the ends of the
-record are added too. Bars on which a long gap has an effect are nan (see `mbdkit_biomech.inverse_dynamics.ends_and_gaps`).
+record are added too. Bars on which a long gap has an effect are nan (see
+`mbdkit_biomech.inverse_dynamics.ends_and_gaps`).
 """
 
 from __future__ import annotations

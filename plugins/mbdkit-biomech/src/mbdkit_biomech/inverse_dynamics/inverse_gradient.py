@@ -7,7 +7,8 @@ motion are exact: differentiation of ``M a + Phi_q^T lam = Q + Q_loads + B u`` w
 
     B u_p - Phi_q^T lam_p = (M a + Phi_q^T lam - Q - Q_loads - B u)_p,   the right side at constant u and lam,
 
-where the subscript p denotes the derivative, and the other symbols are those of `mbdkit_biomech.inverse_dynamics.dynamics`.
+where the subscript p denotes the derivative, and the other symbols are those of
+`mbdkit_biomech.inverse_dynamics.dynamics`.
 These equations have the same matrix as the equations of each frame. Muscles are added by
 `mbdkit_biomech.inverse_dynamics.recruitment_gradient`.
 """
@@ -41,12 +42,11 @@ from mbdkit.gradients.gradient_parameters import Names, Parameter, read_names, r
 from mbdkit.gradients.parameter_differences import PreparedDerivatives
 from mbdkit.quantities.states import Muscles
 from mbdkit.spec import InverseSpec, load_inverse_spec
-from mbdkit.spec.varied_specs import varied_inverse
 from mbdkit.stepping.differentiated_stepper import dual_laws
 from mbdkit.stepping.dual_run import Seeds, constants, dual_states, new_dual_run
 from mbdkit_biomech.inverse_dynamics.compute import Inverse, InverseProblem, compute
 from mbdkit_biomech.inverse_dynamics.dynamics import Balance
-from mbdkit_biomech.inverse_dynamics.inverse_loading import InverseSource
+from mbdkit_biomech.inverse_dynamics.inverse_loading import InverseSource, varied_inverse
 from mbdkit_biomech.inverse_dynamics.inverse_preparation import MOTION, InversePreparation
 from mbdkit_biomech.inverse_dynamics.inverse_run import compute_run
 from mbdkit_biomech.inverse_dynamics.recruited import Recruited

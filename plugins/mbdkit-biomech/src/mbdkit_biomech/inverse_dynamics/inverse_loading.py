@@ -1,12 +1,15 @@
-"""Loading of specs of inverse dynamics."""
+"""Loading of specs of inverse dynamics, and changes of their values."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+import json
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, TypeAlias
 
+from mbdkit.base.plain_data import Path as KeyPath
 from mbdkit.spec.loading import loaded
+from mbdkit.spec.reading import put
 from mbdkit_biomech.inverse_dynamics.inverse_spec import InverseSpec
 
 InverseSource: TypeAlias = str | Path | Mapping[str, object] | InverseSpec
@@ -26,4 +29,19 @@ def load_inverse_spec(source: Any, overrides: Iterable[str] = (), **sections: An
     SpecError
         If the spec is not valid, with the file, line and key path if known.
     """
-    return loaded(InverseSpec, source, overrides, sections)
+    return loaded("inverse", InverseSpec, source, overrides, sections)
+
+
+def is_inverse(data: Mapping[str, Any]) -> bool:
+    """Return whether plain data are a spec of inverse dynamics; only such specs have a section `motion`."""
+    return "motion" in data
+
+
+def varied_inverse(spec: InverseSpec, values: Sequence[tuple[KeyPath, Any]]) -> InverseSpec:
+    """Return a spec of inverse dynamics with values at key paths; raise SpecError if it is not valid."""
+    data = json.loads(spec.canonical_json())
+    for path, value in values:
+        put(data, path, value)
+    varied = InverseSpec(**data)
+    varied._document = spec._document
+    return varied

@@ -12,6 +12,7 @@ from mbdkit.base.text import shown
 from mbdkit.base.units import read_unit
 from mbdkit.mechanism.bodies import GROUND
 from mbdkit.mechanism.values import BodyPair, Points, pair
+from mbdkit.spec.criterion_names import CriterionName
 from mbdkit.spec.sections import Count, Positive, Section
 
 Named = Annotated[str, Field(min_length=1)]
@@ -186,7 +187,7 @@ class ErrorBars(Section):
     """Seed of the random numbers."""
 
 
-Criterion = Literal[
+CRITERIA = (
     "times",
     "time-unit",
     "outliers",
@@ -214,8 +215,11 @@ Criterion = Literal[
     "reserves",
     "max-force",
     "left-out",
-]
-"""Names of the criteria of the verdict on measured data and on the model."""
+)
+"""Names of the criteria of the verdict on measured data and on the model; plugins may add others."""
+
+Criterion = Annotated[str, CriterionName("inverse", CRITERIA)]
+"""Name of a criterion."""
 
 Data = dict[str, list[float | None]]
 """Columns of a table by heading; None and NaN are gaps."""

@@ -10,6 +10,7 @@ import numpy as np
 
 from mbdkit.archive.headlines import EXACT, JOINTS_NAMED, plus_minus
 from mbdkit.archive.peak_errors import errors_of_frames
+from mbdkit.archive.run_summary import known_rows
 from mbdkit.base.text import counted
 from mbdkit_biomech.inverse_dynamics.named_actuators import RESERVE
 
@@ -22,6 +23,8 @@ UNUSED_DATA = {"unobserved_markers": "no data", "unused_columns": "not used"}
 
 def inverse_lines(run: Run) -> list[tuple[str, str]]:
     """Return the lines of the summary that only inverse dynamics has, each with its label; texts may be empty."""
+    if run.kind != "inverse":
+        return []
     return [
         ("fit", _fit(run)),
         *((label, str(run.provenance.get(key, ""))) for key, label in UNUSED_DATA.items()),
@@ -47,33 +50,13 @@ def _fit(run: Run) -> str:
     return f"residuals (rms) {text}{more}" if parts else ""
 
 
-def _known(run: Run) -> np.ndarray:
-    """Return the rows (T,) in which all errors are known, or not estimated."""
-    errors = [] if run.accuracy is None else [run.accuracy.reaction_error]
-    errors += [run.array("actuators/value_error")] if errors and run.records("actuators/value_error") else []
-    known = np.ones(len(run.time), dtype=bool)
-    for one in errors:
-        known &= ~np.any(np.isnan(one), axis=1)
-    return known
-
-
-def times_of_unknown_errors(run: Run) -> str:
-    """Return a phrase with the times at which errors of inverse dynamics are unknown; empty if all are known."""
-    borders = np.flatnonzero(np.diff(np.concatenate([[True], _known(run), [True]])))
-    spans = [
-        f"from t = {run.time[first]:.6g} to {run.time[end - 1]:.6g} s" for first, end in borders.reshape(-1, 2).tolist()
-    ]
-    more = f" and in {len(spans) - JOINTS_NAMED} more intervals" if len(spans) > JOINTS_NAMED else ""
-    return ", ".join(spans[:JOINTS_NAMED]) + more
-
-
 def _gaps(run: Run) -> str:
     """Return the gaps of the measured columns, how they are filled, and whether errors are unknown there; empty if
     there are none.
     """
     texts: dict[str, list[str]] = {"by interpolation": [], "from the other columns": []}
     placed = json.loads(str(run.provenance.get("placed_gaps", "{}")))
-    known = _known(run)
+    known = known_rows(run)
     for name, one in run.motion.items():
         missing = np.concatenate([[False], np.isnan(one.raw), [False]])
         for first, end in np.flatnonzero(np.diff(missing)).reshape(-1, 2).tolist():

@@ -12,6 +12,7 @@ from markupsafe import Markup
 
 from mbdkit.mechanism.mechanism import Mechanism
 from mbdkit_biomech.inverse_dynamics.cycles import crossings
+from mbdkit_report.figures.drawing_geometry import mechanism_of
 from mbdkit_report.figures.mechanism_drawing import (
     CROWD,
     NARROW,
@@ -66,6 +67,11 @@ def load_drawing(run: Run, mechanism: Mechanism | None) -> Illustration | None:
     )
     wide, narrow = (_svg(run, mechanism, *size) for size in ((FRAMES, WIDE), (FRAMES_NARROW, NARROW)))
     return Illustration(wide, narrow, "The mechanism at several times with arrows of its forces", text)
+
+
+def film_with_arrows(run: Run, film: dict[str, Any]) -> dict[str, Any]:
+    """Return the data of the player of a run, with arrows of forces if it is one of inverse dynamics."""
+    return with_arrows(run, mechanism_of(run), film) if run.kind == "inverse" else film
 
 
 def with_arrows(run: Run, mechanism: Mechanism | None, film: dict[str, Any]) -> dict[str, Any]:

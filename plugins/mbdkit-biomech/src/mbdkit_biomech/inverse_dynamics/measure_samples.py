@@ -1,6 +1,7 @@
 """Errors of measures of inverse dynamics, by samples of noise and of properties of muscles, and by other cutoffs.
 
-The error bars of `mbdkit_biomech.inverse_dynamics.error_bars` hold at single times, while a measure depends on all times.
+The error bars of `mbdkit_biomech.inverse_dynamics.error_bars` hold at single times, while a measure depends on all
+times.
 Measures are therefore computed again from noisy motions and loads, whose accelerations at both ends are drawn too.
 Errors are unknown if long gaps may hide changes of a measure. The same seed gives the same noise, which cancels in the
 difference of two results for one motion, such as those with and without a device.

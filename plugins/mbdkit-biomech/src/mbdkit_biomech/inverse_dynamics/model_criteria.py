@@ -47,8 +47,9 @@ def model_doubts(result: Inverse) -> Iterator[Doubt]:
     """Yield doubts about the masses, beams, muscles and reserves of the model."""
     yield from spec_doubts(result.problem.spec)
     workspace = result.problem.prepared.workspace
-    coarse = CoarseBeams.of(result.problem.names.mechanism, workspace.mechanism)
-    if coarse is not None:
+    mechanism = result.problem.names.mechanism
+    if mechanism.beams:
+        coarse = CoarseBeams(mechanism, workspace.mechanism)
         coarse.add(recorded_states(result))
         for warning in coarse.warnings():
             yield Doubt("elements", f"{warning}.")

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from copy import copy
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
@@ -71,3 +73,8 @@ def _independent(rates: np.ndarray) -> list[int]:
             rows.append(index)
             basis = np.vstack([basis, rest / np.linalg.norm(rest)])
     return rows
+
+
+def arms_of(run: Run) -> Callable[[str, str], np.ndarray]:
+    """Return the function that computes moment arms of a run, of a muscle and about a coordinate."""
+    return partial(moment_arms, run)

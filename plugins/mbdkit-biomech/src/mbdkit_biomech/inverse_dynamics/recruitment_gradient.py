@@ -1,8 +1,9 @@
 """Derivatives of recruited muscles, and of the joint forces that contain them, with respect to parameters.
 
 The derivatives of moment arms, capacities and passive forces are given. The derivatives of tensions and reserves follow
-from them and the optimality conditions (`mbdkit_biomech.inverse_dynamics.shared_loads_derivative`). With the generalized forces
-P F of the tensions F, and the forces B u of actuators and reserves, the derivatives with respect to a parameter p are
+from them and the optimality conditions (`mbdkit_biomech.inverse_dynamics.shared_loads_derivative`). With the
+generalized forces P F of the tensions F, and the forces B u of actuators and reserves, the derivatives with respect to
+a parameter p are
 
     Phi_q^T lam_p = (B u + P F)_p - (M a + Phi_q^T lam - Q - Q_loads)_p,    the last term at constant lam.
 

@@ -33,7 +33,8 @@ class Name:
     points
         (K, 2) points [px], beside any of which the name may stand.
     color
-        Name of the colour of a patch in front of the name, see `mbdkit_report.figures.palette.color_key`; empty for no patch.
+        Name of the colour of a patch in front of the name, see `mbdkit_report.figures.palette.color_key`;
+        empty for no patch.
     """
 
     text: str

@@ -6,6 +6,7 @@ import base64
 import html
 from dataclasses import dataclass, replace
 from functools import singledispatch
+from typing import cast
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -18,9 +19,9 @@ from mbdkit.base.errors import MbdkitError
 from mbdkit.base.html_view import HtmlView
 from mbdkit.base.text import shown
 from mbdkit.gradients.gradient import Gradient
-from mbdkit.mechanism.beams import beam_of
 from mbdkit.mechanism.mechanism import Mechanism
-from mbdkit_biomech.inverse_dynamics.workload import Workload
+from mbdkit.registry.feature_items import ViewItem
+from mbdkit.registry.manager import registry
 from mbdkit_report.figures.curves import take
 from mbdkit_report.figures.drawing_geometry import mechanism_of
 from mbdkit_report.figures.mechanism_drawing import NamedPose
@@ -34,23 +35,6 @@ from mbdkit_report.plot import drift_plot, reactions_plot
 from mbdkit_report.plot.caption import caption
 from mbdkit_report.plot.charts import chart_image
 from mbdkit_report.plot.style import png
-from mbdkit_statics.equilibrium import Equilibrium
-from mbdkit_statics.mechanics_summary import (
-    beam_ends,
-    beam_rows,
-    clean,
-    equilibrium_facts,
-    modes_facts,
-    moves_most,
-    remark,
-    sharing,
-)
-from mbdkit_statics.mode_shapes import modes_figure
-from mbdkit_statics.modes import Modes
-from mbdkit_studies.study import Study
-from mbdkit_studies.study_headlines import headlines
-from mbdkit_studies.study_notes import notes
-from mbdkit_studies.study_report import runs_table, settings
 
 
 @dataclass(frozen=True)
@@ -121,8 +105,13 @@ def html_of(thing: HtmlView) -> str:
 
 @singledispatch
 def view(thing: HtmlView) -> View:
-    """Return the view of an object."""
-    raise TypeError(f"there is no view for a {type(thing).__name__}: register one with `view.register`")
+    """Return the view of an object: that of a plugin, or one of this file."""
+    classes = {f"{one.__module__}:{one.__qualname__}" for one in type(thing).__mro__}
+    for item in registry().of_kind("view"):
+        made = cast(ViewItem, item.plugin)
+        if made.of in classes:
+            return cast(View, made.make()(thing))
+    raise TypeError(f"there is no view for a {type(thing).__name__}: a plugin can add an item `ViewItem`")
 
 
 @view.register
@@ -158,68 +147,6 @@ def _(mechanism: Mechanism) -> View:
 
 
 @view.register
-def _(study: Study) -> View:
-    title = " ".join(study.spec.title.split()) or study.folder.resolve().name
-    answers = [f"{name}: {told}" for name, told in (*headlines(study, "±"), *notes(study))]
-    return View(f"Study: {title}", (settings(study), *answers), tables=(runs_table(study),))
-
-
-@view.register
-def _(found: Equilibrium) -> View:
-    bodies: list[tuple[Cell, ...]] = [
-        (name, *clean(place))
-        for name, place in zip(found.bodies, found.position, strict=True)
-        if beam_of(name) not in found.beams
-    ]
-    ends: list[tuple[Cell, ...]] = [(name, *place, *moved) for name, place, moved in beam_ends(found)]
-    forces = np.column_stack([found.reaction_force, found.reaction_torque])
-    forces[np.abs(forces) < 1e-12 * np.max(np.abs(forces), initial=0.0)] = 0.0
-    joints: list[tuple[Cell, ...]] = [(name, *row) for name, row in zip(found.joints, forces.tolist(), strict=True)]
-    place = columns_of("body; x [m]; y [m]; angle [rad]")
-    force = columns_of("joint; force x [N]; force y [N]; torque [N m]")
-    tables = (
-        Table("bodies", "Positions of the bodies", place, tuple(bodies)),
-        Table("reactions", "Reactions in the joints", force, tuple(joints), sharing(found)),
-        Table("beam-ends", "Ends of beams",
-              columns_of("end of beam; x [m]; y [m]; angle [rad]; moved by x [m]; moved by y [m]; turned by [rad]"),
-              tuple(ends)),
-        Table("beams", "Internal forces at the ends of beams and where they are largest",
-              columns_of("beam; at [m]; moment [N m]; shear [N]; axial [N]"), tuple(beam_rows(found))),
-    )  # fmt: skip
-    (_, stability), *facts = equilibrium_facts(found)
-    tone = {"stable": "good", "unstable": "alarm"}.get(found.stability, "")
-    picture = _posed(found.mechanism, found.position, found.time)
-    filled = tuple(table for table in tables if table.rows)
-    return View("Equilibrium", (stability[:1].upper() + stability[1:],), tone, tuple(facts), picture, tables=filled)
-
-
-def _posed(mechanism: Mechanism | None, position: Array, time: float) -> Illustration | None:
-    """Return the drawing of a mechanism in a position (B, 3) at a time [s]; None without a mechanism."""
-    if mechanism is None:
-        return None
-    return drawing(NamedPose.of(mechanism, list(mechanism.bodies), position, np.array([time])))
-
-
-@view.register
-def _(found: Modes) -> View:
-    rows: list[tuple[Cell, ...]] = []
-    for k, value in enumerate(found.eigenvalues.tolist()):
-        swings: list[Cell] = [None, None, None]
-        if value.imag:
-            swings = [float(x[k]) for x in (found.natural_frequency, found.frequency_hz, found.damping_ratio + 0.0)]
-        rows.append((k + 1, *swings, moves_most(found, k), remark(value)))
-    columns = [*columns_of("mode; natural frequency [rad/s]; frequency [Hz]; damping ratio; moves most; remark")]
-    if not any(row[-1] for row in rows):
-        rows, columns = [row[:-1] for row in rows], columns[:-1]
-    pictures: tuple[Picture, ...] = ()
-    if found.mechanism is not None:
-        figure = modes_figure(found, found.mechanism, "Mode shapes")
-        pictures = (Picture(figure, "Shapes of the slowest modes, displaced in both directions"),)
-    table = Table("modes", "All modes", tuple(columns), tuple(rows))
-    return View("Modes", facts=tuple(modes_facts(found)), pictures=pictures, tables=(table,))
-
-
-@view.register
 def _(found: Gradient) -> View:
     columns = [*columns_of("measure; unit; value"), *(Column(f"by {name}") for name in found.parameters)]
     rows: list[tuple[Cell, ...]] = [
@@ -230,19 +157,6 @@ def _(found: Gradient) -> View:
     note = "In the unit of the measure for each SI unit of the parameter."
     table = Table("gradient", "Derivatives", tuple(columns), tuple(rows), note)
     return View("Gradient", (*found.doubts, *found.remarks, *check), tables=(table,))
-
-
-@view.register
-def _(found: Workload) -> View:
-    rows: list[tuple[Cell, ...]] = [
-        (one.name, one.kind, load.units, load.peak, load.peak_error, load.peak_time, load.impulse)
-        for one in found.elements
-        for load in (one.load, one.torque)
-        if load is not None
-    ]
-    columns = columns_of("element; kind; unit; peak; \u00b1 error; time of the peak [s]; impulse [unit s]")
-    table = Table("workload", "Loads", columns, tuple(rows))
-    return View("Workload", (f"From {found.start:g} s to {found.end:g} s.", found.note), tables=(table,))
 
 
 @view.register

@@ -13,7 +13,7 @@ from mbdkit.base.text import listed
 from mbdkit.registry.catalogue import Kind, Registered
 from mbdkit.registry.items import Claims, IntegratorPlugin
 from mbdkit.registry.manager import registry
-from mbdkit.spec.spec_kinds import is_inverse
+from mbdkit.spec.spec_kinds import kind_of
 from mbdkit_report.plot.caption import plain_name
 
 _EQUATIONS = (
@@ -51,7 +51,7 @@ def methods(specs: Iterable[Mapping[str, Any]], sources: Iterable[str] = ()) -> 
         Further BibTeX entries, such as those of a packaged study.
     """
     specs = list(specs)
-    forward = [spec for spec in specs if not is_inverse(spec)]
+    forward = [spec for spec in specs if kind_of(spec).run_kind != "inverse"]
     paragraphs = [_EQUATIONS, _stabilization(forward)] if forward else []
     if len(forward) < len(specs):
         paragraphs.append(_INVERSE)

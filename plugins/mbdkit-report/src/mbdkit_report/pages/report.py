@@ -6,12 +6,16 @@ import os
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import cast
 
 from mbdkit.archive.changed_contents import hash_warnings
 from mbdkit.archive.reader import load
 from mbdkit.base.errors import SpecError
 from mbdkit.base.files import check_output, check_suffix, replacing
 from mbdkit.base.logs import warn_on_stderr
+from mbdkit.base.text import listed
+from mbdkit.registry.feature_items import FileFormat
+from mbdkit.registry.manager import registry
 from mbdkit_report.analysis.verdict import Verdict
 from mbdkit_report.pages.report_page import ReportPage
 from mbdkit_report.pages.run_report import run_report
@@ -67,10 +71,11 @@ def write_report(
     """
     source = Path(path)
     is_folder = os.path.isdir(source)
-    is_study = is_folder and not (source / "design.yaml").is_file()
+    kind = FileFormat.of_folder(source, _formats()) if is_folder else None
     if output is None:
         target = source / "report.html" if is_folder else source.with_name(f"{source.stem}-report.html")
-        figures = source / "figures" if is_study and figures is None else figures
+        if kind is not None and kind.saves_figures and figures is None:
+            figures = source / "figures"
     else:
         target = Path(output)
     folder = None if figures is None else Path(figures)
@@ -79,7 +84,7 @@ def write_report(
     check_suffix(target, SUFFIXES, "a report")
     check_output(target, overwrite=overwrite, source=source)
     _check_figures(folder, overwrite)
-    with _document(source, workers) as document:
+    with _document(source, kind, workers) as document:
         page = markdown_text(document) if target.suffix == ".md" else document.html()
         stands = os.path.isfile(target) and target.read_bytes() == page.encode()
         with replacing(target, overwrite=overwrite, source=source) as temporary:
@@ -91,25 +96,26 @@ def write_report(
     return target, document.verdict
 
 
+def _formats() -> list[FileFormat]:
+    """Return the kinds of folders that have a report."""
+    formats = [cast(FileFormat, item.plugin) for item in registry().of_kind("file-format")]
+    return [one for one in formats if one.file and one.report is not None]
+
+
 @contextmanager
-def _document(source: Path, workers: int) -> Iterator[ReportPage]:
+def _document(source: Path, kind: FileFormat | None, workers: int) -> Iterator[ReportPage]:
     if not os.path.isdir(source):
         with load(source) as run:
             warnings = hash_warnings(run)
             warn_on_stderr(warnings)
             yield run_report(run, warnings)
-    elif (source / "design.yaml").is_file():
-        from mbdkit_design.design_report import design_report
-
-        with design_report(source, workers) as page:
-            yield page
-    elif not (source / "study.yaml").is_file():
-        raise SpecError("this folder contains no study and no design: no study.yaml, no design.yaml", file=source)
+    elif kind is None or kind.report is None:
+        phrases = listed([f"no {one.name}" for one in _formats()], "and")
+        files = ", ".join(f"no {one.file}" for one in _formats())
+        raise SpecError(f"this folder contains {phrases}: {files}", file=source)
     else:
-        from mbdkit_studies.carry_out import load_study
-        from mbdkit_studies.study_report import study_report
-
-        yield study_report(load_study(source))
+        with kind.report()(source, workers) as page:
+            yield page
 
 
 def _check_figures(folder: Path | None, overwrite: bool) -> None:

@@ -14,13 +14,13 @@ from mbdkit.archive.headlines import ROUND_OFF
 from mbdkit.mechanism.bodies import GROUND
 from mbdkit.quantities.array import Recorded
 from mbdkit.quantities.table import BY_GROUP, RECORDED
-from mbdkit_biomech.inverse_dynamics.load_sections import inverse_charts
 from mbdkit_report.figures.curves import bands
 from mbdkit_report.figures.drawing_geometry import choose_traces, draw_run
 from mbdkit_report.figures.page_model import Axis, Figure, Line, Mark
 from mbdkit_report.figures.palette import INK, PALETTE, body_colors, trace_colors
 from mbdkit_report.pages.answer_section import Peaks
-from mbdkit_report.plot.plot_kinds import PLOT_KINDS, plot_module
+from mbdkit_report.pages.section_items import report_sections
+from mbdkit_report.plot.plot_kinds import plot_kinds, plot_module
 
 if TYPE_CHECKING:
     from mbdkit.archive.run import Run
@@ -43,12 +43,12 @@ _OF_JOINTS = (
 
 def run_charts(run: Run) -> tuple[Figure, ...]:
     """Return the charts of a run that has rows. Quantities that the run did not record are left out."""
-    of_kinds = {kind: list(plot_module(kind).charts(run)) for kind in PLOT_KINDS}
+    of_kinds = {kind: list(plot_module(kind).charts(run)) for kind in plot_kinds()}
     charts = [chart for kind in _FIRST for chart in of_kinds.pop(kind, [])]
     recorded = [chart for path in RECORDED for chart in recorded_charts(run, path)]
     moving = [chart for chart in recorded if chart.y.unit in _OF_MOTION]
     charts += [
-        *inverse_charts(run),
+        *(chart for item in report_sections() if item.charts is not None for chart in item.charts()(run)),
         *component_charts(run),
         *(chart for chart in recorded if chart.y.unit not in _OF_MOTION),
     ]

@@ -6,19 +6,18 @@ from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 from mbdkit.archive.headlines import headline_texts
+from mbdkit.spec.spec_kinds import kind_of_runs
 from mbdkit.spec.yaml_reader import write_yaml
-from mbdkit_biomech.inverse_dynamics.load_frames import with_arrows
-from mbdkit_biomech.inverse_dynamics.load_sections import inverse_sections
 from mbdkit_report.figures.curves import require_rows
 from mbdkit_report.figures.drawing_geometry import mechanism_of
 from mbdkit_report.figures.page_model import Cell, Table, columns_of
 from mbdkit_report.figures.player_data import film_data
-from mbdkit_report.pages.answer_section import answer_section, beam_section, gradient_section
 from mbdkit_report.pages.methods_used import methods
 from mbdkit_report.pages.model_section import model_section
 from mbdkit_report.pages.report_page import ReportPage
 from mbdkit_report.pages.run_charts import DRIFT
 from mbdkit_report.pages.run_verdict import run_verdict
+from mbdkit_report.pages.section_items import report_sections
 from mbdkit_report.plot.caption import caption
 
 if TYPE_CHECKING:
@@ -45,9 +44,8 @@ def run_report(run: Run, warnings: Sequence[str] = ()) -> ReportPage:
     require_rows(run)
     head = caption(run)
     mechanism = mechanism_of(run)
-    beams, gradients = beam_section(run, mechanism), gradient_section(run)
-    found = [*inverse_sections(run, mechanism), answer_section(run), beams, gradients]
-    command = "inverse" if run.kind == "inverse" else "run"
+    sections = [section for item in report_sections() for section in item.make()(run, mechanism)]
+    command = kind_of_runs(run.kind).command
     return ReportPage(
         title=head.title,
         settings=head.settings,
@@ -60,18 +58,21 @@ def run_report(run: Run, warnings: Sequence[str] = ()) -> ReportPage:
         environment=environment(run.provenance, {"run": run.run_id, "created (UTC)": run.created_utc}),
         reproduce="Save the spec below as run.yaml. With the same versions on the same machine the arrays are "
         f"identical bit for bit; their SHA-256 is {run.data_sha256 or 'unknown, because the run did not finish'}.",
-        commands=f"mbdkit {command} run.yaml\nmbdkit rerun {run.path.name if run.path else 'run.h5'}",
+        commands=f"{command} run.yaml\nmbdkit rerun {run.path.name if run.path else 'run.h5'}",
         spec=yaml_text(run.spec),
         spec_file="run.yaml",
-        sections=(model_section(run, mechanism), *(section for section in found if section is not None)),
+        sections=(model_section(run, mechanism), *sections),
         beside_verdict=("misalignment", "contacts", "errors", *DRIFT),
     )
 
 
 def film_of(run: Run, numbers: int, label: str = "") -> dict[str, Any]:
-    """Return the data of the player, with arrows of forces for inverse dynamics; see `film_data` for the arguments."""
+    """Return the data of the player, with what plugins add to them; see `film_data` for the arguments."""
     film = film_data(run, numbers, label)
-    return with_arrows(run, mechanism_of(run), film) if run.kind == "inverse" else film
+    for item in report_sections():
+        if item.film is not None:
+            film = item.film()(run, film)
+    return film
 
 
 def _alarm(run: Run, ending: str, warnings: Sequence[str]) -> str:

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from mbdkit.spec.formulation_choice import name_of
-from mbdkit.spec.spec_kinds import is_inverse
+from mbdkit.spec.spec_kinds import kind_of
 
 if TYPE_CHECKING:
     from mbdkit.archive.run import Run
@@ -54,7 +54,7 @@ def method(spec: Mapping[str, Any]) -> str:
     """Return the integrator of a spec with its main options, such as ``gauss, 2 stages``. For inverse dynamics, return
     the smoothing instead.
     """
-    if is_inverse(spec):
+    if kind_of(spec).run_kind == "inverse":
         smooth = spec["motion"].get("smooth", {})
         cutoff = f" {smooth['cutoff']:g} Hz" if "cutoff" in smooth else ""
         return f"inverse dynamics, smoothing {smooth.get('name', 'none')}{cutoff}"

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import inspect
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -108,6 +109,11 @@ def draw_run(run: Run, kind: str, ax: Axes | None = None, **options: Any) -> Axe
     `Run.plot`.
     """
     return draw_on(ax, comparison([run], kind, **options)[0])
+
+
+def drawing(run: Run) -> Callable[..., Axes]:
+    """Return the function that draws plots of a run; see `draw_run`."""
+    return partial(draw_run, run)
 
 
 def comparison(

@@ -1,7 +1,4 @@
-"""The kinds of plot, in a table that the command line, messages and the report use.
-
-To add a kind, add a line to `PLOT_KINDS` and write the module ``plugins/mbdkit-report/src/mbdkit_report/plot/NAME_plot.py``.
-"""
+"""The kinds of plot, which the command line, messages and the report use: items of the registry."""
 
 from __future__ import annotations
 
@@ -10,23 +7,18 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any, Protocol, cast
 
 from mbdkit.base.errors import SpecError
+from mbdkit.registry.feature_items import PlotKind
+from mbdkit.registry.manager import registry
 
 if TYPE_CHECKING:
     from mbdkit.archive.run import Run
     from mbdkit_report.figures.page_model import Figure
     from mbdkit_report.plot.charts import Panel
 
-# Modules are imported when they are used, so that the command line can list the kinds without loading Matplotlib.
-PLOT_KINDS: dict[str, str] = {
-    "trajectory": "paths of free ends and moving joints, first and last pose",
-    "drift": "misalignment of the joints on a logarithmic axis",
-    "energy": "energies and their balance",
-    "reactions": "reaction forces and torques of the joints",
-    "torques": "torques of joints, drivers, force elements and actuators",
-    "forces": "forces of springs, dampers, laws, loads and actuators",
-    "beams": "bending moment, shear and axial force of beams, along them and over time",
-}
-"""Description of each kind of plot, by name."""
+
+def plot_kinds() -> dict[str, str]:
+    """Return the description of each kind of plot, by name."""
+    return {item.name: item.plugin.summary for item in registry().of_kind("plot-kind")}
 
 
 class PlotModule(Protocol):
@@ -53,6 +45,8 @@ def plot_module(kind: str) -> PlotModule:
     SpecError
         If the kind is unknown.
     """
-    if kind not in PLOT_KINDS:
-        raise SpecError(f"there is no kind of plot {kind!r}; the kinds are {', '.join(PLOT_KINDS)}")
-    return cast(PlotModule, import_module(f"mbdkit_report.plot.{kind}_plot"))
+    known = plot_kinds()
+    if kind not in known:
+        raise SpecError(f"there is no kind of plot {kind!r}; the kinds are {', '.join(known)}")
+    module = cast(PlotKind, registry().get("plot-kind", kind).plugin).module
+    return cast(PlotModule, import_module(module))

@@ -39,7 +39,7 @@ def figure(run: Run, kind: str = "trajectory", **options: Any) -> Figure:
     Parameters
     ----------
     kind
-        A key of `mbdkit_report.plot.plot_kinds.PLOT_KINDS`.
+        A key of `mbdkit_report.plot.plot_kinds.plot_kinds`.
     **options
         Options of the method of `Run.plot` of this kind. With options, one chart is drawn instead of all panels.
 
@@ -90,7 +90,7 @@ def plot(
     Parameters
     ----------
     kind
-        A key of `mbdkit_report.plot.plot_kinds.PLOT_KINDS`.
+        A key of `mbdkit_report.plot.plot_kinds.plot_kinds`.
     path
         File to write. Its suffix, .png, .svg or .pdf, selects the format.
     size

@@ -1,0 +1,65 @@
+"""Attributes of results that plugins compute: `Run.plot`, and others that a plugin adds."""
+
+from __future__ import annotations
+
+from typing import Any, ClassVar, Self, cast
+
+from mbdkit.base.errors import MissingPartError
+from mbdkit.registry.feature_items import Accessor
+from mbdkit.registry.manager import registry
+
+
+class Extensible:
+    """Base of the classes to which plugins add attributes; see `mbdkit.plugin.Accessor`.
+
+    The attributes are added to the class when its first object is made. A method `__getattr__` would do without this,
+    but IPython does not complete names of objects that have one.
+    """
+
+    _added: ClassVar[frozenset[str]]
+
+    def __new__(cls, *_arguments: Any, **_named: Any) -> Self:
+        """Make an object of the class, which has the attributes of plugins."""
+        if "_added" not in vars(cls):
+            cls._added = frozenset(name for name in _accessors(cls) if not hasattr(cls, name))
+            for name in cls._added:
+                setattr(cls, name, _Computed(name))
+        return super().__new__(cls)
+
+
+class _Computed:
+    """An attribute that is computed when it is first read, and then kept in the object."""
+
+    def __init__(self, name: str):
+        self.name = name
+
+    def __get__(self, thing: Any, owner: type) -> Any:
+        if thing is None:
+            return self
+        thing.__dict__[self.name] = value = computed(thing, self.name)
+        return value
+
+
+def _accessors(kind: type) -> dict[str, Accessor]:
+    """Return the accessors of a class by name."""
+    items = [cast(Accessor, item.plugin) for item in registry().of_kind("accessor")]
+    return {item.name: item for item in items if item.of == kind.__name__}
+
+
+def computed(thing: Any, name: str, part: str = "") -> Any:
+    """Return the value of an attribute that a plugin computes, or the part of mbdkit with the name `part`.
+
+    Raises
+    ------
+    MissingPartError
+        If the part is not installed.
+    RuntimeError
+        In place of an AttributeError in the plugin, which Python would take for a missing attribute.
+    """
+    item = _accessors(type(thing)).get(name)
+    if item is None:
+        raise MissingPartError(f"{type(thing).__name__}.{name}", part)
+    try:
+        return item.target()(thing)
+    except AttributeError as error:
+        raise RuntimeError(f"the attribute `{name}` of a plugin failed: {error}") from error

@@ -1,0 +1,352 @@
+"""Classes of the items with which a plugin extends mbdkit: kinds of specs, examples, pages, and results.
+
+Every item names its code by a `Target`, which is imported when it is first used.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, ClassVar, Literal
+
+from mbdkit.registry.item import Item
+from mbdkit.registry.target import Target
+
+
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class Feature(Item):
+    """Base of the items of this file.
+
+    Parameters
+    ----------
+    name
+        Name of the item.
+    summary
+        One line that describes it.
+    order
+        Position among the items of its kind; items of lower order come first.
+    """
+
+    name: str
+    summary: str
+    order: int = 500
+
+
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class SpecKind(Feature):
+    """A kind of specs: how it is recognised, checked, computed again and documented.
+
+    Parameters
+    ----------
+    name
+        Name of the kind, for ``mbdkit schema NAME``.
+    order
+        Kinds of lower order are recognised first.
+    marker
+        Top-level key that only specs of this kind have; empty for run specs, which are recognised last.
+    signs
+        Further top-level keys. A document without a model that has one of them counts as a spec of this kind, so that
+        errors are about the kind that was intended.
+    absent
+        Top-level keys that a spec of this kind never has.
+    phrase
+        The kind with its article, such as ``a study spec``.
+    command
+        The command that takes a spec of this kind, such as ``mbdkit study``.
+    given_instead
+        Error in place of another kind, such as ``this is a study spec, which `mbdkit study` runs``.
+    run_instead
+        Error for a run spec in place of this kind.
+    load
+        Function that takes a source (a file, the name of an example, a document, a mapping) and assignments, and
+        returns the validated spec.
+    validate
+        Function that takes a source, its name and assignments, checks the spec, and prints what it defines.
+    is_packaged
+        Function that returns whether a name is that of a packaged spec that is no example; None if there are none.
+    schema
+        Function that takes a registry and returns the JSON schema; None if the kind has none.
+    run_kind
+        `Run.kind` of the archives of this kind; empty if there are none.
+    model
+        Class of the validated spec that such an archive contains.
+    repeat
+        Function that computes the run of an archive again: it takes the `Run`, the path of its archive, the path of the
+        new archive or None, and ``overwrite`` and ``progress`` by name.
+    heading
+        Heading of its examples in ``mbdkit examples``.
+    """
+
+    kind: ClassVar[str] = "spec-kind"
+    key: ClassVar[str] = "spec"
+
+    phrase: str
+    marker: str = ""
+    signs: tuple[str, ...] = ()
+    absent: tuple[str, ...] = ()
+    command: str = ""
+    given_instead: str = ""
+    run_instead: str = ""
+    load: Target[Callable[..., Any]]
+    validate: Target[Callable[[Any, str, list[str]], None]]
+    is_packaged: Target[Callable[[str], bool]] | None = None
+    schema: Target[Callable[[Any], dict[str, Any]]] | None = None
+    run_kind: str = ""
+    model: Target[Any] | None = None
+    repeat: Target[Callable[..., Any]] | None = None
+    heading: str = ""
+
+    def recognises(self, data: Mapping[str, Any]) -> bool:
+        """Return whether plain data are, or are meant to be, a spec of this kind."""
+        if any(key in data for key in self.absent):
+            return False
+        return (
+            not self.marker or self.marker in data or ("model" not in data and any(key in data for key in self.signs))
+        )
+
+
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class Example(Feature):
+    """A packaged example: a spec, or a notebook, that users run and copy by its name.
+
+    Parameters
+    ----------
+    file
+        The file. A table that the spec reads has the same name with the suffix ``.csv``.
+    """
+
+    kind: ClassVar[str] = "example"
+    key: ClassVar[str] = "example"
+
+    file: Path
+
+    @classmethod
+    def folder(cls, folder: Path, suffix: str = ".yaml") -> list[Example]:
+        """Return the examples in a folder, which are named like their files."""
+        return [
+            cls(name=path.stem, summary=f"packaged example {path.stem}", file=path)
+            for path in sorted(folder.glob(f"*{suffix}"))
+        ]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class GuidePage(Feature):
+    """A page of ``mbdkit guide``, whose name is its topic.
+
+    Parameters
+    ----------
+    file
+        The page, as Markdown.
+    """
+
+    kind: ClassVar[str] = "guide-page"
+    key: ClassVar[str] = "page"
+
+    file: Path
+
+    @classmethod
+    def folder(cls, folder: Path) -> list[GuidePage]:
+        """Return the pages in a folder, whose topics are the names of the files."""
+        return [
+            cls(name=path.stem, summary=f"page {path.stem} of the guide", file=path)
+            for path in sorted(folder.glob("*.md"))
+        ]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class FileFormat(Feature):
+    """A kind of files or folders with results: how it is recognised, checked, exported and reported.
+
+    Parameters
+    ----------
+    file
+        Name of the file whose presence makes a folder one of this kind; empty for files.
+    suffix
+        Suffix of files of this kind; empty for folders.
+    problems
+        Function that takes a path and returns the problems found, or None if the file is of another kind.
+    export
+        Function that takes path, folder, format and ``overwrite`` by name, and returns the files written.
+    report
+        Function that takes a path and the number of processes, and returns a context manager that yields the page.
+    saves_figures
+        Whether the charts of the report are also written as images.
+    """
+
+    kind: ClassVar[str] = "file-format"
+    key: ClassVar[str] = "file"
+
+    file: str = ""
+    suffix: str = ""
+    problems: Target[Callable[[Path], list[str] | None]] | None = None
+    export: Target[Callable[..., list[Path]]] | None = None
+    report: Target[Callable[[Path, int], Any]] | None = None
+    saves_figures: bool = False
+
+    @classmethod
+    def of_folder(cls, folder: Path, formats: Iterable[FileFormat]) -> FileFormat | None:
+        """Return the format of a folder; None if it is of no known kind."""
+        return next((one for one in formats if one.file and (folder / one.file).is_file()), None)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class Accessor(Feature):
+    """An attribute of results that a plugin computes, such as `Run.plot`.
+
+    Parameters
+    ----------
+    name
+        Name of the attribute.
+    of
+        Class that has the attribute: ``Run``.
+    target
+        Function that takes the object and returns the value of the attribute, which is then kept.
+    """
+
+    kind: ClassVar[str] = "accessor"
+    key: ClassVar[str] = "attribute"
+
+    of: str
+    target: Target[Callable[[Any], Any]]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class SummaryLine(Feature):
+    """Lines of the summary of a run.
+
+    Parameters
+    ----------
+    name
+        Name of the item; the function gives the labels.
+    text
+        Function that takes the run and returns lines, each a label and a text; empty texts are left out.
+    """
+
+    kind: ClassVar[str] = "summary-line"
+    key: ClassVar[str] = "summary"
+
+    text: Target[Callable[[Any], list[tuple[str, str]]]]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class ReportSection(Feature):
+    """A section of the report of a run.
+
+    Parameters
+    ----------
+    make
+        Function that takes the run and its mechanism, or None if it cannot be built, and returns the sections, of class
+        `mbdkit_report.figures.page_model.Section`; none if the run has no such section.
+    charts
+        Function that takes the run and returns charts, of class `mbdkit_report.figures.page_model.Figure`.
+    film
+        Function that takes the run and the data of the player, and returns these data with its additions.
+    """
+
+    kind: ClassVar[str] = "report-section"
+    key: ClassVar[str] = "section"
+
+    make: Target[Callable[[Any, Any], Iterable[Any]]]
+    charts: Target[Callable[[Any], Iterable[Any]]] | None = None
+    film: Target[Callable[[Any, dict[str, Any]], dict[str, Any]]] | None = None
+
+
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class PlotKind(Feature):
+    """A kind of plot of runs, for ``mbdkit plot --kind NAME``.
+
+    Parameters
+    ----------
+    module
+        Name of the module with the functions of the plot; see `mbdkit_report.plot.plot_kinds.PlotModule`.
+    """
+
+    kind: ClassVar[str] = "plot-kind"
+    key: ClassVar[str] = "kind"
+
+    module: str
+
+
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class ViewItem(Feature):
+    """What notebooks show of the objects of a class.
+
+    Parameters
+    ----------
+    of
+        Full name of the class, ``module:name``.
+    make
+        Function that takes the object and returns its `mbdkit_report.notebook.view.View`.
+    """
+
+    kind: ClassVar[str] = "view"
+    key: ClassVar[str] = "view"
+
+    of: str
+    make: Target[Callable[[Any], Any]]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class CriterionItem(Feature):
+    """A criterion of verdicts, or several that one function examines.
+
+    Parameters
+    ----------
+    stage
+        ``rows``: looks at the recorded states of a run; ``data``: looks at the result of inverse dynamics.
+    find
+        With ``rows``, a function that takes the spec, the compiled mechanism and its size [m], and returns a
+        `mbdkit.runs.state_watchers.StateWatcher`, or None if this run needs none. With ``data``, a function that takes
+        the result and its error bars, or None, and returns findings.
+    of
+        Names of the kinds of specs whose results are examined.
+    criteria
+        Names of the criteria, which `accept` in specs of these kinds may list.
+    """
+
+    kind: ClassVar[str] = "criterion"
+    key: ClassVar[str] = "accept"
+
+    stage: Literal["rows", "data"]
+    find: Target[Callable[..., Any]]
+    of: frozenset[str]
+    criteria: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class TableFormat(Feature):
+    """A format of ``mbdkit archive export --to NAME``.
+
+    Parameters
+    ----------
+    suffix
+        Suffix of the files, with its dot.
+    write
+        Function that takes a table, see `mbdkit.archive.export.ExportedTable`, and the path of the file to write.
+    needs
+        Name of the package that the function imports, if it is not part of mbdkit's requirements.
+    """
+
+    kind: ClassVar[str] = "table-format"
+    key: ClassVar[str] = "to"
+
+    suffix: str
+    write: Target[Callable[[Any, Path], None]]
+    needs: str = ""
+
+
+FEATURES: tuple[type[Feature], ...] = (
+    SpecKind,
+    Example,
+    GuidePage,
+    FileFormat,
+    Accessor,
+    SummaryLine,
+    ReportSection,
+    PlotKind,
+    ViewItem,
+    TableFormat,
+    CriterionItem,
+)
+"""The kinds of items of this file."""

@@ -1,0 +1,50 @@
+"""Names of criteria in the section `accept` of specs: those of mbdkit and those of plugins."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, cast
+
+from pydantic import GetCoreSchemaHandler, GetJsonSchemaHandler
+from pydantic.json_schema import JsonSchemaValue
+from pydantic_core import PydanticKnownError, core_schema
+
+from mbdkit.registry.feature_items import CriterionItem
+from mbdkit.registry.manager import registry
+
+
+class CriterionName:
+    """Annotation of a text that names a criterion of a kind of specs.
+
+    Parameters
+    ----------
+    kind
+        Name of the kind of specs.
+    names
+        The criteria that this kind always has.
+    """
+
+    def __init__(self, kind: str, names: Sequence[str]):
+        self.kind, self._names = kind, names
+
+    def names(self) -> list[str]:
+        """Return the names, those of plugins last."""
+        items = (cast(CriterionItem, item.plugin) for item in registry().of_kind(CriterionItem.kind))
+        added = [name for item in items if self.kind in item.of for name in item.criteria]
+        return list(dict.fromkeys([*self._names, *added]))
+
+    def __get_pydantic_core_schema__(self, source: Any, handler: GetCoreSchemaHandler) -> core_schema.CoreSchema:
+        return core_schema.no_info_after_validator_function(self._checked, core_schema.str_schema(strict=True))
+
+    def __get_pydantic_json_schema__(
+        self, schema: core_schema.CoreSchema, handler: GetJsonSchemaHandler
+    ) -> JsonSchemaValue:
+        names = self.names()
+        return {"enum": names, "type": "string"} if len(names) > 1 else {"const": names[0], "type": "string"}
+
+    def _checked(self, name: str) -> str:
+        if name in self._names or name in (names := self.names()):
+            return name
+        *first, last = [repr(known) for known in names]
+        expected = f"{', '.join(first)} or {last}" if first else last
+        raise PydanticKnownError("literal_error", {"expected": expected})

@@ -1,0 +1,1 @@
+"""Loads of human joints: inverse dynamics of measured motion, workload, and models of legs."""

@@ -1,0 +1,22 @@
+"""JSON schema of the specs of inverse dynamics."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from mbdkit.registry.catalogue import Registry
+from mbdkit.registry.manager import registry
+from mbdkit.spec.schema import DRAFT, described, model_schema
+from mbdkit_biomech.inverse_dynamics.inverse_spec import inverse_spec_type
+
+
+def inverse_schema(installed: Registry | None = None) -> dict[str, Any]:
+    """Return the JSON schema (draft 2020-12) of the spec of inverse dynamics.
+
+    Parameters
+    ----------
+    installed
+        Registry of the models and force laws to include; by default, all that are installed.
+    """
+    chosen = installed if installed is not None else registry()
+    return {"$schema": DRAFT, **described(model_schema(inverse_spec_type(chosen), chosen))}

@@ -1,0 +1,1 @@
+"""Models of legs, scaled by body mass and height."""

@@ -1,0 +1,58 @@
+"""What this part adds to mbdkit: designs, which choose numbers of a spec."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from pathlib import Path
+
+from mbdkit.plugin import Command, Example, FileFormat, GuidePage, Item, SpecKind, Target, hookimpl
+
+_HERE = Path(__file__).parent
+
+
+@hookimpl
+def mbdkit_items() -> Iterable[Item]:
+    """Return the kind of design specs, commands, examples, and the kind of folders of designs."""
+    return [
+        SpecKind(
+            name="design",
+            summary="A design: numbers of a spec that make measures small.",
+            order=300,
+            phrase="a design spec",
+            marker="mbdkit_design",
+            command="mbdkit design",
+            given_instead="this is a design spec, which `mbdkit design` solves",
+            heading="DESIGN",
+            load=Target("mbdkit_design.design_loading:load_design_spec"),
+            validate=Target("mbdkit_design.commands:validate_design"),
+            schema=Target("mbdkit_design.design_schema:design_schema"),
+        ),
+        Command(
+            name="design",
+            summary="Choose numbers of a spec so that measures become small.",
+            order=90,
+            target=Target("mbdkit_design.commands:design"),
+        ),
+        Command(
+            name="watch",
+            summary="Show the progress of a study or design of another process.",
+            order=160,
+            target=Target("mbdkit_design.commands:watch"),
+        ),
+        Command(
+            name="design",
+            group="schema",
+            summary="Print the JSON schema of a design spec.",
+            order=40,
+            target=Target("mbdkit_design.commands:schema_design"),
+        ),
+        FileFormat(
+            name="design",
+            summary="The folder of a design.",
+            order=200,
+            file="design.yaml",
+            report=Target("mbdkit_design.design_report:design_report"),
+        ),
+        *Example.folder(_HERE / "examples"),
+        *GuidePage.folder(_HERE / "guide"),
+    ]

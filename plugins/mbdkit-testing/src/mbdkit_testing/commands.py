@@ -1,0 +1,86 @@
+"""Commands for authors of plugins: `plugins verify` and `plugins new`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Literal
+
+import typer
+
+from mbdkit.base import terminal
+from mbdkit.base.progress_bars import count_bar
+from mbdkit.base.terminal import say, show, show_json, silence
+from mbdkit.cli.common_options import AsJson, Debug, Overwrite, Quiet, output_to
+
+
+def plugins_verify(
+    name: Annotated[str, typer.Argument(metavar="ID", help="A name such as gauss, or an id such as mbdkit:gauss.")],
+    assignments: Annotated[
+        list[str] | None,
+        typer.Option("--set", metavar="KEY=VALUE", help="Set an option, such as stages=3; may be repeated."),
+    ] = None,
+    quick: Annotated[bool, typer.Option("--quick", help="Skip the slow checks.")] = False,
+    as_json: AsJson = False,
+    as_html: Annotated[bool, typer.Option("--html", help="Also write an HTML page.")] = False,
+    output: Annotated[Path | None, output_to("FILE.html", "The page; by default ./NAME-verification.html.")] = None,
+    overwrite: Overwrite = False,
+    quiet: Quiet = False,
+    debug: Debug = False,
+) -> None:
+    """Verify the claims of a plugin by the checks of mbdkit.testing.
+
+    Exit status 1 if it is not verified: a check failed, or no check of the
+    required group could be run. With --json, prints one object with a list
+    "reports": a model and an integrator may share a name.
+    """
+    from mbdkit.registry import describe
+    from mbdkit.spec.reading import read_assignments
+
+    items = describe.find(name)
+    options = read_assignments(assignments or ())
+    from mbdkit_testing import verify
+    from mbdkit_testing.verification_page import check_page, write_page
+
+    page = (output or Path(f"{name.replace(':', '-')}-verification.html")) if as_html or output is not None else None
+    if page is not None:
+        check_page(page, overwrite=overwrite)
+    reports = []
+    for item in items:
+        with count_bar(item.id, quiet) as bar:
+            watch = None if bar is None else lambda done, total, check, bar=bar: bar(done, total, 0)
+            notify = silence if quiet else say
+            reports.append(verify(item.kind, item.id, options, quick=quick, watch=watch, notify=notify))
+    if page is not None:
+        write_page(reports, page, overwrite=overwrite)
+    if as_json:
+        show_json({"reports": [report.to_dict() for report in reports]})
+    elif not quiet:
+        show("\n\n".join(report.text() for report in reports))
+        if page is not None:
+            show(page)
+    if not all(report.verified for report in reports):
+        raise typer.Exit(terminal.NOT_VERIFIED)
+
+
+def plugins_new(
+    name: Annotated[str, typer.Argument(metavar="NAME", help="Name of the distribution, such as mbdkit-rocket.")],
+    kind: Annotated[
+        Literal["integrator", "tableau", "model", "force-law", "measure"],
+        typer.Option("--kind", help="Kind of plugin."),
+    ],
+    as_json: AsJson = False,
+    debug: Debug = False,
+) -> None:
+    """Create the project of a new plugin in ./NAME.
+
+    It can be installed at once, its tests pass, and its README says what to
+    change. Existing files are not changed.
+    """
+    from mbdkit_testing.scaffold.new_plugin import new_project
+
+    project = new_project(name, kind)
+    if as_json:
+        files = sorted(str(path) for path in project.rglob("*") if path.is_file())
+        show_json({"path": str(project), "kind": kind, "files": files})
+    else:
+        show(f"{project}: pip install -e './{project}[test]', and then see {project / 'README.md'}")

@@ -1,0 +1,28 @@
+"""What this part adds to mbdkit: the conformance kit, and templates of new plugins."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+from mbdkit.plugin import Command, Item, Target, hookimpl
+
+
+@hookimpl
+def mbdkit_items() -> Iterable[Item]:
+    """Return the commands that verify and create plugins."""
+    return [
+        Command(
+            name="verify",
+            group="plugins",
+            summary="Verify the claims of a plugin by the checks of mbdkit.testing.",
+            order=30,
+            target=Target("mbdkit_testing.commands:plugins_verify"),
+        ),
+        Command(
+            name="new",
+            group="plugins",
+            summary="Create the project of a new plugin in ./NAME.",
+            order=50,
+            target=Target("mbdkit_testing.commands:plugins_new"),
+        ),
+    ]

@@ -1,0 +1,26 @@
+"""The packages of the distribution: the core, and the parts below plugins/ that have no pyproject.toml of their own."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parent.parent
+PARTS = {
+    folder.name.replace("-", "_"): folder / "src" / folder.name.replace("-", "_")
+    for folder in sorted((ROOT / "plugins").glob("mbdkit-*"))
+    if not (folder / "pyproject.toml").exists()
+}
+"""Source folder of each part by the name of its package."""
+
+PACKAGES = {"mbdkit": ROOT / "mbdkit", **PARTS}
+"""Source folder of each package by its name."""
+
+
+def modules() -> dict[str, Path]:
+    """Return the files of all packages by the names of their modules."""
+    files = {}
+    for package, folder in PACKAGES.items():
+        for path in sorted(folder.rglob("*.py")):
+            name = ".".join((package, *path.relative_to(folder).with_suffix("").parts))
+            files[name.removesuffix(".__init__")] = path
+    return files
