@@ -1,32 +1,47 @@
-"""The map of the code names files that exist, and every room."""
+"""The maps of the code, in the README of the core and of each part, name files that exist, and every room."""
 
 from __future__ import annotations
 
 import re
 from pathlib import Path
 
-import mbdkit
+import pytest
 
-ROOT = Path(mbdkit.__file__).parent
-MAP = (ROOT / "README.md").read_text(encoding="utf-8")
+from tests.first_party import PACKAGES, PARTS, ROOT, modules
 
-
-def test_every_file_of_the_map_exists() -> None:
-    rows = [line.split("|")[2] for line in MAP.splitlines() if line.startswith("| ") and "`" in line]
-    named = [name for row in rows for name in re.findall(r"`([a-z_0-9/]+(?:\.py|/))`", row)]
-    assert len(named) > 40
-    missing = [name for name in named if not (ROOT / name).exists()]
-    assert not missing
-    in_prose = re.findall(r"`((?:engine|stepping|archive|models)/[a-z_0-9/]+\.py)`", MAP)
-    assert all((ROOT / name).is_file() for name in in_prose)
+CORE = (ROOT / "mbdkit" / "README.md").read_text(encoding="utf-8")
+MAPS = {name: (folder if name == "mbdkit" else folder.parents[1]) / "README.md" for name, folder in PACKAGES.items()}
+ROWS = {"mbdkit": 80} | dict.fromkeys(PARTS, 20)
+"""Largest number of rows of each map."""
 
 
-def test_the_map_names_every_room() -> None:
-    rooms = {path.name for path in ROOT.iterdir() if (path / "__init__.py").is_file()}
-    assert not {room for room in rooms if not re.search(rf"\b{room}\b", MAP)}
+def rows(path: Path) -> list[str]:
+    text = path.read_text(encoding="utf-8").partition("## To change this, open that")[2]
+    return [line for line in text.splitlines() if line.startswith("| ") and "`" in line]
 
 
-def test_no_two_files_share_a_name() -> None:
-    # a packaged study is a folder with a file `verdict.py`; the room analysis has the class Verdict
-    names = [path.name for path in ROOT.rglob("*.py") if path.name not in ("__init__.py", "__main__.py", "verdict.py")]
-    assert sorted(names) == sorted(set(names))
+@pytest.mark.parametrize("name", PACKAGES)
+def test_every_file_of_the_map_exists(name: str) -> None:
+    named = [file for row in rows(MAPS[name]) for file in re.findall(r"`([a-z_0-9/]+(?:\.py|/))`", row.split("|")[2])]
+    assert named
+    assert not [file for file in named if not (PACKAGES[name] / file).exists()]
+
+
+@pytest.mark.parametrize("name", PACKAGES)
+def test_the_map_is_short(name: str) -> None:
+    assert len(rows(MAPS[name])) <= ROWS[name]
+
+
+def test_the_map_of_the_core_names_every_room() -> None:
+    rooms = {path.name for path in (ROOT / "mbdkit").iterdir() if (path / "__init__.py").is_file()}
+    assert not {room for room in rooms if not re.search(rf"\b{room}\b", CORE)}
+    in_prose = re.findall(r"`((?:engine|stepping|archive|models)/[a-z_0-9/]+\.py)`", CORE)
+    assert all((ROOT / "mbdkit" / name).is_file() for name in in_prose)
+
+
+def test_no_two_files_of_a_package_share_a_name() -> None:
+    # a packaged study is a folder with a file `verdict.py`
+    for package in PACKAGES:
+        names = [path.name for name, path in modules().items() if name.split(".")[0] == package]
+        names = [name for name in names if name not in ("__init__.py", "__main__.py", "verdict.py")]
+        assert sorted(names) == sorted(set(names))

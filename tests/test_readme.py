@@ -18,6 +18,7 @@ from mbdkit_report.analysis.verdict import Answer
 from mbdkit_studies.judge import judge
 from mbdkit_studies.study_loading import load_study_spec
 from tests.benchmarks.paper_page import BEGIN, END, IN_SHORT, OF_A_MACHINE, full_entry
+from tests.first_party import PACKAGES
 from tests.printed_code import fenced_blocks, run_blocks
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -52,8 +53,8 @@ def test_a_section_begins_with_its_one_command(title: str) -> None:
 
 
 def test_it_links_every_page_of_the_guide() -> None:
-    pages = {path.name for path in (ROOT / "mbdkit" / "guide").glob("*.md")}
-    assert pages == set(re.findall(r"\(mbdkit/guide/([\w-]+\.md)\)", README))
+    pages = {path.name for folder in PACKAGES.values() for path in (folder / "guide").glob("*.md")}
+    assert pages == set(re.findall(r"\((?:mbdkit|plugins/mbdkit-\w+/src/mbdkit_\w+)/guide/([\w-]+\.md)\)", README))
 
 
 def test_the_source_paper_is_cited_by_its_title() -> None:
