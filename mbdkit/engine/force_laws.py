@@ -22,6 +22,7 @@ from mbdkit.engine.kernels import law_kernels, law_programs
 from mbdkit.engine.kernels.law_programs import HEAD, ONLY_OF_NUMBERS, OPCODES, REGISTERS, WORDS
 from mbdkit.engine.native.calls import HAS_POTENTIAL, PASSIVE
 from mbdkit.engine.native.kernel import LawFunction
+from mbdkit.engine.native.machine_code import BUILDER, builder
 from mbdkit.engine.traced_law import traced_source
 from mbdkit.laws import exponential, gas_spring, linear, one_sided, tabulated
 from mbdkit.mechanism.force_law import ARGUMENTS, ExpressionLaw, ForceLaw, TracedLaw
@@ -132,11 +133,12 @@ def _code_of(law: ForceLaw, example: dict[str, float], *, duals: bool) -> tuple[
             raise PluginError(f"the derivatives of {missing[0]} are not known")
         return (stored.address_for_duals if duals else stored.address), block.ctypes.data, block
     try:
-        from mbdkit.engine.compiler.function_laws import compiled_function
+        compiled_function = builder("function_laws").compiled_function
     except ImportError as error:
+        absent = BUILDER if error.name == BUILDER else "Numba"
         raise PluginError(
-            "it is a function that Numba compiles, and Numba is not installed: `pip install mbdkit[numba]`, or write "
-            "the law as a SymPy expression"
+            f"it is a function that Numba compiles, and {absent} is not installed: "
+            "`pip install mbdkit[numba]`, or write the law as a SymPy expression"
         ) from error
     callback = compiled_function(law.function, duals=duals)
     return callback.address, 0, callback

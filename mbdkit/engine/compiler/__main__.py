@@ -4,8 +4,8 @@ build
     Build the stored libraries of this platform, or of another one, such as ``--platform linux-aarch64``. With
     ``--only SYMBOL``, build the library of one symbol in the folder ``built``.
 check
-    Build the libraries again and compare every byte with the stored ones. With ``--level x86-64-v3``, check only the
-    libraries of this level.
+    Build the libraries again and compare every byte with the stored ones, and the digests of their sources and of this
+    package with those of the manifest. With ``--level x86-64-v3``, check only the libraries of this level.
 objects
     Compile symbols to object files; `build` and `check` start processes that run this command.
 laws
@@ -18,10 +18,12 @@ from __future__ import annotations
 
 import argparse
 import filecmp
+import json
 import os
 import sys
 import tempfile
 from pathlib import Path
+from typing import Any
 
 from mbdkit.engine.native import machine_code
 from mbdkit.engine.native.levels import LEVELS, Platform, chosen_level, this_platform
@@ -84,14 +86,23 @@ def _check(target: Platform, level: str | None) -> int:
         again = Path(work) / "again"
         _build(target, again, anew=True, only=level)
         names = sorted({path.name for folder in (stored, again) for path in folder.glob("*")})
-        if level:  # the manifest names the libraries of all levels
+        if level:
             names = [name for name in names if name.endswith(f"-{level}.xz")]
         _, different, missing = filecmp.cmpfiles(stored, again, names, shallow=False)
+        if level and _sources_in(stored) != _sources_in(again):
+            different.append(machine_code.MANIFEST)
     if different or missing:
         print(f"the stored machine code is not what the sources say: {', '.join([*different, *missing])}")
         return 1
     print("the stored machine code is what the sources say, to the byte")
     return 0
+
+
+def _sources_in(folder: Path) -> dict[str, Any]:
+    """Return what the manifest in a folder says of sources, without the digests of libraries of all levels."""
+    path = folder / machine_code.MANIFEST
+    stored = json.loads(path.read_bytes()) if path.is_file() else {}
+    return {key: value for key, value in stored.items() if key not in ("built with", "sha256")}
 
 
 def _laws(*, check: bool) -> int:
@@ -109,10 +120,13 @@ def _laws(*, check: bool) -> int:
 def _list() -> int:
     from mbdkit.engine.compiler.libraries import group_of
     from mbdkit.engine.compiler.lowering import symbols
+    from mbdkit.engine.compiler.sources import builder_digests
 
     level = chosen_level()
+    is_other = machine_code.manifest().get("builder") != builder_digests()
     for symbol in symbols():
-        state = "stored" if machine_code.stored_file(symbol, level) else "differs from the sources"
+        is_stored = machine_code.stored_file(symbol, level) is not None
+        state = "differs from the sources" if not is_stored else "differs from the builder" if is_other else "stored"
         print(f"{symbol:<45} {group_of(symbol):<12} {state}")
     return 0
 

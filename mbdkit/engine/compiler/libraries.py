@@ -23,10 +23,13 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
-from mbdkit.engine.native import machine_code, sources
+from mbdkit.base.errors import MbdkitError
+from mbdkit.engine.compiler import sources
+from mbdkit.engine.compiler.sources import module_of
 from mbdkit.engine.native.levels import Level, Platform
-from mbdkit.engine.native.machine_code import MANIFEST, module_of
+from mbdkit.engine.native.machine_code import MANIFEST, PACKAGE, digest
 
+BUILT = PACKAGE / "engine/native/built"
 TOOLS = ("numba", "llvmlite", "ziglang")
 _LINK = {
     "linux": "{}-linux-gnu.2.17", "macos": "{}-macos.11.0", "windows": "{}-windows-gnu",
@@ -65,7 +68,7 @@ def build(target: Platform, names: Iterable[str], into: Path, *, anew: bool = Fa
         groups.setdefault(group_of(symbol), []).append(symbol)
     with tempfile.TemporaryDirectory() as work:
         levels = [level for level in target.levels if only in (None, level.name)]
-        objects = _objects(target, levels, groups, Path(work) if anew else machine_code.BUILT)
+        objects = _objects(target, levels, groups, Path(work) if anew else BUILT)
         new = Path(work) / "libraries"
         new.mkdir()
         digests = {}
@@ -80,11 +83,6 @@ def build(target: Platform, names: Iterable[str], into: Path, *, anew: bool = Fa
         shutil.copytree(new, into)
 
 
-def _python() -> str:
-    """Return the version of Python without its last part, which does not change compiled functions."""
-    return ".".join(platform.python_version_tuple()[:2])
-
-
 def _manifest(groups: Mapping[str, list[str]], digests: Mapping[str, str]) -> dict[str, Any]:
     modules = sorted({module_of(symbol) for names in groups.values() for symbol in names})
     behind = {module: sources.files_behind(module) for module in modules}
@@ -94,7 +92,8 @@ def _manifest(groups: Mapping[str, list[str]], digests: Mapping[str, str]) -> di
             "python": ".".join(platform.python_version_tuple()[:2]),
             **{name: version(name) for name in TOOLS},
         },
-        "files": {file: sources.digest(file) for file in files},
+        "builder": sources.builder_digests(),
+        "files": {file: digest(file) for file in files},
         "names": files,
         "modules": {module: [files.index(file) for file in found] for module, found in behind.items()},
         "symbols": {symbol: [group, module_of(symbol)] for group, names in groups.items() for symbol in names},
@@ -130,9 +129,9 @@ def _compile(target: Platform, levels: list[str], names: list[str], folder: Path
     names = [name for name in names if not all(object_path(folder, target, name, one).is_file() for one in levels)]
     if not names:
         return
-    command = [sys.executable, "-P", "-m", "mbdkit.engine.compiler", "objects", "--platform", str(target), "--into",
+    command = [sys.executable, "-P", "-m", __package__, "objects", "--platform", str(target), "--into",
                str(folder), "--levels", *levels, "--symbols", *names]  # fmt: skip
-    path = os.pathsep.join(filter(None, [str(sources.PACKAGE.parent), *sys.path]))
+    path = os.pathsep.join(filter(None, [str(PACKAGE.parent), *sys.path]))
     environment = {
         "PYTHONPATH": path, "MBDKIT_KERNELS": "python", "MBDKIT_PROCESSOR": levels[0], "PYTHONHASHSEED": "0",
     }  # fmt: skip
@@ -148,9 +147,36 @@ def _linked(target: Platform, objects: Iterable[Path], path: Path) -> bytes:
     return path.read_bytes()
 
 
+def built_path(symbol: str, level: Level) -> Path:
+    """Return the file of the library of one symbol, built from the present sources of its module."""
+    return BUILT / f"{symbol}-{level.name}-{sources.fingerprint(module_of(symbol))}.so"
+
+
+def built_library(symbol: str, level: Level, why: str) -> Path:
+    """Return the library of one symbol; if it is not built yet, a process builds it, and `why` is printed.
+
+    Raises
+    ------
+    MbdkitError
+        If it cannot be compiled.
+    """
+    path = built_path(symbol, level)
+    if path.is_file():
+        return path
+    print(f"mbdkit compiles {symbol}: {why} ...", file=sys.stderr, flush=True)
+    command = [sys.executable, "-P", "-m", __package__, "build", "--only", symbol]
+    environment = os.environ | {
+        "MBDKIT_PROCESSOR": level.name, "PYTHONPATH": os.pathsep.join(filter(None, sys.path)),
+    }  # fmt: skip
+    done = subprocess.run(command, env=environment, stdin=subprocess.DEVNULL, capture_output=True, text=True)
+    if done.returncode != 0:
+        raise MbdkitError(f"{symbol} cannot be compiled:\n{done.stdout}{done.stderr}")
+    return path
+
+
 def build_one(symbol: str, target: Platform, level: Level) -> Path:
     """Build the library of one symbol from the present sources, for a developer; return its path."""
-    path = machine_code.built_path(symbol, module_of(symbol), level)
+    path = built_path(symbol, level)
     with tempfile.TemporaryDirectory() as work:
         path.parent.mkdir(exist_ok=True)
         _compile(target, [level.name], [symbol], path.parent)

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from mbdkit.engine.native.sources import PACKAGE
+from mbdkit.engine.native.machine_code import PACKAGE
 from mbdkit.laws import exponential, gas_spring, linear, one_sided
 from mbdkit.mechanism.law_parameters import law_parameters
 from mbdkit.symbolic.symbolic_law import law_source

@@ -3,7 +3,8 @@
 The folder ``stored`` holds compressed shared libraries for each platform and processor level, and a manifest with the
 digests of the sources that they were built from. Where these sources are unchanged, the stored code is used. Where they
 differ, a developer's changes are compiled symbol by symbol into the folder ``built``, which is not part of the
-distribution; this needs the extra ``dev``.
+distribution; this needs the extra ``dev``. Which version of the compiler built the stored code is not looked at here;
+``python -m mbdkit.engine.compiler check`` does that.
 
 A library is decompressed into a file in memory and loaded from there; on systems other than Linux, into a temporary
 file. There is no cache, which could be out of date or damaged.
@@ -16,23 +17,26 @@ from __future__ import annotations
 
 import ctypes
 import hashlib
+import importlib
 import importlib.util
 import json
 import lzma
 import os
-import subprocess
 import sys
 import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from functools import cache
 from pathlib import Path
+from types import ModuleType
 from typing import Any
 
 from mbdkit.base.errors import MbdkitError
-from mbdkit.engine.native import sources
 from mbdkit.engine.native.levels import Level, chosen_level, is_able, this_platform
 
+PACKAGE = Path(__file__).resolve().parents[2]
+BUILDER = "mbdkit.engine.compiler"
+"""The package that compiles; imported only for code that is not stored."""
 STORED = Path(__file__).parent / "stored"
 BUILT = Path(__file__).parent / "built"
 MANIFEST = "manifest.json"
@@ -113,9 +117,16 @@ def stored_file(symbol: str, level: Level) -> Path | None:
     with _damage_reported():
         group, module = stored["symbols"][symbol]
         names = (stored["names"][i] for i in stored["modules"][module])
-        if any(sources.digest(name) != stored["files"][name] for name in names):
+        if any(digest(name) != stored["files"][name] for name in names):
             return None
         return STORED / str(this_platform()) / f"{group}-{level.of(group)}.xz"
+
+
+@cache
+def digest(file: str) -> str:
+    """Return 16 hex digits of the SHA-256 digest of a file of the package, without regard to line ends."""
+    content = (PACKAGE / file).read_bytes().replace(b"\r\n", b"\n")
+    return hashlib.sha256(content).hexdigest()[:16]
 
 
 @cache
@@ -193,46 +204,23 @@ def code_text() -> str:
     return where if manifest() else f"no {where}"
 
 
-# --- code that a developer has built
+# --- code that is not stored
 
 
-def built_path(symbol: str, module: str, level: Level) -> Path:
-    """Return the file of the library of one symbol, built from the present sources of its module."""
-    return BUILT / f"{symbol}-{level.name}-{sources.fingerprint(module)}.so"
-
-
-def module_of(symbol: str) -> str:
-    """Return the source file of a symbol, relative to the package."""
-    name = symbol.partition("__")[0]
-    for room in ("stepping", "engine/kernels"):
-        if (sources.PACKAGE / room / f"{name}.py").is_file():
-            return f"{room}/{name}.py"
-    raise MbdkitError(f"there is no kernel '{symbol}'")
+def builder(module: str) -> ModuleType:
+    """Import a module of the compiler."""
+    return importlib.import_module(f"{BUILDER}.{module}")
 
 
 def _built(symbol: str, level: Level) -> ctypes.CDLL:
-    path = built_path(symbol, module_of(symbol), level)
-    if not path.is_file():
-        _build(symbol, level)
-    return _load_file(path)
-
-
-def _build(symbol: str, level: Level) -> None:
     if not _has_compiler():
         raise MbdkitError(_why_not())
     why = "MBDKIT_JIT is set" if _COMPILE else "its sources differ from those of the stored machine code"
-    print(f"mbdkit compiles {symbol}: {why} ...", file=sys.stderr, flush=True)
-    command = [sys.executable, "-P", "-m", "mbdkit.engine.compiler", "build", "--only", symbol]
-    environment = os.environ | {
-        "MBDKIT_PROCESSOR": level.name, "PYTHONPATH": os.pathsep.join(filter(None, sys.path)),
-    }  # fmt: skip
-    done = subprocess.run(command, env=environment, stdin=subprocess.DEVNULL, capture_output=True, text=True)
-    if done.returncode != 0:
-        raise MbdkitError(f"{symbol} cannot be compiled:\n{done.stdout}{done.stderr}")
+    return _load_file(builder("libraries").built_library(symbol, level, why))
 
 
 def _has_compiler() -> bool:
-    return all(importlib.util.find_spec(name) is not None for name in ("numba", "ziglang"))
+    return all(importlib.util.find_spec(name) is not None for name in (BUILDER, "numba", "ziglang"))
 
 
 def _why_not() -> str:

@@ -11,17 +11,21 @@ import re
 from functools import cache
 from pathlib import Path
 
-PACKAGE = Path(__file__).resolve().parents[2]
+from mbdkit.base.errors import MbdkitError
+from mbdkit.engine.native.machine_code import PACKAGE, digest
+
 _ROOMS = ("engine/kernels/", "stepping/", "engine/native/")
 _ALWAYS = ("engine/native/bundle.py", "engine/native/kernel.py", "engine/native/levels.py")
 _IMPORT = re.compile(r"^(?:from mbdkit\.([\w.]+) import|import mbdkit\.([\w.]+))", re.MULTILINE)
 
 
-@cache
-def digest(file: str) -> str:
-    """Return 16 hex digits of the SHA-256 digest of a file of the package, without regard to line ends."""
-    content = (PACKAGE / file).read_bytes().replace(b"\r\n", b"\n")
-    return hashlib.sha256(content).hexdigest()[:16]
+def module_of(symbol: str) -> str:
+    """Return the source file of a symbol, relative to the package mbdkit."""
+    name = symbol.partition("__")[0]
+    for room in ("stepping", "engine/kernels"):
+        if (PACKAGE / room / f"{name}.py").is_file():
+            return f"{room}/{name}.py"
+    raise MbdkitError(f"there is no kernel '{symbol}'")
 
 
 @cache
@@ -33,25 +37,30 @@ def _imported(file: str) -> tuple[str, ...]:
 
 @cache
 def files_behind(file: str) -> tuple[str, ...]:
-    """Return the files that the code of a module follows from, sorted, relative to the package."""
+    """Return the files of mbdkit that the code of a module follows from, sorted, relative to the package."""
     found, waiting = set(), [file, *_ALWAYS, "expressions/operations.py"]
     while waiting:
         path = waiting.pop()
         if path not in found:
             found.add(path)
             waiting += _imported(path)
-    compiler = (path.relative_to(PACKAGE).as_posix() for path in (PACKAGE / "engine/compiler").glob("*.py"))
-    return tuple(sorted({*found, *compiler} - _NOT_COMPILED))
+    return tuple(sorted(found - {"engine/native/machine_code.py"}))  # which only loads the code
 
 
-_NOT_COMPILED = {
-    "engine/native/machine_code.py", "engine/native/sources.py", "engine/compiler/__main__.py",
-    "engine/compiler/libraries.py", "engine/compiler/function_laws.py", "engine/compiler/packaged_laws.py",
-}  # fmt: skip
-"""Files that have no influence on machine code."""
+@cache
+def builder_digests() -> dict[str, str]:
+    """Return the digests of the files of this package from which the code of every module follows."""
+    files = sorted(Path(__file__).parent.glob("*.py"))
+    return {path.name: digest(str(path)) for path in files if path.name not in _NOT_COMPILED}
 
 
+_NOT_COMPILED = {"__main__.py", "function_laws.py", "libraries.py", "packaged_laws.py", "sources.py"}
+"""Files of this package that have no influence on stored machine code."""
+
+
+@cache
 def fingerprint(file: str) -> str:
     """Return 16 hex digits that depend on all files that the code of a module follows from."""
-    text = "\n".join(f"{path} {digest(path)}" for path in files_behind(file))
+    digests = {path: digest(path) for path in files_behind(file)} | builder_digests()
+    text = "\n".join(f"{path} {digits}" for path, digits in digests.items())
     return hashlib.sha256(text.encode()).hexdigest()[:16]

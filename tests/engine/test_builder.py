@@ -1,0 +1,74 @@
+"""The builder of machine code: what it is built from, and that stored code is compared with what it builds."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from pathlib import Path
+
+import pytest
+
+from mbdkit.engine.compiler import __main__ as builder
+from mbdkit.engine.compiler import libraries, sources
+from mbdkit.engine.native import machine_code
+from mbdkit.engine.native.levels import Platform, chosen_level, this_platform
+from tests.engine.test_machine_code import SPECS, hashes, stored
+
+LEVEL = "x86-64-v3"
+
+
+@stored
+def test_the_stored_code_is_that_of_this_builder() -> None:
+    # expected: an edit of the builder or of imports without a new build is noticed
+    outdated = "build the machine code again: python -m mbdkit.engine.compiler build"
+    manifest = machine_code.manifest()
+    assert manifest["builder"] == sources.builder_digests(), outdated
+    for module, numbers in manifest["modules"].items():
+        assert tuple(manifest["names"][i] for i in numbers) == sources.files_behind(module), outdated
+
+
+@stored
+@pytest.mark.parametrize("level", [None, LEVEL])
+@pytest.mark.parametrize(
+    ("key", "name"),
+    [
+        (None, ""),
+        ("builder", "lane_types.py"),
+        ("files", "stepping/step_loop.py"),
+        ("files", "engine/native/kernel.py"),
+    ],
+)
+def test_check_names_a_manifest_of_other_sources(
+    level: str | None, key: str | None, name: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def build(target: Platform, into: Path, *, anew: bool, only: str | None) -> None:
+        shutil.copytree(machine_code.STORED / str(target), into)
+        path = into / machine_code.MANIFEST
+        text = json.loads(path.read_bytes())
+        if key:
+            text[key][name] = "another"
+            path.write_text(json.dumps(text), encoding="utf-8")
+
+    monkeypatch.setattr(builder, "_build", build)
+    status = builder._check(this_platform(), level)
+    text = capsys.readouterr().out
+    assert (status, text.rpartition(" ")[2]) == ((1, "manifest.json\n") if key else (0, "byte\n"))
+
+
+def test_what_was_built_by_another_builder_is_built_again(monkeypatch: pytest.MonkeyPatch) -> None:
+    before = libraries.built_path("motions__motions_at", chosen_level())
+    sources.fingerprint.cache_clear()
+    digests = {**sources.builder_digests(), "lane_types.py": "another"}
+    monkeypatch.setattr(sources, "builder_digests", lambda: digests)
+    try:
+        assert libraries.built_path("motions__motions_at", chosen_level()) != before
+    finally:
+        sources.fingerprint.cache_clear()
+
+
+@stored
+@pytest.mark.slow
+def test_code_compiled_here_agrees_with_the_stored_code_to_the_bit() -> None:
+    pytest.importorskip("ziglang")
+    some = {name: SPECS[name] for name in ("double-pendulum rk4", "knee radau-iia")}
+    assert hashes(some, without_numba=False, MBDKIT_JIT="1") == hashes(some)
