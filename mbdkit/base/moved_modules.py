@@ -6,7 +6,7 @@ import sys
 import warnings
 from collections.abc import Sequence
 from importlib.machinery import ModuleSpec
-from types import ModuleType
+from types import CodeType, ModuleType
 
 from mbdkit.base.lazy_names import import_part
 
@@ -21,6 +21,7 @@ MOVED = {
     "mbdkit.archive.blocks": "mbdkit_studies.blocks",
     "mbdkit.archive.inverse_summary": "mbdkit_biomech.inverse_dynamics.inverse_summary",
     "mbdkit.designs": "mbdkit_design",
+    "mbdkit.engine.compiler": "mbdkit_builder",
     "mbdkit.exploration": "mbdkit_explore",
     "mbdkit.figures": "mbdkit_report.figures",
     "mbdkit.inverse_dynamics": "mbdkit_biomech.inverse_dynamics",
@@ -87,7 +88,9 @@ class _MovedModules:
         if not fullname.startswith(STABLE):
             message = f"{fullname} is now {current}; its old name works until mbdkit 0.4"
             warnings.warn(message, DeprecationWarning, stacklevel=2)
-        return ModuleSpec(fullname, _SameModule(fullname, current))  # type: ignore[arg-type]
+        loader = _SameModule(fullname, current)
+        is_package = hasattr(loader.module, "__path__")
+        return ModuleSpec(fullname, loader, is_package=is_package)  # type: ignore[arg-type]
 
 
 class _SameModule:
@@ -102,6 +105,15 @@ class _SameModule:
     def create_module(self, spec: ModuleSpec) -> ModuleType:
         """Return the module under its current name."""
         return self.module
+
+    def get_code(self, fullname: str) -> CodeType | None:
+        """Return the code of the module, for ``python -m``."""
+        code: CodeType | None = self.spec.loader.get_code(self.module.__name__)  # type: ignore[union-attr]
+        return code
+
+    def get_source(self, fullname: str) -> str | None:
+        """Return no source: tracebacks read that of the module under its current name."""
+        return None
 
     def exec_module(self, module: ModuleType) -> None:
         """Restore the module's own spec, which the import system has replaced by that of the old name."""

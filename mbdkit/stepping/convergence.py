@@ -8,7 +8,7 @@ iteration to the change by the previous one.
 
 Linear and angular quantities are always compared separately, because their units have no common size.
 
-The tests of index 1 serve single runs and runs in lanes (`mbdkit.engine.compiler.lane_types`), where they return masks.
+The tests of index 1 serve single runs and runs in lanes (`mbdkit_builder.lane_types`), where they return masks.
 """
 
 from __future__ import annotations

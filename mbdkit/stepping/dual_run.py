@@ -2,7 +2,7 @@
 recorded.
 
 The run itself is advanced like any other. After each of its steps, a kernel repeats the step with dual numbers
-(`mbdkit.engine.compiler.dual_types`), from the same base state, which gives the derivatives of the discrete solution.
+(`mbdkit_builder.dual_types`), from the same base state, which gives the derivatives of the discrete solution.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """Vectorized runs: the loop over fixed steps, and the values of the recorded states.
 
 Several runs of mechanisms with the same topology advance together, one in each SIMD lane
-(`mbdkit.engine.compiler.lane_types`). Parameters, initial states, steps and loads may differ, the number of steps may
+(`mbdkit_builder.lane_types`). Parameters, initial states, steps and loads may differ, the number of steps may
 not. The functions of a step are those of single runs, compiled for lanes; only the loop over steps is simpler, because
 it does not depend on the lane. A lane in which an exceptional case occurs (a value that is not finite, a small pivot, a
 guard) is *lost*: it remains in the loop, but its run is repeated alone.

@@ -12,7 +12,7 @@ oscillations of the step size at the limit of stability of an explicit method. T
 (``EXPO1``); DOP853 has 0.2 there, but beta = 0 by default. RADAU5 and SciPy's Radau use Gustafsson's predictive
 controller instead, which also takes the sizes of the last two steps into account.
 
-The compiled functions accept numbers and lanes (`mbdkit.engine.compiler.lane_types`).
+The compiled functions accept numbers and lanes (`mbdkit_builder.lane_types`).
 """
 
 from __future__ import annotations

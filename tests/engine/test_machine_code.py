@@ -59,7 +59,7 @@ def test_the_stored_code_is_that_of_the_sources() -> None:
     outdated = [
         symbol for symbol in machine_code.manifest()["symbols"] if not machine_code.stored_file(symbol, chosen_level())
     ]
-    assert not outdated, "build the machine code again: python -m mbdkit.engine.compiler build"
+    assert not outdated, "build the machine code again: python -m mbdkit_builder build"
 
 
 @stored

@@ -104,7 +104,7 @@ def test_an_array_whose_size_is_not_the_declared_one_is_refused() -> None:
 
 
 def test_kernels_have_no_indices_from_the_end() -> None:
-    """Compiled code does not check whether an index is negative; see `mbdkit.engine.compiler.indices`."""
+    """Compiled code does not check whether an index is negative; see `mbdkit_builder.indices`."""
     rooms = [Path(room.__path__[0]) for room in (kernels, stepping)]
     files = [*(file for room in rooms for file in room.glob("*.py")), Path(str(operations.__file__))]
     found = []

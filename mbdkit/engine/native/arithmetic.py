@@ -1,8 +1,8 @@
 """Functions that differ between ordinary numbers, lanes and dual numbers.
 
 Kernels are compiled for the types of their arguments. With arrays of lanes, which hold one number for each of several
-runs, the same source advances these runs together (`mbdkit.engine.compiler.lane_types`). With arrays of dual numbers,
-it computes derivatives as well (`mbdkit.engine.compiler.dual_types`). Python cannot branch on a condition of lanes:
+runs, the same source advances these runs together (`mbdkit_builder.lane_types`). With arrays of dual numbers,
+it computes derivatives as well (`mbdkit_builder.dual_types`). Python cannot branch on a condition of lanes:
 code for lanes uses `where` and ``&``.
 
 If Python interprets the kernels, these functions get ordinary numbers.

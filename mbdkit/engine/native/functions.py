@@ -65,7 +65,7 @@ def overload(function: Callable[..., Any]) -> Callable[[Function], Function]:
 
 
 def placeholder(function: Function) -> Function:
-    """Declare a function that only the compiler can express (`mbdkit.engine.compiler.implementation.implement`)."""
+    """Declare a function that only the compiler can express (`mbdkit_builder.implementation.implement`)."""
     PLACEHOLDERS.add(function)
     return function
 

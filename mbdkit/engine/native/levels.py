@@ -1,7 +1,7 @@
 """Levels of processors for which machine code is stored, and the level of this processor.
 
 A level fixes the instructions that compiled code may use, and the number of SIMD lanes: how many runs it advances
-together (`mbdkit.engine.compiler.lane_types`). No level contracts multiplications and additions, so that results do not
+together (`mbdkit_builder.lane_types`). No level contracts multiplications and additions, so that results do not
 depend on it.
 """
 

@@ -4,7 +4,7 @@ The folder ``stored`` holds compressed shared libraries for each platform and pr
 digests of the sources that they were built from. Where these sources are unchanged, the stored code is used. Where they
 differ, a developer's changes are compiled symbol by symbol into the folder ``built``, which is not part of the
 distribution; this needs the extra ``dev``. Which version of the compiler built the stored code is not looked at here;
-``python -m mbdkit.engine.compiler check`` does that.
+``python -m mbdkit_builder check`` does that.
 
 A library is decompressed into a file in memory and loaded from there; on systems other than Linux, into a temporary
 file. There is no cache, which could be out of date or damaged.
@@ -35,7 +35,7 @@ from mbdkit.base.errors import MbdkitError
 from mbdkit.engine.native.levels import Level, chosen_level, is_able, this_platform
 
 PACKAGE = Path(__file__).resolve().parents[2]
-BUILDER = "mbdkit.engine.compiler"
+BUILDER = "mbdkit_builder"
 """The package that compiles; imported only for code that is not stored."""
 STORED = Path(__file__).parent / "stored"
 BUILT = Path(__file__).parent / "built"
@@ -208,7 +208,7 @@ def code_text() -> str:
 
 
 def builder(module: str) -> ModuleType:
-    """Import a module of the compiler."""
+    """Import a module of the builder; raises ImportError if the builder or Numba is not installed."""
     return importlib.import_module(f"{BUILDER}.{module}")
 
 

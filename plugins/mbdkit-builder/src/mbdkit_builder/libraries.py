@@ -24,10 +24,10 @@ from pathlib import Path
 from typing import Any
 
 from mbdkit.base.errors import MbdkitError
-from mbdkit.engine.compiler import sources
-from mbdkit.engine.compiler.sources import module_of
 from mbdkit.engine.native.levels import Level, Platform
 from mbdkit.engine.native.machine_code import MANIFEST, PACKAGE, digest
+from mbdkit_builder import sources
+from mbdkit_builder.sources import module_of
 
 BUILT = PACKAGE / "engine/native/built"
 TOOLS = ("numba", "llvmlite", "ziglang")

@@ -10,9 +10,9 @@ from numba import carray, cfunc, njit, types  # type: ignore[attr-defined]
 from numba.extending import intrinsic, is_jitted
 
 from mbdkit.base.errors import PluginError
-from mbdkit.engine.compiler import call_code
-from mbdkit.engine.compiler.dual_arrays import DualArray
-from mbdkit.engine.compiler.dual_types import DUAL
+from mbdkit_builder import call_code
+from mbdkit_builder.dual_arrays import DualArray
+from mbdkit_builder.dual_types import DUAL
 
 _POINTER = types.CPointer(types.float64)
 _OF_NUMBERS = types.void(types.int64, types.float64, types.float64, types.float64, _POINTER, _POINTER)

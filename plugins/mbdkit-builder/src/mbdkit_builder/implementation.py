@@ -15,8 +15,8 @@ from numba import njit, types
 from numba.core.typing.templates import infer, infer_global, make_intrinsic_template
 from numba.extending import overload, typeof_impl
 
-from mbdkit.engine.compiler.subkernel_compiler import SubkernelCompiler
 from mbdkit.engine.native.functions import OVERLOADS, PLACEHOLDERS, SUBKERNELS
+from mbdkit_builder.subkernel_compiler import SubkernelCompiler
 
 _OPTIONS: dict[str, Any] = {
     # Undocumented options of njit. Kernels allocate no memory, and reference counts of arrays would cost more time than

@@ -6,14 +6,14 @@ from llvmlite import ir
 from numba import types
 from numba.core import cgutils
 
-from mbdkit.engine.compiler.dual_arrays import DualArray
-from mbdkit.engine.compiler.dual_types import DUAL
-from mbdkit.engine.compiler.implementation import implement
-from mbdkit.engine.compiler.lane_arrays import LaneArray
-from mbdkit.engine.compiler.lane_types import REAL
 from mbdkit.engine.native.calls import call_entry, call_law, integers_at, new_registers, numbers_at
 from mbdkit.engine.native.levels import WIDTH
 from mbdkit.engine.native.number_arrays import ITEM
+from mbdkit_builder.dual_arrays import DualArray
+from mbdkit_builder.dual_types import DUAL
+from mbdkit_builder.implementation import implement
+from mbdkit_builder.lane_arrays import LaneArray
+from mbdkit_builder.lane_types import REAL
 
 
 @implement(call_entry)

@@ -4,14 +4,16 @@ from __future__ import annotations
 
 import json
 import shutil
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
 
-from mbdkit.engine.compiler import __main__ as builder
-from mbdkit.engine.compiler import libraries, sources
 from mbdkit.engine.native import machine_code
 from mbdkit.engine.native.levels import Platform, chosen_level, this_platform
+from mbdkit_builder import __main__ as builder
+from mbdkit_builder import libraries, sources
 from tests.engine.test_machine_code import SPECS, hashes, stored
 
 LEVEL = "x86-64-v3"
@@ -20,7 +22,7 @@ LEVEL = "x86-64-v3"
 @stored
 def test_the_stored_code_is_that_of_this_builder() -> None:
     # expected: an edit of the builder or of imports without a new build is noticed
-    outdated = "build the machine code again: python -m mbdkit.engine.compiler build"
+    outdated = "build the machine code again: python -m mbdkit_builder build"
     manifest = machine_code.manifest()
     assert manifest["builder"] == sources.builder_digests(), outdated
     for module, numbers in manifest["modules"].items():
@@ -64,6 +66,14 @@ def test_what_was_built_by_another_builder_is_built_again(monkeypatch: pytest.Mo
         assert libraries.built_path("motions__motions_at", chosen_level()) != before
     finally:
         sources.fingerprint.cache_clear()
+
+
+def test_its_old_name_is_a_command_with_a_warning() -> None:
+    command = [sys.executable, "-W", "default", "-m", "mbdkit.engine.compiler", "--help"]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.startswith("usage: python -m mbdkit_builder")
+    assert "mbdkit.engine.compiler is now mbdkit_builder; its old name works until mbdkit 0.4" in done.stderr
 
 
 @stored

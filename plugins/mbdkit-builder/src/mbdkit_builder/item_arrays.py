@@ -1,7 +1,7 @@
 """Arrays whose elements consist of several doubles: common base of arrays of lanes and arrays of dual numbers.
 
-An element is an *item*: lanes, that is, one number for each of several runs (`mbdkit.engine.compiler.lane_types`), or a
-dual number, that is, a value with derivatives (`mbdkit.engine.compiler.dual_types`). A complex item has two parts,
+An element is an *item*: lanes, that is, one number for each of several runs (`mbdkit_builder.lane_types`), or a
+dual number, that is, a value with derivatives (`mbdkit_builder.dual_types`). A complex item has two parts,
 which are real items.
 
 This module uses the public API of Numba (``numba.extending``) and llvmlite. It also uses internals of Numba:

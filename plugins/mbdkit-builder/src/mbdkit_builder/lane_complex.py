@@ -1,7 +1,7 @@
 """Arithmetic on complex lanes (`LaneComplex`: one complex number for each run), needed for complex stage matrices.
 
 Every operation rounds like that of Numba on complex numbers; real operands are converted to complex first, as in Numba.
-This module uses the same parts of Numba as `mbdkit.engine.compiler.lane_types`.
+This module uses the same parts of Numba as `mbdkit_builder.lane_types`.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from numba.core.imputils import lower_cast
 from numba.core.typing.templates import AbstractTemplate, AttributeTemplate, infer_global, signature
 from numba.extending import infer_getattr, lower_builtin, lower_getattr, models, register_model
 
-from mbdkit.engine.compiler.lane_types import COMPLEX, MASK, REAL, LaneComplex, LaneReal
+from mbdkit_builder.lane_types import COMPLEX, MASK, REAL, LaneComplex, LaneReal
 
 Parts = tuple[Any, Any]
 """Real and imaginary parts, as vectors of LLVM."""

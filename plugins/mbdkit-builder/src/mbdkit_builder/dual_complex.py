@@ -13,7 +13,7 @@ from numba.core.imputils import lower_cast
 from numba.core.typing.templates import AttributeTemplate
 from numba.extending import infer_getattr, intrinsic, lower_getattr, overload
 
-from mbdkit.engine.compiler.dual_types import DUAL, DUAL_COMPLEX, DualComplex, DualNumber
+from mbdkit_builder.dual_types import DUAL, DUAL_COMPLEX, DualComplex, DualNumber
 
 
 @lower_cast(types.Number, DualComplex)

@@ -17,15 +17,15 @@ from numba import from_dtype, typeof, types
 from numba.core import cgutils
 from numpy import dtype
 
-from mbdkit.engine.compiler.bundle_pointers import Pointer
-from mbdkit.engine.compiler.dual_arrays import DualArray
-from mbdkit.engine.compiler.dual_types import DUAL
-from mbdkit.engine.compiler.implementation import dispatcher
-from mbdkit.engine.compiler.libraries import group_of
 from mbdkit.engine.kernels.bundle_types import example_of
 from mbdkit.engine.native.bundle import ARRAY_WORDS
 from mbdkit.engine.native.kernel import DTYPES, Kernel
 from mbdkit.engine.native.levels import Level, Platform
+from mbdkit_builder.bundle_pointers import Pointer
+from mbdkit_builder.dual_arrays import DualArray
+from mbdkit_builder.dual_types import DUAL
+from mbdkit_builder.implementation import dispatcher
+from mbdkit_builder.libraries import group_of
 
 _WORD, _REAL, _BIT = ir.IntType(64), ir.DoubleType(), ir.IntType(1)
 _POINTER = _REAL.as_pointer()

@@ -1,6 +1,6 @@
 """Numba types of arrays of dual numbers (values with derivatives), and of the NumPy arrays that hold them.
 
-This module uses the same parts of Numba as `mbdkit.engine.compiler.item_arrays`.
+This module uses the same parts of Numba as `mbdkit_builder.item_arrays`.
 """
 
 from __future__ import annotations
@@ -11,9 +11,9 @@ from llvmlite import ir
 from numba.core import cgutils
 from numba.extending import register_model, typeof_impl
 
-from mbdkit.engine.compiler.dual_types import DUAL, DUAL_COMPLEX, VECTOR, DualComplex, is_real
-from mbdkit.engine.compiler.item_arrays import ItemArray, ItemArrayModel
 from mbdkit.engine.native.number_arrays import ITEM, ComplexDuals, Duals
+from mbdkit_builder.dual_types import DUAL, DUAL_COMPLEX, VECTOR, DualComplex, is_real
+from mbdkit_builder.item_arrays import ItemArray, ItemArrayModel
 
 
 class DualArray(ItemArray):

@@ -11,8 +11,8 @@ from numba import typeof, types
 from numba.core.typing.templates import AttributeTemplate
 from numba.extending import infer_getattr, lower_getattr_generic, models, register_model
 
-from mbdkit.engine.compiler.implementation import implement
 from mbdkit.engine.native.bundle import ARRAY_FIELDS, LOADERS, axes_of
+from mbdkit_builder.implementation import implement
 
 
 class Pointer(types.Type):

@@ -1,12 +1,12 @@
 """Dual numbers: forward-mode automatic differentiation of compiled code with respect to `DIRECTIONS` parameters.
 
 A dual number is a value with its derivatives with respect to several parameters. Kernels are compiled for the types of
-their arguments. If a bundle holds arrays of dual numbers (`mbdkit.engine.compiler.dual_arrays`), the same source
-becomes a kernel that differentiates what it computes. Unlike lanes (`mbdkit.engine.compiler.lane_types`), dual numbers
+their arguments. If a bundle holds arrays of dual numbers (`mbdkit_builder.dual_arrays`), the same source
+becomes a kernel that differentiates what it computes. Unlike lanes (`mbdkit_builder.lane_types`), dual numbers
 have a single control flow: comparisons compare values and return ordinary truth values. The values are computed by the
 same operations as without derivatives and are therefore bitwise identical.
 
-This module uses the same parts of Numba as `mbdkit.engine.compiler.lane_types`.
+This module uses the same parts of Numba as `mbdkit_builder.lane_types`.
 """
 
 from __future__ import annotations
@@ -25,7 +25,6 @@ from numba.core.typeconv import Conversion  # type: ignore[attr-defined]
 from numba.core.typing.templates import AbstractTemplate, infer_global, signature
 from numba.extending import intrinsic, lower_builtin, models, overload, register_model
 
-from mbdkit.engine.compiler.implementation import implement
 from mbdkit.engine.native.arithmetic import (
     DIRECTIONS,
     angle_of_each,
@@ -39,6 +38,7 @@ from mbdkit.engine.native.arithmetic import (
 )
 from mbdkit.engine.native.operation_rules import compiled_rule
 from mbdkit.expressions.operations import OPERATIONS
+from mbdkit_builder.implementation import implement
 
 DOUBLE = ir.DoubleType()
 VECTOR = ir.VectorType(DOUBLE, DIRECTIONS)
@@ -72,7 +72,7 @@ class _Derivatives(types.Type):
 
 
 class DualComplex(types.Type):
-    """Numba type of a complex dual number; see `mbdkit.engine.compiler.dual_complex`."""
+    """Numba type of a complex dual number; see `mbdkit_builder.dual_complex`."""
 
     def __init__(self) -> None:
         super().__init__(name=f"DualComplex{DIRECTIONS}")

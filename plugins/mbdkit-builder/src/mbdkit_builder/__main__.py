@@ -1,4 +1,4 @@
-"""``python -m mbdkit.engine.compiler``: build the machine code of the kernels.
+"""``python -m mbdkit_builder``: build the machine code of the kernels.
 
 build
     Build the stored libraries of this platform, or of another one, such as ``--platform linux-aarch64``. With
@@ -31,7 +31,7 @@ from mbdkit.engine.native.levels import LEVELS, Platform, chosen_level, this_pla
 
 def main() -> int:
     """Run a command; return its exit status."""
-    parser = argparse.ArgumentParser(prog="python -m mbdkit.engine.compiler", description=__doc__.partition("\n")[0])
+    parser = argparse.ArgumentParser(prog="python -m mbdkit_builder", description=__doc__.partition("\n")[0])
     commands = parser.add_subparsers(dest="command", required=True)
     for name in ("build", "check", "objects"):
         command = commands.add_parser(name)
@@ -56,7 +56,7 @@ def main() -> int:
     if given.command == "check":
         return _check(given.platform, given.level)
     if given.only:
-        from mbdkit.engine.compiler.libraries import build_one
+        from mbdkit_builder.libraries import build_one
 
         print(build_one(given.only, given.platform, chosen_level()))
         return 0
@@ -72,8 +72,8 @@ def _platform(text: str) -> Platform:
 
 
 def _build(target: Platform, into: Path, *, anew: bool = False, only: str | None = None) -> None:
-    from mbdkit.engine.compiler.libraries import build
-    from mbdkit.engine.compiler.lowering import symbols
+    from mbdkit_builder.libraries import build
+    from mbdkit_builder.lowering import symbols
 
     build(target, symbols(), into, anew=anew, only=only)
     size = sum(path.stat().st_size for path in into.iterdir())
@@ -106,7 +106,7 @@ def _sources_in(folder: Path) -> dict[str, Any]:
 
 
 def _laws(*, check: bool) -> int:
-    from mbdkit.engine.compiler.packaged_laws import TARGET, generated
+    from mbdkit_builder.packaged_laws import TARGET, generated
 
     text = generated()
     if check:
@@ -118,9 +118,9 @@ def _laws(*, check: bool) -> int:
 
 
 def _list() -> int:
-    from mbdkit.engine.compiler.libraries import group_of
-    from mbdkit.engine.compiler.lowering import symbols
-    from mbdkit.engine.compiler.sources import builder_digests
+    from mbdkit_builder.libraries import group_of
+    from mbdkit_builder.lowering import symbols
+    from mbdkit_builder.sources import builder_digests
 
     level = chosen_level()
     is_other = machine_code.manifest().get("builder") != builder_digests()
@@ -132,9 +132,9 @@ def _list() -> int:
 
 
 def _objects(target: Platform, levels: list[str], names: list[str], into: Path) -> int:
-    from mbdkit.engine.compiler.libraries import object_path
-    from mbdkit.engine.compiler.lowering import prepare, symbols
-    from mbdkit.engine.compiler.object_code import emitted
+    from mbdkit_builder.libraries import object_path
+    from mbdkit_builder.lowering import prepare, symbols
+    from mbdkit_builder.object_code import emitted
 
     makers = symbols()
     prepare()

@@ -8,7 +8,8 @@ from collections.abc import Callable
 from functools import partial
 from typing import Any
 
-from mbdkit.engine.compiler import (  # noqa: F401
+from mbdkit.engine.native.functions import ENTRIES, KERNELS, LAWS
+from mbdkit_builder import (  # noqa: F401
     bundle_pointers,
     call_code,
     dual_complex,
@@ -16,8 +17,7 @@ from mbdkit.engine.compiler import (  # noqa: F401
     lane_complex,
     object_code,
 )
-from mbdkit.engine.compiler.implementation import check_placeholders, define_overloads
-from mbdkit.engine.native.functions import ENTRIES, KERNELS, LAWS
+from mbdkit_builder.implementation import check_placeholders, define_overloads
 
 
 def symbols() -> dict[str, Callable[[], Any]]:

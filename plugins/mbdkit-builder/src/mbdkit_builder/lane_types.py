@@ -1,7 +1,7 @@
 """SIMD lanes: several runs in one pass of compiled code, each in one element of a vector of floating-point numbers.
 
 Kernels are compiled for the types of their arguments. If a bundle holds arrays of lanes instead of arrays of numbers
-(`mbdkit.engine.compiler.lane_arrays`), the same source becomes a kernel that advances `WIDTH` runs at once: every
+(`mbdkit_builder.lane_arrays`), the same source becomes a kernel that advances `WIDTH` runs at once: every
 element of such an array is a vector of `WIDTH` doubles, one for each run, and arithmetic works lane by lane. Each
 operation on a vector rounds like the operation on a number, and nothing is reassociated or contracted, so that the
 result in a lane is bitwise identical to that of the single run.
@@ -29,7 +29,6 @@ from numba.core.typeconv import Conversion  # type: ignore[attr-defined]
 from numba.core.typing.templates import AbstractTemplate, infer_global, signature
 from numba.extending import intrinsic, lower_builtin, models, overload, register_model
 
-from mbdkit.engine.compiler.implementation import implement
 from mbdkit.engine.native.arithmetic import (
     angle_of_each,
     any_of,
@@ -47,6 +46,7 @@ from mbdkit.engine.native.arithmetic import (
     where,
 )
 from mbdkit.engine.native.levels import WIDTH
+from mbdkit_builder.implementation import implement
 
 DOUBLE, _BIT = ir.DoubleType(), ir.IntType(1)
 VECTOR, _BITS = ir.VectorType(DOUBLE, WIDTH), ir.VectorType(_BIT, WIDTH)
@@ -87,7 +87,7 @@ class LaneMask(types.Type):
 
 
 class LaneComplex(types.Type):
-    """Numba type of `WIDTH` complex numbers; see `mbdkit.engine.compiler.lane_complex`."""
+    """Numba type of `WIDTH` complex numbers; see `mbdkit_builder.lane_complex`."""
 
     def __init__(self) -> None:
         super().__init__(name=f"LaneComplex{WIDTH}")

@@ -1,6 +1,6 @@
 """Numba types of arrays of lanes (one number for each of several runs), and of the NumPy arrays that hold them.
 
-This module uses the same parts of Numba as `mbdkit.engine.compiler.item_arrays`.
+This module uses the same parts of Numba as `mbdkit_builder.item_arrays`.
 """
 
 from __future__ import annotations
@@ -9,10 +9,10 @@ from typing import Any
 
 from numba.extending import register_model, typeof_impl
 
-from mbdkit.engine.compiler.item_arrays import ItemArray, ItemArrayModel
-from mbdkit.engine.compiler.lane_types import COMPLEX, REAL, VECTOR, is_operand
 from mbdkit.engine.native.levels import WIDTH
 from mbdkit.engine.native.number_arrays import ComplexLanes, Lanes
+from mbdkit_builder.item_arrays import ItemArray, ItemArrayModel
+from mbdkit_builder.lane_types import COMPLEX, REAL, VECTOR, is_operand
 
 _ALIGNMENT = 8 * WIDTH
 
