@@ -122,9 +122,12 @@ def test_the_first_steps_work_as_printed(tmp_path: Path) -> None:
 
 
 def test_every_distribution_stands_in_the_table_beside_it() -> None:
-    folders = {path.parent.name for path in (ROOT / "plugins").glob("*/pyproject.toml")}
+    parts, distributions = set(), set()
+    for folder in (ROOT / "plugins").glob("mbdkit-*"):
+        (distributions if (folder / "pyproject.toml").is_file() else parts).add(folder.name)
     table = (ROOT / "plugins" / "README.md").read_text(encoding="utf-8")
-    assert folders == set(re.findall(r"^\| \[(.*?)\]", table, flags=re.MULTILINE))
+    assert distributions == set(re.findall(r"^\| \[(mbdkit-.*?)\]", table, flags=re.MULTILINE))
+    assert parts == set(re.findall(r"^\| \[.*?\]\((mbdkit-.*?)/README.md\)", table, flags=re.MULTILINE))
 
 
 def test_the_line_for_tests_makes_a_test_of_each_check() -> None:

@@ -106,8 +106,14 @@ def whole() -> Path:
     mbdkit.study(BLOCKS, out=folder / "blocks")
     mbdkit.ensemble(pendulum(), {"model.length": np.linspace(1.0, 2.0, 4)}, store="all", out=folder / "members")
     mbdkit.design(DESIGN, out=folder / "design")
-    for module in ("report.report", "report.study_report", "report.design_report", "archive.export", "cli.mechanics"):
-        importlib.import_module(f"mbdkit.{module}")  # forks have them, then
+    for module in (
+        "mbdkit_report.pages.report",
+        "mbdkit_studies.study_report",
+        "mbdkit_design.design_report",
+        "mbdkit.archive.export",
+        "mbdkit_statics.commands",
+    ):
+        importlib.import_module(module)  # forks have them, then
     return folder
 
 
