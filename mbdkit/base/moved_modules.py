@@ -56,6 +56,7 @@ MOVED = {
     "mbdkit.spec.study_spec": "mbdkit_studies.study_spec",
     "mbdkit.spec.value_sets": "mbdkit_studies.value_sets",
     "mbdkit.studies.packaged": "mbdkit_paper",
+    "mbdkit.stepping": "mbdkit.integrators",
     "mbdkit.studies": "mbdkit_studies",
     "mbdkit.testing": "mbdkit_testing",
 }

@@ -157,11 +157,11 @@ def validate_run(source: Document, spec: str, assignments: list[str]) -> None:
     checked = load_spec(source, assignments)
     from mbdkit.base.errors import SpecError
     from mbdkit.engine.spanning_tree import cut_joints
+    from mbdkit.integrators.start import require_support
     from mbdkit.mechanism.mechanism import gravity_text
     from mbdkit.runs.corners import check_jumps
     from mbdkit.runs.preparation import build, caution, make_method
     from mbdkit.runs.warnings import start_warnings
-    from mbdkit.stepping.start import require_support
 
     mechanism = checked.mechanism()
     check_jumps(checked)

@@ -17,10 +17,10 @@ from mbdkit.events.crossing import ACCURACY, Crossing, UndefinedError, crossings
 from mbdkit.events.event_expression import CompiledExpression, RunExpression
 from mbdkit.events.quantities import QuantityEvaluator
 from mbdkit.events.sampling import INSIDE, refined
-from mbdkit.stepping import interface
-from mbdkit.stepping.interface import Failure, Moment, Nodes, StepEvidence, Stepper, StepTaken, Stretch, joined
-from mbdkit.stepping.sampled_control import states_at_start
-from mbdkit.stepping.splitting import Splitting
+from mbdkit.integrators import interface
+from mbdkit.integrators.interface import Failure, Moment, Nodes, StepEvidence, Stepper, StepTaken, Stretch, joined
+from mbdkit.integrators.sampled_control import states_at_start
+from mbdkit.integrators.splitting import Splitting
 
 DIRECTIONS = {"any": (1, -1), "rising": (1,), "falling": (-1,)}
 
@@ -133,7 +133,7 @@ class Watch:
     ----------
     stepper
         The stepper, started with ``Timetable.single``; if events set states, it must be a
-        `mbdkit.stepping.splitting.Splitting`.
+        `mbdkit.integrators.splitting.Splitting`.
 
     Attributes
     ----------

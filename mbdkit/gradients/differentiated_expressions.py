@@ -11,10 +11,10 @@ import numpy as np
 from mbdkit.base.errors import SpecError
 from mbdkit.base.plain_data import path_text
 from mbdkit.expressions.program import Program
+from mbdkit.integrators.dual_run import Seeds
 from mbdkit.measures.measure_expression import MeasureExpression
 from mbdkit.spec import RunSpec
 from mbdkit.spec.model_spec import ModelSpec
-from mbdkit.stepping.dual_run import Seeds
 
 if TYPE_CHECKING:
     pass

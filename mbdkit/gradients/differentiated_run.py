@@ -23,14 +23,14 @@ from mbdkit.gradients.differentiated_states import DifferentiatedStates, joined_
 from mbdkit.gradients.evaluated_states import StateEvaluator, rate_of
 from mbdkit.gradients.law_corners import with_sides, with_unknown_corners
 from mbdkit.gradients.sided_stepper import SidedStepper
+from mbdkit.integrators.differentiated_stepper import DifferentiatedStepper
+from mbdkit.integrators.dual_run import NO_SEEDS, Seeds, constants
+from mbdkit.integrators.interface import Moment, Stepper, Stretch, joined
+from mbdkit.integrators.sampled_control import states_at_start
+from mbdkit.integrators.start import NoDerivativeError, compiled_method, require_derivatives, start_method
 from mbdkit.methods.kinds import Method
 from mbdkit.runs.preparation import build, guards, make_method, size_at_start, timetable
 from mbdkit.spec import RunSpec
-from mbdkit.stepping.differentiated_stepper import DifferentiatedStepper
-from mbdkit.stepping.dual_run import NO_SEEDS, Seeds, constants
-from mbdkit.stepping.interface import Moment, Stepper, Stretch, joined
-from mbdkit.stepping.sampled_control import states_at_start
-from mbdkit.stepping.start import NoDerivativeError, compiled_method, require_derivatives, start_method
 
 
 @dataclass(frozen=True)

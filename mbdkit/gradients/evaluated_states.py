@@ -18,8 +18,8 @@ from mbdkit.engine.native.bundle import PinnedBundle
 from mbdkit.engine.native.number_arrays import Duals
 from mbdkit.gradients.differentiated_states import DifferentiatedStates, one_after_another
 from mbdkit.gradients.parameter_differences import CENTRAL, weights
-from mbdkit.stepping.differentiated_stepper import DifferentiatedSteps
-from mbdkit.stepping.dual_run import constants, dual_states
+from mbdkit.integrators.differentiated_stepper import DifferentiatedSteps
+from mbdkit.integrators.dual_run import constants, dual_states
 
 
 class StateEvaluator:

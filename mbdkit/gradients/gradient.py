@@ -41,6 +41,7 @@ from mbdkit.gradients.other_method import Reference
 from mbdkit.gradients.parameter_differences import PreparedDerivatives
 from mbdkit.gradients.prepared_derivatives import prepared_derivatives
 from mbdkit.gradients.start_doubts import start_doubts
+from mbdkit.integrators.dual_run import NO_SEEDS
 from mbdkit.measures.measure_expression import MeasureExpression
 from mbdkit.measures.natural_size import natural_scales, natural_size
 from mbdkit.methods.kinds import Method
@@ -51,7 +52,6 @@ from mbdkit.runs.warnings import start_warnings
 from mbdkit.spec import RunSpec, load_spec
 from mbdkit.spec.loading import RunSource
 from mbdkit.spec.varied_specs import VariedSpecs
-from mbdkit.stepping.dual_run import NO_SEEDS
 
 
 @dataclass(frozen=True)

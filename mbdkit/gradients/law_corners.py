@@ -20,8 +20,8 @@ import numpy as np
 from mbdkit.base.errors import SpecError
 from mbdkit.engine.compiled_mechanism import CompiledMechanism
 from mbdkit.engine.force_laws import CompiledLaw, bind_law
+from mbdkit.integrators.dual_run import Seeds
 from mbdkit.mechanism.force_law import ARGUMENTS, ExpressionLaw, FunctionLaw
-from mbdkit.stepping.dual_run import Seeds
 
 if TYPE_CHECKING:
     import sympy

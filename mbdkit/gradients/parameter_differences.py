@@ -21,7 +21,7 @@ import numpy as np
 from mbdkit.base.errors import SpecError
 from mbdkit.engine.compiled_mechanism import CompiledMechanism
 from mbdkit.gradients.gradient_parameters import Parameter
-from mbdkit.stepping.dual_run import Seeds
+from mbdkit.integrators.dual_run import Seeds
 
 Arrays = Mapping[str, np.ndarray]
 

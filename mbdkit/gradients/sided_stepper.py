@@ -22,12 +22,12 @@ from mbdkit.engine.workspace import Workspace
 from mbdkit.gradients.differentiated_states import DifferentiatedStates
 from mbdkit.gradients.evaluated_states import StateEvaluator, rate_of
 from mbdkit.gradients.law_corners import Condition
-from mbdkit.stepping.collocation import CompiledCollocation
-from mbdkit.stepping.differentiated_stepper import DifferentiatedStepper
-from mbdkit.stepping.dual_run import Seeds
-from mbdkit.stepping.explicit import CompiledExplicit
-from mbdkit.stepping.interface import Moment, StepTaken, Stretch, Timetable
-from mbdkit.stepping.run_state import MODIFIED
+from mbdkit.integrators.collocation import CompiledCollocation
+from mbdkit.integrators.differentiated_stepper import DifferentiatedStepper
+from mbdkit.integrators.dual_run import Seeds
+from mbdkit.integrators.explicit import CompiledExplicit
+from mbdkit.integrators.interface import Moment, StepTaken, Stretch, Timetable
+from mbdkit.integrators.run_state import MODIFIED
 
 PLACES = (0.25, 0.5, 0.75, 1.0)
 """Shares of a step at which conditions are evaluated."""

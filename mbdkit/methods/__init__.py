@@ -1,7 +1,7 @@
 """Integration methods as data: coefficients, options, claims and references, one method in a file.
 
-The algorithms are in `mbdkit.stepping`. The hash of kernel sources excludes this folder, so that an edit does not cause
-recompilation. A new method is a file of this folder and an entry of `INTEGRATORS`.
+The algorithms are in `mbdkit.integrators`. The hash of kernel sources excludes this folder, so that an edit does not
+cause recompilation. A new method is a file of this folder and an entry of `INTEGRATORS`.
 """
 
 from __future__ import annotations

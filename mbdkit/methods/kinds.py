@@ -1,7 +1,7 @@
 """Descriptions of integration methods. The `create` function of an integrator plugin returns one of these objects.
 
 Each description has traits, by which the rest of mbdkit decides what can be done with the method.
-`mbdkit.stepping.start.start_method` creates the stepper that executes the method, depending on its family.
+`mbdkit.integrators.start.start_method` creates the stepper that executes the method, depending on its family.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ class Tolerances:
         Largest step [s]; None for no limit.
     by_size
         Whether `atol` has its default value. For lengths and velocities, the default is multiplied by the mechanism's
-        characteristic length if that is below 1 m; see `mbdkit.stepping.step_control.unit_of_length`.
+        characteristic length if that is below 1 m; see `mbdkit.integrators.step_control.unit_of_length`.
     """
 
     rtol: float
@@ -46,7 +46,7 @@ class Tolerances:
 
 @dataclass(frozen=True)
 class LocalError:
-    """How a compiled method estimates the error of a step; see `mbdkit.stepping.step_control.Control`."""
+    """How a compiled method estimates the error of a step; see `mbdkit.integrators.step_control.Control`."""
 
     order: int
     estimate_order: int
@@ -61,7 +61,7 @@ class Traits:
     Parameters
     ----------
     family
-        Key of the method's algorithm in the tables of `mbdkit.stepping.start` and `mbdkit.stepping.lane_stepper`.
+        Key of the method's algorithm in the tables of `mbdkit.integrators.start` and `mbdkit.integrators.lane_stepper`.
     tableau
         Tableau of the method; None if it is not a Runge-Kutta method, or the tableau is not known.
     tolerances

@@ -1,6 +1,6 @@
 """Time-stepping methods for rigid contacts.
 
-Their algorithms are in `mbdkit.stepping.time_stepping` and `mbdkit.stepping.generalized_alpha`.
+Their algorithms are in `mbdkit.integrators.time_stepping` and `mbdkit.integrators.generalized_alpha`.
 """
 
 from __future__ import annotations

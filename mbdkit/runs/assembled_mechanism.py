@@ -14,11 +14,11 @@ from mbdkit.engine.consistent_start import workspace_at_start
 from mbdkit.engine.equations_of_motion import EquationsOfMotion
 from mbdkit.engine.stabilization import NONE
 from mbdkit.engine.workspace import Workspace
+from mbdkit.integrators.interface import Nodes
 from mbdkit.mechanism.mechanism import Mechanism
 from mbdkit.runs.law_ranges import LawRanges
 from mbdkit.runs.preparation import build
 from mbdkit.spec import RunSpec, load_spec
-from mbdkit.stepping.interface import Nodes
 
 UNUSED = {"integrator": {"name": "rk4"}, "time": {"end": 1.0, "step": 1.0}}
 """Sections that a run spec requires, for a `Mechanism` without a spec; most of these analyses do not use them."""

@@ -11,13 +11,13 @@ import numpy as np
 
 from mbdkit.archive.measured_values import Integrals
 from mbdkit.engine.observed_states import StateObserver
+from mbdkit.integrators.interface import SAME_TIME, StepTaken, Timetable
+from mbdkit.integrators.sampled_control import states_at_start
 from mbdkit.measures.reductions import EventTimes, Functional
 from mbdkit.quantities.names import archive_names
 from mbdkit.quantities.quantity import Quantity
 from mbdkit.runs.continuous_motion import MotionPart, Peak, observed_at, sampled, steps_of_extremum
 from mbdkit.runs.step_interpolation import NODES_WITHOUT_ACCELERATIONS, StepEnds
-from mbdkit.stepping.interface import SAME_TIME, StepTaken, Timetable
-from mbdkit.stepping.sampled_control import states_at_start
 
 if TYPE_CHECKING:
     from mbdkit.engine.workspace import Workspace

@@ -12,10 +12,10 @@ from mbdkit.archive.accuracy import Accuracy
 from mbdkit.archive.measured_values import Integrals
 from mbdkit.archive.peak_errors import errors_of_contacts, expression_of_largest, missed_by_rows, missed_of_verdict
 from mbdkit.engine.compiled_mechanism import CompiledMechanism
+from mbdkit.integrators.interface import StepEvidence
 from mbdkit.quantities.names import archive_names
 from mbdkit.runs.recorded_states import ObservedRows
 from mbdkit.runs.recorder import Recorder
-from mbdkit.stepping.interface import StepEvidence
 from mbdkit.trust.criteria import EstimatedErrors, Evidence
 from mbdkit.trust.energy_record import EnergyRecord, gravity_level
 

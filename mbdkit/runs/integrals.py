@@ -19,6 +19,7 @@ import numpy as np
 from mbdkit.archive.measured_values import Integrals
 from mbdkit.archive.peak_errors import expression_of_largest
 from mbdkit.engine.observed_states import StateObserver
+from mbdkit.integrators.interface import Nodes, Timetable
 from mbdkit.measures.measure_expression import MeasureExpression
 from mbdkit.measures.reductions import EventTimes, Functional, Series
 from mbdkit.mechanism.joints import Distance, Revolute
@@ -27,7 +28,6 @@ from mbdkit.quantities.quantity import Quantity
 from mbdkit.quantities.states import States
 from mbdkit.runs.continuous_functionals import ContinuousFunctionals, no_events
 from mbdkit.runs.law_ranges import steps_are_rows
-from mbdkit.stepping.interface import Nodes, Timetable
 
 if TYPE_CHECKING:
     from mbdkit.engine.workspace import Workspace

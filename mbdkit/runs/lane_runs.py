@@ -23,6 +23,16 @@ from mbdkit.engine.joint_sums import joint_sums
 from mbdkit.engine.kernels.observe import Observed
 from mbdkit.engine.native.levels import WIDTH
 from mbdkit.engine.workspace import Workspace
+from mbdkit.integrators.interface import Guards, StepEvidence, Stretch, Timetable
+from mbdkit.integrators.lane_collocation import StagePivots
+from mbdkit.integrators.lane_stepper import (
+    ControlledLaneStepper,
+    LaneResults,
+    LaneStepper,
+    PivotsAtStart,
+    suits_lanes,
+    topology_of,
+)
 from mbdkit.mechanism.size import mechanism_sizes
 from mbdkit.methods.kinds import Method
 from mbdkit.quantities.array import FLOAT
@@ -38,16 +48,6 @@ from mbdkit.runs.recorded_states import recorded_states
 from mbdkit.runs.state_watchers import StateWatchers
 from mbdkit.runs.warnings import accepted_doubts, doubts, start_warnings
 from mbdkit.spec import RunSpec
-from mbdkit.stepping.interface import Guards, StepEvidence, Stretch, Timetable
-from mbdkit.stepping.lane_collocation import StagePivots
-from mbdkit.stepping.lane_stepper import (
-    ControlledLaneStepper,
-    LaneResults,
-    LaneStepper,
-    PivotsAtStart,
-    suits_lanes,
-    topology_of,
-)
 from mbdkit.trust.criteria import judge
 from mbdkit.trust.energy_record import EnergyRecord
 

@@ -17,11 +17,11 @@ import numpy as np
 
 from mbdkit.engine.observed_states import StateObserver
 from mbdkit.engine.stored_arrays import fill
+from mbdkit.integrators.interface import Failure, Nodes
 from mbdkit.mechanism.force_law import ARGUMENTS
 from mbdkit.mechanism.law_element import Law
 from mbdkit.mechanism.law_parameters import law_range
 from mbdkit.muscles.acting_muscles import MuscleForce, acting_muscles
-from mbdkit.stepping.interface import Failure, Nodes
 
 if TYPE_CHECKING:
     from mbdkit.engine.compiled_mechanism import CompiledMechanism

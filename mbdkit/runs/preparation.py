@@ -22,6 +22,8 @@ from mbdkit.engine.compiled_mechanism import CompiledMechanism
 from mbdkit.engine.consistent_start import MechanismAtStart, Starts, within_double_precision, workspace_at_start
 from mbdkit.engine.redundancy import require_unique_start
 from mbdkit.engine.workspace import Workspace
+from mbdkit.integrators.event_driven import with_contact_forces
+from mbdkit.integrators.interface import Failure, Guards, Timetable
 from mbdkit.measures.take import check_measures
 from mbdkit.mechanism.size import mechanism_size
 from mbdkit.methods.baumgarte_stability import stiff_baumgarte
@@ -31,8 +33,6 @@ from mbdkit.quantities.names import archive_names
 from mbdkit.runs.corners import corner_warnings, stops_of
 from mbdkit.runs.warnings import spec_warnings
 from mbdkit.spec import RunSpec
-from mbdkit.stepping.event_driven import with_contact_forces
-from mbdkit.stepping.interface import Failure, Guards, Timetable
 
 
 def caution(spec: RunSpec, method: Method | None = None, measures: Sequence[str] = ()) -> tuple[str, ...]:

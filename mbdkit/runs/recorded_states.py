@@ -12,8 +12,8 @@ from mbdkit.engine.joint_sums import joint_sums
 from mbdkit.engine.kernels.observe import Observed
 from mbdkit.engine.observed_states import StateObserver
 from mbdkit.engine.workspace import Workspace
+from mbdkit.integrators.interface import Stretch
 from mbdkit.quantities.states import NONE, States
-from mbdkit.stepping.interface import Stretch
 
 
 def recorded_states(

@@ -17,19 +17,19 @@ from mbdkit.engine.redundant_joints import units_of_pairs
 from mbdkit.engine.singularity import describe_nearness
 from mbdkit.engine.stored_arrays import fill, solver_of, stored_solver
 from mbdkit.engine.workspace import Workspace
+from mbdkit.integrators.interface import Failure, Guards, Stretch
 from mbdkit.measures.measured_quantities import of_event
 from mbdkit.quantities.quantity import Quantity
 from mbdkit.quantities.table import RECORDED
 from mbdkit.runs.law_ranges import LawRanges
 from mbdkit.runs.recorded_states import ObservedRows, recorded_states
 from mbdkit.runs.state_watchers import StateWatchers
-from mbdkit.stepping.interface import Failure, Guards, Stretch
 from mbdkit.trust.energy_record import EnergyRecord
 
 if TYPE_CHECKING:
     from mbdkit.events.watch import Found
-    from mbdkit.stepping.contact_state import ContactImpact
-    from mbdkit.stepping.impulse import DriverImpulse
+    from mbdkit.integrators.contact_state import ContactImpact
+    from mbdkit.integrators.impulse import DriverImpulse
 
 APART = 1e-6
 """Residuals of redundant constraint rows up to this size are attributed to round-off.

@@ -20,14 +20,14 @@ from mbdkit.base.errors import SpecError
 from mbdkit.base.text import one_line
 from mbdkit.engine.kernels.bundle_types import RECORD, STATE, kept
 from mbdkit.engine.stored_arrays import fill, pattern_of, restore, scatter_of, solver_of, stored, stored_solver
+from mbdkit.integrators.collocation_stages import new_systems
+from mbdkit.integrators.compiled_stepper import CompiledStepper
+from mbdkit.integrators.python_stepper import PythonStepper
 from mbdkit.methods.kinds import Method
 from mbdkit.runs import stored_python_steps
 from mbdkit.runs.integrals import RunIntegrals
 from mbdkit.runs.recorded_states import ObservedRows
 from mbdkit.runs.recorder import Recorder
-from mbdkit.stepping.collocation_stages import new_systems
-from mbdkit.stepping.compiled_stepper import CompiledStepper
-from mbdkit.stepping.python_stepper import PythonStepper
 
 if TYPE_CHECKING:
     from mbdkit.engine.workspace import Workspace

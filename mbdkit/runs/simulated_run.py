@@ -29,6 +29,13 @@ from mbdkit.base.text import listed, shown
 from mbdkit.engine.counters import Counters
 from mbdkit.engine.elimination_order import SingularSystemError
 from mbdkit.engine.workspace import Workspace
+from mbdkit.integrators.compiled_stepper import CompiledStepper
+from mbdkit.integrators.contact_state import ContactState
+from mbdkit.integrators.impulse import DriverImpulse
+from mbdkit.integrators.interface import Advancing, Failure, Stretch
+from mbdkit.integrators.python_stepper import PythonStepper
+from mbdkit.integrators.sampled_control import states_at_start
+from mbdkit.integrators.start import start_method
 from mbdkit.measures.reductions import Functional
 from mbdkit.methods.kinds import Method
 from mbdkit.quantities.names import archive_names
@@ -54,13 +61,6 @@ from mbdkit.runs.run_in_memory import measured_values, run_in_memory
 from mbdkit.runs.state_watchers import StateWatchers
 from mbdkit.runs.warnings import accepted_doubts, doubts, step_advice
 from mbdkit.spec import RunSpec
-from mbdkit.stepping.compiled_stepper import CompiledStepper
-from mbdkit.stepping.contact_state import ContactState
-from mbdkit.stepping.impulse import DriverImpulse
-from mbdkit.stepping.interface import Advancing, Failure, Stretch
-from mbdkit.stepping.python_stepper import PythonStepper
-from mbdkit.stepping.sampled_control import states_at_start
-from mbdkit.stepping.start import start_method
 from mbdkit.trust.criteria import judge
 
 if TYPE_CHECKING:

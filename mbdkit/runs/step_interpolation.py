@@ -16,7 +16,7 @@ import numpy as np
 
 from mbdkit.engine.observed_states import StateObserver
 from mbdkit.engine.workspace import Workspace
-from mbdkit.stepping.interface import SAME_TIME
+from mbdkit.integrators.interface import SAME_TIME
 
 if TYPE_CHECKING:
     from scipy.interpolate import BSpline

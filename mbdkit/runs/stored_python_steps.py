@@ -11,10 +11,10 @@ from typing import Any
 import numpy as np
 
 from mbdkit.engine.stored_arrays import restore, stored
+from mbdkit.integrators.contact_state import ContactImpact, ContactState
+from mbdkit.integrators.impulse import DriverImpulse
+from mbdkit.integrators.python_stepper import Interval, PythonStepper, Reached
 from mbdkit.methods.kinds import StepState
-from mbdkit.stepping.contact_state import ContactImpact, ContactState
-from mbdkit.stepping.impulse import DriverImpulse
-from mbdkit.stepping.python_stepper import Interval, PythonStepper, Reached
 
 _INTEGERS = ("modes", "features")
 """Arrays of contacts whose values are integers, which may be negative."""

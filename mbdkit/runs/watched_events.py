@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from mbdkit.engine.workspace import Workspace
 from mbdkit.events.watch import Watch, Watched
+from mbdkit.integrators.interface import Stepper
 from mbdkit.spec import RunSpec
-from mbdkit.stepping.interface import Stepper
 
 
 def watch_events(spec: RunSpec, workspace: Workspace, stepper: Stepper, *, all_events: bool = True) -> Watch:

@@ -20,8 +20,8 @@ from mbdkit.archive.info import describe
 from mbdkit.archive.layout import CORRECTIONS
 from mbdkit.archive.reader import load
 from mbdkit.base.errors import MbdkitError
-from tests.stepping.running import DOUBLE
-from tests.stepping.step_methods import RungeKutta, run_with
+from tests.integrators.running import DOUBLE
+from tests.integrators.step_methods import RungeKutta, run_with
 
 from .making import SPEC, fill, make, names, writer
 

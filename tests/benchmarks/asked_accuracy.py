@@ -22,14 +22,14 @@ import numpy as np
 
 import mbdkit
 from mbdkit.engine.observed_states import StateObserver
+from mbdkit.integrators.interface import Guards
+from mbdkit.integrators.start import start_method
 from mbdkit.runs import recorded_states, simulated_run, step_interpolation
 from mbdkit.runs.accuracy import companion, pilot_run
 from mbdkit.runs.accuracy.pilot_run import run_pilot, work_of
 from mbdkit.runs.accuracy.position_measure import PositionMeasure
 from mbdkit.runs.preparation import build, make_method, timetable
 from mbdkit.spec import load_spec
-from mbdkit.stepping.interface import Guards
-from mbdkit.stepping.start import start_method
 from tests.witness.known_motions import Known, known_motions
 from tests.witness.running import gauss
 

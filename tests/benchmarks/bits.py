@@ -280,7 +280,7 @@ def _checkpoint_often() -> None:
     for name, values in (
         ("mbdkit.runs.run_checkpoint", {"INTERVAL": 0.01, "SHARE": 1e9}),
         ("mbdkit.run_checkpoint", {"INTERVAL": 0.01, "SHARE": 1e9}),
-        ("mbdkit.stepping.interface", {"STRETCH": 0.002}),
+        ("mbdkit.integrators.interface", {"STRETCH": 0.002}),
     ):
         try:
             module = importlib.import_module(name)

@@ -29,13 +29,13 @@ from mbdkit.engine.compiled_mechanism import with_ground
 from mbdkit.engine.consistent_start import workspace_at_start
 from mbdkit.engine.formulation import LoopsName
 from mbdkit.engine.spanning_tree import cut_joints
+from mbdkit.integrators.compiled_stepper import CompiledStepper
+from mbdkit.integrators.interface import Timetable
+from mbdkit.integrators.start import start_method
 from mbdkit.mechanism.joints import Driver
 from mbdkit.mechanism.mechanism import Mechanism
 from mbdkit.methods import INTEGRATORS
 from mbdkit.spec import load_spec
-from mbdkit.stepping.compiled_stepper import CompiledStepper
-from mbdkit.stepping.interface import Timetable
-from mbdkit.stepping.start import start_method
 from tests.engine.by_hand import ByHand, cross, first_derivative, turned
 from tests.engine.random_mechanisms import KINDS, add_rod
 

@@ -12,12 +12,12 @@ from rich.table import Table
 
 from mbdkit import EquationsOfMotion, StepMethod, StepState
 from mbdkit.engine.consistent_start import workspace_at_start
+from mbdkit.integrators.interface import Timetable
+from mbdkit.integrators.start import start_method
 from mbdkit.methods import rk4
 from mbdkit.methods.kinds import ExplicitRungeKutta
 from mbdkit.spec import load_spec
-from mbdkit.stepping.interface import Timetable
-from mbdkit.stepping.start import start_method
-from tests.stepping.step_methods import RungeKutta
+from tests.integrators.step_methods import RungeKutta
 
 from .timing import duration, take_turns
 

@@ -24,10 +24,10 @@ import mbdkit
 from mbdkit.archive.run import Run
 from mbdkit.archive.writer import ArchiveWriter
 from mbdkit.engine import consistent_start
+from mbdkit.integrators.compiled_stepper import CompiledStepper
 from mbdkit.runs import preparation, run_in_memory, simulated_run, simulation
 from mbdkit.runs.recorder import Recorder
 from mbdkit.spec.model_spec import ModelSpec
-from mbdkit.stepping.compiled_stepper import CompiledStepper
 
 SPEC: dict[str, Any] = {
     "mbdkit": 1,

@@ -14,14 +14,14 @@ import mbdkit
 from mbdkit.engine.equations_of_motion import EquationsOfMotion
 from mbdkit.engine.stabilization import NONE, Stabilization
 from mbdkit.engine.workspace import Workspace
+from mbdkit.integrators.interface import Timetable
+from mbdkit.integrators.scipy_bridge import SciPyStepper
+from mbdkit.integrators.start import start_method
 from mbdkit.methods.kinds import SciPySolver
 from mbdkit.runs.preparation import build
 from mbdkit.spec import load_spec
-from mbdkit.stepping.interface import Timetable
-from mbdkit.stepping.scipy_bridge import SciPyStepper
-from mbdkit.stepping.start import start_method
 from tests.engine.test_equations_of_motion import parallelogram, slider_crank
-from tests.stepping.running import driven_chain
+from tests.integrators.running import driven_chain
 
 ALPHA, BETA = 3.0, 4.0
 MASS, INERTIA, ARM = 2.0, 0.3, 0.5

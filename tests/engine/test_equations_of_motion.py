@@ -12,7 +12,7 @@ import sympy as sp
 
 import mbdkit
 from mbdkit import EquationsOfMotion, StepError
-from tests.stepping.running import driven_chain
+from tests.integrators.running import driven_chain
 
 T = 0.7
 RNG = np.random.default_rng(20)

@@ -18,12 +18,12 @@ from mbdkit.engine.elimination_order import PivotChoice, pivot_order
 from mbdkit.engine.kernels.observe import constraints_at
 from mbdkit.engine.observed_states import StateObserver
 from mbdkit.engine.workspace import Workspace
+from mbdkit.integrators.interface import Timetable
+from mbdkit.integrators.scipy_bridge import SciPyStepper
+from mbdkit.integrators.start import start_method
 from mbdkit.mechanism.mechanism import Mechanism
 from mbdkit.methods import gauss, rk4
 from mbdkit.methods.kinds import ExplicitRungeKutta, ImplicitRungeKutta, Method, SciPySolver
-from mbdkit.stepping.interface import Timetable
-from mbdkit.stepping.scipy_bridge import SciPyStepper
-from mbdkit.stepping.start import start_method
 
 from .random_mechanisms import loop
 

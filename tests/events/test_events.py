@@ -18,7 +18,7 @@ from mbdkit.archive.history import UnknownNameError
 from mbdkit.base.errors import SpecError
 from mbdkit.runs.simulation import simulate
 from mbdkit.spec import load_spec
-from tests.stepping.step_methods import Failing, Remembering, RungeKutta, run_with
+from tests.integrators.step_methods import Failing, Remembering, RungeKutta, run_with
 
 DOUBLE = {"name": "double-pendulum", "angles": [-1.0, -0.4]}
 GAUSS = {"name": "gauss", "stages": 3}
@@ -272,7 +272,7 @@ def test_other_programs_read_the_events_whether_they_came_in_one_piece_or_in_man
     interval: float, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("mbdkit.archive.writer.FLUSH_INTERVAL", interval)
-    monkeypatch.setattr("mbdkit.stepping.interface.STRETCH", 0.001)
+    monkeypatch.setattr("mbdkit.integrators.interface.STRETCH", 0.001)
     path = tmp_path / "run.h5"
     spec = {"mbdkit": 1, "model": DOUBLE, "integrator": GAUSS, "time": {"end": 1.0, "step": 0.01}}
     named = {"a long name, bent": {"when": "J2.angle - 0.2"}, "wave": {"when": "sin(50*t)"}}

@@ -11,11 +11,11 @@ import pytest
 import mbdkit
 from mbdkit.archive.fingerprint import attributes_sha256
 from mbdkit.base.errors import MbdkitError
+from mbdkit.integrators.start import start_method
 from mbdkit.runs.integrals import RunIntegrals, functionals_of
 from mbdkit.runs.preparation import build, guards, make_method, size_at_start, timetable
 from mbdkit.spec import RunSpec
-from mbdkit.stepping.start import start_method
-from tests.stepping.step_methods import RungeKutta, run_with
+from tests.integrators.step_methods import RungeKutta, run_with
 
 MEASURES = {
     "energy": "integral(energy.kinetic)",
@@ -120,7 +120,7 @@ def test_methods_in_python_are_integrated_on_the_quintic_of_each_step(exact: np.
 
 def test_the_recorded_rows_and_the_length_of_stretches_do_not_matter(monkeypatch: pytest.MonkeyPatch) -> None:
     few = run("rk4", 0.001)
-    monkeypatch.setattr("mbdkit.stepping.interface.STRETCH", 1e-4)
+    monkeypatch.setattr("mbdkit.integrators.interface.STRETCH", 1e-4)
     many = run("rk4", 0.001, output={"every": 1})
     assert len(many.time) == 1001
     assert many.integrals == few.integrals

@@ -353,10 +353,10 @@ def scipy_counts(name: str, options: dict[str, Any]) -> dict[str, int]:
     import scipy.integrate
 
     from mbdkit.engine.consistent_start import workspace_at_start
+    from mbdkit.integrators.interface import Timetable
+    from mbdkit.integrators.start import start_method
     from mbdkit.methods.kinds import SciPySolver
     from mbdkit.spec import load_spec
-    from mbdkit.stepping.interface import Timetable
-    from mbdkit.stepping.start import start_method
 
     solver = {"scipy-radau": "Radau", "scipy-dop853": "DOP853", "scipy-lsoda": "LSODA"}[name]
     workspace, _ = workspace_at_start(load_spec(spec(), ()).mechanism())

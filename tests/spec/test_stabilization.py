@@ -15,7 +15,7 @@ from mbdkit.runs.preparation import caution
 from mbdkit.spec import load_spec
 from mbdkit.spec.run_spec import spec_type
 from mbdkit.spec.schema import run_schema
-from tests.stepping.step_methods import RungeKutta, offering
+from tests.integrators.step_methods import RungeKutta, offering
 
 CHOICES: list[tuple[Any, Stabilization]] = [
     ("none", NONE),

@@ -9,7 +9,7 @@ import pytest
 
 import mbdkit
 from mbdkit.methods.kinds import StepState
-from tests.stepping.step_methods import RungeKutta, run_with
+from tests.integrators.step_methods import RungeKutta, run_with
 
 from .mechanisms import cranks, spec
 from .test_branches import angle_between_cranks, flat_linkage

@@ -10,9 +10,9 @@ import pytest
 
 import mbdkit
 from mbdkit.engine.equations_of_motion import EquationsOfMotion
+from mbdkit.integrators.coupled_newton import CoupledNewton
 from mbdkit.methods import gauss
 from mbdkit.models import n_four_bar
-from mbdkit.stepping.coupled_newton import CoupledNewton
 
 from .n_four_bar import Windows
 from .test_hard import EXPLICIT, every_method, run

@@ -288,7 +288,7 @@ def expand_tree(top, cs, m, q, v):
     q, v : (3 (B + 1),) array
         Positions and velocities of the bodies.
     m
-        Bundle of the following arrays (`mbdkit.stepping.taylor_series.Taylor`).
+        Bundle of the following arrays (`mbdkit.integrators.taylor_series.Taylor`).
     links : (B, 4) array of int
         The bodies in the order of the tree.
     places : (B + 1,) array of int

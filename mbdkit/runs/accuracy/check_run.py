@@ -16,6 +16,8 @@ from mbdkit.archive.accuracy import Accuracy
 from mbdkit.archive.headlines import MESH_ERROR
 from mbdkit.base.text import listed
 from mbdkit.engine.workspace import Workspace
+from mbdkit.integrators.contact_state import ContactState
+from mbdkit.integrators.interface import Failure, Stepper
 from mbdkit.mechanism.mechanism import Mechanism
 from mbdkit.methods.kinds import Method
 from mbdkit.runs.accuracy.chosen_method import Candidate, Choice
@@ -28,8 +30,6 @@ from mbdkit.runs.accuracy.position_measure import PositionMeasure
 from mbdkit.runs.accuracy.resolved_loads import resolved_until
 from mbdkit.runs.recorded_states import ObservedRows
 from mbdkit.spec import RunSpec
-from mbdkit.stepping.contact_state import ContactState
-from mbdkit.stepping.interface import Failure, Stepper
 
 if TYPE_CHECKING:
     from mbdkit.events.watch import Watch

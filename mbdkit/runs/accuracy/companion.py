@@ -14,14 +14,14 @@ from mbdkit.base.text import one_line
 from mbdkit.engine.elimination_order import SingularSystemError
 from mbdkit.engine.stabilization import Stabilization
 from mbdkit.engine.workspace import Workspace
+from mbdkit.integrators.contact_state import ContactState
+from mbdkit.integrators.interface import SAME_TIME, Stepper, Stretch, Timetable
+from mbdkit.integrators.python_stepper import PythonStepper
+from mbdkit.integrators.sampled_control import states_at_start
+from mbdkit.integrators.start import start_method
 from mbdkit.mechanism.contacts import Treatment
 from mbdkit.methods.kinds import Method
 from mbdkit.runs.recorded_states import ObservedRows
-from mbdkit.stepping.contact_state import ContactState
-from mbdkit.stepping.interface import SAME_TIME, Stepper, Stretch, Timetable
-from mbdkit.stepping.python_stepper import PythonStepper
-from mbdkit.stepping.sampled_control import states_at_start
-from mbdkit.stepping.start import start_method
 
 if TYPE_CHECKING:
     from mbdkit.events.watch import Watch

@@ -13,12 +13,12 @@ import numpy as np
 
 from mbdkit.engine.stabilization import NONE, Stabilization
 from mbdkit.engine.workspace import Workspace
+from mbdkit.integrators.interface import Guards, Timetable
 from mbdkit.methods import dop853, dopri5, gauss, radau_iia
 from mbdkit.methods.kinds import ExplicitRungeKutta, ImplicitRungeKutta, Method, Tolerances
 from mbdkit.runs.accuracy.companion import NEVER, Companion, finer, row_interval, until
 from mbdkit.runs.preparation import make_method, timetable
 from mbdkit.spec import RunSpec
-from mbdkit.stepping.interface import Guards, Timetable
 
 HALVINGS = (2, 4)
 """Factors by which the steps of a fixed-step run are divided for its companions."""

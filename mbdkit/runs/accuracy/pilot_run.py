@@ -16,14 +16,14 @@ import numpy as np
 from mbdkit.engine.counters import Counters
 from mbdkit.engine.elimination_order import SingularSystemError
 from mbdkit.engine.workspace import Workspace
+from mbdkit.integrators.interface import Advancing, Failure, Nodes, StepEvidence, Stretch
+from mbdkit.integrators.start import start_method
 from mbdkit.methods.kinds import Method
 from mbdkit.runs.accuracy.position_measure import PositionMeasure
 from mbdkit.runs.preparation import guards, make_method, plugin_failure, size_at_start, timetable
 from mbdkit.runs.recorded_states import ObservedRows
 from mbdkit.runs.step_interpolation import StepStates
 from mbdkit.spec import RunSpec
-from mbdkit.stepping.interface import Advancing, Failure, Nodes, StepEvidence, Stretch
-from mbdkit.stepping.start import start_method
 
 SAMPLES = 16
 """Number of equal intervals between the times at which a `PilotRun` stores positions, called samples.

@@ -7,10 +7,10 @@ from typing import Any
 
 from mbdkit.base.errors import SpecError
 from mbdkit.engine.observed_states import StateObserver
+from mbdkit.integrators.interface import Timetable
+from mbdkit.integrators.start import start_method
 from mbdkit.runs.preparation import build
 from mbdkit.spec import load_spec
-from mbdkit.stepping.interface import Timetable
-from mbdkit.stepping.start import start_method
 
 from .contender import OURS, TOLERANCES, Contender, Outcome, centres_of, lost, steps_from, timed
 from .motions import Motion

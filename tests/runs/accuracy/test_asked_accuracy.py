@@ -13,6 +13,7 @@ import mbdkit
 from mbdkit.archive.archive_check import check
 from mbdkit.archive.compare import compare
 from mbdkit.base.errors import SpecError
+from mbdkit.integrators.interface import Failure
 from mbdkit.runs.accuracy.check_run import missed_because
 from mbdkit.runs.accuracy.chosen_method import Candidate, Choice
 from mbdkit.runs.accuracy.coarser_estimate import error_share
@@ -20,7 +21,6 @@ from mbdkit.runs.accuracy.position_measure import PositionMeasure
 from mbdkit.runs.preparation import build
 from mbdkit.runs.step_interpolation import StepStates
 from mbdkit.spec import load_spec
-from mbdkit.stepping.interface import Failure
 from tests.benchmarks.asked_accuracy import TEN, counted
 from tests.witness.known_motions import Known, forced_oscillator, known_motions, pendulum
 

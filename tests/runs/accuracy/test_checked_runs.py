@@ -21,7 +21,7 @@ from mbdkit.archive.compare import compare
 from mbdkit.archive.fingerprint import attributes_sha256
 from mbdkit.runs.simulation import simulate
 from mbdkit.spec import load_spec
-from tests.stepping.step_methods import RungeKutta, run_with
+from tests.integrators.step_methods import RungeKutta, run_with
 from tests.witness.known_motions import known_motions
 
 DOUBLE = {"name": "double-pendulum", "angles": [-1.0, -0.4]}

@@ -12,7 +12,7 @@ from typing import Any
 import mbdkit
 import mbdkit.runs.run_checkpoint
 from mbdkit.archive import writer
-from mbdkit.stepping import interface
+from mbdkit.integrators import interface
 
 PATIENCE = 60.0
 """Time for a fork to write its checkpoints [s]."""

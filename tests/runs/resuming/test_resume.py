@@ -25,9 +25,9 @@ from mbdkit.archive.checkpoint import Checkpoint, StoredRows
 from mbdkit.archive.part_file import checkpoint_path, new_checkpoint_path
 from mbdkit.base.errors import ResourceError, SpecError
 from mbdkit.cli import app
+from mbdkit.integrators import interface
 from mbdkit.runs import provenance
 from mbdkit.runs.run_checkpoint import Parts
-from mbdkit.stepping import interface
 from mbdkit_studies import worker as study_worker
 
 from .killed_runs import killed, make_frequent

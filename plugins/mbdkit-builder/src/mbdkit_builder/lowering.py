@@ -22,7 +22,7 @@ from mbdkit_builder.implementation import check_placeholders, define_overloads
 
 def symbols() -> dict[str, Callable[[], Any]]:
     """Return, for each symbol, a function that makes its LLVM module; imports all kernels."""
-    for room in ("mbdkit.engine.kernels", "mbdkit.stepping"):
+    for room in ("mbdkit.engine.kernels", "mbdkit.integrators"):
         for module in pkgutil.iter_modules(importlib.import_module(room).__path__):
             importlib.import_module(f"{room}.{module.name}")
     found: dict[str, Callable[[], Any]] = {}

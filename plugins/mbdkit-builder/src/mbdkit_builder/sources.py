@@ -14,7 +14,7 @@ from pathlib import Path
 from mbdkit.base.errors import MbdkitError
 from mbdkit.engine.native.machine_code import PACKAGE, digest
 
-_ROOMS = ("engine/kernels/", "stepping/", "engine/native/")
+_ROOMS = ("engine/kernels/", "integrators/", "engine/native/")
 _ALWAYS = ("engine/native/bundle.py", "engine/native/kernel.py", "engine/native/levels.py")
 _IMPORT = re.compile(r"^(?:from mbdkit\.([\w.]+) import|import mbdkit\.([\w.]+))", re.MULTILINE)
 
@@ -22,7 +22,7 @@ _IMPORT = re.compile(r"^(?:from mbdkit\.([\w.]+) import|import mbdkit\.([\w.]+))
 def module_of(symbol: str) -> str:
     """Return the source file of a symbol, relative to the package mbdkit."""
     name = symbol.partition("__")[0]
-    for room in ("stepping", "engine/kernels"):
+    for room in ("integrators", "engine/kernels"):
         if (PACKAGE / room / f"{name}.py").is_file():
             return f"{room}/{name}.py"
     raise MbdkitError(f"there is no kernel '{symbol}'")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import shutil
 import subprocess
 import sys
@@ -36,7 +37,7 @@ def test_the_stored_code_is_that_of_this_builder() -> None:
     [
         (None, ""),
         ("builder", "lane_types.py"),
-        ("files", "stepping/step_loop.py"),
+        ("files", "integrators/step_loop.py"),
         ("files", "engine/native/kernel.py"),
     ],
 )
@@ -82,3 +83,16 @@ def test_code_compiled_here_agrees_with_the_stored_code_to_the_bit() -> None:
     pytest.importorskip("ziglang")
     some = {name: SPECS[name] for name in ("double-pendulum rk4", "knee radau-iia")}
     assert hashes(some, without_numba=False, MBDKIT_JIT="1") == hashes(some)
+
+
+def test_functions_are_not_simplified_for_the_processor_of_this_machine() -> None:
+    pytest.importorskip("numba")
+    program = (
+        "from mbdkit_builder.implementation import dispatcher\n"
+        "f = dispatcher(lambda x: x + 1)\n"
+        "f.compile('(f8,)')\n"
+        "print(f.targetctx.codegen()._tm_features or 'none', f.targetctx.codegen()._get_host_cpu_name())"
+    )
+    environment = os.environ | {"NUMBA_CPU_NAME": "znver3", "NUMBA_CPU_FEATURES": "+avx2"}
+    done = subprocess.run([sys.executable, "-c", program], env=environment, capture_output=True, text=True, check=False)
+    assert done.stdout.split() == ["none", "generic"], done.stderr

@@ -14,11 +14,11 @@ from mbdkit.base.text import one_line
 from mbdkit.engine.equations_of_motion import EquationsOfMotion
 from mbdkit.engine.stabilization import NONE
 from mbdkit.engine.workspace import Workspace
+from mbdkit.integrators.interface import Stretch, Timetable
+from mbdkit.integrators.start import start_method
 from mbdkit.runs.preparation import build
 from mbdkit.runs.simulation import simulate
 from mbdkit.spec import RunSpec
-from mbdkit.stepping.interface import Stretch, Timetable
-from mbdkit.stepping.start import start_method
 
 REVERSALS = ("reversibility_defect", "reversibility_velocity_defect")
 

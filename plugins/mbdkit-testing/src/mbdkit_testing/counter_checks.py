@@ -13,7 +13,7 @@ from mbdkit.base.text import listed
 from mbdkit.engine.equations_of_motion import EquationsOfMotion
 from mbdkit.engine.formulation import FORMULATIONS
 from mbdkit.engine.iteration_matrix import IterationMatrix
-from mbdkit.stepping.python_stepper import PythonStepper
+from mbdkit.integrators.python_stepper import PythonStepper
 from mbdkit_testing.check import check
 from mbdkit_testing.check_result import Result, failed, passed, skipped, warned
 from mbdkit_testing.integrator_under_test import IntegratorUnderTest, drive

@@ -12,6 +12,8 @@ import numpy as np
 from mbdkit.archive.run import Run
 from mbdkit.base.errors import PluginError
 from mbdkit.engine.workspace import Workspace
+from mbdkit.integrators.interface import Stepper, Timetable
+from mbdkit.integrators.start import start_method
 from mbdkit.methods.kinds import Method
 from mbdkit.methods.tableau import ButcherTableau
 from mbdkit.registry.catalogue import Registered, Registry
@@ -21,8 +23,6 @@ from mbdkit.runs.simulated_run import Progress
 from mbdkit.runs.simulation import simulate
 from mbdkit.spec.formulation_choice import choice_of
 from mbdkit.spec.run_spec import RunSpec, spec_type
-from mbdkit.stepping.interface import Stepper, Timetable
-from mbdkit.stepping.start import start_method
 from mbdkit_testing.check import Skip
 from mbdkit_testing.options_under_test import validated
 

@@ -15,7 +15,7 @@ from mbdkit_testing.integrator_under_test import IntegratorUnderTest, drive
 from mbdkit_testing.trial_models import DRIVEN_PENDULUM
 
 if TYPE_CHECKING:
-    from mbdkit.stepping.interface import Stepper
+    from mbdkit.integrators.interface import Stepper
 
 STEPS, END = 60, 0.6
 

@@ -11,12 +11,12 @@ from mbdkit.base.errors import RunError, SpecError
 from mbdkit.base.text import counted, listed
 from mbdkit.engine.kernels.observe import Observed
 from mbdkit.engine.observed_states import GivenForces, StateObserver
+from mbdkit.integrators.interface import Nodes
 from mbdkit.mechanism.quantity_names import QuantityNames
 from mbdkit.quantities.states import Muscles, States
 from mbdkit.runs.assembled_mechanism import AssembledMechanism
 from mbdkit.runs.law_ranges import LawRanges
 from mbdkit.spec import InverseSpec
-from mbdkit.stepping.interface import Nodes
 from mbdkit_biomech.inverse_dynamics.dynamics import Dynamics, largest_unbalanced, require_driven, solve_dynamics
 from mbdkit_biomech.inverse_dynamics.fit import Fitter
 from mbdkit_biomech.inverse_dynamics.loads import Loads, LoadSeries, loads_on, read_loads

@@ -40,10 +40,10 @@ from mbdkit.gradients.gradient import Gradient, gradient_of_run, require_derivat
 from mbdkit.gradients.gradient_check import Settings
 from mbdkit.gradients.gradient_parameters import Names, Parameter, read_names, resolved
 from mbdkit.gradients.parameter_differences import PreparedDerivatives
+from mbdkit.integrators.differentiated_stepper import dual_laws
+from mbdkit.integrators.dual_run import Seeds, constants, dual_states, new_dual_run
 from mbdkit.quantities.states import Muscles
 from mbdkit.spec import InverseSpec, load_inverse_spec
-from mbdkit.stepping.differentiated_stepper import dual_laws
-from mbdkit.stepping.dual_run import Seeds, constants, dual_states, new_dual_run
 from mbdkit_biomech.inverse_dynamics.compute import Inverse, InverseProblem, compute
 from mbdkit_biomech.inverse_dynamics.dynamics import Balance
 from mbdkit_biomech.inverse_dynamics.inverse_loading import InverseSource, varied_inverse

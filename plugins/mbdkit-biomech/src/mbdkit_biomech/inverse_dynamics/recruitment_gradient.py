@@ -19,8 +19,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from mbdkit.base.errors import SpecError
+from mbdkit.integrators.dual_run import Seeds
 from mbdkit.quantities.states import Muscles
-from mbdkit.stepping.dual_run import Seeds
 from mbdkit_biomech.inverse_dynamics.compute import InverseProblem
 from mbdkit_biomech.inverse_dynamics.dynamics import Balance
 from mbdkit_biomech.inverse_dynamics.recruited import Recruited

@@ -1,0 +1,109 @@
+"""The base class of compiled methods."""
+
+from __future__ import annotations
+
+from abc import ABC
+from typing import TYPE_CHECKING, ClassVar
+
+import numpy as np
+
+from mbdkit.integrators.convergence import MOST_EXTENDED, MOST_ITERATIONS, IterationLimit
+
+if TYPE_CHECKING:
+    from mbdkit.engine.native.bundle import PinnedBundle
+    from mbdkit.engine.native.kernel import Entry
+    from mbdkit.engine.workspace import Workspace
+    from mbdkit.integrators.run_state import RunState
+
+
+class CompiledMethod(ABC):
+    """A compiled method on one mechanism: its compiled functions, its bundle, and the parts that run in Python.
+
+    Attributes
+    ----------
+    attempt, dense, keep
+        The compiled functions for a step, for dense output, and for storing the stages of a step as quadrature nodes;
+        see `mbdkit.integrators.step_loop`.
+    stages
+        Number of stages of a step.
+    hint
+        Advice to the user, added to the message when a step fails.
+    pinned
+        The bundle of the method (a named tuple of arrays) at a fixed address, as kernels read it. Its class declares
+        those arrays as `State` that a step or dense output reads of the previous step.
+    has_dense_output
+        Whether states within a step can be computed.
+    carries_multipliers
+        Whether the method computes multipliers itself.
+    carries_stages
+        Whether a step solves equations by iteration, so that a failure may be divergence instead of overflow.
+    limit
+        Default limit of the number of iterations in a step, which fixed steps may extend; None if the user has set the
+        limit.
+    """
+
+    attempt: Entry
+    dense: Entry | None = None
+    keep: Entry
+    stages: int
+    hint: ClassVar[str] = "a smaller time.step may help"
+    pinned: PinnedBundle
+    has_dense_output: bool = False
+    carries_multipliers: bool = False
+    carries_stages: ClassVar[bool] = False
+    limit: IterationLimit | None = None
+
+    def __init__(self, workspace: Workspace):
+        self.workspace = workspace
+
+    def start(self, run_state: RunState, h: float) -> None:  # noqa: B027
+        """Prepare for steps of about `h` from the state in `run_state`; raises SingularSystemError."""
+
+    def renew(self, run_state: RunState, t: float, h: float) -> bool:
+        """Choose new pivots for the matrices of the method itself; return whether another attempt at the step can
+        succeed.
+
+        Raises
+        ------
+        SingularSystemError
+            If a matrix is singular.
+        """
+        return False
+
+    def forget(self) -> None:  # noqa: B027
+        """Discard the values stored by the last step for the next one."""
+
+    def solve_apart(self, run_state: RunState, t: float, h: float) -> bool:
+        """Solve the equations of the next attempt by a more robust, slower method; return whether that succeeded.
+
+        The step is from the state in `run_state` at `t`, of size `h`. Called before a run stops with a failure.
+        """
+        return False
+
+    def switch_iteration(self) -> bool:
+        """Solve the equations of the next and all later steps by another iteration; return False if there is none.
+
+        Called before a run with fixed steps stops with a failure, at most once per step.
+        """
+        return False
+
+    @property
+    def is_extended(self) -> bool:
+        """Whether the limit of iterations is extended."""
+        return self.limit is not None and bool(self.limit.most[0] > MOST_ITERATIONS)
+
+    def extend_iterations(self) -> bool:
+        """Extend the limit of iterations for the next attempt; return False if it cannot be extended further."""
+        if self.limit is None or self.is_extended:
+            return False
+        self.limit.most[0] = MOST_EXTENDED
+        return True
+
+    def restore_iterations(self) -> None:
+        """Restore the default limit of iterations."""
+        if self.limit is not None:
+            self.limit.most[0] = MOST_ITERATIONS
+
+    def describe_divergence(self, report: np.ndarray) -> str:
+        """Return a clause that describes where the equations of a step failed to converge, from a report (3,)."""
+        return ""

@@ -1,0 +1,315 @@
+"""Linear complementarity problems, solved by Lemke's method, and forces of contacts with planar Coulomb friction."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from mbdkit.integrators.cone_sweeps import couple_contacts, sweep_contacts
+
+TINY = (1e-11, 1e-8, 1e-5)
+"""Entries of a scaled tableau whose magnitude is below the first of these are treated as zero; the next one is tried if
+the solution is inaccurate. Rows of contacts on one surface are equal up to gaps in the order of 1e-10 m, and a pivot
+that is the difference of two such rows has lost most of its digits."""
+ACCURATE = 1e-9
+"""Largest error of an accurate solution of a scaled problem."""
+
+
+def complementary(matrix: np.ndarray, right: np.ndarray) -> tuple[np.ndarray, np.ndarray] | None:
+    """Return the solution of a linear complementarity problem, by Lemke's method with the thresholds `TINY` in turn.
+
+    See `_pivoted`. If no solution is accurate, the most accurate one is returned.
+    """
+    best, least = None, np.inf
+    for tiny in TINY:
+        solved = _pivoted(matrix, right, tiny)
+        if solved is None:
+            continue
+        z = solved[0]
+        w = matrix @ z + right
+        error = float(np.max([-w, np.minimum(z, w)], initial=0.0)) / max(1.0, float(np.max(z, initial=0.0)))
+        if error <= ACCURATE:
+            return solved
+        if error < least:
+            best, least = solved, error
+    return best
+
+
+def _pivoted(matrix: np.ndarray, right: np.ndarray, tiny: float) -> tuple[np.ndarray, np.ndarray] | None:
+    """Return z with ``w = matrix z + right``, ``z >= 0``, ``w >= 0`` and ``z . w = 0``, by Lemke's method.
+
+    R. W. Cottle, J.-S. Pang and R. E. Stone, The Linear Complementarity Problem, 1992, section 4.4.
+
+    Parameters
+    ----------
+    matrix, right
+        (n, n) and (n,).
+    tiny
+        Magnitude below which entries are treated as zero, relative to the largest in the column, if this is above 1.
+
+    Returns
+    -------
+    z, is_basic
+        (n,) solution, and (n,) whether z_i, rather than w_i, is in the basis. None is returned in place of both if the
+        method ends on a ray without a solution, or takes too many steps.
+    """
+    n = len(right)
+    if n == 0 or np.min(right) >= 0.0:
+        return np.zeros(n), np.zeros(n, dtype=bool)
+    # Columns: w, z, the artificial variable, right side. The columns of w record the inverse of the basis, which the
+    # lexicographic rule needs to break ties.
+    tableau = np.hstack([np.eye(n), -matrix, -np.ones((n, 1)), right[:, None]])
+    basis = np.arange(n)
+    entering, row = 2 * n, int(np.argmin(right))
+    for _ in range(50 * (n + 1)):
+        tableau[row] /= tableau[row, entering]
+        others = np.arange(n) != row
+        tableau[others] -= np.outer(tableau[others, entering], tableau[row])
+        leaving, basis[row] = int(basis[row]), entering
+        if leaving == 2 * n:
+            z = np.zeros(2 * n)
+            z[basis] = tableau[:, -1]
+            is_basic = np.isin(np.arange(n, 2 * n), basis)
+            return np.maximum(z[n:], 0.0), is_basic
+        entering = leaving + n if leaving < n else leaving - n
+        column = tableau[:, entering]
+        able = np.flatnonzero(column > tiny * max(1.0, float(np.max(np.abs(column)))))
+        if not len(able):
+            return None
+        row = _smallest_ratio(tableau, column, able, basis, 2 * n, tiny)
+    return None
+
+
+def _smallest_ratio(
+    tableau: np.ndarray, column: np.ndarray, able: np.ndarray, basis: np.ndarray, artificial: int, tiny: float
+) -> int:
+    """Return the row that leaves the basis: on a tie, that of the artificial variable if possible, else the
+    lexicographically smallest one.
+    """
+    ratios = tableau[able, -1] / column[able]
+    able = able[ratios <= np.min(ratios) + tiny * max(1.0, abs(float(np.min(ratios))))]
+    if artificial in basis[able]:
+        return int(able[basis[able] == artificial][0])
+    for place in range(len(basis)):
+        if len(able) == 1:
+            break
+        ratios = tableau[able, place] / column[able]
+        able = able[ratios <= np.min(ratios) + tiny]
+    return int(able[0])
+
+
+class Pushed(NamedTuple):
+    """Forces, or impulses, of k contacts.
+
+    Attributes
+    ----------
+    normal, tangent
+        (k,) forces.
+    is_closed
+        (k,) whether the contact is closed: its normal force is a basic variable of the solution by Lemke's method, or
+        positive after sweeps.
+    is_slipping
+        (k,) whether friction is at its limit.
+    residual
+        Error of the velocities of the contacts, relative to the largest velocity without these forces.
+    """
+
+    normal: np.ndarray
+    tangent: np.ndarray
+    is_closed: np.ndarray
+    is_slipping: np.ndarray
+    residual: float = 0.0
+
+
+def coulomb(
+    response: np.ndarray,
+    normal: np.ndarray,
+    tangent: np.ndarray,
+    friction: np.ndarray,
+    sliding: np.ndarray | float = 0.0,
+    pressed: np.ndarray | float = 0.0,
+) -> Pushed | None:
+    """Return the forces of contacts with Coulomb friction; None if no solution is found.
+
+    Let u be the accelerations of the contacts (or their velocities after an impact). Each normal force N is positive
+    only if the contact does not open: ``0 <= N, 0 <= u_n, N u_n = 0``. Each friction force T satisfies ``|T| <= mu N``;
+    if u_t is not 0, then T has the magnitude mu N and opposes u_t (D. E. Stewart and J. C. Trinkle, International
+    Journal for Numerical Methods in Engineering 39:2673-2691, 1996).
+
+    Parameters
+    ----------
+    response
+        (2 k, 2 k) matrix that maps forces to accelerations; in both, the k normal components come first.
+    normal, tangent
+        (k,) normal and tangential accelerations without these forces.
+    friction
+        (k,) coefficients mu.
+    sliding
+        (k,) directions of slip, 1 or -1, of contacts that slip already; their friction force is -mu N times the
+        direction. 0 for other contacts.
+    pressed
+        (k,) normal forces whose effects `normal` and `tangent` include already. The forces returned are added to them,
+        and the limits of friction follow from the sums.
+    """
+    k = len(normal)
+    sliding, pressed = (np.broadcast_to(np.asarray(x, dtype=float), (k,)) for x in (sliding, pressed))
+    size = np.sqrt(np.maximum(np.diag(response)[:k], np.diag(response)[k:]))
+    scale = 1.0 / np.where(size > 0.0, size, 1.0)
+    both = np.concatenate([scale, scale])
+    response = both[:, None] * response * both
+    b_n, b_t = scale * normal, scale * tangent
+    nn, nt, tn, tt = (response[i : i + k, j : j + k] for i in (0, k) for j in (0, k))
+    slides = sliding != 0
+    nn = nn - nt * np.where(slides, friction * sliding, 0.0)
+    sticks = np.flatnonzero(~slides & (friction > 0.0))
+    m = len(sticks)
+    tn = tn - tt * np.where(slides, friction * sliding, 0.0)
+    nt, tn, tt = nt[:, sticks], tn[sticks], tt[np.ix_(sticks, sticks)]
+    one, none = np.eye(m), np.zeros((m, m))
+    cone = np.zeros((m, k))
+    cone[np.arange(m), sticks] = friction[sticks]
+    matrix = np.block(
+        [
+            [nn, nt, -nt, np.zeros((k, m))],
+            [tn, tt, -tt, one],
+            [-tn, -tt, tt, one],
+            [cone, -one, -one, none],
+        ]
+    )
+    right = np.concatenate([b_n, b_t[sticks], -b_t[sticks], (friction * pressed / scale)[sticks]])
+    largest = float(np.max(np.abs(right), initial=0.0))
+    solved = complementary(matrix, right / (largest or 1.0))
+    if solved is None:
+        return None
+    z, is_basic = largest * solved[0], solved[1]
+    forces = z[:k]
+    t = np.where(slides, -friction * sliding * forces, 0.0)
+    t[sticks] = z[k : k + m] - z[k + m : k + 2 * m]
+    slips = slides | (friction == 0.0)
+    slips[sticks] = is_basic[k + 2 * m :]
+    return Pushed(scale * forces, scale * t, is_basic[:k], slips)
+
+
+class Coupled(NamedTuple):
+    """How k contacts affect each other; see `mbdkit.integrators.cone_sweeps.sweep_contacts`."""
+
+    start: np.ndarray
+    other: np.ndarray
+    blocks: np.ndarray
+
+
+def coupled_by_all(response: np.ndarray) -> Coupled:
+    """Return the couplings of k contacts from the full matrix (2 k, 2 k) that maps impulses to velocities, normal
+    components first.
+    """
+    k = len(response) // 2
+    blocks = response.reshape(2, k, 2, k).transpose(1, 3, 0, 2).reshape(k * k, 4)
+    return Coupled(np.arange(k + 1) * k, np.tile(np.arange(k), k), np.ascontiguousarray(blocks))
+
+
+def coupled_by_bodies(bodies: np.ndarray, gradients: np.ndarray, lightness: np.ndarray) -> Coupled:
+    """Return the couplings of k contacts between bodies that are connected by contacts only.
+
+    Parameters
+    ----------
+    bodies
+        (k, 2) indices of the two bodies of each contact.
+    gradients
+        (2, k, 6) derivatives of the rates of gap and slip with respect to the velocities of both bodies.
+    lightness
+        (B + 1, 3) inverse masses and inverse moments of inertia of the bodies; 0 for the ground.
+    """
+    k = len(bodies)
+    degree = np.bincount(bodies.ravel(), minlength=len(lightness))
+    begin = np.append(0, np.cumsum(degree))
+    members = np.argsort(bodies.ravel(), kind="stable")
+    most = int(np.sum(degree[:-1] ** 2))
+    start, other, blocks = np.zeros(k + 1, dtype=int), np.zeros(most, dtype=int), np.zeros((most, 4))
+    couple_contacts(begin, members, bodies, gradients, lightness, start, other, blocks)
+    return Coupled(start, other, blocks)
+
+
+SWEEPS = 500
+"""Largest number of sweeps over the contacts."""
+PRECISION, ACCEPTED = 1e-8, 1e-2
+"""Limits of the relative change of velocities in a sweep. Sweeps end at `PRECISION`; if they do not reach it, the
+result is accepted if the last change is at most `ACCEPTED`.
+
+Changes are relative to the largest velocity without impulses. If more contacts are closed than are needed, sweeps move
+forces between them ever more slowly.
+"""
+
+
+def swept(
+    coupled: Coupled,
+    normal: np.ndarray,
+    tangent: np.ndarray,
+    friction: np.ndarray,
+    guess: np.ndarray,
+    precision: float = PRECISION,
+) -> Pushed | None:
+    """Return the impulses of contacts, found by repeated sweeps over them; None if the sweeps do not converge.
+
+    Parameters
+    ----------
+    coupled
+        How the contacts affect each other.
+    normal, tangent, friction
+        See `coulomb`.
+    guess
+        (2, k) impulses with which the sweeps begin, normal ones first.
+    precision
+        Change in a sweep, relative to the largest velocity, at which the sweeps end. If this is larger than the
+        default, the result after `SWEEPS` sweeps is accepted in any case.
+    """
+    free, impulses = np.stack([normal, tangent], axis=1), np.ascontiguousarray(guess.T)
+    size = float(np.max(np.abs(free), initial=0.0))
+    changed = sweep_contacts(*coupled, free, np.ascontiguousarray(friction), precision * size, SWEEPS, impulses)
+    if changed > ACCEPTED * size and precision <= PRECISION:
+        return None
+    pushes, rubs = impulses.T
+    return Pushed(pushes, rubs, pushes > 0.0, np.abs(rubs) >= friction * pushes, changed / (size or 1.0))
+
+
+def stronge(response: np.ndarray, before: np.ndarray, friction: float, e: float) -> np.ndarray:
+    """Return the impulses (2,) of one contact, normal and tangential, by Stronge's law, which never gains energy.
+
+    The normal impulse p grows from 0. Its work in restitution is -e^2 times that in compression, and the friction
+    impulse follows Coulomb's law at every p (W. J. Stronge, Impact Mechanics, 2000, chapter 5).
+
+    Parameters
+    ----------
+    response
+        (2, 2) matrix that maps impulses to velocities, normal component first.
+    before
+        (2,) normal and tangential velocity before the impact; the normal one is negative.
+    friction
+        Coefficient of friction.
+    e
+        Coefficient of restitution.
+    """
+    v, p, tangential, work, goal = before.astype(float), 0.0, 0.0, 0.0, np.inf
+    for _ in range(8):  # slip ends at most once, and so does compression
+        ratio = -np.sign(v[1]) * friction
+        if v[1] == 0.0:
+            ratio = float(np.clip(-response[1, 0] / response[1, 1], -friction, friction))
+        slope = response @ np.array([1.0, ratio])
+        ends = -v[1] / slope[1] if v[1] * slope[1] < 0.0 else np.inf
+        turns = -v[0] / slope[0] if v[0] < 0.0 < slope[0] else np.inf
+        rises = np.inf
+        if v[0] >= 0.0 and slope[0] > 0.0:  # the remaining work, v0 dp + slope dp^2 / 2
+            rises = (np.sqrt(v[0] ** 2 + 2.0 * slope[0] * max(goal - work, 0.0)) - v[0]) / slope[0]
+        more = min(ends, turns, rises)
+        if not np.isfinite(more):
+            break
+        work += more * (v[0] + 0.5 * slope[0] * more)
+        p, tangential = p + more, tangential + ratio * more
+        v = v + slope * more
+        if more == ends:
+            v[1] = 0.0
+        if more == turns:
+            v[0], goal, work = 0.0, -e * e * work, 0.0
+        elif more == rises:
+            break
+    return np.array([p, tangential])

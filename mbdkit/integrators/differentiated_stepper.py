@@ -1,0 +1,355 @@
+"""A stepper that advances a run together with the derivatives of its states with respect to parameters."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from mbdkit.base.errors import StepError
+from mbdkit.engine.force_laws import law_for_duals
+from mbdkit.engine.kernels.bundle_types import STATE, kept
+from mbdkit.engine.kernels.dual_system import new_dual_solver
+from mbdkit.engine.kernels.system import DIVERGED, NOT_FINITE, OK
+from mbdkit.engine.native.bundle import PinnedBundle
+from mbdkit.engine.workspace import Workspace
+from mbdkit.integrators.collocation import CompiledCollocation
+from mbdkit.integrators.collocation_stages import Stages
+from mbdkit.integrators.compiled_stepper import CompiledStepper
+from mbdkit.integrators.differentiated_laws import DifferentiatedLaws
+from mbdkit.integrators.differentiated_sampling import DifferentiatedSampler
+from mbdkit.integrators.dual_run import DualRun, Seeds, new_dual_run
+from mbdkit.integrators.dual_steps import collocation_step, dual_explicit, dual_stages, explicit_step
+from mbdkit.integrators.explicit import CompiledExplicit
+from mbdkit.integrators.interface import Moment, StepTaken, Timetable
+from mbdkit.integrators.run_state import PROJECTIONS
+
+if TYPE_CHECKING:
+    from mbdkit.integrators.step_control import Control
+
+_CAUSES = {DIVERGED: "the iteration for the derivatives does not converge", NOT_FINITE: "a number overflows"}
+"""Reasons why the derivatives of a step are unknown, by status of the kernel."""
+
+NODES = ("node_time", "node_weight", "node_q", "node_v")
+"""Fields of `DualRun` that store stages as quadrature nodes of time integrals."""
+
+ANY_ERROR = 1e30
+"""Factor applied to the error tolerances, so large that every step is accepted."""
+
+
+def dual_laws(workspace: Workspace) -> np.ndarray:
+    """Return the laws of a mechanism compiled for dual numbers, in the form of ``Topology.laws``.
+
+    Raises
+    ------
+    mbdkit.base.errors.PluginError
+        If a law cannot be compiled for dual numbers.
+    """
+    laws = workspace.mechanism.topology.laws.copy()
+    for row, (name, law) in enumerate(workspace.mechanism.laws):
+        for_duals = law_for_duals(law, name)
+        laws[row, 0], laws[row, 3] = for_duals.address, for_duals.program
+    return laws
+
+
+class DifferentiatedSteps:
+    """The derivatives of the steps of a compiled method, one step at a time.
+
+    Parameters
+    ----------
+    method
+        The method of the run.
+    workspace
+        The mechanism and its start.
+    seeds
+        Derivatives of mechanism and start with respect to parameters.
+    rows, nodes
+        Initial sizes of the buffers: numbers of recorded states after the start, and of stored stages.
+
+    Attributes
+    ----------
+    laws
+        The laws of first-order states and controllers.
+    """
+
+    def __init__(
+        self, method: CompiledExplicit | CompiledCollocation, workspace: Workspace, seeds: Seeds, rows: int, nodes: int
+    ):
+        self.method, self.workspace = method, workspace
+        self.run: DualRun = new_dual_run(workspace, seeds, dual_laws(workspace), rows, nodes)
+        self._pinned = PinnedBundle(self.run)
+        self.laws = DifferentiatedLaws(workspace.mechanism, np.asarray(self.run.w.law_values))
+        self._row_z: list[np.ndarray] = []
+        self._solver = workspace.solver
+        self._plain: Any = None
+        self._take_up_method()
+
+    def _take_up_method(self) -> None:
+        """Create the dual-number counterpart of the method's current bundle of arrays."""
+        method = self.method
+        if isinstance(method, CompiledExplicit):
+            self._plain = method.bundle
+            self._stages = PinnedBundle(dual_explicit(method.bundle))
+            self._stage_count = len(method.bundle.b)
+            return
+        assert isinstance(method.bundle, Stages)
+        new = dual_stages(method.bundle)
+        if self._plain is not None:  # new pivots were chosen; the derivatives of the last stages remain valid
+            new.acc[...] = self._stages.bundle.acc
+            new.previous.size[:], new.previous.begin[:] = np.nan, 0.0
+        self._plain = method.bundle
+        self._stages = PinnedBundle(new)
+        self._stage_count = len(method.rk.b)
+
+    def step(self, run_state: int, step: tuple[float, float], row: int, *, projected: bool) -> None:
+        """Differentiate a step that the run has taken, and record the state at its end.
+
+        Parameters
+        ----------
+        run_state
+            Address of the state of the run.
+        step
+            Start and size of the step [s].
+        row
+            Index at which the state at the end is recorded; -1 if it is not recorded.
+        projected
+            Whether the run has projected the state at the end onto the constraints.
+
+        Raises
+        ------
+        StepError
+            If the derivatives of the step cannot be computed.
+        """
+        t, h = step
+        self.take_up_solver()
+        self._make_room(row)
+        self.run.projected[0] = projected
+        if isinstance(self.method, CompiledExplicit):
+            status = explicit_step(self._pinned.address, run_state, self._stages.address, t, h, row)
+        else:
+            if self.method.bundle is not self._plain:
+                self._take_up_method()
+            addresses = self._pinned.address, run_state, self._stages.address, self.method.pinned.address
+            status = collocation_step(*addresses, t, h, row, self.method.formulation.solves_multipliers)
+        if status != OK:
+            why = _CAUSES.get(status, "the system of its equations is singular")
+            raise StepError(
+                "newton-failed",
+                f"the step from t = {t:.6g} s cannot be differentiated with respect to parameters: {why}; "
+                "a smaller time.step may help",
+            )
+        if row >= 0:
+            del self._row_z[row:]
+            self._row_z.append(np.array(self.run.z))
+
+    def take_up_solver(self) -> None:
+        """Use the current solver of the workspace in further steps."""
+        if self.workspace.solver is self._solver:
+            return
+        self._solver = self.workspace.solver
+        numbers = self.run.solver.numbers._replace(solver=self._solver)
+        self._renew(solver=new_dual_solver(numbers, self.run.solver.row_index))
+
+    def _renew(self, **fields: Any) -> None:
+        self.run = self.run._replace(**fields)
+        self._pinned.replace(self.run)
+
+    def _make_room(self, row: int) -> None:
+        """Enlarge the buffers of recorded states and of nodes if the next step needs that."""
+        run = self.run
+        if row >= len(run.row_q):
+            self._enlarge(("row_q", "row_v", "row_energy"), row + 1)
+        used = int(run.nodes[1])
+        if run.nodes[0] and used + self._stage_count > len(run.node_time):
+            self._enlarge(NODES, used + self._stage_count)
+
+    def _enlarge(self, names: tuple[str, ...], rows: int) -> None:
+        self._renew(**{name: _enlarged(getattr(self.run, name), rows) for name in names})
+
+    @property
+    def memory(self) -> tuple[np.ndarray, ...]:
+        """Arrays of the previous step that the next step reads."""
+        return (*kept(self.run, STATE).values(), *kept(self._stages.bundle, STATE).values())
+
+    @contextmanager
+    def last_nodes_kept(self) -> Iterator[None]:
+        """Context in which a step may be repeated: the quadrature nodes of the last step, which the repetition
+        overwrites, are restored on exit.
+        """
+        end = int(self.run.nodes[1])
+        some = slice(max(0, end - self._stage_count), end)
+        before = [np.copy(getattr(self.run, name)[some]) for name in NODES]
+        yield
+        for name, values in zip(NODES, before, strict=True):
+            getattr(self.run, name)[some] = values
+
+    def use_states(self, z: np.ndarray) -> None:
+        """Use first-order states (Z, 1 + K) with their derivatives in later evaluations."""
+        state, place = self.workspace.mechanism.topology.state_places.T
+        np.asarray(self.run.w.law_values)[place] = z[state]
+
+    def recorded(self, count: int) -> tuple[np.ndarray, ...]:
+        """Return positions, velocities, first-order states and energies of the first `count` recorded states after the
+        start, with their derivatives.
+        """
+        run = self.run
+        q, v, energy = (np.asarray(x[:count]) for x in (run.row_q, run.row_v, run.row_energy))
+        z = np.array(self._row_z[:count]).reshape(count, *np.asarray(run.z).shape)
+        return q, v, z, energy
+
+    def nodes(self) -> tuple[np.ndarray, ...]:
+        """Return times, weights, positions and velocities of the stored stages."""
+        run, some = self.run, slice(int(self.run.nodes[1]))
+        return run.node_time[some], run.node_weight[some], np.asarray(run.node_q[some]), np.asarray(run.node_v[some])
+
+
+class DifferentiatedStepper(CompiledStepper):
+    """Runs a compiled method with fixed or controlled step size, and differentiates every step.
+
+    Parameters
+    ----------
+    method, workspace, timetable, control
+        See `CompiledStepper`.
+    seeds
+        Derivatives of mechanism and start with respect to parameters.
+    with_nodes
+        Whether stages are stored as quadrature nodes.
+    sizes
+        Sizes of the steps [s], if given; the error estimate then rejects no step. Ignored without step-size control.
+    """
+
+    def __init__(
+        self,
+        method: CompiledExplicit | CompiledCollocation,
+        workspace: Workspace,
+        timetable: Timetable,
+        control: Control | None,
+        seeds: Seeds,
+        *,
+        with_nodes: bool,
+        sizes: Sequence[float] | None = None,
+    ):
+        self.steps: DifferentiatedSteps | None = None
+        self.recorded = 0
+        self.sizes_taken: list[float] = []
+        self._sizes = sizes if control is not None else None
+        if control is not None and self._sizes is not None:
+            control = replace(control, scale=ANY_ERROR)
+        super().__init__(method, workspace, timetable, control)
+        rows = timetable.steps // timetable.every + 2 if timetable.step is not None else 64
+        self.steps = DifferentiatedSteps(method, workspace, seeds, rows, int(with_nodes))
+        self._dual_sampler = DifferentiatedSampler(self.steps, self.sampler)
+        self._dual_sampler.passed(timetable.start, self.run_state.z)
+        self.z0 = np.copy(self.steps.run.z)
+
+    def _memory(self) -> tuple[np.ndarray, ...]:
+        own = () if self.steps is None else self.steps.memory
+        return (*super()._memory(), *own)
+
+    def _begin_after_stop(self) -> None:
+        super()._begin_after_stop()
+        progress = self.run_state.progress
+        if self.steps is not None and progress.after_stop[0] and not progress.pending[0]:
+            self._dual_sampler.passed(self.timetable.stops[int(progress.passed[0]) - 1], self.run_state.z)
+
+    def _retake(self, step: StepTaken, theta: float) -> bool:
+        recorded, taken, sizes = self.recorded, self.sizes_taken, self._sizes
+        self.sizes_taken, self._sizes = [], None
+        done = super()._retake(step, theta)
+        # the end of a repeated step is not recorded
+        self.recorded, self.sizes_taken, self._sizes = recorded, taken, sizes
+        return done
+
+    def within(self, theta: float) -> Moment:
+        """See `Stepper.within`."""
+        assert self.steps is not None
+        with self.steps.last_nodes_kept():
+            return super().within(theta)
+
+    def derivatives_within(self, theta: float) -> Moment:
+        """Return the state with its derivatives at the share `theta` of the last step.
+
+        Raises
+        ------
+        StepError
+            If the shortened step fails.
+        """
+        step, steps = self.last_step, self.steps
+        assert step is not None
+        assert steps is not None
+        after = [np.copy(x) for x in self._memory()]
+        with steps.last_nodes_kept():
+            done = theta >= 1.0 or self._retake(step, theta)
+        q, v, z = (np.copy(x) for x in (steps.run.q, steps.run.v, steps.run.z))
+        self._recall(after)
+        self._count()
+        if not done:
+            raise StepError("newton-failed", f"the step from t = {step.t0:.6g} s cannot be shortened")
+        return q, v, z
+
+    def cut_with_derivatives(self, theta: float) -> tuple[float, Moment, np.ndarray]:
+        """End the run at the share `theta` of the last step; return time, state and energies there.
+
+        Raises
+        ------
+        StepError
+            If the shortened step fails.
+        """
+        self.cut(theta)
+        steps = self.steps
+        assert steps is not None
+        if not np.array_equal(steps.run.q[:, 0], self.run_state.q):
+            raise StepError("newton-failed", f"the step to t = {self.time:.6g} s cannot be shortened")
+        run = steps.run
+        return self.time, (np.copy(run.q), np.copy(run.v), np.copy(run.z)), np.copy(run.energy)
+
+    def _drive(self, plan: PinnedBundle, budget: int) -> tuple[int, int]:
+        """Attempt up to `budget` steps of a plan, one after another, and differentiate those that are accepted."""
+        if self.steps is None or budget <= 0:
+            return super()._drive(plan, budget)
+        c = self.run_state
+        progress, rows, limit = (
+            c.progress,
+            (c.row_time, c.row_q, c.row_v, c.row_energy, c.row_interval),
+            len(c.row_time),
+        )
+        count = 0
+        while True:
+            before, projections = int(progress.accepted[0]), int(c.counts[PROJECTIONS])
+            if self._sizes is not None and progress.retrying[0] == 0:
+                progress.next_size[0] = self._sizes[min(before, len(self._sizes) - 1)]
+            status, written = super()._drive(plan, 1)
+            if int(progress.accepted[0]) > before:
+                step = float(progress.tried_begin[0]), float(progress.last_size[0])
+                self.sizes_taken.append(step[1])
+                self.steps.step(
+                    self._pinned_state.address,
+                    step,
+                    self.recorded if written else -1,
+                    projected=int(c.counts[PROJECTIONS]) > projections,
+                )
+            if written:
+                self.recorded += 1
+                count += 1
+                if count > 1:  # the step loop writes each row at index 0, so the first recorded state has to be saved
+                    for x in rows:
+                        x[count - 1] = x[0]
+                else:
+                    first = [np.copy(x[0]) for x in rows]
+            budget -= 1
+            if status != OK or budget <= 0 or count >= limit or progress.time[0] >= self.timetable.end:
+                break
+        if count > 1:
+            for x, row in zip(rows, first, strict=True):
+                x[0] = row
+        return status, count
+
+
+def _enlarged(x: Any, rows: int) -> Any:
+    """Return a copy of an array with room for at least `rows` rows."""
+    larger = np.zeros((max(rows, 2 * len(x)), *x.shape[1:])).view(type(x))
+    larger[: len(x)] = x
+    return larger

@@ -1,0 +1,67 @@
+"""The impulse of drivers whose velocity is discontinuous.
+
+The velocities afterwards are the nearest ones that satisfy the constraints.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from mbdkit.engine.compiled_mechanism import with_ground
+from mbdkit.engine.equations_of_motion import EquationsOfMotion
+from mbdkit.engine.nearest_state import nearest_velocities
+from mbdkit.integrators.interface import Impact
+
+if TYPE_CHECKING:
+    from mbdkit.engine.workspace import Workspace
+
+
+@dataclass(frozen=True)
+class DriverImpulse(Impact):
+    """An impulse of the drivers, with the impulses that it causes in the joints.
+
+    Parameters
+    ----------
+    reactions
+        (J, 3) impulses of the joints, drivers included, on their second bodies [N s, N m s]; see
+        `EquationsOfMotion.reactions`.
+    """
+
+    reactions: np.ndarray
+
+
+def impulse(
+    workspace: Workspace, t: float, q: np.ndarray, v: np.ndarray, stop: float
+) -> tuple[DriverImpulse, np.ndarray]:
+    """Return the impulse at a stop, and the velocities after it (3 (B + 1),), ground last.
+
+    The impulse Lambda of the constraints leads to ``M (v+ - v) + Phi_q^T Lambda = 0`` with ``Phi_q v+ + Phi_t+ = 0``:
+    v+ is, in the mass metric, the velocity nearest to v that satisfies the constraints. The work of the impulse is the
+    change of the kinetic energy.
+
+    Parameters
+    ----------
+    workspace
+        The mechanism. Its pivots are renewed if necessary.
+    t
+        Time just after the jump [s].
+    q, v
+        (3 (B + 1),) positions, and velocities before the jump.
+    stop
+        Time of the discontinuity [s].
+
+    Raises
+    ------
+    mbdkit.base.errors.StepError
+        If the position is singular.
+    """
+    p = EquationsOfMotion(workspace)
+    old = v[: p.n].copy()
+    new = nearest_velocities(p, t, q[: p.n].copy(), old)
+    work = 0.5 * float((new - old) @ (p.mass * (new + old)))
+    moved = float(np.sqrt((new - old) @ (p.mass * (new - old)) / np.sum(p.mass[::3])))
+    multipliers = p.solve(t, q[: p.n], p.mass * (old - new), np.zeros(p.m))[1]
+    return DriverImpulse(stop, work, moved, p.reactions(t, q[: p.n], multipliers)), with_ground(new)

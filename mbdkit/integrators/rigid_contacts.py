@@ -1,0 +1,332 @@
+"""Rigid contacts on the equations of motion: accelerations with closed contacts, modes, and impulses."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+
+from mbdkit.base.errors import StepError
+from mbdkit.engine.contact_forces import HELD, held_coordinates
+from mbdkit.engine.equations_of_motion import EquationsOfMotion
+from mbdkit.integrators.complementarity import PRECISION, Pushed, coulomb, coupled_by_all, coupled_by_bodies, swept
+from mbdkit.integrators.contact_kinematics import FEW, ContactKinematics, Rows
+from mbdkit.integrators.contact_state import ContactState
+from mbdkit.mechanism.contacts import OPEN, SLIP, STICK
+
+SINGULAR = 1e-11
+"""Singular values of the equations of contact forces below this share of the largest one indicate redundant rows."""
+
+
+FREE = 1e-6
+"""Smallest component of a null vector, of length 1, that makes the force of a contact ambiguous."""
+
+SAME_ACCELERATION = 1e-9
+"""Accelerations below this share of those without contact forces count as zero."""
+
+
+class Forced(NamedTuple):
+    """Accelerations with the forces of contacts.
+
+    Attributes
+    ----------
+    a, multipliers
+        (n,) accelerations, and (m,) multipliers of the joints.
+    normal, tangent
+        (C,) forces of the contacts on the second body [N].
+    rows
+        Gaps, slips and derivatives of the contacts, or of those that are closed.
+    """
+
+    a: np.ndarray
+    multipliers: np.ndarray
+    normal: np.ndarray
+    tangent: np.ndarray
+    rows: Rows
+
+
+class RigidContacts:
+    """Contacts of a mechanism in one run.
+
+    Parameters
+    ----------
+    equations
+        The equations of motion, whose forces do not include those of contacts.
+    """
+
+    def __init__(self, equations: EquationsOfMotion):
+        self.p, self.contacts = equations, equations.contacts
+        self._held = np.zeros(len(HELD) * len(self.contacts) + len(held_coordinates(self.contacts)))
+        self.names = [one.pair.name for one in self.contacts]
+        given = np.array([one.coefficients for one in self.contacts]).reshape(-1, 3)
+        self.restitution, self.static, self.kinetic = given.T
+        self.kinematics = ContactKinematics(self.contacts, equations.n, equations.length)
+        #: Inverse masses (B + 1, 3), ground last, and whether a body is coupled to others by contacts only.
+        self._lightness = np.vstack([1.0 / equations.mass.reshape(-1, 3), np.zeros(3)])
+        self._is_free = np.zeros(len(self._lightness), dtype=bool)
+
+    def begin(self) -> None:
+        """Exclude the forces of contacts, which are computed here, from those of the equations of motion."""
+        self.p.hold(self._held)
+
+    def find_free(self) -> None:
+        """Find the bodies that only contacts couple to others, from the derivatives of the forces evaluated last."""
+        self._is_free = np.append(self.p.free_now(), True)
+
+    def all_open(self) -> ContactState:
+        """Return the `ContactState` of open contacts, without forces."""
+        count = len(self.contacts)
+        return ContactState(np.zeros(count, dtype=int), np.zeros(count), np.zeros(count), np.zeros(self.p.n))
+
+    def accelerations(
+        self, t: float, q: np.ndarray, v: np.ndarray, modes: np.ndarray, *, only_closed: bool = False
+    ) -> Forced:
+        """Return the accelerations with contacts in given modes (C,). The result has the rows of all contacts or, which
+        takes less time, only of those that are closed.
+
+        Raises
+        ------
+        StepError
+            ``painleve`` if a slipping contact would be pulled together by its own friction.
+        """
+        a, multipliers = self.p.accelerations(t, q, v)
+        normal, tangent = np.zeros((2, len(modes)))
+        closed = np.flatnonzero(modes != OPEN)
+        rows = self.kinematics.rows(q, v, closed if only_closed else None)
+        if not len(closed):
+            return Forced(a, multipliers, normal, tangent, rows)
+        places = np.arange(len(closed)) if only_closed else closed
+        share, sticks = self._shares(modes, closed), np.flatnonzero(modes[closed] == STICK)
+        held, pushed = _directions(rows, places, share, sticks)
+        moved, loaded = self.answers(t, q, pushed)
+        right = np.concatenate([rows.normal_right[places], rows.tangent_right[places[sticks]]]) - held @ a
+        matrix = held @ moved
+        own = np.diag(matrix)[: len(closed)]
+        if np.any((own <= 0.0) & (share != 0.0)):
+            name = self.names[closed[int(np.argmin(own))]]
+            raise StepError("painleve", f"the friction of contact '{name}' presses it together more than it is pressed")
+        forces, _, rank, _ = np.linalg.lstsq(matrix, right, rcond=SINGULAR)
+        pushes = forces[: len(closed)]
+        # redundant contacts that stick share the friction force in proportion to their normal forces
+        if rank < len(forces) and len(sticks):
+            weights = np.ones(len(forces))
+            weights[len(closed) :] = np.sqrt(np.maximum(pushes[sticks], 1e-9 * np.max(np.abs(pushes))))
+            forces = weights * np.linalg.lstsq(matrix * weights, right, rcond=SINGULAR)[0]
+            pushes = forces[: len(closed)]
+        normal[closed], tangent[closed] = pushes, share * pushes
+        tangent[closed[sticks]] = forces[len(closed) :]
+        return Forced(a + moved @ forces, multipliers + loaded @ forces, normal, tangent, rows)
+
+    def _shares(self, modes: np.ndarray, closed: np.ndarray) -> np.ndarray:
+        """Return the ratios of friction force and normal force of closed contacts that slip; 0 for those that stick."""
+        slips = np.sign(modes[closed]) * (np.abs(modes[closed]) == SLIP)
+        return np.asarray(-slips * self.kinetic[closed])
+
+    def undetermined(self, t: float, q: np.ndarray, modes: np.ndarray, staying: np.ndarray) -> np.ndarray:
+        """Return whether the normal force of each contact (C,) is not unique, because other forces of joints and
+        contacts cause the same accelerations.
+
+        Parameters
+        ----------
+        staying
+            (C,) whether a contact touches and does not separate; it may be open, if it has no force.
+        """
+        closed, found = np.flatnonzero(staying), np.zeros(len(modes), dtype=bool)
+        if not 0 < len(closed) <= FEW:
+            return found
+        rows, sticks = self.kinematics.rows(q, 0.0 * q, closed), np.flatnonzero(modes[closed] == STICK)
+        held, pushed = _directions(rows, np.arange(len(closed)), self._shares(modes, closed), sticks)
+        matrix = held @ self.answers(t, q, pushed)[0]
+        size = np.sqrt(np.abs(np.diag(matrix)))  # 0 if joints hold the bodies
+        scale = np.divide(1.0, size, out=np.zeros(len(size)), where=size > np.sqrt(SINGULAR) * np.max(size))
+        _, sizes, vectors = np.linalg.svd(matrix * np.outer(scale, scale))
+        free = vectors[sizes <= SINGULAR * sizes[0], : len(closed)]
+        found[closed] = np.any(np.abs(free) > FREE, axis=0)
+        return found
+
+    def pushed(
+        self,
+        rows: Rows,
+        free: np.ndarray,
+        more: np.ndarray,
+        friction: np.ndarray,
+        solve: Callable[[np.ndarray], np.ndarray],
+        guess: np.ndarray | float = 0.0,
+        precision: float = PRECISION,
+    ) -> tuple[np.ndarray, Pushed]:
+        """Return the impulses of k contacts, and the velocities (n,) after them.
+
+        Small problems are solved by Lemke's method, others by sweeps over the contacts.
+
+        Parameters
+        ----------
+        rows
+            Gaps, slips and derivatives of the contacts.
+        free
+            (n,) velocities without these impulses.
+        more
+            (k,) velocities that are added to the normal velocities of the contacts, such as the restitution of an
+            impact.
+        friction
+            (k,) coefficients of friction.
+        solve
+            Function that returns the change of the velocities (n,) by an impulse (n,).
+        guess
+            (2, k) impulses that may be close to the result, normal ones first.
+        precision
+            See `mbdkit.integrators.complementarity.swept`.
+
+        Raises
+        ------
+        StepError
+            ``contact-solver`` if no solution is found.
+        """
+        normal, tangent = rows.rates(free)
+        normal = normal + more
+        is_large, found = len(rows.gap) > FEW, None
+        begin = np.broadcast_to(guess, (2, len(normal)))
+        if is_large and np.all(self._is_free[rows.bodies]):
+            coupled = coupled_by_bodies(rows.bodies, rows.gradients, self._lightness)
+            found = swept(coupled, normal, tangent, friction, begin, precision)
+            if found is not None:
+                change = rows.force(np.stack([found.normal, found.tangent]))
+                return free + self._lightness[:-1].ravel() * change, found
+        both = np.vstack([rows.normal, rows.tangent])
+        moved = np.stack([solve(row) for row in both], axis=1)
+        response = both @ moved
+        if is_large:
+            found = swept(coupled_by_all(response), normal, tangent, friction, begin, precision)
+        if found is None:
+            found = coulomb(response, normal, tangent, friction)
+        if found is None:
+            raise StepError("contact-solver", "no impulses of the contacts satisfy the laws of impact and friction")
+        return free + moved @ np.concatenate([found.normal, found.tangent]), found
+
+    def answers(self, t: float, q: np.ndarray, forces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return the accelerations (n, k) and multipliers (m, k) that each of k forces (k, n) causes alone."""
+        if self.p.m == 0:
+            return np.asarray(forces / self.p.mass).T, np.zeros((0, len(forces)))
+        none = np.zeros(self.p.m)
+        found = [self.p.solve(t, q, one, none) for one in forces]
+        return np.stack([x for x, _ in found], axis=1), np.stack([mu for _, mu in found], axis=1)
+
+    def decided(self, t: float, q: np.ndarray, v: np.ndarray, touching: np.ndarray, sliding: np.ndarray) -> np.ndarray:
+        """Return the modes (C,) of touching contacts in the motion that follows.
+
+        `SLIP` is slip in the positive direction, ``-SLIP`` slip in the negative direction.
+
+        Parameters
+        ----------
+        touching
+            (C,) whether a contact is closed and does not separate.
+        sliding
+            (C,) directions of slip, 1 or -1; 0 if there is none.
+
+        Raises
+        ------
+        StepError
+            ``painleve`` if no forces satisfy Coulomb's law.
+        """
+        modes = np.zeros(len(touching), dtype=int)
+        some = np.flatnonzero(touching)
+        if not len(some):
+            return modes
+        a, _ = self.p.accelerations(t, q, v)
+        rows = self.kinematics.rows(q, v)
+        response, both = self.response(t, q, rows, some)
+        right = both @ a - np.concatenate([rows.normal_right[some], rows.tangent_right[some]])
+        k = len(some)
+        slides = sliding[some].astype(float)
+        for _ in range(2):  # contacts that begin to slip have kinetic friction in the second solution
+            friction = np.where(slides != 0, self.kinetic[some], self.static[some])
+            solved = coulomb(response, right[:k], right[k:], friction, slides)
+            if solved is None:
+                names = ", ".join(f"'{self.names[i]}'" for i in some)
+                raise StepError("painleve", f"no forces at contact {names} satisfy Coulomb's law")
+            found = solved
+            after = right[k:] + response[k:] @ np.concatenate([found.normal, found.tangent])
+            moves = np.abs(after) > SAME_ACCELERATION * np.max(np.abs(right))
+            begins = found.is_slipping & found.is_closed & (slides == 0) & (moves | (friction == 0))
+            direction = np.where(slides != 0, slides, np.where(found.tangent != 0, -np.sign(found.tangent), 1.0))
+            if not np.any(begins & (self.kinetic[some] != self.static[some])):
+                break
+            slides = np.where(begins, direction, slides)
+        modes[some] = np.where(begins | (slides != 0), SLIP * direction, STICK) * found.is_closed
+        return modes
+
+    def shared(
+        self, t: float, q: np.ndarray, v: np.ndarray, touching: np.ndarray, sliding: np.ndarray, forced: Forced
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Return normal and tangential forces (C,) that cause the same accelerations as the forces in `forced`, and
+        that satisfy Coulomb's law.
+
+        Such forces are not unique if contacts are redundant. If none exist, the forces in `forced` are returned. See
+        `decided` for the other arguments.
+        """
+        some = np.flatnonzero(touching)
+        a, _ = self.p.accelerations(t, q, v)
+        rows = forced.rows
+        response, both = self.response(t, q, rows, some)
+        right = both @ a - np.concatenate([rows.normal_right[some], rows.tangent_right[some]])
+        k = len(some)
+        friction = np.where(sliding[some] != 0, self.kinetic[some], self.static[some])
+        found = coulomb(response, right[:k], right[k:], friction, sliding[some])
+        normal, tangent = np.zeros(len(touching)), np.zeros(len(touching))
+        if found is not None:
+            normal[some], tangent[some] = found.normal, found.tangent
+            moved = both.T @ np.concatenate([normal[some] - forced.normal[some], tangent[some] - forced.tangent[some]])
+            if np.max(np.abs(self.answers(t, q, moved[None])[0])) <= SAME_ACCELERATION * max(np.max(np.abs(a)), 1.0):
+                return normal, tangent
+        return forced.normal, forced.tangent
+
+    def response(self, t: float, q: np.ndarray, rows: Rows, some: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return the matrix (2 k, 2 k) that maps forces of contacts to their accelerations, and the derivatives (2 k,
+        n) of gap rates and slips; normal components come first.
+        """
+        both = np.vstack([rows.normal[some], rows.tangent[some]])
+        return both @ self.answers(t, q, both)[0], both
+
+    def affect_each_other(self, t: float, q: np.ndarray, some: np.ndarray) -> bool:
+        """Return whether a normal impulse at one of the contacts marked in `some` (C,) changes the normal velocity at
+        another.
+        """
+        places = np.flatnonzero(some)
+        if len(places) < 2:
+            return False
+        normal = self.kinematics.rows(q, 0.0 * q).normal[places]
+        response = normal @ self.answers(t, q, normal)[0]
+        size = np.sqrt(np.abs(np.diag(response)))
+        others = np.abs(response - np.diag(np.diag(response)))
+        return bool(np.any(others > SAME_ACCELERATION * np.outer(size, size)))
+
+
+def _directions(rows: Rows, places: np.ndarray, share: np.ndarray, sticks: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the derivatives of the constraints of k closed contacts, of which s stick, and the directions of their
+    forces, (k + s, n) each: first those of the gaps, with the friction of contacts that slip, and then of the slips.
+
+    Parameters
+    ----------
+    places
+        (k,) indices of the contacts in `rows`.
+    share
+        (k,) ratios of friction force and normal force.
+    sticks
+        (s,) indices of the contacts that stick, among the closed ones.
+    """
+    along, across = rows.normal[places], rows.tangent[places]
+    return np.vstack([along, across[sticks]]), np.vstack([along + share[:, None] * across, across[sticks]])
+
+
+class KnownContacts:
+    """The rigid contacts of the equations of motion that a method used last."""
+
+    def __init__(self) -> None:
+        self._known: RigidContacts | None = None
+
+    def on(self, equations: EquationsOfMotion) -> RigidContacts:
+        """Return the contacts of these equations of motion, and exclude their forces from the equations."""
+        if self._known is None or self._known.p is not equations:
+            self._known = RigidContacts(equations)
+        self._known.begin()
+        return self._known

@@ -1,0 +1,138 @@
+"""Starts a method on a mechanism; tables assign an algorithm to each family of methods."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import Any
+
+from mbdkit.base.errors import MbdkitError
+from mbdkit.engine.compiled_mechanism import CompiledMechanism
+from mbdkit.engine.formulation import FORMULATIONS, Formulation
+from mbdkit.engine.stabilization import Stabilization
+from mbdkit.engine.workspace import Workspace
+from mbdkit.integrators.collocation import CompiledCollocation
+from mbdkit.integrators.compiled_method import CompiledMethod
+from mbdkit.integrators.compiled_stepper import CompiledStepper
+from mbdkit.integrators.diagonally_implicit import DiagonallyImplicit
+from mbdkit.integrators.event_driven import EventDriven
+from mbdkit.integrators.explicit import CompiledExplicit
+from mbdkit.integrators.generalized_alpha import GeneralizedAlphaSteps
+from mbdkit.integrators.interface import Stepper, Timetable
+from mbdkit.integrators.lobatto_iiia_iiib import CompiledLobattoPair
+from mbdkit.integrators.python_stepper import PythonStepper, refuse_states
+from mbdkit.integrators.scipy_bridge import SciPyStepper
+from mbdkit.integrators.step_control import Control, unit_of_length
+from mbdkit.integrators.taylor_series import CompiledTaylor
+from mbdkit.integrators.time_stepping import MoreauJeanSteps
+from mbdkit.methods.kinds import Method, Traits
+
+COMPILED: dict[str, Callable[[Any, Workspace, Control | None], CompiledMethod]] = {
+    "explicit": lambda method, workspace, control: CompiledExplicit(method, workspace),
+    "collocation": CompiledCollocation,
+    "partitioned": lambda method, workspace, control: CompiledLobattoPair(method, workspace),
+    "taylor": lambda method, workspace, control: CompiledTaylor(method, workspace),
+}
+"""For each family of compiled methods, the function that prepares a method; `CompiledStepper` runs all of them."""
+
+IN_PYTHON: dict[str, Callable[[Any, Workspace, Timetable], Stepper]] = {
+    "diagonally-implicit": lambda method, *run: PythonStepper(DiagonallyImplicit(method), *run),
+    "scipy": SciPyStepper,
+    "python": PythonStepper,
+    "moreau-jean": lambda method, *run: PythonStepper(MoreauJeanSteps(method.theta), *run),
+    "nonsmooth-generalized-alpha": lambda method, *run: PythonStepper(
+        GeneralizedAlphaSteps(method.spectral_radius), *run
+    ),
+}
+"""For each family whose steps are taken in Python, the function that creates the stepper."""
+
+
+class NoDerivativeError(MbdkitError, ValueError):
+    """The steps of a method, formulation or stabilization cannot be differentiated."""
+
+
+def step_control(traits: Traits, mechanism: CompiledMechanism) -> Control | None:
+    """Return the step-size control of a method with these traits on a mechanism; None for fixed steps."""
+    tolerances, local_error = traits.tolerances, traits.local_error
+    if tolerances is None or local_error is None:
+        return None
+    return Control(
+        tolerances.rtol,
+        tolerances.atol,
+        order=local_error.order,
+        estimate_order=local_error.estimate_order,
+        estimates=local_error.estimates,
+        memory=local_error.memory,
+        max_step=math.inf if tolerances.max_step is None else tolerances.max_step,
+        length=unit_of_length(tolerances.by_size, mechanism),
+    )
+
+
+def compiled_method(method: Method, workspace: Workspace) -> tuple[CompiledMethod, Control | None]:
+    """Return a compiled method, and its step-size control, which is None for fixed steps.
+
+    Raises
+    ------
+    mbdkit.methods.tableau.TableauError
+        If a tableau cannot be used with the formulation of the workspace.
+    mbdkit.base.errors.UnsupportedMechanismError
+        If the method does not support the mechanism.
+    """
+    method.require_formulation(FORMULATIONS[workspace.formulation])
+    method.require_mechanism(workspace.mechanism)
+    control = step_control(method.traits, workspace.mechanism)
+    return COMPILED[method.traits.family](method, workspace, control), control
+
+
+def require_support(method: Method, mechanism: CompiledMechanism) -> None:
+    """Raise SpecError if a method does not support a mechanism, before a run is started."""
+    method.require_mechanism(mechanism)
+    family = method.traits.family
+    if mechanism.contact_treatment.kind == "event-driven" or (family in IN_PYTHON and family != "scipy"):
+        refuse_states(mechanism)
+
+
+def start_method(method: Method, workspace: Workspace, timetable: Timetable) -> Stepper:
+    """Return a stepper that runs a method.
+
+    Parameters
+    ----------
+    method
+        The method, as returned by the `create` of an integrator plugin.
+    workspace
+        The mechanism and its start, with formulation and stabilization.
+    timetable
+        Times of the run, and which states are recorded.
+
+    Raises
+    ------
+    mbdkit.engine.elimination_order.SingularSystemError
+        If the equations of the first step are singular.
+    mbdkit.methods.tableau.TableauError
+        If a tableau cannot be used with the formulation of the workspace.
+    mbdkit.base.errors.UnsupportedMechanismError
+        If the method does not support the mechanism.
+    """
+    family = method.traits.family
+    treatment = workspace.mechanism.contact_treatment
+    if treatment.kind == "event-driven":
+        assert method.traits.tableau is not None
+        return PythonStepper(EventDriven(method.traits.tableau, treatment), workspace, timetable)
+    if family in IN_PYTHON:
+        method.require_formulation(FORMULATIONS[workspace.formulation])
+        return IN_PYTHON[family](method, workspace, timetable)
+    compiled, control = compiled_method(method, workspace)
+    return CompiledStepper(compiled, workspace, timetable, control)
+
+
+def require_derivatives(method: Method, formulation: Formulation, stabilization: Stabilization) -> None:
+    """Raise NoDerivativeError unless the steps of a method with this formulation can be differentiated."""
+    if not method.traits.has_derivatives:
+        raise NoDerivativeError(
+            "steps of explicit Runge-Kutta methods and of collocation methods (gauss, radau-iia) have derivatives; "
+            "taylor, methods of SciPy, methods in Python and Lobatto pairs have none"
+        )
+    if formulation.coordinates == "joint" and not method.traits.is_explicit:
+        raise NoDerivativeError("with joint-coordinates, only steps of explicit Runge-Kutta methods have derivatives")
+    if stabilization.symmetric:
+        raise NoDerivativeError("symmetric projections are not differentiated; use `stabilization: projection` or none")
