@@ -10,22 +10,20 @@ import signal
 import subprocess
 import sys
 import tempfile
-from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
+from collections.abc import Callable, Generator, Iterator, Sequence
 from pathlib import Path
-from types import SimpleNamespace
+from types import TracebackType
 from typing import Any
 
 import pytest
 from typer.testing import CliRunner
 
+from mbdkit.base.errors import MissingPartError
 from mbdkit.cli import app
-from mbdkit_report.figures.page_model import Figure
-from mbdkit_report.pages import report
-from mbdkit_report.plot.charts import image_files, write_chart_images
-from mbdkit_studies import executor_pool, pool
-from mbdkit_studies.pool import Pool
-from tests.forked_worker import ForkedWorker
-from tests.pool_in_this_process import PoolInThisProcess
+from tests.first_party import PARTS, ROOT
+
+if PARTS:
+    pytest_plugins = ["tests.fixtures_of_parts"]
 
 
 def pytest_configure(config: pytest.Config) -> None:
@@ -59,6 +57,57 @@ def pytest_collection() -> Generator[None, object, object]:
         gc.enable()
 
 
+FACES = {
+    ROOT / "mbdkit" / file
+    for file in ("__init__.py", "spec/__init__.py", "base/lazy_names.py", "registry/accessors.py", "archive/run.py")
+}
+"""Files through which a test gets what parts offer."""
+
+
+def _part_missing(error: BaseException | None) -> str:
+    """Return which part a test itself asks for where the core is alone; empty if mbdkit does, which is a mistake."""
+    while isinstance(error, pytest.Collector.CollectError):
+        error = error.__cause__
+    if PARTS or error is None:
+        return ""
+    if isinstance(error, ModuleNotFoundError):  # the core imports parts through its faces only
+        return f"needs {error.name}" if (error.name or "").startswith("mbdkit_") else ""
+    if not isinstance(error, MissingPartError):
+        return ""
+    files = [Path(file) for file in _files(error.__traceback__) if "importlib" not in file]
+    while files and files[-1] in FACES:
+        files.pop()
+    return str(error) if files and ROOT / "tests" in files[-1].parents else ""
+
+
+def _files(traceback: TracebackType | None) -> Iterator[str]:
+    """Yield the file of each frame, the innermost last."""
+    while traceback is not None:
+        yield traceback.tb_frame.f_code.co_filename
+        traceback = traceback.tb_next
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_make_collect_report(collector: pytest.Collector) -> Generator[None, Any, Any]:
+    """Skip modules of tests of the core that import a part that is not there."""
+    report = yield
+    failure = report.call.excinfo
+    if report.failed and failure and (missing := _part_missing(failure.value)):
+        report.outcome, report.longrepr = "skipped", (str(collector.path), 0, f"Skipped: {missing}")
+    return report
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_call() -> Generator[None, object, object]:
+    """Skip tests of the core that ask for a part that is not there."""
+    try:
+        return (yield)
+    except ImportError as error:
+        if missing := _part_missing(error):
+            pytest.skip(missing)
+        raise
+
+
 @pytest.hookimpl(tryfirst=True)  # before tests are chosen by their markers
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """Mark the tests that open a page in a browser."""
@@ -83,58 +132,11 @@ def in_tmp_path(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 
 @pytest.fixture(scope="session", autouse=True)
-def _studies_in_this_process() -> Iterator[None]:
-    """Compute studies in the process of the tests, unless a test asks for `processes`."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(executor_pool, "Pool", PoolInThisProcess)
-        yield
-
-
-@pytest.fixture
-def processes(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Compute studies in worker processes, which are forks of this one."""
-    monkeypatch.setattr(executor_pool, "Pool", Pool)
-    monkeypatch.setattr(pool, "subprocess", SimpleNamespace(Popen=ForkedWorker, PIPE=None))
-
-
-@pytest.fixture
-def new_processes(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Compute studies in new processes, as outside of these tests."""
-    monkeypatch.setattr(executor_pool, "Pool", Pool)
-
-
-@pytest.fixture(scope="session", autouse=True)
 def _files_not_synchronized() -> Iterator[None]:
     """Do not wait until files are on the disk: those of tests need not survive a loss of power."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(os, "fsync", lambda handle: None)
         yield
-
-
-@pytest.fixture(scope="session", autouse=True)
-def _small_pictures_of_reports() -> Iterator[None]:
-    """Write small files in place of the pictures of reports, unless a test asks for `pictures`."""
-
-    def write(charts: Iterable[Figure], folder: Path) -> list[Path]:
-        folder.mkdir(exist_ok=True)
-        files = image_files(charts, folder)
-        for file in files:
-            file.write_text("picture")
-        return files
-
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(report, "write_chart_images", write)
-        yield
-
-
-@pytest.fixture
-def pictures(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Draw the first two pictures of each report; each takes a third of a second."""
-
-    def write(charts: Iterable[Figure], folder: Path) -> list[Path]:
-        return write_chart_images(list(charts)[:2], folder)
-
-    monkeypatch.setattr(report, "write_chart_images", write)
 
 
 COMPILING = re.compile(r"mbdkit compiles |\.\.\. compiled in ")
