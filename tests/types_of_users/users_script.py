@@ -10,6 +10,8 @@ from matplotlib.axes import Axes
 
 import mbdkit
 from mbdkit import Mechanism, Run, SpecError
+from mbdkit.plugin import Accessor, Target
+from mbdkit.testing import Case, conformance
 
 
 def slider_crank(radius: float) -> Mechanism:
@@ -52,3 +54,19 @@ def main(folder: Path) -> None:
     study: mbdkit.Study = mbdkit.study("convergence", workers=2)
     for point in study.points:
         print(point.axes, point.status)
+    gradient = mbdkit.inverse_gradient("walking", "max(abs(joints.knee.force))", ["body_mass"])
+    print(mbdkit.inverse("walking").kind, gradient, mbdkit.workload(again).text())
+
+
+def peak(run: Run) -> float:
+    """Return an attribute of runs that a plugin adds."""
+    return float(np.max(run.energy.kinetic))
+
+
+added = Accessor(name="peak", summary="Largest kinetic energy.", of="Run", target=Target("users_script:peak"))
+
+
+@conformance(integrator="rk4", quick=True)
+def test_it_conforms(case: Case) -> None:
+    """Run a check of the kit."""
+    case()
