@@ -109,10 +109,11 @@ if TYPE_CHECKING:
     from mbdkit.runs.prepared_run import PreparedRun, prepare
     from mbdkit.runs.simulation import run, simulate
     from mbdkit.spec.key_words import key_unit, key_words
-    from mbdkit.spec.loading import example_names, read_source
+    from mbdkit.spec.loading import example_names, loaded, read_source
     from mbdkit.spec.model_spec import ModelSpec, StrictSpec
     from mbdkit.spec.reading import Document, parse_key, put, read_file, set_value
     from mbdkit.spec.run_spec import RunSpec
+    from mbdkit.spec.schema import run_schema
     from mbdkit.spec.sections import Count, Section
     from mbdkit.spec.study_measures import DefinedMeasure, defined
     from mbdkit.spec.varied_specs import VariedSpecs
@@ -133,6 +134,7 @@ _STABLE = {
     "MeasurePlugin ModelPlugin Orders StudyPlugin",
     "mbdkit.base.errors": "MbdkitError PluginError ResourceError RunError SpecError "
     "StepError UnsupportedMechanismError",
+    "mbdkit.base.terminal": "show show_json",
     "mbdkit.base.text": "counted did_you_mean listed one_line shown table",
     "mbdkit.base.plain_data": "copied parse_path path_text plain quoted value_text",
     "mbdkit.base.units": "Unit read_quantity read_unit",
@@ -154,6 +156,8 @@ _STABLE = {
     "mbdkit.archive.run": "Run",
     "mbdkit.archive.reader": "load",
     "mbdkit.spec.run_spec": "RunSpec",
+    "mbdkit.spec.loading": "loaded",
+    "mbdkit.spec.schema": "run_schema",
     "mbdkit.runs.simulation": "run simulate",
     "mbdkit.runs.prepared_run": "PreparedRun prepare",
     "mbdkit.quantities.array": "Array Chart Kind Recorded",
@@ -174,7 +178,7 @@ _OWN = {
     "mbdkit.spec.study_measures": "DefinedMeasure defined",
     "mbdkit.spec.varied_specs": "VariedSpecs",
     "mbdkit.cli.common_options": "Archive AsJson Debug Overwrite Printing Quiet Set check_new grouped output_to stem",
-    "mbdkit.base.terminal": "say show show_json silence",
+    "mbdkit.base.terminal": "say silence",
     "mbdkit.base.progress_bars": "progress_bar",
     "mbdkit.base.files": "check_output check_suffix replacing",
     "mbdkit.base.errors": "file_error",
@@ -313,6 +317,7 @@ __all__ = [
     "key_words",
     "listed",
     "load",
+    "loaded",
     "nearest_positions",
     "nearest_velocities",
     "one_line",
@@ -334,6 +339,7 @@ __all__ = [
     "regularised_friction",
     "replacing",
     "run",
+    "run_schema",
     "say",
     "set_value",
     "show",

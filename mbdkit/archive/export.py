@@ -16,6 +16,7 @@ from mbdkit.base.files import check_folder, check_output, replacing
 from mbdkit.base.text import did_you_mean, listed
 from mbdkit.registry.feature_items import TableFormat
 from mbdkit.registry.manager import registry
+from mbdkit.registry.use import use
 
 
 def export(run: Run, folder: Path, to: str, *, overwrite: bool = False) -> list[Path]:
@@ -46,7 +47,7 @@ def export(run: Run, folder: Path, to: str, *, overwrite: bool = False) -> list[
     if not len(run.time):
         raise SpecError("this run recorded no rows, so there is nothing to export", file=run.path)
     tables: dict[Path, ExportedTable] = {
-        folder / f"{group}.{to}": group_table(run, group)
+        folder / f"{group}{suffix_of(to)}": group_table(run, group)
         for group in group_names(run)
         if not (to == "sto" and group == "events")
     }
@@ -59,6 +60,11 @@ def check_format(to: str) -> None:
     names = registry().names("table-format")
     if to not in names:
         raise SpecError(f"there is no format {to!r}{did_you_mean(to, names)}; the formats are {listed(names)}")
+
+
+def suffix_of(to: str) -> str:
+    """Return the suffix of the files of a format."""
+    return cast(TableFormat, registry().get("table-format", to).plugin).suffix
 
 
 def write_tables(
@@ -86,13 +92,14 @@ def write_tables(
     MbdkitError
         If the format needs a package that is not installed.
     """
-    write = cast(TableFormat, registry().get("table-format", to).plugin).write()
+    item = registry().get("table-format", to)
+    write = cast(TableFormat, item.plugin).write
     is_new = _prepare(folder, list(tables), overwrite)
     try:
         with ExitStack() as stack:
             for path, table in tables.items():
                 temporary = stack.enter_context(replacing(path, overwrite=overwrite, source=source))
-                write(table, temporary)
+                use(item, lambda table=table, file=temporary: write()(table, file))  # type: ignore[misc]
     except BaseException:
         if is_new:
             folder.rmdir()

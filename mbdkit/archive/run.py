@@ -44,7 +44,7 @@ from mbdkit.archive.run_contents import ArchiveContents, RunContents
 from mbdkit.archive.run_views import Animation, RunPlots
 from mbdkit.archive.stored_mechanism import StoredMechanism
 from mbdkit.base import higher_layers
-from mbdkit.base.errors import ArchiveError, RunError
+from mbdkit.base.errors import ArchiveError, RunError, SpecError
 from mbdkit.base.files_read import FileRead
 from mbdkit.base.html_view import HtmlView
 from mbdkit.mechanism.mechanism import Mechanism
@@ -198,9 +198,11 @@ class Run(HtmlView, Extensible):
         """
         if self._contents.run_spec is not None:
             return self._contents.run_spec
-        if error := refused(self.spec, "run"):
-            raise error
-        spec = RunSpec(**self.spec)
+        model = kind_of(self.spec).model
+        spec_class = RunSpec if model is None else model()
+        if not issubclass(spec_class, RunSpec):  # kinds of plugins may derive their specs from it
+            raise refused(self.spec, "run") or SpecError("this is not a spec of a run")
+        spec = spec_class(**self.spec)
         if self._mechanism.mechanism is not None and not self._mechanism.not_drawn:
             spec.adopt(self._mechanism.mechanism, self.files or ())
         return spec

@@ -22,13 +22,15 @@ from mbdkit.archive.headlines import (
     plus_minus,
 )
 from mbdkit.archive.peak_errors import missed_between_rows, peak_errors
-from mbdkit.base.errors import MbdkitError
+from mbdkit.base.errors import MbdkitError, PluginError
 from mbdkit.base.text import counted, listed, shown
 from mbdkit.mechanism.beams import beam_of
 from mbdkit.mechanism.contacts import SLIP, STICK
 from mbdkit.mechanism.mechanism import gravity_text
+from mbdkit.registry.catalogue import Registered
 from mbdkit.registry.feature_items import SummaryLine
 from mbdkit.registry.manager import registry
+from mbdkit.registry.use import use
 from mbdkit.spec.formulation_choice import name_of
 from mbdkit.trust.criteria import NOTHING_SUSPICIOUS, rounding
 
@@ -83,7 +85,7 @@ def summary_lines(run: Run) -> list[tuple[str, str]]:
             run.redundancy and f"{run.redundancy}; reactions are not unique; those of least norm are recorded",
         ),
         ("start", _start(run)),
-        ("integrator", _method(spec) if run.kind == "forward" else ""),
+        ("integrator", _method(spec) if run.kind != "inverse" else ""),
         ("smoothing", _smoothing(spec)),
         ("stabilization", _stabilization(run)),
         *(("warning", warning) for warning in run.warnings if warning not in run.verdict_reasons),
@@ -105,8 +107,19 @@ def summary_lines(run: Run) -> list[tuple[str, str]]:
         ("counters", _counters(run.stats)),
         ("archive", "in memory" if run.path is None else str(run.path)),
     ]
-    added = [line for item in registry().of_kind("summary-line") for line in cast(SummaryLine, item.plugin).text()(run)]
+    added = [line for item in registry().of_kind("summary-line") for line in _added_lines(run, item)]
     return [(label, text) for label, text in [*first, *added, *last] if text]
+
+
+def _added_lines(run: Run, item: Registered) -> list[tuple[str, str]]:
+    """Return the lines of an item; if it fails, a line says so, because the run itself is not affected."""
+    try:
+        lines = use(item, lambda: list(cast(SummaryLine, item.plugin).text()(run)))
+        if all(isinstance(line, tuple) and [type(text) for text in line] == [str, str] for line in lines):
+            return cast(list[tuple[str, str]], lines)
+        raise PluginError(f"the summary line '{item.id}' returned lines that are not pairs of label and text")
+    except PluginError as error:
+        return [(item.name, f"not available: {error}")]
 
 
 def verdict_lines(run: Run) -> list[tuple[str, str]]:

@@ -4,8 +4,11 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Sequence
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal, Protocol
+
+from mbdkit.registry.manager import registry
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -51,6 +54,9 @@ class RunPlots:
 
     def __init__(self, draw: Callable[..., Axes]):
         self._draw = draw  # called with the kind of plot, the axes, and the options of the method
+        for kind in registry().names("plot-kind"):
+            if not hasattr(self, kind):  # a kind that a plugin adds
+                setattr(self, kind, partial(draw, kind))
 
     def trajectory(self, ax: Axes | None = None, *, points: Names = None) -> Axes:
         """Draw paths of points in the plane [m].

@@ -4,9 +4,12 @@ from __future__ import annotations
 
 from typing import Any, ClassVar, Self, cast
 
-from mbdkit.base.errors import MissingPartError
+from mbdkit.base.errors import MissingPartError, PluginError
+from mbdkit.base.text import listed
+from mbdkit.registry.catalogue import MBDKIT, Registered
 from mbdkit.registry.feature_items import Accessor
 from mbdkit.registry.manager import registry
+from mbdkit.registry.use import use
 
 
 class Extensible:
@@ -40,10 +43,13 @@ class _Computed:
         return value
 
 
-def _accessors(kind: type) -> dict[str, Accessor]:
-    """Return the accessors of a class by name."""
-    items = [cast(Accessor, item.plugin) for item in registry().of_kind("accessor")]
-    return {item.name: item for item in items if item.of == kind.__name__}
+def _accessors(kind: type) -> dict[str, list[Registered]]:
+    """Return the accessors of a class by name; several distributions may offer the same name."""
+    items: dict[str, list[Registered]] = {}
+    for item in registry().of_kind("accessor"):
+        if cast(Accessor, item.plugin).of == kind.__name__:
+            items.setdefault(item.name, []).append(item)
+    return items
 
 
 def computed(thing: Any, name: str, part: str = "") -> Any:
@@ -53,13 +59,15 @@ def computed(thing: Any, name: str, part: str = "") -> Any:
     ------
     MissingPartError
         If the part is not installed.
-    RuntimeError
-        In place of an AttributeError in the plugin, which Python would take for a missing attribute.
+    PluginError
+        If the function of the plugin fails, or several distributions have an attribute of this name.
     """
-    item = _accessors(type(thing)).get(name)
-    if item is None:
+    items = _accessors(type(thing)).get(name, [])
+    items = [item for item in items if item.origin.distribution == MBDKIT] or items
+    if not items:
         raise MissingPartError(f"{type(thing).__name__}.{name}", part)
-    try:
-        return item.target()(thing)
-    except AttributeError as error:
-        raise RuntimeError(f"the attribute `{name}` of a plugin failed: {error}") from error
+    if len(items) > 1:
+        owners = listed([f"{item.origin.distribution} {item.origin.version}" for item in items], "and")
+        raise PluginError(f"{owners} both add the attribute `{name}`; exclude one by MBDKIT_DISABLE_PLUGINS")
+    accessor = cast(Accessor, items[0].plugin)
+    return use(items[0], lambda: accessor.target()(thing))

@@ -5,12 +5,14 @@ Every item names its code by a `Target`, which is imported when it is first used
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any, ClassVar, Literal
 
-from mbdkit.registry.item import Item
+from mbdkit.base.errors import PluginError
+from mbdkit.registry.item import Item, described
 from mbdkit.registry.target import Target
 
 
@@ -31,6 +33,31 @@ class Feature(Item):
     name: str
     summary: str
     order: int = 500
+
+    def check(self) -> None:
+        """Check the fields, and that code is named by targets; raises PluginError."""
+        super().check()
+        for field in fields(self):
+            value = getattr(self, field.name)
+            if "Target" in str(field.type) and not isinstance(value, Target) and value is not None:
+                raise PluginError(f"its `{field.name}` is {described(value)}, not a Target")
+
+    def check_targets(self) -> None:
+        """Check that the targets exist, and that they can be called; raises PluginError."""
+        super().check_targets()
+        for name, value in vars(self).items():
+            if isinstance(value, Target):
+                _check_function(value, name)
+
+
+def _check_function(target: Target[Any], name: str) -> None:
+    if not callable(target()):
+        raise PluginError(f"its `{name}` is {described(target())}, which cannot be called")
+
+
+def _check_identifier(item: Item) -> None:
+    if not item.name.isidentifier():
+        raise PluginError(f"the name {item.name!r} is not made of letters, digits and _, as names in Python are")
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
@@ -55,7 +82,7 @@ class SpecKind(Feature):
     command
         The command that takes a spec of this kind, such as ``mbdkit study``.
     given_instead
-        Error in place of another kind, such as ``this is a study spec, which `mbdkit study` runs``.
+        Error in place of another kind; by default it names the command.
     run_instead
         Error for a run spec in place of this kind.
     load
@@ -81,7 +108,7 @@ class SpecKind(Feature):
     kind: ClassVar[str] = "spec-kind"
     key: ClassVar[str] = "spec"
 
-    phrase: str
+    phrase: str = ""
     marker: str = ""
     signs: tuple[str, ...] = ()
     absent: tuple[str, ...] = ()
@@ -96,6 +123,14 @@ class SpecKind(Feature):
     model: Target[Any] | None = None
     repeat: Target[Callable[..., Any]] | None = None
     heading: str = ""
+
+    def __post_init__(self) -> None:
+        """Set texts that are not given."""
+        phrase = self.phrase or f"a spec of {self.name}"
+        instead = self.given_instead or f"this is {phrase}: use `{self.command}`"
+        run_instead = self.run_instead or f"this is a run spec, without the section `{self.marker}`: use `mbdkit run`"
+        for name, text in (("phrase", phrase), ("given_instead", instead), ("run_instead", run_instead)):
+            object.__setattr__(self, name, text)
 
     def recognises(self, data: Mapping[str, Any]) -> bool:
         """Return whether plain data are, or are meant to be, a spec of this kind."""
@@ -210,6 +245,12 @@ class Accessor(Feature):
     of: str
     target: Target[Callable[[Any], Any]]
 
+    _check_name = _check_identifier
+
+    def _check_of(self) -> None:
+        if self.of != "Run":
+            raise PluginError(f"its class is {self.of!r}, and attributes can be added to 'Run'")
+
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class SummaryLine(Feature):
@@ -266,6 +307,14 @@ class PlotKind(Feature):
     key: ClassVar[str] = "kind"
 
     module: str
+
+    _check_name = _check_identifier
+
+    def check_targets(self) -> None:
+        """Check that the module has the functions `charts` and `chart`; raises PluginError."""
+        super().check_targets()
+        for function in ("charts", "chart"):
+            _check_function(Target(f"{self.module}:{function}"), f"{self.module}.{function}")
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
@@ -334,6 +383,10 @@ class TableFormat(Feature):
     suffix: str
     write: Target[Callable[[Any, Path], None]]
     needs: str = ""
+
+    def _check_suffix(self) -> None:
+        if not isinstance(self.suffix, str) or not re.fullmatch(r"\.[A-Za-z0-9.]+", self.suffix):
+            raise PluginError(f"its suffix {self.suffix!r} is not a dot followed by letters and digits")
 
 
 FEATURES: tuple[type[Feature], ...] = (

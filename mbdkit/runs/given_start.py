@@ -62,7 +62,7 @@ def spec_started_at(spec: RunSpec, values: Mapping[str, float | str], starts: St
         body |= {"position": [x, y], "velocity": [vx, vy]}
         if mechanism.bodies[name].inertia is not None:
             body |= {"angle": angle, "angular_velocity": rate}
-    started = RunSpec(**(spec.sections() | {"model": model}))
+    started = type(spec)(**(spec.sections() | {"model": model}))
     _check_equal_but_for_start(mechanism, started.mechanism())
     return started
 

@@ -6,6 +6,8 @@ from collections.abc import Mapping
 from typing import Any, cast
 
 from mbdkit.base.errors import MissingPartError, SpecError
+from mbdkit.base.text import listed
+from mbdkit.registry.catalogue import MBDKIT
 from mbdkit.registry.feature_items import SpecKind
 from mbdkit.registry.manager import registry
 
@@ -29,7 +31,16 @@ def kind_of(data: Mapping[str, Any]) -> SpecKind:
     for marker, part in _OF_PARTS.items():
         if marker in data and all(kind.marker != marker for kind in kinds):
             raise SpecError(str(MissingPartError("a spec with this key", part)), key=marker)
-    return next(kind for kind in kinds if kind.recognises(data))
+    items = registry().of_kind("spec-kind")
+    added = [item for item in items if item.origin.distribution != MBDKIT]
+    own = [cast(SpecKind, item.plugin) for item in items if item.origin.distribution == MBDKIT]
+    marked = [item for item in added if cast(SpecKind, item.plugin).marker in data]
+    if not marked or any(kind.marker in data for kind in own):  # kinds of other distributions never replace our own
+        return next(kind for kind in own if kind.recognises(data))
+    if len(marked) > 1:
+        names = listed([f"'{item.id}'" for item in marked], "and")
+        raise SpecError(f"this may be a spec of the kinds {names}; exclude one by MBDKIT_DISABLE_PLUGINS")
+    return cast(SpecKind, marked[0].plugin)
 
 
 def kind_of_runs(name: str) -> SpecKind:

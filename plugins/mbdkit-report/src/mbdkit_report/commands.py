@@ -109,7 +109,7 @@ def plot(
     _check_options(kind, options)
     with ExitStack() as stack:
         runs = [stack.enter_context(opened(archive)) for archive in archives]
-        target = output or archives[0].with_name(f"{archives[0].stem}-{kind}.png")
+        target = output or archives[0].with_name(f"{archives[0].stem}-{kind.replace(':', '-')}.png")
         for archive in archives:
             check_not_input(target, archive)
         check_output(target, overwrite=overwrite)

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from mbdkit.archive.export import check_format, write_tables
+from mbdkit.archive.export import check_format, suffix_of, write_tables
 from mbdkit.archive.group_table import BLOCK_VALUES, TableColumn
 from mbdkit.base.errors import SpecError
 from mbdkit.quantities.array import FLOAT, INTEGER, TEXT, Array
@@ -85,7 +85,7 @@ def export_runs(study: Study, folder: Path, to: str, *, overwrite: bool = False)
         unit = units.get(name, "1")
         what = study.described(name)[1] if name in units else name
         columns.append(TableColumn(name, unit, Array(f"runs/{name}", ("run",), unit, what, dtype), ()))
-    path = folder / f"runs.{to}"
+    path = folder / f"runs{suffix_of(to)}"
     write_tables(
         {path: RunsTable(columns[0], tuple(columns[1:]), values)}, folder, to, overwrite=overwrite, source=None
     )

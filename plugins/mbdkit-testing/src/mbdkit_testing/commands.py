@@ -65,7 +65,19 @@ def plugins_verify(
 def plugins_new(
     name: Annotated[str, typer.Argument(metavar="NAME", help="Name of the distribution, such as mbdkit-rocket.")],
     kind: Annotated[
-        Literal["integrator", "tableau", "model", "force-law", "measure"],
+        Literal[
+            "integrator",
+            "tableau",
+            "model",
+            "force-law",
+            "measure",
+            "spec-kind",
+            "plot-kind",
+            "report-section",
+            "table-format",
+            "accessor",
+            "summary-line",
+        ],
         typer.Option("--kind", help="Kind of plugin."),
     ],
     as_json: AsJson = False,

@@ -19,7 +19,7 @@ from mbdkit_report.figures.drawing_geometry import choose_traces, draw_run
 from mbdkit_report.figures.page_model import Axis, Figure, Line, Mark
 from mbdkit_report.figures.palette import INK, PALETTE, body_colors, trace_colors
 from mbdkit_report.pages.answer_section import Peaks
-from mbdkit_report.pages.section_items import report_sections
+from mbdkit_report.pages.section_items import added_charts
 from mbdkit_report.plot.plot_kinds import plot_kinds, plot_module
 
 if TYPE_CHECKING:
@@ -48,7 +48,7 @@ def run_charts(run: Run) -> tuple[Figure, ...]:
     recorded = [chart for path in RECORDED for chart in recorded_charts(run, path)]
     moving = [chart for chart in recorded if chart.y.unit in _OF_MOTION]
     charts += [
-        *(chart for item in report_sections() if item.charts is not None for chart in item.charts()(run)),
+        *added_charts(run),
         *component_charts(run),
         *(chart for chart in recorded if chart.y.unit not in _OF_MOTION),
     ]

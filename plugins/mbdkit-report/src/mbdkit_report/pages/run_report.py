@@ -17,7 +17,7 @@ from mbdkit_report.pages.model_section import model_section
 from mbdkit_report.pages.report_page import ReportPage
 from mbdkit_report.pages.run_charts import DRIFT
 from mbdkit_report.pages.run_verdict import run_verdict
-from mbdkit_report.pages.section_items import report_sections
+from mbdkit_report.pages.section_items import added_sections, with_additions
 from mbdkit_report.plot.caption import caption
 
 if TYPE_CHECKING:
@@ -44,7 +44,6 @@ def run_report(run: Run, warnings: Sequence[str] = ()) -> ReportPage:
     require_rows(run)
     head = caption(run)
     mechanism = mechanism_of(run)
-    sections = [section for item in report_sections() for section in item.make()(run, mechanism)]
     command = kind_of_runs(run.kind).command
     return ReportPage(
         title=head.title,
@@ -61,18 +60,14 @@ def run_report(run: Run, warnings: Sequence[str] = ()) -> ReportPage:
         commands=f"{command} run.yaml\nmbdkit rerun {run.path.name if run.path else 'run.h5'}",
         spec=yaml_text(run.spec),
         spec_file="run.yaml",
-        sections=(model_section(run, mechanism), *sections),
+        sections=(model_section(run, mechanism), *added_sections(run, mechanism)),
         beside_verdict=("misalignment", "contacts", "errors", *DRIFT),
     )
 
 
 def film_of(run: Run, numbers: int, label: str = "") -> dict[str, Any]:
     """Return the data of the player, with what plugins add to them; see `film_data` for the arguments."""
-    film = film_data(run, numbers, label)
-    for item in report_sections():
-        if item.film is not None:
-            film = item.film()(run, film)
-    return film
+    return with_additions(run, film_data(run, numbers, label))
 
 
 def _alarm(run: Run, ending: str, warnings: Sequence[str]) -> str:

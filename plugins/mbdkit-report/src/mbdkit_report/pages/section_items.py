@@ -2,12 +2,48 @@
 
 from __future__ import annotations
 
-from typing import cast
+from collections.abc import Iterator
+from typing import TYPE_CHECKING, Any, cast
 
+from mbdkit.registry.catalogue import Registered
 from mbdkit.registry.feature_items import ReportSection
 from mbdkit.registry.manager import registry
+from mbdkit.registry.use import use
+from mbdkit_report.figures.page_model import Figure, Section
+
+if TYPE_CHECKING:
+    from mbdkit.archive.run import Run
+    from mbdkit.mechanism.mechanism import Mechanism
 
 
-def report_sections() -> list[ReportSection]:
-    """Return the sections of the report of a run that plugins and this package offer, in their order."""
-    return [cast(ReportSection, item.plugin) for item in registry().of_kind("report-section")]
+def _items() -> Iterator[tuple[Registered, ReportSection]]:
+    """Yield the items of sections in their order."""
+    for item in registry().of_kind("report-section"):
+        yield item, cast(ReportSection, item.plugin)
+
+
+def added_sections(run: Run, mechanism: Mechanism | None) -> list[Section]:
+    """Return the sections of plugins and of this package."""
+    return [
+        use(item, lambda section=section: section, of=Section)  # type: ignore[misc]
+        for item, own in _items()
+        for section in use(item, lambda own=own: list(own.make()(run, mechanism)))  # type: ignore[misc]
+    ]
+
+
+def added_charts(run: Run) -> list[Figure]:
+    """Return the charts that come with the sections."""
+    return [
+        use(item, lambda chart=chart: chart, of=Figure)  # type: ignore[misc]
+        for item, own in _items()
+        if own.charts is not None
+        for chart in use(item, lambda charts=own.charts: list(charts()(run)))  # type: ignore[misc]
+    ]
+
+
+def with_additions(run: Run, film: dict[str, Any]) -> dict[str, Any]:
+    """Return the data of the player with what plugins add to them."""
+    for item, own in _items():
+        if own.film is not None:
+            film = use(item, lambda add=own.film, film=film: add()(run, film), of=dict)  # type: ignore[misc]
+    return film

@@ -132,8 +132,9 @@ def comparison(
     if len(runs) == 1:
         return module.chart(runs[0], **options), ""
     few = max(1, _LINES // len(runs))
-    wanted = {_group(line) for run in runs for line in module.chart(run, **options, most=few).lines}
-    charts = [module.chart(run, **options, most=_ALL) for run in runs]
+    limits = [{"most": most} if "most" in _parameters(kind) else {} for most in (few, _ALL)]
+    wanted = {_group(line) for run in runs for line in module.chart(run, **options, **limits[0]).lines}
+    charts = [module.chart(run, **options, **limits[1]) for run in runs]
     size = dict.fromkeys((_group(line) for line in charts[0].lines if _group(line) in wanted), 0.0)
     for line in (line for chart in charts for line in chart.lines if _group(line) in size):
         size[_group(line)] = max(size[_group(line)], float(np.max(np.nan_to_num(np.abs(line.y)), initial=0.0)))
@@ -174,7 +175,12 @@ def differences(runs: Sequence[Run]) -> list[str]:
 
 def options_of(kind: str) -> list[str]:
     """Return the names of the options of a kind of plot."""
-    return [name for name in list(inspect.signature(plot_module(kind).chart).parameters)[1:] if name != "most"]
+    return [name for name in _parameters(kind) if name != "most"]
+
+
+def _parameters(kind: str) -> list[str]:
+    """Return the names of the parameters of the chart of a kind of plot, without the run."""
+    return list(inspect.signature(plot_module(kind).chart).parameters)[1:]
 
 
 def _check_options(kind: str, options: Iterable[str]) -> None:

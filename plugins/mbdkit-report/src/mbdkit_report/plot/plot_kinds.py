@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import wraps
 from importlib import import_module
 from typing import TYPE_CHECKING, Any, Protocol, cast
 
 from mbdkit.base.errors import SpecError
+from mbdkit.registry.catalogue import MBDKIT, Registered
 from mbdkit.registry.feature_items import PlotKind
 from mbdkit.registry.manager import registry
+from mbdkit.registry.use import use
 
 if TYPE_CHECKING:
     from mbdkit.archive.run import Run
@@ -17,8 +20,9 @@ if TYPE_CHECKING:
 
 
 def plot_kinds() -> dict[str, str]:
-    """Return the description of each kind of plot, by name."""
-    return {item.name: item.plugin.summary for item in registry().of_kind("plot-kind")}
+    """Return the description of each kind of plot, by name; the id of one whose name another distribution uses."""
+    items = registry().of_kind("plot-kind")
+    return {registry().accepted(item)[0]: item.plugin.summary for item in items}
 
 
 class PlotModule(Protocol):
@@ -31,7 +35,10 @@ class PlotModule(Protocol):
         """Return the interactive charts of a report; none if the run did not record the quantities."""
 
     def chart(self, run: Run, **options: Any) -> Figure:
-        """Return the chart for one pair of axes; options, all of which have defaults, select what it shows."""
+        """Return the chart for one pair of axes; options, all of which have defaults, select what it shows.
+
+        The option `most`, if it has one, is the largest number of lines; several runs are compared by means of it.
+        """
 
     def panels(self, run: Run) -> Sequence[Panel]:
         """Return the panels of the plot, from top to bottom."""
@@ -48,5 +55,31 @@ def plot_module(kind: str) -> PlotModule:
     known = plot_kinds()
     if kind not in known:
         raise SpecError(f"there is no kind of plot {kind!r}; the kinds are {', '.join(known)}")
-    module = cast(PlotKind, registry().get("plot-kind", kind).plugin).module
-    return cast(PlotModule, import_module(module))
+    item = registry().get("plot-kind", kind)
+    name = cast(PlotKind, item.plugin).module
+    if item.origin.distribution == MBDKIT:
+        return cast(PlotModule, import_module(name))
+    use(item, item.plugin.check_targets)
+    return _ForeignPlot(item, import_module(name))
+
+
+class _ForeignPlot:
+    """The module of a plot of another distribution, whose errors name it."""
+
+    def __init__(self, item: Registered, module: Any):
+        self._item, self._module = item, module
+        # with the signature of the function, which names the options
+        self.chart = wraps(module.chart)(lambda run, **options: self._chart(run, **options))
+        if hasattr(module, "panels"):
+            self.panels = lambda run: use(item, lambda: list(module.panels(run)))
+
+    def charts(self, run: Run) -> Sequence[Figure]:
+        return [self._checked(chart) for chart in use(self._item, lambda: list(self._module.charts(run)))]
+
+    def _chart(self, run: Run, **options: Any) -> Figure:
+        return self._checked(use(self._item, lambda: self._module.chart(run, **options)))
+
+    def _checked(self, chart: Any) -> Figure:
+        from mbdkit_report.figures.page_model import Figure
+
+        return cast(Figure, use(self._item, lambda: chart, of=Figure))

@@ -18,7 +18,19 @@ from mbdkit.registry.catalogue import Kind
 from mbdkit.registry.manager import load_installed
 from mbdkit.registry.policy import API
 
-NewKind = Literal["integrator", "tableau", "model", "force-law", "measure"]
+NewKind = Literal[
+    "integrator",
+    "tableau",
+    "model",
+    "force-law",
+    "measure",
+    "spec-kind",
+    "plot-kind",
+    "report-section",
+    "table-format",
+    "accessor",
+    "summary-line",
+]
 KINDS: tuple[NewKind, ...] = get_args(NewKind)
 
 _NAME = re.compile(r"[a-z][a-z0-9]*(-[a-z0-9]+)*")
@@ -38,6 +50,13 @@ class _Flavour:
 
 _STUDY = "study.yaml", "mbdkit study {name}/study.yaml   # beside the built-in methods"
 _RUN = "example.yaml", "mbdkit run {name}/example.yaml"
+
+
+def _item(kind: Kind, what: str, command: str, todo: str) -> _Flavour:
+    """Return a project without an example, whose code is in a module beside the table of contents."""
+    return _Flavour(kind, what, ("numpy>=1.26",), "", command, (todo,))
+
+
 _FLAVOURS: dict[NewKind, _Flavour] = {
     "integrator": _Flavour(
         "integrator",
@@ -88,6 +107,32 @@ _FLAVOURS: dict[NewKind, _Flavour] = {
         "study.yaml",
         "mbdkit study {name}/study.yaml",
         ("the options and `take`, which computes one number from a run (nan if that is not possible);",),
+    ),
+    "spec-kind": _Flavour(
+        "spec-kind",
+        "A kind of specs",
+        ("pydantic>=2.7", "typer"),
+        "example.yaml",
+        "mbdkit {item} {name}/example.yaml",
+        ("the class of the spec, its marker, and the functions that load, check and repeat it;",),
+    ),
+    "plot-kind": _item(
+        "plot-kind", "A kind of plot", "mbdkit plot run.h5 --kind {attribute}", "`charts` and `chart`, and its options;"
+    ),
+    "report-section": _item(
+        "report-section", "A section of reports", "mbdkit report run.h5", "`sections`, and the charts, if any;"
+    ),
+    "table-format": _item(
+        "table-format", "A format of tables", "mbdkit archive export run.h5 --to {item}", "the suffix and `write`;"
+    ),
+    "accessor": _item(
+        "accessor",
+        "An attribute of runs",
+        "python -c 'import mbdkit; print(mbdkit.run(\"pendulum\").{attribute})'",
+        "the function that computes the attribute;",
+    ),
+    "summary-line": _item(
+        "summary-line", "A line of summaries", "mbdkit run pendulum", "`lines`, which returns labels and texts;"
     ),
 }
 
@@ -152,7 +197,7 @@ def _files(name: str, package: str, item: str, kind: NewKind) -> dict[str, str]:
     environment = Environment(
         loader=PackageLoader("mbdkit_testing.scaffold"), undefined=StrictUndefined, keep_trailing_newline=True
     )
-    words = {
+    words: dict[str, object] = {
         "name": name,
         "package": package,
         "item": item,
@@ -160,16 +205,22 @@ def _files(name: str, package: str, item: str, kind: NewKind) -> dict[str, str]:
         "api": API,
         "mbdkit_version": ".".join(version("mbdkit").split(".")[:2]),
         "dependencies": flavour.dependencies,
-        "command": flavour.command.format(name=name),
+        "attribute": (attribute := item.replace("-", "_")),
+        "command": flavour.command.format(name=name, item=item, attribute=attribute),
         "todo": "\n".join(f"* {line}" for line in flavour.todo),
     }
+    by_target = KINDS.index(kind) >= KINDS.index("spec-kind")  # items whose code is in a module of its own
+    words["by_target"] = by_target
     example = "study.yaml" if flavour.kind == "integrator" else f"{kind}.yaml"
     templates = {
         "pyproject.toml": "pyproject.toml",
         "README.md": "README.md",
-        flavour.example: example,
         f"src/{package}/__init__.py": f"{kind}.py",
         f"tests/test_{package}.py": f"test_{kind}.py",
     }
+    if flavour.example:
+        templates[flavour.example] = example
+    if by_target:
+        templates[f"src/{package}/code.py"] = f"code_{kind}.py"
     texts = {path: environment.get_template(f"{file}.jinja").render(words) for path, file in templates.items()}
     return texts | {f"src/{package}/py.typed": ""}

@@ -1,0 +1,86 @@
+"""The projects of kinds without hooks of their own, all installed beside each other, outside the tree."""
+
+from __future__ import annotations
+
+import json
+
+import h5py
+import pytest
+
+from mbdkit_testing.scaffold.new_plugin import KINDS, new_project
+from tests.installing import install_project, python
+
+ITEMS = KINDS[5:]
+
+
+@pytest.fixture(scope="module")
+def site(tmp_path_factory):
+    """Return the folder of the projects, and the folders that go on the path."""
+    folder = tmp_path_factory.mktemp("site")
+    for kind in ITEMS:
+        install_project(folder / "site", new_project(f"mbdkit-new-{kind}", kind, folder))
+    return folder, (folder / "site", *(folder / f"mbdkit-new-{kind}" / "src" for kind in ITEMS))
+
+
+@pytest.fixture(scope="module")
+def mbdkit(site):
+    folder, path = site
+
+    def call(*words):
+        done = python("-m", "mbdkit", *words, path=path, cwd=folder)
+        assert done.returncode == 0, done.stderr
+        return done.stdout
+
+    return call
+
+
+@pytest.fixture(scope="module")
+def archive(site, mbdkit):
+    mbdkit("new-spec-kind", "mbdkit-new-spec-kind/example.yaml", "-o", "run.h5")
+    return site[0] / "run.h5"
+
+
+@pytest.mark.end_to_end
+def test_their_own_tests_pass(site):
+    folder, path = site
+    projects = [str(folder / f"mbdkit-new-{kind}") for kind in ITEMS]
+    done = python("-m", "pytest", "-q", "-x", "--import-mode=importlib", *projects, path=path, cwd=folder)
+    assert done.returncode == 0, done.stdout
+
+
+@pytest.mark.parametrize("kind", ITEMS)
+def test_the_code_of_an_item_is_short(kind, site):
+    folder, _ = site
+    code = (folder / f"mbdkit-new-{kind}/src/mbdkit_new_{kind.replace('-', '_')}/code.py").read_text()
+    assert len(code.splitlines()) <= 60
+
+
+@pytest.mark.end_to_end
+def test_a_kind_of_specs_is_checked_documented_and_computed_again(archive, mbdkit):
+    spec = "mbdkit-new-spec-kind/example.yaml"
+    assert "valid, with a limit of 1e-09 m" in mbdkit("validate", spec)
+    assert "new_spec_kind" in json.loads(mbdkit("schema", "new-spec-kind"))["required"]
+    with h5py.File(archive) as file:
+        assert "new_spec_kind" in file.attrs["spec"]
+    assert "the same to the bit" in mbdkit("rerun", "run.h5")
+
+
+@pytest.mark.end_to_end
+def test_a_run_is_plotted_reported_and_exported_by_the_items(archive, mbdkit):
+    folder = archive.parent
+    assert "new_plot_kind" in mbdkit("plot", "--help")
+    mbdkit("plot", "run.h5", "--kind", "new_plot_kind", "-o", "plot.png")
+    assert (folder / "plot.png").read_bytes().startswith(b"\x89PNG")
+    mbdkit("report", "run.h5", "-o", "page.html")
+    page = (folder / "page.html").read_text(encoding="utf-8")
+    assert "Largest speeds" in page
+    assert "Speeds of the bodies." in page
+    assert "trajectory.tsv" in mbdkit("archive", "export", "run.h5", "--to", "new-table-format", "-o", "tables")
+
+
+@pytest.mark.end_to_end
+def test_the_doctor_checks_them_all(mbdkit):
+    lines = mbdkit("plugins", "doctor").splitlines()
+    loaded = [line for line in lines if line.startswith("mbdkit-new-")]
+    assert len(loaded) == len(ITEMS)
+    assert all(": 1 of 1 loaded" in line or ": 3 of 3 loaded" in line for line in loaded)
