@@ -1,0 +1,159 @@
+"""Errors of the code of items are sentences that name the item, and no item replaces one of mbdkit itself."""
+
+from __future__ import annotations
+
+import sys
+from types import SimpleNamespace
+
+import pytest
+
+import mbdkit
+from mbdkit.archive import export as exports
+from mbdkit.archive.run import Run
+from mbdkit.base.errors import PluginError, SpecError
+from mbdkit.plugin import Accessor, PlotKind, ReportSection, SpecKind, SummaryLine, TableFormat, Target, hookimpl
+from mbdkit.registry import accessors, manager
+from mbdkit.registry.manager import checked, load_registry
+from mbdkit.spec.spec_kinds import kind_of
+from mbdkit_report.pages.section_items import added_sections
+from mbdkit_report.plot.plot_kinds import plot_kinds, plot_module
+
+
+def missing(*_):
+    return {}.missing
+
+
+def wrong(*_):
+    return [3]
+
+
+def failing(*_):
+    raise ValueError("no such muscle")
+
+
+def charts(run):
+    return wrong(run)
+
+
+chart = failing
+
+
+def target(name):
+    return Target(f"{__name__}:{name}")
+
+
+@pytest.fixture
+def installed(monkeypatch, entry_point):
+    """Return a function that installs items of distributions beside mbdkit's own in this process."""
+    monkeypatch.setitem(sys.modules, __name__, sys.modules[failing.__module__])
+    ours = [point for point in manager.importlib.metadata.entry_points(group="mbdkit") if point.dist.name == "mbdkit"]
+
+    def install(**distributions):
+        def module(items):
+            return SimpleNamespace(mbdkit_items=hookimpl(specname="mbdkit_items")(lambda: list(items)))
+
+        points = [entry_point(lambda items=items: module(items), name) for name, items in distributions.items()]
+        loaded = load_registry([*ours, *points])
+        for user in list(sys.modules.values()):
+            if getattr(user, "registry", None) is manager.registry and user is not manager:
+                monkeypatch.setattr(user, "registry", lambda: loaded)
+        return loaded
+
+    return install
+
+
+@pytest.fixture(scope="module")
+def run():
+    return mbdkit.run("pendulum", time={"end": 0.1, "step": 0.01})
+
+
+def accessor(name, function):
+    return Accessor(name=name, summary="An attribute.", of="Run", target=target(function))
+
+
+@pytest.mark.parametrize("function", ["missing", "failing", "nowhere"])
+def test_an_attribute_that_fails_is_named(function, run, installed):
+    installed(acme=[accessor("jumps", function)])
+    with pytest.raises(PluginError, match="the accessor 'acme:jumps' failed: "):
+        accessors.computed(run, "jumps")
+
+
+def test_two_distributions_with_one_attribute_are_both_named(run, installed):
+    installed(acme=[accessor("jumps", "wrong")], zenith=[accessor("jumps", "wrong")])
+    with pytest.raises(PluginError, match=r"acme 2.0 and zenith 2.0 both add the attribute `jumps`"):
+        accessors.computed(run, "jumps")
+
+
+def test_an_attribute_of_mbdkit_itself_stays(run, installed):
+    installed(acme=[accessor("plot", "failing")])
+    assert callable(accessors.computed(run, "plot"))
+
+
+@pytest.mark.parametrize(("function", "words"), [("failing", "ValueError: no such muscle"), ("wrong", "not pairs")])
+def test_a_summary_line_that_fails_leaves_the_summary(function, words, run, installed):
+    installed(acme=[SummaryLine(name="jumps", summary="Jumps.", text=target(function))])
+    line = next(line for line in run.summary().splitlines() if line.startswith("jumps"))
+    assert "the summary line 'acme:jumps'" in line
+    assert words in line
+    assert "status        complete" in run.summary()
+
+
+@pytest.mark.parametrize(
+    ("function", "words"), [("failing", "no such muscle"), ("wrong", "returned an object of type")]
+)
+def test_a_section_that_fails_is_named(function, words, run, installed):
+    installed(acme=[ReportSection(name="jumps", summary="Jumps.", make=target(function))])
+    with pytest.raises(PluginError, match=f"the report section 'acme:jumps' .*{words}"):
+        added_sections(run, None)
+
+
+def test_a_plot_that_fails_is_named_and_none_replaces_a_plot_of_mbdkit(run, installed):
+    kinds = [PlotKind(name=name, summary="jumps", module=__name__) for name in ("jumps", "energy")]
+    installed(acme=kinds)
+    assert plot_kinds()["energy"] == "energies and their balance"
+    assert plot_kinds()["acme:energy"] == "jumps"
+    with pytest.raises(PluginError, match="the plot kind 'acme:jumps' returned an object of type int, not"):
+        plot_module("jumps").charts(run)
+    with pytest.raises(PluginError, match=r"the plot kind 'acme:jumps' failed: .*no such muscle"):
+        run.plot.jumps()
+
+
+def test_a_table_format_that_fails_is_named_and_leaves_no_file(run, installed, tmp_path):
+    installed(acme=[TableFormat(name="tsv", summary="Tabulators.", suffix=".txt", write=target("failing"))])
+    with pytest.raises(PluginError, match=r"the table format 'acme:tsv' failed: .*no such muscle"):
+        exports.export(run, tmp_path / "out", "tsv")
+    assert not list(tmp_path.iterdir())
+
+
+def test_kinds_of_specs_never_replace_those_of_mbdkit(installed):
+    def kind(name, marker):
+        return SpecKind(
+            name=name, summary="A kind.", marker=marker, order=1, load=target("failing"), validate=target("failing")
+        )
+
+    installed(acme=[kind("a", "motion"), kind("b", "jump"), kind("c", "")], zenith=[kind("d", "jump")])
+    assert kind_of({"motion": {}}).name == "inverse"
+    assert kind_of({"model": {}}).name == "run"
+    with pytest.raises(SpecError, match="the kinds 'acme:b' and 'zenith:d'"):
+        kind_of({"jump": 1})
+
+
+@pytest.mark.parametrize(
+    ("item", "words"),
+    [
+        (lambda: accessor("jumps", "nowhere"), "does not provide"),
+        (lambda: accessor("jumps", "__name__"), "cannot be called"),
+        (lambda: PlotKind(name="jumps", summary="Jumps.", module="nowhere"), "does not provide"),
+        (lambda: accessor("high-jumps", "wrong"), "as names in Python are"),
+        (lambda: Accessor(name="x", summary="X.", of="Rum", target=target("wrong")), "'Rum'"),
+        (lambda: Accessor(name="x", summary="X.", of="Run", target=wrong), "not a Target"),
+        (lambda: TableFormat(name="x", summary="X.", suffix="txt", write=target("wrong")), "its suffix 'txt'"),
+    ],
+)
+def test_the_doctor_reports_what_is_wrong_with_an_item(item, words, installed):
+    failures = checked(installed(acme=[item()])).failures
+    assert [words in (failure.error or "") for failure in failures] == [True]
+
+
+def test_all_accessors_are_of_runs():
+    assert {item.plugin.of for item in manager.registry().of_kind("accessor")} <= {Run.__name__}
