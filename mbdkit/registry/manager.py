@@ -150,12 +150,13 @@ def load_registry(entry_points: Iterable[EntryPoint], policy: Policy | None = No
     policy = policy or Policy()
     origins = [(_origin(entry_point), entry_point) for entry_point in entry_points]
     origins.sort(key=lambda pair: (pair[0].distribution != MBDKIT, pair[0].distribution, pair[1].name))
+    manager = pluggy.PluginManager(hookspecs.PROJECT)  # has one plugin at a time
+    manager.add_hookspecs(hookspecs)
     items: list[Registered] = []
+    known: set[tuple[Kind, str]] = set()
     reports: list[Report] = []
     if not policy.strict and (
-        sentence := policy.unknown(
-            {(_origin(entry_point).distribution, entry_point.name) for entry_point in entry_points}
-        )
+        sentence := policy.unknown({(origin.distribution, entry_point.name) for origin, entry_point in origins})
     ):
         log.warning("mbdkit: warning: %s", sentence)
     for origin, entry_point in origins:
@@ -168,8 +169,8 @@ def load_registry(entry_points: Iterable[EntryPoint], policy: Policy | None = No
         try:
             # stdout is reserved for the output of --json
             with contextlib.redirect_stdout(sys.stderr), in_this_process():
-                for hook, thing in _offered(entry_point, origin):
-                    _accept(hook, thing, origin, [*items, *found], found, problems)
+                for hook, thing in _offered(entry_point, origin, manager):
+                    _accept(hook, thing, origin, known, found, problems)
         except KeyboardInterrupt:
             raise
         except BaseException as error:  # a plugin may raise any exception, including SystemExit
@@ -185,29 +186,30 @@ def load_registry(entry_points: Iterable[EntryPoint], policy: Policy | None = No
     return Registry(items, reports)
 
 
-def _offered(entry_point: EntryPoint, origin: Origin) -> Iterator[tuple[str, object]]:
+def _offered(entry_point: EntryPoint, origin: Origin, manager: pluggy.PluginManager) -> Iterator[tuple[str, object]]:
     module = entry_point.load()
     check_api(module, origin.distribution)
-    manager = pluggy.PluginManager(hookspecs.PROJECT)
-    manager.add_hookspecs(hookspecs)
     manager.register(module, entry_point.name)
-    manager.check_pending()
-    if not manager.get_hookcallers(module):
-        hooks = listed(dict.fromkeys(item_class.hook for item_class in KINDS.values()), "and")
-        raise PluginError(f"it implements none of the hooks {hooks}, marked with `mbdkit.hookimpl`")
-    for hook in dict.fromkeys(item_class.hook for item_class in KINDS.values()):
-        for answer in getattr(manager.hook, hook)():
-            if not isinstance(answer, list | tuple | Iterator):
-                raise PluginError(f"its hook `{hook}` returned {described(answer)}, not a list")
-            for thing in answer:
-                yield hook, thing
+    try:
+        manager.check_pending()
+        if not manager.get_hookcallers(module):
+            hooks = listed(dict.fromkeys(item_class.hook for item_class in KINDS.values()), "and")
+            raise PluginError(f"it implements none of the hooks {hooks}, marked with `mbdkit.hookimpl`")
+        for hook in dict.fromkeys(item_class.hook for item_class in KINDS.values()):
+            for answer in getattr(manager.hook, hook)():
+                if not isinstance(answer, list | tuple | Iterator):
+                    raise PluginError(f"its hook `{hook}` returned {described(answer)}, not a list")
+                for thing in answer:
+                    yield hook, thing
+    finally:
+        manager.unregister(name=entry_point.name)
 
 
 def _accept(
     hook: str,
     thing: object,
     origin: Origin,
-    known: list[Registered],
+    known: set[tuple[Kind, str]],
     found: list[Registered],
     problems: list[tuple[str, Kind | None, str]],
 ) -> None:
@@ -219,7 +221,7 @@ def _accept(
             raise PluginError(f"its hook `{hook}` returned {described(thing)}, not an item of class {_classes(hook)}")
         cast(Item, thing).check()
         item = Registered(kind, cast(Any, thing), origin)
-        if any(other.kind == kind and other.id == item.id for other in known):
+        if (kind, item.id) in known:
             raise PluginError(f"its distribution has another {KINDS[kind].label()} of the same name")
     except KeyboardInterrupt:
         raise
@@ -227,6 +229,7 @@ def _accept(
         kinds = [kind for kind, item_class in KINDS.items() if item_class.hook == hook]
         problems.append((identifier, kind or kinds[0], _sentence(error)))
     else:
+        known.add((kind, item.id))
         found.append(item)
 
 
@@ -238,11 +241,19 @@ def _classes(hook: str) -> str:
     return listed([item_class.__name__ for item_class in KINDS.values() if hook in (item_class.hook, Item.hook)], "or")
 
 
+@functools.lru_cache
+def _name_and_version(dist: importlib.metadata.Distribution) -> tuple[str | None, str | None]:
+    """Return name and version of a distribution, whose metadata are parsed once, also if it has many entry points."""
+    metadata = dist.metadata
+    return metadata["Name"], metadata["Version"]
+
+
 def _origin(entry_point: EntryPoint) -> Origin:
     dist = entry_point.dist
-    metadata = getattr(dist, "metadata", None)  # read once: each of `name` and `version` would parse it again
-    name = getattr(dist, "name", None) if metadata is None else metadata["Name"]
-    version = getattr(dist, "version", None) if metadata is None else metadata["Version"]
+    if isinstance(dist, importlib.metadata.Distribution):
+        name, version = _name_and_version(dist)
+    else:
+        name, version = getattr(dist, "name", None), getattr(dist, "version", None)
     return Origin(str(name or "unknown"), str(version or "unknown"), f"{entry_point.name} = {entry_point.value}")
 
 
