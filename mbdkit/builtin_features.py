@@ -37,10 +37,8 @@ def builtin_features() -> list[Feature]:
         heading="RUN",
         load=Target("mbdkit.spec.loading:load_spec"),
         validate=Target("mbdkit.cli.runs:validate_run"),
-        schema=Target("mbdkit.spec.schema:run_schema"),
         run_kind="forward",
         model=Target("mbdkit.spec.run_spec:RunSpec"),
-        repeat=Target("mbdkit.cli.runs:repeat_run"),
     )
     formats = [
         TableFormat(

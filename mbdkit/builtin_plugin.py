@@ -45,7 +45,6 @@ COMMANDS = (
     _command(130, "rerun", "Run the spec of an archive again and compare the results.", "runs:rerun"),
     _command(140, "guide", "List the pages of the guide, print one, or search them.", "specs:guide"),
     Command(name="schema", summary="Print the JSON schema of a spec, for editors.", order=170),
-    _command(10, "schema run", "Print the JSON schema of a run spec.", "specs:schema_run"),
     Command(name="plugins", summary="List, verify and diagnose plugins; `new` creates one.", order=180),
     _command(10, "plugins list", "List installed plugins, and those that could not be loaded.", "plugins:plugins_list"),
     _command(20, "plugins show", "Show the options, claims and references of a plugin.", "plugins:plugins_show"),

@@ -105,6 +105,7 @@ if TYPE_CHECKING:
         StudyPlugin,
     )
     from mbdkit.registry.target import Target
+    from mbdkit.registry.use import use
     from mbdkit.runs.preparation import build, caution
     from mbdkit.runs.prepared_run import PreparedRun, prepare
     from mbdkit.runs.simulation import run, simulate
@@ -113,7 +114,6 @@ if TYPE_CHECKING:
     from mbdkit.spec.model_spec import ModelSpec, StrictSpec
     from mbdkit.spec.reading import Document, parse_key, put, read_file, set_value
     from mbdkit.spec.run_spec import RunSpec
-    from mbdkit.spec.schema import run_schema
     from mbdkit.spec.sections import Count, Section
     from mbdkit.spec.study_measures import DefinedMeasure, defined
     from mbdkit.spec.varied_specs import VariedSpecs
@@ -157,7 +157,6 @@ _STABLE = {
     "mbdkit.archive.reader": "load",
     "mbdkit.spec.run_spec": "RunSpec",
     "mbdkit.spec.loading": "loaded",
-    "mbdkit.spec.schema": "run_schema",
     "mbdkit.runs.simulation": "run simulate",
     "mbdkit.runs.prepared_run": "PreparedRun prepare",
     "mbdkit.quantities.array": "Array Chart Kind Recorded",
@@ -179,6 +178,7 @@ _OWN = {
     "mbdkit.spec.varied_specs": "VariedSpecs",
     "mbdkit.cli.common_options": "Archive AsJson Debug Overwrite Printing Quiet Set check_new grouped output_to stem",
     "mbdkit.base.terminal": "say silence",
+    "mbdkit.registry.use": "use",
     "mbdkit.base.progress_bars": "progress_bar",
     "mbdkit.base.files": "check_output check_suffix replacing",
     "mbdkit.base.errors": "file_error",
@@ -339,7 +339,6 @@ __all__ = [
     "regularised_friction",
     "replacing",
     "run",
-    "run_schema",
     "say",
     "set_value",
     "show",
@@ -350,6 +349,7 @@ __all__ = [
     "sizes_of",
     "stem",
     "table",
+    "use",
     "value_text",
     "write_yaml",
 ]

@@ -43,11 +43,11 @@ def export(run: Run, folder: Path, to: str, *, overwrite: bool = False) -> list[
     MbdkitError
         If the format needs a package that is not installed.
     """
-    check_format(to)
+    suffix = suffix_of(to)
     if not len(run.time):
         raise SpecError("this run recorded no rows, so there is nothing to export", file=run.path)
     tables: dict[Path, ExportedTable] = {
-        folder / f"{group}{suffix_of(to)}": group_table(run, group)
+        folder / f"{group}{suffix}": group_table(run, group)
         for group in group_names(run)
         if not (to == "sto" and group == "events")
     }
@@ -55,15 +55,11 @@ def export(run: Run, folder: Path, to: str, *, overwrite: bool = False) -> list[
     return list(tables)
 
 
-def check_format(to: str) -> None:
-    """Raise SpecError if there is no format of this name."""
+def suffix_of(to: str) -> str:
+    """Return the suffix of the files of a format; raise SpecError if there is none of this name."""
     names = registry().names("table-format")
     if to not in names:
         raise SpecError(f"there is no format {to!r}{did_you_mean(to, names)}; the formats are {listed(names)}")
-
-
-def suffix_of(to: str) -> str:
-    """Return the suffix of the files of a format."""
     return cast(TableFormat, registry().get("table-format", to).plugin).suffix
 
 

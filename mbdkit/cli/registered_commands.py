@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any, cast
 
 import typer
 from typer.core import TyperCommand, TyperGroup
 
-from mbdkit.base.terminal import Commands, guard
-from mbdkit.cli.common_options import CONTEXT, PLAIN
+from mbdkit.base.terminal import Commands, guard, show_json
+from mbdkit.cli.common_options import CONTEXT, PLAIN, Debug
 from mbdkit.registry.catalogue import Registered, Registry
+from mbdkit.registry.feature_items import SpecKind
+from mbdkit.registry.item import Item
 from mbdkit.registry.items import Command
 from mbdkit.registry.manager import built_in, installed
+from mbdkit.registry.use import use
 
 
 class RegisteredCommands(TyperGroup):
@@ -54,8 +57,8 @@ class RegisteredCommands(TyperGroup):
 
     def _listed(self, registry: Registry | None = None) -> dict[str, Registered]:
         registry, listed = registry or installed(), {}
-        for item in registry.of_kind(Command.kind):
-            if isinstance(item.plugin, Command) and item.plugin.group == self.group:
+        for item in (*registry.of_kind(Command.kind), *registry.of_kind(SpecKind.kind)):
+            if _group(item.plugin) == self.group:
                 is_short = item.name in registry.accepted(item)
                 listed[item.plugin.name if is_short else f"{item.origin.distribution}:{item.plugin.name}"] = item
         return listed
@@ -65,12 +68,25 @@ class MainCommands(RegisteredCommands, Commands):
     """The commands of ``mbdkit`` itself."""
 
 
+def _group(item: Item) -> str | None:
+    """Return the group of a command; kinds of specs are commands of the group ``schema``."""
+    if isinstance(item, SpecKind):
+        return "schema" if item.schema or item.model else None
+    return item.group if isinstance(item, Command) else None
+
+
+def _summary(item: Item) -> str:
+    return f"Print the JSON schema of {item.phrase}." if isinstance(item, SpecKind) else item.summary
+
+
 def _stubs(items: Mapping[str, Registered]) -> dict[str, Any]:
-    return {name: TyperCommand(name, help=item.plugin.summary) for name, item in items.items()}
+    return {name: TyperCommand(name, help=_summary(item.plugin)) for name, item in items.items()}
 
 
 def _imported(item: Registered) -> Any:
     """Return the command of an item, or the group of its commands."""
+    if isinstance(item.plugin, SpecKind):
+        return _schema_command(item, item.plugin)
     command: Command = cast(Any, item.plugin)
     if command.target is None:
         group = RegisteredCommands(
@@ -84,7 +100,21 @@ def _imported(item: Registered) -> Any:
         return group
     target = command.target()
     if not isinstance(target, typer.Typer):
-        app = typer.Typer(add_completion=False, **PLAIN)
-        app.command(command.name)(target)
-        target = app
+        target = _app(command.name, target)
     return typer.main.get_command(target)
+
+
+def _schema_command(item: Registered, kind: SpecKind) -> Any:
+    def schema(debug: Debug = False) -> None:
+        from mbdkit.spec.schema import schema_of
+
+        show_json(use(item, lambda: schema_of(kind)), indent=2)
+
+    schema.__doc__ = f"{_summary(kind)}\n\nIt contains the options of everything that is installed."
+    return typer.main.get_command(_app(kind.name, schema))
+
+
+def _app(name: str, function: Callable[..., None]) -> typer.Typer:
+    app = typer.Typer(add_completion=False, **PLAIN)
+    app.command(name)(function)
+    return app

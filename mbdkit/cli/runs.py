@@ -6,7 +6,7 @@ import os
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -35,6 +35,7 @@ if TYPE_CHECKING:
     from mbdkit.archive.run import Run
     from mbdkit.engine.assembly import AssembledState
     from mbdkit.engine.workspace import Workspace
+    from mbdkit.registry.feature_items import SpecKind
     from mbdkit.spec import RunSpec
     from mbdkit.spec.reading import Document
 
@@ -145,9 +146,17 @@ def validate(spec: AnySpecName, assignments: Set = None, debug: Debug = False) -
     if spec != "-" and not os.path.isfile(spec):
         for kind in spec_kinds():
             if kind.is_packaged is not None and kind.is_packaged()(spec):
-                return kind.validate()(spec, spec, assignments or [])
+                return _validate(kind, spec, spec, assignments)
     document = read_source(spec)
-    return kind_of(document.data).validate()(document, spec, assignments or [])
+    return _validate(kind_of(document.data), document, spec, assignments)
+
+
+def _validate(kind: SpecKind, source: Document | str, name: str, assignments: list[str] | None) -> None:
+    if kind.validate is not None:
+        kind.validate()(source, name, assignments or [])
+    else:
+        kind.load()(source, assignments or ())
+        show(f"{name}: this is valid as {kind.phrase}")
 
 
 def validate_run(source: Document, spec: str, assignments: list[str]) -> None:
@@ -281,25 +290,18 @@ def rerun(
 def _repeated(before: Run, archive: Path, output: Path | None, *, overwrite: bool, quiet: bool) -> Run:
     """Repeat the run in an archive."""
     from mbdkit.base.errors import SpecError
+    from mbdkit.runs.simulation import simulate
     from mbdkit.spec.spec_kinds import kind_of_runs
 
     try:
-        repeat = kind_of_runs(before.kind).repeat
-        if repeat is None:
-            raise SpecError(f"runs of the kind '{before.kind}' cannot be computed again")
+        kind = kind_of_runs(before.kind)
         with progress_bar(archive.name, quiet) as progress:
-            repeated: Run = repeat()(before, archive, output, overwrite=overwrite, progress=progress)
+            if kind.repeat is None:
+                return simulate(kind.load()(before.spec), path=output, overwrite=overwrite, progress=progress)
+            repeated: Run = kind.repeat()(before, archive, output, overwrite=overwrite, progress=progress)
             return repeated
     except SpecError as error:
         raise error.located(file=archive) from error
-
-
-def repeat_run(before: Run, archive: Path, output: Path | None, *, overwrite: bool, progress: Any) -> Run:
-    """Run the spec of an archive again."""
-    from mbdkit.runs.simulation import simulate
-    from mbdkit.spec import load_spec
-
-    return simulate(load_spec(before.spec), path=output, overwrite=overwrite, progress=progress)
 
 
 @contextmanager

@@ -1,4 +1,4 @@
-"""Commands for writing specs: `schema`, `examples` and `guide`."""
+"""Commands for writing specs: `examples` and `guide`."""
 
 from __future__ import annotations
 
@@ -7,23 +7,13 @@ from typing import Annotated
 
 import typer
 
-from mbdkit.base.terminal import show, show_json
+from mbdkit.base.terminal import show
 from mbdkit.base.text import table
 from mbdkit.cli.common_options import PLAIN, Debug, output_to
 
 examples_app = typer.Typer(
     help="List the packaged examples, or copy one.", add_completion=False, **{**PLAIN, "no_args_is_help": False}
 )
-
-
-def schema_run(debug: Debug = False) -> None:
-    """Print the JSON schema of a run spec.
-
-    It contains the options of all installed models, integrators and force laws.
-    """
-    from mbdkit.spec.schema import run_schema
-
-    show_json(run_schema(), indent=2)
 
 
 @examples_app.callback(invoke_without_command=True)

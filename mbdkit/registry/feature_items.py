@@ -89,18 +89,21 @@ class SpecKind(Feature):
         Function that takes a source (a file, the name of an example, a document, a mapping) and assignments, and
         returns the validated spec.
     validate
-        Function that takes a source, its name and assignments, checks the spec, and prints what it defines.
+        Function that takes a source, its name and assignments, checks the spec, and prints what it defines; by default,
+        `load` is called, and the spec is called valid.
     is_packaged
         Function that returns whether a name is that of a packaged spec that is no example; None if there are none.
     schema
-        Function that takes a registry and returns the JSON schema; None if the kind has none.
+        Function that takes a registry and returns the JSON schema for ``mbdkit schema NAME``; by default, it is that of
+        `model`, a class derived from `mbdkit.plugin.RunSpec`.
     run_kind
         `Run.kind` of the archives of this kind; empty if there are none.
     model
         Class of the validated spec that such an archive contains.
     repeat
         Function that computes the run of an archive again: it takes the `Run`, the path of its archive, the path of the
-        new archive or None, and ``overwrite`` and ``progress`` by name.
+        new archive or None, and ``overwrite`` and ``progress`` by name. By default, the spec in the archive is loaded
+        and simulated.
     heading
         Heading of its examples in ``mbdkit examples``.
     """
@@ -116,7 +119,7 @@ class SpecKind(Feature):
     given_instead: str = ""
     run_instead: str = ""
     load: Target[Callable[..., Any]]
-    validate: Target[Callable[[Any, str, list[str]], None]]
+    validate: Target[Callable[[Any, str, list[str]], None]] | None = None
     is_packaged: Target[Callable[[str], bool]] | None = None
     schema: Target[Callable[[Any], dict[str, Any]]] | None = None
     run_kind: str = ""

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any, Protocol, cast
 from mbdkit.quantities.states import States
 from mbdkit.registry.feature_items import CriterionItem
 from mbdkit.registry.manager import registry
+from mbdkit.registry.use import use
 from mbdkit.runs.warnings import passivity_warnings
 
 if TYPE_CHECKING:
@@ -50,7 +51,7 @@ class StateWatchers:
         for item in registry().of_kind(CriterionItem.kind):
             criterion = cast(CriterionItem, item.plugin)
             if criterion.stage == "rows":
-                watcher = criterion.find()(spec, compiled, size)
+                watcher = use(item, lambda find=criterion.find: find()(spec, compiled, size))  # type: ignore[misc]
                 if watcher is not None:
                     self._watchers[item.name] = watcher
 

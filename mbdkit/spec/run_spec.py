@@ -424,10 +424,10 @@ class RunSpec(ModelSpec):
         return parsed
 
 
-def spec_type(installed: Registry) -> type[RunSpec]:
-    """Return a RunSpec class that selects from the given registry instead of the installed plugins."""
+def spec_type(installed: Registry, base: type[RunSpec] = RunSpec) -> type[RunSpec]:
+    """Return a class of run specs that selects from the given registry instead of the installed plugins."""
     fields: dict[str, Any] = {
-        kind: (Annotated[BaseModel, Choice(kind, installed)], Field(description=description(RunSpec, kind)))
+        kind: (Annotated[BaseModel, Choice(kind, installed)], Field(description=description(base, kind)))
         for kind in _CHOSEN
     }
-    return create_model("RunSpec", __base__=RunSpec, __doc__=RunSpec.__doc__, **fields)
+    return create_model(base.__name__, __base__=base, __doc__=base.__doc__, **fields)

@@ -12,9 +12,10 @@ from pydantic.json_schema import models_json_schema
 from mbdkit.base.units import PERCENT, QUANTITY, described_units
 from mbdkit.mechanism.law_element import Law
 from mbdkit.registry.catalogue import Registry
+from mbdkit.registry.feature_items import SpecKind
 from mbdkit.registry.manager import registry
 from mbdkit.spec.choices import law_element
-from mbdkit.spec.run_spec import spec_type
+from mbdkit.spec.run_spec import RunSpec, spec_type
 from mbdkit.spec.spec_kinds import kind_named
 
 DRAFT = "https://json-schema.org/draft/2020-12/schema"
@@ -23,8 +24,8 @@ EXPRESSION = "[-+*/(A-Za-z%]"
 HOME = "https://raw.githubusercontent.com/mbdkit/mbdkit/main/schemas/{}.schema.json"
 
 
-def run_schema(installed: Registry | None = None) -> dict[str, Any]:
-    """Return the JSON schema (draft 2020-12) of the run spec.
+def run_schema(installed: Registry | None = None, spec: type[RunSpec] = RunSpec) -> dict[str, Any]:
+    """Return the JSON schema (draft 2020-12) of the run spec, or of a class derived from it.
 
     Parameters
     ----------
@@ -32,10 +33,18 @@ def run_schema(installed: Registry | None = None) -> dict[str, Any]:
         Registry of the models, integrators and force laws to include; by default, all that are installed.
     """
     chosen = installed if installed is not None else registry()
-    schema = model_schema(spec_type(chosen), chosen)
+    schema = model_schema(spec_type(chosen, spec), chosen)
     schema["required"].remove("integrator")
     schema["anyOf"] = [{"required": ["integrator"]}, {"required": ["accuracy"]}]
     return {"$schema": DRAFT, **described(schema)}
+
+
+def schema_of(kind: SpecKind, installed: Registry | None = None) -> dict[str, Any]:
+    """Return the JSON schema of a kind of specs."""
+    if kind.schema is not None:
+        return kind.schema()(installed)
+    assert kind.model is not None
+    return run_schema(installed, kind.model())
 
 
 def model_schema(spec: type[BaseModel], chosen: Registry) -> dict[str, Any]:
@@ -102,9 +111,7 @@ def described(schema: dict[str, Any]) -> dict[str, Any]:
 
 def builtin_schema_text(kind: str) -> str:
     """Return the text of ``schemas/KIND.schema.json``: the schema with only the built-in plugins."""
-    schema_of = kind_named(kind).schema
-    assert schema_of is not None
-    schema = schema_of()(registry().only("mbdkit"))
+    schema = schema_of(kind_named(kind), registry().only("mbdkit"))
     home = HOME.format(kind)
     return json.dumps({"$schema": schema.pop("$schema"), "$id": home, **schema}, indent=2, ensure_ascii=False) + "\n"
 

@@ -146,13 +146,3 @@ def validate_inverse(source: str | Document, name: str, assignments: list[str]) 
     if problem.recruiter is not None:
         show(f"muscles      {', '.join(problem.recruiter.muscles)}")
     show("not checked  rows after the first, smoothed motion, loads and results, which `mbdkit inverse` checks")
-
-
-def schema_inverse(debug: Debug = False) -> None:
-    """Print the JSON schema of a spec of inverse dynamics.
-
-    It contains the options of all installed models and force laws.
-    """
-    from mbdkit_biomech.inverse_dynamics.inverse_schema import inverse_schema
-
-    show_json(inverse_schema(), indent=2)

@@ -91,13 +91,6 @@ def mbdkit_items() -> Iterable[Item]:
             order=40,
             target=Target("mbdkit_biomech.commands:workload"),
         ),
-        Command(
-            name="inverse",
-            group="schema",
-            summary="Print the JSON schema of a spec of inverse dynamics.",
-            order=30,
-            target=Target("mbdkit_biomech.commands:schema_inverse"),
-        ),
         Accessor(
             name="moment_arms",
             summary="Moment arms of a muscle.",

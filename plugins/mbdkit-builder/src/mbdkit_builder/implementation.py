@@ -30,8 +30,8 @@ _OPTIONS: dict[str, Any] = {
 
 # Numba simplifies every function for a processor before its module is taken. Without these lines that would be the
 # processor of this machine, and the stored code would depend on it.
-config.CPU_NAME = "generic"
-config.CPU_FEATURES = ""
+config.CPU_NAME = "generic"  # type: ignore[attr-defined]
+config.CPU_FEATURES = ""  # type: ignore[attr-defined]
 
 _DEFINED: set[Callable[..., Any]] = set()
 

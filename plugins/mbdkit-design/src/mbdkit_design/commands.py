@@ -13,7 +13,7 @@ import typer
 from mbdkit.base.progress_bars import tally_bar
 from mbdkit.base.terminal import STOPPED_EARLY, say, show, show_json, silence
 from mbdkit.base.text import listed
-from mbdkit.cli.common_options import Debug, Printing, Set, grouped, output_to, stem
+from mbdkit.cli.common_options import Printing, Set, grouped, output_to, stem
 from mbdkit_studies.command_options import Cluster, Workers, cores
 
 if TYPE_CHECKING:
@@ -208,13 +208,3 @@ def watch(
             return
         time.sleep(every)
         now = work_in(folder)
-
-
-def schema_design(debug: Debug = False) -> None:
-    """Print the JSON schema of a design spec.
-
-    It contains the options of all installed models, integrators and force laws.
-    """
-    from mbdkit_design.design_schema import design_schema
-
-    show_json(design_schema(), indent=2)

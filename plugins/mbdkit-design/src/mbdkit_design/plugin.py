@@ -39,13 +39,6 @@ def mbdkit_items() -> Iterable[Item]:
             order=160,
             target=Target("mbdkit_design.commands:watch"),
         ),
-        Command(
-            name="design",
-            group="schema",
-            summary="Print the JSON schema of a design spec.",
-            order=40,
-            target=Target("mbdkit_design.commands:schema_design"),
-        ),
         FileFormat(
             name="design",
             summary="The folder of a design.",

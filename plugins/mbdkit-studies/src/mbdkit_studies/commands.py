@@ -13,7 +13,7 @@ from typer.core import TyperCommand
 
 from mbdkit.base.progress_bars import count_bar
 from mbdkit.base.terminal import STOPPED_EARLY, say, show, show_json, silence
-from mbdkit.cli.common_options import PLAIN, Debug, Printing, grouped, output_to, stem
+from mbdkit.cli.common_options import PLAIN, Printing, grouped, output_to, stem
 from mbdkit_studies.command_options import BaseSet, Cluster, StudyName, Workers, cores
 
 if TYPE_CHECKING:
@@ -170,13 +170,3 @@ def validate_study(source: str | Document, name: str, assignments: list[str]) ->
     for warning in plan.warnings():
         say(f"warning: {warning}")
     show(f"{name}: this study is valid\n{plan_summary(plan)}")
-
-
-def schema_study(debug: Debug = False) -> None:
-    """Print the JSON schema of a study spec.
-
-    It contains the options of all installed models and integrators.
-    """
-    from mbdkit_studies.study_schema import study_schema
-
-    show_json(study_schema(), indent=2)

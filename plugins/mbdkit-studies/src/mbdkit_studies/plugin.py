@@ -33,13 +33,6 @@ def mbdkit_items() -> Iterable[Item]:
             order=80,
             target=Target("mbdkit_studies.commands:study_app"),
         ),
-        Command(
-            name="study",
-            group="schema",
-            summary="Print the JSON schema of a study spec.",
-            order=20,
-            target=Target("mbdkit_studies.commands:schema_study"),
-        ),
         FileFormat(
             name="study",
             summary="The folder of a study.",

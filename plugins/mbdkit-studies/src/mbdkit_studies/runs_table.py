@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from mbdkit.archive.export import check_format, suffix_of, write_tables
+from mbdkit.archive.export import suffix_of, write_tables
 from mbdkit.archive.group_table import BLOCK_VALUES, TableColumn
 from mbdkit.base.errors import SpecError
 from mbdkit.quantities.array import FLOAT, INTEGER, TEXT, Array
@@ -73,7 +73,7 @@ def export_runs(study: Study, folder: Path, to: str, *, overwrite: bool = False)
     MbdkitError
         If a package that is needed is not installed.
     """
-    check_format(to)
+    suffix = suffix_of(to)
     if to == "sto":
         raise SpecError("the format sto is for data over time; export the table of a study as csv or parquet")
     values, units = {name: np.asarray(column) for name, column in study.columns().items()}, study.units
@@ -85,7 +85,7 @@ def export_runs(study: Study, folder: Path, to: str, *, overwrite: bool = False)
         unit = units.get(name, "1")
         what = study.described(name)[1] if name in units else name
         columns.append(TableColumn(name, unit, Array(f"runs/{name}", ("run",), unit, what, dtype), ()))
-    path = folder / f"runs{suffix_of(to)}"
+    path = folder / f"runs{suffix}"
     write_tables(
         {path: RunsTable(columns[0], tuple(columns[1:]), values)}, folder, to, overwrite=overwrite, source=None
     )

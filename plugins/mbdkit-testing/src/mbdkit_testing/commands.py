@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated
 
 import typer
 
 from mbdkit.base import terminal
 from mbdkit.base.progress_bars import count_bar
 from mbdkit.base.terminal import say, show, show_json, silence
+from mbdkit.base.text import listed
 from mbdkit.cli.common_options import AsJson, Debug, Overwrite, Quiet, output_to
+from mbdkit_testing.scaffold.new_plugin import KINDS, NewKind
 
 
 def plugins_verify(
@@ -64,22 +66,7 @@ def plugins_verify(
 
 def plugins_new(
     name: Annotated[str, typer.Argument(metavar="NAME", help="Name of the distribution, such as mbdkit-rocket.")],
-    kind: Annotated[
-        Literal[
-            "integrator",
-            "tableau",
-            "model",
-            "force-law",
-            "measure",
-            "spec-kind",
-            "plot-kind",
-            "report-section",
-            "table-format",
-            "accessor",
-            "summary-line",
-        ],
-        typer.Option("--kind", help="Kind of plugin."),
-    ],
+    kind: Annotated[NewKind, typer.Option("--kind", metavar="KIND", help=f"Kind of plugin: {listed(KINDS)}.")],
     as_json: AsJson = False,
     debug: Debug = False,
 ) -> None:

@@ -10,6 +10,7 @@ from typing import NamedTuple, cast
 import numpy as np
 
 from mbdkit.mechanism.improbable_bodies import inertias_about_joints
+from mbdkit.plugin import use
 from mbdkit.registry.feature_items import CriterionItem
 from mbdkit.registry.manager import registry
 from mbdkit.trust.criteria import Evidence, Judgement, judge
@@ -50,9 +51,13 @@ class DataDoubts(NamedTuple):
 
 def doubts_about_data(result: Inverse, bars: ErrorBars | None) -> DataDoubts:
     """Return the doubts about the data and the model of a result, and remarks on the data."""
-    items = (cast(CriterionItem, item.plugin) for item in registry().of_kind(CriterionItem.kind))
-    examining = [item.find() for item in items if item.stage == "data" and "inverse" in item.of]
-    found = [finding for find in examining for finding in find(result, bars)]
+    items = [(item, cast(CriterionItem, item.plugin)) for item in registry().of_kind(CriterionItem.kind)]
+    found = [
+        finding
+        for item, own in items
+        if own.stage == "data" and "inverse" in own.of
+        for finding in use(item, lambda own=own: list(own.find()(result, bars)))  # type: ignore[misc]
+    ]
     remarks = (
         *equal_columns(result.problem),
         *forces_at_centres(result.problem),

@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import TYPE_CHECKING, Any, cast
 
+from mbdkit.plugin import use
 from mbdkit.registry.catalogue import Registered
 from mbdkit.registry.feature_items import ReportSection
 from mbdkit.registry.manager import registry
-from mbdkit.registry.use import use
 from mbdkit_report.figures.page_model import Figure, Section
 
 if TYPE_CHECKING:

@@ -8,10 +8,10 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any, Protocol, cast
 
 from mbdkit.base.errors import SpecError
-from mbdkit.registry.catalogue import MBDKIT, Registered
+from mbdkit.plugin import use
+from mbdkit.registry.catalogue import Registered
 from mbdkit.registry.feature_items import PlotKind
 from mbdkit.registry.manager import registry
-from mbdkit.registry.use import use
 
 if TYPE_CHECKING:
     from mbdkit.archive.run import Run
@@ -57,14 +57,12 @@ def plot_module(kind: str) -> PlotModule:
         raise SpecError(f"there is no kind of plot {kind!r}; the kinds are {', '.join(known)}")
     item = registry().get("plot-kind", kind)
     name = cast(PlotKind, item.plugin).module
-    if item.origin.distribution == MBDKIT:
-        return cast(PlotModule, import_module(name))
     use(item, item.plugin.check_targets)
-    return _ForeignPlot(item, import_module(name))
+    return _Plot(item, import_module(name))
 
 
-class _ForeignPlot:
-    """The module of a plot of another distribution, whose errors name it."""
+class _Plot:
+    """The module of a plot; errors of other distributions name them."""
 
     def __init__(self, item: Registered, module: Any):
         self._item, self._module = item, module

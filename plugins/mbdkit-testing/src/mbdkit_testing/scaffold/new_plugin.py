@@ -30,6 +30,8 @@ NewKind = Literal[
     "table-format",
     "accessor",
     "summary-line",
+    "criterion",
+    "data-criterion",
 ]
 KINDS: tuple[NewKind, ...] = get_args(NewKind)
 
@@ -133,6 +135,12 @@ _FLAVOURS: dict[NewKind, _Flavour] = {
     ),
     "summary-line": _item(
         "summary-line", "A line of summaries", "mbdkit run pendulum", "`lines`, which returns labels and texts;"
+    ),
+    "criterion": _item(
+        "criterion", "A criterion of verdicts on runs", "mbdkit run pendulum", "what rows are watched for;"
+    ),
+    "data-criterion": _item(
+        "criterion", "A criterion of verdicts on measured data", "mbdkit inverse walking", "the doubts about a result;"
     ),
 }
 
