@@ -222,7 +222,7 @@ def _in_time(kind: str, attempt: Callable[[Random, Path], list[str]]) -> Callabl
 
     def case(random: Random, folder: Path) -> list[str]:
         file = folder / f"model.{kind}"
-        ending = in_child(attempt, random, file, seconds=60)
+        ending = in_child(attempt, random, file, seconds=10)
         if ending.exit_status is None and file.exists():
             ending = in_child(lambda: _ours(kind, file)[1])
         crashed = [f"it ended with {ending.exit_status}: {ending.errors[-900:]}"] if ending.exit_status else []
