@@ -32,6 +32,7 @@ from mbdkit.registry.feature_items import SummaryLine
 from mbdkit.registry.manager import registry
 from mbdkit.registry.use import use
 from mbdkit.spec.formulation_choice import name_of
+from mbdkit.spec.spec_kinds import kind_of
 from mbdkit.trust.criteria import NOTHING_SUSPICIOUS, rounding
 
 if TYPE_CHECKING:
@@ -113,8 +114,11 @@ def summary_lines(run: Run) -> list[tuple[str, str]]:
 
 def _added_lines(run: Run, item: Registered) -> list[tuple[str, str]]:
     """Return the lines of an item; if it fails, a line says so, because the run itself is not affected."""
+    own = cast(SummaryLine, item.plugin)
+    if own.of and kind_of(run.spec).name not in own.of:
+        return []
     try:
-        lines = use(item, lambda: list(cast(SummaryLine, item.plugin).text()(run)))
+        lines = use(item, lambda: list(own.text()(run)))
         if all(isinstance(line, tuple) and [type(text) for text in line] == [str, str] for line in lines):
             return cast(list[tuple[str, str]], lines)
         raise PluginError(f"the summary line '{item.id}' returned lines that are not pairs of label and text")

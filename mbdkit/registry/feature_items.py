@@ -265,12 +265,15 @@ class SummaryLine(Feature):
         Name of the item; the function gives the labels.
     text
         Function that takes the run and returns lines, each a label and a text; empty texts are left out.
+    of
+        Names of the kinds of specs whose runs have the lines; empty for all kinds.
     """
 
     kind: ClassVar[str] = "summary-line"
     key: ClassVar[str] = "summary"
 
     text: Target[Callable[[Any], list[tuple[str, str]]]]
+    of: frozenset[str] = frozenset()
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)

@@ -101,6 +101,7 @@ def mbdkit_items() -> Iterable[Item]:
             name="inverse",
             summary="Fit, gaps, actuators, residuals and reserves.",
             text=Target(f"{_ROOM}.inverse_summary:inverse_lines"),
+            of=frozenset({"inverse"}),
         ),
         ReportSection(
             name="loads",

@@ -23,8 +23,6 @@ UNUSED_DATA = {"unobserved_markers": "no data", "unused_columns": "not used"}
 
 def inverse_lines(run: Run) -> list[tuple[str, str]]:
     """Return the lines of the summary that only inverse dynamics has, each with its label; texts may be empty."""
-    if run.kind != "inverse":
-        return []
     return [
         ("fit", _fit(run)),
         *((label, str(run.provenance.get(key, ""))) for key, label in UNUSED_DATA.items()),
