@@ -22,7 +22,7 @@ from mbdkit.engine.elimination_order import neighbours
 from mbdkit.engine.kernels.acting import ANGLE, TRAVEL
 from mbdkit.engine.kernels.constraints import KINDS
 from mbdkit.engine.kernels.cross_sections import NODES, PARAMETERS
-from mbdkit.engine.kernels.system import Topology
+from mbdkit.engine.kernels.engine_bundles import Topology
 from mbdkit.engine.nested_dissection import sparse_order
 from mbdkit.mechanism.angle_function import Center
 from mbdkit.mechanism.bodies import Element

@@ -13,7 +13,7 @@ from mbdkit.base.plain_data import quoted
 from mbdkit.base.text import counted, listed
 from mbdkit.engine.contact_forces import ActingContact
 from mbdkit.engine.force_laws import CompiledLaw
-from mbdkit.engine.kernels.system import Topology
+from mbdkit.engine.kernels.engine_bundles import Topology
 from mbdkit.expressions.program import Program
 from mbdkit.mechanism.contacts import COMPLIANT, Treatment
 from mbdkit.mechanism.values import Motion

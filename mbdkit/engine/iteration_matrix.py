@@ -9,6 +9,7 @@ import numpy as np
 
 from mbdkit.base.errors import StepError
 from mbdkit.engine.elimination_order import SingularSystemError, new_factors
+from mbdkit.engine.kernels.accelerations import KKT_TOLERANCE
 from mbdkit.engine.kernels.equations import (
     DAMPING,
     GAMMA_V,
@@ -22,7 +23,6 @@ from mbdkit.engine.kernels.equations import (
     solve_complex,
     solve_real,
 )
-from mbdkit.engine.kernels.system import KKT_TOLERANCE
 from mbdkit.engine.native.bundle import PinnedBundle
 
 if TYPE_CHECKING:

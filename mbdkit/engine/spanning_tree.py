@@ -13,7 +13,7 @@ import numpy as np
 
 from mbdkit.engine.compiled_mechanism import CompiledMechanism
 from mbdkit.engine.kernels.constraints import KINDS
-from mbdkit.engine.kernels.system import Topology
+from mbdkit.engine.kernels.engine_bundles import Topology
 from mbdkit.engine.kernels.tree import COLUMNS, PLACE, TURN
 
 _PLACING = {KINDS["revolute"]: 0, KINDS["moving_center"]: 0, KINDS["point_on_line"]: 1}

@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from mbdkit.engine.elimination_order import new_factors
+from mbdkit.engine.kernels.engine_bundles import Scatter, Solver
 from mbdkit.engine.kernels.lu import Factors, Pattern
-from mbdkit.engine.kernels.system import Scatter, Solver
 
 if TYPE_CHECKING:
     from mbdkit.engine.workspace import Workspace

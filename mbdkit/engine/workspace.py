@@ -23,9 +23,10 @@ from mbdkit.engine.elimination_order import (
 )
 from mbdkit.engine.kernels.bundle_types import example_of
 from mbdkit.engine.kernels.cross_sections import STATE
+from mbdkit.engine.kernels.engine_bundles import Engine, Scatter, Scratch, Solver, Topology
 from mbdkit.engine.kernels.lu import Factors, Pattern
 from mbdkit.engine.kernels.motions import OF_CENTER
-from mbdkit.engine.kernels.system import NOT_FINITE, OK, Engine, Scatter, Scratch, Solver, Topology
+from mbdkit.engine.kernels.system import NOT_FINITE, OK
 from mbdkit.engine.matrix_terms import MatrixTerms, matrix_terms
 from mbdkit.engine.native.bundle import PinnedBundle
 from mbdkit.engine.stabilization import NONE, Stabilization

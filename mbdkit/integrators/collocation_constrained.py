@@ -31,11 +31,11 @@ import numpy as np
 from mbdkit.engine.formulation import FORMULATIONS
 from mbdkit.engine.iteration_matrix import chosen_pivots, classes_of
 from mbdkit.engine.kernels.applied_forces import any_forces, applied_forces, take_multipliers, take_states
+from mbdkit.engine.kernels.engine_bundles import Scatter
 from mbdkit.engine.kernels.equations import DAMPING, GAMMA_V, JACOBIAN, MASS, STIFFNESS
 from mbdkit.engine.kernels.projection import STAGNANT, position_rows, rate_rows
 from mbdkit.engine.kernels.system import (
     OK,
-    Scatter,
     evaluate_powers,
     evaluate_tangents,
     prepare,

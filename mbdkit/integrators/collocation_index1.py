@@ -19,14 +19,9 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from mbdkit.engine.kernels.accelerations import solve_accelerations
 from mbdkit.engine.kernels.applied_forces import take_states
-from mbdkit.engine.kernels.system import (
-    OK,
-    evaluate_powers,
-    evaluate_tangents,
-    prepare,
-    solve_accelerations,
-)
+from mbdkit.engine.kernels.system import OK, evaluate_powers, evaluate_tangents, prepare
 from mbdkit.engine.kernels.vectors import copy
 from mbdkit.engine.native.arithmetic import any_of
 from mbdkit.engine.native.functions import entry, inlined, separate, subkernel
@@ -54,8 +49,8 @@ from mbdkit.integrators.simplified_newton import factorize_all, newton_changes
 from mbdkit.integrators.turning_beams import add_turned_forces, turn_accelerations_back, turns_stages
 
 if TYPE_CHECKING:
+    from mbdkit.engine.kernels.engine_bundles import Scatter
     from mbdkit.engine.kernels.lu import Pattern
-    from mbdkit.engine.kernels.system import Scatter
     from mbdkit.engine.workspace import Workspace
 
 

@@ -23,9 +23,10 @@ from typing import Annotated, NamedTuple
 
 import numpy as np
 
+from mbdkit.engine.kernels.accelerations import solve_accelerations
 from mbdkit.engine.kernels.applied_forces import state_rates, take_states
 from mbdkit.engine.kernels.bundle_types import STATE, State
-from mbdkit.engine.kernels.system import OK, evaluate_powers, evaluate_tangents, prepare, solve_accelerations
+from mbdkit.engine.kernels.system import OK, evaluate_powers, evaluate_tangents, prepare
 from mbdkit.engine.kernels.tree import BODY, PLACE, accelerate_coordinates, coordinates_of, place_bodies
 from mbdkit.engine.kernels.tree_displacements import ARMS, displace_bodies, take_arms, take_changes
 from mbdkit.engine.kernels.vectors import copy, fill_rows

@@ -22,8 +22,9 @@ only the contraction of the iteration depends on this.
 
 from __future__ import annotations
 
+from mbdkit.engine.kernels.accelerations import solve_system
 from mbdkit.engine.kernels.applied_forces import take_states
-from mbdkit.engine.kernels.system import OK, evaluate_tangents, prepare, solve_system, unfold_multipliers
+from mbdkit.engine.kernels.system import OK, evaluate_tangents, prepare, unfold_multipliers
 from mbdkit.engine.kernels.tree import PLACE, TURN, coordinates_of, place_bodies
 from mbdkit.engine.kernels.tree_displacements import accelerate_bodies, displace_bodies, take_arms, take_changes
 from mbdkit.engine.kernels.vectors import copy

@@ -12,8 +12,8 @@ import numpy as np
 from mbdkit.engine.elimination_order import empty_pattern, new_factors
 from mbdkit.engine.formulation import INDEX_1, Formulation
 from mbdkit.engine.kernels.bundle_types import RECORD, STATE, RealMatrix, State
+from mbdkit.engine.kernels.engine_bundles import Scatter, Topology
 from mbdkit.engine.kernels.lu import Factors, Pattern
-from mbdkit.engine.kernels.system import Scatter, Topology
 from mbdkit.engine.native.bundle import bundle_loader
 from mbdkit.engine.native.functions import inlined
 from mbdkit.engine.workspace import example_workspace

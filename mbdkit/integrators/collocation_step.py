@@ -11,8 +11,9 @@ from __future__ import annotations
 
 import numpy as np
 
+from mbdkit.engine.kernels.accelerations import solve_accelerations
 from mbdkit.engine.kernels.applied_forces import state_rates, take_states
-from mbdkit.engine.kernels.system import DIVERGED, NOT_FINITE, OK, prepare, solve_accelerations
+from mbdkit.engine.kernels.system import DIVERGED, NOT_FINITE, OK, prepare
 from mbdkit.engine.kernels.vectors import copy, fill, fill_rows, stays_finite
 from mbdkit.engine.native.arithmetic import any_of, is_refused, renewed, usable
 from mbdkit.engine.native.functions import entry, inlined, separate, subkernel

@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from mbdkit.integrators.cone_sweeps import couple_contacts, sweep_contacts
+from mbdkit.engine.kernels.cone_sweeps import couple_contacts, sweep_contacts
 
 TINY = (1e-11, 1e-8, 1e-5)
 """Entries of a scaled tableau whose magnitude is below the first of these are treated as zero; the next one is tried if
@@ -192,7 +192,7 @@ def coulomb(
 
 
 class Coupled(NamedTuple):
-    """How k contacts affect each other; see `mbdkit.integrators.cone_sweeps.sweep_contacts`."""
+    """How k contacts affect each other; see `mbdkit.engine.kernels.cone_sweeps.sweep_contacts`."""
 
     start: np.ndarray
     other: np.ndarray

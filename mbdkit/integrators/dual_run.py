@@ -13,12 +13,14 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from mbdkit.engine.kernels.accelerations import solve_system
 from mbdkit.engine.kernels.bundle_types import State
 from mbdkit.engine.kernels.dual_observe import DualStates
 from mbdkit.engine.kernels.dual_system import DualSolver, new_dual_solver
+from mbdkit.engine.kernels.engine_bundles import Engine, Scratch, Topology
 from mbdkit.engine.kernels.observe import Observed
 from mbdkit.engine.kernels.projection import position_rows, rate_rows
-from mbdkit.engine.kernels.system import DIVERGED, OK, Engine, Scratch, Topology, solve_system, solved_rows
+from mbdkit.engine.kernels.system import DIVERGED, OK, solved_rows
 from mbdkit.engine.native.arithmetic import larger_derivatives, largest_quotient, value_of, with_value
 from mbdkit.engine.native.bundle import bundle_loader
 from mbdkit.engine.native.functions import subkernel

@@ -10,10 +10,11 @@ from typing import TYPE_CHECKING, Annotated, NamedTuple
 import numpy as np
 
 from mbdkit.engine.formulation import FORMULATIONS
+from mbdkit.engine.kernels.accelerations import solve_accelerations
 from mbdkit.engine.kernels.applied_forces import any_forces, applied_forces, state_rates, take_states
 from mbdkit.engine.kernels.articulated import articulated_accelerations
 from mbdkit.engine.kernels.bundle_types import RealMatrix, State
-from mbdkit.engine.kernels.system import NOT_FINITE, OK, evaluate_powers, prepare, solve_accelerations
+from mbdkit.engine.kernels.system import NOT_FINITE, OK, evaluate_powers, prepare
 from mbdkit.engine.kernels.tree import accelerate_coordinates, coordinates_of, place_bodies, turn_tree
 from mbdkit.engine.kernels.vectors import copy, fill, stays_finite
 from mbdkit.engine.native.arithmetic import any_of

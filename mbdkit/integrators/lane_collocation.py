@@ -17,8 +17,8 @@ import numpy as np
 
 from mbdkit.engine.elimination_order import SingularSystemError, empty_pattern
 from mbdkit.engine.kernels.bundle_types import example_of
+from mbdkit.engine.kernels.engine_bundles import Scatter
 from mbdkit.engine.kernels.lu import Pattern
-from mbdkit.engine.kernels.system import Scatter
 from mbdkit.engine.native.arithmetic import where
 from mbdkit.engine.native.bundle import bundle_loader
 from mbdkit.engine.native.functions import inlined, kernel, subkernel

@@ -14,8 +14,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from mbdkit.engine.kernels.accelerations import solve_accelerations
 from mbdkit.engine.kernels.misalignment import raise_misalignments
-from mbdkit.engine.kernels.system import prepare, solve_accelerations
+from mbdkit.engine.kernels.system import prepare
 from mbdkit.engine.kernels.vectors import add_compensated, stays_finite
 from mbdkit.engine.native.arithmetic import any_of, below, number_in, put_in, where
 from mbdkit.engine.native.bundle import bundle_loader

@@ -11,12 +11,13 @@ from __future__ import annotations
 
 import numpy as np
 
+from mbdkit.engine.kernels.accelerations import solve_accelerations
 from mbdkit.engine.kernels.acting import joint_values
 from mbdkit.engine.kernels.applied_forces import state_rates, take_states
 from mbdkit.engine.kernels.misalignment import raise_misalignments
 from mbdkit.engine.kernels.observe import describe
 from mbdkit.engine.kernels.singularity_kernels import singularity_distance
-from mbdkit.engine.kernels.system import prepare, solve_accelerations
+from mbdkit.engine.kernels.system import prepare
 from mbdkit.engine.kernels.vectors import add_compensated, copy, stays_finite
 from mbdkit.engine.native.arithmetic import number_in, where
 from mbdkit.engine.native.functions import inlined, kernel, subkernel

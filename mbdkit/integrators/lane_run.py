@@ -10,9 +10,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from mbdkit.engine.kernels.engine_bundles import LaneSolver, Scratch, Topology
 from mbdkit.engine.kernels.observe import Observed
 from mbdkit.engine.kernels.singularity_kernels import COLUMNS
-from mbdkit.engine.kernels.system import LaneSolver, Scratch, Topology
 from mbdkit.engine.native.bundle import bundle_loader
 from mbdkit.engine.native.levels import WIDTH
 from mbdkit.engine.native.number_arrays import new_complex_lanes, new_lanes

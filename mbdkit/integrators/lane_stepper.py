@@ -15,8 +15,8 @@ import numpy as np
 from mbdkit.engine.compiled_mechanism import CompiledMechanism
 from mbdkit.engine.counters import Counters
 from mbdkit.engine.elimination_order import SingularSystemError
+from mbdkit.engine.kernels.engine_bundles import Topology
 from mbdkit.engine.kernels.observe import Observed
-from mbdkit.engine.kernels.system import Topology
 from mbdkit.engine.native.bundle import PinnedBundle
 from mbdkit.engine.native.levels import WIDTH
 from mbdkit.engine.native.machine_code import IN_PYTHON

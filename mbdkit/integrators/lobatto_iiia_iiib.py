@@ -22,18 +22,11 @@ from typing import TYPE_CHECKING, Annotated, NamedTuple
 
 import numpy as np
 
+from mbdkit.engine.kernels.accelerations import solve_loaded
 from mbdkit.engine.kernels.applied_forces import applied_forces, take_multipliers
 from mbdkit.engine.kernels.bundle_types import RECORD, STATE
 from mbdkit.engine.kernels.projection import position_rows, rate_rows
-from mbdkit.engine.kernels.system import (
-    NOT_FINITE,
-    OK,
-    evaluate_powers,
-    prepare,
-    solve_loaded,
-    solved_rows,
-    unfold_multipliers,
-)
+from mbdkit.engine.kernels.system import NOT_FINITE, OK, evaluate_powers, prepare, solved_rows, unfold_multipliers
 from mbdkit.engine.kernels.vectors import copy, stays_finite
 from mbdkit.engine.native.bundle import PinnedBundle, bundle_loader
 from mbdkit.engine.native.functions import entry, subkernel

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from mbdkit.engine.kernels.accelerations import solve_system
 from mbdkit.engine.kernels.projection import (
     EPS,
     FEW_ROUNDINGS,
@@ -16,7 +17,7 @@ from mbdkit.engine.kernels.projection import (
     rate_rows,
     scaled_residual,
 )
-from mbdkit.engine.kernels.system import DIVERGED, NOT_FINITE, OK, solve_system, solved_rows
+from mbdkit.engine.kernels.system import DIVERGED, NOT_FINITE, OK, solved_rows
 from mbdkit.engine.kernels.vectors import copy
 from mbdkit.engine.native.calls import call_entry
 from mbdkit.engine.native.functions import subkernel

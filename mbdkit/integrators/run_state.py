@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, NamedTuple
 import numpy as np
 
 from mbdkit.engine.kernels.bundle_types import STATE, Record, State
-from mbdkit.engine.kernels.system import Scratch, Solver, Topology
+from mbdkit.engine.kernels.engine_bundles import Scratch, Solver, Topology
 from mbdkit.engine.native.bundle import bundle_loader
 from mbdkit.engine.native.functions import subkernel
 from mbdkit.engine.workspace import example_workspace

@@ -8,8 +8,9 @@ the equations of the stages with the exact K and gamma_v, so that stiff springs 
 
 from __future__ import annotations
 
+from mbdkit.engine.kernels.accelerations import solve_system
 from mbdkit.engine.kernels.equations import STIFFNESS
-from mbdkit.engine.kernels.system import OK, solve_system
+from mbdkit.engine.kernels.system import OK
 from mbdkit.engine.kernels.vectors import copy
 from mbdkit.engine.native.functions import separate, subkernel
 from mbdkit.integrators.run_state import FACTORIZATIONS

@@ -7,7 +7,9 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from mbdkit.engine.kernels.system import OK, load_engine, prepare, solve_accelerations
+from mbdkit.engine.kernels.accelerations import solve_accelerations
+from mbdkit.engine.kernels.engine_bundles import load_engine
+from mbdkit.engine.kernels.system import OK, prepare
 from mbdkit.engine.native.bundle import PinnedBundle, bundle_loader
 from mbdkit.engine.native.functions import kernel
 from mbdkit.engine.workspace import example_workspace

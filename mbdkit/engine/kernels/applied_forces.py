@@ -21,11 +21,9 @@ from mbdkit.engine.native.functions import inlined, subkernel
 PATHWAYS = {name: code for code, name in enumerate(e.PATHWAY_KINDS)}
 _TWO_POINTS, _RELATIVE_ANGLE, _COORDINATE_X, _COORDINATE_Y, _PULLEY, _LIFTED, _TRAVEL, _TANGENT = range(len(PATHWAYS))
 BEHIND = np.pi / 6
-"""The angle that a string sweeps about the center of its circle is between minus this value and 2 pi minus this value;
-see `mbdkit.muscles.muscle_path`."""
+"""A string sweeps an angle from minus this to 2 pi minus this about its circle; see `mbdkit.muscles.muscle_path`."""
 FARTHEST = 2.0 * np.pi - 2.0 * BEHIND
-"""The largest angle that a string may sweep. Beyond, it would change to the other side of the circle, and its length
-would jump; steps are assumed to turn it by less than `BEHIND`."""
+"""Beyond this angle, a string would change sides, and its length would jump; a step turns it by less than `BEHIND`."""
 POSITION_INPUT, VELOCITY_INPUT, LENGTH_INPUT, RATE_INPUT, TENSION_INPUT = range(5)
 """Kinds of inputs of expressions of the state: a coordinate, its velocity; length, rate and tension of a pathway."""
 TORQUE, POINT_FORCE, BODY_FORCE = range(3)
@@ -186,10 +184,7 @@ def state_rates(top, w, v, out):
 
 @inlined
 def expression_value(top, w, law):
-    """Return the value of an expression of the state.
-
-    It is a law without a pathway: its inputs are among its parameters.
-    """
+    """Return the value of an expression of the state, a law without a pathway whose inputs are among its parameters."""
     unused = 0.0 * w.cs[0, 0]
     return law_value(top, w, law, unused, 0.0, w.time[0])
 
@@ -291,8 +286,7 @@ def load_direction(top, w, k, component, i):
 def applied_forces(top, w, q, v):
     """Write the generalized applied forces without gravity into ``w.force`` (3 (B + 1),).
 
-    Requires the motions and the cosines and sines of the position (`mbdkit.engine.kernels.system.prepare`). Reactions
-    on ground are accumulated in its three entries, which no solver reads.
+    Requires `mbdkit.engine.kernels.system.prepare`. No solver reads the three entries of ground.
     """
     springs, loads, grad, force, u = top.springs, top.loads, w.grad, w.force, w.u
     fill(force, 0.0)

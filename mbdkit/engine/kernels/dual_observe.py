@@ -6,21 +6,14 @@ from typing import NamedTuple
 
 import numpy as np
 
+from mbdkit.engine.kernels.accelerations import solve_accelerations
 from mbdkit.engine.kernels.acting import joint_values
 from mbdkit.engine.kernels.applied_forces import applied_forces
 from mbdkit.engine.kernels.bundle_types import example_of
 from mbdkit.engine.kernels.dual_system import DualSolver, new_dual_solver
+from mbdkit.engine.kernels.engine_bundles import Engine, Scratch, Topology
 from mbdkit.engine.kernels.observe import Observed, describe
-from mbdkit.engine.kernels.system import (
-    OK,
-    Engine,
-    Scratch,
-    Topology,
-    constraint_rows,
-    evaluate_powers,
-    prepare,
-    solve_accelerations,
-)
+from mbdkit.engine.kernels.system import OK, constraint_rows, evaluate_powers, prepare
 from mbdkit.engine.native.bundle import bundle_loader
 from mbdkit.engine.native.functions import kernel
 from mbdkit.engine.native.number_arrays import new_duals

@@ -14,10 +14,12 @@ from typing import NamedTuple
 
 import numpy as np
 
+from mbdkit.engine.kernels.accelerations import by_pivots_or_schur, solve_system
 from mbdkit.engine.kernels.bundle_types import IntMatrix
+from mbdkit.engine.kernels.engine_bundles import Engine
 from mbdkit.engine.kernels.lu import Factors, substitute
 from mbdkit.engine.kernels.schur import solve as schur_solve
-from mbdkit.engine.kernels.system import OK, Engine, by_pivots_or_schur, solve_system
+from mbdkit.engine.kernels.system import OK
 from mbdkit.engine.native.arithmetic import value_of, with_value
 from mbdkit.engine.native.functions import inlined, overload, subkernel
 from mbdkit.engine.native.number_arrays import new_duals
@@ -31,7 +33,7 @@ class DualSolver(NamedTuple):
     factors: Factors
     """Factors of the pivoted system of the values, with a dual work array."""
     row_index: IntMatrix
-    """Numbers: as in `mbdkit.engine.kernels.system.Solver`."""
+    """Numbers: as in `mbdkit.engine.kernels.engine_bundles.Solver`."""
     acc: np.ndarray
     """(3 (B + 1),) accelerations; numbers."""
     lam: np.ndarray

@@ -11,6 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from mbdkit.engine.kernels.accelerations import solve_loaded, solve_system
 from mbdkit.engine.kernels.applied_forces import any_forces, applied_forces, take_multipliers
 from mbdkit.engine.kernels.bundle_types import (
     ComplexVector,
@@ -20,22 +21,18 @@ from mbdkit.engine.kernels.bundle_types import (
     RealVector,
     example_of,
 )
+from mbdkit.engine.kernels.engine_bundles import Scratch, Solver, Topology
 from mbdkit.engine.kernels.lu import Factors, Pattern, factorize, solve_refined
 from mbdkit.engine.kernels.misalignment import raise_misalignments
 from mbdkit.engine.kernels.system import (
     NOT_FINITE,
     OK,
-    Scratch,
-    Solver,
-    Topology,
     constraint_rate,
     evaluate_positions,
     evaluate_powers,
     evaluate_tangents,
     fold_values,
     prepare,
-    solve_loaded,
-    solve_system,
     solved_rows,
     unfold_multipliers,
 )

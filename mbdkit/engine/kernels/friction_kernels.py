@@ -1,9 +1,9 @@
 """Friction in joints: the parts of Newton's method, which is needed because friction depends on the reactions, and
 changes them.
 
-The iteration is `mbdkit.engine.kernels.system.settle_by_newton`. The columns of ``w.friction`` are the F columns of the
-matrix, the right side, which becomes the step, the frictions, and their scales. The columns of ``w.response`` are the F
-responses of the reactions to the frictions, and the reactions.
+The iteration is `mbdkit.engine.kernels.accelerations.settle_by_newton`. The columns of ``w.friction`` are the F columns
+of the matrix, the right side, which becomes the step, the frictions, and their scales. The columns of ``w.response``
+are the F responses of the reactions to the frictions, and the reactions.
 """
 
 from __future__ import annotations

@@ -6,24 +6,21 @@ from typing import NamedTuple
 
 import numpy as np
 
+from mbdkit.engine.kernels.accelerations import solve_accelerations, transferred
 from mbdkit.engine.kernels.acting import force_values, joint_values, marker_values
 from mbdkit.engine.kernels.applied_forces import potential_energy, state_rates, take_states
 from mbdkit.engine.kernels.bundle_types import RealCube, RealMatrix, RealTensor, RealVector
 from mbdkit.engine.kernels.constraints import constraint_positions, constraint_tangents
 from mbdkit.engine.kernels.cross_sections import beam_values
+from mbdkit.engine.kernels.engine_bundles import Scratch, Topology, load_engine
 from mbdkit.engine.kernels.singularity_kernels import singularity_distance
 from mbdkit.engine.kernels.system import (
     OK,
-    Scratch,
-    Topology,
     constraint_rows,
     evaluate_powers,
     evaluate_tangents,
-    load_engine,
     prepare,
-    solve_accelerations,
     spare_direction,
-    transferred,
 )
 from mbdkit.engine.kernels.vectors import copy
 from mbdkit.engine.native.functions import kernel, subkernel

@@ -8,16 +8,9 @@ from __future__ import annotations
 
 import numpy as np
 
+from mbdkit.engine.kernels.accelerations import solve_system
 from mbdkit.engine.kernels.constraints import constraint_positions
-from mbdkit.engine.kernels.system import (
-    DIVERGED,
-    OK,
-    constraint_rate,
-    fold_values,
-    prepare,
-    solve_system,
-    solved_rows,
-)
+from mbdkit.engine.kernels.system import DIVERGED, OK, constraint_rate, fold_values, prepare, solved_rows
 from mbdkit.engine.kernels.vectors import copy
 from mbdkit.engine.native.functions import subkernel
 

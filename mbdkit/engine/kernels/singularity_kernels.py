@@ -17,9 +17,10 @@ from math import sqrt
 import numpy as np
 
 from mbdkit.engine.kernels.bundle_types import RealMatrix, RealVector
+from mbdkit.engine.kernels.engine_bundles import load_engine
 from mbdkit.engine.kernels.lu import substitute
 from mbdkit.engine.kernels.schur import diagonal_block
-from mbdkit.engine.kernels.system import load_engine, prepare, solved_rows
+from mbdkit.engine.kernels.system import prepare, solved_rows
 from mbdkit.engine.native.arithmetic import any_of, where
 from mbdkit.engine.native.functions import inlined, kernel, overload, subkernel
 

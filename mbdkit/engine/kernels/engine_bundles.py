@@ -1,0 +1,255 @@
+"""Bundles of a mechanism for its kernels: what is constant, scratch, solvers, and all of them together."""
+
+from __future__ import annotations
+
+from typing import Annotated, NamedTuple
+
+from mbdkit.engine.kernels.bundle_types import IntMatrix, IntVector, RealMatrix, RealVector, example_of
+from mbdkit.engine.kernels.lu import Factors, Pattern
+from mbdkit.engine.kernels.schur import Schur
+from mbdkit.engine.native.bundle import bundle_loader
+
+
+class Topology(NamedTuple):
+    """A compiled mechanism: all data that do not change during a run.
+
+    B is the number of bodies without ground, P of pairs of constraint rows, S of segments of springs, X of pairs of
+    segments of the same spring, L of loads, G of cross-sections of beams, E of their elements, J of joints, K of
+    markers. All force elements on a pathway are called springs, whatever their law. Most have one segment; the length
+    of one with several is the sum over its segments.
+    """
+
+    mass: Annotated[RealMatrix, 3]
+    """(B + 1, 3) diagonal of the mass matrix; ground has ones."""
+    weight: Annotated[RealMatrix, 3]
+    """(B + 1, 3) inverse of `mass`; ground has zeros, so that no force accelerates it."""
+    gravity: RealVector
+    """(2,) gravity [m/s^2]."""
+    pairs: Annotated[IntMatrix, 4]
+    """(P, 4) kind, first body, second body, motion or first function of a moving center (-1: none)."""
+    rows: IntVector
+    """(P,) number of rows that are solved for, 0, 1 or 2."""
+    length: RealVector
+    """(1,) length [m] that is compared with an angle of 1 rad: the characteristic length of the mechanism, at most
+    1 m."""
+    row_units: Annotated[RealMatrix, 2]
+    """(P, 2) `length` for rows whose Phi is a length, 1 for angles."""
+    pair_parameters: Annotated[RealMatrix, 6]
+    """(P, 6) parameters of each pair, the two points first; see `mbdkit.engine.kernels.element_kernels`."""
+    spare: Annotated[IntMatrix, 2]
+    """(D, 2) redundant directions, which are not solved for: pair, and body in whose frame the direction is fixed."""
+    spare_axes: Annotated[RealMatrix, 2]
+    """(D, 2) unit vectors of the redundant directions in that frame, as coefficients of the pair's two rows; (1, 0) for
+    a pair with a single row."""
+    springs: Annotated[IntMatrix, 6]
+    """(S, 6) pathway, first body, second body, row of `laws` (-1: linear), first segment of the same spring, number of
+    its segments (0 for all but the first segment)."""
+    spring_points: Annotated[RealMatrix, 6]
+    """(S, 6) parameters of the segments: the points in the frames of both bodies, and further ones."""
+    couplings: Annotated[IntMatrix, 2]
+    """(X, 2) ordered pairs of different segments of the same spring."""
+    linear: Annotated[RealMatrix, 3]
+    """(S, 3) stiffness, damping and free length of the linear springs."""
+    laws: Annotated[IntMatrix, 4]
+    """(W, 4) laws of all other springs: address of the compiled law, index of its first parameter in `law_parameters`,
+    claims, and address of its program (`mbdkit.engine.native.calls`)."""
+    law_parameters: RealVector
+    """(N,) for each law its number of parameters, followed by their values; a parameter that is a state has its initial
+    value."""
+    states: Annotated[IntMatrix, 3]
+    """(Z, 3) first-order states: first segment of the force element (-1: none), index in `law_parameters`, row of
+    `laws` of its rate (-1: it is held between samples); the states of an element follow one another."""
+    state_places: Annotated[IntMatrix, 2]
+    """(Y, 2) all elements of `law_parameters` that hold the value of a state: state, index."""
+    inputs: Annotated[IntMatrix, 3]
+    """(N, 3) inputs of expressions of the state: kind (`mbdkit.engine.kernels.applied_forces`), coordinate or first
+    segment, index in `law_parameters`."""
+    load_values: Annotated[IntMatrix, 2]
+    """(V, 2) components of loads that are expressions of the state: row of `laws`, and number of the motion in
+    ``Scratch.u`` whose value is replaced."""
+    slopes: Annotated[IntMatrix, 5]
+    """(D, 5) derivatives of these components with respect to their inputs: load, component, row of `laws`, input,
+    segment."""
+    frictions: IntVector
+    """(F,) segment of the force element of each joint with friction."""
+    reactions: Annotated[IntMatrix, 4]
+    """(N, 4) multipliers on which these frictions depend: pair, row, index in `law_parameters`, friction."""
+    loads: Annotated[IntMatrix, 5]
+    """(L, 5) kind, body, reaction body, motion x (or of the torque), motion y."""
+    load_points: Annotated[RealMatrix, 2]
+    """(L, 2) point of application of each load in the frame of its body [m]."""
+    sections: Annotated[IntMatrix, 5]
+    """(G, 5) cross-sections at which the elements of beams are integrated: element, number of its nodes, the nodes."""
+    section_parameters: Annotated[RealMatrix, 16]
+    """(G, 16) values and derivatives with respect to the arc length of the shape functions of three nodes, then the
+    parameters of the cross-section; see `mbdkit.symbolic.definitions.derive_section`."""
+    force_place: IntVector
+    """(S + L,) index of the force element of each segment and of each load."""
+    pair_joint: IntVector
+    """(P,) number of the joint of each pair."""
+    joints: Annotated[IntMatrix, 3]
+    """(J, 3) kind of the coordinate (`mbdkit.engine.kernels.acting`), first body, second body."""
+    joint_lines: Annotated[RealMatrix, 6]
+    """(J, 6) line of a travel: the points in the frames of both bodies and the unit vector in the first; else zeros."""
+    markers: IntVector
+    """(K,) body of each marker."""
+    marker_points: Annotated[RealMatrix, 2]
+    """(K, 2) marker in the frame of its body [m]."""
+    centers: Annotated[IntMatrix, 2]
+    """(C, 2) first and second body of each center that moves with their relative angle; see
+    `mbdkit.engine.kernels.motions`."""
+    motion_start: IntVector
+    """Start of the program of each motion; see `mbdkit.engine.kernels.motions.evaluate_motions`."""
+    motion_ops: IntVector
+    motion_values: RealVector
+    baumgarte: RealVector
+    """(2,) alpha, beta [1/s] of Baumgarte stabilization, which modifies gamma; zeros without stabilization."""
+
+
+class Scratch(NamedTuple):
+    """Working arrays of one run.
+
+    `source` holds all terms of the stage matrix; `jac`, `stiff` and the other arrays of terms are views of it.
+    """
+
+    time: RealVector
+    """(1,) time of the last `prepare` [s]."""
+    sides: RealVector
+    """(2,) earliest and latest time at which motions are evaluated [s]; see `Workspace.clamp_motions`."""
+    cs: Annotated[RealMatrix, 2]
+    """(B + 1, 2) cosine and sine of every angle."""
+    u: Annotated[RealMatrix, 3]
+    """(motions, 3) value, first and second derivative of each motion with respect to time, then of the functions of
+    each moving center with respect to the angle."""
+    stack: RealMatrix
+    """Stack of `evaluate_motions`."""
+    force: RealVector
+    """(3 (B + 1),) generalized applied forces without gravity."""
+    phi: Annotated[RealMatrix, 2]
+    """(P, 2) constraint residuals Phi."""
+    phi_t: Annotated[RealMatrix, 2]
+    """(P, 2) partial derivatives of Phi with respect to time."""
+    gamma: Annotated[RealMatrix, 2]
+    """(P, 2) right-hand side of ``Phi_q a = gamma``."""
+    refinement: Annotated[RealMatrix, 2]
+    """(P, 2) residual and correction of the iterative refinement."""
+    s: Annotated[RealMatrix, 1]
+    """(S, 1) length of the pathway of each segment, the sum over its segments."""
+    grad: Annotated[RealMatrix, 6]
+    """(S, 6) gradients s_q of the segments."""
+    hess: Annotated[RealMatrix, 36]
+    """(S, 36) second derivatives s_qq of the segments."""
+    tension: Annotated[RealMatrix, 4]
+    """(S + 1, 4) force, derivatives with respect to length and rate, and potential of the spring of each segment; the
+    last row is a work array."""
+    section: Annotated[RealMatrix, 10]
+    """(G, 10) state of each cross-section of a beam, its rates, cosine and sine of its angle."""
+    section_force: Annotated[RealMatrix, 4]
+    """(G, 4) forces conjugate to these states."""
+    section_stress: Annotated[RealMatrix, 3]
+    """(G, 3) axial force, shear force and bending moment."""
+    section_energy: Annotated[RealMatrix, 2]
+    """(G, 2) strain energy and dissipated power of the part of the beam that the cross-section represents."""
+    section_stiff: Annotated[RealMatrix, 16]
+    """(G, 16) derivatives of the forces with respect to the states."""
+    section_damp: Annotated[RealMatrix, 16]
+    """(G, 16) derivatives of the forces with respect to the rates."""
+    law_values: RealVector
+    """(N,) parameters of laws as in `Topology.law_parameters`, but with the present values of states and inputs.
+    Without states and inputs, it is that array itself."""
+    friction: RealMatrix
+    """(F, F + 3) matrix and right side of Newton's method for the friction in joints, the frictions, and their
+    scales."""
+    response: RealMatrix
+    """(N, F + 1) change of each multiplier in ``Topology.reactions`` by a unit of each friction; the value of the
+    multiplier in the last column."""
+    faulty: IntVector
+    """(1,) row of the last law whose force or required derivatives were not finite; -1 for none."""
+    source: RealVector
+    """All terms of the stage matrix, one after another; the constant masses are stored there once."""
+    jac: Annotated[RealMatrix, 12]
+    """(P, 12) Jacobian Phi_q, two rows of six columns for each pair."""
+    stiff: Annotated[RealMatrix, 36]
+    """(P, 36) d(Phi_q^T lam)/dq."""
+    gamma_v: Annotated[RealMatrix, 12]
+    """(P, 12) d gamma/dv."""
+    res_q: Annotated[RealMatrix, 12]
+    """(P, 12) d(Phi_q a - gamma)/dq."""
+    spring_stiff: Annotated[RealMatrix, 36]
+    """(S, 36) -dQ/dq of the springs."""
+    spring_damp: Annotated[RealMatrix, 36]
+    """(S, 36) -dQ/dv of the springs."""
+    coupled_stiff: Annotated[RealMatrix, 36]
+    """(X, 36) -dQ/dq of springs with several segments: Q on the first segment of a coupling, q of the second."""
+    coupled_damp: Annotated[RealMatrix, 36]
+    """(X, 36) -dQ/dv of the same springs."""
+    slope_stiff: Annotated[RealMatrix, 36]
+    """(D, 36) -dQ/dq of loads whose value is an expression of the state, due to one of its inputs."""
+    slope_damp: Annotated[RealMatrix, 36]
+    """(D, 36) -dQ/dv of the same loads."""
+    load_stiff: Annotated[RealMatrix, 3]
+    """(L, 3) -dQ/dq of the loads; see `mbdkit.engine.kernels.applied_forces.force_tangents`."""
+    beam_stiff: Annotated[RealMatrix, 81]
+    """(G, 81) -dQ/dq of the cross-sections of beams, for three nodes."""
+    beam_damp: Annotated[RealMatrix, 81]
+    """(G, 81) -dQ/dv of the cross-sections of beams, for three nodes."""
+    loose: Annotated[RealMatrix, 6]
+    """(D, 6) Jacobian of the redundant directions."""
+    push: RealVector
+    """(3 (B + 1),) accelerations caused by a single multiplier."""
+    right: RealVector
+    """(n,) right-hand side of the pivoted system."""
+    solution: RealVector
+    """(n,) solution of the pivoted system."""
+    correction: RealVector
+    """(n,) correction of that solution by iterative refinement, later the residual."""
+
+
+class Scatter(NamedTuple):
+    """Index pairs that add the entries of `Scratch.source` to the values of a sparse matrix, grouped by factor.
+
+    The factors contain the step h and the eigenvalue mu of the stage matrix.
+    """
+
+    one: Annotated[IntMatrix, 2]
+    """(n1, 2) source, target; factor 1 (masses, Jacobian)."""
+    rate: Annotated[IntMatrix, 2]
+    """(n2, 2) source, target; factor h mu (damping)."""
+    minus_rate: Annotated[IntMatrix, 2]
+    """(n3, 2) source, target; factor -h mu (gamma_v)."""
+    level: Annotated[IntMatrix, 2]
+    """(n4, 2) source, target; factor h^2 mu^2 (stiffness, residual_q)."""
+
+
+class Solver(NamedTuple):
+    """Solver for accelerations: the Schur complement, or pivoted LU of the whole system."""
+
+    pivoted: IntVector
+    """(1,) whether the pivoted solver is in use."""
+    schur: Schur
+    pattern: Pattern
+    factors: Factors
+    scatter: Scatter
+    row_index: Annotated[IntMatrix, 2]
+    """(P, 2) number of the unknown of each multiplier in the pivoted system; -1 for an empty row."""
+    failed: IntVector
+    """(1,) pair or pivot position at which the last factorization failed."""
+
+
+class LaneSolver(NamedTuple):
+    """Solver for accelerations in lanes, where every run uses the Schur complement; see `Solver`."""
+
+    schur: Schur
+    row_index: Annotated[IntMatrix, 2]
+    failed: IntVector
+
+
+class Engine(NamedTuple):
+    """Mechanism, working arrays and solver; kernels called from Python take the address of a pinned engine."""
+
+    top: Topology
+    w: Scratch
+    solver: Solver
+
+
+load_engine = bundle_loader(lambda: example_of(Engine))
