@@ -217,18 +217,16 @@ def _files(name: str, package: str, item: str, kind: NewKind) -> dict[str, str]:
         "command": flavour.command.format(name=name, item=item, attribute=attribute),
         "todo": "\n".join(f"* {line}" for line in flavour.todo),
     }
-    by_target = KINDS.index(kind) >= KINDS.index("spec-kind")  # items whose code is in a module of its own
-    words["by_target"] = by_target
+    words["is_verified"] = KINDS.index(kind) < KINDS.index("spec-kind")
     example = "study.yaml" if flavour.kind == "integrator" else f"{kind}.yaml"
     templates = {
         "pyproject.toml": "pyproject.toml",
         "README.md": "README.md",
         f"src/{package}/__init__.py": f"{kind}.py",
+        f"src/{package}/code.py": f"code_{kind}.py",
         f"tests/test_{package}.py": f"test_{kind}.py",
     }
     if flavour.example:
         templates[flavour.example] = example
-    if by_target:
-        templates[f"src/{package}/code.py"] = f"code_{kind}.py"
     texts = {path: environment.get_template(f"{file}.jinja").render(words) for path, file in templates.items()}
     return texts | {f"src/{package}/py.typed": ""}
