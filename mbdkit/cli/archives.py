@@ -79,7 +79,7 @@ def archive_export(
         typer.Option(
             "--to",
             metavar="FORMAT",
-            help="csv; parquet (needs the package pyarrow); mat: MATLAB; sto: OpenSim; json.",
+            help="csv; parquet (needs the package pyarrow); mat: MATLAB; sto: OpenSim; json; or a format of a plugin.",
         ),
     ],
     output: Annotated[

@@ -9,6 +9,7 @@ from mbdkit.base.errors import SpecError
 from mbdkit.base.text import did_you_mean, listed
 from mbdkit.guide.pages import search
 from mbdkit.registry.catalogue import Registered, Registry
+from mbdkit.registry.item import Plugin
 from mbdkit.registry.items import Command
 from mbdkit.registry.manager import registry
 from mbdkit.registry.whereabouts import places
@@ -59,7 +60,9 @@ def whereabouts_text(found: Mapping[str, Any]) -> str:
 
 def _help(item: Registered) -> str:
     """Return the command that prints the help on an item."""
-    return f"mbdkit {item.name} --help" if isinstance(item.plugin, Command) else f"mbdkit plugins show {item.id}"
+    if isinstance(item.plugin, Command):
+        return f"mbdkit {item.name} --help"
+    return f"mbdkit plugins show {item.id}" if isinstance(item.plugin, Plugin) else "mbdkit guide plugins"
 
 
 def _guide_words(item: Registered) -> str:

@@ -54,6 +54,9 @@ def find(name: str, installed: Registry | None = None) -> list[Registered]:
     kinds = [kind for kind, item_class in KINDS.items() if issubclass(item_class, Plugin)]
     items = [item for item in installed.items if name in (item.id, item.name) and item.kind in kinds]
     if not items:
+        if others := [item for item in installed.items if name in (item.id, item.name)]:
+            kind = KINDS[others[0].kind].label()
+            raise SpecError(f"'{name}' is a {kind} without options; `mbdkit plugins where {name}` says where it is")
         names = list(dict.fromkeys(name for kind in kinds for name in installed.names(kind)))
         raise SpecError(f"there is no plugin '{name}'{did_you_mean(name, names)}; installed: {listed(names)}")
     return items
