@@ -197,18 +197,23 @@ def __dir__() -> list[str]:
     return sorted(__all__)
 
 
-def _of_higher_layer(module: str, name: str) -> Callable[..., Any]:
-    """Return a function that, when called, imports a function of another module and calls it."""
+def _of_higher_layer(module: str, name: str, wanted: str = "") -> Callable[..., Any]:
+    """Return a function that, when called, imports a function of another module and calls it.
+
+    `wanted` is what users call it; see `import_part`.
+    """
 
     def imported(*arguments: Any, **named: Any) -> Any:
-        return getattr(import_part(module, name), name)(*arguments, **named)
+        return getattr(import_part(module, wanted or name), name)(*arguments, **named)
 
     return imported
 
 
 # Importing any module of the package first runs this file, so that these functions are always available below.
 higher_layers.installed_plugins = _of_higher_layer("mbdkit.spec.choices", "RegistryLookup")
-higher_layers.symbolic_system = _of_higher_layer("mbdkit.symbolic.build", "build_system")
+higher_layers.symbolic_system = _of_higher_layer(
+    "mbdkit_statics.symbolic_equations", "build_system", "Mechanism.to_sympy"
+)
 higher_layers.state_program = _of_higher_layer("mbdkit.events.state_program", "state_program")
 higher_layers.state_values = _of_higher_layer("mbdkit.events.state_program", "state_values")
 higher_layers.check_gradients = _of_higher_layer("mbdkit.gradients.gradient", "check_gradients")

@@ -27,6 +27,7 @@ MOVED = {
     "mbdkit.inverse_dynamics": "mbdkit_biomech.inverse_dynamics",
     "mbdkit.mechanics.source": "mbdkit.runs.assembled_mechanism",
     "mbdkit.mechanics": "mbdkit_statics",
+    "mbdkit.mechanism.symbolic_system": "mbdkit_statics.symbolic_system",
     "mbdkit.models.leg": "mbdkit_biomech.models.leg",
     "mbdkit.notebook.example_notebooks": "mbdkit.spec.example_notebooks",
     "mbdkit.notebook": "mbdkit_report.notebook",
@@ -58,6 +59,7 @@ MOVED = {
     "mbdkit.studies.packaged": "mbdkit_paper",
     "mbdkit.stepping": "mbdkit.integrators",
     "mbdkit.studies": "mbdkit_studies",
+    "mbdkit.symbolic.build": "mbdkit_statics.symbolic_equations",
     "mbdkit.testing": "mbdkit_testing",
 }
 """New names of modules and packages; the first prefix that fits counts."""
