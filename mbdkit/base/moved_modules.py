@@ -59,7 +59,9 @@ MOVED = {
     "mbdkit.studies.packaged": "mbdkit_paper",
     "mbdkit.stepping": "mbdkit.integrators",
     "mbdkit.studies": "mbdkit_studies",
+    "mbdkit.symbolic.__main__": "mbdkit_builder.element_kernels",
     "mbdkit.symbolic.build": "mbdkit_statics.symbolic_equations",
+    "mbdkit.symbolic.generate": "mbdkit_builder.element_kernels",
     "mbdkit.testing": "mbdkit_testing",
 }
 """New names of modules and packages; the first prefix that fits counts."""
