@@ -32,7 +32,6 @@ if TYPE_CHECKING:
     from mbdkit.methods.tableau import ButcherTableau, EmbeddedPair
     from mbdkit.registry.hookspecs import hookimpl
     from mbdkit.registry.items import Claims, ForceLawPlugin, IntegratorPlugin, MeasurePlugin, ModelPlugin, StudyPlugin
-    from mbdkit.runs.prepared_run import PreparedRun, prepare
     from mbdkit.runs.resuming import resume
     from mbdkit.runs.simulation import run
     from mbdkit.spec import DesignSpec, InverseSpec, RunSpec, StudySpec
@@ -48,6 +47,7 @@ if TYPE_CHECKING:
     from mbdkit_statics.kinematics import Kinematics, kinematics
     from mbdkit_statics.modes import Linearization, Modes, linearize, modes
     from mbdkit_studies.carry_out import ensemble, load_study, study
+    from mbdkit_studies.prepared_run import PreparedRun, prepare
     from mbdkit_studies.study import Study
 
     __version__: str
@@ -144,8 +144,8 @@ _HOME = {
     "ModelPlugin": "mbdkit.registry.items",
     "Modes": "mbdkit_statics.modes",
     "PluginError": "mbdkit.base.errors",
-    "PreparedRun": "mbdkit.runs.prepared_run",
-    "prepare": "mbdkit.runs.prepared_run",
+    "PreparedRun": "mbdkit_studies.prepared_run",
+    "prepare": "mbdkit_studies.prepared_run",
     "ResourceError": "mbdkit.base.errors",
     "Run": "mbdkit.archive.run",
     "RunError": "mbdkit.base.errors",

@@ -52,6 +52,7 @@ def test_example_runs_with_every_integrator_and_is_read_again(integrator, name, 
     ("use", "part"),
     [
         (lambda: mbdkit.study, "mbdkit.study needs mbdkit-studies"),
+        (lambda: mbdkit.prepare, "mbdkit.prepare needs mbdkit-studies"),
         (lambda: mbdkit.inverse, "mbdkit.inverse needs mbdkit-biomech"),
         (lambda: mbdkit.equilibrium, "mbdkit.equilibrium needs mbdkit-statics"),
         (lambda: mbdkit.design, "mbdkit.design needs mbdkit-design"),

@@ -25,14 +25,6 @@ from mbdkit.engine.native.levels import WIDTH
 from mbdkit.engine.workspace import Workspace
 from mbdkit.integrators.interface import Guards, StepEvidence, Stretch, Timetable
 from mbdkit.integrators.lane_collocation import StagePivots
-from mbdkit.integrators.lane_stepper import (
-    ControlledLaneStepper,
-    LaneResults,
-    LaneStepper,
-    PivotsAtStart,
-    suits_lanes,
-    topology_of,
-)
 from mbdkit.mechanism.size import mechanism_sizes
 from mbdkit.methods.kinds import Method
 from mbdkit.quantities.array import FLOAT
@@ -50,6 +42,14 @@ from mbdkit.runs.warnings import accepted_doubts, doubts, start_warnings
 from mbdkit.spec import RunSpec
 from mbdkit.trust.criteria import judge
 from mbdkit.trust.energy_record import EnergyRecord
+from mbdkit_studies.lane_stepper import (
+    ControlledLaneStepper,
+    LaneResults,
+    LaneStepper,
+    PivotsAtStart,
+    suits_lanes,
+    topology_of,
+)
 
 _LOG = logger_of(__name__)
 
