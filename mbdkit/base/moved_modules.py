@@ -19,6 +19,7 @@ MOVED = {
     "mbdkit.analysis": "mbdkit_report.analysis",
     "mbdkit.archive.block_writer": "mbdkit_studies.block_writer",
     "mbdkit.archive.blocks": "mbdkit_studies.blocks",
+    "mbdkit.archive.columns": "mbdkit_studies.columns",
     "mbdkit.archive.inverse_summary": "mbdkit_biomech.inverse_dynamics.inverse_summary",
     "mbdkit.designs": "mbdkit_design",
     "mbdkit.engine.compiler": "mbdkit_builder",
