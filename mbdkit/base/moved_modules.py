@@ -30,6 +30,7 @@ MOVED = {
     "mbdkit.mechanics.source": "mbdkit.runs.assembled_mechanism",
     "mbdkit.mechanics": "mbdkit_statics",
     "mbdkit.mechanism.symbolic_system": "mbdkit_statics.symbolic_system",
+    "mbdkit.mechanism.unit_of_use": "mbdkit_explore.unit_of_use",
     "mbdkit.models.leg": "mbdkit_biomech.models.leg",
     "mbdkit.notebook.example_notebooks": "mbdkit.spec.example_notebooks",
     "mbdkit.notebook": "mbdkit_report.notebook",
