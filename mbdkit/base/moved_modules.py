@@ -32,6 +32,7 @@ MOVED = {
     "mbdkit.mechanism.symbolic_system": "mbdkit_statics.symbolic_system",
     "mbdkit.mechanism.unit_of_use": "mbdkit_explore.unit_of_use",
     "mbdkit.models.leg": "mbdkit_biomech.models.leg",
+    "mbdkit.muscles.fibers": "mbdkit_biomech.inverse_dynamics.fibers",
     "mbdkit.notebook.example_notebooks": "mbdkit.spec.example_notebooks",
     "mbdkit.notebook": "mbdkit_report.notebook",
     "mbdkit.plot.equilibrium_plot": "mbdkit_statics.equilibrium_plot",
