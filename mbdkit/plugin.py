@@ -108,7 +108,6 @@ if TYPE_CHECKING:
     from mbdkit.registry.use import use
     from mbdkit.runs.preparation import build, caution
     from mbdkit.runs.simulation import run, simulate
-    from mbdkit.spec.key_words import key_unit, key_words
     from mbdkit.spec.loading import example_names, loaded, read_source
     from mbdkit.spec.model_spec import ModelSpec, StrictSpec
     from mbdkit.spec.reading import Document, parse_key, put, read_file, set_value
@@ -172,7 +171,6 @@ _OWN = {
     "mbdkit.spec.reading": "Document parse_key put read_file set_value",
     "mbdkit.spec.model_spec": "ModelSpec StrictSpec",
     "mbdkit.spec.loading": "example_names read_source",
-    "mbdkit.spec.key_words": "key_unit key_words",
     "mbdkit.spec.yaml_reader": "write_yaml",
     "mbdkit.spec.study_measures": "DefinedMeasure defined",
     "mbdkit.spec.varied_specs": "VariedSpecs",
@@ -313,8 +311,6 @@ __all__ = [
     "headline_texts",
     "hookimpl",
     "judge",
-    "key_unit",
-    "key_words",
     "listed",
     "load",
     "loaded",

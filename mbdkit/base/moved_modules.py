@@ -58,6 +58,7 @@ MOVED = {
     "mbdkit.spec.inverse_loading": "mbdkit_biomech.inverse_dynamics.inverse_loading",
     "mbdkit.spec.inverse_sections": "mbdkit_biomech.inverse_dynamics.inverse_sections",
     "mbdkit.spec.inverse_spec": "mbdkit_biomech.inverse_dynamics.inverse_spec",
+    "mbdkit.spec.key_words": "mbdkit_report.key_words",
     "mbdkit.spec.named_actuators": "mbdkit_biomech.inverse_dynamics.named_actuators",
     "mbdkit.spec.sample_section": "mbdkit_studies.sample_section",
     "mbdkit.spec.spec_page": "mbdkit_testing.spec_page",

@@ -16,10 +16,10 @@ from mbdkit.engine.consistent_start import Starts
 from mbdkit.runs.run_in_memory import run_in_memory
 from mbdkit.runs.simulation import simulate
 from mbdkit.spec import RunSpec, load_spec
-from mbdkit.spec.key_words import keys_ending_in
 from mbdkit.spec.loading import RunSource, Sections
 from mbdkit.spec.reading import variable_path
 from mbdkit.spec.varied_specs import VariedSpecs
+from mbdkit_report.key_words import keys_ending_in
 from mbdkit_studies.given_start import spec_started_at
 from mbdkit_studies.lane_runs import LaneRuns
 
