@@ -70,6 +70,7 @@ MOVED = {
     "mbdkit.studies": "mbdkit_studies",
     "mbdkit.symbolic.__main__": "mbdkit_builder.element_kernels",
     "mbdkit.symbolic.build": "mbdkit_statics.symbolic_equations",
+    "mbdkit.symbolic.definitions": "mbdkit_statics.element_definitions",
     "mbdkit.symbolic.generate": "mbdkit_builder.element_kernels",
     "mbdkit.testing": "mbdkit_testing",
 }

@@ -17,8 +17,8 @@ import sympy as sp
 from sympy.printing.pycode import PythonCodePrinter
 
 from mbdkit.engine.native.machine_code import PACKAGE
-from mbdkit.symbolic import definitions as d
 from mbdkit_builder.generated_files import write
+from mbdkit_statics import element_definitions as d
 
 TARGET = PACKAGE / "engine/kernels/element_kernels.py"
 
