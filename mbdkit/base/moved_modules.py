@@ -29,7 +29,7 @@ MOVED = {
     "mbdkit.figures": "mbdkit_report.figures",
     "mbdkit.integrators.lane_stepper": "mbdkit_studies.lane_stepper",
     "mbdkit.inverse_dynamics": "mbdkit_biomech.inverse_dynamics",
-    "mbdkit.mechanics.source": "mbdkit.runs.assembled_mechanism",
+    "mbdkit.mechanics.source": "mbdkit_statics.prepared_mechanism",
     "mbdkit.mechanics": "mbdkit_statics",
     "mbdkit.mechanism.symbolic_system": "mbdkit_statics.symbolic_system",
     "mbdkit.mechanism.unit_of_use": "mbdkit_explore.unit_of_use",

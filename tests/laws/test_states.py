@@ -12,9 +12,9 @@ from scipy.linalg import expm
 
 import mbdkit
 from mbdkit import SpecError
-from mbdkit.runs.assembled_mechanism import PreparedMechanism
 from mbdkit.spec import load_spec
 from mbdkit_statics.equilibrium import equilibrium_of, spec_at
+from mbdkit_statics.prepared_mechanism import PreparedMechanism
 from mbdkit_studies.batch import simulate_batch
 from tests.runs.resuming.killed_runs import killed
 
