@@ -42,6 +42,7 @@ from mbdkit.runs.warnings import accepted_doubts, doubts, start_warnings
 from mbdkit.spec import RunSpec
 from mbdkit.trust.criteria import judge
 from mbdkit.trust.energy_record import EnergyRecord
+from mbdkit_studies.lane_starts import at_starts
 from mbdkit_studies.lane_stepper import (
     ControlledLaneStepper,
     LaneResults,
@@ -137,7 +138,7 @@ def _starts(runs: Sequence[_Compiled | None]) -> Iterator[tuple[int, _Compiled, 
             alike[run.compiled].append((place, run))
     for compiled, members in alike.items():
         mechanisms = [run.spec.mechanism() for _, run in members]
-        starts = compiled.at_starts(mechanisms, [run.spec.time.final for _, run in members])
+        starts = at_starts(compiled, mechanisms, [run.spec.time.final for _, run in members])
         some = [
             (member, model, start) for member, model, start in zip(members, mechanisms, starts, strict=True) if start
         ]
