@@ -189,35 +189,6 @@ class Travel(Quantity):
 
 
 @dataclass(frozen=True)
-class Shortening(Quantity):
-    """The negative distance between two points; its generalized force is a tension that pulls the points together.
-
-    Only the value and the gradient are implemented; `curvature` returns zeros.
-    """
-
-    first: Point
-    second: Point
-    unit = "m"
-
-    def _apart(self, q: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        (ax, ay), (bx, by) = self.first.position(q), self.second.position(q)
-        length = np.hypot(bx - ax, by - ay)
-        safe = np.where(length > 0, length, 1.0)
-        return (bx - ax) / safe, (by - ay) / safe, length
-
-    def value(self, q: np.ndarray) -> np.ndarray:
-        """Return the negative distance."""
-        length: np.ndarray = -self._apart(q)[2]
-        return length
-
-    def add_gradient(self, q: np.ndarray, out: np.ndarray) -> None:
-        """Add the gradient, which is the generalized force of a unit tension."""
-        ex, ey, _ = self._apart(q)
-        self.first.add_force(q, ex, ey, out)
-        self.second.add_force(q, -ex, -ey, out)
-
-
-@dataclass(frozen=True)
 class Affine(Quantity):
     """A quantity with a different sign, scale and zero: ``factor * of + offset``."""
 
