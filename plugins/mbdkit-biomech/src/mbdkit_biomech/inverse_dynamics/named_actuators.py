@@ -23,10 +23,10 @@ from mbdkit.mechanism.mechanism_quantities import (
     Quantity,
     RelativeAngle,
     Travel,
-    without_scale,
 )
 from mbdkit.mechanism.quantity_names import QuantityNames
 from mbdkit_biomech.inverse_dynamics.inverse_sections import Actuator, Recruitment
+from mbdkit_biomech.inverse_dynamics.several_quantities import without_scale
 
 RESERVE = "reserve."
 """Prefix of the names of reserves."""
