@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from mbdkit.archive.finished_run import ArrayHash, FinishedRun, SharedDigests
+from mbdkit.archive.finished_run import ArrayHash, FinishedRun
 from mbdkit.base.logs import logger_of
 from mbdkit.engine.compiled_mechanism import CompiledMechanism
 from mbdkit.engine.consistent_start import CompiledForStarts, MechanismAtStart, Starts
@@ -51,6 +51,7 @@ from mbdkit_studies.lane_stepper import (
     suits_lanes,
     topology_of,
 )
+from mbdkit_studies.shared_digests import SharedDigests
 
 _LOG = logger_of(__name__)
 
