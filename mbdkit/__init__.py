@@ -32,7 +32,6 @@ if TYPE_CHECKING:
     from mbdkit.methods.tableau import ButcherTableau, EmbeddedPair
     from mbdkit.registry.hookspecs import hookimpl
     from mbdkit.registry.items import Claims, ForceLawPlugin, IntegratorPlugin, MeasurePlugin, ModelPlugin, StudyPlugin
-    from mbdkit.runs.prepared_run import PreparedRun, prepare
     from mbdkit.runs.resuming import resume
     from mbdkit.runs.simulation import run
     from mbdkit.spec import DesignSpec, InverseSpec, RunSpec, StudySpec
@@ -48,6 +47,7 @@ if TYPE_CHECKING:
     from mbdkit_statics.kinematics import Kinematics, kinematics
     from mbdkit_statics.modes import Linearization, Modes, linearize, modes
     from mbdkit_studies.carry_out import ensemble, load_study, study
+    from mbdkit_studies.prepared_run import PreparedRun, prepare
     from mbdkit_studies.study import Study
 
     __version__: str
@@ -144,8 +144,8 @@ _HOME = {
     "ModelPlugin": "mbdkit.registry.items",
     "Modes": "mbdkit_statics.modes",
     "PluginError": "mbdkit.base.errors",
-    "PreparedRun": "mbdkit.runs.prepared_run",
-    "prepare": "mbdkit.runs.prepared_run",
+    "PreparedRun": "mbdkit_studies.prepared_run",
+    "prepare": "mbdkit_studies.prepared_run",
     "ResourceError": "mbdkit.base.errors",
     "Run": "mbdkit.archive.run",
     "RunError": "mbdkit.base.errors",
@@ -197,18 +197,23 @@ def __dir__() -> list[str]:
     return sorted(__all__)
 
 
-def _of_higher_layer(module: str, name: str) -> Callable[..., Any]:
-    """Return a function that, when called, imports a function of another module and calls it."""
+def _of_higher_layer(module: str, name: str, wanted: str = "") -> Callable[..., Any]:
+    """Return a function that, when called, imports a function of another module and calls it.
+
+    `wanted` is what users call it; see `import_part`.
+    """
 
     def imported(*arguments: Any, **named: Any) -> Any:
-        return getattr(import_part(module, name), name)(*arguments, **named)
+        return getattr(import_part(module, wanted or name), name)(*arguments, **named)
 
     return imported
 
 
 # Importing any module of the package first runs this file, so that these functions are always available below.
 higher_layers.installed_plugins = _of_higher_layer("mbdkit.spec.choices", "RegistryLookup")
-higher_layers.symbolic_system = _of_higher_layer("mbdkit.symbolic.build", "build_system")
+higher_layers.symbolic_system = _of_higher_layer(
+    "mbdkit_statics.symbolic_equations", "build_system", "Mechanism.to_sympy"
+)
 higher_layers.state_program = _of_higher_layer("mbdkit.events.state_program", "state_program")
 higher_layers.state_values = _of_higher_layer("mbdkit.events.state_program", "state_values")
 higher_layers.check_gradients = _of_higher_layer("mbdkit.gradients.gradient", "check_gradients")

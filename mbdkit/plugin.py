@@ -107,9 +107,7 @@ if TYPE_CHECKING:
     from mbdkit.registry.target import Target
     from mbdkit.registry.use import use
     from mbdkit.runs.preparation import build, caution
-    from mbdkit.runs.prepared_run import PreparedRun, prepare
     from mbdkit.runs.simulation import run, simulate
-    from mbdkit.spec.key_words import key_unit, key_words
     from mbdkit.spec.loading import example_names, loaded, read_source
     from mbdkit.spec.model_spec import ModelSpec, StrictSpec
     from mbdkit.spec.reading import Document, parse_key, put, read_file, set_value
@@ -120,6 +118,7 @@ if TYPE_CHECKING:
     from mbdkit.spec.yaml_reader import write_yaml
     from mbdkit.trust.criteria import Evidence, Judgement, Level, judge
     from mbdkit.trust.finding import Finding
+    from mbdkit_studies.prepared_run import PreparedRun, prepare
 
 _STABLE = {
     "mbdkit.base.files_read": "read_data",
@@ -158,7 +157,7 @@ _STABLE = {
     "mbdkit.spec.run_spec": "RunSpec",
     "mbdkit.spec.loading": "loaded",
     "mbdkit.runs.simulation": "run simulate",
-    "mbdkit.runs.prepared_run": "PreparedRun prepare",
+    "mbdkit_studies.prepared_run": "PreparedRun prepare",
     "mbdkit.quantities.array": "Array Chart Kind Recorded",
     "mbdkit.quantities.states": "States",
     "mbdkit.archive.accuracy": "Accuracy",
@@ -172,7 +171,6 @@ _OWN = {
     "mbdkit.spec.reading": "Document parse_key put read_file set_value",
     "mbdkit.spec.model_spec": "ModelSpec StrictSpec",
     "mbdkit.spec.loading": "example_names read_source",
-    "mbdkit.spec.key_words": "key_unit key_words",
     "mbdkit.spec.yaml_reader": "write_yaml",
     "mbdkit.spec.study_measures": "DefinedMeasure defined",
     "mbdkit.spec.varied_specs": "VariedSpecs",
@@ -313,8 +311,6 @@ __all__ = [
     "headline_texts",
     "hookimpl",
     "judge",
-    "key_unit",
-    "key_words",
     "listed",
     "load",
     "loaded",

@@ -16,8 +16,9 @@ import pytest
 from typer.testing import CliRunner
 
 from mbdkit.cli import app
-from mbdkit.runs import lane_runs, simulated_run
+from mbdkit.runs import simulated_run
 from mbdkit.trust.criteria import Judgement, judge
+from mbdkit_studies import lane_runs
 
 
 class Block(NamedTuple):

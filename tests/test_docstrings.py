@@ -14,7 +14,7 @@ MODULES = (
     "mbdkit.archive.run_views",
     "mbdkit.mechanism.mechanism",
     "mbdkit.methods.tableau",
-    "mbdkit.runs.prepared_run",
+    "mbdkit_studies.prepared_run",
     "mbdkit.runs.simulation",
     "mbdkit_report.plot.comparison",
     "mbdkit_statics.equilibrium",

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from tests.first_party import modules
 
-FACES = ("mbdkit", "mbdkit.spec", "mbdkit.testing")
+FACES = ("mbdkit", "mbdkit.plugin", "mbdkit.spec", "mbdkit.testing")
 """Modules that name what the parts offer."""
 
 

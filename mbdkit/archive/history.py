@@ -155,7 +155,7 @@ class View:
     """Base class of histories: the columns of one object of a run, or of a whole group.
 
     Subclasses have the columns and labels of a kind in the table of quantities; they declare the columns for type
-    checkers and completion (`mbdkit.archive.history_columns`).
+    checkers and completion (`mbdkit_testing.history_columns`).
 
     Parameters
     ----------
@@ -189,7 +189,7 @@ VIEWS: dict[str, type[View]] = {}
 class BodyHistory(View, of="trajectory"):
     """Motion of one body: its centre of mass in the global frame and its angle."""
 
-    # columns (python -m mbdkit.archive.history_columns mbdkit/archive/history.py)
+    # columns (python -m mbdkit_testing.history_columns mbdkit/archive/history.py)
     position: np.ndarray
     angle: np.ndarray
     velocity: np.ndarray
@@ -204,7 +204,7 @@ class JointHistory(View, of="joints"):
     Its `angle` is in `angle_units`: ``rad``, or ``m`` for the travel of a slide.
     """
 
-    # columns (python -m mbdkit.archive.history_columns mbdkit/archive/history.py)
+    # columns (python -m mbdkit_testing.history_columns mbdkit/archive/history.py)
     misalignment: np.ndarray
     velocity_misalignment: np.ndarray
     angle_misalignment: np.ndarray
@@ -233,7 +233,7 @@ class ForceHistory(View, of="forces"):
     counter-clockwise; or the magnitude of a force at a point [N]. The second body of a load is the one that it acts on.
     """
 
-    # columns (python -m mbdkit.archive.history_columns mbdkit/archive/history.py)
+    # columns (python -m mbdkit_testing.history_columns mbdkit/archive/history.py)
     length: np.ndarray
     rate: np.ndarray
     value: np.ndarray
@@ -247,7 +247,7 @@ class ForceHistory(View, of="forces"):
 class MarkerHistory(View, of="markers"):
     """Position and velocity of one marker in the global frame."""
 
-    # columns (python -m mbdkit.archive.history_columns mbdkit/archive/history.py)
+    # columns (python -m mbdkit_testing.history_columns mbdkit/archive/history.py)
     position: np.ndarray
     velocity: np.ndarray
 
@@ -262,7 +262,7 @@ class BeamHistory(View, of="beams"):
     is positive where it increases the angle along the beam.
     """
 
-    # columns (python -m mbdkit.archive.history_columns mbdkit/archive/history.py)
+    # columns (python -m mbdkit_testing.history_columns mbdkit/archive/history.py)
     axial: np.ndarray
     shear: np.ndarray
     moment: np.ndarray
@@ -312,7 +312,7 @@ class BeamHistory(View, of="beams"):
 class ObservedHistory(View, of="motion"):
     """One observed quantity of a measured motion: measured value, and value of the fitted mechanism."""
 
-    # columns (python -m mbdkit.archive.history_columns mbdkit/archive/history.py)
+    # columns (python -m mbdkit_testing.history_columns mbdkit/archive/history.py)
     raw: np.ndarray
     fitted: np.ndarray
     residual: np.ndarray
@@ -327,7 +327,7 @@ class ActuatorHistory(View, of="actuators"):
     joint connects to the ground); empty in archives of earlier versions.
     """
 
-    # columns (python -m mbdkit.archive.history_columns mbdkit/archive/history.py)
+    # columns (python -m mbdkit_testing.history_columns mbdkit/archive/history.py)
     value: np.ndarray
     power: np.ndarray
     value_error: np.ndarray
@@ -339,7 +339,7 @@ class ActuatorHistory(View, of="actuators"):
 class MuscleHistory(View, of="muscles"):
     """Length, fibres, activation, tension [N] with its error, and power of one muscle."""
 
-    # columns (python -m mbdkit.archive.history_columns mbdkit/archive/history.py)
+    # columns (python -m mbdkit_testing.history_columns mbdkit/archive/history.py)
     length: np.ndarray
     rate: np.ndarray
     fiber_length: np.ndarray
@@ -376,7 +376,7 @@ class ContactHistory(View, of="contacts"):
     normal turned by -90 degrees.
     """
 
-    # columns (python -m mbdkit.archive.history_columns mbdkit/archive/history.py)
+    # columns (python -m mbdkit_testing.history_columns mbdkit/archive/history.py)
     gap: np.ndarray
     normal_force: np.ndarray
     friction_force: np.ndarray
@@ -396,7 +396,7 @@ class ContactHistory(View, of="contacts"):
 class GroundReactionHistory(View, of="ground_reactions"):
     """Force of the ground on one body [N], and its centre of pressure [m], nan where the body is in the air."""
 
-    # columns (python -m mbdkit.archive.history_columns mbdkit/archive/history.py)
+    # columns (python -m mbdkit_testing.history_columns mbdkit/archive/history.py)
     force: np.ndarray
     normal_force: np.ndarray
     center_of_pressure: np.ndarray
@@ -405,7 +405,7 @@ class GroundReactionHistory(View, of="ground_reactions"):
 class LoadHistory(View, of="loads"):
     """One measured load, in inverse dynamics; force and point of application are in the global frame."""
 
-    # columns (python -m mbdkit.archive.history_columns mbdkit/archive/history.py)
+    # columns (python -m mbdkit_testing.history_columns mbdkit/archive/history.py)
     force: np.ndarray
     point: np.ndarray
     torque: np.ndarray
@@ -417,7 +417,7 @@ class LoadHistory(View, of="loads"):
 class StateHistory(View, of="states"):
     """Value and rate of one first-order state."""
 
-    # columns (python -m mbdkit.archive.history_columns mbdkit/archive/history.py)
+    # columns (python -m mbdkit_testing.history_columns mbdkit/archive/history.py)
     value: np.ndarray
     rate: np.ndarray
 
@@ -427,7 +427,7 @@ class StateHistory(View, of="states"):
 class ConstraintHistory(View, of="constraints"):
     """Residuals and multipliers of one constraint row, whose constraint function is in `units`: ``m`` or ``rad``."""
 
-    # columns (python -m mbdkit.archive.history_columns mbdkit/archive/history.py)
+    # columns (python -m mbdkit_testing.history_columns mbdkit/archive/history.py)
     position_residual: np.ndarray
     velocity_residual: np.ndarray
     multiplier: np.ndarray
@@ -444,7 +444,7 @@ class Energy(View, of="energy"):
     losses are negative work.
     """
 
-    # columns (python -m mbdkit.archive.history_columns mbdkit/archive/history.py)
+    # columns (python -m mbdkit_testing.history_columns mbdkit/archive/history.py)
     kinetic: np.ndarray
     potential: np.ndarray
     total: np.ndarray
@@ -456,7 +456,7 @@ class Energy(View, of="energy"):
 class Steps(View, of="steps"):
     """Statistics of the integrator for each recorded interval; interval i ends at row i (the start is row 0)."""
 
-    # columns (python -m mbdkit.archive.history_columns mbdkit/archive/history.py)
+    # columns (python -m mbdkit_testing.history_columns mbdkit/archive/history.py)
     time: np.ndarray
     steps: np.ndarray
     size: np.ndarray

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -126,33 +125,7 @@ def assemble(
     return _Assembly(mechanism, search or search_for(mechanism, compiled, t0)).run()
 
 
-def consistent_states(mechanisms: Sequence[Mechanism], search: LeastChange) -> list[AssembledState | None]:
-    """Return the initial states of mechanisms that share a solver; None for each that `assemble` has to compute.
-
-    Only states that satisfy the constraints without any change are returned. They are bitwise equal to those of
-    `assemble`.
-    """
-    if len(search.scratch.u):  # motions have to be checked
-        return [None] * len(mechanisms)
-    bodies = [mechanism.bodies.values() for mechanism in mechanisms]
-    q, v = np.zeros((2, len(mechanisms), len(bodies[0]) + 1, 3))
-    q[:, :-1] = [[(*body.position, body.angle) for body in some] for some in bodies]
-    v[:, :-1] = [[(*body.velocity, body.angular_velocity) for body in some] for some in bodies]
-    q_flat, v_flat = q.reshape(len(q), -1), v.reshape(len(v), -1)
-    phi, rate = search.residuals(q_flat, v_flat)
-    gap, speed, far, fast = (np.abs(x).max(axis=1, initial=0.0).tolist() for x in (phi, rate, q_flat, v_flat))
-    none = dict.fromkeys(mechanisms[0].bodies, 0.0)
-    states: list[AssembledState | None] = []
-    for k, mechanism in enumerate(mechanisms):
-        tolerance = mechanism.assembly.tolerance
-        q_tolerance, v_tolerance = _tolerances(tolerance, far[k], fast[k], search)
-        is_consistent = gap[k] <= q_tolerance and speed[k] <= v_tolerance
-        state = AssembledState(q[k, :-1], v[k, :-1], False, none, none, none, none, gap[k], speed[k])
-        states.append(state if is_consistent else None)
-    return states
-
-
-def _tolerances(tolerance: float, far: float, fast: float, search: LeastChange) -> tuple[float, float]:
+def tolerances(tolerance: float, far: float, fast: float, search: LeastChange) -> tuple[float, float]:
     """Return the tolerances of position and velocity residuals; `far` and `fast` are the largest coordinate and the
     largest velocity.
     """
@@ -173,7 +146,7 @@ class _Assembly:
         self.check_motions()
         search, tolerance = self.search, self.mechanism.assembly.tolerance
         q, v = self.given_q.ravel().copy(), self.given_v.ravel().copy()
-        q_tolerance, v_tolerance = _tolerances(tolerance, _largest(q), _largest(v), search)
+        q_tolerance, v_tolerance = tolerances(tolerance, _largest(q), _largest(v), search)
         phi, jacobian, phi_t = search.evaluate(q)
         if not _largest(phi) <= q_tolerance:
             q = search.positions(q, q_tolerance)

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from mbdkit.base.errors import SpecError
-from mbdkit.engine.assembly import AssembledState, assemble, consistent_states, search_for
+from mbdkit.engine.assembly import AssembledState, assemble, search_for
 from mbdkit.engine.compile_mechanism import compile_mechanism, compiled_content
 from mbdkit.engine.compiled_mechanism import CompiledMechanism, with_ground
 from mbdkit.engine.contact_forces import check_start
@@ -160,27 +160,9 @@ class CompiledForStarts:
     def at_start(self, mechanism: Mechanism, end: float) -> MechanismAtStart:
         """Return a mechanism at its start; see `mechanism_at_start`."""
         with within_double_precision():
-            return self._checked(mechanism, assemble(mechanism, self.search.t0, self.mechanism, self.search), end)
+            return self.checked(mechanism, assemble(mechanism, self.search.t0, self.mechanism, self.search), end)
 
-    def at_starts(self, mechanisms: Sequence[Mechanism], ends: Sequence[float]) -> list[MechanismAtStart | None]:
-        """Return several mechanisms at their starts; None for each for which `at_start` raises an error.
-
-        States that satisfy the constraints without any change are found for all mechanisms at once.
-        """
-        try:
-            with within_double_precision():
-                states = consistent_states(mechanisms, self.search)
-        except SpecError:
-            states = [None] * len(mechanisms)
-        starts: list[MechanismAtStart | None] = []
-        for mechanism, end, state in zip(mechanisms, ends, states, strict=True):
-            try:
-                starts.append(self.at_start(mechanism, end) if state is None else self._checked(mechanism, state, end))
-            except (Exception, SystemExit):
-                starts.append(None)
-        return starts
-
-    def _checked(self, mechanism: Mechanism, start: AssembledState, end: float) -> MechanismAtStart:
+    def checked(self, mechanism: Mechanism, start: AssembledState, end: float) -> MechanismAtStart:
         """Return a mechanism at its start after assembly; raise SpecError for a spring, center or contact that does not
         allow it.
         """

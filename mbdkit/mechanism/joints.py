@@ -3,7 +3,7 @@
 A row is one scalar constraint equation. The bodies a and b are the first and the second body of a joint.
 
 To add a joint made of existing constraints, write its class here and add it to `Joint`. To add a new kind of
-constraint, define it in ``mbdkit/symbolic/definitions.py``.
+constraint, define it in ``mbdkit_statics/element_definitions.py``.
 """
 
 from __future__ import annotations

@@ -30,7 +30,7 @@ from mbdkit.mechanism.validation_errors import spec_error
 from mbdkit.mechanism.values import Motion, Point, Table
 
 if TYPE_CHECKING:
-    from mbdkit.mechanism.symbolic_system import SymbolicSystem
+    from mbdkit_statics.symbolic_system import SymbolicSystem
 
 Pair = Sequence[float]
 Value = float | str | Table | Mapping[str, Any]

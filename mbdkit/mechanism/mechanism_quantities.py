@@ -7,7 +7,6 @@ at T times are (T, n), with the n = 3 B coordinates x, y, angle of the B bodies,
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal
 
@@ -189,35 +188,6 @@ class Travel(Quantity):
 
 
 @dataclass(frozen=True)
-class Shortening(Quantity):
-    """The negative distance between two points; its generalized force is a tension that pulls the points together.
-
-    Only the value and the gradient are implemented; `curvature` returns zeros.
-    """
-
-    first: Point
-    second: Point
-    unit = "m"
-
-    def _apart(self, q: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        (ax, ay), (bx, by) = self.first.position(q), self.second.position(q)
-        length = np.hypot(bx - ax, by - ay)
-        safe = np.where(length > 0, length, 1.0)
-        return (bx - ax) / safe, (by - ay) / safe, length
-
-    def value(self, q: np.ndarray) -> np.ndarray:
-        """Return the negative distance."""
-        length: np.ndarray = -self._apart(q)[2]
-        return length
-
-    def add_gradient(self, q: np.ndarray, out: np.ndarray) -> None:
-        """Add the gradient, which is the generalized force of a unit tension."""
-        ex, ey, _ = self._apart(q)
-        self.first.add_force(q, ex, ey, out)
-        self.second.add_force(q, -ex, -ey, out)
-
-
-@dataclass(frozen=True)
 class Affine(Quantity):
     """A quantity with a different sign, scale and zero: ``factor * of + offset``."""
 
@@ -251,11 +221,6 @@ class Affine(Quantity):
         return self.factor * self.of.curvature(q, v)
 
 
-def without_scale(quantity: Quantity) -> Quantity:
-    """Return the angle or length on which a quantity is based."""
-    return quantity.of if isinstance(quantity, Affine) else quantity
-
-
 def _angle(q: np.ndarray, body: int) -> np.ndarray:
     return np.zeros(len(q)) if body == GROUND else q[:, 3 * body + 2]
 
@@ -266,48 +231,3 @@ def _point_velocity(point: Point, q: np.ndarray, v: np.ndarray) -> tuple[np.ndar
     x, y = point.arm(q)
     place = 3 * point.body
     return v[:, place] - v[:, place + 2] * y, v[:, place + 1] + v[:, place + 2] * x
-
-
-class Quantities:
-    """Several quantities, evaluated together.
-
-    Parameters
-    ----------
-    quantities
-        The K quantities.
-    """
-
-    def __init__(self, quantities: Sequence[Quantity]):
-        self.quantities = tuple(quantities)
-        self.is_angle = np.array([quantity.unit == "rad" for quantity in self.quantities], dtype=bool)
-        self.scale = np.array([quantity.scale for quantity in self.quantities])
-
-    def __len__(self) -> int:
-        return len(self.quantities)
-
-    def only(self, places: Sequence[int]) -> Quantities:
-        """Return the quantities with the given indices."""
-        return Quantities([self.quantities[place] for place in places])
-
-    def values(self, q: np.ndarray) -> np.ndarray:
-        """Return the values (T, K)."""
-        out = np.empty((len(q), len(self)))
-        for index, quantity in enumerate(self.quantities):
-            out[:, index] = quantity.value(q)
-        return out
-
-    def jacobian(self, q: np.ndarray) -> np.ndarray:
-        """Return the Jacobian (T, K, n)."""
-        out = np.zeros((len(q), len(self), q.shape[1]))
-        for index, quantity in enumerate(self.quantities):
-            quantity.add_gradient(q, out[:, index])
-        return out
-
-    def curvature(self, q: np.ndarray, v: np.ndarray) -> np.ndarray:
-        """Return the second time derivatives (T, K) that the quantities have if the accelerations of the coordinates
-        are zero.
-        """
-        out = np.empty((len(q), len(self)))
-        for index, quantity in enumerate(self.quantities):
-            out[:, index] = quantity.curvature(q, v)
-        return out

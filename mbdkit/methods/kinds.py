@@ -61,7 +61,7 @@ class Traits:
     Parameters
     ----------
     family
-        Key of the method's algorithm in the tables of `mbdkit.integrators.start` and `mbdkit.integrators.lane_stepper`.
+        Key of the method's algorithm in the tables of `mbdkit.integrators.start` and `mbdkit_studies.lane_stepper`.
     tableau
         Tableau of the method; None if it is not a Runge-Kutta method, or the tableau is not known.
     tolerances

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -195,7 +195,7 @@ class _WatchedBeam:
             reason = f"{what} may be wrong by about {100.0 * error:.2g} %"
         else:
             return
-        yield f"the elements of beam '{self.name}' are too coarse: {reason}; {_advice(count)}"
+        yield f"the elements of beam '{self.name}' are too coarse: {reason}; {advice_for(count)}"
 
     def _largest_error(self) -> tuple[str, float, float]:
         """Return which results of a beam have the largest estimated relative error, this error, and the number of
@@ -224,61 +224,15 @@ class _WatchedBeam:
             for error, energy, lowest in zip(errors, energies, least, strict=True)
         ]
         what = ("its axial forces or elongations", "its moments or deflections")[int(np.argmax(judged))]
-        return what, max(judged), _needed(count, max(judged))
+        return what, max(judged), needed_elements(count, max(judged))
 
 
-def coarse_modes(beams: Mapping[str, Beam], bodies: Sequence[str], rates: np.ndarray, shapes: np.ndarray) -> list[str]:
-    """Return warnings about beams whose two-node elements are too coarse for bending in modes of oscillation.
-
-    Parameters
-    ----------
-    beams
-        The beams by name.
-    bodies
-        Names of the bodies.
-    rates
-        (K,) natural frequencies of the modes, in ascending order [rad/s].
-    shapes
-        (K, B, 3) shapes of the modes, scaled to unit modal mass.
-
-    Notes
-    -----
-    The estimated relative error of a frequency is the share of the strain energy that is due to variations of the
-    moment within elements, times the share of bending in the energy of the mode. At cantilevers of 4 to 16 elements, it
-    is 1.4 times the error of the first mode, and up to 10 times that of higher ones, for which errors of stiffness and
-    of mass nearly cancel.
-    """
-    warnings = []
-    for name, beam in beams.items():
-        if beam.nodes != 2 or beam.corrected or beam.elements < 2:
-            continue
-        angles = shapes[:, [bodies.index(node) for node in beam.node_names(name)], 2]
-        curvature = np.diff(angles, axis=1) / beam.element_length
-        total = np.sum(np.abs(curvature) ** 2, axis=1)
-        varied = np.sum(np.abs(np.diff(curvature, axis=1)) ** 2, axis=1) * beam.elements / (beam.elements - 1)
-        stiffness = beam.section_stiffness.bending * beam.element_length
-        # the strain energy of a mode of unit mass is at most that of its motion, rate^2 / 2
-        energy = 12.0 * total * np.maximum(rates**2, stiffness * total)
-        is_bent = (rates > 0) & (energy > 0)  # not a motion of rigid bodies, and with this beam
-        errors = np.divide(varied * stiffness * total, energy, out=np.zeros_like(total), where=is_bent)
-        wrong = np.flatnonzero(errors > VARIATION)
-        if len(wrong):
-            first = int(wrong[0])
-            advice = _advice(_needed(beam.elements, float(errors[first])))
-            warnings.append(
-                f"the elements of beam '{name}' are too coarse for mode {first + 1}"
-                f"{' and higher modes' if len(wrong) > 1 else ''}: the frequency of mode {first + 1} may be wrong by "
-                f"up to about {100.0 * errors[first]:.2g} %; {advice}, or elements with three nodes"
-            )
-    return warnings
-
-
-def _needed(elements: int, error: float) -> float:
+def needed_elements(elements: int, error: float) -> float:
     """Return the number of elements with which an estimate of order 2 in the length of an element is acceptable."""
     return elements * math.sqrt(error / VARIATION)
 
 
-def _advice(needed: float) -> str:
+def advice_for(needed: float) -> str:
     """Return the advice of a warning, if the present state of a beam asks for this number of elements."""
     if not MARGIN * needed <= MOST_ADVISED:
         return f"more than {MOST_ADVISED} elements would be needed, so check its stiffness and its loads"

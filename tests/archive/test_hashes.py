@@ -15,10 +15,11 @@ import numpy as np
 import pytest
 
 from mbdkit.archive.fingerprint import attributes_sha256, data_sha256
-from mbdkit.archive.finished_run import ArrayHash, SharedDigests
+from mbdkit.archive.finished_run import ArrayHash
 from mbdkit.archive.layout import LAYOUT, is_timing
 from mbdkit.archive.run_writer import Ending, SharedForces
 from mbdkit.quantities.array import TEXT
+from mbdkit_studies.shared_digests import SharedDigests
 
 from .making import fill, largest, make, names, rows, steps, writer
 from .test_layout import DOCUMENT

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import get_args
 
-from mbdkit.archive import history, history_columns, layout_document
+from mbdkit.archive import history
 from mbdkit.archive.layout import (
     BY_PATH,
     FORMAT_VERSION,
@@ -18,6 +18,7 @@ from mbdkit.archive.layout import (
     recorded,
 )
 from mbdkit.quantities.table import ChosenGroup
+from mbdkit_testing import history_columns, layout_document
 
 DOCUMENT = Path(__file__).parents[2] / "schemas" / "archive.md"
 
@@ -151,13 +152,13 @@ def test_elapsed_time_is_the_only_timing() -> None:
 
 def test_declarations_of_columns_are_fresh() -> None:
     text = Path(history.__file__).read_text(encoding="utf-8")
-    command = "python -m mbdkit.archive.history_columns mbdkit/archive/history.py"
+    command = "python -m mbdkit_testing.history_columns mbdkit/archive/history.py"
     assert history_columns.renewed(text) == text, f"run: {command}"
 
 
 def test_document_is_fresh() -> None:
     text = DOCUMENT.read_text(encoding="utf-8")
-    assert layout_document.renewed(text) == text, "run: python -m mbdkit.archive.layout_document schemas/archive.md"
+    assert layout_document.renewed(text) == text, "run: python -m mbdkit_testing.layout_document schemas/archive.md"
 
 
 def test_every_array_was_added_in_a_known_version_and_the_format_has_the_newest() -> None:

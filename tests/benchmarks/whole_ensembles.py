@@ -26,8 +26,8 @@ from rich.table import Table
 
 import mbdkit
 from mbdkit.archive.finished_run import ArrayHash, FinishedRun
-from mbdkit.runs.batch import simulate_batch
 from mbdkit.spec import RunSpec
+from mbdkit_studies.batch import simulate_batch
 
 from .contenders import MUJOCO, G
 

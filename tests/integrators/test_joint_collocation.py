@@ -12,8 +12,8 @@ from scipy.integrate import solve_ivp
 import mbdkit
 from mbdkit.base.errors import SpecError
 from mbdkit.mechanism.mechanism import Mechanism
-from mbdkit.runs.lane_runs import why_alone
 from mbdkit.spec import load_spec
+from mbdkit_studies.lane_runs import why_alone
 from tests.engine.random_mechanisms import flexible
 
 from .running import EPS, assert_same_end

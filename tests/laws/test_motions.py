@@ -11,9 +11,9 @@ from scipy.interpolate import CubicSpline
 
 import mbdkit
 from mbdkit import Mechanism, Run
-from mbdkit.runs.batch import simulate_batch
-from mbdkit.runs.lane_runs import why_alone
 from mbdkit.spec import load_spec
+from mbdkit_studies.batch import simulate_batch
+from mbdkit_studies.lane_runs import why_alone
 
 GAUSS = {"name": "gauss", "stages": 3}
 RK4 = {"name": "rk4"}

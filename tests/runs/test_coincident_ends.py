@@ -9,9 +9,9 @@ import pytest
 from scipy.optimize import brentq
 
 import mbdkit
-from mbdkit.runs.batch import simulate_batch
-from mbdkit.runs.lane_runs import why_alone
 from mbdkit.spec import load_spec
+from mbdkit_studies.batch import simulate_batch
+from mbdkit_studies.lane_runs import why_alone
 
 G, K, SPEED = 9.81, 40.0, 6.0
 

@@ -13,9 +13,9 @@ import pytest
 
 import mbdkit
 from mbdkit.gradients.derived_values import Value, of_operands
-from mbdkit.runs.batch import simulate_batch
-from mbdkit.runs.lane_runs import why_alone
 from mbdkit.spec import RunSpec
+from mbdkit_studies.batch import simulate_batch
+from mbdkit_studies.lane_runs import why_alone
 
 END, A, W = 4.0, 1.0, 2.0
 

@@ -19,9 +19,9 @@ from mbdkit.engine.matrix_terms import RATE
 from mbdkit.mechanism.quantity_names import QuantityNames
 from mbdkit.muscles.force_curves import CURVES
 from mbdkit.muscles.muscle_path import MusclePath
-from mbdkit.runs.batch import simulate_batch
 from mbdkit.runs.preparation import build
 from mbdkit.spec import load_spec
+from mbdkit_studies.batch import simulate_batch
 from tests.runs.resuming.killed_runs import killed
 
 FORCE, FIBER, PENNATION, SPEED, DAMPING = 600.0, 0.12, 0.1, 10.0, 0.1

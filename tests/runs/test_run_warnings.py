@@ -11,7 +11,7 @@ import pytest
 
 import mbdkit
 from mbdkit.base.errors import SpecError
-from mbdkit.mechanism.improbable_bodies import improbable_bodies, improbable_inertias, inertias_about_joints
+from mbdkit.mechanism.improbable_bodies import improbable_bodies, improbable_inertias
 from mbdkit.mechanism.improbable_values import (
     improbable_beams,
     improbable_frictions,
@@ -24,6 +24,7 @@ from mbdkit.runs.warnings import doubts, spec_warnings, start_warnings
 from mbdkit.spec import load_spec
 from mbdkit.spec.loading import example_names
 from mbdkit.spec.reading import parse_key, put
+from mbdkit_biomech.inverse_dynamics.inertias_about_joints import inertias_about_joints
 
 SPEC: dict[str, Any] = {
     "mbdkit": 1,

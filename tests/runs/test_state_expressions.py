@@ -14,9 +14,9 @@ import mbdkit
 from mbdkit import Mechanism, SpecError
 from mbdkit.engine.kernels.observe import tangents_at
 from mbdkit.engine.matrix_terms import RATE
-from mbdkit.runs.batch import simulate_batch
 from mbdkit.runs.preparation import build
 from mbdkit.spec import load_spec
+from mbdkit_studies.batch import simulate_batch
 from tests.runs.resuming.killed_runs import killed
 
 INERTIA, STIFFNESS, DAMPING, LAG = 0.17, 40.0, 3.0, 0.05

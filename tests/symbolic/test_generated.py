@@ -1,4 +1,4 @@
-"""The generated module is what the definitions say, and its masks name exactly what its kernels write."""
+"""The masks of the generated module name exactly what its kernels write."""
 
 from __future__ import annotations
 
@@ -6,31 +6,6 @@ import numpy as np
 import pytest
 
 from mbdkit.engine.kernels import element_kernels
-from mbdkit.symbolic import __main__ as command
-from mbdkit.symbolic.generate import TARGET, source
-
-
-@pytest.fixture(scope="module")
-def fresh() -> str:
-    return source()
-
-
-def test_the_checked_in_kernels_are_those_that_the_definitions_generate(fresh: str) -> None:
-    assert TARGET.read_text(encoding="utf-8") == fresh, "run `python -m mbdkit.symbolic`"
-
-
-def test_check_tells_fresh_kernels_from_stale_ones(
-    fresh: str, tmp_path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    target = tmp_path / "element_kernels.py"
-    target.write_text(fresh.replace("gx", "gy", 1), encoding="utf-8")
-    monkeypatch.setattr(command, "TARGET", target)
-    monkeypatch.setattr(command, "source", lambda: fresh)
-    assert command.main(["--check"]) == 1
-    assert "element_kernels.py differs from the output of mbdkit/symbolic" in capsys.readouterr().err
-    assert command.main([]) == 0
-    assert command.main(["--check"]) == 0
-
 
 WRITTEN = [
     (kind, kernel, place, masks)

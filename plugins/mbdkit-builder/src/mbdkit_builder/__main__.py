@@ -8,8 +8,9 @@ check
     package with those of the manifest. With ``--level x86-64-v3``, check only the libraries of this level.
 objects
     Compile symbols to object files; `build` and `check` start processes that run this command.
-laws
-    Generate the kernels of the packaged force laws; with ``--check``, compare them with the file in the repository.
+elements, laws
+    Generate the kernels of elements, or those of the packaged force laws; with ``--check``, compare them with the file
+    in the repository.
 list
     List all symbols and whether their stored code is up to date.
 """
@@ -45,12 +46,19 @@ def main() -> int:
             command.add_argument("--levels", nargs="+", required=True)
             command.add_argument("--symbols", nargs="+", required=True)
     commands.add_parser("list")
-    commands.add_parser("laws").add_argument("--check", action="store_true")
+    for name in ("elements", "laws"):
+        commands.add_parser(name).add_argument("--check", action="store_true")
     given = parser.parse_args()
     if given.command == "list":
         return _list()
+    if given.command == "elements":
+        from mbdkit_builder import element_kernels, generated_files
+
+        return generated_files.write(element_kernels.TARGET, element_kernels.generated(), check=given.check)
     if given.command == "laws":
-        return _laws(check=given.check)
+        from mbdkit_builder import generated_files, packaged_laws
+
+        return generated_files.write(packaged_laws.TARGET, packaged_laws.generated(), check=given.check)
     if given.command == "objects":
         return _objects(given.platform, given.levels, given.symbols, given.into)
     if given.command == "check":
@@ -103,18 +111,6 @@ def _sources_in(folder: Path) -> dict[str, Any]:
     path = folder / machine_code.MANIFEST
     stored = json.loads(path.read_bytes()) if path.is_file() else {}
     return {key: value for key, value in stored.items() if key not in ("built with", "sha256")}
-
-
-def _laws(*, check: bool) -> int:
-    from mbdkit_builder.packaged_laws import TARGET, generated
-
-    text = generated()
-    if check:
-        is_fresh = TARGET.read_text(encoding="utf-8") == text
-        print(f"{TARGET.name} is {'fresh' if is_fresh else 'out of date'}")
-        return 0 if is_fresh else 1
-    TARGET.write_text(text, encoding="utf-8", newline="\n")
-    return 0
 
 
 def _list() -> int:

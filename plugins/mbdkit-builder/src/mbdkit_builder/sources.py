@@ -54,7 +54,15 @@ def builder_digests() -> dict[str, str]:
     return {path.name: digest(str(path)) for path in files if path.name not in _NOT_COMPILED}
 
 
-_NOT_COMPILED = {"__main__.py", "function_laws.py", "libraries.py", "packaged_laws.py", "sources.py"}
+_NOT_COMPILED = {
+    "__main__.py",
+    "element_kernels.py",
+    "function_laws.py",
+    "generated_files.py",
+    "libraries.py",
+    "packaged_laws.py",
+    "sources.py",
+}
 """Files of this package that have no influence on stored machine code."""
 
 

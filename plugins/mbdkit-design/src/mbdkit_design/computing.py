@@ -12,9 +12,9 @@ from typing import Any
 
 from mbdkit.base.errors import ResourceError, RunError
 from mbdkit.engine.native.levels import WIDTH
-from mbdkit.runs.batch import CHUNK
 from mbdkit.spec import DesignSpec, InverseSpec
 from mbdkit_design.evaluation import Job, Outcome, ScenarioRuns, in_this_process
+from mbdkit_studies.batch import CHUNK
 from mbdkit_studies.executor_pool import Engine
 from mbdkit_studies.tasks import PASSING, Task
 

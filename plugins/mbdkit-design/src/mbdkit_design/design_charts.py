@@ -14,12 +14,12 @@ from mbdkit.measures.measure_expression import MeasureExpression
 from mbdkit.measures.measured_quantities import recorded, unit_of
 from mbdkit.quantities.quantity import Quantity
 from mbdkit.spec import InverseSpec, RunSpec
-from mbdkit.spec.key_words import key_unit, key_words
 from mbdkit.spec.reading import variable_path
 from mbdkit_design.gains import goal_words
 from mbdkit_design.landscape import Cut
 from mbdkit_report.figures.curves import band_over_time, bands, errors_at
 from mbdkit_report.figures.page_model import Axis, Figure, Line, Mark
+from mbdkit_report.key_words import key_unit, key_words
 
 if TYPE_CHECKING:
     from mbdkit.archive.run import Run

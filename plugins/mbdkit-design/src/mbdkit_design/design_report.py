@@ -13,7 +13,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from mbdkit.base.terminal import say
-from mbdkit.spec.key_words import key_words
 from mbdkit.spec.yaml_reader import write_yaml
 from mbdkit_biomech.inverse_dynamics.load_frames import load_drawing
 from mbdkit_design.compared_settings import compared_with
@@ -30,6 +29,7 @@ from mbdkit_design.trust import QUESTIONED
 from mbdkit_report.figures.drawing_geometry import mechanism_of
 from mbdkit_report.figures.mechanism_drawing import NamedPose
 from mbdkit_report.figures.page_model import Section, Table
+from mbdkit_report.key_words import key_words
 from mbdkit_report.pages.methods_used import methods
 from mbdkit_report.pages.model_section import drawing
 from mbdkit_report.pages.report_page import ReportPage

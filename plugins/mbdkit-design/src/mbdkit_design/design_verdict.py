@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from mbdkit.base.text import counted
-from mbdkit.spec.key_words import key_words
 from mbdkit.spec.yaml_reader import write_yaml
 from mbdkit_design.design_charts import variable_unit
 from mbdkit_design.gains import Cost, goal_units, goal_words, measure_units
@@ -16,6 +15,7 @@ from mbdkit_design.robustness import Deviation
 from mbdkit_design.trust import QUESTIONED
 from mbdkit_report.analysis.verdict import Answer, Claim, Verdict
 from mbdkit_report.figures.page_model import Cell, Column, Table
+from mbdkit_report.key_words import key_words
 
 if TYPE_CHECKING:
     from mbdkit_design.compared_settings import Comparison

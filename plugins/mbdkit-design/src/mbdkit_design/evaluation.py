@@ -19,14 +19,14 @@ from mbdkit.base.one_thread import one_thread_of_linear_algebra
 from mbdkit.base.plain_data import Path, path_text, plain
 from mbdkit.engine.consistent_start import Starts
 from mbdkit.measures.take import describe, error_of, take
-from mbdkit.runs.batch import simulate_batch
-from mbdkit.runs.lane_runs import LaneRuns
 from mbdkit.spec import DesignSpec, InverseSpec, RunSpec
 from mbdkit.spec.reading import parse_key, variable_path
 from mbdkit.spec.varied_specs import VariedSpecs
 from mbdkit_biomech.inverse_dynamics.inverse_loading import varied_inverse
 from mbdkit_biomech.inverse_dynamics.inverse_run import compute_run
 from mbdkit_biomech.inverse_dynamics.measure_samples import SampledMeasures, sampled_measures
+from mbdkit_studies.batch import simulate_batch
+from mbdkit_studies.lane_runs import LaneRuns
 
 Settings = Sequence[tuple[Path, Any]]
 """Key paths and their values."""

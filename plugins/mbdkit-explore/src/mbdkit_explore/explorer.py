@@ -11,7 +11,6 @@ from mbdkit.archive.headlines import MOST, headline_texts
 from mbdkit.base.errors import MbdkitError
 from mbdkit.base.plain_data import copied, plain
 from mbdkit.base.text import shown
-from mbdkit.runs.prepared_run import PreparedRun
 from mbdkit.spec import load_inverse_spec, load_spec
 from mbdkit.spec.loading import read_source
 from mbdkit.spec.reading import put
@@ -20,6 +19,7 @@ from mbdkit_biomech.inverse_dynamics.inverse_run import inverse
 from mbdkit_biomech.inverse_dynamics.inverse_spec import InverseSpec
 from mbdkit_explore.sliders import sliders
 from mbdkit_report.pages.run_report import TONES, film_of, yaml_text
+from mbdkit_studies.prepared_run import PreparedRun
 
 if TYPE_CHECKING:
     from mbdkit.archive.run import Run

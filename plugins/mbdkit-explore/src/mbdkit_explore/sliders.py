@@ -12,9 +12,9 @@ from mbdkit.base.errors import SpecError
 from mbdkit.base.plain_data import Path, parse_path, path_text
 from mbdkit.base.text import did_you_mean, listed
 from mbdkit.mechanism.parameters import ParameterValues
-from mbdkit.mechanism.unit_of_use import unit_of_use
-from mbdkit.spec.key_words import key_unit, key_words, keys_ending_in
 from mbdkit.spec.model_spec import ModelSpec
+from mbdkit_explore.unit_of_use import unit_of_use
+from mbdkit_report.key_words import key_unit, key_words, keys_ending_in
 
 MOST = 12
 """Largest number of sliders that are chosen by default."""

@@ -10,8 +10,8 @@ import scipy.stats
 from tests.report.conftest import STUDY
 
 import mbdkit
-from mbdkit.spec.key_words import key_words
 from mbdkit_report.figures.page_model import Axis, Figure, Line
+from mbdkit_report.key_words import key_words
 from mbdkit_report.pages.report import report
 from mbdkit_report.pages.report_page import cell_text
 from mbdkit_studies.carry_out import load_study

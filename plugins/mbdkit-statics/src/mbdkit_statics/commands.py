@@ -14,7 +14,7 @@ from mbdkit.base.text import listed
 from mbdkit.cli.common_options import AsJson, Debug, Overwrite, Set, SpecName, output_to
 
 if TYPE_CHECKING:
-    from mbdkit.runs.assembled_mechanism import PreparedMechanism
+    from mbdkit_statics.prepared_mechanism import PreparedMechanism
 
 
 def equilibrium(
@@ -37,9 +37,9 @@ def equilibrium(
     forces. Drivers and loads are evaluated at the start time; velocities are
     ignored. Gravity is (0, -9.81) m/s^2 unless `model.gravity` is given.
     """
-    from mbdkit.runs.assembled_mechanism import PreparedMechanism
     from mbdkit_statics import mechanics_summary
     from mbdkit_statics.equilibrium import equilibrium_of, spec_at
+    from mbdkit_statics.prepared_mechanism import PreparedMechanism
 
     if write is not None:
         check_output(write, overwrite=overwrite, source=spec)
@@ -89,9 +89,9 @@ def modes(
 
     Coordinates that drivers prescribe do not vibrate.
     """
-    from mbdkit.runs.assembled_mechanism import PreparedMechanism
     from mbdkit_statics import mechanics_summary
     from mbdkit_statics.modes import modes_of
+    from mbdkit_statics.prepared_mechanism import PreparedMechanism
 
     if output is not None:
         _check_picture(output, spec, overwrite=overwrite)
@@ -122,9 +122,9 @@ def kinematics(
     Drivers must prescribe all degrees of freedom. The motion is computed at the times of
     the steps in the spec.
     """
-    from mbdkit.runs.assembled_mechanism import PreparedMechanism
     from mbdkit_statics import mechanics_summary
     from mbdkit_statics.kinematics import kinematics_of
+    from mbdkit_statics.prepared_mechanism import PreparedMechanism
 
     if output is not None:
         check_output(output, overwrite=overwrite, source=spec)

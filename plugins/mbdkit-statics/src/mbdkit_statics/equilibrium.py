@@ -27,9 +27,9 @@ from mbdkit.mechanism.beams import named_body
 from mbdkit.mechanism.mechanism import Mechanism
 from mbdkit.mechanism.parameters import parameters_in_use
 from mbdkit.quantities.states import States
-from mbdkit.runs.assembled_mechanism import PreparedMechanism
 from mbdkit.runs.coarse_beams import CoarseBeams
 from mbdkit.spec.loading import RunSource, Sections
+from mbdkit_statics.prepared_mechanism import PreparedMechanism
 from mbdkit_statics.reduced import (
     DENSE,
     State,

@@ -12,8 +12,8 @@ import numpy as np
 from mbdkit.base.errors import RunError, StepError
 from mbdkit.base.text import counted, csv_cell, listed
 from mbdkit.mechanism.beams import named_body
-from mbdkit.runs.assembled_mechanism import PreparedMechanism
 from mbdkit.spec.loading import RunSource, Sections
+from mbdkit_statics.prepared_mechanism import PreparedMechanism
 from mbdkit_statics.reduced import at_rest, reduce
 
 ASIDE = 0.1

@@ -16,7 +16,7 @@ from scipy.sparse import block_array, csc_array, csr_array, diags_array
 from scipy.sparse.linalg import splu
 
 from mbdkit.base.errors import SpecError
-from mbdkit.runs.assembled_mechanism import PreparedMechanism
+from mbdkit_statics.prepared_mechanism import PreparedMechanism
 from mbdkit_statics.states_at_rest import CoupledStates, StatesAtRest, StaticEquations
 
 DENSE = 1500

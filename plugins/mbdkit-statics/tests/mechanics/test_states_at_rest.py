@@ -10,8 +10,8 @@ from scipy.optimize import brentq
 
 import mbdkit
 from mbdkit import SpecError
-from mbdkit.runs.assembled_mechanism import PreparedMechanism
 from mbdkit_statics.equilibrium import equilibrium_of, spec_at
+from mbdkit_statics.prepared_mechanism import PreparedMechanism
 
 INERTIA, GRAVITY = 0.05 + 3.0 * 0.2**2, 3.0 * 9.81 * 0.2
 STIFFNESS, DAMPING, LAG = 12.0, 0.4, 0.05

@@ -18,7 +18,6 @@ import h5py
 import numpy as np
 
 from mbdkit.archive import layout
-from mbdkit.archive.columns import write_column, write_hashes
 from mbdkit.archive.fingerprint import attributes_sha256, data_sha256
 from mbdkit.archive.finished_run import FinishedRun
 from mbdkit.archive.hdf5 import create, set_text
@@ -28,6 +27,7 @@ from mbdkit.archive.run_writer import utc_now
 from mbdkit.base.plain_data import canonical_text
 from mbdkit.quantities.array import FLOAT, INTEGER, TEXT, Array
 from mbdkit.quantities.table import RECORDED, sizes_of
+from mbdkit_studies.columns import write_column, write_hashes
 
 FORMAT = "mbdkit-block"
 FORMAT_VERSION = "1.1"

@@ -14,7 +14,6 @@ import h5py
 import numpy as np
 
 from mbdkit.archive import layout
-from mbdkit.archive.columns import read_column
 from mbdkit.archive.fingerprint import attributes_sha256, data_sha256, datasets, is_text
 from mbdkit.archive.finished_run import FinishedRun
 from mbdkit.archive.hdf5_errors import DAMAGE, reading
@@ -33,6 +32,7 @@ from mbdkit.spec import RunSpec
 from mbdkit.spec.reading import parse_key, put
 from mbdkit.trust.criteria import LEVELS, Judgement, Level
 from mbdkit_studies.block_writer import COUNTS, FORMAT, FORMAT_VERSION, STORES, prefix
+from mbdkit_studies.columns import read_column
 
 OBJECTS = 100_000
 """Largest number of groups and arrays in a block, about 60 for each structure."""

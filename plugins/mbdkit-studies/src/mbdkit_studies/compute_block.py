@@ -23,11 +23,11 @@ from mbdkit.base.plain_data import collecting_new_objects_only, path_text
 from mbdkit.base.terminal import say
 from mbdkit.base.text import joined_lines
 from mbdkit.measures.take import Description, with_error
-from mbdkit.runs.batch import CHUNK, Refused, refusal, simulate_in_any_order
 from mbdkit.runs.provenance import plugins_of, surroundings
 from mbdkit.spec import RunSpec
 from mbdkit.spec.study_measures import DefinedMeasure
 from mbdkit.spec.varied_specs import VariedSpecs
+from mbdkit_studies.batch import CHUNK, Refused, refusal, simulate_in_any_order
 from mbdkit_studies.block_writer import BlockHeading, BlockRun, Store, kept, write_block
 from mbdkit_studies.measures import MEASURES, OF_CHECKED_RUNS, Measure, RunGroup, places_by_group
 from mbdkit_studies.planned_points import PlannedPoint

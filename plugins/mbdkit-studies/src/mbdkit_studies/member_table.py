@@ -8,7 +8,6 @@ from pathlib import Path
 import h5py
 import numpy as np
 
-from mbdkit.archive.columns import read_column, write_column
 from mbdkit.archive.fingerprint import data_sha256
 from mbdkit.archive.hdf5 import create, set_text
 from mbdkit.archive.hdf5_errors import reading
@@ -17,6 +16,7 @@ from mbdkit.archive.untrusted_file import open_hdf5
 from mbdkit.base.errors import SpecError
 from mbdkit.base.files import replacing
 from mbdkit.quantities.array import FLOAT, INTEGER, TEXT, Array
+from mbdkit_studies.columns import read_column, write_column
 from mbdkit_studies.study_spec import StudySpec
 
 FILE = "members.h5"

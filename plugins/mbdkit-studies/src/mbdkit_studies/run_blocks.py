@@ -14,10 +14,10 @@ import numpy as np
 from mbdkit.archive.layout import COUNTERS, TIMINGS
 from mbdkit.base.errors import MbdkitError, ResourceError, SpecError
 from mbdkit.measures.take import Description
-from mbdkit.runs.lane_runs import why_alone
 from mbdkit_studies.blocks import Block
 from mbdkit_studies.compute_block import MISALIGNMENT
 from mbdkit_studies.folder_lock import Shard
+from mbdkit_studies.lane_runs import why_alone
 from mbdkit_studies.run_store import MISSING, Noted, Round, RunStore
 from mbdkit_studies.study_blocks import AnotherStudyError
 from mbdkit_studies.study_folder import StudyFolder

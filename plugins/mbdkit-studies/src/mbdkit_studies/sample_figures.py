@@ -12,8 +12,8 @@ import numpy as np
 
 from mbdkit.base.errors import MbdkitError
 from mbdkit.measures.reductions import REDUCTIONS
-from mbdkit.spec.key_words import key_words
 from mbdkit_report.figures.page_model import Axis, Cell, Column, Figure, Line, Table
+from mbdkit_report.key_words import key_words
 from mbdkit_studies.measure_statistics import statistics_of_group
 from mbdkit_studies.sample_groups import SampleGroup, measured, sample_groups
 from mbdkit_studies.sample_statistics import CONFIDENCE

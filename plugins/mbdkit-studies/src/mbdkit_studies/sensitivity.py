@@ -13,7 +13,7 @@ from mbdkit.archive.group_table import data_frame
 from mbdkit.archive.measured_values import ERROR
 from mbdkit.base.errors import MbdkitError, SpecError
 from mbdkit.base.text import listed
-from mbdkit.spec.key_words import key_words
+from mbdkit_report.key_words import key_words
 from mbdkit_studies.sample_groups import SampledStudy, measured, one_group
 from mbdkit_studies.sample_statistics import CONFIDENCE
 from mbdkit_studies.sobol_indices import RESAMPLES, SobolIndices, members_for, sobol_indices

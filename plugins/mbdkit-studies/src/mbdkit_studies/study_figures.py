@@ -11,9 +11,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from mbdkit.spec.key_words import key_words
 from mbdkit_report.analysis.order import observed_order
 from mbdkit_report.figures.page_model import Axis, Column, Figure, Guide, Line
+from mbdkit_report.key_words import key_words
 from mbdkit_studies.cost_at_error import TIMED, TIMED_ONCE, is_timed
 from mbdkit_studies.point_selection import METHOD, OPERATIONS, STEP, value
 from mbdkit_studies.study_point import axis_unit, value_words

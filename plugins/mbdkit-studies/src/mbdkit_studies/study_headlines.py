@@ -14,7 +14,7 @@ from mbdkit.archive.headlines import plus_minus
 from mbdkit.archive.measured_values import ERROR
 from mbdkit.base.errors import MbdkitError
 from mbdkit.base.text import listed, told_apart
-from mbdkit.spec.key_words import key_words
+from mbdkit_report.key_words import key_words
 from mbdkit_studies.cost_at_error import error_headlines
 from mbdkit_studies.measure_statistics import MeasureStatistics, statistics_of_group
 from mbdkit_studies.sample_groups import SampleGroup, measured, sample_groups

@@ -17,7 +17,6 @@ from typing import Any
 import h5py
 import numpy as np
 
-from mbdkit.archive.columns import read_column, write_column, write_hashes
 from mbdkit.archive.fingerprint import attributes_sha256, data_sha256
 from mbdkit.archive.hdf5 import create, set_text
 from mbdkit.archive.hdf5_errors import reading
@@ -28,6 +27,7 @@ from mbdkit.base.errors import ArchiveError, SpecError
 from mbdkit.base.files import replacing
 from mbdkit.measures.take import Description
 from mbdkit.quantities.array import FLOAT, INTEGER, TEXT, Array
+from mbdkit_studies.columns import read_column, write_column, write_hashes
 from mbdkit_studies.measures import MEASURES, OF_CHECKED_RUNS, SECOND
 from mbdkit_studies.planned_points import Label
 from mbdkit_studies.study_spec import StudySpec

@@ -13,7 +13,7 @@ from typing import overload
 
 from mbdkit.base.errors import MbdkitError
 from mbdkit.spec import RunSpec
-from mbdkit.spec.key_words import key_unit, key_words
+from mbdkit_report.key_words import key_unit, key_words
 from mbdkit_studies.planned_points import Label, PlannedPoint, PlannedPoints, point_label
 from mbdkit_studies.study_folder import StudyFolder
 from mbdkit_studies.study_index import Index, Row

@@ -23,7 +23,7 @@ from mbdkit.base.command_words import executing
 from mbdkit.base.errors import MbdkitError, SpecError
 from mbdkit.base.one_thread import one_thread_of_linear_algebra
 from mbdkit.base.text import shown
-from mbdkit.runs.batch import refusal
+from mbdkit_studies.batch import refusal
 
 if TYPE_CHECKING:
     from mbdkit.archive.run import Run

@@ -23,10 +23,9 @@ import mbdkit
 from mbdkit.archive.archive_check import check
 from mbdkit.archive.fingerprint import attributes_sha256, data_sha256, datasets
 from mbdkit.base.errors import MbdkitError, SpecError
-from mbdkit.runs import batch
 from mbdkit.spec import RunSpec
+from mbdkit_studies import batch, pool, run_blocks
 from mbdkit_studies import compute_block as compute_block_module
-from mbdkit_studies import pool, run_blocks
 from mbdkit_studies.blocks import Block
 from mbdkit_studies.compute_block import compute_block
 from mbdkit_studies.folder_lock import Shard

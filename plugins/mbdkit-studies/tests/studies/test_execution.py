@@ -13,8 +13,8 @@ import pytest
 import mbdkit
 from mbdkit.archive.archive_check import check
 from mbdkit.base.errors import ResourceError, SpecError
-from mbdkit.runs.batch import refusal
 from mbdkit_studies import pool, study_index
+from mbdkit_studies.batch import refusal
 from mbdkit_studies.folder_lock import Shard
 
 #: Two rods that can meet a point of the ground at a distance of 1.5 m, but not at 3 m.

@@ -9,7 +9,6 @@ from typing import NamedTuple, cast
 
 import numpy as np
 
-from mbdkit.mechanism.improbable_bodies import inertias_about_joints
 from mbdkit.plugin import use
 from mbdkit.registry.feature_items import CriterionItem
 from mbdkit.registry.manager import registry
@@ -19,6 +18,7 @@ from mbdkit_biomech.inverse_dynamics.column_criteria import column_doubts, doubt
 from mbdkit_biomech.inverse_dynamics.compute import Inverse, InverseProblem
 from mbdkit_biomech.inverse_dynamics.doubt import Doubt
 from mbdkit_biomech.inverse_dynamics.error_bars import ErrorBars
+from mbdkit_biomech.inverse_dynamics.inertias_about_joints import inertias_about_joints
 from mbdkit_biomech.inverse_dynamics.knee_criterion import knee_doubts
 from mbdkit_biomech.inverse_dynamics.large_errors import large_errors
 from mbdkit_biomech.inverse_dynamics.load_criteria import load_doubts, units_of_loads

@@ -18,12 +18,12 @@ import numpy as np
 
 from mbdkit.base.errors import RunError, SpecError
 from mbdkit.base.text import counted
-from mbdkit.mechanism.mechanism_quantities import Quantities
 from mbdkit_biomech.inverse_dynamics.fit import Fitter
 from mbdkit_biomech.inverse_dynamics.loads import Loads
 from mbdkit_biomech.inverse_dynamics.manifold import Directions, Manifold
 from mbdkit_biomech.inverse_dynamics.named_actuators import NamedActuator
 from mbdkit_biomech.inverse_dynamics.reduced_motion import Motion
+from mbdkit_biomech.inverse_dynamics.several_quantities import Quantities
 
 WEAK = 1e-8
 """A free direction counts as not driven if the effect of the actuators on it, relative to the largest effect, is below

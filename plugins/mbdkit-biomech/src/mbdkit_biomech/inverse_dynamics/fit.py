@@ -10,8 +10,8 @@ from mbdkit.base.errors import RunError, SpecError
 from mbdkit.base.text import listed
 from mbdkit.engine.compiled_mechanism import CompiledMechanism
 from mbdkit.engine.joint_sums import JointSums
-from mbdkit.mechanism.mechanism_quantities import Quantities
 from mbdkit_biomech.inverse_dynamics.manifold import Manifold, least_norm
+from mbdkit_biomech.inverse_dynamics.several_quantities import Quantities
 
 MOST_ITERATIONS = 200
 ROUND_OFF = 1e-13

@@ -8,7 +8,7 @@ import numpy as np
 from scipy.ndimage import median_filter
 
 from mbdkit.base.text import listed
-from mbdkit.mechanism.mechanism_quantities import Coordinate, MarkerCoordinate, without_scale
+from mbdkit.mechanism.mechanism_quantities import Coordinate, MarkerCoordinate
 from mbdkit_biomech.inverse_dynamics.compute import Inverse, InverseProblem
 from mbdkit_biomech.inverse_dynamics.doubt import ROUND_OFF, TO_DEVIATION, Doubt
 from mbdkit_biomech.inverse_dynamics.error_bars import ErrorBars
@@ -22,6 +22,7 @@ from mbdkit_biomech.inverse_dynamics.glitch_criterion import (
 )
 from mbdkit_biomech.inverse_dynamics.load_point_criterion import centre_of_pressure, in_body, load_point_doubts
 from mbdkit_biomech.inverse_dynamics.named_actuators import free_roots
+from mbdkit_biomech.inverse_dynamics.several_quantities import without_scale
 
 FRICTION = 1.0
 """A plate on the ground cannot push its body sideways, on average, with more than this multiple of its vertical force.

@@ -17,7 +17,7 @@ from mbdkit.base.errors import SpecError
 from mbdkit.base.plain_data import quoted
 from mbdkit.base.text import counted, listed, shown
 from mbdkit.base.units import Unit, read_unit
-from mbdkit.mechanism.mechanism_quantities import Quantities, Quantity
+from mbdkit.mechanism.mechanism_quantities import Quantity
 from mbdkit.mechanism.quantity_names import QuantityNames
 from mbdkit.spec import InverseSpec
 from mbdkit_biomech.inverse_dynamics.continued_angles import continued
@@ -31,6 +31,7 @@ from mbdkit_biomech.inverse_dynamics.inverse_sections import (
     TimeColumn,
 )
 from mbdkit_biomech.inverse_dynamics.measured_table import Table, table_of, unit_of_time_as_cause
+from mbdkit_biomech.inverse_dynamics.several_quantities import Quantities
 from mbdkit_biomech.inverse_dynamics.table_files import read_table
 
 LARGEST = 1e30

@@ -12,11 +12,11 @@ import numpy as np
 from mbdkit.archive.run import Run
 from mbdkit.base.errors import SpecError
 from mbdkit.mechanism.mechanism import Mechanism
-from mbdkit.mechanism.mechanism_quantities import Quantities
 from mbdkit.mechanism.quantity_names import QuantityNames
 from mbdkit.muscles.muscle_path import MusclePath
 from mbdkit.runs.assembled_mechanism import AssembledMechanism
 from mbdkit_biomech.inverse_dynamics.manifold import Manifold
+from mbdkit_biomech.inverse_dynamics.several_quantities import Quantities
 
 DEPENDENT = 1e-6
 """A quantity is chosen if more than this share of its gradient is independent of the gradients chosen before it."""

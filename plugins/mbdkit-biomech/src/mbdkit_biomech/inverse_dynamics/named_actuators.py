@@ -9,6 +9,8 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
+import numpy as np
+
 from mbdkit.base.errors import SpecError
 from mbdkit.base.plain_data import quoted
 from mbdkit.base.text import did_you_mean, listed
@@ -20,12 +22,11 @@ from mbdkit.mechanism.mechanism_quantities import (
     Point,
     Quantity,
     RelativeAngle,
-    Shortening,
     Travel,
-    without_scale,
 )
 from mbdkit.mechanism.quantity_names import QuantityNames
 from mbdkit_biomech.inverse_dynamics.inverse_sections import Actuator, Recruitment
+from mbdkit_biomech.inverse_dynamics.several_quantities import without_scale
 
 RESERVE = "reserve."
 """Prefix of the names of reserves."""
@@ -68,6 +69,35 @@ class NamedActuator:
     def kind(self) -> str:
         """``actuator``, ``reserve`` or ``residual``."""
         return "residual" if self.is_residual else "reserve" if self.name.startswith(RESERVE) else "actuator"
+
+
+@dataclass(frozen=True)
+class Shortening(Quantity):
+    """The negative distance between two points; its generalized force is a tension that pulls the points together.
+
+    Only the value and the gradient are implemented; `curvature` returns zeros.
+    """
+
+    first: Point
+    second: Point
+    unit = "m"
+
+    def _apart(self, q: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        (ax, ay), (bx, by) = self.first.position(q), self.second.position(q)
+        length = np.hypot(bx - ax, by - ay)
+        safe = np.where(length > 0, length, 1.0)
+        return (bx - ax) / safe, (by - ay) / safe, length
+
+    def value(self, q: np.ndarray) -> np.ndarray:
+        """Return the negative distance."""
+        length: np.ndarray = -self._apart(q)[2]
+        return length
+
+    def add_gradient(self, q: np.ndarray, out: np.ndarray) -> None:
+        """Add the gradient, which is the generalized force of a unit tension."""
+        ex, ey, _ = self._apart(q)
+        self.first.add_force(q, ex, ey, out)
+        self.second.add_force(q, -ex, -ey, out)
 
 
 @dataclass(frozen=True)

@@ -10,12 +10,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-from mbdkit.mechanism.mechanism_quantities import Quantities
 from mbdkit_biomech.inverse_dynamics.compute import Inverse
 from mbdkit_biomech.inverse_dynamics.inverse_sections import Smoothing
 from mbdkit_biomech.inverse_dynamics.manifold import Directions
 from mbdkit_biomech.inverse_dynamics.measured import bridged
 from mbdkit_biomech.inverse_dynamics.reduced_motion import Independent
+from mbdkit_biomech.inverse_dynamics.several_quantities import Quantities
 from mbdkit_biomech.inverse_dynamics.smoothing import FEWEST, Smoothed, local_derivatives, smoothed_each
 
 DRAWS = 20

@@ -24,10 +24,10 @@ from mbdkit.base.plain_data import quoted
 from mbdkit.base.text import counted, listed
 from mbdkit.mechanism.muscles import Muscle
 from mbdkit.mechanism.quantity_names import QuantityNames
-from mbdkit.muscles.fibers import fibers_on_rigid_tendon
 from mbdkit.muscles.muscle_path import MusclePath
 from mbdkit_biomech.inverse_dynamics.dynamics import Balance, Dynamics
 from mbdkit_biomech.inverse_dynamics.elastic_tendons import ElasticMuscles, in_equilibrium
+from mbdkit_biomech.inverse_dynamics.fibers import fibers_on_rigid_tendon
 from mbdkit_biomech.inverse_dynamics.inverse_sections import Recruitment
 from mbdkit_biomech.inverse_dynamics.loads_over_time import (
     ActivationDynamics,

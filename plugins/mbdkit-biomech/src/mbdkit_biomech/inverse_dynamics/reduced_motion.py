@@ -22,10 +22,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mbdkit.mechanism.mechanism_quantities import Quantities, Quantity
+from mbdkit.mechanism.mechanism_quantities import Quantity
 from mbdkit_biomech.inverse_dynamics.fit import Fitter, Target
 from mbdkit_biomech.inverse_dynamics.manifold import Manifold
 from mbdkit_biomech.inverse_dynamics.measured import Measured
+from mbdkit_biomech.inverse_dynamics.several_quantities import Quantities
 from mbdkit_biomech.inverse_dynamics.smoothing import Smoothed
 
 PREFERRED = 0.2

@@ -6,12 +6,13 @@ from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 
 from mbdkit.base.text import listed
-from mbdkit.mechanism.mechanism_quantities import MarkerCoordinate, without_scale
+from mbdkit.mechanism.mechanism_quantities import MarkerCoordinate
 from mbdkit.mechanism.quantity_names import QuantityNames
 from mbdkit.spec import InverseSpec
 from mbdkit_biomech.inverse_dynamics.inverse_sections import TimeColumn
 from mbdkit_biomech.inverse_dynamics.measured import Measured
 from mbdkit_biomech.inverse_dynamics.measured_table import Table
+from mbdkit_biomech.inverse_dynamics.several_quantities import without_scale
 
 NAMED = 6
 """Largest number of markers or columns that are named."""

@@ -14,11 +14,11 @@ from mbdkit.base.text import listed
 from mbdkit.mechanism.parameters import parameter_values
 from mbdkit.mechanism.pathways import JointAngles, path_ends
 from mbdkit.mechanism.values import Table as TimeTable
-from mbdkit.spec.key_words import described_unit
 from mbdkit_report.figures.curves import take
 from mbdkit_report.figures.mechanism_drawing import NARROW, WIDE, NamedPose, mechanism_svg, names_shown, own_forces
 from mbdkit_report.figures.page_model import Cell, Column, Illustration, Section, Table, columns_of
 from mbdkit_report.figures.quantity_text import count
+from mbdkit_report.key_words import described_unit
 
 if TYPE_CHECKING:
     from mbdkit.archive.run import Run

@@ -17,8 +17,8 @@ from mbdkit.base.plain_data import Path as SpecPath
 from mbdkit.base.plain_data import path_text
 from mbdkit.base.text import counted, did_you_mean, listed
 from mbdkit.spec import RunSpec
-from mbdkit.spec.key_words import key_unit, key_words
 from mbdkit_report.figures.curves import require_rows
+from mbdkit_report.key_words import key_unit, key_words
 from mbdkit_report.plot.caption import method, plain_name
 from mbdkit_report.plot.charts import draw_on
 from mbdkit_report.plot.plot_kinds import plot_module

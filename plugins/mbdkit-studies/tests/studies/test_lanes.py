@@ -14,7 +14,13 @@ from mbdkit.engine.native.levels import WIDTH
 from mbdkit.engine.observed_states import StateObserver
 from mbdkit.engine.workspace import Workspace
 from mbdkit.integrators.interface import Guards, Timetable
-from mbdkit.integrators.lane_stepper import (
+from mbdkit.integrators.start import start_method
+from mbdkit.mechanism.mechanism import Mechanism
+from mbdkit.methods import dop853, dopri5, gauss, radau_iia, rk4, rk_gill
+from mbdkit.methods.kinds import ExplicitRungeKutta, ImplicitRungeKutta, Tolerances
+from mbdkit.runs.preparation import build
+from mbdkit.spec import RunSpec
+from mbdkit_studies.lane_stepper import (
     ControlledLaneStepper,
     LaneResults,
     LaneStepper,
@@ -22,15 +28,8 @@ from mbdkit.integrators.lane_stepper import (
     suits_lanes,
     topology_of,
 )
-from mbdkit.integrators.start import start_method
-from mbdkit.mechanism.mechanism import Mechanism
-from mbdkit.methods import dop853, dopri5, gauss, radau_iia, rk4, rk_gill
-from mbdkit.methods.kinds import ExplicitRungeKutta, ImplicitRungeKutta, Tolerances
-from mbdkit.runs.preparation import build
-from mbdkit.spec import RunSpec
 from tests.engine.random_mechanisms import chain, driven_frame, ladder, slides
-
-from .running import driven_chain, workspace_of
+from tests.integrators.running import driven_chain, workspace_of
 
 METHODS: dict[str, ExplicitRungeKutta | ImplicitRungeKutta] = {
     "rk4": ExplicitRungeKutta(rk4.tableau()),

@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from mbdkit.archive.finished_run import ArrayHash, FinishedRun, SharedDigests
+from mbdkit.archive.finished_run import ArrayHash, FinishedRun
 from mbdkit.base.logs import logger_of
 from mbdkit.engine.compiled_mechanism import CompiledMechanism
 from mbdkit.engine.consistent_start import CompiledForStarts, MechanismAtStart, Starts
@@ -25,14 +25,6 @@ from mbdkit.engine.native.levels import WIDTH
 from mbdkit.engine.workspace import Workspace
 from mbdkit.integrators.interface import Guards, StepEvidence, Stretch, Timetable
 from mbdkit.integrators.lane_collocation import StagePivots
-from mbdkit.integrators.lane_stepper import (
-    ControlledLaneStepper,
-    LaneResults,
-    LaneStepper,
-    PivotsAtStart,
-    suits_lanes,
-    topology_of,
-)
 from mbdkit.mechanism.size import mechanism_sizes
 from mbdkit.methods.kinds import Method
 from mbdkit.quantities.array import FLOAT
@@ -50,6 +42,16 @@ from mbdkit.runs.warnings import accepted_doubts, doubts, start_warnings
 from mbdkit.spec import RunSpec
 from mbdkit.trust.criteria import judge
 from mbdkit.trust.energy_record import EnergyRecord
+from mbdkit_studies.lane_starts import at_starts
+from mbdkit_studies.lane_stepper import (
+    ControlledLaneStepper,
+    LaneResults,
+    LaneStepper,
+    PivotsAtStart,
+    suits_lanes,
+    topology_of,
+)
+from mbdkit_studies.shared_digests import SharedDigests
 
 _LOG = logger_of(__name__)
 
@@ -137,7 +139,7 @@ def _starts(runs: Sequence[_Compiled | None]) -> Iterator[tuple[int, _Compiled, 
             alike[run.compiled].append((place, run))
     for compiled, members in alike.items():
         mechanisms = [run.spec.mechanism() for _, run in members]
-        starts = compiled.at_starts(mechanisms, [run.spec.time.final for _, run in members])
+        starts = at_starts(compiled, mechanisms, [run.spec.time.final for _, run in members])
         some = [
             (member, model, start) for member, model, start in zip(members, mechanisms, starts, strict=True) if start
         ]

@@ -12,9 +12,9 @@ from mbdkit.base.one_thread import one_thread_of_linear_algebra
 from mbdkit.base.text import joined_lines, one_line
 from mbdkit.engine.consistent_start import Starts
 from mbdkit.engine.native.levels import WIDTH
-from mbdkit.runs.lane_runs import LaneRuns
 from mbdkit.runs.simulation import simulate_arrays
 from mbdkit.spec import RunSpec
+from mbdkit_studies.lane_runs import LaneRuns
 
 
 @dataclass(frozen=True)
@@ -48,7 +48,7 @@ def simulate_batch(
     """Run validated specs, and yield the result of each, in the order of `specs`.
 
     The numbers, and therefore `FinishedRun.data_sha256`, are equal to those of `simulate` for the same spec. Runs on
-    index-1 equations with explicit, Gauss and Radau IIA methods are vectorized; see `mbdkit.runs.lane_runs` for the
+    index-1 equations with explicit, Gauss and Radau IIA methods are vectorized; see `mbdkit_studies.lane_runs` for the
     exceptions. All others are computed one after another.
 
     Parameters

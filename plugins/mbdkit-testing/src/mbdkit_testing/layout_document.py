@@ -1,4 +1,4 @@
-"""Writes the layout table to the format document: ``python -m mbdkit.archive.layout_document schemas/archive.md``."""
+"""Writes the layout table to the format document: ``python -m mbdkit_testing.layout_document schemas/archive.md``."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from pathlib import Path
 
 from mbdkit.archive.layout import LAYOUT
 
-BEGIN = "<!-- layout: begin (python -m mbdkit.archive.layout_document schemas/archive.md) -->"
+BEGIN = "<!-- layout: begin (python -m mbdkit_testing.layout_document schemas/archive.md) -->"
 END = "<!-- layout: end -->"
 
 

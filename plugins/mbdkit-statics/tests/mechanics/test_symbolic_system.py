@@ -22,8 +22,8 @@ from mbdkit.engine.observed_states import StateObserver
 from mbdkit.engine.workspace import Workspace
 from mbdkit.mechanism.forces import Force
 from mbdkit.mechanism.mechanism import Mechanism
-from mbdkit.mechanism.symbolic_system import SymbolicSystem
 from mbdkit.spec import load_spec
+from mbdkit_statics.symbolic_system import SymbolicSystem
 from tests.engine.random_mechanisms import flexible
 
 T = 0.7

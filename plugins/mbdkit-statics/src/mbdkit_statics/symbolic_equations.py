@@ -31,11 +31,11 @@ from mbdkit.mechanism.law_parameters import law_parameters
 from mbdkit.mechanism.mechanism import Mechanism
 from mbdkit.mechanism.pathways import Pathway, Segment
 from mbdkit.mechanism.state_values import is_of_state
-from mbdkit.mechanism.symbolic_system import SymbolicSystem
 from mbdkit.mechanism.values import Table, curve_of
-from mbdkit.symbolic import definitions as d
 from mbdkit.symbolic.symbolic_law import LENGTH, RATE, law_expressions
 from mbdkit.symbolic.symbolic_law import T as LAW_TIME
+from mbdkit_statics import element_definitions as d
+from mbdkit_statics.symbolic_system import SymbolicSystem
 
 TIME = sp.Symbol("t", real=True)
 

@@ -1,4 +1,6 @@
-"""Generate ``mbdkit/engine/kernels/element_kernels.py`` from the definitions.
+"""Generate ``mbdkit/engine/kernels/element_kernels.py`` from the definitions of elements.
+
+Run by ``python -m mbdkit_builder elements``.
 
 The generated module contains one kernel for each kind of constraint and each level (position, acceleration, tangent),
 and for each level a loop that calls the kernel of the right kind for every pair of constraint rows. Each kind of
@@ -8,15 +10,17 @@ Cross-sections of beams have a kernel for their forces and one for the tangents.
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Iterable, Sequence
-from pathlib import Path
 
 import sympy as sp
 from sympy.printing.pycode import PythonCodePrinter
 
-from mbdkit.symbolic import definitions as d
+from mbdkit.engine.native.machine_code import PACKAGE
+from mbdkit_builder.generated_files import write
+from mbdkit_statics import element_definitions as d
 
-TARGET = Path(__file__).resolve().parent.parent / "engine" / "kernels" / "element_kernels.py"
+TARGET = PACKAGE / "engine/kernels/element_kernels.py"
 
 HEADER = '''"""Element kernels, generated from the definitions by ``python -m mbdkit.symbolic``. Do not edit.
 
@@ -176,8 +180,8 @@ def _masks(name: str, kinds: Iterable[tuple[str, sp.Matrix]]) -> str:
     return f"{name} = {{\n{rows}\n}}"
 
 
-def source() -> str:
-    """Return the text of the generated module."""
+def generated() -> str:
+    """Return the source of the module."""
     parts = [HEADER]
     constraints = {kind.name: (kind, d.derive_constraint(kind)) for kind in d.CONSTRAINTS}
     pathways = {kind.name: (kind, d.derive_pathway(kind)) for kind in d.PATHWAYS}
@@ -263,3 +267,7 @@ def _section_kernels(terms: dict[str, sp.Matrix]) -> list[str]:
         _kernel("section_forces", "k, z, p, force, stress, energy", note, forces),
         _kernel("section_tangents", "k, z, p, stiffness, damping", "Derivatives of the force.", tangents),
     ]
+
+
+if __name__ == "__main__":  # `python -m mbdkit.symbolic`, which works until mbdkit 0.4
+    raise SystemExit(write(TARGET, generated(), check="--check" in sys.argv))

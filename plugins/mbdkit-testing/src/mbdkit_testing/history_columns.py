@@ -1,6 +1,6 @@
 """Declares the columns of histories as class attributes, for type checkers and completion.
 
-``python -m mbdkit.archive.history_columns mbdkit/archive/history.py`` writes the declarations from the table of
+``python -m mbdkit_testing.history_columns mbdkit/archive/history.py`` writes the declarations from the table of
 quantities. At run time, `View` creates the columns from the same table.
 """
 
@@ -13,7 +13,7 @@ from pathlib import Path
 from mbdkit.archive.history import columns_of
 from mbdkit.quantities.table import BY_GROUP
 
-MARK = "    # columns (python -m mbdkit.archive.history_columns mbdkit/archive/history.py)\n"
+MARK = "    # columns (python -m mbdkit_testing.history_columns mbdkit/archive/history.py)\n"
 
 _CLASS = re.compile(
     r'^class \w+\(View, of="(?P<group>\w+)"\):\n    """(?:.|\n)*?"""\n'

@@ -13,15 +13,15 @@ from mbdkit.base.one_thread import one_thread_of_linear_algebra
 from mbdkit.base.plain_data import Path
 from mbdkit.base.text import did_you_mean, listed
 from mbdkit.engine.consistent_start import Starts
-from mbdkit.runs.given_start import spec_started_at
-from mbdkit.runs.lane_runs import LaneRuns
 from mbdkit.runs.run_in_memory import run_in_memory
 from mbdkit.runs.simulation import simulate
 from mbdkit.spec import RunSpec, load_spec
-from mbdkit.spec.key_words import keys_ending_in
 from mbdkit.spec.loading import RunSource, Sections
 from mbdkit.spec.reading import variable_path
 from mbdkit.spec.varied_specs import VariedSpecs
+from mbdkit_report.key_words import keys_ending_in
+from mbdkit_studies.given_start import spec_started_at
+from mbdkit_studies.lane_runs import LaneRuns
 
 LONG = 15_000
 """Runs are computed by the vectorized loop until one takes more evaluations times bodies than this.
