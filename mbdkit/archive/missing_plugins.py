@@ -51,6 +51,7 @@ def _needed(provenance: Mapping[str, object]) -> Iterator[Needed]:
         ("model", "model"),
         ("integrator", "integrator"),
         ("force-law", "force_laws"),
+        ("spec-kind", "spec_kind"),
     )
     for kind, key in kinds:
         ids, origins, versions = (

@@ -8,10 +8,13 @@ from contextlib import suppress
 from functools import cache
 from importlib.metadata import version
 from pathlib import Path
+from typing import Any, cast
 
 from mbdkit.base.command_words import command_line
 from mbdkit.engine.native.machine_code import code_id
-from mbdkit.registry.catalogue import Registered
+from mbdkit.registry.catalogue import MBDKIT, Registered
+from mbdkit.registry.feature_items import SpecKind
+from mbdkit.registry.manager import registry
 from mbdkit.spec import RunSpec
 from mbdkit.spec.model_spec import ModelSpec
 
@@ -72,8 +75,16 @@ def model_provenance(spec: ModelSpec) -> dict[str, str | int | float]:
 
 
 def plugins_of(spec: RunSpec) -> dict[str, str]:
-    """Return the plugins of a run and their versions."""
-    return _plugins({"model": spec.model_item, "integrator": spec.integrator_item}, spec)
+    """Return the plugins of a run and their versions; the kind of the spec only if a plugin defines it."""
+    kinds = registry().of_kind("spec-kind") if type(spec) is not RunSpec else ()
+    own = [("spec_kind", kind) for kind in kinds if kind.origin.distribution != MBDKIT and _model(kind) is type(spec)]
+    return _plugins({"model": spec.model_item, "integrator": spec.integrator_item, **dict(own)}, spec)
+
+
+def _model(kind: Registered) -> Any:
+    """Return the class of the specs of a kind whose runs have archives."""
+    model = cast(SpecKind, kind.plugin).model
+    return None if model is None else model()
 
 
 def _plugins(items: dict[str, Registered], spec: ModelSpec) -> dict[str, str]:

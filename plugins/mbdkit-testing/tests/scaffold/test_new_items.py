@@ -67,6 +67,14 @@ def test_a_kind_of_specs_is_checked_documented_and_computed_again(archive, mbdki
 
 
 @pytest.mark.end_to_end
+def test_an_archive_whose_kind_of_specs_was_removed_names_it(archive, site):
+    done = python("-m", "mbdkit", "rerun", "run.h5", path=(), cwd=site[0])
+    assert done.returncode == 2
+    assert "'mbdkit-new-spec-kind:new-spec-kind' is not installed here" in done.stderr
+    assert python("-m", "mbdkit", "archive", "info", "run.h5", path=(), cwd=site[0]).returncode == 0
+
+
+@pytest.mark.end_to_end
 def test_a_run_is_plotted_reported_and_exported_by_the_items(archive, mbdkit):
     folder = archive.parent
     assert "new_plot_kind" in mbdkit("plot", "--help")
