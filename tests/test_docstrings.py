@@ -10,6 +10,7 @@ import pytest
 
 MODULES = (
     "mbdkit.archive.reader",
+    "mbdkit.archive.recorded_data",
     "mbdkit.archive.run",
     "mbdkit.archive.run_views",
     "mbdkit.mechanism.mechanism",
