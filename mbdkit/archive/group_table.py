@@ -15,9 +15,9 @@ import numpy as np
 
 from mbdkit.archive.fingerprint import is_text
 from mbdkit.archive.hdf5_errors import reading
-from mbdkit.archive.history import NotRecordedError, UnknownNameError
 from mbdkit.archive.layout import ELEMENTS, GROUPS, LAYOUT
-from mbdkit.base.errors import MbdkitError
+from mbdkit.archive.named_columns import NotRecordedError
+from mbdkit.base.errors import MbdkitError, UnknownNameError
 from mbdkit.quantities.array import TEXT, Array
 
 if TYPE_CHECKING:

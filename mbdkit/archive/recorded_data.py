@@ -13,6 +13,7 @@ import numpy as np
 from mbdkit.archive import history, layout, run_header
 from mbdkit.archive.fingerprint import is_text
 from mbdkit.archive.hdf5_errors import reading
+from mbdkit.archive.named_columns import Histories, NotRecordedError
 from mbdkit.archive.run_contents import ArchiveContents, RunContents
 from mbdkit.quantities.array import Kind
 from mbdkit.quantities.table import BY_GROUP, BY_WORD
@@ -86,7 +87,7 @@ class RecordedData:
         """Return whether the run recorded the array at `path` of the layout."""
         try:
             self.dataset(path)
-        except history.NotRecordedError:
+        except NotRecordedError:
             return False
         return True
 
@@ -178,7 +179,7 @@ class RecordedData:
             asked = output.get("quantities") if isinstance(output, Mapping) else None
             is_left_out = isinstance(asked, list) and kind.group not in asked
             if is_left_out or not kind.is_optional or layout.later([kind.named_by], self.format_version):
-                raise history.NotRecordedError(kind.group, self.format_version)
+                raise NotRecordedError(kind.group, self.format_version)
         return ()
 
     @evaluated
@@ -389,7 +390,7 @@ class RecordedData:
 
 def _objects_of(word: str) -> property:
     """Return a property whose value contains the histories of the objects of a kind by name."""
-    return property(lambda run: history.Histories(BY_WORD[word], run), doc=f"The {word} by name.")
+    return property(lambda run: Histories(BY_WORD[word], run), doc=f"The {word} by name.")
 
 
 for _word in BY_WORD:  # kinds of elements for which the class does not define a property

@@ -13,7 +13,6 @@ import numpy as np
 
 from mbdkit.archive.accuracy import Accuracy
 from mbdkit.archive.hdf5_errors import reading
-from mbdkit.archive.history import UnknownNameError
 from mbdkit.archive.measured_values import Integrals, MeasuredValues
 from mbdkit.archive.part_file import write_image
 from mbdkit.archive.recorded_data import RecordedData
@@ -21,7 +20,7 @@ from mbdkit.archive.run_contents import ArchiveContents, RunContents
 from mbdkit.archive.run_views import Animation, RunPlots
 from mbdkit.archive.stored_mechanism import StoredMechanism
 from mbdkit.base import higher_layers
-from mbdkit.base.errors import ArchiveError, RunError, SpecError
+from mbdkit.base.errors import ArchiveError, RunError, SpecError, UnknownNameError
 from mbdkit.base.files_read import FileRead
 from mbdkit.base.html_view import HtmlView
 from mbdkit.mechanism.mechanism import Mechanism

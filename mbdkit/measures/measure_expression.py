@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING, ClassVar
 import numpy as np
 
 from mbdkit.archive.headlines import is_at_end
-from mbdkit.archive.history import NotRecordedError
+from mbdkit.archive.named_columns import NotRecordedError
 from mbdkit.base.errors import SpecError
 from mbdkit.base.text import listed
 from mbdkit.base.units import Unit, read_unit

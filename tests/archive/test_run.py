@@ -13,12 +13,12 @@ import pytest
 import mbdkit
 from mbdkit.archive import history, recorded_data
 from mbdkit.archive.archive_check import check
-from mbdkit.archive.history import Column, NotRecordedError, UnknownNameError
+from mbdkit.archive.named_columns import Column, NotRecordedError
 from mbdkit.archive.reader import load
 from mbdkit.archive.run import Run
 from mbdkit.archive.run_contents import ArchiveContents
 from mbdkit.archive.run_writer import Ending
-from mbdkit.base.errors import MbdkitError, RunError, SpecError
+from mbdkit.base.errors import MbdkitError, RunError, SpecError, UnknownNameError
 from mbdkit.trust.criteria import Judgement
 
 from .making import PROVENANCE, SPEC, STATS, fill, largest, make, names, rows, steps, writer
