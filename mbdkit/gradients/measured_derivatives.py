@@ -29,7 +29,8 @@ from mbdkit.gradients.differentiated_states import (
     quantity_of,
 )
 from mbdkit.gradients.sided_stepper import Corner
-from mbdkit.measures.measure_expression import ALONG, AT_END_OF_RUN, MeasureExpression
+from mbdkit.measures.measure_compiler import ALONG
+from mbdkit.measures.measure_expression import AT_END_OF_RUN, MeasureExpression
 from mbdkit.measures.reductions import Functional
 from mbdkit.quantities.quantity import Quantity
 from mbdkit.runs.continuous_motion import EQUAL, Peak, Sampled, sampled
