@@ -14,7 +14,7 @@ from mbdkit.mechanism.mechanism import Mechanism
 from mbdkit.runs.assembled_mechanism import PreparedMechanism
 from mbdkit.runs.coarse_beams import coarse_modes
 from mbdkit.spec.loading import RunSource, Sections
-from mbdkit_statics.equilibrium import rest
+from mbdkit_statics.equilibrium_search import rest
 from mbdkit_statics.reduced import DENSE, Reduced, State, at_rest, coupled_states, in_statics, lowest, reduce
 from mbdkit_statics.states_at_rest import CoupledStates
 
