@@ -156,9 +156,7 @@ def _columns(run: Run, array: Array) -> Iterator[TableColumn]:
 
 
 def _element(column: TableColumn) -> tuple[tuple[str, int], ...]:
-    """Return the axis and the index of the element to which a column belongs, such as a joint; an empty tuple if
-    none.
-    """
+    """Return axis and index of the element to which a column belongs, such as a joint; an empty tuple if none."""
     dims = column.array.dims[1:]
     return tuple((dim, k) for dim, k in zip(dims, column.at, strict=True) if dim not in _COMPONENT_DIMS)
 

@@ -310,9 +310,7 @@ def _muscles(run: Run) -> str:
 
 
 def _far_fibers(run: Run) -> str:
-    """Return the muscles whose fibres leave the range of lengths in which they can pull; empty if there are none, or if
-    the verdict names them.
-    """
+    """Return the muscles whose fibres leave the lengths at which they can pull, unless the verdict names them."""
     if any("fibers: " in reason for reason in run.verdict_reasons):
         return ""
     try:
@@ -385,9 +383,7 @@ def _impacts(run: Run) -> str:
 
 
 def _restitutions(run: Run, struck: np.ndarray) -> str:
-    """Return the coefficients of restitution of the contacts with these names, followed by a comma; empty if the spec
-    cannot be read.
-    """
+    """Return the restitution of the contacts with these names, and a comma; empty if the spec cannot be read."""
     try:
         contacts, joints = run.mechanism.contacts, run.mechanism.joints
     except MbdkitError:
@@ -398,9 +394,7 @@ def _restitutions(run: Run, struck: np.ndarray) -> str:
 
 
 def _struck(impacts: Impacts, some: np.ndarray) -> tuple[str, str]:
-    """Return two texts on the impacts selected by `some` (I,): their number, in total and for each contact or driver,
-    and the energy that is lost.
-    """
+    """Return two texts on the impacts `some` (I,): their numbers, in total and for each name, and the lost energy."""
     names, counts = np.unique(impacts.contact[some].astype(str), return_counts=True)
     each = _few([f"{name} {count}" for name, count in zip(names, counts, strict=True)], ", ")
     # all impacts at one time have the same entry, the energy lost by all of them
@@ -484,9 +478,7 @@ def derivative_texts(gradient: Mapping[str, Any], sign: str = "+-") -> Iterator[
 
 
 def _gradients(run: Run) -> list[tuple[str, str]]:
-    """Return a line for each derivative of a measure, each measure without derivatives, and each reason to doubt the
-    derivatives.
-    """
+    """Return a line for each derivative of a measure, measure without derivatives, and doubt about derivatives."""
     lines: list[tuple[str, str]] = []
     for name, gradient in run.gradients.items():
         texts = [gradient["reason"]] if "reason" in gradient else []

@@ -77,9 +77,7 @@ def archive_export(
     to: Annotated[
         str,
         typer.Option(
-            "--to",
-            metavar="FORMAT",
-            help="csv; parquet (needs the package pyarrow); mat: MATLAB; sto: OpenSim; json.",
+            "--to", metavar="FORMAT", help="csv; parquet (needs the package pyarrow); mat: MATLAB; sto: OpenSim; json."
         ),
     ],
     output: Annotated[

@@ -88,10 +88,7 @@ def search_for(mechanism: Mechanism, compiled: CompiledMechanism, t0: float) -> 
 
 
 def assemble(
-    mechanism: Mechanism,
-    t0: float = 0.0,
-    compiled: CompiledMechanism | None = None,
-    search: LeastChange | None = None,
+    mechanism: Mechanism, t0: float = 0.0, compiled: CompiledMechanism | None = None, search: LeastChange | None = None
 ) -> AssembledState:
     """Correct the initial state of a mechanism so that it satisfies the constraints.
 
@@ -153,9 +150,7 @@ def consistent_states(mechanisms: Sequence[Mechanism], search: LeastChange) -> l
 
 
 def _tolerances(tolerance: float, far: float, fast: float, search: LeastChange) -> tuple[float, float]:
-    """Return the tolerances of position and velocity residuals; `far` and `fast` are the largest coordinate and the
-    largest velocity.
-    """
+    """Return tolerances of position and velocity residuals for the largest coordinate `far` and velocity `fast`."""
     return max(tolerance, ROUND_OFF * far), max(tolerance, ROUND_OFF * fast * search.reach)
 
 

@@ -181,9 +181,7 @@ class CompiledForStarts:
         return starts
 
     def _checked(self, mechanism: Mechanism, start: AssembledState, end: float) -> MechanismAtStart:
-        """Return a mechanism at its start after assembly; raise SpecError for a spring, center or contact that does not
-        allow it.
-        """
+        """Return a mechanism after assembly; raise SpecError for a spring, center or contact that does not allow it."""
         poses = dict(zip(mechanism.bodies, start.q, strict=True))
 
         def placed(name: str) -> Body:

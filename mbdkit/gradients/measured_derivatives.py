@@ -174,9 +174,7 @@ class _Evaluation(DoubtedMeasure):
         return self._root(mean, rows) if name == "rms" else mean
 
     def _root(self, mean: Value, rows: Value) -> Value:
-        """Return the root of the mean square of a quantity; add a warning if the root is zero but its derivatives are
-        not.
-        """
+        """Return the root of a mean square; add a warning if the root is zero but its derivatives are not."""
         if np.any(mean.value != 0.0):
             return of_operands("sqrt", 0.0, mean)
         if not rows.slope.any():
@@ -381,9 +379,7 @@ class _Evaluation(DoubtedMeasure):
         return self._moved(here, number, at, index, moved)
 
     def _moved(self, here: Value, number: int, at: float, index: int, moved: np.ndarray) -> Value:
-        """Return an operand with derivatives that include the effect of its time `at`, whose derivatives are `moved`
-        (K,).
-        """
+        """Return an operand with derivatives that include those of its time `at`, `moved` (K,)."""
         if not moved.any():
             return here
         side = 1.0 if at == self.run.motions[0].parts[number].span[0] else -1.0

@@ -71,9 +71,7 @@ def _of_ground(name: str, units: str, what: str, **more: Any) -> Recorded:
 
 
 def _kind(group: str, *arrays: Array, since: str = "1.0", optional: bool = False, **more: Any) -> Kind:
-    """Return a kind whose arrays are given without the group in their paths; `since` and `optional` apply to all of
-    them.
-    """
+    """Return a kind with the group in the paths of its arrays; `since` and `optional` apply to all of them."""
     placed = (
         replace(array, path=f"{group}/{array.path}", since=max(array.since, since), optional=array.optional or optional)
         for array in arrays

@@ -404,9 +404,7 @@ def _section_terms() -> sp.Matrix:
 def _section_state(
     whole: Sequence[sp.Expr], nodes: Sequence[int], shape: Sequence[sp.Expr], slope: Sequence[sp.Expr]
 ) -> tuple[sp.Expr, ...]:
-    """Return the state of a cross-section if `whole` are the coordinates of all bodies, or the rates of the state if
-    they are the velocities.
-    """
+    """Return the state of a cross-section from the coordinates of all bodies, or its rates from the velocities."""
     x, y, angle = ([whole[3 * node + axis] for node in nodes] for axis in range(3))
     return tuple(
         sum((w * value for w, value in zip(weights, values, strict=True)), sp.Integer(0))
@@ -430,9 +428,7 @@ def _number(value: float) -> sp.Expr:
 
 
 def _center_values(center: Center, angle: sp.Expr) -> dict[sp.Symbol, sp.Expr]:
-    """Return the displacement of a moving center at a relative angle, and its first two derivatives with respect to the
-    angle.
-    """
+    """Return the displacement of a moving center at a relative angle, and its first two derivatives by the angle."""
     values: dict[sp.Symbol, sp.Expr] = {}
     for symbols, (_, function) in zip(d.CENTER, center.functions, strict=True):
         jet = _jet(function, expression_of)
