@@ -8,10 +8,15 @@ from pathlib import Path
 
 import pytest
 
+import mbdkit
+
 MODULES = (
     "mbdkit.archive.reader",
+    "mbdkit.archive.recorded_data",
     "mbdkit.archive.run",
     "mbdkit.archive.run_views",
+    "mbdkit.mechanism.element_methods",
+    "mbdkit.mechanism.joint_methods",
     "mbdkit.mechanism.mechanism",
     "mbdkit.methods.tableau",
     "mbdkit_studies.prepared_run",
@@ -26,7 +31,7 @@ MODULES = (
 
 
 def examples(module: str) -> list[doctest.DocTest]:
-    found = doctest.DocTestFinder().find(importlib.import_module(module))
+    found = doctest.DocTestFinder().find(importlib.import_module(module), extraglobs={"Mechanism": mbdkit.Mechanism})
     return [one for one in found if one.examples]
 
 

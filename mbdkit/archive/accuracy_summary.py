@@ -50,9 +50,7 @@ def accuracy_sentence(run: Run, *, with_force: bool = True) -> str:
 
 
 def _largest_force(run: Run) -> str:
-    """Return the largest force of all joints with its error, as headlines state it or, if it is a measure, as that one;
-    empty if there is none or its error is unknown.
-    """
+    """Return the largest force of all joints with its error, as headlines or a measure state it; empty if unknown."""
     largest = next(iter(largest_forces(run)), None)
     if largest is None:
         return ""
@@ -63,9 +61,7 @@ def _largest_force(run: Run) -> str:
 
 
 def _largest_known_force(run: Run, count: int) -> str:
-    """Return the largest force of all joints in the first `count` rows with its error; empty if there is none or its
-    error is unknown.
-    """
+    """Return the largest force of joints in the first `count` rows with its error; empty if there is none."""
     if not run.joints or not run.records("joints/reaction_force"):
         return ""
     size = np.linalg.norm(run.array("joints/reaction_force"), axis=2)[:count]

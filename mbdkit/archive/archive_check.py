@@ -101,9 +101,7 @@ def blaming_damage(*paths: Path) -> Iterator[None]:
 
 
 def _unreadable(path: Path) -> list[str]:
-    """Return a list with the reason why `Run` cannot read an archive in which no other problem was found; empty if it
-    can.
-    """
+    """Return a list with the reason why `Run` cannot read an archive without other problems; empty if it can."""
     try:
         with Run.open(path) as run:
             run.summary()

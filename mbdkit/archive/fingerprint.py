@@ -148,9 +148,7 @@ def attribute_lines(item: h5g.GroupID | h5d.DatasetID, path: str, known: Mapping
 def _identifiers(
     group: h5g.GroupID, path: str, without: Collection[str] = ()
 ) -> Iterator[tuple[str, h5g.GroupID | h5d.DatasetID]]:
-    """Yield the path and the identifier of a group and of every group and dataset below it, except for the paths in
-    `without`.
-    """
+    """Yield path and identifier of a group and of all groups and datasets below it, except the paths in `without`."""
     yield path, group
     for name in group:
         below = f"{path}/{name.decode()}".lstrip("/")

@@ -119,12 +119,7 @@ class ArrayWriter(RunWriter):
     """
 
     def __init__(
-        self,
-        names: ArchiveNames,
-        arrays: tuple[Array, ...],
-        *,
-        shared: SharedForces | None = None,
-        assembly: str = "",
+        self, names: ArchiveNames, arrays: tuple[Array, ...], *, shared: SharedForces | None = None, assembly: str = ""
     ):
         super().__init__(names, arrays)
         self._shared, self._assembly = shared, assembly

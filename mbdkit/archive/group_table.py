@@ -15,9 +15,9 @@ import numpy as np
 
 from mbdkit.archive.fingerprint import is_text
 from mbdkit.archive.hdf5_errors import reading
-from mbdkit.archive.history import NotRecordedError, UnknownNameError
 from mbdkit.archive.layout import ELEMENTS, GROUPS, LAYOUT
-from mbdkit.base.errors import MbdkitError
+from mbdkit.archive.named_columns import NotRecordedError
+from mbdkit.base.errors import MbdkitError, UnknownNameError
 from mbdkit.quantities.array import TEXT, Array
 
 if TYPE_CHECKING:
@@ -156,9 +156,7 @@ def _columns(run: Run, array: Array) -> Iterator[TableColumn]:
 
 
 def _element(column: TableColumn) -> tuple[tuple[str, int], ...]:
-    """Return the axis and the index of the element to which a column belongs, such as a joint; an empty tuple if
-    none.
-    """
+    """Return axis and index of the element to which a column belongs, such as a joint; an empty tuple if none."""
     dims = column.array.dims[1:]
     return tuple((dim, k) for dim, k in zip(dims, column.at, strict=True) if dim not in _COMPONENT_DIMS)
 

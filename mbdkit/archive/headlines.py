@@ -243,9 +243,7 @@ def _contacts(run: Run) -> list[Headline]:
 
 
 def _errors(run: Run, name: str, size: np.ndarray) -> np.ndarray | None:
-    """Return the estimated errors (J,) of the largest values of joints, from all values `size` (T, J); None unless the
-    errors of all rows are known.
-    """
+    """Return errors (J,) of the largest of all values `size` (T, J) of joints; None unless all rows have errors."""
     is_known = run.accuracy is not None and run.accuracy.is_complete
     return peak_errors(run, name, size, len(run.time)) if is_known else None
 

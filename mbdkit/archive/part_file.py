@@ -327,9 +327,7 @@ class Target:
             file.close()
 
     def _unlock(self, handle: int) -> None:
-        """Unlock an open file. Closing is not enough if a forked process, such as one started by a plugin, has the file
-        open.
-        """
+        """Unlock an open file, because closing is not enough if a forked process, as of a plugin, has it open."""
         if sys.platform != "win32":
             import fcntl
 

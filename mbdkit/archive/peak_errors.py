@@ -254,9 +254,7 @@ def excess_between_rows(time: np.ndarray, size: np.ndarray, jumps: Sequence[floa
 
 
 def _above_rows(time: np.ndarray, size: np.ndarray, recorded: np.ndarray, ends: Sequence[float | None]) -> np.ndarray:
-    """Return estimated upper bounds (J,) of continuous curves between the rows, and up to those `ends` that are not
-    None.
-    """
+    """Return estimated upper bounds (J,) of continuous curves between the rows, and up to `ends` that are not None."""
     from scipy.interpolate import BarycentricInterpolator  # runs import this module, but rarely need SciPy's
 
     if len(time) < 2:
@@ -274,9 +272,7 @@ def _above_rows(time: np.ndarray, size: np.ndarray, recorded: np.ndarray, ends: 
 
 
 def _above_parabolas(time: np.ndarray, size: np.ndarray) -> np.ndarray:
-    """Return the largest values (J,) of the rows, increased by the height by which a parabola through three rows
-    exceeds them.
-    """
+    """Return the largest values (J,) of the rows, or of parabolas through three rows where they are higher."""
     left, right = np.diff(time)[:-1, None], np.diff(time)[1:, None]
     with np.errstate(divide="ignore", invalid="ignore"):
         before, after = np.diff(size, axis=0)[:-1] / left, np.diff(size, axis=0)[1:] / right

@@ -2,54 +2,28 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from functools import cached_property
 from pathlib import Path
 from types import TracebackType
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, Any
 
 import h5py
 import numpy as np
 
-from mbdkit.archive import layout, run_header
 from mbdkit.archive.accuracy import Accuracy
-from mbdkit.archive.fingerprint import is_text
 from mbdkit.archive.hdf5_errors import reading
-from mbdkit.archive.history import (
-    ActuatorHistories,
-    BeamHistories,
-    BodyHistories,
-    BodyHistory,
-    ConstraintHistories,
-    ContactHistories,
-    Energy,
-    Events,
-    ForceHistories,
-    GroundReactionHistories,
-    Histories,
-    Impacts,
-    JointHistories,
-    LoadHistories,
-    MarkerHistories,
-    MuscleHistories,
-    NotRecordedError,
-    ObservedHistories,
-    StateHistories,
-    Steps,
-    UnknownNameError,
-)
 from mbdkit.archive.measured_values import Integrals, MeasuredValues
 from mbdkit.archive.part_file import write_image
+from mbdkit.archive.recorded_data import RecordedData
 from mbdkit.archive.run_contents import ArchiveContents, RunContents
 from mbdkit.archive.run_views import Animation, RunPlots
 from mbdkit.archive.stored_mechanism import StoredMechanism
 from mbdkit.base import higher_layers
-from mbdkit.base.errors import ArchiveError, RunError, SpecError
+from mbdkit.base.errors import ArchiveError, RunError, SpecError, UnknownNameError
 from mbdkit.base.files_read import FileRead
 from mbdkit.base.html_view import HtmlView
 from mbdkit.mechanism.mechanism import Mechanism
-from mbdkit.quantities.array import Kind
-from mbdkit.quantities.table import BY_GROUP, BY_WORD
 from mbdkit.registry.accessors import Extensible, computed
 from mbdkit.spec import RunSpec
 from mbdkit.spec.spec_kinds import kind_of, refused
@@ -59,29 +33,8 @@ if TYPE_CHECKING:
     import pandas
     import xarray
 
-#: Arrays larger than this [bytes] are not cached, and are read column by column.
-KEEP_BYTES = 1 << 28
 
-T = TypeVar("T")
-
-_ROWS_OF_DRIVERS = (["angle"], ["x"], ["y"])
-"""Constraint rows of drivers; no other joint has exactly one of these rows."""
-
-
-class evaluated(cached_property[T]):  # noqa: N801
-    """A property whose value is not kept, and that IPython evaluates for completion, which it refuses for `property`.
-
-    The histories of a run refer to the run. A run that kept them would be part of a reference cycle, and its arrays
-    would be freed only when Python collects garbage, which is seldom if there are few objects.
-    """
-
-    if not TYPE_CHECKING:
-
-        def __get__(self, run: Run | None, owner: type | None = None) -> Any:
-            return self if run is None else self.func(run)
-
-
-class Run(HtmlView, Extensible):
+class Run(RecordedData, HtmlView, Extensible):
     """A run: its spec, status and recorded data, in SI units and radians.
 
     Arrays are read-only and are read from the archive on first use. Close the run, or use it in a `with` block, to
@@ -94,26 +47,15 @@ class Run(HtmlView, Extensible):
     """
 
     def __init__(self, contents: RunContents | h5py.File):
-        self._contents = contents if isinstance(contents, RunContents) else ArchiveContents(contents)
-        self._header = self._contents.header
+        super().__init__(contents)
         #: The exception of a plugin that ended the run, if the run was executed in this process; `check` chains it to
         #: the error that it raises.
         self.cause: BaseException | None = self._contents.cause
-        self._arrays: dict[str, np.ndarray] = {}
-
-    @cached_property
-    def _names(self) -> Mapping[str, tuple[str, ...]]:
-        return self._contents.names
 
     @classmethod
     def open(cls, path: Path) -> Run:
         """Open the archive at `path`; see `mbdkit.load`."""
         return cls(ArchiveContents.open(path))
-
-    @property
-    def path(self) -> Path | None:
-        """Path of the archive; None if the run is in memory."""
-        return self._contents.path
 
     @property
     def status(self) -> str:
@@ -162,16 +104,6 @@ class Run(HtmlView, Extensible):
         return self._header.attributes["created_utc"]
 
     @property
-    def format_version(self) -> str:
-        """Version of the archive format."""
-        return self._header.attributes["format_version"]
-
-    @property
-    def spec_json(self) -> str:
-        """Canonical JSON of the spec."""
-        return self._header.attributes["spec"]
-
-    @property
     def spec_sha256(self) -> str:
         """SHA-256 of `spec_json`."""
         return self._header.attributes["spec_sha256"]
@@ -180,12 +112,6 @@ class Run(HtmlView, Extensible):
     def data_sha256(self) -> str:
         """SHA-256 of all arrays except timings and estimated errors; empty if the run crashed."""
         return self._header.attributes["data_sha256"]
-
-    @cached_property
-    def spec(self) -> dict[str, Any]:
-        """The spec of the run, including defaults, as plain values."""
-        with reading("its spec", self.path):
-            return run_header.spec_of(self.spec_json)
 
     @cached_property
     def run_spec(self) -> RunSpec:
@@ -250,56 +176,6 @@ class Run(HtmlView, Extensible):
         """``forward`` for the integration of a motion, ``inverse`` for inverse dynamics, or a kind of a plugin."""
         return kind_of(self.spec).run_kind
 
-    @property
-    def time(self) -> np.ndarray:
-        """Time of the recorded rows, (T,), s."""
-        return self.array("trajectory/time")
-
-    @property
-    def elapsed(self) -> np.ndarray:
-        """Wall time from the first step to each recorded row, (T,), s."""
-        return self.array("trajectory/elapsed_s")
-
-    @property
-    def joint_names(self) -> tuple[str, ...]:
-        """Names of the joints, in the order of the second axis of the arrays in ``/joints``."""
-        return self._names["joints/joint"]
-
-    @evaluated
-    def bodies(self) -> BodyHistories:
-        """Motions of the bodies by name.
-
-        Examples
-        --------
-        >>> import mbdkit
-        >>> run = mbdkit.run("double-pendulum", time={"end": 1.0, "step": 0.01})
-        >>> run.bodies["rod1"].position.shape
-        (101, 2)
-        """
-        return BodyHistories(BY_WORD["bodies"], self)
-
-    def __getitem__(self, name: str) -> BodyHistory:
-        """Return the motion of the body `name`."""
-        return self.bodies[name]
-
-    def _ipython_key_completions_(self) -> list[str]:
-        return list(self.bodies)
-
-    @evaluated
-    def joints(self) -> JointHistories:
-        """Misalignments, reactions and angles of the joints by name.
-
-        Examples
-        --------
-        >>> import mbdkit
-        >>> run = mbdkit.run("double-pendulum", time={"end": 1.0, "step": 0.01})
-        >>> list(run.joints)
-        ['J1', 'J2']
-        >>> run.joints["J2"].reaction_force.shape
-        (101, 2)
-        """
-        return JointHistories(BY_WORD["joints"], self)
-
     @cached_property
     def integrals(self) -> Integrals:
         """Integrals over time and extrema that the measures of the run need, by expression, in SI units.
@@ -345,105 +221,6 @@ class Run(HtmlView, Extensible):
         """
         return self._contents.gradients()
 
-    @cached_property
-    def drivers(self) -> tuple[str, ...]:
-        """Names of the joints that are drivers, such as motors."""
-        rows: dict[str, list[str]] = {}
-        for constraint in self._names.get("constraints/constraint", ()):
-            joint, _, row = constraint.rpartition(".")
-            rows.setdefault(joint, []).append(row)
-        return tuple(name for name in self.joint_names if rows.get(name) in _ROWS_OF_DRIVERS)
-
-    @evaluated
-    def forces(self) -> ForceHistories:
-        """Lengths, forces and energies of the force elements by name.
-
-        Raises
-        ------
-        MbdkitError
-            If the run did not record them.
-        """
-        return ForceHistories(BY_WORD["forces"], self)
-
-    @evaluated
-    def markers(self) -> MarkerHistories:
-        """Positions and velocities of the markers by name.
-
-        Raises
-        ------
-        MbdkitError
-            If the run did not record them.
-        """
-        return MarkerHistories(BY_WORD["markers"], self)
-
-    @evaluated
-    def beams(self) -> BeamHistories:
-        """Shapes, internal forces and strain energies of the beams by name.
-
-        Raises
-        ------
-        MbdkitError
-            If the run did not record them.
-        """
-        return BeamHistories(BY_WORD["beams"], self)
-
-    @evaluated
-    def states(self) -> StateHistories:
-        """First-order states by name; those of force elements and muscles are named ``element.state``. Empty if there
-        are none.
-        """
-        return StateHistories(BY_GROUP["states"], self)
-
-    @evaluated
-    def motion(self) -> ObservedHistories:
-        """Observed quantities of the measured motion by name; empty unless this is inverse dynamics."""
-        return ObservedHistories(BY_WORD["motion"], self)
-
-    @property
-    def raw_misalignment(self) -> np.ndarray:
-        """Misalignment of each joint if bodies are placed by the measured data alone, (T, J) [m]; nan where
-        undetermined.
-
-        Raises
-        ------
-        MbdkitError
-            If this is not inverse dynamics.
-        """
-        return self.array("motion/raw_misalignment")
-
-    @evaluated
-    def actuators(self) -> ActuatorHistories:
-        """Values and powers of the actuators by name; empty unless this is inverse dynamics.
-
-        Examples
-        --------
-        >>> import mbdkit
-        >>> t = [0.01 * i for i in range(11)]
-        >>> motion = {"data": {"time": t, "tilt": t}, "columns": {"J1.angle": "tilt"}}
-        >>> run = mbdkit.inverse({"mbdkit": 1, "model": {"name": "single-pendulum"}, "motion": motion})
-        >>> list(run.actuators), run.actuators["J1"].units
-        (['J1'], 'N m')
-        """
-        return ActuatorHistories(BY_WORD["actuators"], self)
-
-    @evaluated
-    def muscles(self) -> MuscleHistories:
-        """Lengths, activations and tensions of the muscles by name.
-
-        Empty if the model has no muscles or, in inverse dynamics, without `recruitment`.
-        """
-        return MuscleHistories(BY_WORD["muscles"], self)
-
-    @evaluated
-    def contacts(self) -> ContactHistories:
-        """Gaps, forces, slip and modes of the contacts by name; a polygon has one contact for each corner, `NAME.i`."""
-        return ContactHistories(BY_WORD["contacts"], self)
-
-    @evaluated
-    def ground_reactions(self) -> GroundReactionHistories:
-        """Force and centre of pressure of each body that may touch the ground, by name of the body."""
-        return GroundReactionHistories(BY_WORD["ground_reactions"], self)
-
     def moment_arms(self, muscle: str, coordinate: str) -> np.ndarray:
         """Return the moment arm of a muscle about a coordinate, -dL/dq, at the recorded rows.
 
@@ -473,34 +250,6 @@ class Run(HtmlView, Extensible):
         arms: np.ndarray = computed(self, "moment_arms", "mbdkit-biomech")(muscle, coordinate)
         return arms
 
-    @evaluated
-    def loads(self) -> LoadHistories:
-        """Measured loads by name; empty unless this is inverse dynamics."""
-        return LoadHistories(BY_WORD["loads"], self)
-
-    def text(self, path: str, index: int | slice | None) -> str:
-        """Return one of the texts in the array at `path`; an empty text if the archive lacks the array."""
-        texts = self._names.get(path, ())
-        return texts[index] if isinstance(index, int) and index < len(texts) else ""
-
-    def objects(self, kind: Kind) -> Sequence[str]:
-        """Return the name of the object of each element along the axis of a kind.
-
-        Raises
-        ------
-        NotRecordedError
-            If the run did not record the kind.
-        """
-        if kind.named_by in self._names:
-            return self._names[kind.named_by]
-        if kind.is_chosen:
-            output = self.spec.get("output")
-            asked = output.get("quantities") if isinstance(output, Mapping) else None
-            is_left_out = isinstance(asked, list) and kind.group not in asked
-            if is_left_out or not kind.is_optional or layout.later([kind.named_by], self.format_version):
-                raise NotRecordedError(kind.group, self.format_version)
-        return ()
-
     @property
     def redundancy(self) -> str:
         """Description of the redundant constraints, such as ``1 redundant row: joint D``; empty if there are none.
@@ -511,140 +260,12 @@ class Run(HtmlView, Extensible):
         """
         return self._header.redundancy
 
-    @evaluated
-    def constraints(self) -> ConstraintHistories:
-        """Residuals and multipliers of the constraint rows by name, ``joint.row``."""
-        return ConstraintHistories(BY_WORD["constraints"], self)
-
-    @property
-    def singularity_distance(self) -> np.ndarray:
-        """Distance from a singular position at the recorded rows, (T,), accurate to about 1 %.
-
-        This is the smallest singular value of the Jacobian of the independent constraints in the mass metric, with the
-        rows of each joint point orthonormalized. It is 1 if the joints are uncoupled, and 0 in a singular position,
-        where the rows are linearly dependent.
-
-        Raises
-        ------
-        MbdkitError
-            If the run did not record it: the mechanism has no constraints, or an earlier version made the archive.
-        """
-        return self.array("constraints/singularity_distance")
-
-    @property
-    def energy(self) -> Energy:
-        """Energies of the mechanism; `Energy` says which losses count as `dissipated` and which as `work`."""
-        return Energy(self)
-
-    @property
-    def steps(self) -> Steps:
-        """Statistics of the integrator for each recorded interval."""
-        return Steps(self)
-
-    @cached_property
-    def impacts(self) -> Impacts:
-        """Impacts of rigid contacts, and impulses of drivers whose velocities jump, in order of time."""
-        return Impacts.of(self)
-
-    @property
-    def events(self) -> Events:
-        """Crossings of the spec's events in order of time; empty if the spec has no events."""
-        return Events.of(self, tuple(self.spec.get("events") or ()), len(self.bodies))
-
     @cached_property
     def accuracy(self) -> Accuracy | None:
         """Estimated errors of the recorded rows; None if the run was not checked (``check: true``), or if a study does
         not keep the errors.
         """
         return self._contents.accuracy()
-
-    @cached_property
-    def joint_misalignments(self) -> np.ndarray:
-        """Largest misalignment of each joint over all steps, (J,), m.
-
-        After a crash, only the recorded rows count; nan if they do not contain the misalignment.
-        """
-        if self._header.misalignment_max is not None:
-            return self._header.misalignment_max
-        # The archive of a crashed run lacks the maxima over all steps; use the maxima over the recorded rows.
-        if not self.records("joints/misalignment"):
-            return np.full(len(self.joint_names), np.nan)
-        return np.asarray(np.max(self.array("joints/misalignment"), axis=0, initial=0.0))
-
-    @property
-    def misalignment_max(self) -> float:
-        """Largest misalignment of any joint over all steps, m; 0 without joints.
-
-        For crashed runs, see `joint_misalignments`.
-        """
-        return float(np.max(self.joint_misalignments, initial=0.0))
-
-    def records(self, path: str) -> bool:
-        """Return whether the run recorded the array at `path` of the layout."""
-        try:
-            self.dataset(path)
-        except NotRecordedError:
-            return False
-        return True
-
-    def array(self, path: str) -> np.ndarray:
-        """Return a whole array of the archive as a read-only array.
-
-        Parameters
-        ----------
-        path
-            Path such as ``joints/misalignment``, (T, J). The layout of the archive lists paths, shapes and units.
-
-        Raises
-        ------
-        UnknownNameError
-            If there is no such array in the layout.
-        MbdkitError
-            If the run did not record the array, or is closed.
-        """
-        if path not in self._arrays:
-            values = self._read(path, ())
-            if values.nbytes > KEEP_BYTES:
-                return values
-            self._arrays[path] = values
-        return self._arrays[path]
-
-    def column(self, path: str, index: int | slice | None, part: slice | int | None) -> np.ndarray:
-        """Return the array at `path` at an `index` of its second axis and a `part` of its third; read-only."""
-        at: tuple[Any, ...] = (slice(None),)
-        if index is not None:
-            at += (index,)
-        if part is not None:
-            at += (part,)
-        if path in self._arrays or self.dataset(path).nbytes <= KEEP_BYTES:
-            column: np.ndarray = self.array(path)[at]
-            return column
-        return self._read(path, at)
-
-    def dataset(self, path: str) -> h5py.Dataset | np.ndarray:
-        """Return an array of the archive as an HDF5 dataset, to be read by slicing if it exceeds the memory.
-
-        Parameters
-        ----------
-        path
-            Path such as ``trajectory/position``, (T, B, 3).
-
-        Returns
-        -------
-        h5py.Dataset or ndarray
-            The dataset. It is an ndarray if the arrays of the run are in memory. It is also an ndarray, with the
-            complete rows only, if the run crashed while it wrote the array.
-
-        Raises
-        ------
-        UnknownNameError
-            If there is no such array in the layout.
-        NotRecordedError
-            If the run did not record the array.
-        MbdkitError
-            If the run is closed.
-        """
-        return self._contents.dataset(path)
 
     @property
     def file(self) -> h5py.File:
@@ -656,15 +277,6 @@ class Run(HtmlView, Extensible):
             If the run is closed, or a study does not keep all of its arrays.
         """
         return self._contents.file
-
-    def _read(self, path: str, at: tuple[Any, ...]) -> np.ndarray:
-        dataset = self.dataset(path)
-        with reading(path, self.path):
-            if isinstance(dataset, h5py.Dataset) and is_text(dataset):
-                dataset = dataset.asstr()
-            values = np.asarray(dataset[at])
-        values.flags.writeable = False
-        return values
 
     def check(self) -> Run:
         """Return the run if it is complete.
@@ -811,13 +423,3 @@ class Run(HtmlView, Extensible):
         where = "in memory" if self.path is None else str(self.path)
         bodies = len(self._names["trajectory/body"])
         return f"<Run {self.run_id} {self.status}, verdict {self.verdict}, {bodies} bodies, {where}>"
-
-
-def _objects_of(word: str) -> property:
-    """Return a property of `Run` whose value contains the histories of the objects of a kind by name."""
-    return property(lambda run: Histories(BY_WORD[word], run), doc=f"The {word} by name.")
-
-
-for _word in BY_WORD:  # kinds of elements for which `Run` does not define a property
-    if not hasattr(Run, _word):
-        setattr(Run, _word, _objects_of(_word))

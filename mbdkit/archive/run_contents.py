@@ -20,16 +20,16 @@ from mbdkit.archive.fingerprint import is_text
 from mbdkit.archive.finished_run import FinishedRun
 from mbdkit.archive.hdf5 import set_text
 from mbdkit.archive.hdf5_errors import reading
-from mbdkit.archive.history import NotRecordedError, UnknownNameError
 from mbdkit.archive.layout import name_texts
 from mbdkit.archive.measured_values import Integrals, MeasuredValues, integrals_from_json
+from mbdkit.archive.named_columns import NotRecordedError
 from mbdkit.archive.plain_spec import PlainSpec
 from mbdkit.archive.read_only_dict import ReadOnlyDict
 from mbdkit.archive.run_header import open_archive
 from mbdkit.archive.run_writer import Origin
 from mbdkit.archive.stored_mechanism import StoredMechanism, built_mechanism, read_mechanism
 from mbdkit.archive.writer import ArchiveWriter
-from mbdkit.base.errors import MbdkitError, SpecError
+from mbdkit.base.errors import MbdkitError, SpecError, UnknownNameError
 from mbdkit.base.files_read import FileRead, read_files
 from mbdkit.quantities.array import FLOAT, GROWING, Array
 from mbdkit.quantities.table import KINDS

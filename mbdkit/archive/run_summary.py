@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
@@ -41,12 +41,12 @@ if TYPE_CHECKING:
 
 #: Largest number of events listed.
 EVENTS_NAMED = 4
-
 #: Range of the lengths of fibres, in optimal lengths, outside of which their active force is almost zero.
 PULLING = (0.4, 1.6)
-
 #: The summary reports the distance from a singular position if it is below this value.
 SINGULAR = 0.1
+
+_LEAST_NORM = "; reactions are not unique; those of least norm are recorded"
 
 _COUNTERS = {
     "rhs_evaluations": "right-hand sides",
@@ -59,13 +59,7 @@ _COUNTERS = {
 
 
 def summary(run: Run) -> str:
-    """Summarize a run, from its verdict and measures to its counters and the path of its archive.
-
-    Returns
-    -------
-    str
-        Lines of text without a final newline.
-    """
+    """Return the summary of a run, from its verdict and measures to its counters and the path of its archive."""
     return "\n".join(f"{label:<13} {shown(text)}" for label, text in summary_lines(run))
 
 
@@ -81,10 +75,7 @@ def summary_lines(run: Run) -> list[tuple[str, str]]:
         ("status", ": ".join(filter(None, (run.status, run.status_reason.removeprefix("interrupted: "))))),
         ("model", ", ".join((_named(spec, "model"), *_elements(run)))),
         ("gravity", _gravity(spec)),
-        (
-            "redundancy",
-            run.redundancy and f"{run.redundancy}; reactions are not unique; those of least norm are recorded",
-        ),
+        ("redundancy", run.redundancy and f"{run.redundancy}{_LEAST_NORM}"),
         ("start", _start(run)),
         ("integrator", _method(spec) if run.kind != "inverse" else ""),
         ("smoothing", _smoothing(spec)),
@@ -127,13 +118,7 @@ def _added_lines(run: Run, item: Registered) -> list[tuple[str, str]]:
 
 
 def verdict_lines(run: Run) -> list[tuple[str, str]]:
-    """Return the verdict on a run and its reasons as labelled lines; reasons after the first have no label.
-
-    Parameters
-    ----------
-    run
-        The run, complete or not.
-    """
+    """Return the verdict on a run and its reasons as labelled lines; reasons after the first have no label."""
     if not run.is_judged:
         why = "the run did not end" if run.status == "running" else "written by a version without verdicts"
         return [("verdict", f"unknown: {why}")]
@@ -156,19 +141,26 @@ def known_rows(run: Run) -> np.ndarray:
     errors = [] if run.accuracy is None else [run.accuracy.reaction_error]
     errors += [run.array("actuators/value_error")] if errors and run.records("actuators/value_error") else []
     known = np.ones(len(run.time), dtype=bool)
-    for one in errors:
-        known &= ~np.any(np.isnan(one), axis=1)
-    return known
+    return np.asarray(np.all([known, *(~np.any(np.isnan(one), axis=1) for one in errors)], axis=0))
 
 
 def _times_of_unknown_errors(run: Run) -> str:
     """Return a phrase with the times at which errors of inverse dynamics are unknown; empty if all are known."""
     borders = np.flatnonzero(np.diff(np.concatenate([[True], known_rows(run), [True]])))
-    spans = [
-        f"from t = {run.time[first]:.6g} to {run.time[end - 1]:.6g} s" for first, end in borders.reshape(-1, 2).tolist()
-    ]
+    spans = [f"from t = {run.time[i]:.6g} to {run.time[end - 1]:.6g} s" for i, end in borders.reshape(-1, 2).tolist()]
     more = f" and in {len(spans) - JOINTS_NAMED} more intervals" if len(spans) > JOINTS_NAMED else ""
     return ", ".join(spans[:JOINTS_NAMED]) + more
+
+
+def _few(texts: Sequence[str], separator: str = "; ", most: int = JOINTS_NAMED) -> str:
+    """Return the first texts, and how many others there are."""
+    more = [f"{len(texts) - most} more"] if len(texts) > most else []
+    return separator.join([*texts[:most], *more])
+
+
+def _ranked(parts: Iterable[tuple[float, str]]) -> list[str]:
+    """Return texts in the descending order of the numbers before them."""
+    return [text for _, text in sorted(parts, key=lambda part: -part[0])]
 
 
 def _named(spec: Mapping[str, Any], kind: str) -> str:
@@ -191,16 +183,15 @@ def _start(run: Run) -> str:
 
 
 def _method(spec: Mapping[str, Any]) -> str:
-    parts = [_named(spec, "integrator")]
-    parts += [
-        f"{key} {value}" for key, value in spec.get("integrator", {}).items() if key != "name" and value is not None
-    ]
-    step = spec.get("time", {}).get("step")
-    if step is not None:
-        parts.append(f"step {step:g} s")
-    if spec.get("formulation") is not None:
-        parts.append(name_of(spec["formulation"]))
-    return ", ".join(parts)
+    step, formulation = spec.get("time", {}).get("step"), spec.get("formulation")
+    parts = [_named(spec, "integrator"), *_options(spec.get("integrator", {}))]
+    parts += [] if step is None else [f"step {step:g} s"]
+    return ", ".join([*parts, *([] if formulation is None else [name_of(formulation)])])
+
+
+def _options(chosen: Mapping[str, Any]) -> list[str]:
+    """Return the options of a method or a smoothing, without its name."""
+    return [f"{key} {value}" for key, value in chosen.items() if key != "name" and value is not None]
 
 
 def _stabilization(run: Run) -> str:
@@ -255,9 +246,8 @@ def _misalignment(run: Run) -> str:
     if not run.joints or math.isnan(run.misalignment_max):
         return ""
     worst = sorted(run.joints.values(), key=lambda joint: -joint.misalignment_max)
-    named = ", ".join(f"{joint.name} {joint.misalignment_max:.2g}" for joint in worst[:JOINTS_NAMED])
-    more = f", {len(worst) - JOINTS_NAMED} more" if len(worst) > JOINTS_NAMED else ""
-    return f"{run.misalignment_max:.3g} m at most ({named}{more}){_angles(run)}"
+    named = _few([f"{joint.name} {joint.misalignment_max:.2g}" for joint in worst], ", ")
+    return f"{run.misalignment_max:.3g} m at most ({named}){_angles(run)}"
 
 
 def _angles(run: Run) -> str:
@@ -310,8 +300,7 @@ def _drivers(run: Run) -> str:
 def _smoothing(spec: Mapping[str, Any]) -> str:
     """Return the smoothing of a measured motion and its options; empty for runs other than inverse dynamics."""
     chosen = spec.get("motion", {}).get("smooth", {})
-    words = [f"{key} {value}" for key, value in chosen.items() if key != "name" and value is not None]
-    return ", ".join([*([str(chosen["name"])] if chosen else []), *words])
+    return ", ".join([*([str(chosen["name"])] if chosen else []), *_options(chosen)])
 
 
 def _muscles(run: Run) -> str:
@@ -320,16 +309,12 @@ def _muscles(run: Run) -> str:
     for name, muscle in run.muscles.items():
         row = int(np.argmax(muscle.activation))
         peaks.append((float(muscle.activation[row]), f"{name} {muscle.activation[row]:.3g} at {run.time[row]:.4g} s"))
-    peaks.sort(key=lambda peak: -peak[0])
-    more = f"; {len(peaks) - JOINTS_NAMED} more" if len(peaks) > JOINTS_NAMED else ""
     rows = "" if run.kind == "inverse" else " in the recorded rows"
-    return f"largest activations{rows} {'; '.join(text for _, text in peaks[:JOINTS_NAMED])}{more}" if peaks else ""
+    return f"largest activations{rows} {_few(_ranked(peaks))}" if peaks else ""
 
 
 def _far_fibers(run: Run) -> str:
-    """Return the muscles whose fibres leave the range of lengths in which they can pull; empty if there are none, or if
-    the verdict names them.
-    """
+    """Return the muscles whose fibres leave the lengths at which they can pull, unless the verdict names them."""
     if any("fibers: " in reason for reason in run.verdict_reasons):
         return ""
     try:
@@ -343,11 +328,8 @@ def _far_fibers(run: Run) -> str:
             low, high = lengths.min() / muscles[name].optimal_length, lengths.max() / muscles[name].optimal_length
             if low < PULLING[0] or high > PULLING[1]:
                 texts.append(f"those of {name} are {low:.3g} to {high:.3g} optimal lengths long")
-    if not texts:
-        return ""
-    more = f"; {len(texts) - JOINTS_NAMED} more" if len(texts) > JOINTS_NAMED else ""
     limits = f"below {PULLING[0]:g} and above {PULLING[1]:g} optimal lengths"
-    return f"fibres have almost no active force {limits}; {'; '.join(texts[:JOINTS_NAMED])}{more}"
+    return f"fibres have almost no active force {limits}; {_few(texts)}" if texts else ""
 
 
 def _contacts(run: Run) -> str:
@@ -375,9 +357,7 @@ def _contacts(run: Run) -> str:
             parts.append((depth, f"{name} overlaps by up to {depth:.3g} m {when}{crept}{slipped}"))
     if not parts:
         return f"no overlap above {EXACT:g} m{' in the recorded rows' if np.any(np.isnan(beyond)) else ''}"
-    parts.sort(key=lambda one: -one[0])
-    more = f"; {len(parts) - JOINTS_NAMED} more" if len(parts) > JOINTS_NAMED else ""
-    return "; ".join(text for _, text in parts[:JOINTS_NAMED]) + more
+    return _few(_ranked(parts))
 
 
 def _impacts(run: Run) -> str:
@@ -388,30 +368,26 @@ def _impacts(run: Run) -> str:
     """
     impacts, parts = run.impacts, []
     of_contacts = np.isin(impacts.contact.astype(str), list(run.contacts))
-    of_drivers = ~of_contacts
     if (run.spec.get("contact") or {}).get("treatment") == "time-stepping":
-        parts.append(
-            "not located: the contact force of a step with an impact includes its impulse, divided by the step"
-        )
+        told = "the contact force of a step with an impact includes its impulse, divided by the step"
+        parts.append(f"not located: {told}")
     elif np.any(of_contacts):
         largest = np.max(np.abs(impacts.normal_impulse))
         who, change = _struck(impacts, of_contacts)
         given = _restitutions(run, np.unique(impacts.contact[of_contacts].astype(str)))
         size = f"impulses up to {largest:.4g} N s"
         parts.append(f"{who}, {given}{size}, {change}; contact forces do not include impulses")
-    if np.any(of_drivers):
-        force = np.max(np.linalg.norm(impacts.reaction_impulse[of_drivers], axis=2))
-        torque = np.max(np.abs(impacts.reaction_torque_impulse[of_drivers]))
-        who, change = _struck(impacts, of_drivers)
+    if np.any(~of_contacts):
+        force = np.max(np.linalg.norm(impacts.reaction_impulse[~of_contacts], axis=2))
+        torque = np.max(np.abs(impacts.reaction_torque_impulse[~of_contacts]))
+        who, change = _struck(impacts, ~of_contacts)
         size = f"{force:.4g} N s and {torque:.4g} N m s"
         parts.append(f"{who}, impulses of joints up to {size}, {change}; their forces do not include impulses")
     return "; ".join(parts)
 
 
 def _restitutions(run: Run, struck: np.ndarray) -> str:
-    """Return the coefficients of restitution of the contacts with these names, followed by a comma; empty if the spec
-    cannot be read.
-    """
+    """Return the restitution of the contacts with these names, and a comma; empty if the spec cannot be read."""
     try:
         contacts, joints = run.mechanism.contacts, run.mechanism.joints
     except MbdkitError:
@@ -422,16 +398,13 @@ def _restitutions(run: Run, struck: np.ndarray) -> str:
 
 
 def _struck(impacts: Impacts, some: np.ndarray) -> tuple[str, str]:
-    """Return two texts on the impacts selected by `some` (I,): their number, in total and for each contact or driver,
-    and the energy that is lost.
-    """
+    """Return two texts on the impacts `some` (I,): their numbers, in total and for each name, and the lost energy."""
     names, counts = np.unique(impacts.contact[some].astype(str), return_counts=True)
-    shown = [f"{name} {count}" for name, count in zip(names, counts, strict=True)]
-    more = f", {len(shown) - JOINTS_NAMED} more" if len(shown) > JOINTS_NAMED else ""
+    each = _few([f"{name} {count}" for name, count in zip(names, counts, strict=True)], ", ")
     # all impacts at one time have the same entry, the energy lost by all of them
     lost = impacts.energy_lost[some][np.unique(impacts.time[some], return_index=True)[1]].sum()
     change = f"{lost:.4g} J lost" if lost >= 0.0 else f"{-lost:.4g} J supplied"
-    return f"{np.count_nonzero(some)} ({', '.join(shown[:JOINTS_NAMED])}{more})", change
+    return f"{np.count_nonzero(some)} ({each})", change
 
 
 def _contact_forces(run: Run) -> str:
@@ -451,8 +424,7 @@ def _contact_forces(run: Run) -> str:
         with_muscles = f"{largest:.4g}" if math.isnan(error) else plus_minus(largest, error)
         if largest > 1.001 * most or largest < 0.999 * most:
             parts.append((largest, f"{name} {with_muscles} N, {most:.4g} N without muscles"))
-    parts.sort(key=lambda one: -one[0])
-    return "; ".join(text for _, text in parts[:JOINTS_NAMED])
+    return "; ".join(_ranked(parts)[:JOINTS_NAMED])
 
 
 def _events(run: Run) -> str:
@@ -460,11 +432,9 @@ def _events(run: Run) -> str:
     parts = []
     for name in run.spec.get("events") or ():
         times = run.events.of_name(name).time
-        first = f" at {times[0]:.10g} s" if len(times) == 1 else f" from {times[0]:.10g} s on" if len(times) else ""
-        parts.append(
-            f"{name} {('once' if len(times) == 1 else f'{len(times)} times') if len(times) else 'never'}{first}"
-        )
-    return ", ".join(parts[:EVENTS_NAMED]) + (f", {len(parts) - EVENTS_NAMED} more" if parts[EVENTS_NAMED:] else "")
+        often = f"{len(times)} times from {times[0]:.10g} s on" if len(times) else "never"
+        parts.append(f"{name} {f'once at {times[0]:.10g} s' if len(times) == 1 else often}")
+    return _few(parts, ", ", EVENTS_NAMED)
 
 
 def answer_lines(run: Run) -> list[tuple[str, str]]:
@@ -512,9 +482,7 @@ def derivative_texts(gradient: Mapping[str, Any], sign: str = "+-") -> Iterator[
 
 
 def _gradients(run: Run) -> list[tuple[str, str]]:
-    """Return a line for each derivative of a measure, each measure without derivatives, and each reason to doubt the
-    derivatives.
-    """
+    """Return a line for each derivative of a measure, measure without derivatives, and doubt about derivatives."""
     lines: list[tuple[str, str]] = []
     for name, gradient in run.gradients.items():
         texts = [gradient["reason"]] if "reason" in gradient else []

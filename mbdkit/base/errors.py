@@ -5,12 +5,12 @@ from __future__ import annotations
 import errno
 import os
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Literal
 
-from mbdkit.base.text import one_line, shortened, shown
+from mbdkit.base.text import did_you_mean, listed, one_line, shortened, shown
 
 
 class MbdkitError(Exception):
@@ -186,6 +186,18 @@ class MissingPartError(MbdkitError, ImportError):
         super().__init__(f"{wanted} needs {part}, a part of mbdkit that is not installed")
 
 
+class UnknownNameError(MbdkitError, KeyError):
+    """The requested name does not exist in the run."""
+
+    def __init__(self, what: str, name: object, known: Sequence[str]):
+        few = listed(known[:8]) + (", ..." if len(known) > 8 else "")
+        hint = did_you_mean(str(name), known) or (f"; available: {few}" if known else "; it has none")
+        super().__init__(f"the run has no {what} {name!r}{hint}")
+
+    def __str__(self) -> str:
+        return str(self.args[0])
+
+
 class RunError(MbdkitError):
     """A run did not complete; raised by `Run.check`."""
 
@@ -212,11 +224,7 @@ class StepError(Exception):
         Description of the failure, without the time and without a full stop.
     """
 
-    def __init__(
-        self,
-        code: StepCode,
-        sentence: str,
-    ):
+    def __init__(self, code: StepCode, sentence: str):
         super().__init__(code, sentence)
         self.code, self.sentence = code, sentence
 

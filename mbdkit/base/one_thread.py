@@ -40,9 +40,7 @@ def one_thread_of_linear_algebra() -> Iterator[None]:
 
 @lru_cache(maxsize=1)
 def _controller() -> Any:
-    """Return the controller of the thread pools of the loaded libraries; cached, because creating it takes about 10
-    ms.
-    """
+    """Return the controller of the thread pools of the loaded libraries; cached, because it takes about 10 ms."""
     import scipy.linalg  # noqa: F401  loads the library of SciPy
     from threadpoolctl import ThreadpoolController
 

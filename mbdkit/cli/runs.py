@@ -210,9 +210,7 @@ def validate_run(source: Document, spec: str, assignments: list[str]) -> None:
 
 
 def _events(spec: RunSpec, problem: Workspace) -> list[tuple[str, ...]]:
-    """Return a table row for each event, with the value of its expression at the
-    start.
-    """
+    """Return a table row for each event, with the value of its expression at the start."""
     from mbdkit.events.watch import values_at_start
 
     values = values_at_start(spec.watched(), problem)
@@ -229,9 +227,7 @@ def _events(spec: RunSpec, problem: Workspace) -> list[tuple[str, ...]]:
 
 
 def _moves(start: AssembledState) -> list[tuple[str, ...]]:
-    """Return a table row for each body whose initial state was changed, the largest
-    changes first.
-    """
+    """Return a table row for each body whose initial state was changed, the largest changes first."""
     changes = {
         name: (moved, start.moved_angle[name], start.changed_velocity[name], start.changed_rate[name])
         for name, moved in start.moved_position.items()

@@ -13,10 +13,7 @@ from mbdkit.base.errors import SpecError
 from mbdkit.base.plain_data import plain
 from mbdkit.engine.compile_forces import CompiledForces, Numbers
 from mbdkit.engine.compile_motions import CompiledMotions
-from mbdkit.engine.compiled_mechanism import (
-    CompiledMechanism,
-    Row,
-)
+from mbdkit.engine.compiled_mechanism import CompiledMechanism, Row
 from mbdkit.engine.contact_forces import ActingContact
 from mbdkit.engine.elimination_order import neighbours
 from mbdkit.engine.kernels.acting import ANGLE, TRAVEL
@@ -253,9 +250,7 @@ def _pairs(mechanism: Mechanism, number: dict[str, int], motions: CompiledMotion
 
 
 def _add_centers(pairs: list[_Pair], motions: CompiledMotions) -> list[_Pair]:
-    """Append the programs of moving centres to those of all motions; return the pairs that have a moving centre, in
-    order.
-    """
+    """Append the programs of moving centres to those of all motions; return their pairs, in order."""
     centered = []
     for k, pair in enumerate(pairs):
         if pair.center is not None:

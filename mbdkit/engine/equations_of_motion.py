@@ -422,12 +422,7 @@ class EquationsOfMotion:
     def stored_pivots(self) -> list[dict[str, Any]]:
         """Return the pivots of all iteration matrices used so far, as plain values for a checkpoint."""
         return [
-            {
-                "matrix": list(key),
-                "pattern": stored(one.pattern),
-                "scatter": one.scatter,
-                "reference": one.reference,
-            }
+            {"matrix": list(key), "pattern": stored(one.pattern), "scatter": one.scatter, "reference": one.reference}
             for key, one in self._pivots.items()
         ]
 

@@ -85,9 +85,7 @@ Law = Callable[[Any, Mapping[str, Any]], Any]
 
 
 def _pin(rate: Any, p: Mapping[str, Any]) -> Any:
-    """Return the friction torque of a pin with radius `arm` at an angular rate; the multipliers are its reaction
-    force.
-    """
+    """Return the friction torque of a pin of radius `arm` at an angular rate; the multipliers are its reaction."""
     force = np.sqrt(p["reaction_0"] * p["reaction_0"] + p["reaction_1"] * p["reaction_1"])
     return p["arm"] * _against(force, p["arm"] * rate, p)
 

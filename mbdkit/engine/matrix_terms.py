@@ -101,9 +101,7 @@ class _Table:
 def _terms(
     count: int, tables: tuple[_Table, ...], places: tuple[tuple[str, int], ...], stabilized: bool
 ) -> MatrixTerms:
-    """Return the terms of a mechanism with these integer arrays; cached, because the runs of a study usually share
-    them.
-    """
+    """Return the terms of a mechanism with these integer arrays; cached, because runs of a study share them."""
     pairs, rows, spare, springs, couplings, loads, sections, row_index, slopes, inputs = (
         table.array for table in tables
     )

@@ -114,9 +114,7 @@ def smallest_stress(jacobian: Any) -> tuple[np.ndarray, float]:
 
 
 def _smallest(jacobian: Any, some: int) -> tuple[np.ndarray, np.ndarray]:
-    """Return the left singular vectors of the `some` smallest singular values, and these values, in descending
-    order.
-    """
+    """Return left singular vectors of the `some` smallest singular values, and these values, in descending order."""
     from scipy.sparse import block_array, eye_array
     from scipy.sparse.linalg import splu
 

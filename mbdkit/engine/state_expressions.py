@@ -15,13 +15,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 from mbdkit.base import higher_layers
 from mbdkit.base.errors import SpecError
 from mbdkit.engine.force_laws import CompiledLaw, bind_law
-from mbdkit.engine.kernels.applied_forces import (
-    LENGTH_INPUT,
-    POSITION_INPUT,
-    RATE_INPUT,
-    TENSION_INPUT,
-    VELOCITY_INPUT,
-)
+from mbdkit.engine.kernels.applied_forces import LENGTH_INPUT, POSITION_INPUT, RATE_INPUT, TENSION_INPUT, VELOCITY_INPUT
 from mbdkit.expressions.program import Program, execute
 from mbdkit.mechanism.force_law import ExpressionLaw
 

@@ -356,11 +356,7 @@ class Watch:
             shown.append(samples)
         return shown
 
-    def _after_change(
-        self,
-        number: int,
-        points: list[tuple[float, list[float]]],
-    ) -> list[tuple[float, float]]:
+    def _after_change(self, number: int, points: list[tuple[float, list[float]]]) -> list[tuple[float, float]]:
         """Return samples of the scalar of an event that has set states at the start of the step.
 
         A change of sign that is caused by the new states is not a crossing. If the scalar is zero up to rounding errors
@@ -394,9 +390,7 @@ class Watch:
         return lambda theta: self._expressions[number].value(self._values_of(theta, state))
 
     def _cut(self, stretch: Stretch, theta: float) -> Stretch:
-        """End the run at the share `theta` of the last step; return the rows before this time, and the final row unless
-        it has already been recorded.
-        """
+        """End the run at the share `theta` of the last step; return the rows before, and the last one if missing."""
         step, end = self._steps.pop(), self.stepper.cut(theta)
         if theta > 0.0:
             self._steps.append(replace(step, t1=float(end.time[0]), q1=end.q[0], v1=end.v[0]))

@@ -57,9 +57,7 @@ def of_operands(operation: str, number: float, *operands: Value) -> Value:
 
 
 def _aligned(x: Value, y: Value) -> tuple[Value, Value]:
-    """Return two values with equal numbers of axes, so that a number at each time applies to all components of a
-    vector.
-    """
+    """Return two values with equal numbers of axes, so that a number applies to all components of a vector."""
     axes = max(x.value.ndim, y.value.ndim)
 
     def widened(one: Value) -> Value:

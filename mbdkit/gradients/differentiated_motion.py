@@ -183,9 +183,7 @@ def states_of(motions: Sequence[DifferentiatedMotion], number: int, time: np.nda
 
 
 def _whole(x: np.ndarray) -> Duals:
-    """Return an array of dual numbers with all `DIRECTIONS` derivatives; derivatives that `x` does not have are
-    zero.
-    """
+    """Return an array of dual numbers with `DIRECTIONS` derivatives; those that `x` does not have are zero."""
     whole = new_duals(*x.shape[:-1])
     whole[..., : x.shape[-1]] = x
     return whole

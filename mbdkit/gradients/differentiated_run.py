@@ -196,8 +196,7 @@ def refuse(spec: RunSpec, method: Method) -> None:
         raise SpecError("gradients are not available with `accuracy`; give an integrator and a step", key="accuracy")
     if spec.output.interval is not None:
         raise SpecError(
-            "gradients are not available with `interval`; use `every` to record every k-th step",
-            key="output.interval",
+            "gradients are not available with `interval`; use `every` to record every k-th step", key="output.interval"
         )
 
 
@@ -253,9 +252,7 @@ def _stepper(
 
 @dataclass(frozen=True)
 class _AtEvent:
-    """The state at an event, with derivatives, and the sides of discontinuities on which force laws are evaluated
-    there.
-    """
+    """The state at an event, with derivatives, and on which sides of discontinuities force laws are evaluated."""
 
     state: Moment
     sides: np.ndarray | None

@@ -11,57 +11,31 @@ scalar g that changes sign there, where g_p is its derivative with respect to th
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
-from mbdkit.archive.headlines import is_at_end
 from mbdkit.archive.measured_values import Integrals
-from mbdkit.expressions.operations import OF_PARTS, OPERATIONS, REDUCE, arity_of
+from mbdkit.expressions.operations import REDUCE, arity_of
 from mbdkit.expressions.program import execute
+from mbdkit.gradients.derivative_doubts import AT_ZERO, LIMIT_POINTS, DoubtedMeasure, switch_of
 from mbdkit.gradients.derived_values import Value, of_operands
 from mbdkit.gradients.differentiated_motion import DifferentiatedMotion, states_of
 from mbdkit.gradients.differentiated_run import DifferentiatedRun, Needs
-from mbdkit.gradients.differentiated_states import (
-    DifferentiatedStates,
-    joined_states,
-    one_after_another,
-    quantity_of,
-)
+from mbdkit.gradients.differentiated_states import DifferentiatedStates, joined_states, one_after_another, quantity_of
 from mbdkit.gradients.sided_stepper import Corner
-from mbdkit.measures.measure_expression import ALONG, AT_END_OF_RUN, MeasureExpression
+from mbdkit.measures.measure_expression import MeasureExpression
 from mbdkit.measures.reductions import Functional
 from mbdkit.quantities.quantity import Quantity
 from mbdkit.runs.continuous_motion import EQUAL, Peak, Sampled, sampled
 
-AT_ZERO = 1e-9
-"""Operands below this share of the quantities from which they were computed count as zero."""
 BESIDE = 0.05
 """The limit on one side of a point is extrapolated from values within this share of a step."""
-LIMIT_POINTS = 8
-"""Number of values used for this extrapolation.
-
-For a motion with eight steps per period, the relative error of rates is below 1e-9.
-"""
 
 
 def needs_of(expression: MeasureExpression) -> Needs:
     """Return the data that a measure needs in addition to the recorded states."""
     found = expression.functionals
     return Needs(any(one.is_of_stages for one in found), any(not one.is_of_stages for one in found))
-
-
-@dataclass(frozen=True)
-class _Limit:
-    """The limits from one side, at one time, of a quantity and of the scalar that changes sign at this time (*switch*).
-
-    The rates are the limits of the rates of both.
-    """
-
-    value: Value
-    rate: np.ndarray
-    switch: Value | None
-    switch_rate: float
 
 
 class MeasureOfRun:
@@ -109,7 +83,7 @@ class MeasureOfRun:
         )
 
 
-class _Evaluation:
+class _Evaluation(DoubtedMeasure):
     """The evaluation of one measure.
 
     Parameters
@@ -119,11 +93,8 @@ class _Evaluation:
     """
 
     def __init__(self, run: DifferentiatedRun, expression: MeasureExpression, slopes: np.ndarray):
-        self.run, self.expression, self.slopes = run, expression, slopes
-        self.count = slopes.shape[1]
-        self.doubts: list[str] = []
-        self.remarks: list[str] = []
-        self.size = 0.0
+        super().__init__(run, expression)
+        self.slopes, self.count = slopes, slopes.shape[1]
         self._begins = _begins(expression)
         self._reduced: dict[int, Value] = {}  # by index of the instruction
         self._functionals: dict[str, Value] = {}  # by source text
@@ -165,7 +136,7 @@ class _Evaluation:
                 return self._reduced[index]
             if are_rows:
                 self._note_corner(operation, operands)
-            found = None if switches is None else _switch_of(operation, operands)
+            found = None if switches is None else switch_of(operation, operands)
             if switches is not None and found is not None and found.value.shape[-1] == len(states.time):
                 switches.append(found)
             return of_operands(operation, number, *operands)
@@ -203,9 +174,7 @@ class _Evaluation:
         return self._root(mean, rows) if name == "rms" else mean
 
     def _root(self, mean: Value, rows: Value) -> Value:
-        """Return the root of the mean square of a quantity; add a warning if the root is zero but its derivatives are
-        not.
-        """
+        """Return the root of a mean square; add a warning if the root is zero but its derivatives are not."""
         if np.any(mean.value != 0.0):
             return of_operands("sqrt", 0.0, mean)
         if not rows.slope.any():
@@ -262,20 +231,21 @@ class _Evaluation:
             piece = _weighted(values, weights)
             # the integrand may be discontinuous where the part begins, at a time that depends on the parameters
             if part.corner is not None:
-                moved = np.concatenate([_corner_of(motion, number).slope for motion in self.run.motions])
+                moved = self._moved_corner(number)
                 sides = self._of_operand(index, self._at_corner(number), square=square).value
                 piece = Value(piece.value, piece.slope + np.multiply.outer(moved, sides[..., :1] - sides[..., 1:]))
             total = piece if total is None else Value(total.value + piece.value, total.slope + piece.slope)
         assert total is not None
         return total
 
+    def _moved_corner(self, number: int) -> np.ndarray:
+        """Return the derivatives (K,) of the time at which part `number` begins, at a discontinuity."""
+        return np.concatenate([_corner_of(motion, number).slope for motion in self.run.motions])
+
     def _at_corner(self, number: int) -> DifferentiatedStates:
         """Return the states before and after the discontinuity at which part `number` begins."""
-        parts, first = self.run.motions, []
-        for motion in parts:
-            corner = _corner_of(motion, number)
-            first.append(one_after_another([corner.before, corner.after]))
-        return joined_states(first)
+        corners = [_corner_of(motion, number) for motion in self.run.motions]
+        return joined_states([one_after_another([one.before, one.after]) for one in corners])
 
     def _sampled(self, functional: Functional, number: int) -> Sampled:
         """Return the samples of a functional over a part of the motion."""
@@ -330,27 +300,28 @@ class _Evaluation:
                     "the operand of 'abs' is zero, or the operands of 'min' or 'max' are equal, at an extremum"
                 )
         begin, end = part.span
-        is_last = number == len(self.run.motions[0].parts) - 1
-        moved = np.zeros(self.count)
-        side = -1.0
-        if peak.switch >= 0:
-            limit = self._limit(number, peak, index, side)
-            assert limit.switch is not None
-            moved = -limit.switch.slope[:, 0] / limit.switch_rate
-            return Value(here.value, (limit.value.slope[:, 0] + limit.rate * moved)[:, None])
-        if peak.time == end and is_last:
-            moved = self.run.end
-        elif peak.time == end and self.run.motions[0].parts[number + 1].corner is not None:
-            moved = np.concatenate([_corner_of(motion, number + 1).slope for motion in self.run.motions])
-        elif peak.time == begin and part.corner is not None:
-            moved, side = np.concatenate([_corner_of(motion, number).slope for motion in self.run.motions]), 1.0
-        if not moved.any():
-            return here
-        limit = self._limit(number, peak, index, side)
-        return Value(here.value, (limit.value.slope[:, 0] + limit.rate * moved)[:, None])
+        moved, side = np.zeros(self.count), -1.0
+        if peak.switch < 0:
+            following = self.run.motions[0].parts[number + 1 :]
+            if peak.time == end and not following:
+                moved = self.run.end
+            elif peak.time == end and following[0].corner is not None:
+                moved = self._moved_corner(number + 1)
+            elif peak.time == begin and part.corner is not None:
+                moved, side = self._moved_corner(number), 1.0
+            if not moved.any():
+                return here
+        slope, rate, of_switch = self._limit(number, peak, index, side)
+        return Value(here.value, (slope[:, 0] + rate * (moved if of_switch is None else of_switch))[:, None])
 
-    def _limit(self, number: int, peak: Peak, index: int, side: float) -> _Limit:
-        """Return the limits at an extremum from one side, extrapolated by a polynomial in time."""
+    def _limit(
+        self, number: int, peak: Peak, index: int, side: float
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray | None]:
+        """Return limits at an extremum from one side, extrapolated by a polynomial in time.
+
+        They are the derivatives of the quantity and its rate, and the derivatives (K,) of the time of the extremum if a
+        scalar changes sign there (*switch*).
+        """
         part = self.run.motions[0].parts[number]
         size = part.plain.size
         step = int(np.searchsorted(part.plain.ends.time, peak.time))
@@ -369,9 +340,9 @@ class _Evaluation:
 
         value, rate = extrapolated(values)
         if peak.switch < 0:
-            return _Limit(value, rate, None, 0.0)
+            return value.slope, rate, None
         switch, switch_rate = extrapolated(switches[peak.switch])
-        return _Limit(value, rate, switch, float(switch_rate))
+        return value.slope, rate, -switch.slope[:, 0] / float(switch_rate)
 
     # --- values at times
 
@@ -408,13 +379,11 @@ class _Evaluation:
         return self._moved(here, number, at, index, moved)
 
     def _moved(self, here: Value, number: int, at: float, index: int, moved: np.ndarray) -> Value:
-        """Return an operand with derivatives that include the effect of its time `at`, whose derivatives are `moved`
-        (K,).
-        """
+        """Return an operand with derivatives that include those of its time `at`, `moved` (K,)."""
         if not moved.any():
             return here
         side = 1.0 if at == self.run.motions[0].parts[number].span[0] else -1.0
-        rate = self._limit(number, Peak(np.nan, at), index, side).rate
+        _, rate, _ = self._limit(number, Peak(np.nan, at), index, side)
         return Value(here.value, here.slope + np.multiply.outer(moved, rate[..., None]))
 
     def _between_rows(self, at: float, time: Value, operand: Value) -> Value:
@@ -456,72 +425,6 @@ class _Evaluation:
         self._note_end(name, rows)
         return rows[index : index + 1]
 
-    # --- warnings
-
-    def _note_end(self, name: str, rows: Value) -> None:
-        """Add a remark if the extremum of a quantity with these values in the rows is that at the end of the run."""
-        if is_at_end(rows.value if name == "max" else -rows.value):
-            self.remarks.append(AT_END_OF_RUN.format(name))
-
-    def _note_several(self, name: str, times: Sequence[float]) -> None:
-        self.doubts.append(
-            f"the {'largest' if name == 'max' else 'smallest'} value in '{self.expression.text}' is attained at "
-            f"several times, such as t = {times[0]:.6g} s and {times[1]:.6g} s, so that it has no derivative; a p-norm "
-            "is a smooth maximum: mean(x**8)**(1/8)"
-        )
-
-    def _note_corner(self, operation: str, operands: Sequence[Value]) -> None:
-        """Add a warning if an operation on results of reductions over time has no derivative at these operands."""
-        if operation in ALONG.values():
-            self._note_equal_elements(operation, operands[0])
-            return
-        argument = _switch_of(operation, operands)
-        if argument is None or argument.value.shape[-1] != 1 or not argument.slope.any():
-            return
-        size = max(float(np.max(np.abs(one.value))) for one in operands)
-        size = max(size, self.size) if operation in ("abs", "norm") else size
-        if np.max(np.abs(argument.value)) <= AT_ZERO * size:
-            is_size = operation in ("abs", "norm")
-            self._note_sides("the operand of 'abs' is zero" if is_size else f"the operands of '{operation}' are equal")
-
-    def _note_sides(self, what: str) -> None:
-        self.doubts.append(
-            f"{what} in '{self.expression.text}', so that it has different derivatives on both sides and none there"
-        )
-
-    def _note_rest(self, switches: Sequence[Value], time: np.ndarray) -> None:
-        """Add a warning if an operand stays at a value at which the integrand changes its form.
-
-        The warning is given only if the parameters change this value.
-        """
-        for one in switches:
-            size = float(np.max(np.abs(one.value), initial=0.0))
-            rests = (np.abs(one.value) <= 1e-14 * size) & (
-                np.abs(one.slope) > 1e-9 * np.max(np.abs(one.slope), initial=0.0)
-            ).any(0)
-            if np.sum(rests) > len(time) // 100 + LIMIT_POINTS:
-                self.doubts.append(
-                    f"an operand in '{self.expression.text}' is zero over some time, from t = "
-                    f"{time[np.argmax(rests)]:.6g} s, where 'abs', 'min' or 'max' has no derivative"
-                )
-                return
-
-    def _note_equal_elements(self, operation: str, rows: Value) -> None:
-        """Add a warning if several elements of a beam have the extreme value, but different derivatives.
-
-        Two times are examined: that of the extremum over time, and the end of the run.
-        """
-        values = rows.value if operation == "along_max" else -rows.value
-        for row in {int(np.argmax(np.max(values, axis=0))), values.shape[1] - 1}:
-            near = np.flatnonzero(values[:, row] >= np.max(values[:, row]) - EQUAL * np.max(np.abs(values)))
-            slopes = rows.slope[:, near, row]
-            if not np.allclose(slopes, slopes[:, :1], rtol=1e-6, atol=0.0):
-                self.doubts.append(
-                    f"the elements {near[0]} and {near[-1]} share the extreme value along the beam in "
-                    f"'{self.expression.text}' at t = {self.run.rows.time[row]:.6g} s, so that it has no derivative; "
-                    "name an element, as in beams.NAME.moment[0]"
-                )
-
 
 def _begins(expression: MeasureExpression) -> list[int]:
     """Return, for each instruction, the index at which the program of its first operand begins."""
@@ -545,23 +448,3 @@ def _corner_of(motion: DifferentiatedMotion, number: int) -> Corner:
     corner = motion.parts[number].corner
     assert corner is not None
     return corner
-
-
-def _switch_of(operation: str, operands: Sequence[Value]) -> Value | None:
-    """Return the scalar whose sign determines the form of an operation; None if the form is fixed.
-
-    See `mbdkit.measures.reductions.Functional.values_and_switches`. For the norm of a vector, the scalar is the product
-    of the vector with its value at the first time.
-    """
-    kind = OPERATIONS[operation].switch if operation in OPERATIONS else ""
-    if kind:
-        return operands[0] if kind == "first" else of_operands("sub", 0.0, *operands)
-    if operation not in OF_PARTS:
-        return None
-    x = operands[0]
-    if operation == "norm":
-        first = x.value[:, :1]
-        return Value(np.sum(x.value * first, axis=0), np.sum(x.slope * first, axis=1))
-    values = x.value if operation == "along_max" else -x.value
-    one, other = np.argsort(values[:, -1])[:-3:-1] if len(values) > 1 else (0, 0)
-    return Value(x.value[one] - x.value[other], x.slope[:, one] - x.slope[:, other])

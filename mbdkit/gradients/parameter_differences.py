@@ -186,9 +186,7 @@ class Preparation(ABC):
             ) from None
 
     def _with_places(self, parameter: Parameter, places: tuple[int, ...]) -> tuple[dict[str, np.ndarray], float]:
-        """Return the non-zero derivatives with respect to a parameter and their error, computed from points at these
-        positions.
-        """
+        """Return non-zero derivatives with respect to a parameter and their error, from points at these positions."""
         unit = 2.0 ** np.floor(np.log2(WIDEST / 4.0 * self._scale(parameter)))
         points = {place: self._point(parameter, place * unit) for place in FEW[places]}
         slopes: dict[str, np.ndarray] = {}
@@ -216,11 +214,7 @@ class Preparation(ABC):
         return value - parameter.value, self.at(parameter, value)
 
     def _difference(
-        self,
-        parameter: Parameter,
-        name: str,
-        points: Mapping[int, tuple[float, Arrays]],
-        places: tuple[int, ...],
+        self, parameter: Parameter, name: str, points: Mapping[int, tuple[float, Arrays]], places: tuple[int, ...]
     ) -> tuple[np.ndarray, float]:
         """Return the derivative of an array by differences of order 8, and its relative error by those of order 6."""
         base, unit = self.base[name], points[places[0]][0] / places[0]
@@ -249,9 +243,7 @@ class _Derivatives:
 
 
 def _slope_of_line(base: np.ndarray, points: Mapping[int, tuple[float, np.ndarray]]) -> np.ndarray | None:
-    """Return the slope of the line through the first and the last point; None if the other points are not on this
-    line.
-    """
+    """Return the slope of the line through the first and last point; None if other points are not on it."""
     (x0, low), (x1, high) = points[min(points)], points[max(points)]
     slope = (high - low) / (x1 - x0)
     limit = LINEAR * np.finfo(float).eps * np.maximum(np.maximum(np.abs(high), np.abs(low)), np.abs(base))

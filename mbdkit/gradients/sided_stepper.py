@@ -184,9 +184,7 @@ class SidedStepper(DifferentiatedStepper):
         return min(found) if found else None
 
     def _root(self, step: StepTaken, wrong: np.ndarray, number: int) -> tuple[float, int] | None:
-        """Return the share of the step at which a condition changes; None if states computed by steps of the method do
-        not confirm the change.
-        """
+        """Return the share of the step at which a condition changes; None if steps of the method do not confirm it."""
         side = float(self.sides[number])
 
         def value(theta: float) -> float:

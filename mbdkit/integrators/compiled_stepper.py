@@ -11,14 +11,12 @@ import numpy as np
 
 from mbdkit.base.errors import StepError
 from mbdkit.engine.counters import Counters
-from mbdkit.engine.elimination_order import SingularSystemError
 from mbdkit.engine.kernels.bundle_types import STATE, kept
-from mbdkit.engine.kernels.system import DIVERGED, NOT_FINITE, OK, REPIVOT, REPIVOT_STAGES
+from mbdkit.engine.kernels.system import OK
 from mbdkit.engine.native.bundle import PinnedBundle
-from mbdkit.engine.singularity import describe_nearness, nearest_singularity
-from mbdkit.engine.torn_paths import torn_path
 from mbdkit.engine.workspace import Workspace
 from mbdkit.integrators import step_loop
+from mbdkit.integrators.failed_steps import FailedSteps
 from mbdkit.integrators.impulse import DriverImpulse, impulse
 from mbdkit.integrators.interface import (
     SAME_TIME,
@@ -53,21 +51,13 @@ from mbdkit.integrators.run_state import (
 )
 from mbdkit.integrators.sampled_control import Sampler
 from mbdkit.integrators.splitting import Change, margin_of_stops
-from mbdkit.integrators.step_control import SOLVER_FAILURE_FACTOR, Control, first_step
-from mbdkit.integrators.step_guards import ENERGY_JUMP, FELL_APART
-from mbdkit.integrators.step_watch import guard_evidence, guard_failure
+from mbdkit.integrators.step_control import Control, first_step
+from mbdkit.integrators.step_watch import guard_evidence
 
 if TYPE_CHECKING:
     from mbdkit.integrators.compiled_method import CompiledMethod
     from mbdkit.integrators.run_plan import RunPlan
 
-SINGULAR, REGULAR = 1e-6, 1e-2
-"""Relative distances to the nearest singular matrix. A state counts as singular below `SINGULAR`, and as regular above
-`REGULAR`.
-"""
-
-APART, SWITCHED = -1, -2
-"""Codes of further attempts at a step, beside the statuses after which new pivots have been chosen."""
 
 MAX_ROWS = 4096
 MAX_ROW_BYTES = 1 << 24
@@ -82,7 +72,7 @@ CORRECTION_COLUMNS = [INTERVAL_FIELDS.index(name) for name in CORRECTIONS]
 """Columns of the intervals of the step loop that form ``Stretch.corrections``."""
 
 
-class CompiledStepper:
+class CompiledStepper(FailedSteps):
     """Runs a compiled method over a timetable; implements `mbdkit.integrators.interface.Stepper`.
 
     Parameters
@@ -121,9 +111,7 @@ class CompiledStepper:
         self._pinned_state = PinnedBundle(self.run_state)
         bundles = self.run_state, method.pinned.bundle
         self._state = (*(x for one in bundles for x in kept(one, STATE).values()), *self._node_arrays())
-        limits = guard_limits(workspace.mechanism, timetable.guards)
-        self.plan = new_plan(timetable, control, workspace.stabilization, limits)
-        self._plan = PinnedBundle(self.plan)
+        self._new_plan()
         self.worst_pairs = self.run_state.worst
         self._renewed: set[tuple[int, int]] = set()
         workspace.clamp_motions(*timetable.sides(0))
@@ -168,11 +156,6 @@ class CompiledStepper:
         if self._accepted > accepted or self._is_pending:
             self.method.restore_iterations()
         return status, rows
-
-    @property
-    def _accepted(self) -> int:
-        """Number of accepted steps."""
-        return int(self.run_state.progress.accepted[0])
 
     @property
     def _is_pending(self) -> bool:
@@ -238,8 +221,7 @@ class CompiledStepper:
         return stretch
 
     def _begin_after_stop(self) -> None:
-        """At a stop, discard the values that the method stores for the next step, and apply the impulse if there is
-        one.
+        """At a stop, discard the values that the method stores for the next step, and apply an impulse if there is one.
 
         The call is repeated before another attempt at the first step after the stop; it then has no effect.
         """
@@ -391,6 +373,10 @@ class CompiledStepper:
             stops=(*table.stops[:place], t, *table.stops[place:]),
             stop_margins=(*table.stop_margins[:place], margin, *table.stop_margins[place:]),
         )
+        self._new_plan()
+
+    def _new_plan(self) -> None:
+        """Make the plan of the timetable for the compiled code."""
         limits = guard_limits(self.workspace.mechanism, self.timetable.guards)
         self.plan = new_plan(self.timetable, self._control, self.workspace.stabilization, limits)
         self._plan = PinnedBundle(self.plan)
@@ -429,176 +415,29 @@ class CompiledStepper:
         counters.steps = counters.accepted
         self.time = float(progress.time[0])
 
-    def _size_tried(self) -> float:
-        """Return the size [s] of the step that failed."""
-        return float(self.run_state.progress.tried_size[0])
-
-    def _handle(self, status: int) -> None:
-        """React to a failed step: prepare another attempt, or set `failure`.
-
-        The next attempt uses new pivots, a more robust solution of the stages, more iterations, or a smaller step, as
-        far as the method supports it.
-        """
-        if status in (FELL_APART, ENERGY_JUMP):
-            known = self.run_state.guards, self.worst_pairs
-            limits = self.timetable.guards.energy_jump, self.plan.limits
-            self.failure = guard_failure(status, self.workspace.mechanism, known, limits, self.time, self.method.hint)
-            return
-        done = self._accepted
-        where = f"in step {done + 1} from t = {self.time:.6g} s"
-        if unusable := self.workspace.unusable():
-            if not (self.controlled and status != step_loop.TOO_SMALL and self._shrink()):
-                self.failure = Failure(self.workspace.cause, f"{unusable} {where}{self._stiffness()}.")
-            return
-        if status in (REPIVOT, REPIVOT_STAGES) and not self.workspace.is_finite():
-            status = DIVERGED if self.method.carries_stages else NOT_FINITE
-        singular: SingularSystemError | None = None
-        if status != NOT_FINITE and (done, status) not in self._renewed:
-            try:
-                if self._renew(status):
-                    self._renewed = {pair for pair in self._renewed if pair[0] == done} | {(done, status)}
-                    return
-            except SingularSystemError as error:
-                singular = error
-        apart = (done, APART)
-        if status not in (step_loop.TOO_SMALL, NOT_FINITE) and self.mode != SYMMETRIC and apart not in self._renewed:
-            self._renewed.add(apart)
-            begin = float(self.run_state.progress.tried_begin[0])
-            solved = self.method.solve_apart(self.run_state, begin, self._size_tried())
-            self._take_up_pivots()
-            if solved:
-                return
-        if not self.controlled and status == DIVERGED and self.method.extend_iterations():
-            return
-        switched = (done, SWITCHED)
-        if not self.controlled and switched not in self._renewed and self.method.switch_iteration():
-            self._renewed = {switched}
-            return
-        if self.controlled and status != step_loop.TOO_SMALL and self._shrink():
-            return
-        self.failure = self._failure(status, singular, where)
-        ahead = self.run_state.q + self._size_tried() * self.run_state.v
-        near = torn_path(self.workspace, self.time, ahead, self.run_state.v)
-        if not near and self.failure.code != "not-finite":
-            near = describe_nearness(self.workspace, self.time, self.run_state.q)
-        if near:
-            self.failure = replace(self.failure, sentence=f"{self.failure.sentence.rstrip('.')}; {near}.")
-
-    def _renew(self, status: int) -> bool:
-        """Choose new pivots after `status`; return whether another attempt at the step can succeed.
-
-        `Workspace.retry_with_new_pivots` would repeat the attempt at once. Here the rows written so far are returned
-        first, and the next call of the step loop repeats the attempt. Also, the pivots may belong to a stage matrix of
-        the method rather than to the workspace.
-
-        Raises SingularSystemError if a matrix is singular.
-        """
-        if status == step_loop.TOO_SMALL:
-            return False
-        self.run_state.base_state[0] = MODIFIED
-        if status == REPIVOT:
-            self.workspace.use_pivots()
-            self.method.forget()
-            helped = True
-        else:
-            helped = self.method.renew(self.run_state, self.time, self._size_tried())
-        self._take_up_pivots()
-        return helped
-
-    def _take_up_pivots(self) -> None:
-        """Make the compiled code use the current solver of the workspace."""
-        if self.run_state.solver is self.workspace.solver:
-            return
-        self.run_state = self.run_state._replace(solver=self.workspace.solver)
-        self._pinned_state.replace(self.run_state)
-
-    def _shrink(self) -> bool:
-        """Count the attempted step as rejected and reduce its size; return whether the new size is above the smallest
-        one allowed.
-        """
-        progress = self.run_state.progress
-        progress.next_size[0] *= SOLVER_FAILURE_FACTOR
-        progress.rejected[0] += 1
-        self.run_state.interval.rejected[0] += 1
-        self.run_state.base_state[0] = MODIFIED
-        self._renewed.clear()
-        return bool(progress.next_size[0] > self.plan.control.min_size[0])
-
-    def _stiffness(self) -> str:
-        """Return a clause that names muscle fibres too stiff for large steps of explicit methods; empty if there are
-        none, or the method is implicit.
-        """
-        name = self.workspace.mechanism.stiffest_muscle
-        if not name or self.method.carries_stages:
-            return ""
-        return f"; the fibres of muscle '{name}' are stiff: they need smaller steps, or an implicit method (radau-iia)"
-
-    def _failure(self, status: int, singular: SingularSystemError | None, where: str) -> Failure:
-        """Return the reason why the run stops."""
-        hint, workspace = self.method.hint, self.workspace
-        floor = float(self.plan.control.min_size[0])
-        distance, _ = nearest_singularity(workspace, self.time, self.run_state.q)
-        if status == step_loop.TOO_SMALL:
-            if distance < SINGULAR:
-                return Failure("singular", f"the step size decreased without limit {where}.")
-            if self.run_state.guards.jumped[0]:
-                sentence = f"the energy balance changes by too much {where} for any step size; the law of a force"
-                return Failure("energy-jump", f"{sentence} may not be the derivative of its potential.")
-            return Failure("step-too-small", f"the step fell below {floor:.2g} s {where}; looser tolerances may help.")
-        if status == NOT_FINITE:
-            return Failure("not-finite", f"numbers overflowed {where}; {hint}{self._stiffness()}.")
-        if status == DIVERGED:
-            return Failure("newton-failed", f"{where}{self.method.describe_divergence(self.run_state.report)}; {hint}.")
-        if singular is not None:
-            name = workspace.mechanism.unknown_name(singular.index)
-        else:
-            name = workspace.mechanism.unknown_name(workspace.failed_unknown)
-        if self.method.carries_stages and distance > REGULAR:
-            what = (
-                f"{where}: the stage iteration reached a state in which the system of equations is singular at {name}"
-            )
-            return Failure("newton-failed", f"{what}; {hint}.")
-        return Failure("singular", f"the system of equations is singular at {name} {where}; {hint}.")
-
-    def _own_multipliers(self, lam: np.ndarray) -> np.ndarray | None:
-        """Return the multipliers that the method itself computes, by constraint row, from an array by pair (T, P, 2).
-
-        None if the method does not compute multipliers.
-        """
-        if not self.method.carries_multipliers:
-            return None
-        rows = self.workspace.mechanism.rows
-        return np.ascontiguousarray(lam[:, [row.pair for row in rows], [row.place for row in rows]])
-
     def _stretch(
-        self,
-        time: np.ndarray,
-        q: np.ndarray,
-        v: np.ndarray,
-        z: np.ndarray,
-        energy: np.ndarray,
-        interval: np.ndarray,
-        lam: np.ndarray,
+        self, states: tuple[np.ndarray, ...], energy: np.ndarray, interval: np.ndarray, lam: np.ndarray
     ) -> Stretch:
-        """Return recorded rows as a `Stretch`, with copies of their arrays."""
+        """Return recorded rows as a `Stretch`, with copies of their arrays.
+
+        `states` are times, positions, velocities and first-order states. `lam` (T, P, 2) are the multipliers by pair,
+        if the method itself computes multipliers.
+        """
+        time, q, v, z = states
+        rows, own = self.workspace.mechanism.rows, None
+        if self.method.carries_multipliers:
+            own = np.ascontiguousarray(lam[:, [row.pair for row in rows], [row.place for row in rows]])
+        work = np.column_stack([time, interval[:, WORK_COLUMNS]])
         stabilized = self.workspace.stabilization.kind != "none"
-        return Stretch(
-            time,
-            q,
-            v,
-            energy[:, 0].copy(),
-            energy[:, 1].copy(),
-            np.column_stack([time, interval[:, WORK_COLUMNS]]),
-            multipliers=self._own_multipliers(lam),
-            corrections=interval[:, CORRECTION_COLUMNS].copy() if stabilized else None,
-            z=z,
-        )
+        corrections = interval[:, CORRECTION_COLUMNS].copy() if stabilized else None
+        gain, lost = energy[:, 0].copy(), energy[:, 1].copy()
+        return Stretch(time, q, v, gain, lost, work, multipliers=own, corrections=corrections, z=z)
 
     def _collect(self, rows: int) -> Stretch:
         """Return the rows that the step loop has written."""
         c, some = self.run_state, slice(rows)
         states = c.row_time[some].copy(), c.row_q[some].copy(), c.row_v[some].copy(), c.row_z[some].copy()
-        return self._stretch(*states, c.row_energy[some], c.row_interval[some], c.row_lam[some])
+        return self._stretch(states, c.row_energy[some], c.row_interval[some], c.row_lam[some])
 
     def _node_arrays(self) -> tuple[np.ndarray, ...]:
         """Return the number of quadrature nodes that have been stored, and their buffers."""
@@ -618,4 +457,4 @@ class CompiledStepper:
         interval = c.interval.values[None].copy()
         c.interval.values[:] = 0.0
         states = np.array([self.time]), c.q[None].copy(), c.v[None].copy(), c.z[None].copy()
-        return self._stretch(*states, c.energy[None], interval, c.own_lam[None])
+        return self._stretch(states, c.energy[None], interval, c.own_lam[None])

@@ -84,9 +84,7 @@ def _pivoted(matrix: np.ndarray, right: np.ndarray, tiny: float) -> tuple[np.nda
 def _smallest_ratio(
     tableau: np.ndarray, column: np.ndarray, able: np.ndarray, basis: np.ndarray, artificial: int, tiny: float
 ) -> int:
-    """Return the row that leaves the basis: on a tie, that of the artificial variable if possible, else the
-    lexicographically smallest one.
-    """
+    """Return the row that leaves the basis; on a tie, the artificial one if possible, else the lexicographic least."""
     ratios = tableau[able, -1] / column[able]
     able = able[ratios <= np.min(ratios) + tiny * max(1.0, abs(float(np.min(ratios))))]
     if artificial in basis[able]:
@@ -170,12 +168,7 @@ def coulomb(
     cone = np.zeros((m, k))
     cone[np.arange(m), sticks] = friction[sticks]
     matrix = np.block(
-        [
-            [nn, nt, -nt, np.zeros((k, m))],
-            [tn, tt, -tt, one],
-            [-tn, -tt, tt, one],
-            [cone, -one, -one, none],
-        ]
+        [[nn, nt, -nt, np.zeros((k, m))], [tn, tt, -tt, one], [-tn, -tt, tt, one], [cone, -one, -one, none]]
     )
     right = np.concatenate([b_n, b_t[sticks], -b_t[sticks], (friction * pressed / scale)[sticks]])
     largest = float(np.max(np.abs(right), initial=0.0))

@@ -135,12 +135,7 @@ class _Step:
     """A step of the run, divided at events into steps of the explicit method."""
 
     def __init__(
-        self,
-        treatment: Treatment,
-        tableau: _Tableau | None,
-        contacts: RigidContacts,
-        t: float,
-        state: StepState,
+        self, treatment: Treatment, tableau: _Tableau | None, contacts: RigidContacts, t: float, state: StepState
     ):
         self.treatment, self.tableau, self.p = treatment, tableau, contacts.p
         self.contacts = contacts
@@ -176,9 +171,12 @@ class _Step:
         self.state = replace(self.state, energy=max(self.state.energy, now))
 
     def _modes_at_rest(self) -> np.ndarray:
-        """Return the modes at the start or after a stop; if touching shapes approach each other, they collide first."""
+        """Return the modes at the start or after a stop."""
+        return self._met(self.contacts.kinematics.rows(self.now.q, self.now.v).gap <= SAME * self.length)
+
+    def _met(self, touching: np.ndarray) -> np.ndarray:
+        """Return the modes of contacts that touch; if their shapes approach each other, they collide first."""
         rows = self.contacts.kinematics.rows(self.now.q, self.now.v)
-        touching = rows.gap <= SAME * self.length
         if np.any(touching & (rows.normal @ self.now.v < -SAME * self.speed)):
             self._strike(touching)
             return self.modes
@@ -238,9 +236,7 @@ class _Step:
         return forced.a, work, lost - float(forced.tangent[self.modes != OPEN] @ forced.rows.slip)
 
     def _moved(self, h: float) -> _Point:
-        """Return the state after one step of the explicit method, projected so that joints and closed contacts are
-        closed.
-        """
+        """Return the state after one step of the explicit method, projected to close joints and closed contacts."""
         assert self.tableau is not None
         now, (a, b, c) = self.now, self.tableau
         q_rates: list[np.ndarray] = []
@@ -404,12 +400,7 @@ class _Step:
         stays = self.modes != OPEN
         stays[contact] = False
         self.modes = np.where(stays, self.modes, OPEN)
-        touching = self._touching()
-        rows = self.contacts.kinematics.rows(self.now.q, self.now.v)
-        if np.any(touching & (rows.normal @ self.now.v < -SAME * self.speed)):
-            self._strike(touching)
-        else:
-            self.modes = self._decided(self.now, touching)
+        self.modes = self._met(self._touching())
 
     def _touching(self) -> np.ndarray:
         rows = self.contacts.kinematics.rows(self.now.q, self.now.v)
@@ -418,24 +409,11 @@ class _Step:
         )
 
     def _decided(
-        self,
-        at: _Point,
-        touching: np.ndarray,
-        stops: np.ndarray | float = 0.0,
-        begins: np.ndarray | float = 0.0,
+        self, at: _Point, touching: np.ndarray, stops: np.ndarray | float = 0.0, begins: np.ndarray | float = 0.0
     ) -> np.ndarray:
-        """Return the modes of touching contacts after an event.
+        """Return the modes (C,) of touching contacts after an event that led to the state `at`.
 
-        Parameters
-        ----------
-        at
-            The state after the event.
-        touching
-            (C,) whether a contact touches.
-        stops
-            (C,) positive where slip has just ended.
-        begins
-            (C,) direction in which slip has just begun; else 0.
+        `stops` is positive where slip has just ended; `begins` is the direction in which it has just begun, else 0.
         """
         rows = self.contacts.kinematics.rows(at.q, at.v)
         resting = touching & (rows.normal @ at.v <= SAME * self.speed)
@@ -507,12 +485,8 @@ class _Step:
         impulse that stops the separation. The change removes the additional impulse, with its friction: otherwise the
         slip after the sequence would have an error of the first order in the velocity of separation.
 
-        Parameters
-        ----------
-        rests
-            (C,) whether a contact comes to rest.
-        slips
-            (C,) modes of the contacts, with the direction of slip, 1, -1 or 0, for those that come to rest.
+        For contacts that come to rest, which are those in `rests`, the modes `slips` have the direction of slip, 1, -1
+        or 0.
         """
         now, contacts = self.now, self.contacts
         closed = np.flatnonzero(rests | (self.modes != OPEN))

@@ -125,17 +125,10 @@ class StabilizedSteps:
         before_q: Vector = 0.0,
         before_v: Vector = 0.0,
     ) -> Taken:
-        """Return a step whose end state is corrected by `dq`, `dv`, and whose start state was corrected by `before_q`,
-        `before_v`.
-        """
+        """Return a step with its end corrected by `dq`, `dv`, and its start by `before_q`, `before_v`."""
         self.equations.counters.projections += 1
         reached = made.moved(
-            dq,
-            dv,
-            multipliers=made.multipliers,
-            memory=made.memory,
-            work=made.work,
-            dissipated=made.dissipated,
+            dq, dv, multipliers=made.multipliers, memory=made.memory, work=made.work, dissipated=made.dissipated
         )
         moved_q, moved_v = (np.sqrt(self.weight @ x**2) for x in (before_q + dq, before_v + dv))
         return Taken(begin, made, reached, np.array([1.0, moved_q, moved_v, 0.0]))

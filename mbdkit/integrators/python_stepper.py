@@ -160,9 +160,7 @@ class PythonStepper:
         return memory if isinstance(memory, ContactState) else None
 
     def _begin_after_stop(self) -> None:
-        """At a stop, discard the values that the method stores for the next step, and apply the impulse if there is
-        one.
-        """
+        """At a stop, discard values that the method stores for the next step, and apply the impulse if any."""
         if isinstance(self.method, EventDriven) and self.contact_state is not None and self.contact_state.event:
             self._apply_event(self.method)
         now, table = self.now, self.timetable
@@ -282,9 +280,7 @@ class PythonStepper:
         return self._nodes.taken()
 
     def _keep_nodes(self, before: Reached, there: Reached) -> None:
-        """Store quadrature nodes in a step, on the quintic polynomial through positions, velocities and accelerations
-        at its ends.
-        """
+        """Store quadrature nodes in a step, on the quintic polynomial through states and accelerations at its ends."""
         if not self.timetable.nodes:
             return
         begin = before.time if before.restart is None else before.restart

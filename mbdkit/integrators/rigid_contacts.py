@@ -302,17 +302,10 @@ class RigidContacts:
 
 
 def _directions(rows: Rows, places: np.ndarray, share: np.ndarray, sticks: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return the derivatives of the constraints of k closed contacts, of which s stick, and the directions of their
-    forces, (k + s, n) each: first those of the gaps, with the friction of contacts that slip, and then of the slips.
+    """Return the derivatives of the constraints of closed contacts and the directions of their forces, (k + s, n) each.
 
-    Parameters
-    ----------
-    places
-        (k,) indices of the contacts in `rows`.
-    share
-        (k,) ratios of friction force and normal force.
-    sticks
-        (s,) indices of the contacts that stick, among the closed ones.
+    First come the gaps of the k contacts `places` in `rows`, with friction that is the `share` of the normal force, and
+    then the slips of the s contacts that stick, `sticks`, among the closed ones.
     """
     along, across = rows.normal[places], rows.tangent[places]
     return np.vstack([along, across[sticks]]), np.vstack([along + share[:, None] * across, across[sticks]])

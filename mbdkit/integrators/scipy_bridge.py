@@ -409,23 +409,18 @@ class SciPyStepper:
             self.time = self.timetable.sides(self._passed)[1]
         if self.finished:
             self.time = self.timetable.end
-        q, _ = self._state(self.y)
-        note_all(self.workspace.engine, np.array([self.time]), q[None], self.worst_pairs)
+        note_all(self.workspace.engine, np.array([self.time]), self._state(self.y)[0][None], self.worst_pairs)
         if self._stabilized:
-            pull = baumgarte_at(self._engine, self.time, *self._state(self.y))
-            self._pull = max(self._pull, pull)
+            self._pull = max(self._pull, baumgarte_at(self._engine, self.time, *self._state(self.y)))
         self.failure = self._watched(before, old)
         return True
 
     def _watched(self, begin: float, old: np.ndarray) -> Failure | None:
-        """Apply the guards to the step from time `begin` and state `old`; return the reason why the run has to stop, or
-        None.
-        """
+        """Apply the guards to the step from time `begin` and state `old`; return why the run has to stop, or None."""
         n3, y = self.n3, self.y
         energies = slice(2 * n3, 2 * n3 + 2)
         gain = y[energies] - old[energies] if self.has_power else np.zeros(2)
-        q, v = slice(0, n3), slice(n3, 2 * n3)
-        return self._watch.step((begin, self.time), old[q], old[v], y[q], y[v], gain)
+        return self._watch.step((begin, self.time), old[:n3], old[n3 : 2 * n3], y[:n3], y[n3 : 2 * n3], gain)
 
     def _nearness(self, t: float, y: np.ndarray) -> str:
         """Return a clause stating that a state is nearly singular; empty if it is not."""
@@ -438,9 +433,7 @@ class SciPyStepper:
         return Failure("not-finite", f"numbers overflowed after t = {t:.6g} s; tighter tolerances may help.")
 
     def _effort(self, t: float) -> tuple[int, int]:
-        """Return the numbers of Newton iterations and of attempts in the last step, derived from the times of its
-        evaluations.
-        """
+        """Return the numbers of Newton iterations and attempts in the last step, from the times of its evaluations."""
         times = self._times
         stages = getattr(self.solver, "n_stages", None)
         if stages:
@@ -482,11 +475,9 @@ class SciPyStepper:
         return rows
 
     def _row(self, t: float, y: np.ndarray) -> Row:
-        effort, pull = self._since.copy(), self._pull
-        self._since[:] = 0
-        self._pull = 0.0
-        effort = np.array([t, effort[0], effort[2], effort[3], effort[4], effort[5]])
-        return t, y, effort, pull
+        row = t, y, np.array([t, *self._since[[0, 2, 3, 4, 5]]]), self._pull
+        self._since[:], self._pull = 0.0, 0.0
+        return row
 
     def _stretch(self, rows: list[Row]) -> Stretch:
         n3, count = self.n3, len(rows)
@@ -497,12 +488,10 @@ class SciPyStepper:
             if self.has_power:
                 work[i], lost[i] = y[2 * n3 : self._first_z]
         intervals = np.array([effort for _, _, effort, _ in rows]).reshape(-1, 6)
-        corrections = None
-        if self._stabilized:
-            corrections = np.array([(0.0, 0.0, 0.0, pull) for *_, pull in rows]).reshape(-1, 4)
+        pulls = np.array([(0.0, 0.0, 0.0, pull) for *_, pull in rows]).reshape(-1, 4)
         times = np.array([t for t, *_ in rows])
         z = np.array([y[self._first_z :] for _, y, *_ in rows]).reshape(count, len(self.y) - self._first_z)
-        return Stretch(times, q, v, work, lost, intervals, corrections=corrections, z=z)
+        return Stretch(times, q, v, work, lost, intervals, corrections=pulls if self._stabilized else None, z=z)
 
     def last_state(self) -> Stretch:
         """See `Stepper.last_state`."""

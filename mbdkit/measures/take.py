@@ -143,9 +143,7 @@ def take_all(run: Run, spec: ModelSpec) -> MeasuredValues:
 
 
 def _of_extrema(measure: DefinedMeasure, run: Run, spec: ModelSpec) -> list[str]:
-    """Return a remark if recorded rows exceed an extremum of the motion between the ends of steps, or if an extremum
-    lies at the end of a run.
-    """
+    """Return a remark if recorded rows exceed an extremum between ends of steps, or if it is at the end of a run."""
     if measure.item is not None:
         return []
     return MeasureExpression.parse(measure.expression, spec, measure.unit).remarks(run)

@@ -235,6 +235,5 @@ def _check_joint_angles(
         for body in joints[name].bodies:
             if body in point_masses:
                 raise SpecError(
-                    f"joint '{name}' holds '{body}', a point mass (it has no inertia), which has no angle",
-                    key=here,
+                    f"joint '{name}' holds '{body}', a point mass (it has no inertia), which has no angle", key=here
                 )

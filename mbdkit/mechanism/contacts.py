@@ -131,10 +131,8 @@ def _check_convex(corners: tuple[Pair, ...]) -> None:
     for (ax, ay), (bx, by), (cx, cy) in zip(corners, corners[1:] + corners[:1], corners[2:] + corners[:2], strict=True):
         across = (bx - ax) * (cy - by) - (by - ay) * (cx - bx)
         if across <= 0.0:
-            message = (
-                "a polygon should be convex, with corners in counter-clockwise order, of which no three are on a line"
-            )
-            raise SpecError(message, key="polygon")
+            order = "with corners in counter-clockwise order, of which no three are on a line"
+            raise SpecError(f"a polygon should be convex, {order}", key="polygon")
         turns += math.atan2(across, (bx - ax) * (cx - bx) + (by - ay) * (cy - by))
     if turns > 7.0:  # the edges of a star turn more than once
         raise SpecError("the edges of a polygon should not cross", key="polygon")
@@ -178,9 +176,8 @@ class Friction(StrictModel):
     @model_validator(mode="after")
     def _in_order(self) -> Friction:
         if self.kinetic > self.static:
-            raise SpecError(
-                f"should not be greater than `static`, {self.static:g}, but is {self.kinetic:g}", key="kinetic"
-            )
+            too_large = f"should not be greater than `static`, {self.static:g}, but is {self.kinetic:g}"
+            raise SpecError(too_large, key="kinetic")
         return self
 
 
@@ -311,33 +308,24 @@ class Contact(Element):
         own = self.compliance
         if own is None:
             return
-        of_speed = own.law in ("flores", "lankarani-nikravesh")
-        if own.dissipation is not None and of_speed:
-            raise SpecError(
-                f"the law {own.law} computes it from `restitution` and `impact_speed`; omit it",
-                key="compliance.dissipation",
-            )
-        if of_speed and own.impact_speed is None:
-            raise SpecError(
-                f"is missing: the law {own.law} needs the impact speed to which `restitution` refers",
-                key="compliance.impact_speed",
-            )
-        if own.impact_speed is not None and own.law in ("linear", "smooth-sphere-half-space"):
-            raise SpecError(f"the law {own.law} does not use it; give `dissipation`", key="compliance.impact_speed")
-        if own.impact_speed is not None and own.dissipation is not None:
+        law, speed, given = own.law, own.impact_speed, own.dissipation is not None
+        of_speed = law in ("flores", "lankarani-nikravesh")
+        if given and of_speed:
+            told = f"the law {law} computes it from `restitution` and `impact_speed`; omit it"
+            raise SpecError(told, key="compliance.dissipation")
+        if of_speed and speed is None:
+            told = f"is missing: the law {law} needs the impact speed to which `restitution` refers"
+            raise SpecError(told, key="compliance.impact_speed")
+        if speed is not None and law in ("linear", "smooth-sphere-half-space"):
+            raise SpecError(f"the law {law} does not use it; give `dissipation`", key="compliance.impact_speed")
+        if speed is not None and given:
             raise SpecError("give either `dissipation` or `impact_speed`", key="compliance.impact_speed")
-        if own.law == "flores" and self.restitution == 0.0:
+        if law == "flores" and self.restitution == 0.0:
             raise SpecError("should be greater than 0: the law flores divides by it", key="restitution")
-        if own.law == "smooth-sphere-half-space":
-            kinds = sorted(shape.kind for shape in self._shapes())
-            if any(pair != ("circle", "line") for pair in combinations(kinds, 2)):
-                raise SpecError(
-                    f"the law smooth-sphere-half-space needs a circle and a line, not {listed(kinds, 'and')}",
-                    key="compliance.law",
-                )
-
-    def _shapes(self) -> list[Shape]:
-        return list(self.shapes.values() if isinstance(self.shapes, dict) else self.shapes)
+        kinds = sorted(shape.kind for shape in self._ordered())
+        if law == "smooth-sphere-half-space" and any(pair != ("circle", "line") for pair in combinations(kinds, 2)):
+            told = f"the law {law} needs a circle and a line, not {listed(kinds, 'and')}"
+            raise SpecError(told, key="compliance.law")
 
     @property
     def by_body(self) -> list[tuple[str, str, str, Shape]]:
@@ -349,9 +337,7 @@ class Contact(Element):
         return [(*given, shape) for given, shape in zip(names, self._ordered(), strict=True)]
 
     def _ordered(self) -> list[Shape]:
-        if isinstance(self.shapes, dict):
-            return [self.shapes[name] for name in self.among or ()]
-        return list(self.shapes)
+        return [self.shapes[name] for name in self.among or ()] if isinstance(self.shapes, dict) else list(self.shapes)
 
     @property
     def coefficients(self) -> Pair:
@@ -410,23 +396,6 @@ class Contact(Element):
             elif frozenset((a, b)) not in held:
                 yield from _rows(f"{name}.{a}.{b}", key, (a, b), first, second)
 
-    def check_joints(self, key: str, joints: Mapping[str, Joint]) -> None:
-        """Raise SpecError if a weld, or a pin between two moving bodies, holds the bodies of the contact together.
-
-        Two bodies overlap around their pin. A body that is pinned to the ground may touch other parts of the ground.
-        """
-        if self.bodies is None:
-            return
-        for name, joint in joints.items():
-            holds = isinstance(joint, Weld) or (isinstance(joint, Revolute) and GROUND not in joint.bodies)
-            if holds and set(joint.bodies) == set(self.bodies):
-                first, second = self.bodies
-                raise SpecError(
-                    f"joint '{name}' holds '{first}' and '{second}' together, so a contact between them would act "
-                    f"against the joint; remove the joint or the contact",
-                    key=f"{key}.bodies",
-                )
-
     def places(self) -> list[tuple[str, str]]:
         """Return (key, body name) of each body that the element refers to."""
         return [(key, name) for key, _, name, _ in self.by_body]
@@ -446,9 +415,8 @@ def _check_kinds(first: Shape, second: Shape, key: str) -> None:
     """Raise SpecError for two shapes that cannot touch."""
     kinds = {first.kind, second.kind}
     if kinds == {"line"}:
-        raise SpecError(
-            "two lines cannot touch each other, because they have no ends; use a polygon for one of the bodies", key=key
-        )
+        told = "two lines cannot touch each other, because they have no ends; use a polygon for one of the bodies"
+        raise SpecError(told, key=key)
     if kinds == {"point"}:
         raise SpecError("two points cannot touch; give one of them a radius, {circle: {center, radius}}", key=key)
     if "hole" in kinds:
@@ -462,12 +430,8 @@ def _check_hole(first: Shape, second: Shape, key: str) -> None:
         raise SpecError(f"a hole holds a circle or a point, not a {other.kind}", key=key)
     (_, room), (_, radius) = hole.circle_of, other.circle_of
     if radius >= room:
-        raise SpecError(
-            f"the circle does not fit into the hole: its radius, {radius:g} m, should be less than the radius of "
-            f"the hole, "
-            f"{room:g} m",
-            key=key,
-        )
+        less = f"its radius, {radius:g} m, should be less than the radius of the hole, {room:g} m"
+        raise SpecError(f"the circle does not fit into the hole: {less}", key=key)
 
 
 def _rows(name: str, key: str, bodies: tuple[str, str], first: Shape, second: Shape) -> Iterator[ContactPair]:
@@ -522,6 +486,14 @@ def feet(pairs: Iterable[Sequence[str]]) -> list[str]:
 
 
 def check_contacts(contacts: Mapping[str, Contact], joints: Mapping[str, Joint]) -> None:
-    """Raise SpecError for the first contact that contradicts a joint; see `Contact.check_joints`."""
-    for name, contact in contacts.items():
-        contact.check_joints(f"model.contacts.{quoted(name)}", joints)
+    """Raise SpecError for the first contact whose bodies a weld, or a pin between two moving bodies, holds together.
+
+    Two bodies overlap around their pin. A body that is pinned to the ground may touch other parts of the ground.
+    """
+    for key, contact in contacts.items():
+        for name, joint in joints.items() if contact.bodies is not None else ():
+            holds = isinstance(joint, Weld) or (isinstance(joint, Revolute) and GROUND not in joint.bodies)
+            if holds and set(joint.bodies) == set(contact.bodies or ()):
+                held = "joint '{}' holds '{}' and '{}' together".format(name, *contact.bodies or ())
+                why = f"{held}, so a contact between them would act against the joint; remove the joint or the contact"
+                raise SpecError(why, key=f"model.contacts.{quoted(key)}.bodies")

@@ -151,9 +151,7 @@ def _improbable_section(beam: Beam, place: str) -> Iterator[str]:
 
 
 def _source_of_inertia(beam: Beam) -> tuple[str, float, str, str]:
-    """Return the key from which the rotary inertia of a beam follows, its value, its unit and an example of another
-    unit.
-    """
+    """Return key, value and unit from which the rotary inertia of a beam follows, and an example of another unit."""
     bending = None if beam.stiffness is None else beam.stiffness.bending
     if beam.rotary_inertia is not None:
         return "rotary_inertia", beam.rotary_inertia, "kg m", "kg*mm^2/m"

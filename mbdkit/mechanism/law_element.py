@@ -117,9 +117,7 @@ class PluginLookup(Protocol):
 
 
 def _plugin_lookup(context: Any) -> PluginLookup:
-    """Return the lookup in a pydantic validation context, which is a mapping; by default, that of the installed
-    plugins.
-    """
+    """Return the lookup in a pydantic validation context, a mapping; by default, that of the installed plugins."""
     given: PluginLookup | None = context.get("plugins") if isinstance(context, Mapping) else None
     return given or higher_layers.installed_plugins()
 

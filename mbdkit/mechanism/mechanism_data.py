@@ -52,10 +52,7 @@ AnyNamedCoordinate = Annotated[NamedCoordinate, BeforeValidator(_named)]
 
 
 def check_coordinates(
-    coordinates: Mapping[str, NamedCoordinate],
-    joints: Container[str],
-    bodies: Container[str],
-    markers: Container[str],
+    coordinates: Mapping[str, NamedCoordinate], joints: Container[str], bodies: Container[str], markers: Container[str]
 ) -> None:
     """Raise a SpecError for the first coordinate with a wrong name, scale, quantity or `relative_to`."""
 

@@ -193,9 +193,7 @@ def _described(
 
 
 def _switching_times(program: Program, start: float, end: float, samples: int) -> list[tuple[float, float]]:
-    """Return the times at which a function of a program switches between its operands, with their rounding errors
-    [s].
-    """
+    """Return times at which a function of a program switches between its operands, with their rounding errors [s]."""
     times = np.linspace(start, end, samples + 1)
     found: dict[float, float] = {}
     level = 0

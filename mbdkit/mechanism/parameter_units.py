@@ -129,9 +129,7 @@ class _Derived:
         return None  # the units of other functions are not derived
 
     def _of_sum(self, node: ast.BinOp, left: Unit | None, right: Unit | None) -> Unit | None:
-        """Return the unit of a sum or difference; a term in which no parameter has a unit takes the unit of the
-        other term.
-        """
+        """Return the unit of a sum or difference; a term without parameters with units takes that of the other term."""
         if not _has_units(node.left, self.units):
             return right
         if not _has_units(node.right, self.units):

@@ -44,9 +44,7 @@ def mechanism_sizes(mechanisms: Sequence[Mechanism], positions: np.ndarray) -> n
 
 
 def _joint_points(mechanism: Mechanism) -> tuple[list[int], list[tuple[float, float]]]:
-    """Return the joint points in the frames of their bodies, and the indices of these bodies; ground has the last
-    index.
-    """
+    """Return the joint points in the frames of their bodies, and the indices of these bodies, ground last."""
     numbers = {name: number for number, name in enumerate(mechanism.bodies)}
     found = [attached for joint in mechanism.joints.values() for attached in joint.attachments()]
     return [numbers.get(name, len(numbers)) for _, name, _ in found], [point for *_, point in found]

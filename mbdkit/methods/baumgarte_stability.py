@@ -49,9 +49,7 @@ def stiff_baumgarte(name: str, method: Method, claims: Claims, wanted: Stabiliza
 
 
 def _growth(method: Method, claims: Claims, wanted: Stabilization) -> tuple[Growth, str]:
-    """Return the growth factor of an error as a function of the step, and a clause that names the iteration it applies
-    to.
-    """
+    """Return the growth factor of an error as a function of the step, and a clause that names the iteration."""
     alpha, beta = wanted.alpha, wanted.beta
     root = np.sqrt(complex(alpha**2 - beta**2))
     eigenvalues = np.array([-alpha + root, -alpha - root])

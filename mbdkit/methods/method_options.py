@@ -106,11 +106,7 @@ class ImplicitOptions(ControlledOptions):
 def explicit_claims(order: int, stages: int) -> Callable[[ExplicitOptions], Claims]:
     """Return the claims of an explicit method in fixed steps."""
     return lambda options: Claims(
-        order=order,
-        stages=stages,
-        drift=ORDER_DRIFT + OF_TREES,
-        needs=("accelerations",),
-        formulations=ORDINARY,
+        order=order, stages=stages, drift=ORDER_DRIFT + OF_TREES, needs=("accelerations",), formulations=ORDINARY
     )
 
 

@@ -155,14 +155,9 @@ def without_slopes(x: Any) -> Any:
 
 
 def _chosen(points: np.ndarray, begins: Sequence[Any], x: Any) -> Points:
-    """Return the points of the segment in which x lies.
+    """Return the points of the segment in which x lies, from the control points (S, 4) of all segments.
 
-    Parameters
-    ----------
-    points
-        (S, 4) control points of all segments.
-    begins
-        (S - 1,) values of x at which the segments begin, without the first segment.
+    `begins` are the values (S - 1,) of x at which the segments after the first begin.
     """
     steps = np.column_stack([points[:, 0], np.diff(points, axis=1)]).tolist()
     found = list(steps[0])

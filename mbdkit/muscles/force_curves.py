@@ -187,8 +187,7 @@ def _tendon() -> BezierCurve:
     run = x_toe - 0.5 * toe / stiff - foot  # from the foot to where the straight line has half of the force `toe`
     slope = 0.5 * toe / run
     return BezierCurve.through(
-        [Corner(1.0, 0.0, 0.0), Corner(foot + 0.5 * run, 0.25 * toe, slope), Corner(x_toe, toe, stiff)],
-        [curviness] * 2,
+        [Corner(1.0, 0.0, 0.0), Corner(foot + 0.5 * run, 0.25 * toe, slope), Corner(x_toe, toe, stiff)], [curviness] * 2
     )
 
 

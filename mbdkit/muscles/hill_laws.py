@@ -94,9 +94,7 @@ def elastic_tension(length: Any, p: Parameters, curves: ForceCurves) -> Any:
 
 
 def _along(p: Parameters) -> Any:
-    """Return the length of the fibres along the tendon; nan if the fibres are shorter than the thickness of the
-    muscle.
-    """
+    """Return the length of the fibres along the tendon; nan if they are shorter than the thickness of the muscle."""
     fiber, thickness = p["fiber_length"], p["thickness"]
     return np.where(fiber > thickness, np.sqrt(fiber * fiber - thickness * thickness), np.nan)
 

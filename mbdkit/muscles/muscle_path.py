@@ -241,9 +241,7 @@ def _patterns(circles: range) -> Iterator[tuple[int, ...]]:
 def _string(
     centers: Sequence[np.ndarray], radii: Sequence[float], touched: tuple[int, ...]
 ) -> tuple[np.ndarray, list[np.ndarray], np.ndarray]:
-    """Return length (T,) and derivatives (T, 2) with respect to all centers of a taut string, and whether it touches
-    exactly these circles.
-    """
+    """Return length (T,) and derivatives (T, 2) by all centers of a taut string, and whether it touches all circles."""
     length = np.zeros(len(centers[0]))
     forces = [np.zeros((len(length), 2)) for _ in centers]
     fits = np.ones(len(length), dtype=bool)

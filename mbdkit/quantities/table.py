@@ -37,23 +37,11 @@ UNITS_OF_ELEMENT: Mapping[str, Mapping[str, str]] = {
 In arrays of units that are not listed, each unit is that of the element itself.
 """
 
-_T = ("time",)
-_N = ("interval",)
-_E = ("event",)
-_I = ("impact",)
-_TBC = ("time", "body", "coordinate")
-_EBC = ("event", "body", "coordinate")
-_TJ = ("time", "joint")
-_TJA = ("time", "joint", "axis")
-_TF = ("time", "force")
-_TKA = ("time", "marker", "axis")
-_TE = ("time", "element")
-_TM = ("time", "constraint")
-_TK = ("time", "observed")
-_TA = ("time", "actuator")
-_TU = ("time", "muscle")
-_TL = ("time", "load")
-_TLA = ("time", "load", "axis")
+_T, _N, _E, _I = ("time",), ("interval",), ("event",), ("impact",)
+_TBC, _EBC = ("time", "body", "coordinate"), ("event", "body", "coordinate")
+_TJ, _TJA, _TF, _TKA = ("time", "joint"), ("time", "joint", "axis"), ("time", "force"), ("time", "marker", "axis")
+_TE, _TM, _TK, _TA = ("time", "element"), ("time", "constraint"), ("time", "observed"), ("time", "actuator")
+_TU, _TL, _TLA = ("time", "muscle"), ("time", "load"), ("time", "load", "axis")
 
 _POSITION = ("x", "y", "angle")
 _VELOCITY = ("vx", "vy", "angular_velocity")
@@ -64,7 +52,6 @@ _MISALIGNMENT: Mapping[str, Any] = {
     "is_of_steps": True,
     "no_derivative": "a misalignment is an error of the method, and almost zero",
 }
-
 
 ChosenGroup = Literal["beams", "constraints", "energy", "forces", "joints", "markers"]
 """Groups of quantities that can be selected by `output.quantities`."""
@@ -84,9 +71,7 @@ def _of_ground(name: str, units: str, what: str, **more: Any) -> Recorded:
 
 
 def _kind(group: str, *arrays: Array, since: str = "1.0", optional: bool = False, **more: Any) -> Kind:
-    """Return a kind whose arrays are given without the group in their paths; `since` and `optional` apply to all of
-    them.
-    """
+    """Return a kind with the group in the paths of its arrays; `since` and `optional` apply to all of them."""
     placed = (
         replace(array, path=f"{group}/{array.path}", since=max(array.since, since), optional=array.optional or optional)
         for array in arrays
@@ -108,11 +93,8 @@ def _texts(name: str, dim: str, what: str, texts: Callable[[ArchiveNames], Seque
 def _units(name: str, dim: str, of: str, units: Callable[[ArchiveNames], Sequence[str]], **more: Any) -> Array:
     """Return an array of units that are determined by the units of the lengths or angles of elements."""
     derived = UNITS_OF_ELEMENT.get(name, {})
-
-    def texts(names: ArchiveNames) -> Sequence[str]:
-        return [derived.get(unit, unit) for unit in units(names)]
-
-    return _texts(name, dim, f"units of {of}, row by row", texts, **more)
+    what = f"units of {of}, row by row"
+    return _texts(name, dim, what, lambda names: [derived.get(unit, unit) for unit in units(names)], **more)
 
 
 def _of_coordinates(name: str, of: str) -> Array:
@@ -123,12 +105,8 @@ _POWER = "Power that each driver supplies to the mechanism."
 _RELATIVE = "Of the second body of each joint relative to the first."
 _TIME = Recorded("time", _T, "s", "time of the recorded row", take=lambda s: s.time)
 _BODY = _texts("body", "body", "name of the body", lambda names: names.bodies)
-_COORDINATE = _texts(
-    "coordinate",
-    "coordinate",
-    "coordinate of a body: its centre of mass in the global frame, and its angle",
-    lambda names: COORDINATES,
-)
+_OF_BODY = "coordinate of a body: its centre of mass in the global frame, and its angle"
+_COORDINATE = _texts("coordinate", "coordinate", _OF_BODY, lambda names: COORDINATES)
 _JOINT = _texts("joint", "joint", "name of the joint", lambda names: names.joints)
 _AXIS = _texts("axis", "axis", "axis of the global frame", lambda names: AXES)
 
@@ -142,12 +120,8 @@ def _length_unit(mechanism: Mechanism, name: str) -> str:
 KINDS = (
     _kind(
         "trajectory",
-        _TIME,
-        _BODY,
-        _COORDINATE,
-        _of_coordinates("row_units", "position"),
-        _of_coordinates("velocity_row_units", "velocity"),
-        _of_coordinates("acceleration_row_units", "acceleration"),
+        _TIME, _BODY, _COORDINATE, _of_coordinates("row_units", "position"),
+        _of_coordinates("velocity_row_units", "velocity"), _of_coordinates("acceleration_row_units", "acceleration"),
         _taken("position", _TBC, MIXED, "position and angle of the body", lambda s: s.by_body(s.q),
             row_units="row_units", vector="position", components=_POSITION, is_history=True,
             about=("position of the centre of mass", "angle from the global x axis, never wrapped")),
@@ -163,8 +137,7 @@ KINDS = (
     ),
     _kind(
         "joints",
-        _TIME,
-        _JOINT,
+        _TIME, _JOINT,
         replace(_AXIS, long_name="axis of the global frame, or of the frame of a body"),
         _texts("first_body", "joint", "first body of the joint, which exerts the reaction",
             lambda names: [first for first, _ in names.joint_bodies], label="bodies"),
@@ -373,10 +346,7 @@ KINDS = (
     _kind(
         "events",
         Array("event", _E, "1", "number of the crossing, from 1, in order of time", INTEGER),
-        _BODY,
-        _COORDINATE,
-        _of_coordinates("row_units", "position"),
-        _of_coordinates("velocity_row_units", "velocity"),
+        _BODY, _COORDINATE, _of_coordinates("row_units", "position"), _of_coordinates("velocity_row_units", "velocity"),
         Array("name", _E, "1", "name of the event, as in the spec", TEXT),
         Array("time", _E, "s", "time at which its expression crossed zero"),
         Array("direction", _E, "1", "1 where it crossed zero upwards, -1 downwards", INTEGER),
@@ -397,8 +367,7 @@ KINDS = (
             "impulse of friction on the second body, along the normal turned by -90 degrees"),
         Array("energy_lost", _I, "J",
             "energy that all contacts dissipate at this time, or that drivers take; negative if drivers add it"),
-        _JOINT,
-        _AXIS,
+        _JOINT, _AXIS,
         Array("reaction_impulse", ("impact", "joint", "axis"), "N s",
             "impulse of the first body of the joint on the second in all impacts at this time, global frame"),
         Array("reaction_torque_impulse", ("impact", "joint"), "N m s",
@@ -408,11 +377,8 @@ KINDS = (
     _kind(
         "accuracy",
         Array("time", _T, "s", "time of the recorded row"),
-        _BODY,
-        _COORDINATE,
-        _of_coordinates("row_units", "position_error"),
-        _of_coordinates("velocity_row_units", "velocity_error"),
-        _JOINT,
+        _BODY, _COORDINATE, _of_coordinates("row_units", "position_error"),
+        _of_coordinates("velocity_row_units", "velocity_error"), _JOINT,
         Array("position_error", _TBC, MIXED, "estimated error of position and angle so far, nan where unknown",
             row_units="row_units", components=tuple(f"{name}_error" for name in _POSITION)),
         Array("velocity_error", _TBC, MIXED,
@@ -458,8 +424,7 @@ KINDS = (
         "muscles",
         Array("time", _T, "s", "time of the recorded row"),
         _texts("muscle", "muscle", "name of the muscle", lambda names: names.muscles),
-        _JOINT,
-        _AXIS,
+        _JOINT, _AXIS,
         _of_muscles("length", "m", "length of the path"),
         _of_muscles("rate", "m/s", "rate of length"),
         _of_muscles("fiber_length", "m", "length of the fibres; nan where recruitment does not need it"),
@@ -503,7 +468,6 @@ RECORDED: Mapping[str, Recorded] = {
     array.key: array for kind in KINDS for array in kind.arrays if isinstance(array, Recorded)
 }
 """Arrays with a value for each recorded state, by `Array.key`."""
-
 
 _NAMES_ALONG = {
     array.name: array.texts for kind in KINDS for array in kind.arrays if array.is_scale and array.texts is not None

@@ -72,9 +72,7 @@ def name_type(item: Registered) -> Any:
     """
     names = dict.fromkeys([item.spec_name, item.name, item.id])
     return Annotated[
-        str,
-        AfterValidator(lambda _: item.spec_name),
-        WithJsonSchema({"type": "string", "enum": list(names)}),
+        str, AfterValidator(lambda _: item.spec_name), WithJsonSchema({"type": "string", "enum": list(names)})
     ]
 
 

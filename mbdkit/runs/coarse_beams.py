@@ -198,9 +198,7 @@ class _WatchedBeam:
         yield f"the elements of beam '{self.name}' are too coarse: {reason}; {advice_for(count)}"
 
     def _largest_error(self) -> tuple[str, float, float]:
-        """Return which results of a beam have the largest estimated relative error, this error, and the number of
-        elements with which the error is acceptable.
-        """
+        """Return which results of a beam have the largest relative error, the error, and how many elements suffice."""
         beam, section = self.beam, self.beam.section_stiffness
         tension, bending, of_tension, of_bending, axial, _ = self.largest.tolist()
         length, count = beam.element_length, beam.elements

@@ -101,9 +101,7 @@ class ContinuousFunctionals:
         return part
 
     def _beside_stop(self, time: float, side: float) -> float:
-        """Return the time just before (`side` -1) or after (1) the discontinuity at `time`; -side * inf if there is
-        none.
-        """
+        """Return the time just before (`side` -1) or after (1) the discontinuity at `time`; -side * inf if none."""
         for stop, margin in zip(self._table.stops, self._table.stop_margins, strict=True):
             if abs(time - stop) <= SAME_TIME * margin:
                 return stop + side * margin

@@ -205,9 +205,7 @@ class LawRanges:
         return None if np.all(np.isinf(self._first)) else float(self._first.min())
 
     def _note(self, values: np.ndarray, margins: np.ndarray, times: np.ndarray, cubics: np.ndarray) -> None:
-        """Note the first and the largest excess of the values (T, K, 3) over their bounds, where it is more than
-        `margins`.
-        """
+        """Note the first and largest excess of the values (T, K, 3) over their bounds, where it exceeds `margins`."""
         for side, sign in enumerate(self._sides):
             outside = sign * values - margins > self._limits[..., side]
             for k, argument in zip(*np.nonzero(outside.any(axis=0)), strict=True):

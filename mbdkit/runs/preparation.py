@@ -8,14 +8,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from mbdkit.archive.disk_space import check_room, row_bytes
-from mbdkit.archive.layout import (
-    CORRECTIONS,
-    EVENTS,
-    FRICTION,
-    IMPACTS,
-    of_elements,
-    recorded_by,
-)
+from mbdkit.archive.layout import CORRECTIONS, EVENTS, FRICTION, IMPACTS, of_elements, recorded_by
 from mbdkit.base.errors import PluginError, SpecError, StepError, blaming, with_place
 from mbdkit.engine.assembly import AssembledState
 from mbdkit.engine.compiled_mechanism import CompiledMechanism

@@ -85,11 +85,7 @@ class ObservedRows:
         """Return the rows of states."""
         reactions = states.reactions
         return ObservedRows(
-            states.time,
-            states.by_body(states.q),
-            states.by_body(states.v),
-            reactions[:, :, :2],
-            reactions[:, :, 2],
+            states.time, states.by_body(states.q), states.by_body(states.v), reactions[:, :, :2], reactions[:, :, 2]
         )
 
     @classmethod

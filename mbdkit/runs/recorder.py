@@ -151,9 +151,7 @@ class Recorder:
     def _checked(
         self, stretch: Stretch, observed: Observed, singular: SingularState | None
     ) -> tuple[int, Failure | None]:
-        """Return the number of leading states that can be recorded, and the reason why the next state cannot be
-        recorded.
-        """
+        """Return how many leading states can be recorded, and the reason why the next state cannot be."""
         mechanism = self.workspace.mechanism
         count, failure = len(stretch.time), None
         if singular is not None:
@@ -241,9 +239,7 @@ class Recorder:
         return first
 
     def _out_of_range(self, stretch: Stretch, observed: Observed) -> tuple[int, Failure] | None:
-        """Return the row of the first state after a force law has left its range, and the failure if this stops the
-        run.
-        """
+        """Return the first row after a force law has left its range, and the failure if this stops the run."""
         left = None if self.ranges is None else self.ranges.add(stretch.time, observed.forces)
         if self.ranges is None or left is None or not self.ranges.stops:
             return None

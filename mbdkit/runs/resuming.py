@@ -136,9 +136,7 @@ def final_path(part: Path) -> Path:
 
 
 def _check_interrupted(path: Path, *, overwrite: bool) -> None:
-    """Raise SpecError unless `path` is the archive of an interrupted run, has its checkpoint beside it, and may be
-    replaced.
-    """
+    """Raise SpecError unless `path` is the archive of an interrupted run with its checkpoint, and may be replaced."""
     left = part_path(path)
     if left.is_file() and checkpoint_path(left).is_file():  # of this run, resumed and killed, or of another one
         with _held(left):

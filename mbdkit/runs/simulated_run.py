@@ -48,12 +48,7 @@ from mbdkit.runs.corners import stops_of
 from mbdkit.runs.evidence import estimated_errors, evidence_of_run
 from mbdkit.runs.integrals import RunIntegrals, compared_loads
 from mbdkit.runs.law_ranges import LawRanges, steps_are_rows
-from mbdkit.runs.preparation import (
-    guards,
-    plugin_failure,
-    size_at_start,
-    timetable,
-)
+from mbdkit.runs.preparation import guards, plugin_failure, size_at_start, timetable
 from mbdkit.runs.recorded_states import ObservedRows
 from mbdkit.runs.recorder import Recorder
 from mbdkit.runs.run_checkpoint import TIMES, Checkpoints, Continuation, Parts, why_without

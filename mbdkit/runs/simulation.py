@@ -34,13 +34,7 @@ from mbdkit.quantities.names import archive_names
 from mbdkit.runs.accuracy.chosen_method import MOST_ATTEMPTS, Choice, choose_method, other_method
 from mbdkit.runs.corners import check_jumps
 from mbdkit.runs.integrals import expressions_of, functionals_of, largest_loads_of
-from mbdkit.runs.preparation import (
-    build,
-    caution,
-    check_disk_space,
-    make_method,
-    recorded_arrays,
-)
+from mbdkit.runs.preparation import build, caution, check_disk_space, make_method, recorded_arrays
 from mbdkit.runs.provenance import provenance
 from mbdkit.runs.recorder import shared_forces
 from mbdkit.runs.run_checkpoint import Continuation
@@ -169,12 +163,7 @@ def simulate_on(
     return _ended(spec, preparation, progress).run()
 
 
-def simulate_arrays(
-    spec: RunSpec,
-    *,
-    starts: Starts | None = None,
-    measures: Sequence[str] = (),
-) -> FinishedRun:
+def simulate_arrays(spec: RunSpec, *, starts: Starts | None = None, measures: Sequence[str] = ()) -> FinishedRun:
     """Run a validated spec without writing an archive, and return its arrays with the hash that the archive would have.
 
     Parameters

@@ -33,9 +33,7 @@ RESOLVED = 0.1
 
 
 class _Element(NamedTuple):
-    """A friction element: what it is, key and value of its transition speed [m/s], arm [m], and slow path [m] that
-    counts as rest.
-    """
+    """A friction element: its name, key and value of its transition speed [m/s], arm [m], and path [m] that is rest."""
 
     name: str
     key: str

@@ -319,12 +319,7 @@ def put(data: dict[str, Any], path: Path, value: Any) -> None:
 def _refuse_other_element(elements: Mapping[str, Any], path: Path, index: int) -> None:
     """Refuse a path to one key of an element that does not exist, whose name is probably misspelt.
 
-    Parameters
-    ----------
-    elements
-        Mapping at ``path[:index]``. It contains elements, such as bodies or loads, if all of its values are mappings.
-    path, index
-        Path of a key, and the index of the name in it.
+    The mapping at ``path[:index]`` contains `elements`, such as bodies or loads, if all of its values are mappings.
     """
     is_named = (index == 2 and path[0] == "model") or path[:index] in (("events",), ("loads",), ("motion", "columns"))
     if is_named and elements and all(isinstance(one, Mapping) for one in elements.values()):

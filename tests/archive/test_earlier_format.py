@@ -16,8 +16,8 @@ from typer.testing import CliRunner
 import mbdkit
 from mbdkit.archive.archive_check import check
 from mbdkit.archive.compare import compare
-from mbdkit.archive.history import NotRecordedError
 from mbdkit.archive.info import describe, text
+from mbdkit.archive.named_columns import NotRecordedError
 from mbdkit.cli import app
 from mbdkit_report.pages.report import write_report
 

@@ -19,7 +19,7 @@ import mbdkit
 from mbdkit.archive import table_formats
 from mbdkit.archive.export import export
 from mbdkit.archive.group_table import group_names, group_table
-from mbdkit.archive.history import NotRecordedError
+from mbdkit.archive.named_columns import NotRecordedError
 from mbdkit.base.errors import MbdkitError, ResourceError, SpecError
 from mbdkit.registry.target import Target
 from tests.synthetic_runs import make_run as make_run

@@ -11,15 +11,14 @@ import numpy as np
 import pytest
 
 import mbdkit
-from mbdkit.archive import history
-from mbdkit.archive import run as run_module
+from mbdkit.archive import history, recorded_data
 from mbdkit.archive.archive_check import check
-from mbdkit.archive.history import Column, NotRecordedError, UnknownNameError
+from mbdkit.archive.named_columns import Column, NotRecordedError
 from mbdkit.archive.reader import load
 from mbdkit.archive.run import Run
 from mbdkit.archive.run_contents import ArchiveContents
 from mbdkit.archive.run_writer import Ending
-from mbdkit.base.errors import MbdkitError, RunError, SpecError
+from mbdkit.base.errors import MbdkitError, RunError, SpecError, UnknownNameError
 from mbdkit.trust.criteria import Judgement
 
 from .making import PROVENANCE, SPEC, STATS, fill, largest, make, names, rows, steps, writer
@@ -30,7 +29,7 @@ def run(request: pytest.FixtureRequest, tmp_path: Path, monkeypatch: pytest.Monk
     if request.param == "memory":
         return Run(make(None))
     if request.param == "file larger than memory":
-        monkeypatch.setattr(run_module, "KEEP_BYTES", 0)
+        monkeypatch.setattr(recorded_data, "KEEP_BYTES", 0)
     make(tmp_path / "run.h5")
     return load(tmp_path / "run.h5")
 
@@ -204,7 +203,8 @@ def test_every_column_says_what_it_is() -> None:
 
 
 def test_histories_say_what_they_are() -> None:
-    for name, member in vars(Run).items():
+    for name in dir(Run):
+        member = inspect.getattr_static(Run, name)
         if not name.startswith("_") and (callable(member) or isinstance(member, property)):
             assert inspect.getdoc(member), name
 

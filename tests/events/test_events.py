@@ -14,8 +14,7 @@ import xarray
 
 import mbdkit
 from mbdkit.archive.archive_check import check
-from mbdkit.archive.history import UnknownNameError
-from mbdkit.base.errors import SpecError
+from mbdkit.base.errors import SpecError, UnknownNameError
 from mbdkit.runs.simulation import simulate
 from mbdkit.spec import load_spec
 from tests.integrators.step_methods import Failing, Remembering, RungeKutta, run_with

@@ -103,10 +103,7 @@ def _excluded(mechanism: Mechanism) -> str:
 
 
 def why_unknown(
-    errors: ErrorEstimate,
-    time: np.ndarray,
-    mechanism: Mechanism,
-    runs: Sequence[tuple[Companion, CompanionRows]] = (),
+    errors: ErrorEstimate, time: np.ndarray, mechanism: Mechanism, runs: Sequence[tuple[Companion, CompanionRows]] = ()
 ) -> str:
     """Return a clause that says why errors are unknown after `errors.known_until`; empty if all are known."""
     if not errors.unknown:
@@ -182,9 +179,7 @@ def as_accuracy(rows: ObservedRows, errors: ErrorEstimate, method: str, begin: f
 
 
 def _watch(spec: RunSpec) -> Callable[[Workspace, Stepper], Watch] | None:
-    """Return a function that wraps the stepper of a companion so that events set states; None if no event sets
-    states.
-    """
+    """Return a function that wraps the stepper of a companion so that events set states; None if none does."""
     if not spec.settings():
         return None
     from mbdkit.runs.watched_events import watch_events
@@ -318,11 +313,7 @@ def with_asked(accuracy: Accuracy, spec: RunSpec, workspace: Workspace, choice: 
     else:
         chosen = choice.chosen
     return replace(
-        accuracy,
-        asked=spec.accuracy,
-        reached=reached,
-        chosen=chosen,
-        why=AS_GIVEN if choice is None else choice.why,
+        accuracy, asked=spec.accuracy, reached=reached, chosen=chosen, why=AS_GIVEN if choice is None else choice.why
     )
 
 

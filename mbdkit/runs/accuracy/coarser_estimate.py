@@ -102,9 +102,7 @@ def error_share(differences: Sequence[float], tolerances: Sequence[float]) -> fl
 
 
 def _factor(differences: Sequence[np.ndarray], tolerances: Sequence[float]) -> tuple[np.ndarray, np.ndarray]:
-    """Return the estimated error as a share of the difference of the last two runs, and whether the differences
-    decrease.
-    """
+    """Return the estimated error as a share of the last difference of runs, and whether the differences decrease."""
     exponent = np.full(differences[-1].shape, ASSUMED)
     falls = np.full(differences[-1].shape, True)
     if len(differences) > 1:

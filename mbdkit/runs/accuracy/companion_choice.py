@@ -199,9 +199,7 @@ def _tighter(spec: RunSpec, method: Method, workspace: Workspace, within: Timeta
 
 
 def _tolerances(spec: RunSpec, method: Method) -> Tolerances:
-    """Return the tolerances of an adaptive run; for a method of a plugin, the values of its options with the usual
-    names.
-    """
+    """Return the tolerances of an adaptive run; for a method of a plugin, its options with the usual names."""
     if method.traits.tolerances is not None:
         return replace(method.traits.tolerances, max_step=None)
     rtol = getattr(spec.integrator, "rtol", None) or 1e-6

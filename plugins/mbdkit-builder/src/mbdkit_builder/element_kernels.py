@@ -149,9 +149,7 @@ def _kernel(name: str, arguments: str, note: str, outputs: Sequence[tuple[str, s
 
 
 def _reads(expressions: Iterable[sp.Expr], printer: _Printer) -> list[str]:
-    """Return the lines that load the symbols and compute the intermediate quantities in `expressions`, in the order of
-    computation.
-    """
+    """Return the lines that load the symbols and compute the intermediate quantities in `expressions`, in order."""
     used = set().union(*(e.free_symbols for e in expressions))
     inner = []
     for symbol, expr in reversed(d.INTERMEDIATES.items()):

@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 
 import mbdkit
-from mbdkit.archive.history import UnknownNameError
-from mbdkit.base.errors import SpecError
+from mbdkit.base.errors import SpecError, UnknownNameError
 from mbdkit_report.figures.beam_curves import bending_moments, bezier_polylines
 from mbdkit_report.figures.drawing_geometry import draw_mechanism
 from mbdkit_report.figures.mechanism_drawing import NARROW, NamedPose, mechanism_svg

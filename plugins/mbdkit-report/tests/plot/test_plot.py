@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from mbdkit.archive.history import NotRecordedError
+from mbdkit.archive.named_columns import NotRecordedError
 from mbdkit.base.errors import ResourceError, SpecError
 from mbdkit_report.figures.page_model import Axis, Figure, Line
 from mbdkit_report.plot import energy_plot, save_plot

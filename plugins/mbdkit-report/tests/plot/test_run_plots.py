@@ -15,7 +15,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 import mbdkit
-from mbdkit.archive.history import NotRecordedError
+from mbdkit.archive.named_columns import NotRecordedError
 from mbdkit.base.errors import MbdkitError, SpecError
 from mbdkit_report.plot import reactions_plot
 

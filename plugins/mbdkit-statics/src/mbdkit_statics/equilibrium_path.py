@@ -16,7 +16,8 @@ from scipy.sparse.linalg import splu
 from mbdkit.base.errors import StepError
 from mbdkit.mechanism.beams import named_body
 from mbdkit.spec.loading import RunSource, Sections
-from mbdkit_statics.equilibrium import joint_reactions, rest
+from mbdkit_statics.equilibrium import joint_reactions
+from mbdkit_statics.equilibrium_search import rest
 from mbdkit_statics.prepared_mechanism import PreparedMechanism
 from mbdkit_statics.reduced import State, distance_to_singular, least_stiffness, singular_motion, unstable_motions
 

@@ -13,7 +13,7 @@ from mbdkit.base.logs import warn_on_stderr
 from mbdkit.mechanism.mechanism import Mechanism
 from mbdkit.spec.loading import RunSource, Sections
 from mbdkit_statics.coarse_modes import coarse_modes
-from mbdkit_statics.equilibrium import rest
+from mbdkit_statics.equilibrium_search import rest
 from mbdkit_statics.prepared_mechanism import PreparedMechanism
 from mbdkit_statics.reduced import DENSE, Reduced, State, at_rest, coupled_states, in_statics, lowest, reduce
 from mbdkit_statics.states_at_rest import CoupledStates

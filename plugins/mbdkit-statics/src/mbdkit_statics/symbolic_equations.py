@@ -62,12 +62,9 @@ def build_system(mechanism: Mechanism, *, numbers: bool) -> SymbolicSystem:
         If the mechanism is not valid, or a force has no symbolic form.
     """
     mechanism.validate()
-    if mechanism.states:
-        raise SpecError("first-order states have no symbolic form", key="model.states")
-    if mechanism.muscles:
-        raise SpecError("muscles have no symbolic form", key="model.muscles")
-    if mechanism.contacts:
-        raise SpecError("contacts have no symbolic form", key="model.contacts")
+    for kind, what in (("states", "first-order states"), ("muscles", "muscles"), ("contacts", "contacts")):
+        if getattr(mechanism, kind):
+            raise SpecError(f"{what} have no symbolic form", key=f"model.{kind}")
     if name := joint_with_friction(mechanism.joints):
         raise SpecError("friction in joints has no symbolic form", key=f"model.joints.{quoted(name)}.friction")
     return _Builder(mechanism, numbers).system()
@@ -136,9 +133,7 @@ class _Builder:
         return symbol
 
     def parameter(self, value: float, letter: str, *owners: str, tex: str = "") -> sp.Expr:
-        """Return a parameter as a number, or as a symbol whose index is the names of its owners. Zero is always
-        returned as a number.
-        """
+        """Return a parameter as a number, as which zero is always returned, or as a symbol with its owners as index."""
         if self.numbers or value == 0:
             return _number(value)
         key = (value, letter, owners)
@@ -224,7 +219,7 @@ class _Builder:
             raise SpecError("an expression of the state has no symbolic form", key=f"model.forces.{quoted(name)}.value")
         values = [_jet(x)[0] for x in load.values]
         if load.kind == "torque":
-            gradient = _pathway_terms("relative_angle")[1]
+            *_, gradient = _pathway_terms("relative_angle")
             self.add(gradient.T * values[0], load.reaction_body, load.body, [])
             return
         place = d.jacobian((d.xb + d.bx, d.yb + d.by), d.BODY_COORDINATES)
@@ -268,10 +263,7 @@ class _Builder:
         )
 
     def add_tension(
-        self,
-        name: str,
-        pathway: Pathway | SpringDamper | TorsionSpring,
-        tension: Callable[[sp.Expr, sp.Expr], sp.Expr],
+        self, name: str, pathway: Pathway | SpringDamper | TorsionSpring, tension: Callable[[sp.Expr, sp.Expr], sp.Expr]
     ) -> None:
         """Add the generalized forces -F s_q of a tension F on the bodies of every segment of a pathway of length s.
 
@@ -280,8 +272,7 @@ class _Builder:
         parts = [(one, self.segment_parameters(name, one)) for one in pathway.segments(self.mechanism.joints)]
         whole = [self.segment_length(*part) for part in parts]
         for index, (segment, parameters) in enumerate(parts):
-            length, gradient = _pathway_terms(segment.kind)
-            rate = (gradient * sp.Matrix(d.BODY_VELOCITIES))[0]
+            length, rate, gradient = _pathway_terms(segment.kind)
             for other, (further_length, further_rate) in enumerate(whole):
                 if other != index:
                     length, rate = length + further_length, rate + further_rate
@@ -299,8 +290,7 @@ class _Builder:
 
     def segment_length(self, segment: Segment, parameters: Sequence[sp.Expr]) -> tuple[sp.Expr, sp.Expr]:
         """Return the length of a segment and its rate, in the symbols of the mechanism."""
-        length, gradient = _pathway_terms(segment.kind)
-        rate = (gradient * sp.Matrix(d.BODY_VELOCITIES))[0]
+        length, rate, _ = _pathway_terms(segment.kind)
         a, b = segment.bodies
         here = self.values(self.bodies.index(a), self.bodies.index(b), parameters)
         return length.xreplace(here), rate.xreplace(here)
@@ -333,7 +323,8 @@ class _Builder:
         Each cross-section contributes the force conjugate to its state, which the shape functions distribute to the
         nodes.
         """
-        held = dict(zip(d.SECTION_STIFFNESS, self.section_parameters(name, beam.element_stiffness), strict=True))
+        stiffness = zip(d.SECTION_STIFFNESS, beam.element_stiffness, ("EA", "GA", "EI"), strict=True)
+        held = {symbol: self.parameter(k, letter, name) for symbol, k, letter in stiffness}
         retardation = self.parameter(beam.damping, "tau", name, tex=r"\tau")
         held |= {c: retardation * held[k] for c, k in zip(d.SECTION_DAMPING, d.SECTION_STIFFNESS, strict=True)}
         force = _section_terms()
@@ -352,19 +343,10 @@ class _Builder:
                 for axis, one in enumerate((slope * x, slope * y, shape * turn + slope * bend)):
                     self.forces[3 * node + axis] -= one
 
-    def section_parameters(self, name: str, stiffness: Sequence[float]) -> list[sp.Expr]:
-        """Return the axial, shear and bending stiffness of a beam as parameters."""
-        return [self.parameter(k, letter, name) for k, letter in zip(stiffness, ("EA", "GA", "EI"), strict=True)]
-
     # ---- symbols of the definitions replaced by those of the mechanism ---------------------------------------------
 
     def values(
-        self,
-        a: int,
-        b: int,
-        parameters: Sequence[sp.Expr],
-        motion: Jet | None = None,
-        center: Center | None = None,
+        self, a: int, b: int, parameters: Sequence[sp.Expr], motion: Jet | None = None, center: Center | None = None
     ) -> dict[sp.Symbol, sp.Expr]:
         """Return a mapping from each symbol of the definitions to its expression in an element between bodies `a` and
         `b`.
@@ -407,10 +389,10 @@ def _constraint_terms(kind: str) -> dict[str, sp.Matrix]:
 
 
 @cache
-def _pathway_terms(kind: str) -> tuple[sp.Expr, sp.Matrix]:
-    """Return the length and its gradient (1, 6) of a pathway in the symbols of the definitions."""
+def _pathway_terms(kind: str) -> tuple[sp.Expr, sp.Expr, sp.Matrix]:
+    """Return length, rate and gradient (1, 6) of the length of a pathway in the symbols of the definitions."""
     derived = d.derive_pathway(next(one for one in d.PATHWAYS if one.name == kind))
-    return derived["length"][0], derived["gradient"]
+    return derived["length"][0], (derived["gradient"] * sp.Matrix(d.BODY_VELOCITIES))[0], derived["gradient"]
 
 
 @cache
@@ -422,9 +404,7 @@ def _section_terms() -> sp.Matrix:
 def _section_state(
     whole: Sequence[sp.Expr], nodes: Sequence[int], shape: Sequence[sp.Expr], slope: Sequence[sp.Expr]
 ) -> tuple[sp.Expr, ...]:
-    """Return the state of a cross-section if `whole` are the coordinates of all bodies, or the rates of the state if
-    they are the velocities.
-    """
+    """Return the state of a cross-section from the coordinates of all bodies, or its rates from the velocities."""
     x, y, angle = ([whole[3 * node + axis] for node in nodes] for axis in range(3))
     return tuple(
         sum((w * value for w, value in zip(weights, values, strict=True)), sp.Integer(0))
@@ -448,9 +428,7 @@ def _number(value: float) -> sp.Expr:
 
 
 def _center_values(center: Center, angle: sp.Expr) -> dict[sp.Symbol, sp.Expr]:
-    """Return the displacement of a moving center at a relative angle, and its first two derivatives with respect to the
-    angle.
-    """
+    """Return the displacement of a moving center at a relative angle, and its first two derivatives by the angle."""
     values: dict[sp.Symbol, sp.Expr] = {}
     for symbols, (_, function) in zip(d.CENTER, center.functions, strict=True):
         jet = _jet(function, expression_of)
@@ -459,9 +437,7 @@ def _center_values(center: Center, angle: sp.Expr) -> dict[sp.Symbol, sp.Expr]:
 
 
 def _jet(motion: Any, parse: Callable[[str], Expression] = Expression.parse) -> Jet:
-    """Return the value and the first two time derivatives of a motion, which is a number, an expression in t, or a
-    table.
-    """
+    """Return value and first two time derivatives of a motion, which is a number, an expression in t, or a table."""
     if isinstance(motion, Table):
         value = _spline(motion)
         within = _within_the_period(motion)
@@ -488,9 +464,7 @@ def _spline(table: Table) -> sp.Expr:
 
 
 def _within_the_period(table: Table) -> sp.Expr | None:
-    """Return the time, shifted into the first period, at which a periodic table is evaluated; None if the table is not
-    periodic.
-    """
+    """Return the time, shifted into the first period, at which a periodic table is evaluated; None without a period."""
     if not table.period:
         return None
     first = _number(table.table[0][0])

@@ -149,9 +149,7 @@ class SymbolicSystem:
 def _solved(
     mass_matrix: np.ndarray, constraint_jacobian: np.ndarray, gamma: np.ndarray, forces: np.ndarray, **_: Any
 ) -> dict[str, np.ndarray]:
-    """Return accelerations and multipliers, computed with coordinates scaled such that the mass matrix is the
-    identity.
-    """
+    """Return accelerations and multipliers, computed with coordinates for which the mass matrix is the identity."""
     n, m = len(forces), len(gamma)
     root = np.sqrt(np.diag(mass_matrix))
     jacobian = constraint_jacobian / root

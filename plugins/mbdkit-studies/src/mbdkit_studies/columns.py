@@ -26,12 +26,7 @@ CHUNK = 1 << 18
 
 
 def write_column(
-    file: h5py.File,
-    array: Array,
-    values: np.ndarray | Sequence[str],
-    *,
-    compress: bool = False,
-    under: str = "",
+    file: h5py.File, array: Array, values: np.ndarray | Sequence[str], *, compress: bool = False, under: str = ""
 ) -> h5py.Dataset:
     """Write a column, or an array whose first axis is that of the runs.
 

@@ -433,9 +433,7 @@ class _Group:
     def _recorded(
         self, members: Sequence[LaneMember], results: LaneResults, states: States
     ) -> list[tuple[np.ndarray, _RecordedRun]]:
-        """Return the largest misalignments (J,) of each run over all steps, and the quantities of its recorded
-        states.
-        """
+        """Return the largest misalignments (J,) of each run over all steps, and quantities of its recorded states."""
         shape = results.time.shape
         misalignment = states.misalignment.reshape(*shape, -1).max(axis=1)
         worst = np.maximum(self.joints.misalignment_of_squares(results.worst), misalignment)

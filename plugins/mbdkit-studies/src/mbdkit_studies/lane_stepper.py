@@ -157,13 +157,7 @@ class LaneStepper:
     `topology_of` must be equal for the mechanisms of all runs.
     """
 
-    def __init__(
-        self,
-        method: Method,
-        workspace: Workspace,
-        rows: int,
-        pivots: StagePivots | None = None,
-    ):
+    def __init__(self, method: Method, workspace: Workspace, rows: int, pivots: StagePivots | None = None):
         self._in_lanes = IN_LANES[method.traits.family]
         control = step_control(method.traits, workspace.mechanism)
         self.run = new_lane_run(self._in_lanes.bundle(method, workspace, pivots, control), workspace, rows)

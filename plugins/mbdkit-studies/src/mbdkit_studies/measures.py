@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from mbdkit.archive.history import NotRecordedError
 from mbdkit.archive.layout import BY_PATH
+from mbdkit.archive.named_columns import NotRecordedError
 from mbdkit.archive.peak_errors import missed_between_rows, missed_of_verdict
 from mbdkit.base.errors import MbdkitError
 from mbdkit.mechanism.size import mechanism_sizes

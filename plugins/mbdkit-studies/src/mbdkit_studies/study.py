@@ -2,28 +2,16 @@
 
 from __future__ import annotations
 
-import operator
-from collections.abc import Iterator, Mapping, Sequence
-from functools import cached_property
-from importlib.metadata import version
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from mbdkit.archive.group_table import data_frame
-from mbdkit.archive.measured_values import ERROR, MeasuredValues
-from mbdkit.archive.reader import load
-from mbdkit.archive.run import Run
-from mbdkit.archive.run_contents import NotStoredError
 from mbdkit.base.errors import MbdkitError, SpecError
-from mbdkit.base.files_read import FileRead, only_known
 from mbdkit.base.html_view import HtmlView
-from mbdkit.base.text import did_you_mean, listed
-from mbdkit.measures.take import Description
 from mbdkit_studies import study_index
-from mbdkit_studies.block_writer import KEEPING_TIMES
-from mbdkit_studies.blocks import Block
 from mbdkit_studies.measure_statistics import MeasureStatistics, statistics
 from mbdkit_studies.planned_points import Grid, Label, PlannedPoints
 from mbdkit_studies.quantile_bands import QUANTILES, QuantileBands, quantiles
@@ -31,13 +19,12 @@ from mbdkit_studies.sample_statistics import CONFIDENCE
 from mbdkit_studies.selection import select_rows
 from mbdkit_studies.sensitivity import Sensitivity, sensitivity
 from mbdkit_studies.sobol_indices import RESAMPLES
-from mbdkit_studies.study_blocks import StudyBlocks
 from mbdkit_studies.study_folder import StudyFolder
 from mbdkit_studies.study_index import TEXTS, describe_column
 from mbdkit_studies.study_loading import load_study_spec
 from mbdkit_studies.study_point import Points, StudyPoint, archive_of
+from mbdkit_studies.study_runs import StudyRuns
 from mbdkit_studies.study_spec import StudySpec
-from mbdkit_studies.verified_runs import check_stored, remake
 
 if TYPE_CHECKING:
     import pandas
@@ -48,7 +35,7 @@ _NOT_SHOWN = ("family", "data_sha256", "file_sha256")
 """Columns of texts in the index that the tables of a study have at another place, or not at all."""
 
 
-class Study(HtmlView):
+class Study(StudyRuns, HtmlView):
     """A study in a folder: its spec, its runs and their measures.
 
     Parameters
@@ -66,14 +53,7 @@ class Study(HtmlView):
         If the folder contains no study with an index, or the index does not match the study.
     """
 
-    def __init__(
-        self,
-        folder: str | Path,
-        *,
-        computed: int = 0,
-        unfinished: Sequence[str] = (),
-        keep: object = None,
-    ):
+    def __init__(self, folder: str | Path, *, computed: int = 0, unfinished: Sequence[str] = (), keep: object = None):
         self.computed = computed
         self.unfinished = tuple(unfinished)
         self._files = StudyFolder(Path(folder))
@@ -107,11 +87,6 @@ class Study(HtmlView):
         return column.units, column.long_name
 
     @property
-    def folder(self) -> Path:
-        """Folder of the study."""
-        return self._files.path
-
-    @property
     def status(self) -> str:
         """``complete`` if no run or reference run is missing; ``partial`` otherwise.
 
@@ -140,32 +115,6 @@ class Study(HtmlView):
         failed = [self.points[place] for place in places]
         return (*failed, *(reference for reference in self.references if reference.status == "failed"))
 
-    @property
-    def families(self) -> dict[str, str]:
-        """Titles of the families by name; a study without families has a single one with an empty name."""
-        return {name: family.title for name, family in self.spec.families.items()} or {"": self.spec.title}
-
-    def family(self, name: str) -> tuple[StudyPoint, ...]:
-        """Return the points of one family.
-
-        Raises
-        ------
-        MbdkitError
-            If there is no family with this name.
-        """
-        name = self._family(name)
-        return tuple(point for point in self.points if point.family == name)
-
-    def _family(self, name: str | None) -> str:
-        """Return the name of a family; None stands for the only family."""
-        if name is None and len(self.families) > 1:
-            raise MbdkitError(f"the study has several families; name one: {listed(self.families)}")
-        chosen = next(iter(self.families)) if name is None else name
-        if chosen not in self.families:
-            hint = did_you_mean(chosen, self.families)
-            raise MbdkitError(f"the study has no family '{chosen}'{hint}; families: {listed(self.families)}")
-        return chosen
-
     def axes(self, family: str | None = None) -> dict[str, list[Label]]:
         """Return the labels on each axis of a family by dotted key, in the order of the spec.
 
@@ -187,139 +136,6 @@ class Study(HtmlView):
         """
         name = self._family(family)
         return next(grid for grid in self._planned.grids if grid.name == name)
-
-    def run(self, point: StudyPoint | int | None = None, *, number: int | None = None) -> Run | None:
-        """Return the run of a point with the arrays that the study stores, or None if it has no results.
-
-        Close the run, or use it in a `with` block.
-
-        Parameters
-        ----------
-        point
-            A point, or its index among the points, counted from 0 as in `points` and in the table of `to_frame`.
-        number
-            Number of the run instead, counted from 1 as in answers, reports, messages and the column ``number``.
-
-        Raises
-        ------
-        SpecError
-            If the file contains another run, of this or of another study, or if its data differ from those in the
-            index.
-        MbdkitError
-            If there is no such run, or not exactly one of `point` and `number` is given.
-        """
-        chosen = self._point(point, number)
-        path = self._path(chosen)
-        if path is None or (self.spec.in_blocks and not chosen.row.data_sha256):
-            return None
-        if self.spec.in_blocks:
-            with self._blocks.open(path, self._sha256) as block:
-                run = block.run(chosen.number)
-        else:
-            run = load(path)
-        if run is not None:
-            try:
-                check_stored(run, chosen, path)
-            except BaseException:
-                run.close()
-                raise
-            self._add_measures(run, chosen)
-        return run
-
-    def _add_measures(self, run: Run, point: StudyPoint) -> None:
-        """Add to a run the measures that the study defines and that the spec of the run does not define."""
-        known, values = run.measures, point.values
-        own = [one.name for one in self.spec.defined_measures() if not one.of_base and one.name in values]
-        if own:
-            run.measures = MeasuredValues(
-                {**known, **{name: values[name] for name in own}},
-                {**known.units, **{name: self.measures[name].units for name in own}},
-                known.reasons,
-                {**known.errors, **{name: values.get(name + ERROR, np.nan) for name in own}},
-                known.remarks,
-            )
-
-    def _path(self, point: StudyPoint) -> Path | None:
-        """Return the file that contains a run: its archive, or a block; None if the archive does not exist."""
-        return self._files.block(self._blocks.block_of(point.number - 1)) if self.spec.in_blocks else point.path
-
-    @cached_property
-    def _sha256(self) -> str:
-        return self.spec.sha256()
-
-    @cached_property
-    def _blocks(self) -> StudyBlocks:
-        """The division of the runs into blocks, if they are stored in blocks."""
-        first = self._files.block(0)
-        if self.spec.block is None and first.exists():  # without it, a run must be built, which may read a file
-            with Block(first) as block:
-                return StudyBlocks(len(self._planned), len(block.numbers))
-        with only_known((), allowed=False):
-            return StudyBlocks.of(self.spec, self._planned)
-
-    def remake(self, point: StudyPoint | int | None = None, *, number: int | None = None, files: bool = False) -> Run:
-        """Integrate the run of a point again, and return it with all of its arrays, in memory.
-
-        Parameters
-        ----------
-        point, number
-            See `run`.
-        files
-            Whether files that the spec names may be read, such as a model of another program; they must have the
-            SHA-256 with which the run was computed.
-
-        Raises
-        ------
-        MbdkitError
-            If there is no such run, if it has no results, if its spec names files that may not be read, if its file
-            contains another run, or if its data, measures, counters and verdict are not bitwise identical to those in
-            the index. Timings and measures of second runs are not compared.
-        """
-        chosen = self._point(point, number)
-        if not chosen.row.data_sha256:
-            raise MbdkitError(
-                f"run {chosen.number} has no results, so that it cannot be computed again: {chosen.status}"
-            )
-        (written, read), now = self._written_by(chosen), version("mbdkit")
-        why = f"; mbdkit {written} wrote it, this is {now}" if written not in (now, "unknown") else ""
-        reference = self.reference(chosen)
-        try:
-            with only_known(read, allowed=files):
-                run = remake(self.spec, chosen, reference, why)
-        finally:
-            if reference is not None:
-                reference.close()
-        self._add_measures(run, chosen)
-        return run
-
-    def _point(self, point: StudyPoint | int | None, number: int | None) -> StudyPoint:
-        if (point is None) == (number is None):
-            raise MbdkitError(
-                "give a run by its index from 0, as in study.run(4), or by its number, study.run(number=5)"
-            )
-        if isinstance(point, StudyPoint):
-            return point
-        count = len(self.points)
-        if point is None:
-            assert number is not None
-            if not 1 <= operator.index(number) <= count:
-                raise MbdkitError(f"the study has no run number {number}; its runs have the numbers 1 to {count}")
-            return self.points[operator.index(number) - 1]
-        if not -count <= operator.index(point) < count:
-            hint = f"; study.run(number={count}) is the last run" if point == count else ""
-            raise MbdkitError(f"the study has no run with index {point}; indices are 0 to {count - 1}{hint}")
-        return self.points[operator.index(point)]
-
-    def _written_by(self, point: StudyPoint) -> tuple[str, Sequence[FileRead] | None]:
-        """Return the version of mbdkit that computed the run of a point, after checking its file, and the files that
-        were read for the run; "unknown" and None without a file.
-        """
-        path = self._path(point)
-        run = self.run(point) if path is not None and path.exists() else None
-        if run is None:
-            return "unknown", None
-        with run:
-            return str(run.provenance.get("mbdkit", "unknown")), run.files
 
     def select(self, condition: str) -> pandas.DataFrame:
         """Return the rows of `to_frame` that satisfy a condition on its columns.
@@ -343,23 +159,6 @@ class Study(HtmlView):
         selected = frame[rows]
         selected.attrs = frame.attrs
         return selected
-
-    def reference(self, point: StudyPoint) -> Run | None:
-        """Open the archive of the reference run of a point, or return None if it has none."""
-        return next((self.run(other) for other in self.references if other.run_id == point.reference_id), None)
-
-    def runs(self, family: str | None = None) -> Iterator[tuple[StudyPoint, Run | None]]:
-        """Yield each point of one family, or of the whole study, with its run, or None if it has no results.
-
-        Close each run, or use it in a `with` block.
-        """
-        for point in self.points if family is None else self.family(family):
-            yield point, self.run(point)
-
-    @property
-    def measures(self) -> dict[str, Description]:
-        """Units and descriptions, by column, of the measures that the study defines by expressions or plugins."""
-        return {measure.name: self._index.described[measure.name] for measure in self.spec.defined_measures()}
 
     def _columns(self, places: Sequence[int] | slice) -> dict[str, np.ndarray]:
         """Return the columns of the index for the points with these indices, without families and axes."""
@@ -505,25 +304,6 @@ class Study(HtmlView):
             results, or if the study does not store the quantity.
         """
         return quantiles(self, quantity, q, where=where, times=times)
-
-    def rows_of_runs(self) -> Iterator[tuple[Run, Sequence[int], np.ndarray]]:
-        """Yield runs that join the rows of one or more runs of the study.
-
-        Each item is a joined run, the numbers of its runs in the study, and the number of rows of each of its runs. A
-        joined run has the histories of all of its runs, but only the spec and the name of the first one.
-        """
-        if not self.spec.in_blocks:
-            for point, run in self.runs():
-                if run is not None:
-                    with run:
-                        yield run, [point.number], np.array([len(run.time)])
-            return
-        if self.spec.store not in KEEPING_TIMES:
-            raise NotStoredError("values over time", str(self.spec.store))
-        for path in filter(Path.exists, map(self._files.block, range(self._blocks.count))):
-            with self._blocks.open(path, self._sha256) as block:
-                for run, numbers, counts in block.joined_runs():
-                    yield run, numbers.tolist(), counts
 
     def _places(self, family: str) -> list[int]:
         """Return the indices of the points of a family."""

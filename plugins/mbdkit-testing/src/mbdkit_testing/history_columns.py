@@ -10,7 +10,7 @@ import re
 import sys
 from pathlib import Path
 
-from mbdkit.archive.history import columns_of
+from mbdkit.archive.named_columns import columns_of
 from mbdkit.quantities.table import BY_GROUP
 
 MARK = "    # columns (python -m mbdkit_testing.history_columns mbdkit/archive/history.py)\n"

@@ -11,9 +11,8 @@ import numpy as np
 
 from mbdkit.archive.accuracy_summary import exact_loads
 from mbdkit.archive.headlines import ROUND_OFF, plus_minus
-from mbdkit.archive.history import UnknownNameError
 from mbdkit.archive.peak_errors import errors_of_frames, peak_errors
-from mbdkit.base.errors import SpecError
+from mbdkit.base.errors import SpecError, UnknownNameError
 from mbdkit.base.html_view import HtmlView
 from mbdkit.base.text import table
 from mbdkit_biomech.inverse_dynamics.cycles import Normalized, contacts, normalized

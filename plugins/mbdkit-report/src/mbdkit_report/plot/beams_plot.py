@@ -11,9 +11,8 @@ from typing import TYPE_CHECKING, get_args
 
 import numpy as np
 
-from mbdkit.archive.history import UnknownNameError
 from mbdkit.archive.run_views import BeamForce, Names
-from mbdkit.base.errors import SpecError
+from mbdkit.base.errors import SpecError, UnknownNameError
 from mbdkit.base.text import listed
 from mbdkit_report.figures.beam_curves import has_beams
 from mbdkit_report.figures.curves import Array, bands

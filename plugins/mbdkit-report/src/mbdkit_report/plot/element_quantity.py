@@ -11,9 +11,9 @@ import numpy as np
 from matplotlib.axes import Axes
 
 from mbdkit.archive.headlines import plus_minus
-from mbdkit.archive.history import UnknownNameError
 from mbdkit.archive.peak_errors import errors_of_frames, whole_peak_errors
 from mbdkit.archive.run_views import Names
+from mbdkit.base.errors import UnknownNameError
 from mbdkit_report.figures.beam_curves import distributed_loads
 from mbdkit_report.figures.curves import UNKNOWN, Array, Bands, band_over_time, bands, errors_at
 from mbdkit_report.figures.page_model import Axis, Figure, Line, Mark

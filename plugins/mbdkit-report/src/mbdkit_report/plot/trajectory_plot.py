@@ -10,8 +10,8 @@ from matplotlib.axes import Axes
 from matplotlib.lines import Line2D
 from numpy.typing import NDArray
 
-from mbdkit.archive.history import UnknownNameError
 from mbdkit.archive.run_views import Names
+from mbdkit.base.errors import UnknownNameError
 from mbdkit_report.figures.beam_curves import bending_moments, largest_moment
 from mbdkit_report.figures.curves import Array, band_along_path, errors_at, evenly, take
 from mbdkit_report.figures.drawing_geometry import Drawing, Trace, choose_traces, draw_run, trace_points
