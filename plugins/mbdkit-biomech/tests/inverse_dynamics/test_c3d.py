@@ -229,3 +229,16 @@ def test_a_parameter_that_is_longer_than_its_place_is_refused(tmp_path: Path, pr
     (tmp_path / "walk.c3d").write_bytes(content)
     with pytest.raises(SpecError, match="not a C3D file that can be read: a parameter is longer than its place"):
         read_table(tmp_path / "walk.c3d", "motion.file")
+
+
+@pytest.mark.parametrize("processor", [INTEL, DEC, MIPS])
+@pytest.mark.parametrize("name", [b"SCALE", b"OFFSET"])
+def test_analog_channels_without_scale_or_offset_are_refused(tmp_path: Path, name: bytes, processor: int) -> None:
+    # ezc3d reads memory that is not its own, which ends the process
+    plate = Plate(np.zeros((4, 3)), np.zeros(3), np.zeros((100, 6)))
+    content = c3d_bytes({"TOE": np.zeros((100, 3))}, 100.0, Convention(processor=processor), [plate], 1)
+    at = content.index(b"ANALOG")
+    damaged = content[:at] + content[at:].replace(b"GEN_SCALE", b"GEN_@").replace(name, name[:-1] + b"\xc5", 1)
+    (tmp_path / "walk.c3d").write_bytes(damaged.replace(b"GEN_@", b"GEN_SCALE"))
+    with pytest.raises(SpecError, match=f"some of its 6 analog channels have no {name.decode().lower()}"):
+        read_table(tmp_path / "walk.c3d", "motion.file")

@@ -219,7 +219,8 @@ def _readable(path: Path, content: bytes) -> Iterator[Path]:
 
 
 def _require_sound_parameters(content: bytes, first: int) -> None:
-    """Raise ValueError if a group or parameter is not within the file; ezc3d would read memory beyond its end.
+    """Raise ValueError if a group or parameter is not within the file, or if analog channels have no scale or offset;
+    ezc3d would read memory beyond its end.
 
     Parameters
     ----------
@@ -228,11 +229,15 @@ def _require_sound_parameters(content: bytes, first: int) -> None:
     """
     order = ">h" if content[first + 3 : first + 4] == bytes([_MIPS]) else "<h"
     place = first + 4
+    analog, found = 0, []
     while content[place]:  # length of the name of a group or parameter; 0 at the end
-        group = struct.unpack_from("b", content, place + 1)[0]
-        place += 2 + abs(struct.unpack_from("b", content, place)[0])
+        length, group = struct.unpack_from("2b", content, place)
+        name = content[place + 2 : place + 2 + abs(length)]
+        place += 2 + abs(length)
         (offset,) = struct.unpack_from(order, content, place)
         end = place + offset if offset else len(content)
+        if name == b"ANALOG" and group < 0:
+            analog = -group
         if group > 0:
             size, count = struct.unpack_from("bB", content, place + 2)
             shape = content[place + 4 : place + 4 + count]
@@ -240,11 +245,17 @@ def _require_sound_parameters(content: bytes, first: int) -> None:
                 raise ValueError("a parameter has an unknown type")
             if place + 4 + count + abs(size) * math.prod(shape) > end:
                 raise ValueError("a parameter is longer than its place in the file")
+            values = struct.unpack_from(order, content, place + 4 + count)[0] if size == 2 else 0
+            found.append((group, name.rstrip(b"0123456789"), values, math.prod(shape)))
         if offset == 0:
-            return
+            break
         if not 0 < offset <= len(content) - place:
             raise ValueError("the parameters are damaged")
         place += offset
+    channels = next((value for group, name, value, _ in found if (group, name) == (analog, b"USED")), 0)
+    for wanted in (b"SCALE", b"OFFSET"):
+        if channels > sum(count for group, name, _, count in found if (group, name) == (analog, wanted)):
+            raise ValueError(f"some of its {channels} analog channels have no {wanted.decode().lower()}")
 
 
 _MOST_AXES = 7
