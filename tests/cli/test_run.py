@@ -397,8 +397,6 @@ def test_a_parameter_is_set_from_the_command_line(mbdkit, tmp_path):
 @pytest.mark.parametrize(
     ("assignment", "message"),
     [
-        ("parameters.crank=1/0", "parameters.crank: '1/0' divides by zero"),
-        ("parameters.crank=2*stroke", "depends on itself: "),
         ("parameters.crank=-0.1*leverr", "parameters.crank: there is no parameter 'leverr' (did you mean 'lever'?)"),
         ("model.bodies.ram.mass=2*crnk", "model.bodies.ram.mass: there is no parameter 'crnk' (did you mean 'crank'?)"),
     ],

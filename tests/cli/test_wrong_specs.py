@@ -192,19 +192,11 @@ WRONG = {
         "model.joints.A.type",
         "mean 'revolute'?",
     ),
-    "joint without type": (free("A: {type: revolute, ", "A: {"), 10, "model.joints.A.type", "is missing"),
     "joint with an unknown body": (
         free("[ground, crank]", "[ground, krank]"),
         10,
         "model.joints.A.bodies[1]",
         "'crank'",
-    ),
-    "joint of one body": (free("[crank, rod]", "[crank, crank]"), 11, "model.joints.B.bodies[1]", "differ"),
-    "joint of the ground with itself": (
-        joint("type: weld, bodies: [ground, ground], points: [[0, 0], [0, 0]]"),
-        12,
-        "model.joints.C.bodies[1]",
-        "differ",
     ),
     "driver of a body against itself": (
         joint("type: driver, bodies: [rod, rod], coordinate: angle, motion: 1"),
@@ -218,35 +210,11 @@ WRONG = {
         "model.joints.C.bodies",
         "should be two body names [first, second], not 1 item",
     ),
-    "joint without bodies": (
-        joint("type: revolute, points: [[0, 0], [0, 0]]"),
-        12,
-        "model.joints.C.bodies",
-        "is missing: names of the two bodies",
-    ),
-    "joint of three bodies": (
-        joint("type: revolute, bodies: [ground, crank, rod], points: [[0, 0], [0, 0]]"),
-        12,
-        "model.joints.C.bodies",
-        "not 3 items",
-    ),
     "joint on a joint": (
         joint("type: revolute, bodies: [A, rod], points: [[0, 0], [0, 0]]"),
         12,
         "model.joints.C.bodies[0]",
         "there is no body 'A'; there are ground, crank, rod",
-    ),
-    "joint without points": (
-        joint("type: revolute, bodies: [ground, rod]"),
-        12,
-        "model.joints.C.points",
-        "is missing: one point in each body's own frame",
-    ),
-    "distance of zero": (
-        joint("type: distance, bodies: [ground, rod], points: [[0, 0], [0, 0]], length: 0"),
-        12,
-        "model.joints.C.length",
-        "use a revolute joint",
     ),
     "negative distance": (
         joint("type: distance, bodies: [ground, rod], points: [[0, 0], [0, 0]], length: -1"),
@@ -279,13 +247,6 @@ WRONG = {
         "the two ends coincide at the start, at (1.5, 0)",
     ),
     "body without mass": (free("rod: {mass: 1, ", "rod: {"), 8, "model.bodies.rod.mass", "is missing"),
-    "a body called ground": (free("rod: {mass", "ground: {mass"), 8, "model.bodies.ground", "ground"),
-    "a point of three": (
-        free("[0.5, 0], [-0.5, 0]]", "[0.5, 0, 0], [-0.5, 0]]"),
-        11,
-        "model.joints.B.points[0]",
-        "x, y",
-    ),
     "code in an expression": (
         free("0.1*cos(t)", "__import__('os').system('id')"),
         13,
@@ -299,29 +260,8 @@ WRONG = {
         "model.forces.m.bdoy",
         "did you mean 'body'?",
     ),
-    "a slide along nothing": (slide("axis: [0, 0]"), 12, "model.joints.P.axis", "has no direction"),
-    "a slide without axis": (slide("angle: 0"), 12, "model.joints.P.axis", "is missing"),
-    "a slide along a word": (slide("axis: x"), 12, "model.joints.P.axis", "should be two numbers [x, y], not 'x'"),
     "a slide along an empty axis": (slide("axis: "), 12, "model.joints.P.axis", "two numbers [x, y], not nothing"),
-    "a slide of a point mass": (
-        slide("axis: [1, 0]")
-        .replace("rod: {mass: 1, inertia: 0.1,", "rod: {mass: 1,")
-        .replace("[[0.5, 0], [-0.5, 0]]", "[[0.5, 0], [0, 0]]"),
-        12,
-        "model.joints.P.bodies[1]",
-        "has no angle for a prismatic",
-    ),
-    "a table that goes back": (table("[[0, 2, 1], [0, 1, 2]]"), 13, "model.forces.m.value.table[0][2]", "increase"),
     "a table that stands still": (table("[[0, 1, 1], [0, 1, 2]]"), 13, "model.forces.m.value.table[0][2]", "increase"),
-    "a driver's table that goes back": (
-        joint("type: driver, bodies: [ground, rod], coordinate: angle, motion: {table: [[0, 2, 1], [0, 1, 2]]}"),
-        12,
-        "model.joints.C.motion.table[0][2]",
-        "times must increase: 1.0 comes after 2.0",
-    ),
-    "a table with a hole": (table("[[0, 1], [0, .nan]]"), 13, "model.forces.m.value.table[1][1]", "finite"),
-    "a table of one point": (table("[[0], [0]]"), 13, "model.forces.m.value.table", "two points or more"),
-    "a table with a value too few": (table("[[0, 1], [0]]"), 13, "model.forces.m.value.table", "as many values"),
     "a table of one column": (table("[0, 1, 2]"), 13, "model.forces.m.value.table", "column of times"),
     "a table shorter than the run": (
         table("[[0, 0.5], [0, 1]]"),
