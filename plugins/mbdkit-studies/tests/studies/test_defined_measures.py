@@ -78,7 +78,6 @@ def test_a_list_takes_only_what_it_contains(tmp_path: Path) -> None:
 
 REFUSED: dict[str, tuple[Any, str, str]] = {
     "an unknown body": ({"a": "final(bal.x)"}, "measures.a", "there is no body or joint 'bal' (did you mean 'ball'?)"),
-    "two quantities": ({"a": "final(ball.x) + final(ball.vx)"}, "measures.a", "different units, m and m/s"),
     "a unit of another quantity": ({"a": {"value": "final(ball.x)", "unit": "N"}}, "measures.a.unit", "the unit m"),
     "no unit": ({"a": {"value": "final(ball.x)", "unit": "metre"}}, "measures.a.unit", "not a known unit"),
     "a misspelled key": ({"a": {"value": "final(ball.x)", "units": "m"}}, "measures.a.units", "did you mean 'unit'"),

@@ -17,6 +17,8 @@ from mbdkit.runs.batch import refusal
 from mbdkit_studies import pool, study_index
 from mbdkit_studies.folder_lock import Shard
 
+from .test_blocks import index_hash
+
 #: Two rods that can meet a point of the ground at a distance of 1.5 m, but not at 3 m.
 CLOSED = {
     "name": "mechanism",
@@ -35,12 +37,6 @@ CLOSED = {
 def written(folder: Path) -> dict[str, int]:
     """When each run file was last written."""
     return {path.name: path.stat().st_mtime_ns for path in (folder / "runs").iterdir()}
-
-
-def index_hash(folder: Path) -> str:
-    """The hash of all of the index but the timings."""
-    with h5py.File(folder / "index.h5") as file:
-        return str(file.attrs["data_sha256"])
 
 
 def test_every_run_has_a_sound_archive_and_nothing_else_is_left(finished):

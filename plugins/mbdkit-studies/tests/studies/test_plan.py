@@ -133,12 +133,6 @@ def test_a_mechanism_built_in_python_is_a_base():
     assert [point.spec.mechanism().bodies["rod"].mass for point in points(study)] == [1.0, 2.0]
 
 
-def test_more_runs_than_a_study_may_have_are_refused_before_they_are_made(small):
-    small["axes"] = [{"time.step": {"linspace": [0.01, 0.02, 200]}}, {"model.masses[0]": {"linspace": [1, 2, 200]}}]
-    with pytest.raises(SpecError, match="makes 40000 runs; a study has at most 10000"):
-        points(small)
-
-
 def test_one_value_may_set_several_keys_and_its_axis_has_a_name_of_its_own(small):
     small["axes"] = [
         {

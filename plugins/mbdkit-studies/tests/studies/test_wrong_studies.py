@@ -52,8 +52,6 @@ WRONG = {
         "should be a mapping",
     ),
     "an axis of nothing": (study("time.step: [0.1, 0.05]", "{}"), 11, "axes[1]", "at least one key"),
-    "values that are no list": (study("[0.1, 0.05]", "0.1"), 11, 'axes[1]."time.step"', "should be a list of values"),
-    "no values": (study("[0.1, 0.05]", "[]"), 11, 'axes[1]."time.step"', "at least one value"),
     "a mistyped spacing": (
         study("[0.1, 0.05]", "{geomspce: [1, 2, 3]}"),
         11,
@@ -193,19 +191,6 @@ WRONG = {
         "axes[0].integrator[0].value.name",
         "did you mean 'rk4'?",
     ),
-    "a mistyped condition": (
-        study("{name: rk4}", "{label: x, value: {name: rk4}, if_instaled: mbdkit}"),
-        9,
-        "axes[0].integrator[0].if_instaled",
-        "did you mean 'if_installed'?",
-    ),
-    "a distribution that is a number": (
-        study("{name: rk4}", "{label: x, value: {name: rk4}, if_installed: 3}"),
-        9,
-        "axes[0].integrator[0].if_installed",
-        "should be the name of a Python package, such as mbdkit-generalized-alpha, not 3",
-    ),
-    "a mistyped reversal": (STUDY + "measures: [reversibility_defct]\n", 14, "measures[0]", "'reversibility_defect'?"),
     "axes beside families": (STUDY + "families: {a: {}}\n", 7, "axes", "give each family its own axes"),
     "a family with a mistyped key": (
         "mbdkit_study: 1\nbase: pendulum\nfamilies:\n  a:\n    axs: []\n",
