@@ -8,21 +8,18 @@ from pathlib import Path
 
 import pytest
 
-MODULES = (
-    "mbdkit.archive.reader",
-    "mbdkit.archive.run",
-    "mbdkit.archive.run_views",
+MODULES = [f"mbdkit.archive.{name}" for name in ("reader", "run", "run_views")]
+MODULES += [
     "mbdkit.mechanism.mechanism",
     "mbdkit.methods.tableau",
     "mbdkit.runs.prepared_run",
     "mbdkit.runs.simulation",
+]
+MODULES += [
     "mbdkit_report.plot.comparison",
-    "mbdkit_statics.equilibrium",
-    "mbdkit_statics.kinematics",
-    "mbdkit_statics.modes",
-    "mbdkit_studies.carry_out",
-    "mbdkit_studies.study",
-)
+    *(f"mbdkit_statics.{name}" for name in ("equilibrium", "kinematics", "modes")),
+]
+MODULES += ["mbdkit_studies.carry_out", "mbdkit_studies.study"]
 
 
 def examples(module: str) -> list[doctest.DocTest]:

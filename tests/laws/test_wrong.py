@@ -102,9 +102,7 @@ def test_a_force_in_the_frame_of_a_point_mass_is_refused() -> None:
     m = Mechanism()
     m.body("ball", mass=1.0)
     m.force("f", "ball", value=[1.0, 0.0], frame="body")
-    with pytest.raises(
-        SpecError, match=r"model\.forces\.f\.body: 'ball' is a point mass .* no angle for a force in its"
-    ):
+    with pytest.raises(SpecError, match=r"model\.forces\.f\.body: 'ball' is a point mass .* no angle for a force in"):
         m.validate()
 
 

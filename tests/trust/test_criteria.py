@@ -58,11 +58,7 @@ CASES = {
     "energy from nowhere": ({"balance": 1.0}, "bad", "bad above 0.05"),
     "energy not a number": ({"balance": math.nan}, "bad", "violated by up to nan J"),
     "energy jumps": ({"energy_jump": 0.6}, "bad", "changes by 0.6 J in one step at t = 1 s"),
-    "failed": (
-        {"status": "failed", "status_reason": "singular: it binds."},
-        "bad",
-        "stopped at t = 5 s, before its end",
-    ),
+    "failed": ({"status": "failed", "status_reason": "singular: it binds."}, "bad", "stopped at t = 5 s, before its"),
     "interrupted": (
         {"status": "interrupted", "status_reason": "interrupted: stopped by the user at t = 5 s of 9 s."},
         "doubtful",

@@ -38,10 +38,7 @@ def test_degrees_without_a_unit_are_doubted_until_the_unit_is_given() -> None:
 
 def test_milliseconds_without_a_unit_are_doubted_until_the_unit_is_given() -> None:
     data = {"t": 1e3 * T, **ANGLES}
-    with pytest.raises(
-        SpecError,
-        match=r"1 samples per second, .*in milliseconds, write `time: .*; if they are numbers of frames, divide",
-    ):
+    with pytest.raises(SpecError, match=r"1 samples per second, .*in milliseconds, write `time: .*; if they are"):
         leg(motion={"data": {**data, "t": 1e2 * T}, "time": "t"})
     columns = {"columns": {name: name for name in ANGLES}, "smooth": "quintic", "time": "t", "data": data}
     run = leg(motion=columns, accept=["times", "units"])
@@ -62,14 +59,8 @@ def test_milliseconds_without_a_unit_are_doubted_until_the_unit_is_given() -> No
     ("fault", "cause"),
     [
         (lambda x: 1e3 * x, "column of toe.x: .* no `unit`: they look like millimetres"),
-        (
-            lambda x: np.where(np.arange(len(x)) == 9, -999.0, x),
-            "column of toe.x: the value at t = 0.72 s is",
-        ),
-        (
-            lambda x: 3.5 * x,
-            r"toe.x: its range of \S+ m \(\S+ times the longest link\) is \S+ times the median range of .* same axis$",
-        ),
+        (lambda x: np.where(np.arange(len(x)) == 9, -999.0, x), "column of toe.x: the value at t = 0.72 s is"),
+        (lambda x: 3.5 * x, r"toe.x: its range of \S+ m \(\S+ times the longest link\) is \S+ times the median range"),
     ],
 )
 def test_the_refusal_of_a_fit_names_the_suspicious_column(

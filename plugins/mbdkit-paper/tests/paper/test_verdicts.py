@@ -186,17 +186,8 @@ def test_part_of_the_paper_decides_what_it_can_and_leaves_the_rest_open(small: m
     assert isinstance(ratio, float)
     assert ratio > 1000
     assert answers["substitution"] is exceeds(ratio, SPEED_UP)
-    for name in (
-        "orders",
-        "growth",
-        "knee-gauss2",
-        "knee-gauss3",
-        "knee-both",
-        "per-joint",
-        "coordinates",
-        "adaptive",
-        "stages",
-    ):
+    knee = ("knee-gauss2", "knee-gauss3", "knee-both")
+    for name in ("orders", "growth", *knee, "per-joint", "coordinates", "adaptive", "stages"):
         assert answers[name] is OPEN
         assert verdict.claim(name).sentence == UNDECIDED
     json.dumps(verdict.to_dict(), allow_nan=False)
