@@ -9,16 +9,9 @@ from pathlib import Path
 import pytest
 
 MODULES = [f"mbdkit.archive.{name}" for name in ("reader", "run", "run_views")]
-MODULES += [
-    "mbdkit.mechanism.mechanism",
-    "mbdkit.methods.tableau",
-    "mbdkit.runs.prepared_run",
-    "mbdkit.runs.simulation",
-]
-MODULES += [
-    "mbdkit_report.plot.comparison",
-    *(f"mbdkit_statics.{name}" for name in ("equilibrium", "kinematics", "modes")),
-]
+MODULES += ["mbdkit.mechanism.mechanism", "mbdkit.methods.tableau", "mbdkit.runs.prepared_run"]
+MODULES += ["mbdkit.runs.simulation", "mbdkit_report.plot.comparison"]
+MODULES += [f"mbdkit_statics.{name}" for name in ("equilibrium", "kinematics", "modes")]
 MODULES += ["mbdkit_studies.carry_out", "mbdkit_studies.study"]
 
 

@@ -120,14 +120,8 @@ DAMAGE: dict[str, tuple[Callable[[h5py.File], None], str]] = {
     "missing statistics": (drop("stats"), "the group stats is missing"),
     "unknown array": (lambda file: file.__setitem__("energy/heat", [1.0]), "energy/heat is not part of the layout"),
     "array with two lines": (lambda file: file.__setitem__(FORGED, [1.0]), r"x\nother.h5: sound is not part of the"),
-    "link with two lines": (
-        lambda file: file.__setitem__(FORGED, h5py.SoftLink("/energy")),
-        r"x\nother.h5: sound is a",
-    ),
-    "group with two lines": (
-        lambda file: file.__setitem__(FORGED, file["energy"]),
-        r"x\nother.h5: sound is a hard link",
-    ),
+    "soft link": (lambda file: file.__setitem__(FORGED, h5py.SoftLink("/energy")), r"x\nother.h5: sound is a"),
+    "hard link": (lambda file: file.__setitem__(FORGED, file["energy"]), r"x\nother.h5: sound is a hard link"),
     "version with two lines": (attribute("/", "format_version", FORGED), r"version x\nother.h5: sound, this"),
     "step of 400 digits": (step(10**399), "it has an integer of 400 digits"),
     "infinite step": (step(float("inf")), "time.step is not a finite number"),
@@ -270,9 +264,9 @@ def test_flipped_bytes_anywhere_are_never_a_traceback(archive: Path) -> None:
 def test_what_the_hash_of_the_data_leaves_out_has_a_hash_as_well(archive: Path, change: Any) -> None:
     with h5py.File(archive, "r+") as file:
         change(file)
-    assert check(archive) == [
-        "attributes, timings or estimated errors have changed since they were written: attributes_sha256 does not match"
-    ]
+    (problem,) = check(archive)
+    assert problem.startswith("attributes, timings or estimated errors have changed")
+    assert problem.endswith("attributes_sha256 does not match")
 
 
 def test_archives_of_earlier_versions_are_sound_without_it(archive: Path) -> None:

@@ -181,11 +181,8 @@ def test_a_cable_in_a_spec_is_the_cable_of_the_builder() -> None:
     m = walker()
     m.cable("tendon", {"hip": 0.05, "knee": -0.03}, stiffness=1e4, free_length=0.08, acts="tension", length=0.01)
     spec = m.to_spec()
-    assert spec["forces"]["tendon"]["pathway"] == {
-        "type": "joint-angles",
-        "angles": {"hip": 0.05, "knee": -0.03},
-        "length": 0.01,
-    }
+    pathway = {"type": "joint-angles", "angles": {"hip": 0.05, "knee": -0.03}, "length": 0.01}
+    assert spec["forces"]["tendon"]["pathway"] == pathway
     assert Mechanism.from_spec(spec).forces == m.forces
 
 

@@ -71,12 +71,7 @@ WRONG = {
         "pathway.points[0]",
         "from the origin of the first body",
     ),
-    "coordinate angle": (
-        coordinate("coordinate: x", "coordinate: angle"),
-        15,
-        "pathway.coordinate",
-        "{type: relative-angle, ...}",
-    ),
+    "coordinate angle": (coordinate("coordinate: x", "coordinate: angle"), 15, "pathway.coordinate", "relative-angle"),
     "unknown coordinate": (coordinate("coordinate: x", "coordinate: z"), 15, "pathway.coordinate", "'x' or 'y'"),
     "table not increasing": (table("[[0, 2, 1], [0, 1, 2]]"), 13, "table[0][2]", "lengths must increase: 1.0 comes"),
     "table falling": (table("[[2, 1, 0], [0, 1, 2]]"), 13, "table[0][1]", "reverse the order of both the lengths and"),

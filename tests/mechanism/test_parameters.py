@@ -126,11 +126,7 @@ WRONG: dict[str, tuple[dict[str, Any], str, str]] = {
     "list": ({"parameters": [1]}, "parameters", "should be a mapping"),
     "attack": ({"parameters__crank": "__import__('os')"}, "parameters.crank", "not a function that can be used"),
     "number of t": ({"model__bodies__crank__mass": "crank*t"}, "model.bodies.crank.mass", "depend on the time t"),
-    "misspelled mass": (
-        {"model__bodies__crank__mass": "2*crnk"},
-        "model.bodies.crank.mass",
-        "'crank'?) (position 3 of",
-    ),
+    "misspelled mass": ({"model__bodies__crank__mass": "2*crnk"}, "model.bodies.crank.mass", "'crank'?) (position 3"),
     "misspelled in a motion": ({"model__joints__D__motion": "sped*t"}, "model.joints.D.motion", "unknown name 'sped'"),
     "misspelled in an event": ({"events__e__when": "crank.angle - crnk"}, "events.e.when", "did you mean 'crank'"),
     "zero in the model": ({"model__bodies__crank__mass": "1/(speed - 3)"}, "model.bodies.crank.mass", "by zero"),

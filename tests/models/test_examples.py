@@ -14,15 +14,8 @@ MODELINE = f"# yaml-language-server: $schema={SCHEMA}"
 NAMES = ["belt", "bouncing-ball", "car-axis", "chain", "crank-press", "delayed-balance", "double-pendulum", "knee"]
 NAMES += ["double-wishbone", "elbow-curl", "flexible-slider-crank", "flying-spaghetti", "four-bar", "leaf-spring"]
 NAMES += ["gravity-balanced-arm", "limit-stop", "n-four-bar", "pd-leg", "pendulum", "quick-return", "roll-up", "walker"]
-NAMES += [
-    "series-elastic-knee",
-    "sit-down",
-    "slider-crank",
-    "slider-crank-clearance",
-    "spin-up-beam",
-    "spring-pendulum",
-]
-NAMES += ["watt-six-bar"]
+NAMES += ["series-elastic-knee", "sit-down", "slider-crank", "slider-crank-clearance", "spin-up-beam"]
+NAMES += ["spring-pendulum", "watt-six-bar"]
 
 
 @cache

@@ -61,13 +61,8 @@ def euler() -> Callable[..., IntegratorPlugin]:
     """Make an integrator plugin; keywords replace what it is made of."""
 
     def make(**changes: Any) -> IntegratorPlugin:
-        made = {
-            "name": "euler",
-            "summary": "Euler",
-            "options": EulerOptions,
-            "create": print,
-            "claims": claim_order_one,
-        }
+        made = {"name": "euler", "summary": "Euler", "options": EulerOptions, "create": print}
+        made["claims"] = claim_order_one
         return IntegratorPlugin(**made | changes)
 
     return make

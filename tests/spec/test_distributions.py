@@ -89,16 +89,8 @@ REFUSED: dict[str, tuple[dict[str, Any], str, str]] = {
     "negative seed": (_steps(seed=-1), "sample.seed", "should be at least 0, not -1"),
     "unknown key": (_steps(sed=1), "sample.sed", "seed"),
     "no key of a spec": (_steps(variables={"a..b": UNIFORM}), 'sample.variables."a..b"', "dotted key"),
-    "one key twice": (
-        _steps(variables={ANGLE: UNIFORM, "model.angles[0]": UNIFORM}),
-        f'{ANGLES}[0]"',
-        "is the same key",
-    ),
-    "a key and a part of it": (
-        _steps(variables={ANGLE: UNIFORM, "model.angles": UNIFORM}),
-        f'{ANGLES}.0"',
-        "is part of",
-    ),
+    "one key twice": (_steps(variables={ANGLE: UNIFORM, "model.angles[0]": UNIFORM}), f'{ANGLES}[0]"', "the same key"),
+    "a key and a part": (_steps(variables={ANGLE: UNIFORM, "model.angles": UNIFORM}), f'{ANGLES}.0"', "is part of"),
     "an axis of the same key": (_steps() | {"axes": AXES}, "axes[0]", "is a variable of the sample"),
     "an axis of a family": (_steps() | {"families": {"a": {"axes": AXES}}}, "families.a.axes[0]", "is a variable of"),
     "a file for each run": (_steps() | {"store": "files"}, "store", "is stored in blocks"),

@@ -11,19 +11,9 @@ import pytest
 from mbdkit.trust.criteria import LEVELS, BranchSuspicion, EstimatedErrors, Evidence, judge
 from mbdkit.trust.energy_record import EnergyRecord
 
-SOUND = Evidence(
-    end=5.0,
-    size=2.0,
-    misalignment=1e-9,
-    joint="A",
-    angle_misalignment=1e-12,
-    angle_joint="motor",
-    kinetic=10.0,
-    energy=50.0,
-    balance=1e-6,
-    energy_jump=1e-7,
-    energy_jump_time=1.0,
-)
+JOINTS = {"misalignment": 1e-9, "joint": "A", "angle_misalignment": 1e-12, "angle_joint": "motor"}
+ENERGY = {"kinetic": 10.0, "energy": 50.0, "balance": 1e-6, "energy_jump": 1e-7, "energy_jump_time": 1.0}
+SOUND = Evidence(end=5.0, size=2.0, **JOINTS, **ENERGY)
 KNOWN = EstimatedErrors(position=1e-6, reaction=1e-4, known_until=5.0)
 
 

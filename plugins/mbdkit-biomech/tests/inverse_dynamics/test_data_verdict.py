@@ -184,11 +184,8 @@ def test_a_table_of_markers_in_another_unit_than_it_states_is_refused_with_a_hin
 
 def test_only_wrong_units_are_named_as_causes_of_errors_other_than_those_of_the_fit() -> None:
     # the knee has the largest range, and an outlier
-    data = {
-        "time": T,
-        **ANGLES,
-        "knee_flexion": 3 * ANGLES["knee_flexion"] + np.where(np.arange(len(T)) == 70, 1.0, 0.0),
-    }
+    knee = 3 * ANGLES["knee_flexion"] + np.where(np.arange(len(T)) == 70, 1.0, 0.0)
+    data = {"time": T, **ANGLES, "knee_flexion": knee}
     for factor, words in ((1.0, []), (180 / np.pi, ["they look like degrees"])):
         motion = {"data": data | {"hip_flexion": 3 * factor * ANGLES["hip_flexion"]}, "smooth": SMOOTH}
         spec = load_inverse_spec({"mbdkit": 1, "model": {"name": "leg"}, "motion": motion}, ())

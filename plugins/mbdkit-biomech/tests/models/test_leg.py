@@ -205,10 +205,7 @@ def test_a_free_leg_falls_with_its_trunk() -> None:
         ({"legs": 3}, r"model\.legs: .*2"),
         ({"name": "leg-four-bar", "knee_flexion": 3.0}, r"model\.knee_flexion: should be between"),
         ({"legs": 2, "markers": {"toe_left": HEEL}}, r"model\.markers\.toe_left"),
-        (
-            {**TWICE, "muscles": {"m": MUSCLE, "m_left": MUSCLE}},
-            r"model\.muscles\.m_left: .* on the second leg under this",
-        ),
+        ({**TWICE, "muscles": {"m": MUSCLE, "m_left": MUSCLE}}, r"model\.muscles\.m_left: .* on the second leg under"),
     ],
 )
 def test_wrong_legs_are_refused_by_key(model: dict[str, Any], message: str) -> None:

@@ -149,6 +149,10 @@ MUSCLE = {
 }
 
 
+WITH_BEND = {"table": [[0, 1], [0, 1]], "of": "bend"}
+CIRCLE = {"body": "rod", "center": [0, 0], "radius": 0.1, "side": "left"}
+
+
 def with_item(index: int, **item: object) -> dict:
     path = list(MUSCLE["path"])
     path.insert(index, item)
@@ -170,22 +174,10 @@ def with_item(index: int, **item: object) -> dict:
         (with_item(1, body="rod", point=[0, 0], when={"rod.x": [1, 0]}), "path[1].when.rod.x", "is empty"),
         (with_item(0, body="rod", point=[0, 0], when={"rod.x": [0, 1]}), "path[0].when", "cannot have `when`"),
         (with_item(1, body="rod", point=["2*bend", 0]), "path[1].point[0]", "neither a coordinate"),
-        (
-            with_item(1, body="rod", point=[{"table": [[0, 1], [0, 1]], "of": "bend"}, 0]),
-            "path[1].point[0]",
-            "neither a coordinate",
-        ),
+        (with_item(1, body="rod", point=[WITH_BEND, 0]), "path[1].point[0]", "neither a coordinate"),
         (with_item(1, body="rod", point=[{"table": [[0, 1], [0, 1]]}, 0]), "path[1].point[0].of", "is missing"),
-        (
-            with_item(1, wrap={"body": "rod", "center": [0, 0], "radius": 0.0, "side": "left"}),
-            "path[1].wrap.radius",
-            "greater than 0",
-        ),
-        (
-            with_item(0, wrap={"body": "rod", "center": [0, 0], "radius": 0.1, "side": "left"}),
-            "path[0].wrap",
-            "is a point, not a circle",
-        ),
+        (with_item(1, wrap=CIRCLE | {"radius": 0.0}), "path[1].wrap.radius", "greater than 0"),
+        (with_item(0, wrap=CIRCLE), "path[0].wrap", "is a point, not a circle"),
     ],
 )
 def test_wrong_muscles_get_one_sentence_with_their_key(muscle, key, message):

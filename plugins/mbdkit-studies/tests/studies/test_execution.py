@@ -176,10 +176,7 @@ def test_runs_that_fail_are_results_with_their_reasons_and_are_not_tried_again(t
     study = {
         "mbdkit_study": 1,
         "base": {"model": CLOSED, "integrator": {"name": "rk4"}, "time": {"end": 0.1, "step": 0.01}},
-        "axes": [
-            {"model.joints.C.points[0]": [[1.5, 0], [3.0, 0]]},
-            {"limits.max_steps": [1000, 5]},
-        ],
+        "axes": [{"model.joints.C.points[0]": [[1.5, 0], [3.0, 0]]}, {"limits.max_steps": [1000, 5]}],
         "reference": {"integrator": {"name": "gauss", "stages": 3}, "limits": {}},
     }
     done = mbdkit.study(study, out=tmp_path / "out")
@@ -341,24 +338,7 @@ def test_progress_counts_runs_and_timings(small, tmp_path):
     assert told == [(1, 3, 0), (2, 3, 0), (3, 3, 0)]
 
 
-def test_without_a_folder_a_study_lives_as_long_as_it_is_held():
-    study = mbdkit.study(
-        {
-            "mbdkit_study": 1,
-            "base": "pendulum",
-            "overrides": {"time": {"end": 0.1, "step": 0.01}},
-            "axes": [{"model.length": [1.0]}],
-        }
-    )
-    folder = study.folder
-    with study.run(study.points[0]) as run:
-        assert run.status == "complete"
-    del study
-    assert not folder.exists()
-
-
 def test_reasons_of_runs_with_several_wrong_values_are_on_one_line() -> None:
     error = SpecError("should be greater than 0, not -1\n  also: model.b: is missing", key="model.a")
-    assert refusal(error).reason == (
-        "wrong-input: model.a: should be greater than 0, not -1; also: model.b: is missing"
-    )
+    wanted = "wrong-input: model.a: should be greater than 0, not -1; also: model.b: is missing"
+    assert refusal(error).reason == wanted

@@ -26,12 +26,8 @@ from mbdkit_studies.tasks import Task
 
 from .test_execution import index_hash
 
-BASE: dict[str, Any] = {
-    "mbdkit": 1,
-    "model": {"name": "double-pendulum"},
-    "integrator": {"name": "rk4"},
-    "time": {"end": 0.2, "step": 0.01},
-}
+RUN = {"integrator": {"name": "rk4"}, "time": {"end": 0.2, "step": 0.01}}
+BASE: dict[str, Any] = {"mbdkit": 1, "model": {"name": "double-pendulum"}, **RUN}
 
 
 def pendulums(**options: Any) -> mbdkit.Study:
@@ -326,8 +322,7 @@ def test_options_that_do_not_fit_are_refused(options, words, monkeypatch, tmp_pa
 def test_a_package_that_is_not_installed_is_named_with_its_extra(name, package, monkeypatch, tmp_path):
     monkeypatch.setitem(sys.modules, package, None)
     scheduler = ["--scheduler", "tcp://127.0.0.1:9"] if name == "dask" else []
-    result = CliRunner().invoke(
-        app, ["study", "paper", "-o", str(Path(tmp_path) / "s"), "--executor", name, *scheduler]
-    )
+    command = ["study", "paper", "-o", str(Path(tmp_path) / "s"), "--executor", name, *scheduler]
+    result = CliRunner().invoke(app, command)
     assert result.exit_code == 2
     assert f"needs the package {package}, which is not installed: pip install 'mbdkit[{name}]'" in result.stderr
