@@ -211,18 +211,6 @@ def test_later_minor_version_may_hold_more(archive: Path) -> None:
     assert check(archive) == []
 
 
-@pytest.mark.parametrize("content", [b"", b"text"])
-def test_what_is_no_archive_is_reported(tmp_path: Path, content: bytes) -> None:
-    (tmp_path / "run.h5").write_bytes(content)
-    assert check(tmp_path / "run.h5") == ["this is not an HDF5 file, so not a run archive"]
-
-
-def test_truncated_archive_is_reported(archive: Path) -> None:
-    archive.write_bytes(archive.read_bytes()[:-100])
-    (problem,) = check(archive)
-    assert "truncated" in problem
-
-
 def test_flipped_byte_in_the_data_is_found(archive: Path) -> None:
     with h5py.File(archive) as file:
         offset = file["trajectory/position"].id.get_offset()

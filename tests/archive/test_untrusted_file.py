@@ -68,10 +68,7 @@ HUGE = 1 << 40
 REFUSED: dict[str, tuple[Change, str]] = {
     "external link": (linked(h5py.ExternalLink("other.h5", "/secret")), "energy/kinetic is a link to another file"),
     "soft link": (linked(h5py.SoftLink("/energy/total")), "energy/kinetic is a soft link"),
-    "external storage": (
-        replaced("energy/kinetic", shape=(11,), dtype="<f8", external=[("secret", 0, 88)]),
-        "the values of energy/kinetic are in another file",
-    ),
+    "external": (replaced("energy/kinetic", shape=(11,), dtype="<f8", external=[("secret", 0, 88)]), "in another file"),
     "virtual dataset": (virtual, "energy/kinetic is a virtual dataset"),
     "cycle": (lambda file: file["energy"].__setitem__("up", file["/"]), "energy/up is a hard link to a group"),
     "second link": (lambda file: file.__setitem__("e", file["energy/total"]), "is a hard link to a group or array"),

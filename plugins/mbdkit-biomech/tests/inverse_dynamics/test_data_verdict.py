@@ -250,10 +250,8 @@ def test_a_unit_that_contradicts_the_file_is_named(tmp_path: Path) -> None:
     columns = {name: {"column": name, "unit": "rad"} for name in ANGLES}
     wrong = InverseProblem.of(load_inverse_spec(spec | {"motion": spec["motion"] | {"columns": columns}}))
     (first, *_) = doubts_before_computation(wrong).open
-    assert first.startswith(
-        "units: the unit rad at motion.columns.hip_flexion.unit contradicts the unit of column 'hip_flexion' in the "
-        "file, deg"
-    )
+    assert first.startswith("units: the unit rad at motion.columns.hip_flexion.unit contradicts the unit of column")
+    assert "'hip_flexion' in the file, deg" in first
 
 
 def test_knee_flexion_with_the_wrong_sign_is_doubted() -> None:
@@ -265,9 +263,7 @@ def test_knee_flexion_with_the_wrong_sign_is_doubted() -> None:
 def test_a_column_that_is_used_twice_is_doubted_unless_the_mechanism_ties_its_quantities() -> None:
     wrong = {"hip_flexion": "knee_flexion", "knee_flexion": "knee_flexion", "ankle_dorsiflexion": "ankle_dorsiflexion"}
     run = leg(motion={"columns": wrong, "errors": "none"})
-    assert run.verdict_reasons[0].startswith(
-        "shared-column: column 'knee_flexion' is used for hip_flexion and knee_flexion: is another column meant?"
-    )
+    assert run.verdict_reasons[0].startswith("shared-column: column 'knee_flexion' is used for hip_flexion and knee_f")
     copied = leg({"hip_flexion": ANGLES["knee_flexion"]}, motion={"errors": "none"})
     assert "shared-column" not in told(copied)
     assert any("the same values: hip_flexion and knee_flexion." in warning for warning in copied.warnings)

@@ -12,7 +12,7 @@ import pytest
 
 import mbdkit
 from mbdkit.archive.archive_check import check
-from mbdkit.base.errors import ResourceError, SpecError
+from mbdkit.base.errors import SpecError
 from mbdkit.runs.batch import refusal
 from mbdkit_studies import pool, study_index
 from mbdkit_studies.folder_lock import Shard
@@ -163,13 +163,6 @@ def test_a_file_that_holds_another_run_than_its_name_says_is_refused_before_any_
         mbdkit.study(small, out=copied)
     assert caught.value.file == str(first)
     assert not third.exists()
-
-
-def test_only_one_call_works_in_a_folder_at_a_time(copied, small):
-    from mbdkit_studies.study_folder import StudyFolder
-
-    with StudyFolder(copied).locked(), pytest.raises(ResourceError, match="running in this folder"):
-        mbdkit.study(small, out=copied)
 
 
 def test_runs_that_fail_are_results_with_their_reasons_and_are_not_tried_again(tmp_path):

@@ -92,10 +92,8 @@ def test_a_lost_worker_costs_its_task_one_retry(blocks, tmp_path):
 def test_a_run_that_is_lost_twice_has_failed_and_is_tried_again_by_the_next_call(finished, small, tmp_path):
     study = mbdkit.study(small, out=tmp_path / "s", executor=losing(3, 6))
     (failed,) = study.failures
-    assert failed.reason == (
-        "worker-died: two processes that computed it died; the second one was lost by the executor: LostError: the "
-        "worker is gone."
-    )
+    assert failed.reason.startswith("worker-died: two processes that computed it died; the second one was lost by")
+    assert failed.reason.endswith("LostError: the worker is gone.")
     assert study.unfinished == (failed.reason,)
     assert mbdkit.study(small, out=tmp_path / "s", executor=Here()).computed == 1
     assert index_hash(study.folder) == index_hash(finished.folder)
