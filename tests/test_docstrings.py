@@ -10,24 +10,11 @@ import pytest
 
 import mbdkit
 
-MODULES = (
-    "mbdkit.archive.reader",
-    "mbdkit.archive.recorded_data",
-    "mbdkit.archive.run",
-    "mbdkit.archive.run_views",
-    "mbdkit.mechanism.element_methods",
-    "mbdkit.mechanism.joint_methods",
-    "mbdkit.mechanism.mechanism",
-    "mbdkit.methods.tableau",
-    "mbdkit_studies.prepared_run",
-    "mbdkit.runs.simulation",
-    "mbdkit_report.plot.comparison",
-    "mbdkit_statics.equilibrium",
-    "mbdkit_statics.kinematics",
-    "mbdkit_statics.modes",
-    "mbdkit_studies.carry_out",
-    "mbdkit_studies.study",
-)
+MODULES = [f"mbdkit.archive.{name}" for name in ("reader", "recorded_data", "run", "run_views")]
+MODULES += [f"mbdkit.mechanism.{name}" for name in ("element_methods", "joint_methods", "mechanism")]
+MODULES += ["mbdkit.methods.tableau", "mbdkit.runs.simulation", "mbdkit_report.plot.comparison"]
+MODULES += [f"mbdkit_statics.{name}" for name in ("equilibrium", "kinematics", "modes")]
+MODULES += [f"mbdkit_studies.{name}" for name in ("carry_out", "prepared_run", "study")]
 
 
 def examples(module: str) -> list[doctest.DocTest]:

@@ -18,16 +18,11 @@ from .installing import install_module, install_project, python
 ROOT = Path(__file__).resolve().parent.parent
 GUIDE = (ROOT / "mbdkit" / "guide" / "plugins.md").read_text(encoding="utf-8")
 PENDULUM = {"name": "double-pendulum", "angles": [-1.0, -0.4]}
+ALONG = {"type": "coordinate", "coordinate": "x", "bodies": ["ground", "ball"]}
 BALL = {
     "name": "mechanism",
     "bodies": {"ball": {"mass": 1.0, "position": [0.5, 0.0]}},
-    "forces": {
-        "spring": {
-            "type": "law",
-            "law": "duffing",
-            "pathway": {"type": "coordinate", "coordinate": "x", "bodies": ["ground", "ball"]},
-        }
-    },
+    "forces": {"spring": {"type": "law", "law": "duffing", "pathway": ALONG}},
 }
 RK4 = {"name": "rk4"}
 PLUGINS = {

@@ -120,14 +120,8 @@ DAMAGE: dict[str, tuple[Callable[[h5py.File], None], str]] = {
     "missing statistics": (drop("stats"), "the group stats is missing"),
     "unknown array": (lambda file: file.__setitem__("energy/heat", [1.0]), "energy/heat is not part of the layout"),
     "array with two lines": (lambda file: file.__setitem__(FORGED, [1.0]), r"x\nother.h5: sound is not part of the"),
-    "link with two lines": (
-        lambda file: file.__setitem__(FORGED, h5py.SoftLink("/energy")),
-        r"x\nother.h5: sound is a",
-    ),
-    "group with two lines": (
-        lambda file: file.__setitem__(FORGED, file["energy"]),
-        r"x\nother.h5: sound is a hard link",
-    ),
+    "soft link": (lambda file: file.__setitem__(FORGED, h5py.SoftLink("/energy")), r"x\nother.h5: sound is a"),
+    "hard link": (lambda file: file.__setitem__(FORGED, file["energy"]), r"x\nother.h5: sound is a hard link"),
     "version with two lines": (attribute("/", "format_version", FORGED), r"version x\nother.h5: sound, this"),
     "step of 400 digits": (step(10**399), "it has an integer of 400 digits"),
     "infinite step": (step(float("inf")), "time.step is not a finite number"),
@@ -160,10 +154,7 @@ DAMAGE: dict[str, tuple[Callable[[h5py.File], None], str]] = {
     "unknown status": (attribute("/", "status", "done"), "status is 'done', not one of"),
     "still running": (attribute("/", "status", "running"), "the run did not end"),
     "reason without failure": (attribute("/", "status_reason", "singular: x"), "a complete run has the status_reason"),
-    "failure without reason": (
-        attribute("/", "status", "failed"),
-        "status_reason of a failed run should be a known code",
-    ),
+    "failure without reason": (attribute("/", "status", "failed"), "status_reason of a failed run should be a known"),
     "date of another kind": (attribute("/", "created_utc", "today"), "created_utc is 'today'"),
     "counter missing": (attribute("stats", "steps", None), "steps of stats is missing"),
     "counter no integer": (attribute("stats", "steps", 3.5), "steps of stats is not an integer"),
@@ -220,18 +211,6 @@ def test_later_minor_version_may_hold_more(archive: Path) -> None:
     assert check(archive) == []
 
 
-@pytest.mark.parametrize("content", [b"", b"text"])
-def test_what_is_no_archive_is_reported(tmp_path: Path, content: bytes) -> None:
-    (tmp_path / "run.h5").write_bytes(content)
-    assert check(tmp_path / "run.h5") == ["this is not an HDF5 file, so not a run archive"]
-
-
-def test_truncated_archive_is_reported(archive: Path) -> None:
-    archive.write_bytes(archive.read_bytes()[:-100])
-    (problem,) = check(archive)
-    assert "truncated" in problem
-
-
 def test_flipped_byte_in_the_data_is_found(archive: Path) -> None:
     with h5py.File(archive) as file:
         offset = file["trajectory/position"].id.get_offset()
@@ -273,9 +252,9 @@ def test_flipped_bytes_anywhere_are_never_a_traceback(archive: Path) -> None:
 def test_what_the_hash_of_the_data_leaves_out_has_a_hash_as_well(archive: Path, change: Any) -> None:
     with h5py.File(archive, "r+") as file:
         change(file)
-    assert check(archive) == [
-        "attributes, timings or estimated errors have changed since they were written: attributes_sha256 does not match"
-    ]
+    (problem,) = check(archive)
+    assert problem.startswith("attributes, timings or estimated errors have changed")
+    assert problem.endswith("attributes_sha256 does not match")
 
 
 def test_archives_of_earlier_versions_are_sound_without_it(archive: Path) -> None:

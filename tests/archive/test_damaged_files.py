@@ -12,12 +12,8 @@ from mbdkit.archive.checkpoint import Checkpoint
 from mbdkit.archive.part_file import checkpoint_path
 from mbdkit.cli import app
 
-SPEC = {
-    "mbdkit": 1,
-    "model": {"name": "single-pendulum"},
-    "integrator": {"name": "rk4"},
-    "time": {"end": 0.02, "step": 0.01},
-}
+RUN = {"integrator": {"name": "rk4"}, "time": {"end": 0.02, "step": 0.01}}
+SPEC = {"mbdkit": 1, "model": {"name": "single-pendulum"}, **RUN}
 
 
 def cut(path: Path) -> None:

@@ -7,6 +7,7 @@ from pathlib import Path
 import h5py
 import pytest
 
+from mbdkit.archive.archive_check import check
 from mbdkit.archive.reader import load
 from mbdkit.base.errors import SpecError
 
@@ -21,23 +22,18 @@ def refusal(path: Path) -> str:
     return caught.value.message
 
 
-def test_missing_file_is_refused(tmp_path: Path) -> None:
+def test_what_is_no_file_is_refused(tmp_path: Path) -> None:
+    assert "folder" in refusal(tmp_path)
     assert refusal(tmp_path / "run.h5") == "there is no such file"
-
-
-def test_missing_file_points_to_its_part(tmp_path: Path) -> None:
     (tmp_path / "run.h5.part").touch()
     assert "run.h5.part holds the data of an unfinished run" in refusal(tmp_path / "run.h5")
-
-
-def test_folder_is_refused(tmp_path: Path) -> None:
-    assert "folder" in refusal(tmp_path)
 
 
 @pytest.mark.parametrize("content", [b"", b"time,angle\n0,1\n", b"\x89PNG\r\n"])
 def test_file_of_another_kind_is_refused(tmp_path: Path, content: bytes) -> None:
     (tmp_path / "run.h5").write_bytes(content)
     assert refusal(tmp_path / "run.h5") == "this is not an HDF5 file, so not a run archive"
+    assert check(tmp_path / "run.h5") == ["this is not an HDF5 file, so not a run archive"]
 
 
 @pytest.mark.parametrize("share", [0.1, 0.5, 0.99])
@@ -45,18 +41,17 @@ def test_truncated_archive_is_refused(archive: Path, share: float) -> None:
     whole = archive.read_bytes()
     archive.write_bytes(whole[: int(share * len(whole))])
     assert "truncated" in refusal(archive)
+    (problem,) = check(archive)
+    assert "truncated" in problem
 
 
 def test_hdf5_file_of_another_kind_is_refused(tmp_path: Path) -> None:
     with h5py.File(tmp_path / "other.h5", "w") as file:
         file["x"] = [1, 2]
     assert refusal(tmp_path / "other.h5") == "this is not a run archive but an HDF5 file of another kind"
-
-
-def test_other_format_is_named(tmp_path: Path) -> None:
-    with h5py.File(tmp_path / "index.h5", "w") as file:
+    with h5py.File(tmp_path / "other.h5", "a") as file:
         file.attrs["format"] = "mbdkit-study"
-    assert refusal(tmp_path / "index.h5") == "this is not a run archive but of the format 'mbdkit-study'"
+    assert refusal(tmp_path / "other.h5") == "this is not a run archive but of the format 'mbdkit-study'"
 
 
 @pytest.mark.parametrize("version", ["2.0", "10.0", "0.9", "one", ""])

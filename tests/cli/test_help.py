@@ -10,34 +10,10 @@ import mbdkit as package
 from mbdkit.base import progress_bars
 from mbdkit.base.errors import PluginError, RunError, SpecError
 
-COMMANDS = [
-    (),
-    ("run",),
-    ("validate",),
-    ("equilibrium",),
-    ("modes",),
-    ("kinematics",),
-    ("plot",),
-    ("animate",),
-    ("report",),
-    ("rerun",),
-    ("schema",),
-    ("schema", "run"),
-    ("schema", "study"),
-    ("study",),
-    ("plugins",),
-    ("plugins", "list"),
-    ("plugins", "show"),
-    ("plugins", "verify"),
-    ("plugins", "doctor"),
-    ("plugins", "new"),
-    ("examples",),
-    ("examples", "copy"),
-    ("guide",),
-    ("archive",),
-    ("archive", "info"),
-    ("archive", "check"),
-]
+TOP = ["run", "validate", "equilibrium", "modes", "kinematics", "plot", "animate", "report", "rerun", "study", "guide"]
+GROUPS = {"schema": "run study", "plugins": "list show verify doctor new", "examples": "copy", "archive": "info check"}
+COMMANDS = [(), *((name,) for name in [*TOP, *GROUPS])]
+COMMANDS += [(group, name) for group, names in GROUPS.items() for name in names.split()]
 
 
 @pytest.mark.parametrize("command", COMMANDS, ids=" ".join)

@@ -26,14 +26,9 @@ def test_estimated_errors_of_event_driven_runs_are_the_true_ones(method: str, se
 
 
 def checked(model: dict[str, Any], treatment: str, method: str, step: float, end: float) -> mbdkit.Run:
-    return mbdkit.run(
-        {"mbdkit": 1, "model": {"name": "mechanism"} | model},
-        integrator={"name": method},
-        time={"end": end, "step": step},
-        contact={"treatment": treatment},
-        measures={"height": "final(body.y)"},
-        check=True,
-    )
+    sections = {"integrator": {"name": method}, "time": {"end": end, "step": step}, "contact": {"treatment": treatment}}
+    spec = {"mbdkit": 1, "model": {"name": "mechanism"} | model, "measures": {"height": "final(body.y)"}}
+    return mbdkit.run(spec, **sections, check=True)
 
 
 def test_errors_of_time_stepping_are_known_from_an_event_driven_run() -> None:
@@ -128,12 +123,8 @@ def test_errors_of_the_largest_normal_force_of_a_compliant_contact_count_in_the_
     floor["compliance"] = {"stiffness": stiffness}
     body = {"mass": 1.0, "inertia": 0.004, "position": [0.0, 0.1 + height]}
     model = {"name": "mechanism", "bodies": {"body": body}, "contacts": {"floor": floor}}
-    run = mbdkit.run(
-        {"mbdkit": 1, "model": model},
-        integrator={"name": "gauss", "stages": 2},
-        time={"end": 0.3, "step": step},
-        check=True,
-    )
+    more = {"integrator": {"name": "gauss", "stages": 2}, "time": {"end": 0.3, "step": step}}
+    run = mbdkit.run({"mbdkit": 1, "model": model}, **more, check=True)
     depth = brentq(lambda d: 9.81 * (height + d) - 0.4 * stiffness * d**2.5, 1e-4, 0.1)
     (force,) = headlines(run)
     assert abs(force.largest - stiffness * depth**1.5) <= 1.01 * (force.error - force.missed)

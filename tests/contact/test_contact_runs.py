@@ -74,15 +74,9 @@ def test_the_largest_contact_force_does_not_depend_on_the_recorded_times() -> No
     the energy 2/5 k x^(5/2) of H. Hertz's law.
     """
     overlap = brentq(lambda x: 0.4 * 1e6 * x**2.5 - G * (1.0 + x), 1e-4, 0.1)
-    more: dict[str, Any] = {
-        "output": {"interval": 0.25},
-        "measures": {
-            "peak": "max(contacts.floor.normal_force)",
-            "upward": "max(ground_reactions.ball.force_y)",
-            "magnitude": "max(abs(contacts.floor.normal_force))",
-        },
-    }
-    done = run(ball(stiffness=1e6), 1.0, **more)
+    force = "contacts.floor.normal_force"
+    peaks = {"peak": f"max({force})", "upward": "max(ground_reactions.ball.force_y)", "magnitude": f"max(abs({force}))"}
+    done = run(ball(stiffness=1e6), 1.0, output={"interval": 0.25}, measures=peaks)
     assert done.contacts["floor"].normal_force.max() == 0.0
     np.testing.assert_allclose(list(done.measures.values()), 1e6 * overlap**1.5, rtol=1e-7)
 

@@ -29,6 +29,9 @@ def spec(contact: dict[str, Any], **more: Any) -> dict[str, Any]:
     }
 
 
+K = "model.contacts.k"
+CLOCKWISE, CONCAVE = [[0, 0], [0, 1], [1, 0]], [[0, 0], [1, 0], [0.2, 0.2], [0, 1]]
+SAME = [[0, 0], [1, 0], [1, 0], [0, 1]]
 REFUSED = {
     "restitution": ({"restitution": 1.2}, "model.contacts.k.restitution", "at most 1"),
     "friction": ({"friction": -0.1}, "model.contacts.k.friction", "at least 0"),
@@ -39,35 +42,23 @@ REFUSED = {
     "held by a joint": ({"bodies": ["b", "c"], "shapes": [BALL, BALL]}, "model.contacts.k.bodies", "joint 'pin' holds"),
     "two lines": ({"shapes": [FLOOR, FLOOR]}, "model.contacts.k.shapes", "two lines"),
     "two points": ({"shapes": [{"point": [0, 0]}, {"point": [0, 0]}]}, "model.contacts.k.shapes", "two points"),
-    "too large for the hole": (
+    "too large": (
         {"shapes": [{"hole": {"radius": 0.1}}, BALL]},
-        "model.contacts.k.shapes",
-        "the circle does not fit into the hole: its radius, 0.1 m, should be less than the radius of the hole, 0.1 m",
+        f"{K}.shapes",
+        "less than the radius of the hole, 0.1",
     ),
     "no hole for lines": ({"shapes": [FLOOR, {"hole": {"radius": 0.1}}]}, "model.contacts.k.shapes", "not a line"),
     "radius of a hole": ({"shapes": [{"hole": {"radius": -1}}, BALL]}, "model.contacts.k.shapes[0].hole.radius", "0"),
-    "clockwise": (
-        {"shapes": [FLOOR, {"polygon": [[0, 0], [0, 1], [1, 0]]}]},
-        "model.contacts.k.shapes[1].polygon",
-        "counter-clockwise",
-    ),
-    "concave": (
-        {"shapes": [FLOOR, {"polygon": [[0, 0], [1, 0], [0.2, 0.2], [0, 1]]}]},
-        "model.contacts.k.shapes[1].polygon",
-        "convex",
-    ),
+    "clockwise": ({"shapes": [FLOOR, {"polygon": CLOCKWISE}]}, f"{K}.shapes[1].polygon", "counter-clockwise"),
+    "concave": ({"shapes": [FLOOR, {"polygon": CONCAVE}]}, f"{K}.shapes[1].polygon", "convex"),
     "corners that coincide": (
-        {"shapes": [FLOOR, {"polygon": [[0, 0], [1, 0], [1, 0], [0, 1]]}]},
-        "model.contacts.k.shapes[1].polygon",
-        "of which no three are on a line",
+        {"shapes": [FLOOR, {"polygon": SAME}]},
+        f"{K}.shapes[1].polygon",
+        "no three are on a line",
     ),
     "overlap": ({"shapes": [FLOOR, {"circle": {"radius": 0.7}}]}, "model.contacts.k.shapes", "overlap by 0.2 m"),
     "no compliance": ({"compliance": None}, "model.contacts.k.compliance", "is missing"),
-    "flores": (
-        {"compliance": {"law": "flores", "stiffness": 1.0}},
-        "model.contacts.k.compliance.impact_speed",
-        "needs",
-    ),
+    "flores": ({"compliance": {"law": "flores", "stiffness": 1.0}}, f"{K}.compliance.impact_speed", "needs"),
     "no shape": ({"shapes": [FLOOR, {}]}, "model.contacts.k.shapes[1]", "one of line, point, circle, hole and polygon"),
     "among": ({"bodies": None, "among": ["b", "c"]}, "model.contacts.k.shapes", "mapping"),
 }

@@ -303,16 +303,7 @@ def test_a_coefficient_of_zero_is_kept_when_a_spec_is_written_again() -> None:
     m.revolute("pin", m.ground, "rod", at=(0, 0), friction={"coefficient": 0.1, "radius": 0.01})
     model = m.to_spec()
     model["joints"]["pin"]["friction"]["coefficient"] = "mu"
-    run = mbdkit.run(
-        {
-            "mbdkit": 1,
-            "parameters": {"mu": 0.0},
-            "model": model,
-            "integrator": {"name": "rk4"},
-            "time": {"end": 0.1, "step": 0.01},
-        },
-        check=True,
-        measures={"last": "final(t)"},
-    )
+    spec = {"mbdkit": 1, "parameters": {"mu": 0.0}, "model": model, "integrator": {"name": "rk4"}}
+    run = mbdkit.run(spec, time={"end": 0.1, "step": 0.01}, measures={"last": "final(t)"}, check=True)
     assert run.measures["last"] == 0.1
     assert load_spec(run.spec).canonical_json() == load_spec(load_spec(run.spec).sections()).canonical_json()

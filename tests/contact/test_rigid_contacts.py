@@ -22,15 +22,11 @@ FLOOR = {"line": {"normal": [0.0, 1.0]}}
 
 
 def run(
-    model: dict[str, Any], end: float, step: float, treatment: str = "event-driven", method: str = "", **contact: Any
+    model: dict[str, Any], end: float, step: float, treatment: str = "event-driven", method: str = "", **more: Any
 ) -> mbdkit.Run:
     method = method or ("moreau-jean" if treatment == "time-stepping" else "dop853")
-    return mbdkit.run(
-        {"mbdkit": 1, "model": {"name": "mechanism"} | model},
-        integrator={"name": method},
-        time={"end": end, "step": step},
-        contact={"treatment": treatment} | contact,
-    )
+    sections = {"integrator": {"name": method}, "time": {"end": end, "step": step}, "contact": {"treatment": treatment}}
+    return mbdkit.run({"mbdkit": 1, "model": {"name": "mechanism"} | model}, **sections, **more)
 
 
 def ball(e: float) -> dict[str, Any]:
@@ -69,13 +65,8 @@ def test_a_journal_that_falls_in_its_bearing_comes_to_rest_at_the_bottom() -> No
 
 def test_measures_do_not_interpolate_across_impacts() -> None:
     # expected: the parabolas between the impacts, of which each is half as fast as the one before
-    found = mbdkit.run(
-        {"mbdkit": 1, "model": {"name": "mechanism"} | ball(0.5)},
-        integrator={"name": "dop853"},
-        time={"end": 2.0, "step": 0.05},
-        contact={"treatment": "event-driven"},
-        measures={"low": "min(ball.y)", "fast": "max(abs(ball.vy))", "area": "integral(ball.y - 0.1)"},
-    )
+    measures = {"low": "min(ball.y)", "fast": "max(abs(ball.vy))", "area": "integral(ball.y - 0.1)"}
+    found = run(ball(0.5), 2.0, 0.05, measures=measures)
     first = np.sqrt(2.0 / G)
     area = first * 2.0 / 3.0 + sum((G * first * 0.5**k) ** 3 / (1.5 * G**2) for k in range(1, 40))
     assert found.measures == pytest.approx({"low": 0.1, "fast": np.sqrt(2 * G), "area": area}, rel=1e-10)
@@ -83,19 +74,15 @@ def test_measures_do_not_interpolate_across_impacts() -> None:
 
 def test_a_step_with_an_impact_has_no_overlap_that_its_ends_lack() -> None:
     """Between the ends of a step that contains an impact, positions of time-stepping methods are linear."""
-    spec = {"mbdkit": 1, "model": {"name": "mechanism"} | ball(0.5), "measures": {"least": "min(contacts.floor.gap)"}}
-    by_steps: dict[str, Any] = {"integrator": {"name": "moreau-jean"}, "contact": {"treatment": "time-stepping"}}
-    found = mbdkit.run(spec, **by_steps, time={"end": 1.0, "step": 0.01})
+    found = run(ball(0.5), 1.0, 0.01, "time-stepping", measures={"least": "min(contacts.floor.gap)"})
     assert found.measures["least"] == pytest.approx(found.contacts["floor"].gap.min(), abs=1e-12)
     assert "contact force of a step with an impact includes its impulse" in found.summary()
 
 
 def test_the_summary_counts_impacts() -> None:
     # expected: impulse m (1 + e) sqrt(2 g h) and energy m g h (1 - e^2) of the first impact of a ball of 2 kg
-    summary = run(ball(0.5), 0.6, 0.05).summary()
-    assert (
-        f"1 (floor 1), restitution 0.5, impulses up to {3.0 * np.sqrt(2 * G):.4g} N s, {1.5 * G:.4g} J lost" in summary
-    )
+    impulse, lost = f"impulses up to {3.0 * np.sqrt(2 * G):.4g} N s", f"{1.5 * G:.4g} J lost"
+    assert f"1 (floor 1), restitution 0.5, {impulse}, {lost}" in run(ball(0.5), 0.6, 0.05).summary()
 
 
 def test_simultaneous_impacts_lose_their_energy_once() -> None:
@@ -147,29 +134,18 @@ def test_a_block_on_a_belt_sticks_and_slips() -> None:
         "shapes": [{"line": {"point": [0.0, 0.1], "normal": [0, 1]}}, {"point": [0.0, 0.0]}],
         "friction": {"static": 1.0 / G, "kinetic": 0.5 / G},
     }
+    belt = {"mass": 1.0, "inertia": 1.0, "position": [0.0, -0.1]}
+    spring = {"type": "spring-damper", "bodies": ["ground", "block"], "points": [[-10, 0], [0, 0]], "stiffness": 1.0}
     model = {
-        "bodies": {
-            "belt": {"mass": 1.0, "inertia": 1.0, "position": [0.0, -0.1]},
-            "block": {"mass": 1.0, "velocity": [0.2, 0.0]},
-        },
+        "bodies": {"belt": belt, "block": {"mass": 1.0, "velocity": [0.2, 0.0]}},
         "joints": {
             "rail": {"type": "prismatic", "bodies": ["ground", "belt"], "points": [[0, -0.1], [0, 0]], "axis": [1, 0]},
             "motor": {"type": "driver", "bodies": ["ground", "belt"], "coordinate": "x", "motion": "0.2*t"},
         },
-        "forces": {
-            "spring": {
-                "type": "spring-damper", "bodies": ["ground", "block"], "points": [[-10, 0], [0, 0]],
-                "stiffness": 1.0, "free_length": 10.0,
-            },
-        },
+        "forces": {"spring": spring | {"free_length": 10.0}},
         "contacts": {"belt": contact},
-    }  # fmt: skip
-    found = mbdkit.run(
-        {"mbdkit": 1, "model": {"name": "mechanism"} | model},
-        integrator={"name": "dop853"},
-        time={"end": 18.0, "step": 0.05},
-        contact={"treatment": "event-driven"},
-    )
+    }
+    found = run(model, 18.0, 0.05)
     slips = found.contacts["belt"].mode == 2.0
     changes = found.time[1:][np.diff(slips.astype(int)) != 0]
     assert changes == pytest.approx([5.0, 8.902605407814523, 13.902605407814523, 17.805210815629046], abs=0.051)
@@ -273,21 +249,15 @@ def test_time_stepping_slides_a_block_as_closely() -> None:
 def test_a_plate_does_work_on_a_block_that_it_strikes(treatment: str) -> None:
     # expected: a plate of 3 kg rises with 1 m/s from 0.2537 s on and falls with 1 m/s from 0.5 s on; a block of 2 kg on
     # it takes its velocity, flies, and falls back onto it with 2 m/s less than the plate after 4 / g
+    slab = {"mass": 2.0, "inertia": 1.0, "position": [0, 0.1]}
     motor = {"type": "driver", "bodies": ["ground", "plate"], "coordinate": "y"}
     guide = {"type": "prismatic", "bodies": ["ground", "plate"], "points": [[0, 0], [0, 0]], "axis": [0, 1]}
     model = {
-        "bodies": {
-            "plate": {"mass": 3.0, "inertia": 1.0},
-            "block": {"mass": 2.0, "inertia": 1.0, "position": [0, 0.1]},
-        },
+        "bodies": {"plate": {"mass": 3.0, "inertia": 1.0}, "block": slab},
         "joints": {"guide": guide, "motor": motor | {"motion": "max(0, t - 0.2537) - 2*max(0, t - 0.5)"}},
         "contacts": {"c": {"bodies": ["plate", "block"], "shapes": [FLOOR, {"circle": {"radius": 0.1}}]}},
     }
-    found = mbdkit.run(
-        {"mbdkit": 1, "model": {"name": "mechanism"} | model},
-        integrator={"name": "moreau-jean" if treatment == "time-stepping" else "dop853"},
-        time={"end": 1.0, "step": 0.01}, contact={"treatment": treatment}, impacts="allow",
-    )  # fmt: skip
+    found = run(model, 1.0, 0.01, treatment, impacts="allow")
     assert found.energy.dissipated[-1] == pytest.approx(0.5 * 2.0 * 1.0**2 + 0.5 * 2.0 * 2.0**2, rel=1e-9)
     assert found.energy.work[-1] == pytest.approx(5.0 + 2.5 - 5.0 * G * 0.2537, rel=1e-9)
     impacts = found.impacts
@@ -368,6 +338,10 @@ def test_stronges_impact_never_gains_energy() -> None:
         assert (before + response @ smooth)[0] == pytest.approx(-e * before[0], abs=1e-12)
 
 
+FALLING = {"mbdkit": 1, "model": {"name": "mechanism"} | ball(0.5), "integrator": {"name": "rk4"}}
+FALLING |= {"contact": {"treatment": "event-driven"}, "time": {"end": 1, "step": 0.1}}
+
+
 @pytest.mark.parametrize(
     ("change", "sentence"),
     [
@@ -378,20 +352,15 @@ def test_stronges_impact_never_gains_energy() -> None:
     ],
 )
 def test_what_rigid_contacts_need_is_said(change: dict[str, Any], sentence: str) -> None:
-    given = {"integrator": {"name": "rk4"}, "contact": {"treatment": "event-driven"}, "time": {"end": 1, "step": 0.1}}
     with pytest.raises(SpecError, match=sentence):
-        mbdkit.run({"mbdkit": 1, "model": {"name": "mechanism"} | ball(0.5)} | given | change)
+        mbdkit.run(FALLING | change)
 
 
 def test_gradients_and_equilibria_refuse_rigid_contacts() -> None:
-    spec = {
-        "mbdkit": 1, "model": {"name": "mechanism"} | ball(0.5), "integrator": {"name": "rk4"},
-        "contact": {"treatment": "event-driven"}, "time": {"end": 1, "step": 0.1},
-    }  # fmt: skip
     with pytest.raises(SpecError, match="gradients of runs do not include event-driven and time-stepping contacts"):
-        mbdkit.gradient(spec, ["final(ball.y)"], ["model.bodies.ball.mass"])
+        mbdkit.gradient(FALLING, ["final(ball.y)"], ["model.bodies.ball.mass"])
     with pytest.raises(SpecError, match="at rest needs compliant contacts"):
-        mbdkit.equilibrium(spec)
+        mbdkit.equilibrium(FALLING)
 
 
 def test_other_states_are_refused() -> None:
@@ -448,6 +417,7 @@ def test_impulses_of_joints_balance_the_momenta_of_all_bodies_at_an_impact() -> 
     """
     rod = {"mass": 2.0, "inertia": 0.06}
     floor = {"line": {"point": [0.0, -0.5], "normal": [0.0, 1.0]}}
+    contact = {"bodies": ["ground", "lower"], "shapes": [floor, {"point": [0.3, 0.0]}]}
     model = {
         "name": "mechanism",
         "bodies": {"upper": {**rod, "position": [0.3, 0.0]}, "lower": {**rod, "position": [0.9, 0.0]}},
@@ -456,13 +426,8 @@ def test_impulses_of_joints_balance_the_momenta_of_all_bodies_at_an_impact() -> 
             "motor": {"type": "driver", "bodies": ["ground", "upper"], "coordinate": "angle", "motion": "0.1*sin(3*t)"},
             "knee": {"type": "revolute", "bodies": ["upper", "lower"], "at": [0.6, 0.0]},
         },
-        "contacts": {
-            "heel": {
-                "bodies": ["ground", "lower"], "shapes": [floor, {"point": [0.3, 0.0]}],
-                "restitution": 0.4, "friction": 0.3,
-            }
-        },
-    }  # fmt: skip
+        "contacts": {"heel": contact | {"restitution": 0.4, "friction": 0.3}},
+    }
     whole = run(model, 0.6, 0.01)
     impacts = whole.impacts
     time, near = impacts.time[0], 1e-8
@@ -496,10 +461,8 @@ def test_gaps_that_are_not_evaluated_are_above_their_bounds() -> None:
     bodies = {f"b{i}": {"mass": 1.0, "inertia": 0.1, "position": random.uniform(-1, 1, 2).tolist()} for i in range(8)}
     circles = {name: {"circle": {"center": [0.1, -0.2], "radius": 0.02}} for name in bodies}
     line = {"line": {"point": [3.0, 0.0], "normal": [-1.0, 0.2]}}
-    contacts = {
-        "all": {"among": list(bodies), "shapes": circles},
-        "wall": {"bodies": ["b0", "b1"], "shapes": [line, circles["b1"]]},
-    }
+    wall = {"bodies": ["b0", "b1"], "shapes": [line, circles["b1"]]}
+    contacts = {"all": {"among": list(bodies), "shapes": circles}, "wall": wall}
     model = {"name": "mechanism", "bodies": bodies, "contacts": contacts}
     spec = {"mbdkit": 1, "model": model, "contact": {"treatment": "event-driven"}, "integrator": {"name": "rk4"}}
     equations = EquationsOfMotion.of(mbdkit.RunSpec(**spec, time={"end": 1.0, "step": 0.1}).mechanism())
@@ -516,26 +479,14 @@ def test_gaps_that_are_not_evaluated_are_above_their_bounds() -> None:
     assert far > 1000
 
 
-@pytest.mark.parametrize(
-    ("inertia", "time", "speed"),
-    [(0.4, 2 / 7, 5 / 7), (0.5, 1 / 3, 2 / 3)],
-    ids=["ball", "disc"],
-)
+@pytest.mark.parametrize(("inertia", "time", "speed"), [(0.4, 2 / 7, 5 / 7), (0.5, 1 / 3, 2 / 3)], ids=["ball", "disc"])
 def test_a_body_that_slides_begins_to_roll(inertia: float, time: float, speed: float) -> None:
     # expected: v = v0 - mu g t and r omega = mu g t/inertia are equal when the body begins to roll
     body = {"mass": 1.0, "inertia": inertia * 0.1**2, "position": [0.0, 0.1], "velocity": [2.0, 0.0]}
     contact = {"bodies": ["ground", "body"], "shapes": [FLOOR, {"circle": {"radius": 0.1}}], "friction": 0.2}
     event = {"when": "abs(contacts.floor.slip) - 1e-6", "direction": "falling"}
-    found = mbdkit.run(
-        {
-            "mbdkit": 1,
-            "model": {"name": "mechanism", "bodies": {"body": body}, "contacts": {"floor": contact}},
-            "integrator": {"name": "dop853"},
-            "contact": {"treatment": "event-driven"},
-            "time": {"end": 0.4, "step": 0.05},
-            "events": {"rolls": event, "mode": {"when": "contacts.floor.mode - 1.5"}},
-        }
-    )
+    events = {"rolls": event, "mode": {"when": "contacts.floor.mode - 1.5"}}
+    found = run({"bodies": {"body": body}, "contacts": {"floor": contact}}, 0.4, 0.05, events=events)
     # slip is linear in time, with the slope mu g (1 + 1/inertia): 1e-6 m/s is reached that much earlier
     early = 1e-6 / (0.2 * G * (1 + 1 / inertia))
     assert found.events.of_name("rolls").time == pytest.approx([time * 2.0 / (0.2 * G) - early], abs=1e-9)

@@ -74,12 +74,8 @@ class Compiled:
         observer = StateObserver(self.workspace)
         found = observer.arrays(1)
         assert observer.observe(np.array([self.t]), self.q[None], self.v[None], found) is None
-        return (
-            (float(found.kinetic[0]), float(found.potential[0])),
-            found.acc[0, : self.n],
-            found.lam[0],
-            found.reactions[0],
-        )
+        energies = float(found.kinetic[0]), float(found.potential[0])
+        return energies, found.acc[0, : self.n], found.lam[0], found.reactions[0]
 
     def tangents(self) -> None:
         """Evaluate forces and all tangents into the scratch."""

@@ -15,15 +15,8 @@ def add_rod(m: Mechanism, rng: np.random.Generator, name: str, start: np.ndarray
     length = rng.uniform(0.5, 1.5)
     along = length * np.array([math.cos(angle), math.sin(angle)])
     mass = rng.uniform(0.5, 2.0)
-    m.body(
-        name,
-        mass=mass,
-        inertia=mass * length**2 / 12,
-        position=start + along / 2,
-        angle=angle,
-        velocity=rng.normal(size=2),
-        angular_velocity=rng.normal(),
-    )
+    moving = {"velocity": rng.normal(size=2), "angular_velocity": rng.normal()}
+    m.body(name, mass=mass, inertia=mass * length**2 / 12, position=start + along / 2, angle=angle, **moving)
     return start + along
 
 

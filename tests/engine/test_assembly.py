@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -29,17 +30,10 @@ def four_bar(noise: float, seed: int = 0) -> Mechanism:
     names = ["crank", "coupler", "rocker"]
     for name, p, r in zip(names, corners, corners[1:], strict=False):
         along = r - p
-        m.body(
-            name,
-            mass=1.0 + rng.random(),
-            inertia=0.1 + rng.random(),
-            position=(p + r) / 2,
-            angle=math.atan2(along[1], along[0]),
-        )
+        place = {"position": (p + r) / 2, "angle": math.atan2(along[1], along[0])}
+        m.body(name, mass=1.0 + rng.random(), inertia=0.1 + rng.random(), **place)
     m.body("slider", mass=0.4, position=(corners[1] + corners[2]) / 2)
-    for i, (a, b) in enumerate(
-        (("ground", "crank"), ("crank", "coupler"), ("coupler", "rocker"), ("rocker", "ground"))
-    ):
+    for i, (a, b) in enumerate(pairwise(["ground", *names, "ground"])):
         m.revolute(f"J{i}", a, b, at=corners[i])
     m.driver("x", "coupler", "slider", coordinate="x", motion="0.2*sin(3*t)")
     m.driver("y", "coupler", "slider", coordinate="y", motion="0.1*t")
@@ -129,7 +123,7 @@ def test_the_system_of_each_step_is_that_of_dense_matrices(fix: tuple[str, ...])
     m, rng = four_bar(0.05), np.random.default_rng(4)
     fixed = np.repeat([name in fix for name in m.bodies], 3)
     search = LeastChange(compile_mechanism(m), 0.0, fixed)
-    q = np.array([(*body.position, body.angle) for body in m.bodies.values()]).ravel()
+    q = given(m)[0].ravel()
     phi, (row, column, value), _ = search.evaluate(q)
     n, rows = len(q), len(phi)
     jacobian, hessian = np.zeros((rows, n)), np.diag(search.mass)
@@ -185,9 +179,8 @@ def test_a_consistent_start_is_left_untouched_to_the_bit() -> None:
     for i, (name, body) in enumerate(m.bodies.items()):
         x, y, angle = (float(z) for z in first.q[i])
         vx, vy, rate = (float(z) for z in first.v[i])
-        m.bodies[name] = body.model_copy(
-            update={"position": (x, y), "angle": angle, "velocity": (vx, vy), "angular_velocity": rate}
-        )
+        found = {"position": (x, y), "angle": angle, "velocity": (vx, vy), "angular_velocity": rate}
+        m.bodies[name] = body.model_copy(update=found)
     again = assemble(m, 0.3)
     assert not again.changed
     assert again.q.tobytes() == first.q.tobytes()
@@ -209,7 +202,6 @@ def test_a_start_within_the_tolerance_is_left_untouched_to_the_bit() -> None:
 def test_fixed_bodies_stay_where_they_are() -> None:
     m = four_bar(0.05)
     m.hold("crank")
-    q, v = given(m)
     m.bodies["crank"] = Body(mass=1.0, inertia=1.0, position=(0.15, 0.5), angle=math.atan2(1.0, 0.3))
     q, v = given(m)
     state = assemble(m, 0.3)

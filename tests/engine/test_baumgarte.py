@@ -176,12 +176,8 @@ def test_the_jacobian_that_scipy_gets_is_exact() -> None:
 
 
 def test_what_is_recorded_is_taken_without_the_terms() -> None:
-    spec = {
-        "mbdkit": 1,
-        "model": swung_pendulum().to_spec(),
-        "integrator": {"name": "scipy-dop853"},
-        "time": {"end": 1.0},
-    }
+    model = swung_pendulum().to_spec()
+    spec = {"mbdkit": 1, "model": model, "integrator": {"name": "scipy-dop853"}, "time": {"end": 1.0}}
     run = mbdkit.run(spec, stabilization={"name": "baumgarte", "alpha": 20.0}).check()
     plain = EquationsOfMotion(workspace_of(swung_pendulum(), NONE))
     q, v = (run.array(f"trajectory/{name}")[-1].ravel() for name in ("position", "velocity"))

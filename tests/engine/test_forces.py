@@ -21,15 +21,9 @@ def two_bodies(seed: int = 0) -> Mechanism:
     rng = np.random.default_rng(seed)
     m = Mechanism()
     for i, name in enumerate("ab"):
-        m.body(
-            name,
-            mass=1.0 + i,
-            inertia=0.3 + i,
-            position=rng.normal(size=2),
-            angle=rng.normal(),
-            velocity=rng.normal(size=2),
-            angular_velocity=rng.normal(),
-        )
+        place = {"position": rng.normal(size=2), "angle": rng.normal()}
+        speed = {"velocity": rng.normal(size=2), "angular_velocity": rng.normal()}
+        m.body(name, mass=1.0 + i, inertia=0.3 + i, **place, **speed)
     return m
 
 

@@ -42,14 +42,9 @@ def long_rods(length: float = 40.0) -> Mechanism:
     """Return two rods that turn over, so long that pivots are best taken from the columns of their angles."""
     m = Mechanism()
     for i in range(2):
-        m.body(
-            f"rod{i}",
-            mass=1.0,
-            inertia=length**2 / 12,
-            position=((i + 0.5) * length, 0.0),
-            velocity=(0.0, (i + 0.5) * length * 1.5),
-            angular_velocity=1.5,
-        )
+        x = (i + 0.5) * length
+        moving = {"velocity": (0.0, x * 1.5), "angular_velocity": 1.5}
+        m.body(f"rod{i}", mass=1.0, inertia=length**2 / 12, position=(x, 0.0), **moving)
         m.revolute(f"J{i}", m.ground if i == 0 else "rod0", f"rod{i}", at=(i * length, 0.0))
     return m
 
@@ -112,15 +107,8 @@ def test_pivots_that_wear_out_on_the_way_are_chosen_anew(
     begin = -late * step * rate
     m = Mechanism(gravity=(0.0, 0.0))
     arm = 0.5 * np.array([np.cos(begin), np.sin(begin)])
-    m.body(
-        "rod",
-        mass=1.0,
-        inertia=1 / 12,
-        position=arm,
-        angle=begin,
-        velocity=(-rate * arm[1], rate * arm[0]),
-        angular_velocity=rate,
-    )
+    moving = {"velocity": (-rate * arm[1], rate * arm[0]), "angular_velocity": rate}
+    m.body("rod", mass=1.0, inertia=1 / 12, position=arm, angle=begin, **moving)
     m.revolute("A", m.ground, "rod", points=((0.0, 0.0), (-0.5, 0.0)))
     compiled = compile_mechanism(with_crumb(m))
     start = assemble(m, 0.0, compiled)

@@ -23,13 +23,8 @@ from .random_mechanisms import KINDS
 def add_rod(m: Mechanism, name: str, start: tuple[float, float], end: tuple[float, float]) -> None:
     along = np.subtract(end, start)
     length = float(np.hypot(*along))
-    m.body(
-        name,
-        mass=length,
-        inertia=length**3 / 12,
-        position=np.add(start, end) / 2,
-        angle=math.atan2(along[1], along[0]),
-    )
+    angle = math.atan2(along[1], along[0])
+    m.body(name, mass=length, inertia=length**3 / 12, position=np.add(start, end) / 2, angle=angle)
 
 
 def analysed(m: Mechanism, end: float = 1.0) -> CompiledMechanism:
@@ -130,7 +125,11 @@ def point_mass_on_rods() -> Mechanism:
     return m
 
 
-def twice_pinned_and_driven() -> Mechanism:
+BOTH = "0.1*t**2"
+
+
+def repeated() -> Mechanism:
+    """Return a rod that is pinned twice and driven twice."""
     m = driven("sin(t)", "sin(t)")
     m.revolute("again", m.ground, "rod", at=(0.0, 0.0))
     return m
@@ -143,15 +142,9 @@ def twice_pinned_and_driven() -> Mechanism:
         (lambda: parallelogram(spare=True), "1 degree of freedom, 6 joints, 1 redundant row: joint F"),
         (lambda: ladder(3, 2), "3 degrees of freedom, 16 joints, 2 redundant rows: joints B2_0 and B2_1"),
         (slide_on_two_guides, "1 degree of freedom, 2 joints, 2 redundant rows: joint Q"),
-        (
-            lambda: driven("0.1*t**2", "0.1*t**2"),
-            "0 degrees of freedom, 1 joint, 2 drivers, 1 redundant row: driver D2",
-        ),
+        (lambda: driven(BOTH, BOTH), "0 degrees of freedom, 1 joint, 2 drivers, 1 redundant row: driver D2"),
         (point_mass_on_rods, "0 degrees of freedom, 3 joints, 1 redundant row: joint bar2"),
-        (
-            twice_pinned_and_driven,
-            "0 degrees of freedom, 2 joints, 2 drivers, 3 redundant rows: joint again and driver D2",
-        ),
+        (repeated, "0 degrees of freedom, 2 joints, 2 drivers, 3 redundant rows: joint again and driver D2"),
         (lambda: stretched_crank(held=False), "1 degree of freedom, 4 joints"),
     ],
 )  # expected: Gruebler's count with the loops that close by themselves left out, by hand
@@ -182,10 +175,8 @@ def test_a_start_that_is_dependent_there_alone_is_refused_as_singular(
     # expected: by hand; rods on one line carry a force along it that nothing balances but themselves
     with pytest.raises(mbdkit.SpecError, match="singular position at the start") as caught:
         analysed(build())
-    listed = (
-        str(caught.value).split("solution: joints ")[1].split(" are dependent")[0].replace(" and ", ", ").split(", ")
-    )
-    assert set(listed) == names
+    listed = str(caught.value).split("solution: joints ")[1].split(" are dependent")[0]
+    assert set(listed.replace(" and ", ", ").split(", ")) == names
 
 
 @pytest.mark.parametrize(

@@ -173,9 +173,7 @@ def test_a_stop_in_the_last_step_that_is_allowed_is_a_stop() -> None:
 def test_an_expression_without_a_value_fails_the_run_by_its_name() -> None:
     with run({"root": "sqrt(0.3 - t) - 0.01"}) as failed:
         assert failed.status == "failed"
-        assert failed.status_reason.startswith(
-            "not-finite: the expression of event 'root' has no finite value at t = 0.3"
-        )
+        assert "not-finite: the expression of event 'root' has no finite value at t = 0.3" in failed.status_reason
         assert failed.time[-1] == pytest.approx(0.31, abs=1e-12)
 
 

@@ -67,15 +67,9 @@ def offering(method: Any, **claims: Any) -> Registry:
 
     @mbdkit.hookimpl
     def mbdkit_integrators() -> Any:
-        return [
-            mbdkit.IntegratorPlugin(
-                name="mine",
-                summary="A method under test",
-                options=NoOptions,
-                create=lambda options: method,
-                claims=lambda options: mbdkit.Claims(**{"order": 4} | claims),
-            )
-        ]
+        promised = mbdkit.Claims(**{"order": 4} | claims)
+        code = {"options": NoOptions, "create": lambda options: method, "claims": lambda options: promised}
+        return [mbdkit.IntegratorPlugin(name="mine", summary="A method under test", **code)]
 
     ours = [ep for ep in importlib.metadata.entry_points(group="mbdkit") if ep.dist and ep.dist.name == "mbdkit"]
     module = SimpleNamespace(mbdkit_integrators=mbdkit_integrators)

@@ -299,13 +299,9 @@ def test_a_driver_whose_value_jumps_is_refused_in_any_case() -> None:
 def test_a_driver_may_start_and_end_at_a_corner_if_it_has_the_inner_side_there() -> None:
     with mbdkit.run(spec_of(driven("abs(t) + min(t, 2)"))) as there:
         assert there.check()["a"].velocity[:, 0] == pytest.approx(2.0)
-    with pytest.raises(
-        SpecError, match="at the start of the run, t = 0 s; write the motion that applies after this time"
-    ):
+    with pytest.raises(SpecError, match="at the start of the run, t = 0 s; write the motion that applies after this"):
         mbdkit.run(spec_of(driven("max(0, t)")))
-    with pytest.raises(
-        SpecError, match="at the end of the run, t = 2 s; write the motion that applies before this time"
-    ):
+    with pytest.raises(SpecError, match="at the end of the run, t = 2 s; write the motion that applies before this"):
         mbdkit.run(spec_of(driven("max(t, 2)")))
 
 

@@ -128,30 +128,17 @@ def test_methods_keep_their_order(method: str, order: int, steps: int) -> None:
 
 @pytest.mark.parametrize("method", ["rk4", "dopri5"])
 def test_pins_stay_closed_to_the_last_bits_over_many_turns(method: str) -> None:
-    run = mbdkit.run(
-        {
-            "mbdkit": 1,
-            "model": {"name": "double-pendulum", "rates": [20.0, 30.0]},
-            "formulation": JOINT,
-            "integrator": {"name": method},
-            "time": {"end": 40.0, "step": 0.02},
-            "output": {"every": 500},
-        }
-    )
+    spec = {"mbdkit": 1, "model": {"name": "double-pendulum", "rates": [20.0, 30.0]}, "integrator": {"name": method}}
+    run = mbdkit.run(spec, formulation=JOINT, time={"end": 40.0, "step": 0.02}, output={"every": 500})
     assert run.bodies["rod2"].angle[-1] > 200.0
     assert max(joint.misalignment_max for joint in run.joints.values()) <= 4 * EPS * 2.0
 
 
 def test_dense_output_and_events_are_on_the_joints() -> None:
     # expected: recorded states between steps that the tree places, and an event at the root of its expression
-    run = mbdkit.run(
-        forced_pendulum(),
-        formulation=JOINT,
-        integrator={**TIGHT, "rtol": 1e-8, "atol": 1e-8},
-        time={"end": 2.0},
-        output={"interval": 0.013},
-        events={"down": {"when": "bodies.r0.angle + pi/2"}},
-    )
+    method = {"formulation": JOINT, "integrator": {**TIGHT, "rtol": 1e-8, "atol": 1e-8}, "output": {"interval": 0.013}}
+    events = {"down": {"when": "bodies.r0.angle + pi/2"}}
+    run = mbdkit.run(forced_pendulum(), **method, time={"end": 2.0}, events=events)
     assert max(float(np.max(joint.misalignment)) for joint in run.joints.values()) <= 4 * EPS * 2.0
     found = solve_ivp(
         lagrange, (0.0, 2.0), [-1.0, -0.4, 0.0, 0.0], "DOP853", rtol=1e-12, atol=1e-12,
@@ -162,14 +149,10 @@ def test_dense_output_and_events_are_on_the_joints() -> None:
 
 def test_cut_joints_drift_until_they_are_projected() -> None:
     make, cut, _ = KINDS["loop"]
-    settings: dict[str, Any] = {
-        "formulation": JOINT,
-        "integrator": {"name": "rk4"},
-        "time": {"end": 0.5, "step": 0.005},
-    }
+    settings: dict[str, Any] = {"integrator": {"name": "rk4"}, "time": {"end": 0.5, "step": 0.005}}
     drift = {}
     for kind in ("none", "baumgarte", "projection"):
-        run = mbdkit.run(make(np.random.default_rng(1)), stabilization=kind, **settings)
+        run = mbdkit.run(make(np.random.default_rng(1)), formulation=JOINT, stabilization=kind, **settings)
         drift[kind] = max(run.joints[name].misalignment_max for name in cut)
         kept = [joint.misalignment_max for name, joint in run.joints.items() if name not in cut]
         assert max(kept) <= (1e-13 if kind == "projection" else 16 * EPS)

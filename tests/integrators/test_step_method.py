@@ -166,15 +166,9 @@ WRONGS = {
     "it leaves the program": (raising(SystemExit(1)), "acme:mine raised"),
     "it returns a tuple": (lambda p, s: (s.q, s.v), "Failing.step returned tuple, not a StepState"),
     "it returns nothing": (lambda p, s: None, "Failing.step returned NoneType, not a StepState"),
-    "its positions are too short": (
-        lambda p, s: StepState(s.q[:3], s.v),
-        "Failing.step returned an invalid `q`: expected an array of shape (6,), got shape (3,)",
-    ),
+    "too short": (lambda p, s: StepState(s.q[:3], s.v), "invalid `q`: expected an array of shape (6,), got shape (3,)"),
     "its velocities are text": (lambda p, s: StepState(s.q, "fast"), "Failing.step returned an invalid `v`"),
-    "it asks with a wrong shape": (
-        lambda p, s: p.accelerations(0.0, s.q.reshape(2, 3), s.v),
-        "expected an array of shape (6,), got shape (2, 3)",
-    ),
+    "it asks wrongly": (lambda p, s: p.accelerations(0.0, s.q.reshape(2, 3), s.v), "of shape (6,), got shape (2, 3)"),
 }
 
 
@@ -225,9 +219,7 @@ def test_a_class_without_a_step_cannot_be_made() -> None:
 def test_a_method_of_another_formulation_is_refused_by_name() -> None:
     spec: dict[str, Any] = {"mbdkit": 1, "model": DOUBLE, "time": {"steps": 3, "step": 0.01}}
     with pytest.raises(
-        mbdkit.SpecError,
-        match="'rk4' does not support the formulation 'ggl', only index-1 and joint-coordinates; integrators that "
-        "support it: radau-iia",
+        mbdkit.SpecError, match=r"'rk4' does not support the formulation 'ggl', .*support it: radau-iia"
     ):
         mbdkit.run(spec | {"integrator": {"name": "rk4"}, "formulation": "ggl"})
     wanted = (

@@ -75,9 +75,8 @@ def test_an_excursion_between_recorded_states_is_told_with_time_and_value(
     # expected: the parabola of the throw, whose apex v^2/2g = 0.4587 m is above 0.45 m for 0.084 s
     run = mbdkit.run(thrown(**settings(method), output=output))
     (told,) = run.warnings
-    assert told.startswith(
-        "the length of force 'spring' leaves the range in which its law mbdkit:table holds, from -3 m to 0.45 m"
-    )
+    assert told.startswith("the length of force 'spring' leaves the range in which its law mbdkit:table holds")
+    assert ", from -3 m to 0.45 m" in told
     first, value, at = numbers_in(told)[-3:]
     # stages of these methods, which are used between recorded states, are less accurate: g h^2 / 8 = 2 mm
     coarse = output != {"every": 1} and method in (METHODS[1], METHODS[5])
@@ -125,9 +124,8 @@ def test_equilibrium_and_modes_outside_of_the_range_are_told_or_refused() -> Non
         "1 m"
     )
     spec = thrown(law, 0.0)
-    spec["model"]["joints"] = {
-        "rail": {"type": "prismatic", "bodies": ["ground", "mass"], "at": [0, 0], "axis": [0, 1]}
-    }
+    rail = {"type": "prismatic", "bodies": ["ground", "mass"], "at": [0, 0], "axis": [0, 1]}
+    spec["model"]["joints"] = {"rail": rail}
     spec["model"]["bodies"]["mass"]["inertia"] = 1.0
     assert mbdkit.equilibrium(spec).warnings == (told,)
     assert mbdkit.modes(spec).warnings == [told]
@@ -159,9 +157,8 @@ def test_inverse_dynamics_tells_that_the_motion_leaves_the_range_of_a_law() -> N
     # expected: the parabola of the throw, as above
     time = np.linspace(0.0, 0.6, 31)
     spec = {name: part for name, part in thrown().items() if name in ("mbdkit", "model")}
-    spec["model"]["joints"] = {
-        "rail": {"type": "prismatic", "bodies": ["ground", "mass"], "axis": [0, 1], "at": [0, 0]}
-    }
+    rail = {"type": "prismatic", "bodies": ["ground", "mass"], "axis": [0, 1], "at": [0, 0]}
+    spec["model"]["joints"] = {"rail": rail}
     spec["model"]["bodies"]["mass"]["inertia"] = 0.1
     data = {"time": time.tolist(), "height": (3.0 * time - G * time**2 / 2).tolist()}
     motion = {"data": data, "time": "time", "columns": {"mass.y": {"column": "height", "unit": "m"}}, "smooth": "none"}

@@ -32,17 +32,8 @@ def mechanism() -> Mechanism:
     m.torsion_spring("twist", "arm", "leg", stiffness=4.0, damping=0.3, free_angle=-0.4)
     m.torsion_spring("bush", m.ground, "arm", stiffness=2.0, free_angle=0.2)
     m.law("line", m.ground, "ball", law="linear", points=((0, 2), (0, 0)), stiffness=9.0, damping=0.2, free_length=0.5)
-    m.law(
-        "stop",
-        m.ground,
-        "leg",
-        law="one-sided",
-        along="angle",
-        acts="tension",
-        stiffness=50.0,
-        damping=0.5,
-        free_length=-0.6,
-    )
+    stop = {"law": "one-sided", "acts": "tension", "stiffness": 50.0, "damping": 0.5, "free_length": -0.6}
+    m.law("stop", m.ground, "leg", along="angle", **stop)
     m.law("x", "arm", "ball", law="linear", along="x", stiffness=5.0, damping=0.1, free_length=0.1)
     m.law("y", "arm", "cart", law="table", along="y", points=((0, 0), (0, 0)), table=[[-3.0, 0.0, 3.0], [-5.0, 0, 7.0]])
     m.law("duffing", m.ground, "cart", law="acme:duffing-numba", points=((-1.5, 0), (0, 0)), stiffness=6.0, cubic=3.0)

@@ -11,16 +11,8 @@ from hypothesis import strategies as st
 from mbdkit.base.errors import SpecError
 from mbdkit.expressions.parser import Expression
 
-BINARY = {
-    "add": operator.add,
-    "sub": operator.sub,
-    "mul": operator.mul,
-    "div": operator.truediv,
-    "pow": math.pow,
-    "atan2": math.atan2,
-    "min": min,
-    "max": max,
-}
+BINARY = {"add": operator.add, "sub": operator.sub, "mul": operator.mul, "div": operator.truediv}
+BINARY |= {"pow": math.pow, "atan2": math.atan2, "min": min, "max": max}
 
 
 def run(program, t):
@@ -126,71 +118,30 @@ def test_any_sum_of_products_agrees_with_sympy(text, t):
     assert run(Expression.parse(text).program, t)[0] == pytest.approx(expected, rel=1e-9, abs=1e-9)
 
 
-@pytest.mark.parametrize(
-    "text",
-    [
-        "__import__('os')",
-        "__import__('os').system('true')",
-        "().__class__.__bases__[0]",
-        "t.real",
-        "sin.__globals__",
-        "(lambda: t)()",
-        "lambda: t",
-        "t if t else 1",
-        "t < 1",
-        "t and 1",
-        "not t",
-        "~t",
-        "[t][0]",
-        "{t: t}",
-        "(t, t)",
-        "[x for x in (1, 2)]",
-        "'a'",
-        "f'{t}'",
-        "b'a'",
-        "1j",
-        "True",
-        "None",
-        "...",
-        "(x := 3)",
-        "await t",
-        "print(t)",
-        "eval(t)",
-        "open(t)",
-        "sin(*t)",
-        "sin(x=t)",
-        "min(t, key=t)",
-        "t % 2",
-        "t // 2",
-        "t @ t",
-        "t ^ 2",
-        "t << 2",
-        "t | 1",
-        "t; t",
-        "t = 1",
-        "import os",
-        "t # comment",
-        "t \\\n + 1",
-        "\uff53\uff49\uff4e(t)",
-        "π*t",
-        "t\x00",
-        "2t",
-        "t t",
-        "sin",
-        "sin()",
-        "sin(t, t)",
-        "atan2(t)",
-        "atan2(t, t, t)",
-        "min(t)",
-        "x",
-        "Sin(t)",
-        "",
-        "   ",
-        "()",
-        "t +",
-        "(t",
-    ],
-)
+REACHING = ["__import__('os')", "__import__('os').system('true')", "().__class__.__bases__[0]", "sin.__globals__"]
+CALLS = ["(lambda: t)()", "print(t)", "eval(t)", "open(t)", "sin(*t)", "sin(x=t)", "min(t, key=t)", "sin", "sin()"]
+CALLS += ["sin(t, t)", "atan2(t)", "atan2(t, t, t)", "min(t)", "Sin(t)", "\uff53\uff49\uff4e(t)"]
+LOGIC = ["lambda: t", "t if t else 1", "t < 1", "t and 1", "not t", "~t", "t | 1", "t << 2", "(x := 3)", "await t"]
+VALUES = [
+    "[t][0]",
+    "{t: t}",
+    "(t, t)",
+    "[x for x in (1, 2)]",
+    "'a'",
+    "f'{t}'",
+    "b'a'",
+    "1j",
+    "True",
+    "...",
+    "x",
+    "π*t",
+    "None",
+]
+SIGNS = ["t.real", "t % 2", "t // 2", "t @ t", "t ^ 2", "2t", "t t", "", "   ", "()", "t +", "(t", "t\x00"]
+STATEMENTS = ["t; t", "t = 1", "import os", "t # comment", "t \\\n + 1"]
+
+
+@pytest.mark.parametrize("text", [*REACHING, *CALLS, *LOGIC, *VALUES, *SIGNS, *STATEMENTS])
 def test_anything_but_arithmetic_is_refused(text):
     with pytest.raises(SpecError):
         Expression.parse(text)
@@ -208,17 +159,9 @@ def test_constants_that_are_no_finite_number_are_refused(text):
 @pytest.mark.parametrize(
     "text",
     [
-        "(" * 5000 + "t" + ")" * 5000,
+        *(before * n + "t" + ")" * n for before, n in (("(", 5000), ("sin(", 2000), ("t+(", 2000), ("t+(", 40))),
         "(" * 150 + "t" + ")" * 150 + "*t" * 3000,
-        "-" * 9000 + "t",
-        "sin(" * 2000 + "t" + ")" * 2000,
-        "t**" * 3000 + "t",
-        "t+(" * 2000 + "t" + ")" * 2000,
-        "t+(" * 40 + "t" + ")" * 40,
-        "1" * 9000,
-        "t" * 9000,
-        "t+" * 20000 + "t",
-        "t**1000001",
+        *("-" * 9000 + "t", "t**" * 3000 + "t", "1" * 9000, "t" * 9000, "t+" * 20000 + "t", "t**1000001"),
     ],
 )
 def test_huge_or_deep_expressions_are_refused_and_harm_nothing(text):
@@ -227,9 +170,7 @@ def test_huge_or_deep_expressions_are_refused_and_harm_nothing(text):
 
 
 def test_a_mistyped_name_is_answered_with_the_right_one_and_its_position():
-    with pytest.raises(
-        SpecError, match=r"'sine' is not a function that can be used \(did you mean 'sin'\?\) \(position 5 of"
-    ):
+    with pytest.raises(SpecError, match=r"'sine' is not a function .* \(did you mean 'sin'\?\) \(position 5 of"):
         Expression.parse("2 + sine(t)")
 
 

@@ -20,43 +20,24 @@ from mbdkit.spec import load_spec
 from mbdkit.spec.reading import put
 from mbdkit_report.figures.drawing_geometry import draw_run
 
+BODIES = ["ground", "crank"]
+CRANK = {"mass": "2*crank", "inertia": "crank**2/12", "angle": "degrees(45)"}
+SPRING = {"type": "spring-damper", "bodies": BODIES, "stiffness": "100*speed"}
+LAW = {"type": "law", "law": "table", "table": [[0, "crank", 1], [0, "-speed", "2*speed"]]}
 SPEC: dict[str, Any] = {
     "mbdkit": 1,
     "parameters": {"half": "0.5*crank", "crank": 0.4, "speed": "3 + 0*half"},
     "model": {
         "name": "mechanism",
-        "bodies": {
-            "crank": {
-                "mass": "2*crank",
-                "inertia": "crank**2/12",
-                "position": ["half*cos(degrees(45))", "half*sin(degrees(45))"],
-                "angle": "degrees(45)",
-            }
-        },
+        "bodies": {"crank": CRANK | {"position": ["half*cos(degrees(45))", "half*sin(degrees(45))"]}},
         "joints": {
-            "A": {"type": "revolute", "bodies": ["ground", "crank"], "at": [0, 0]},
-            "D": {
-                "type": "driver",
-                "bodies": ["ground", "crank"],
-                "coordinate": "angle",
-                "motion": "degrees(45) + speed*t",
-            },
+            "A": {"type": "revolute", "bodies": BODIES, "at": [0, 0]},
+            "D": {"type": "driver", "bodies": BODIES, "coordinate": "angle", "motion": "degrees(45) + speed*t"},
         },
         "forces": {
             "f": {"type": "force", "body": "crank", "at": ["crank*cos(pi/4)", 0.1], "value": ["speed*t", "half"]},
-            "s": {
-                "type": "spring-damper",
-                "bodies": ["ground", "crank"],
-                "from": ["2*crank", 0],
-                "to": [0.1, 0.1],
-                "stiffness": "100*speed",
-            },
-            "p": {
-                "type": "law",
-                "law": "table",
-                "table": [[0, "crank", 1], [0, "-speed", "2*speed"]],
-                "pathway": {"type": "two-points", "bodies": ["ground", "crank"], "from": [2, 0], "to": [0, 0]},
-            },
+            "s": SPRING | {"from": ["2*crank", 0], "to": [0.1, 0.1]},
+            "p": LAW | {"pathway": {"type": "two-points", "bodies": BODIES, "from": [2, 0], "to": [0, 0]}},
         },
     },
     "integrator": {"name": "rk4"},
@@ -136,11 +117,7 @@ WRONG: dict[str, tuple[dict[str, Any], str, str]] = {
     "cycle": ({"parameters__crank": "2*half"}, "parameters.", "depends on itself: "),
     "itself": ({"parameters__crank": "2*crank"}, "parameters.crank", "depends on itself: crank -> crank"),
     "division by zero": ({"parameters__crank": "1/(2 - 2)"}, "parameters.crank", "divides by zero"),
-    "no root": (
-        {"parameters": {"l": 0.2, "by": 0.3, "h": "sqrt(l**2 - by**2)"}},
-        "parameters.h",
-        "'sqrt(l**2 - by**2)' is not a finite number for l = 0.2 and by = 0.3",
-    ),
+    "no root": ({"parameters": {"l": 0.2, "by": 0.3, "h": "sqrt(l**2 - by**2)"}}, "parameters.h", "is not a finite"),
     "not finite": ({"parameters__crank": "exp(1000)"}, "parameters.crank", "is not a finite number"),
     "misspelled": ({"parameters__half": "0.5*crnk"}, "parameters.half", "did you mean 'crank'"),
     "function": ({"parameters__sin": 1}, "parameters.sin", "has a meaning in expressions"),
@@ -149,23 +126,11 @@ WRONG: dict[str, tuple[dict[str, Any], str, str]] = {
     "list": ({"parameters": [1]}, "parameters", "should be a mapping"),
     "attack": ({"parameters__crank": "__import__('os')"}, "parameters.crank", "not a function that can be used"),
     "number of t": ({"model__bodies__crank__mass": "crank*t"}, "model.bodies.crank.mass", "depend on the time t"),
-    "misspelled in the model": (
-        {"model__bodies__crank__mass": "2*crnk"},
-        "model.bodies.crank.mass",
-        "there is no parameter 'crnk' (did you mean 'crank'?) (position 3 of '2*crnk')",
-    ),
-    "misspelled in a motion": (
-        {"model__joints__D__motion": "sped*t"},
-        "model.joints.D.motion",
-        "unknown name 'sped' (did you mean 'speed'?)",
-    ),
+    "misspelled mass": ({"model__bodies__crank__mass": "2*crnk"}, "model.bodies.crank.mass", "'crank'?) (position 3"),
+    "misspelled in a motion": ({"model__joints__D__motion": "sped*t"}, "model.joints.D.motion", "unknown name 'sped'"),
     "misspelled in an event": ({"events__e__when": "crank.angle - crnk"}, "events.e.when", "did you mean 'crank'"),
     "zero in the model": ({"model__bodies__crank__mass": "1/(speed - 3)"}, "model.bodies.crank.mass", "by zero"),
-    "out of range": (
-        {"model__bodies__crank__mass": "-crank"},
-        "model.bodies.crank.mass",
-        "should be greater than 0, not -0.4 (the value of '-crank')",
-    ),
+    "out of range": ({"model__bodies__crank__mass": "-crank"}, "model.bodies.crank.mass", "should be greater than 0"),
     "in a table": ({"model__forces__p__table": [[0, "crank/0"], [0, 1]]}, "model.forces.p.table[0][1]", "by zero"),
     "no expression": ({"model__bodies__crank__mass": "heavy"}, "model.bodies.crank.mass", "not the text 'heavy'"),
     "quotes": ({"model__bodies__crank__mass": "2.5"}, "model.bodies.crank.mass", "leave out the quotes"),
@@ -185,13 +150,8 @@ def test_a_wrong_parameter_or_expression_is_answered_with_its_key(case: str) -> 
 def test_a_study_sweeps_the_geometry_by_one_key(tmp_path: Path) -> None:
     # expected: the centre of mass is half the length from the joint, at the angle given
     model = {"name": "single-pendulum", "length": "2*half", "angle": "degrees(-90) + tilt"}
-    base = {
-        "mbdkit": 1,
-        "parameters": {"half": 0.5, "tilt": "degrees(30)"},
-        "model": model,
-        "integrator": {"name": "gauss", "stages": 2},
-        "time": {"end": 0.1, "step": 0.05},
-    }
+    run = {"integrator": {"name": "gauss", "stages": 2}, "time": {"end": 0.1, "step": 0.05}}
+    base = {"mbdkit": 1, "parameters": {"half": 0.5, "tilt": "degrees(30)"}, "model": model, **run}
     spec = {"mbdkit_study": 1, "base": base, "axes": [{"parameters.half": [0.5, 1.0]}, {"parameters.tilt": [0.1, 0.2]}]}
     study = mbdkit.study(spec, out=tmp_path / "sweep", workers=1)
     lengths = []

@@ -115,13 +115,8 @@ def test_a_measured_motion_names_markers_with_dots(tmp_path: Path) -> None:
     time = np.linspace(0.0, 1.0, 41)
     angle = 0.3 * np.sin(2.0 * time)
     columns = {"time": time, "R.ASIS.x": np.cos(angle), "R.ASIS.y": np.sin(angle)}
-    np.savetxt(
-        tmp_path / "m.csv",
-        np.column_stack(list(columns.values())),
-        delimiter=",",
-        header=",".join(columns),
-        comments="",
-    )
+    table = np.column_stack(list(columns.values()))
+    np.savetxt(tmp_path / "m.csv", table, delimiter=",", header=",".join(columns), comments="")
     base = spec("R.ASIS")
     model = {key: base["model"][key] for key in ("name", "bodies", "joints", "markers")}
     run = mbdkit.inverse({

@@ -9,40 +9,13 @@ from scipy.integrate import solve_bvp, solve_ivp
 import mbdkit
 from mbdkit.spec import example_names, example_text, load_spec
 
-MODELINE = (
-    "# yaml-language-server: $schema=https://raw.githubusercontent.com/mbdkit/mbdkit/main/schemas/run.schema.json"
-)
-NAMES = [
-    "belt",
-    "bouncing-ball",
-    "car-axis",
-    "chain",
-    "crank-press",
-    "delayed-balance",
-    "double-pendulum",
-    "double-wishbone",
-    "elbow-curl",
-    "flexible-slider-crank",
-    "flying-spaghetti",
-    "four-bar",
-    "gravity-balanced-arm",
-    "knee",
-    "leaf-spring",
-    "limit-stop",
-    "n-four-bar",
-    "pd-leg",
-    "pendulum",
-    "quick-return",
-    "roll-up",
-    "series-elastic-knee",
-    "sit-down",
-    "slider-crank",
-    "slider-crank-clearance",
-    "spin-up-beam",
-    "spring-pendulum",
-    "walker",
-    "watt-six-bar",
-]
+SCHEMA = "https://raw.githubusercontent.com/mbdkit/mbdkit/main/schemas/run.schema.json"
+MODELINE = f"# yaml-language-server: $schema={SCHEMA}"
+NAMES = ["belt", "bouncing-ball", "car-axis", "chain", "crank-press", "delayed-balance", "double-pendulum", "knee"]
+NAMES += ["double-wishbone", "elbow-curl", "flexible-slider-crank", "flying-spaghetti", "four-bar", "leaf-spring"]
+NAMES += ["gravity-balanced-arm", "limit-stop", "n-four-bar", "pd-leg", "pendulum", "quick-return", "roll-up", "walker"]
+NAMES += ["series-elastic-knee", "sit-down", "slider-crank", "slider-crank-clearance", "spin-up-beam"]
+NAMES += ["spring-pendulum", "watt-six-bar"]
 
 
 @cache

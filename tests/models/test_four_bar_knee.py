@@ -135,12 +135,8 @@ def test_linkage_is_mounted_with_the_tibial_link_nine_millimetres_below_the_knee
 def test_names_are_those_of_the_anatomy():
     m = build(FourBarKneeOptions())
     assert list(m.bodies) == ["acl", "pcl", "shank"]
-    assert {name: joint.bodies for name, joint in m.joints.items()} == {
-        "A": ("pcl", "shank"),
-        "B": ("acl", "shank"),
-        "C": ("ground", "acl"),
-        "D": ("ground", "pcl"),
-    }
+    bodies = {"A": ("pcl", "shank"), "B": ("acl", "shank"), "C": ("ground", "acl"), "D": ("ground", "pcl")}
+    assert {name: joint.bodies for name, joint in m.joints.items()} == bodies
     assert m.description() == "3 bodies, 4 joints, 0 drivers, 0 forces; 8 constraint rows"
 
 
@@ -202,12 +198,8 @@ def test_springs_are_held_in_the_frames_of_thigh_and_shank(thigh_angle):
 def test_damping_acts_between_thigh_and_shank():
     m = build(FourBarKneeOptions(damping=0.7))
     (damper,) = m.forces.values()
-    assert (damper.type, damper.bodies, damper.stiffness, damper.damping) == (
-        "torsion-spring",
-        ("ground", "shank"),
-        0,
-        0.7,
-    )
+    assert (damper.type, damper.bodies) == ("torsion-spring", ("ground", "shank"))
+    assert (damper.stiffness, damper.damping) == (0, 0.7)
 
 
 @pytest.mark.parametrize("degrees", [-91, 159, 180, 270, -300, 360])

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from importlib.metadata import entry_points
 from types import SimpleNamespace
 from typing import Any
 
@@ -11,6 +12,7 @@ import pytest
 from pydantic import BaseModel
 
 from mbdkit import Claims, IntegratorPlugin, ModelPlugin, hookimpl
+from mbdkit.registry.manager import Registry, load_registry
 
 
 class SwingOptions(BaseModel):
@@ -59,13 +61,8 @@ def euler() -> Callable[..., IntegratorPlugin]:
     """Make an integrator plugin; keywords replace what it is made of."""
 
     def make(**changes: Any) -> IntegratorPlugin:
-        made = {
-            "name": "euler",
-            "summary": "Euler",
-            "options": EulerOptions,
-            "create": print,
-            "claims": claim_order_one,
-        }
+        made = {"name": "euler", "summary": "Euler", "options": EulerOptions, "create": print}
+        made["claims"] = claim_order_one
         return IntegratorPlugin(**made | changes)
 
     return make
@@ -91,3 +88,20 @@ def offering() -> Callable[..., SimpleNamespace]:
 
 def claim_order_one(options: BaseModel) -> Claims:
     return Claims(order=1)
+
+
+def offering_items(*items: Any) -> SimpleNamespace:
+    """Return a plugin module that offers items of any kind by one hook."""
+    return SimpleNamespace(mbdkit_items=hookimpl(specname="mbdkit_items")(lambda: iter(items)))
+
+
+@pytest.fixture
+def beside_ours(entry_point: type[FakeEntryPoint]) -> Callable[..., Registry]:
+    """Return a function that loads items of distributions beside mbdkit's own."""
+    ours = [point for point in entry_points(group="mbdkit") if point.dist and point.dist.name == "mbdkit"]
+
+    def load(**distributions: Any) -> Registry:
+        made = [entry_point(lambda items=items: offering_items(*items), name) for name, items in distributions.items()]
+        return load_registry([*ours, *made])
+
+    return load

@@ -19,25 +19,15 @@ def _fail():
 
 @pytest.fixture
 def mixed(entry_point, offering, swing, euler):
-    return load_registry(
-        [
-            entry_point(lambda: offering([swing(references=("@book{swing}",))], [euler(name="swing")]), "fine"),
-            entry_point(_fail, "broken"),
-        ]
-    )
+    fine = offering([swing(references=("@book{swing}",))], [euler(name="swing")])
+    return load_registry([entry_point(lambda: fine, "fine"), entry_point(_fail, "broken")])
 
 
 def test_the_listing_has_the_keys_of_the_contract(mixed):
     listing = describe.listing(mixed)
     assert json.loads(json.dumps(listing)) == listing
-    assert listing["plugins"][-1] == {
-        "id": "fine:swing",
-        "kind": "integrator",
-        "distribution": "fine",
-        "version": "2.0",
-        "status": "ok",
-        "error": None,
-    }
+    fine = {"distribution": "fine", "version": "2.0", "status": "ok", "error": None}
+    assert listing["plugins"][-1] == {"id": "fine:swing", "kind": "integrator", **fine}
     assert listing["plugins"][0]["status"] == "error"
     place = f"{__file__}, line {_fail.__code__.co_firstlineno + 1}"
     assert listing["plugins"][0]["error"] == f"ImportError: no acme here ({place})"

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import sys
-from types import SimpleNamespace
 
 import pytest
 
@@ -11,9 +10,9 @@ import mbdkit
 from mbdkit.archive import export as exports
 from mbdkit.archive.run import Run
 from mbdkit.base.errors import PluginError, SpecError
-from mbdkit.plugin import Accessor, PlotKind, ReportSection, SpecKind, SummaryLine, TableFormat, Target, hookimpl
+from mbdkit.plugin import Accessor, PlotKind, ReportSection, SpecKind, SummaryLine, TableFormat, Target
 from mbdkit.registry import accessors, manager
-from mbdkit.registry.manager import checked, load_registry
+from mbdkit.registry.manager import checked
 from mbdkit.spec.spec_kinds import kind_of
 from mbdkit_report.pages.section_items import added_sections
 from mbdkit_report.plot.plot_kinds import plot_kinds, plot_module
@@ -43,17 +42,12 @@ def target(name):
 
 
 @pytest.fixture
-def installed(monkeypatch, entry_point):
+def installed(monkeypatch, beside_ours):
     """Return a function that installs items of distributions beside mbdkit's own in this process."""
     monkeypatch.setitem(sys.modules, __name__, sys.modules[failing.__module__])
-    ours = [point for point in manager.importlib.metadata.entry_points(group="mbdkit") if point.dist.name == "mbdkit"]
 
     def install(**distributions):
-        def module(items):
-            return SimpleNamespace(mbdkit_items=hookimpl(specname="mbdkit_items")(lambda: list(items)))
-
-        points = [entry_point(lambda items=items: module(items), name) for name, items in distributions.items()]
-        loaded = load_registry([*ours, *points])
+        loaded = beside_ours(**distributions)
         for user in list(sys.modules.values()):
             if getattr(user, "registry", None) is manager.registry and user is not manager:
                 monkeypatch.setattr(user, "registry", lambda: loaded)
@@ -98,9 +92,7 @@ def test_a_summary_line_that_fails_leaves_the_summary(function, words, run, inst
     assert "status        complete" in run.summary()
 
 
-@pytest.mark.parametrize(
-    ("function", "words"), [("failing", "no such muscle"), ("wrong", "returned an object of type")]
-)
+@pytest.mark.parametrize(("function", "words"), [("failing", "no such muscle"), ("wrong", "an object of type")])
 def test_a_section_that_fails_is_named(function, words, run, installed):
     installed(acme=[ReportSection(name="jumps", summary="Jumps.", make=target(function))])
     with pytest.raises(PluginError, match=f"the report section 'acme:jumps' .*{words}"):
@@ -126,10 +118,10 @@ def test_a_table_format_that_fails_is_named_and_leaves_no_file(run, installed, t
 
 
 def test_kinds_of_specs_never_replace_those_of_mbdkit(installed):
+    code = {"load": target("failing"), "validate": target("failing")}
+
     def kind(name, marker):
-        return SpecKind(
-            name=name, summary="A kind.", marker=marker, order=1, load=target("failing"), validate=target("failing")
-        )
+        return SpecKind(name=name, summary="A kind.", marker=marker, order=1, **code)
 
     installed(acme=[kind("a", "motion"), kind("b", "jump"), kind("c", "")], zenith=[kind("d", "jump")])
     assert kind_of({"motion": {}}).name == "inverse"

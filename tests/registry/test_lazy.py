@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import sys
 from pathlib import Path
-from types import SimpleNamespace
 
 import pytest
 from typer.testing import CliRunner
@@ -15,22 +14,14 @@ import mbdkit.plugin
 from mbdkit.base.errors import PluginError, SpecError
 from mbdkit.cli import app
 from mbdkit.guide import item_places
-from mbdkit.plugin import Command, IntegratorPlugin, ModelPlugin, Target, hookimpl
-from mbdkit.registry import manager
+from mbdkit.plugin import Command, IntegratorPlugin, ModelPlugin, Target
 from mbdkit.registry.item_options import named_options
 from mbdkit.registry.manager import checked, load_registry, registry
 from mbdkit.registry.policy import Policy
 from tests.installing import install_module, python
+from tests.registry.conftest import offering_items as offering
 
 NUMERICAL = ("numpy", "scipy", "sympy", "h5py")
-
-
-def offering(*items):
-    @hookimpl
-    def mbdkit_items():
-        return iter(items)
-
-    return SimpleNamespace(mbdkit_items=mbdkit_items)
 
 
 def hello(name: str = "you") -> None:
@@ -43,14 +34,12 @@ def greet(name="greet", **fields):
 
 
 @pytest.fixture
-def installed(monkeypatch, entry_point):
+def installed(monkeypatch, beside_ours):
     """Return a function that installs items of distributions beside mbdkit's own."""
     monkeypatch.setitem(sys.modules, __name__, sys.modules[hello.__module__])
-    ours = [point for point in manager.importlib.metadata.entry_points(group="mbdkit") if point.dist.name == "mbdkit"]
 
     def install(**distributions):
-        points = [entry_point(lambda items=items: offering(*items), name) for name, items in distributions.items()]
-        loaded = load_registry([*ours, *points])
+        loaded = beside_ours(**distributions)
         monkeypatch.setattr("mbdkit.cli.registered_commands.installed", lambda: loaded)
         return loaded
 
@@ -73,10 +62,8 @@ def test_loading_the_registry_and_naming_what_plugins_import_needs_no_numerical_
 def test_help_imports_no_command():
     code = "from mbdkit.cli import app\ntry:\n    app(['--help'])\nexcept SystemExit:\n    pass"
     modules = loaded_after(code)
-    assert not {name for name in modules if name.startswith("mbdkit.cli.")} - {
-        "mbdkit.cli.common_options",
-        "mbdkit.cli.registered_commands",
-    }
+    needed = {"mbdkit.cli.common_options", "mbdkit.cli.registered_commands"}
+    assert not {name for name in modules if name.startswith("mbdkit.cli.")} - needed
     assert not modules & {*NUMERICAL, "pydantic"}
 
 
@@ -98,12 +85,8 @@ def test_a_run_imports_no_code_that_its_spec_does_not_name(tmp_path):
     code = f"import mbdkit\nmbdkit.run(mbdkit.RunSpec(**{spec!r}))"
     modules = loaded_after(code, tmp_path, cwd=tmp_path)
     assert {"heavy_kit", "mbdkit.methods.rk4", "mbdkit.models.pendulums"} <= modules
-    assert not modules & {
-        "heavy_code",
-        "mbdkit.methods.taylor",
-        "mbdkit.methods.scipy_methods",
-        "mbdkit_biomech.models.leg",
-    }
+    assert not modules & {"heavy_code", "mbdkit.methods.taylor", "mbdkit.methods.scipy_methods"}
+    assert "mbdkit_biomech.models.leg" not in modules
 
 
 def test_code_that_cannot_be_imported_is_the_error_of_its_distribution_when_it_is_used(tmp_path):

@@ -124,6 +124,7 @@ def test_no_absurd_number_of_elements_is_recommended() -> None:
 def test_inverse_dynamics_doubts_a_beam_of_one_element() -> None:
     # expected: the deflection F L^3 / (4 EI) of one element, 0.75 times that of beam theory
     t = np.linspace(0.0, 1.0, 21)
+    data = {"t": t, "x": np.ones(21), "y": -0.01 * np.sin(t), "angle": -0.02 * np.sin(t)}
     spec = {
         "mbdkit": 1,
         "model": {
@@ -133,17 +134,8 @@ def test_inverse_dynamics_doubts_a_beam_of_one_element() -> None:
                               "stiffness": {"axial": 1e5, "shear": "none", "bending": 1.0}}},
             "joints": {"clamp": {"type": "weld", "bodies": ["ground", "bar.0"], "at": [0, 0]}},
         },
-        "motion": {
-            "data": {
-                "t": t.tolist(),
-                "x": np.ones(21).tolist(),
-                "y": (-0.01 * np.sin(t)).tolist(),
-                "angle": (-0.02 * np.sin(t)).tolist(),
-            },
-            "time": "t",
-            "columns": {"bar.1.x": "x", "bar.1.y": "y", "bar.1.angle": "angle"},
-            "smooth": "none",
-        },
+        "motion": {"data": {name: values.tolist() for name, values in data.items()}, "time": "t", "smooth": "none",
+                   "columns": {"bar.1.x": "x", "bar.1.y": "y", "bar.1.angle": "angle"}},
         "accept": ["constant"],
     }  # fmt: skip
     run = mbdkit.inverse(spec)

@@ -450,11 +450,7 @@ def test_runs_of_a_batch_and_resumed_runs_have_the_same_bits(tmp_path: Path) -> 
         ({"kind": "elastic", "slack": 0.31}, "tendon_length", "no length of the fibres is in equilibrium"),
         ({"kind": "elastic", "slack": 0.0}, "tendon_length", "should be greater than 0"),
         ({"excitation": None}, "excitation", "needs an excitation"),
-        (
-            {"kind": "elastic", "curves": "millard", "damping": 0.0},
-            "damping",
-            "should be greater than 0: with the curves",
-        ),
+        ({"kind": "elastic", "curves": "millard", "damping": 0.0}, "damping", "should be greater than 0: with the"),
         ({"excitation": "sin(x)"}, "excitation", "unknown name 'x'"),
         ({"excitation": 1.5}, "excitation", "should be between 0 and 1, not 1.5"),
         ({"excitation": {"table": [[0, 0.01], [0.1, 0.2]]}}, "excitation.table[0]", "the table covers 0.0 s to 0.01 s"),

@@ -166,15 +166,8 @@ def oscillator(integrator: dict[str, Any], step: float, measure: str, **sections
     m.body("slider", mass=1.0, inertia=1.0, position=(1.0, 0.0))
     m.prismatic("rail", m.ground, "slider", at=(0, 0), axis=(1, 0))
     m.spring_damper("spring", m.ground, "slider", points=((-1.0, 0.0), (0.0, 0.0)), stiffness=4.0, free_length=1.0)
-    return {
-        "mbdkit": 1,
-        "model": m.to_spec(),
-        "integrator": integrator,
-        "time": {"end": 1.0, "step": step},
-        "output": {"every": 100_000},
-        "measures": {"found": measure},
-        **sections,
-    }
+    run = {"integrator": integrator, "time": {"end": 1.0, "step": step}, "output": {"every": 100_000}}
+    return {"mbdkit": 1, "model": m.to_spec(), **run, "measures": {"found": measure}, **sections}
 
 
 MEAN, SQUARE = np.sin(2.0) / 2, 0.5 + np.sin(4.0) / 8
@@ -235,11 +228,7 @@ def test_the_gradient_of_an_integral_of_an_integral_has_a_closed_form() -> None:
 
 def test_a_resumed_run_has_the_same_integrals() -> None:
     spec = RunSpec(
-        mbdkit=1,
-        model=MODEL,
-        integrator={"name": "rk4"},
-        time={"end": 1.0, "step": 1e-3},
-        measures=MEASURES | NESTED,
+        mbdkit=1, model=MODEL, integrator={"name": "rk4"}, time={"end": 1.0, "step": 1e-3}, measures=MEASURES | NESTED
     )
     whole = run("rk4", 1e-3, measures=MEASURES | NESTED)
     workspace, _ = build(spec)

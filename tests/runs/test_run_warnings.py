@@ -21,7 +21,7 @@ from mbdkit.mechanism.improbable_values import (
 from mbdkit.mechanism.mechanism import Mechanism
 from mbdkit.runs.preparation import build
 from mbdkit.runs.warnings import doubts, spec_warnings, start_warnings
-from mbdkit.spec import load_spec
+from mbdkit.spec import RunSpec, load_spec
 from mbdkit.spec.loading import example_names
 from mbdkit.spec.reading import parse_key, put
 from mbdkit_biomech.inverse_dynamics.inertias_about_joints import inertias_about_joints
@@ -38,12 +38,17 @@ SPEC: dict[str, Any] = {
 }
 
 
-def warnings_of(**values: Any) -> tuple[str, ...]:
-    """Return the warnings about the spec with other values; ``__`` separates the parts of a key."""
+def changed(values: dict[str, Any]) -> RunSpec:
+    """Return the spec with other values; ``__`` separates the parts of a key."""
     data = copy.deepcopy(SPEC)
     for key, value in values.items():
         put(data, parse_key(key.replace("__", ".")), value)
-    return spec_warnings(load_spec(data))
+    return load_spec(data)
+
+
+def warnings_of(**values: Any) -> tuple[str, ...]:
+    """Return the warnings about the spec with other values."""
+    return spec_warnings(changed(values))
 
 
 SPRING = {"type": "spring-damper", "bodies": ["ground", "rod"], "points": [[0.5, 0], [0.2, 0]], "stiffness": 9.0}
@@ -54,6 +59,15 @@ PULL = {**TABLE, "pathway": {"type": "two-points", "bodies": ["ground", "rod"], 
 ALONG_X = {"type": "coordinate", "coordinate": "x", "bodies": ["ground", "rod"], "points": [[0, 0], [-0.3, 0]]}
 STOP = {"type": "law", "law": "one-sided", "stiffness": 9.0, "acts": "compression", "pathway": ALONG_X}
 DRIVER = {"type": "driver", "bodies": ["ground", "rod"], "coordinate": "angle"}
+HINGE = {"type": "torsion-spring", "bodies": ["ground", "rod"]}
+
+
+def driven(motion: Any, joint: str = "D", **driver: Any) -> dict[str, Any]:
+    return {f"model__joints__{joint}": {**DRIVER, "motion": motion, **driver}}
+
+
+def forced(element: dict[str, Any], **values: Any) -> dict[str, Any]:
+    return {"model__forces__s": {**element, **values}}
 
 
 @pytest.mark.parametrize(
@@ -64,63 +78,30 @@ DRIVER = {"type": "driver", "bodies": ["ground", "rod"], "coordinate": "angle"}
         ({"model__bodies__rod__angle": 28.64788975654116}, "write degrees(28.64788975654116)"),
         ({"model__bodies__rod__angle": -22.5}, "-22.5 rad at model.bodies.rod.angle"),
         ({"model__joints__A": {**SPEC["model"]["joints"]["A"], "type": "weld", "angle": 90}}, "model.joints.A.angle"),
-        ({"model__joints__D": {**DRIVER, "motion": 30}}, "30 rad at model.joints.D.motion"),
-        (
-            {"model__forces": {"t": {"type": "torsion-spring", "bodies": ["ground", "rod"], "free_angle": 180}}},
-            "180 rad at model.forces.t.free_angle",
-        ),
+        (driven(30), "30 rad at model.joints.D.motion"),
+        (forced(HINGE, free_angle=180), "180 rad at model.forces.s.free_angle"),
         ({"model": {"name": "double-pendulum", "angles": [0.3, 60]}}, "60 rad at model.angles[1]"),
         ({"model": {"name": "four-bar-knee", "flexion": 0.6, "thigh_angle": -90}}, "-90 rad at model.thigh_angle"),
-        (
-            {"parameters": {"tilt": 90}, "model__bodies__rod__angle": "tilt"},
-            "90 rad at model.bodies.rod.angle (from parameters.tilt) is more than a full rotation",
-        ),
-        (
-            {"parameters": {"a": 45, "b": "2*a"}, "model__bodies__rod__angle": "b + a"},
-            "135 rad at model.bodies.rod.angle (from parameters.a and parameters.b)",
-        ),
+        ({"parameters": {"tilt": 90}, "model__bodies__rod__angle": "tilt"}, "rod.angle (from parameters.tilt)"),
+        ({"parameters": {"a": 45, "b": "2*a"}, "model__bodies__rod__angle": "b + a"}, "parameters.a and parameters.b)"),
         (
             {"parameters": {"tilt": 90}, "model": {"name": "double-pendulum", "angles": [0.3, "tilt"]}},
             "parameters.tilt",
         ),
-        (
-            {"model__joints__D": {**DRIVER, "motion": {"table": [[0, 0.1], [0, 90]]}}},
-            "the table of driver 'D' reaches 90 rad, which is more than a full rotation; if degrees are intended",
-        ),
-        ({"parameters": {"tilt": 90}, "model__joints__D": {**DRIVER, "motion": "tilt"}}, "write degrees(tilt)"),
-        ({"model__joints__D": {**DRIVER, "motion": "45*sin(2*t)"}}, "driver 'D', 45*sin(2*t), swings by 90 rad"),
-        ({"model__joints__D": {**DRIVER, "motion": "1 + 5*(1 - cos(2*pi*t))"}}, "swings by 10 rad"),
-        (
-            {"parameters": {"a": 30, "w": "2*pi"}, "model__joints__D": {**DRIVER, "motion": "t + a*sin(w*t)"}},
-            "driver 'D', t + a*sin(w*t), swings by 60 rad",
-        ),
-        (
-            {"model__joints__D": {**DRIVER, "motion": "90*(3*(t/0.1)**2 - 2*(t/0.1)**3)"}},
-            "90 rad, which is more than a full rotation; if its angles are in degrees, write them as in degrees(45)",
-        ),
-        (
-            {"model__forces__s": {**TABLE, "table": [[-30, 0, 30], [-900, 0, 400]]}},
-            "the column of angles at model.forces.s.table[0] reaches 30 rad",
-        ),
+        (driven({"table": [[0, 0.1], [0, 90]]}), "the table of driver 'D' reaches 90 rad"),
+        ({"parameters": {"tilt": 90}, **driven("tilt")}, "write degrees(tilt)"),
+        (driven("45*sin(2*t)"), "driver 'D', 45*sin(2*t), swings by 90 rad"),
+        (driven("1 + 5*(1 - cos(2*pi*t))"), "swings by 10 rad"),
+        ({"parameters": {"a": 30, "w": "2*pi"}, **driven("t + a*sin(w*t)")}, "driver 'D', t + a*sin(w*t), swings by"),
+        (driven("90*(3*(t/0.1)**2 - 2*(t/0.1)**3)"), "90 rad, which is more than a full rotation"),
+        (forced(TABLE, table=[[-30, 0, 30], [-900, 0, 400]]), "at model.forces.s.table[0] reaches 30 rad"),
         ({"model__bodies__rod__inertia": 3920}, "the inertia of 3920 kg m^2 at model.bodies.rod.inertia"),
         ({"model__bodies__rod__inertia": 9e5}, "for example `900000 kg*mm^2`"),
-        (
-            {"model__joints__A__friction": {"coefficient": 30, "radius": 0.01}},
-            "the coefficient of friction of 30 at model.joints.A.friction is above 5; if it is in percent, write 0.3",
-        ),
-        (
-            {"model__forces__s": {**SPRING, "free_length": 20}},
-            "0.2 m long; if it is in another unit, write it with the unit, for example `20 cm` or `20 mm`",
-        ),
-        (
-            {"model__forces__s": {**STOP, "free_length": 20}},
-            "and the spring is deflected by 19.8 m; if it is in another unit, write it with the unit",
-        ),
-        ({"model__forces__s": {**STOP, "free_length": -20, "acts": "tension"}}, "deflected by 20.2 m"),
-        (
-            {"model__muscles__m": {**MUSCLE, "optimal_length": 60}},
-            "the optimal length of 60 m at model.muscles.m.optimal_length is improbable: at the start, the mechanism",
-        ),
+        ({"model__joints__A__friction": {"coefficient": 30, "radius": 0.01}}, "friction is above 5; if it is in"),
+        (forced(SPRING, free_length=20), "0.2 m long; if it is in another unit, write it with the unit"),
+        (forced(STOP, free_length=20), "deflected by 19.8 m; if it is in another unit"),
+        (forced(STOP, free_length=-20, acts="tension"), "deflected by 20.2 m"),
+        ({"model__muscles__m": {**MUSCLE, "optimal_length": 60}}, "60 m at model.muscles.m.optimal_length"),
         ({"model": {"name": "four-bar-knee", "height": 178}}, "if it is in cm, write `178 cm`"),
         ({"model": {"name": "leg", "body_mass": 75000}}, "the body mass of 75000 kg at model.body_mass is that of no"),
         ({"model__bodies__rod__inertia": 144}, "for example `144 kg*cm^2` or `144 kg*mm^2`"),
@@ -142,10 +123,10 @@ def test_a_value_that_is_probably_not_meant_is_told_with_its_key(values: dict[st
         {"model__bodies__rod__inertia": 20.0},  # at 4.5 m, 9 times the size of 0.5 m
         {"model__bodies__rod__inertia": 3920.0, "model__joints__A__points": [[0.5, 0], [0, 0]]},  # a rotor has no size
         {"model__joints__A__friction": {"coefficient": 0.3, "radius": 0.01}},
-        {"model__forces__s": {**SPRING, "free_length": 2.05}},  # 10.25 lengths, 2.9 sizes
-        {"model__forces__s": {**STOP, "free_length": -20}},  # not reached at the start
-        {"model__forces__s": {**STOP, "free_length": 20, "acts": "tension"}},
-        {"model__forces__s": {**STOP, "free_length": 1.6}},
+        forced(SPRING, free_length=2.05),  # 10.25 lengths, 2.9 sizes
+        forced(STOP, free_length=-20),  # not reached at the start
+        forced(STOP, free_length=20, acts="tension"),
+        forced(STOP, free_length=1.6),
         {"model__muscles__m": {**MUSCLE, "optimal_length": 0.06}},
         {"model__bodies__rod__angle": 7.853981633974483},
         {"model__bodies__rod__angle": "degrees(720)"},
@@ -154,11 +135,11 @@ def test_a_value_that_is_probably_not_meant_is_told_with_its_key(values: dict[st
         {"parameters": {"tilt": "degrees(450)"}, "model__bodies__rod__angle": "tilt"},
         {"parameters": {"turns": 2.3}, "model__bodies__rod__angle": "2*pi*turns"},
         {"model__bodies__rod__angular_velocity": 90},
-        {"parameters": {"rate": 90}, "model__joints__D": {**DRIVER, "motion": "rate*t"}},
-        {"model__joints__D": {**DRIVER, "motion": "8"}},
-        {"model__forces__s": {**TABLE, "table": [[-0.5, 0, 0.5], [-900, 0, 400]]}},
-        {"model__forces__s": {**PULL, "table": [[1, 20, 30], [-900, 0, 400]]}},
-        {"model__joints__D": {**DRIVER, "coordinate": "x", "motion": 30}},
+        {"parameters": {"rate": 90}, **driven("rate*t")},
+        driven("8"),
+        forced(TABLE, table=[[-0.5, 0, 0.5], [-900, 0, 400]]),
+        forced(PULL, table=[[1, 20, 30], [-900, 0, 400]]),
+        driven(30, coordinate="x"),
         {"time__step": 0.1},
         {"parameters": {"a": 1, "b": "a"}, "model__bodies__rod__mass": "b"},
         {"parameters": {"a": 1}, "events": {"e": {"when": "rod.angle - a"}}},
@@ -187,7 +168,7 @@ def test_a_value_that_may_be_meant_is_not_told(values: dict[str, Any]) -> None:
     ],
 )
 def test_motions_that_may_be_in_radians_are_not_told(motion: str, parameters: dict[str, Any]) -> None:
-    assert warnings_of(parameters=parameters, model__joints__D={**DRIVER, "motion": motion}) == ()
+    assert warnings_of(parameters=parameters, **driven(motion)) == ()
 
 
 LINE = {"type": "point-on-line", "bodies": ["ground", "rod"], "at": [0, 0], "axis": [0, 1]}
@@ -198,15 +179,11 @@ MOVED = {**DRIVER, "coordinate": "x", "motion": "0.5 + t**2"}
     ("values", "note"),
     [
         pytest.param(
-            {"model__joints__D": {**DRIVER, "motion": {"table": [[0, 0.21, 9], [0, 1, 1]]}}},
-            "the table at model.joints.D.motion changes from 0 s to 0.21 s, but the run goes from 0 s to 0.1 s",
-            id="short run",
+            driven({"table": [[0, 0.21, 9], [0, 1, 1]]}), "D.motion changes from 0 s to 0.21 s", id="short run"
         ),
-        pytest.param({"model__joints__D": {**DRIVER, "motion": {"table": [[0, 0.2], [0, 1]]}}}, "", id="half a table"),
+        pytest.param(driven({"table": [[0, 0.2], [0, 1]]}), "", id="half a table"),
         pytest.param(
-            {"measures": {"clamp": "max(abs(joints.A.torque))"}},
-            "joints.A.torque in measures.clamp is always zero, because a revolute joint transmits no torque",
-            id="pin",
+            {"measures": {"clamp": "max(abs(joints.A.torque))"}}, "A.torque in measures.clamp is always zero", id="pin"
         ),
         pytest.param({"measures": {"load": "max(abs(joints.A.force_x))"}}, "", id="force of a pin"),
         pytest.param(
@@ -214,7 +191,7 @@ MOVED = {**DRIVER, "coordinate": "x", "motion": "0.5 + t**2"}
         ),
         pytest.param(
             {"model__joints__A": LINE, "measures": {"m": "max(A.force_y)"}},
-            "joints.A.force_y in measures.m is always zero, because a point-on-line joint transmits no force along its",
+            "A.force_y in measures.m is always zero",
             id="slot",
         ),
         pytest.param(
@@ -223,7 +200,7 @@ MOVED = {**DRIVER, "coordinate": "x", "motion": "0.5 + t**2"}
             id="across a slot",
         ),
         pytest.param(
-            {"model__joints__A": {**DRIVER, "motion": "t"}, "measures": {"m": "max(abs(A.force))"}},
+            {**driven("t", "A"), "measures": {"m": "max(abs(A.force))"}},
             "a driver of angle transmits no force",
             id="motor",
         ),
@@ -234,10 +211,7 @@ MOVED = {**DRIVER, "coordinate": "x", "motion": "0.5 + t**2"}
 def test_short_runs_and_reactions_that_are_always_zero_are_noted_without_doubt(
     values: dict[str, Any], note: str
 ) -> None:
-    data = copy.deepcopy(SPEC)
-    for key, value in values.items():
-        put(data, parse_key(key.replace("__", ".")), value)
-    spec = load_spec(data)
+    spec = changed(values)
     told = spec_warnings(spec)
     assert len(told) == bool(note)
     assert all(note in text for text in told)
@@ -451,11 +425,7 @@ BEAM = {"a": [0, 0], "b": [1, 0], "elements": 20, "E": 2e11, "nu": 0.3, "A": 4e-
     ("integrator", "step", "expected"),
     [
         ({"name": "radau-iia", "stages": 2}, 1e-3, ("beam 'link'", "step of 0.001 s", "radau-iia damps faster ones")),
-        (
-            {"name": "gauss", "stages": 2},
-            1e-3,
-            ("gauss keeps the energy of faster motions, but not their frequencies",),
-        ),
+        ({"name": "gauss", "stages": 2}, 1e-3, ("gauss keeps the energy of faster motions, but not their freq",)),
         ({"name": "gauss", "stages": 2}, 1e-7, None),
         ({"name": "rk4"}, 1e-3, None),  # which fails
     ],
@@ -489,10 +459,7 @@ def test_steps_in_which_a_stiff_beam_turns_too_far_say_so() -> None:
     spec["model"]["beams"]["blade"]["angular_velocity"] = 6.0
     run = mbdkit.run(load_spec(spec, time={"end": 0.8, "step": 0.1}))
     assert run.status == "failed"
-    assert (
-        "may turn by at most about 0.2 rad in an implicit step; with the step of this run, this is a rate of 2 rad/s"
-        in run.status_reason
-    )
+    assert "at most about 0.2 rad in an implicit step" in run.status_reason
 
 
 def test_an_unused_parameter_is_told_but_does_not_question_the_run() -> None:

@@ -69,75 +69,40 @@ def driven(motion: str) -> Mechanism:
 RK4, GAUSS = {"name": "rk4"}, {"name": "gauss"}
 DOPRI5 = {"name": "dopri5", "adaptive": True}
 FIXED_POINT = {"name": "gauss", "stage_solver": "fixed-point"}
+
+
+def longer(step: float = 0.05, **more: Any) -> dict[str, Any]:
+    return {"time": {"end": 2.0, "step": step}, **more}
+
+
+def every(rows: int) -> dict[str, Any]:
+    return {"output": {"every": rows}}
+
+
+FEW: dict[str, Any] = {"limits": {"max_steps": 3}}
+ENDLESS: dict[str, Any] = {"time": {"end": 1e4, "step": 1e-3}, "limits": {"wall_time": 0.05}}
+RADAU = {"name": "radau-iia", "adaptive": True}
 ENDINGS: dict[str, tuple[Any, dict[str, Any], dict[str, Any], str, str]] = {
     # name: model, integrator, other sections, status code, words of the sentence
     "max-steps": (DOUBLE, RK4, {"limits": {"max_steps": 7}}, "max-steps", "limits.max_steps = 7"),
     "max-steps gauss": (DOUBLE, GAUSS, {"limits": {"max_steps": 7}}, "max-steps", "7 steps"),
-    "max-steps adaptive": (DOUBLE, {"name": "scipy-dop853"}, {"limits": {"max_steps": 3}}, "max-steps", "3 steps"),
-    "max-steps by tolerance": (DOUBLE, DOPRI5, {"limits": {"max_steps": 3}}, "max-steps", "3 steps"),
-    "max-steps by tolerance, rows at times": (
-        DOUBLE,
-        DOPRI5,
-        {"limits": {"max_steps": 3}, "output": {"interval": 1e-3}},
-        "max-steps",
-        "3 steps",
-    ),
+    "max-steps adaptive": (DOUBLE, {"name": "scipy-dop853"}, FEW, "max-steps", "3 steps"),
+    "max-steps by tolerance": (DOUBLE, DOPRI5, FEW, "max-steps", "3 steps"),
+    "max-steps, rows at times": (DOUBLE, DOPRI5, FEW | {"output": {"interval": 1e-3}}, "max-steps", "3 steps"),
     "blow-up in finite time": (lambda: loaded("(0.3 - t)**-2"), DOPRI5, {}, "step-too-small", "from t = 0.3 s"),
-    "blow-up in finite time, implicit": (
-        lambda: loaded("(0.3 - t)**-2"),
-        {"name": "radau-iia", "adaptive": True},
-        {},
-        "step-too-small",
-        "from t = 0.3 s",
-    ),
+    "blow-up, implicit": (lambda: loaded("(0.3 - t)**-2"), RADAU, {}, "step-too-small", "from t = 0.3 s"),
     "load that ends, by tolerance": (lambda: loaded("log(0.055 - t)"), DOPRI5, {}, "not-finite", "from t = 0.055 s"),
-    "wall-time": (
-        {"name": "n-pendulum", "n": 50},
-        RK4,
-        {"time": {"end": 1e4, "step": 1e-3}, "limits": {"wall_time": 0.05}},
-        "wall-time",
-        "limits.wall_time = 0.05",
-    ),
+    "wall-time": ({"name": "n-pendulum", "n": 50}, RK4, ENDLESS, "wall-time", "limits.wall_time = 0.05"),
     "big step": (DOUBLE, GAUSS, {"time": {"end": 40.0, "step": 10.0}}, "newton-failed", "rod"),
     "fixed-point on a stiff spring": (stiff, FIXED_POINT, {}, "newton-failed", "step 1"),
-    "stiff spring": (stiff, RK4, {"time": {"end": 2.0, "step": 0.05}}, "fell-apart", "at t = 0.05 s"),
-    "stiff spring whose joints may fall apart": (
-        stiff,
-        RK4,
-        {"time": {"end": 2.0, "step": 0.05}, "limits": {"misalignment": 1e300}},
-        "not-finite",
-        "step",
-    ),
-    "stiff spring seldom recorded": (
-        stiff,
-        RK4,
-        {"time": {"end": 2.0, "step": 0.05}, "output": {"every": 7}},
-        "fell-apart",
-        "at t = 0.05 s",
-    ),
-    "stiff spring, free": (
-        stiff_and_free,
-        RK4,
-        {"time": {"end": 2.0, "step": 0.01}, "output": {"every": 100}},
-        "not-finite",
-        "step",
-    ),
-    "stiff spring in small steps": (
-        stiff,
-        RK4,
-        {"time": {"end": 2.0, "step": 0.01}, "output": {"every": 7}},
-        "fell-apart",
-        "at t = 0.01 s",
-    ),
-    "load that ends at a row": (lambda: loaded("log(0.05 - t)"), GAUSS, {"output": {"every": 7}}, "not-finite", "0.0"),
+    "stiff spring": (stiff, RK4, longer(), "fell-apart", "at t = 0.05 s"),
+    "stiff spring and joints": (stiff, RK4, longer(limits={"misalignment": 1e300}), "not-finite", "step"),
+    "stiff spring seldom recorded": (stiff, RK4, longer(**every(7)), "fell-apart", "at t = 0.05 s"),
+    "stiff spring, free": (stiff_and_free, RK4, longer(0.01, **every(100)), "not-finite", "step"),
+    "stiff spring in small steps": (stiff, RK4, longer(0.01, **every(7)), "fell-apart", "at t = 0.01 s"),
+    "load that ends at a row": (lambda: loaded("log(0.05 - t)"), GAUSS, every(7), "not-finite", "0.0"),
     "load that ends": (lambda: loaded("log(0.055 - t)"), RK4, {}, "not-finite", "t = 0.0"),
-    "load that ends, seldom recorded": (
-        lambda: loaded("log(0.055 - t)"),
-        RK4,
-        {"output": {"every": 40}},
-        "not-finite",
-        "t = 0.0",
-    ),
+    "load that ends, seldom recorded": (lambda: loaded("log(0.055 - t)"), RK4, every(40), "not-finite", "t = 0.0"),
 }
 
 

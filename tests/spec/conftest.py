@@ -10,9 +10,5 @@ import pytest
 @pytest.fixture
 def small() -> dict[str, Any]:
     """A spec of few words, for a test to change."""
-    return {
-        "mbdkit": 1,
-        "model": {"name": "double-pendulum"},
-        "integrator": {"name": "gauss", "stages": 2},
-        "time": {"end": 1.0, "step": 0.01},
-    }
+    run = {"integrator": {"name": "gauss", "stages": 2}, "time": {"end": 1.0, "step": 0.01}}
+    return {"mbdkit": 1, "model": {"name": "double-pendulum"}, **run}

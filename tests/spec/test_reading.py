@@ -42,15 +42,9 @@ time:
   step: 1e-2
 """
 
-JSON = json.dumps(
-    {
-        "mbdkit": 1,
-        "integrator": {"name": "gauss", "stages": 2},
-        "model": {"name": "double-pendulum", "masses": [1, 2]},
-        "time": {"end": 1, "step": 0.01},
-    },
-    indent=1,
-)
+DATA = {"mbdkit": 1, "integrator": {"name": "gauss", "stages": 2}}
+DATA |= {"model": {"name": "double-pendulum", "masses": [1, 2]}, "time": {"end": 1, "step": 0.01}}
+JSON = json.dumps(DATA, indent=1)
 
 
 def test_yaml_toml_and_json_of_one_spec_are_one_spec(in_tmp_path):

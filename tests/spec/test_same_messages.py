@@ -18,19 +18,18 @@ POINTS = ENDS["points"]
 FORCE = {"type": "force", "body": "rod", "value": [0, 1]}
 
 
-def one_sided(**options: Any) -> dict[str, Any]:
-    """Return an element with the law `one-sided` and these options."""
-    return {"type": "law", "law": "one-sided", "pathway": {"type": "two-points", **ENDS}, **options}
-
-
 Call = Callable[[Mechanism], Any]
+
+
+def one_sided(**options: Any) -> tuple[str, Any, Call]:
+    """Return an element with the law `one-sided` and these options, in a spec and as a call."""
+    element = {"type": "law", "law": "one-sided", "pathway": {"type": "two-points", **ENDS}, **options}
+    return "forces.p", element, lambda m: m.law("p", "ground", "rod", law="one-sided", points=POINTS, **options)
+
+
 #: What is wrong: the key below `model`, the value in the spec, and the call.
 WRONG: dict[str, tuple[str, Any, Call]] = {
-    "two mistakes": (
-        "bodies.c",
-        {"mass": -1, "inertia": True},
-        lambda m: m.body("c", mass=-1, inertia=True),
-    ),
+    "two mistakes": ("bodies.c", {"mass": -1, "inertia": True}, lambda m: m.body("c", mass=-1, inertia=True)),
     "quotes": ("bodies.c", {"mass": "1"}, lambda m: m.body("c", mass="1")),
     "NaN": ("bodies.c", {"mass": np.float64("nan")}, lambda m: m.body("c", mass=np.float64("nan"))),
     "gravity": ("gravity", [0, math.inf], lambda _: Mechanism(gravity=[0, math.inf])),
@@ -49,27 +48,11 @@ WRONG: dict[str, tuple[str, Any, Call]] = {
         {"type": "spring-damper", **ENDS, "stiffness": -1},
         lambda m: m.spring_damper("s", "ground", "rod", points=POINTS, stiffness=-1),
     ),
-    "frame": (
-        "forces.f",
-        {**FORCE, "frame": "locl"},
-        lambda m: m.force("f", "rod", value=[0, 1], frame="locl"),
-    ),
+    "frame": ("forces.f", {**FORCE, "frame": "locl"}, lambda m: m.force("f", "rod", value=[0, 1], frame="locl")),
     "tolerance": ("assembly", {"tolerance": 0}, lambda m: m.hold(tolerance=0)),
-    "option": (
-        "forces.p",
-        one_sided(stifness=1, acts="pull"),
-        lambda m: m.law("p", "ground", "rod", law="one-sided", points=POINTS, stifness=1, acts="pull"),
-    ),
-    "option of another law": (
-        "forces.p",
-        one_sided(stiffness=1, acts="tension", table=[]),
-        lambda m: m.law("p", "ground", "rod", law="one-sided", points=POINTS, stiffness=1, acts="tension", table=[]),
-    ),
-    "option missing": (
-        "forces.p",
-        one_sided(stiffness=1),
-        lambda m: m.law("p", "ground", "rod", law="one-sided", points=POINTS, stiffness=1),
-    ),
+    "option": one_sided(stifness=1, acts="pull"),
+    "option of another law": one_sided(stiffness=1, acts="tension", table=[]),
+    "option missing": one_sided(stiffness=1),
 }
 
 

@@ -140,17 +140,13 @@ def test_calls_in_python_take_numbers_with_units() -> None:
     m.body("rod", mass="500 g", inertia="0.02 kg m^2", position=("100 mm", 0))
     m.revolute("A", m.ground, "rod", at=(0, "0 cm"))
     assert (m.bodies["rod"].mass, m.bodies["rod"].position) == (0.5, (0.1, 0.0))
-    with pytest.raises(
-        SpecError, match=r"model\.bodies\.other\.mass: '2 N' has the unit N, but this is a number in kg"
-    ):
+    with pytest.raises(SpecError, match=r"bodies\.other\.mass: '2 N' has the unit N, but this is a number in kg"):
         m.body("other", mass="2 N")
     prepared = mbdkit.prepare(m, integrator={"name": "rk4"}, time={"end": "10 ms", "step": "5 ms"})
     with prepared.run(initial={"rod.angle": "30 deg", "rod.angular_velocity": "60 rev/min"}) as run:
         assert run.bodies["rod"].angle[0] == pytest.approx(math.pi / 6, rel=1e-15)
         assert run.bodies["rod"].angular_velocity[0] == pytest.approx(2 * math.pi, rel=1e-14)
-    with pytest.raises(
-        SpecError, match=r'initial\."rod\.angle": \'3 mm\' has the unit mm, but this is a number in rad'
-    ):
+    with pytest.raises(SpecError, match=r"\"rod\.angle\": '3 mm' has the unit mm, but this is a number in rad"):
         prepared.run(initial={"rod.angle": "3 mm"})
 
 
@@ -228,10 +224,8 @@ def test_stiffness_and_dissipation_of_a_contact_have_the_units_of_its_law() -> N
 def _driven(motion: str, load: str = "0", torque: str = "0", **parameters: str) -> None:
     ground = {"bodies": ["ground", "crank"]}
     driver = {"type": "driver", **ground, "coordinate": "angle", "motion": motion}
-    forces = {
-        "load": {"type": "force", "body": "crank", "value": [0, load]},
-        "twist": {"type": "torque", "body": "crank", "value": torque},
-    }
+    twist = {"type": "torque", "body": "crank", "value": torque}
+    forces = {"load": {"type": "force", "body": "crank", "value": [0, load]}, "twist": twist}
     model = {
         "name": "mechanism",
         "bodies": {"crank": {"mass": 1.0, "inertia": 0.01}},

@@ -56,15 +56,8 @@ def test_not_a_number_is_read_as_such_and_refused_later():
 
 def test_every_key_and_item_has_its_line():
     _, lines = read_yaml("a: 1\nb:\n  c:\n    - 1\n    - {d: 2,\n       e: 3}\n")
-    assert lines == {
-        ("a",): 1,
-        ("b",): 2,
-        ("b", "c"): 3,
-        ("b", "c", 0): 4,
-        ("b", "c", 1): 5,
-        ("b", "c", 1, "d"): 5,
-        ("b", "c", 1, "e"): 6,
-    }
+    upper = {("a",): 1, ("b",): 2, ("b", "c"): 3}
+    assert lines == upper | {("b", "c", 0): 4, ("b", "c", 1): 5, ("b", "c", 1, "d"): 5, ("b", "c", 1, "e"): 6}
 
 
 def test_aliases_and_merge_keys_are_expanded():

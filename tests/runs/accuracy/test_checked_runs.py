@@ -205,12 +205,8 @@ def test_an_interrupt_ends_the_check_and_keeps_the_run():
 def test_a_pulse_that_all_tolerances_pass_over_is_seen_by_the_guard():
     # expected: a body at rest that a smooth force of 5 N s pushes around 5 s, and that coarse steps leave at rest
     push = {"type": "force", "body": "a", "value": ["5/(0.02*sqrt(pi))*exp(-((t-5)/0.02)**2)", 0.0]}
-    model = {
-        "name": "mechanism",
-        "gravity": [0, 0],
-        "bodies": {"a": {"mass": 1.0, "inertia": 1.0}},
-        "forces": {"f": push},
-    }
+    bodies = {"a": {"mass": 1.0, "inertia": 1.0}}
+    model = {"name": "mechanism", "gravity": [0, 0], "bodies": bodies, "forces": {"f": push}}
     result = run({"name": "dop853", "adaptive": True, "rtol": 1e-10}, model, time={"end": 10.0})
     if abs(result["a"].position[-1, 0] - 25.0) > 0.01:
         assert result.accuracy.known_until < 5.0

@@ -180,15 +180,8 @@ def draw(random: np.random.Generator, kind: str, columns: str) -> Drawn:
             motion = f"{start!r}+{wave(random, 0.06 if biped else 0.2, highest)}"
             m.driver(f"on root {axis}", m.ground, "link0", coordinate=axis, motion=motion)
             drivers[f"root.{axis}"] = f"on root {axis}"
-    run = mbdkit.run(
-        {
-            "mbdkit": 1,
-            "model": m.to_spec(),
-            "integrator": {"name": "gauss", "stages": 3},
-            "stabilization": {"name": "projection", "every": 1},
-            "time": {"steps": int(end * RATE), "step": 1 / RATE},
-        }
-    )
+    method = {"integrator": {"name": "gauss", "stages": 3}, "stabilization": {"name": "projection", "every": 1}}
+    run = mbdkit.run({"mbdkit": 1, "model": m.to_spec(), **method}, time={"steps": int(end * RATE), "step": 1 / RATE})
     run.check()
     names, q = QuantityNames(m), run.array("trajectory/position")
     measured = _measured(random, model, joints, columns, free=free)

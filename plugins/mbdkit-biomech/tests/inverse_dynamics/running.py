@@ -59,36 +59,19 @@ def running_spec(path: Path, smooth: Any = "none") -> dict[str, Any]:
     m.marker("ankle", "foot", point=(ends["foot"][0], 0))
     m.marker("toe", "foot", point=(ends["foot"][1], 0))
     markers = ("hip", "knee", "ankle", "toe")
-    return {
-        "mbdkit": 1,
-        "model": m.to_spec(),
-        "motion": {
-            "file": str(path),
-            "columns": {f"{name}.{axis}": f"{name}_{axis}" for name in markers for axis in "xy"},
-            "smooth": smooth,
-        },
-        "loads": {
-            "ground": {
-                "body": "foot",
-                "force": ["ground_force_x", "ground_force_y"],
-                "point": ["cop_x", 0.0],
-            }
-        },
-        "actuators": {
-            "hip": {"body": "thigh", "coordinate": "angle"},
-            "knee": {"joint": "knee"},
-            "ankle": {"joint": "ankle"},
-        },
-    }
+    columns = {f"{name}.{axis}": f"{name}_{axis}" for name in markers for axis in "xy"}
+    ground = {"body": "foot", "force": ["ground_force_x", "ground_force_y"], "point": ["cop_x", 0.0]}
+    hip = {"body": "thigh", "coordinate": "angle"}
+    actuators = {"hip": hip, "knee": {"joint": "knee"}, "ankle": {"joint": "ankle"}}
+    motion = {"file": str(path), "columns": columns, "smooth": smooth}
+    return {"mbdkit": 1, "model": m.to_spec(), "motion": motion, "loads": {"ground": ground}, "actuators": actuators}
 
 
 def differences(run: mbdkit.Run, truth: Any, rows: slice) -> dict[str, tuple[np.ndarray, np.ndarray]]:
     """Return the differences of force [N] and moment [N m] of each joint from the published ones."""
     found = {}
     for name in JOINTS:
-        force = np.linalg.norm(run.joints[name].reaction_force, axis=1)
-        found[name] = (
-            np.abs(force - truth[f"force_{name}"])[rows],
-            np.abs(run.actuators[name].value - truth[f"moment_{name}"])[rows],
-        )
+        force = np.linalg.norm(run.joints[name].reaction_force, axis=1) - truth[f"force_{name}"]
+        moment = run.actuators[name].value - truth[f"moment_{name}"]
+        found[name] = np.abs(force)[rows], np.abs(moment)[rows]
     return found

@@ -29,14 +29,8 @@ def moved(example: str, path: Path) -> tuple[mbdkit.Run, dict[str, Any]]:
         if value:
             on = {} if first == "ground" else {"reaction_body": first}
             forces[f"on {joint}"] = {"type": "torque", "body": second, "value": value, **on}
-    run = mbdkit.run(
-        {
-            "mbdkit": 1,
-            "model": {**model, "forces": forces},
-            "integrator": {"name": "gauss", "stages": 3},
-            "time": {"end": 0.3, "step": 0.002},
-        }
-    )
+    method = {"integrator": {"name": "gauss", "stages": 3}, "time": {"end": 0.3, "step": 0.002}}
+    run = mbdkit.run({"mbdkit": 1, "model": {**model, "forces": forces}, **method})
     run.check().save(path)
     actuators = {f"on {joint}": {"joint": joint} for joint in torques}
     return run, {"mbdkit": 1, "model": model, "motion": {"file": str(path)}, "actuators": actuators}

@@ -111,11 +111,7 @@ def test_actuators_are_chosen_by_the_names_of_coordinates() -> None:
     [
         ({"actuators": {"knee_flexon": {}}}, "actuators.knee_flexon", "(did you mean 'knee_flexion'?)"),
         ({"actuators": {"hip_x": {"joint": "hip"}}}, "actuators.hip_x", "is the residual actuator of the coordinate"),
-        (
-            {"motion": {"columns": {"knee_flexin": "hip_x"}}},
-            "motion.columns.knee_flexin",
-            "did you mean 'knee_flexion'",
-        ),
+        ({"motion": {"columns": {"knee_flexin": "hip_x"}}}, "motion.columns.knee_flexin", "mean 'knee_flexion'"),
         ({"motion": {"columns": None, "data": {"time": T, "a": T}}}, "motion.columns", "such as hip_flexion, knee_"),
     ],
 )

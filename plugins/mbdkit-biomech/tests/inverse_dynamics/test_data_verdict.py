@@ -38,10 +38,7 @@ def test_degrees_without_a_unit_are_doubted_until_the_unit_is_given() -> None:
 
 def test_milliseconds_without_a_unit_are_doubted_until_the_unit_is_given() -> None:
     data = {"t": 1e3 * T, **ANGLES}
-    with pytest.raises(
-        SpecError,
-        match=r"1 samples per second, .*in milliseconds, write `time: .*; if they are numbers of frames, divide",
-    ):
+    with pytest.raises(SpecError, match=r"1 samples per second, .*in milliseconds, write `time: .*; if they are"):
         leg(motion={"data": {**data, "t": 1e2 * T}, "time": "t"})
     columns = {"columns": {name: name for name in ANGLES}, "smooth": "quintic", "time": "t", "data": data}
     run = leg(motion=columns, accept=["times", "units"])
@@ -62,14 +59,8 @@ def test_milliseconds_without_a_unit_are_doubted_until_the_unit_is_given() -> No
     ("fault", "cause"),
     [
         (lambda x: 1e3 * x, "column of toe.x: .* no `unit`: they look like millimetres"),
-        (
-            lambda x: np.where(np.arange(len(x)) == 9, -999.0, x),
-            "column of toe.x: the value at t = 0.72 s is",
-        ),
-        (
-            lambda x: 3.5 * x,
-            r"toe.x: its range of \S+ m \(\S+ times the longest link\) is \S+ times the median range of .* same axis$",
-        ),
+        (lambda x: np.where(np.arange(len(x)) == 9, -999.0, x), "column of toe.x: the value at t = 0.72 s is"),
+        (lambda x: 3.5 * x, r"toe.x: its range of \S+ m \(\S+ times the longest link\) is \S+ times the median range"),
     ],
 )
 def test_the_refusal_of_a_fit_names_the_suspicious_column(
@@ -193,11 +184,8 @@ def test_a_table_of_markers_in_another_unit_than_it_states_is_refused_with_a_hin
 
 def test_only_wrong_units_are_named_as_causes_of_errors_other_than_those_of_the_fit() -> None:
     # the knee has the largest range, and an outlier
-    data = {
-        "time": T,
-        **ANGLES,
-        "knee_flexion": 3 * ANGLES["knee_flexion"] + np.where(np.arange(len(T)) == 70, 1.0, 0.0),
-    }
+    knee = 3 * ANGLES["knee_flexion"] + np.where(np.arange(len(T)) == 70, 1.0, 0.0)
+    data = {"time": T, **ANGLES, "knee_flexion": knee}
     for factor, words in ((1.0, []), (180 / np.pi, ["they look like degrees"])):
         motion = {"data": data | {"hip_flexion": 3 * factor * ANGLES["hip_flexion"]}, "smooth": SMOOTH}
         spec = load_inverse_spec({"mbdkit": 1, "model": {"name": "leg"}, "motion": motion}, ())
@@ -262,10 +250,8 @@ def test_a_unit_that_contradicts_the_file_is_named(tmp_path: Path) -> None:
     columns = {name: {"column": name, "unit": "rad"} for name in ANGLES}
     wrong = InverseProblem.of(load_inverse_spec(spec | {"motion": spec["motion"] | {"columns": columns}}))
     (first, *_) = doubts_before_computation(wrong).open
-    assert first.startswith(
-        "units: the unit rad at motion.columns.hip_flexion.unit contradicts the unit of column 'hip_flexion' in the "
-        "file, deg"
-    )
+    assert first.startswith("units: the unit rad at motion.columns.hip_flexion.unit contradicts the unit of column")
+    assert "'hip_flexion' in the file, deg" in first
 
 
 def test_knee_flexion_with_the_wrong_sign_is_doubted() -> None:
@@ -277,9 +263,7 @@ def test_knee_flexion_with_the_wrong_sign_is_doubted() -> None:
 def test_a_column_that_is_used_twice_is_doubted_unless_the_mechanism_ties_its_quantities() -> None:
     wrong = {"hip_flexion": "knee_flexion", "knee_flexion": "knee_flexion", "ankle_dorsiflexion": "ankle_dorsiflexion"}
     run = leg(motion={"columns": wrong, "errors": "none"})
-    assert run.verdict_reasons[0].startswith(
-        "shared-column: column 'knee_flexion' is used for hip_flexion and knee_flexion: is another column meant?"
-    )
+    assert run.verdict_reasons[0].startswith("shared-column: column 'knee_flexion' is used for hip_flexion and knee_f")
     copied = leg({"hip_flexion": ANGLES["knee_flexion"]}, motion={"errors": "none"})
     assert "shared-column" not in told(copied)
     assert any("the same values: hip_flexion and knee_flexion." in warning for warning in copied.warnings)

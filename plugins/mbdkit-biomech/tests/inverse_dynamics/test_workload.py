@@ -19,14 +19,8 @@ def rotor() -> mbdkit.Run:
     m.revolute("hub", m.ground, "wheel", at=(0, 0))
     data = {"time": T, "angle": np.sin(2 * np.pi * T), "fx": 100.0 * np.maximum(np.sin(3 * np.pi * T), 0.0)}
     motion = {"data": data, "columns": {"hub.angle": "angle"}, "smooth": "quintic"}
-    return mbdkit.inverse(
-        {
-            "mbdkit": 1,
-            "model": m.to_spec(),
-            "motion": motion,
-            "loads": {"push": {"body": "wheel", "force": ["fx", 0.0]}},
-        }
-    )
+    loads = {"push": {"body": "wheel", "force": ["fx", 0.0]}}
+    return mbdkit.inverse({"mbdkit": 1, "model": m.to_spec(), "motion": motion, "loads": loads})
 
 
 def test_numbers_of_a_swinging_wheel_are_the_analytic_ones() -> None:

@@ -147,9 +147,7 @@ def test_a_design_begins_with_the_reason_for_doubts_and_runs_do_not_repeat_it(
     base = {"integrator": {"name": "rk4"}, "time": {"end": 0.1, "step": 0.01}}
     found = mbdkit.design(design_of({"mbdkit": 1, "model": m.to_spec(), **base}, variables=ONE))
     assert found.trust.verdict == "doubtful"
-    assert found.summary().startswith(
-        "Verdict on the runs: doubtful at the best point: assembly moves a point of shank"
-    )
+    assert found.summary().startswith("Verdict on the runs: doubtful at the best point: assembly moves a point")
     worse = replace(found.trust, start_verdict="bad", start_reason="the step is too long.")
     assert worse.judgement == f"{found.trust.judgement[:-1]}; bad at the start: the step is too long."
     assert replace(worse, verdict="good").judgement == "Verdict on the runs: bad at the start: the step is too long."

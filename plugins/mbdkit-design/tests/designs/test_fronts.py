@@ -114,9 +114,7 @@ def test_cma_es_with_one_seed_finds_one_result() -> None:
 
 def test_cma_es_without_its_package_or_for_one_variable_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(search, "find_spec", lambda name: None)
-    with pytest.raises(
-        SpecError, match=r"optimizer\.name: cma-es needs the package cma.*pip install 'mbdkit\[design\]'"
-    ):
+    with pytest.raises(SpecError, match=r"optimizer\.name: cma-es needs the package cma.*pip install"):
         mbdkit.design(moved(distance(0, 0), optimizer=CMA))
     with pytest.raises(SpecError, match="needs two variables or more"):
         mbdkit.design(tuned(optimizer=CMA))

@@ -7,16 +7,11 @@ import re
 from pathlib import Path
 
 import pytest
-from typer.testing import CliRunner, Result
+from tests.designs.test_design_folders import command
 
-from mbdkit.cli import app
 from mbdkit.spec import example_names, load_design_spec
 
 UPPER, FOREARM = "model.forces.upper spring.stiffness", "model.forces.forearm spring.points.0.1"
-
-
-def command(*arguments: str) -> Result:
-    return CliRunner().invoke(app, list(arguments), prog_name="mbdkit")
 
 
 @pytest.fixture(scope="module")

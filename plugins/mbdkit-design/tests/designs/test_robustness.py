@@ -61,16 +61,9 @@ def test_the_inertia_of_a_body_changes_with_its_mass(is_variable: bool) -> None:
     }
     model = {"name": "mechanism", "gravity": [0, 0.5], "bodies": bodies, "joints": joints}
     variable = "model.bodies.rotor.inertia" if is_variable else "model.gravity.1"
-    evaluator = Evaluator(
-        load_design_spec(
-            {
-                "mbdkit_design": 1,
-                "base": {**DESIGN["base"], "model": model},
-                "variables": {variable: {"bounds": [0.3, 1.0]}},
-                "minimize": "max(abs(joints.motor.torque))",
-            }
-        )
-    )
+    base = {**DESIGN["base"], "model": model}
+    design = {"mbdkit_design": 1, "base": base, "minimize": "max(abs(joints.motor.torque))"}
+    evaluator = Evaluator(load_design_spec({**design, "variables": {variable: {"bounds": [0.3, 1.0]}}}))
     found = {one.words: one.goals[:, 0] for one in robustness(evaluator, np.array([0.0]))}
     words, torques = ("mass of rotor", [3.0, 3.0]) if is_variable else ("mass and inertia of rotor", [2.85, 3.15])
     assert found[words] == pytest.approx(torques, rel=1e-9)

@@ -15,12 +15,8 @@ from mbdkit_report.analysis.reference import LAST_ROW, offsets
 def falling(start: float, angle: float = 0.0, end: float = 1.0, step: float = 0.1, **sections: Any) -> mbdkit.Run:
     """Return a body that falls freely from the height `start`: a method of order 4 has no error there."""
     bodies = {"stone": {"mass": 1.0, "inertia": 1.0, "position": [0.0, start], "angle": angle}}
-    spec = {
-        "mbdkit": 1,
-        "model": {"name": "mechanism", "bodies": bodies},
-        "integrator": {"name": "rk4"},
-        "time": {"end": end, "step": step},
-    }
+    run = {"integrator": {"name": "rk4"}, "time": {"end": end, "step": step}}
+    spec = {"mbdkit": 1, "model": {"name": "mechanism", "bodies": bodies}, **run}
     return mbdkit.run(spec | sections)
 
 

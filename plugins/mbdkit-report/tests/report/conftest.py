@@ -13,7 +13,7 @@ import mbdkit
 from mbdkit.cli import app
 from mbdkit_report.pages.report import report
 from mbdkit_studies.carry_out import study as run_study
-from tests.browser import executable, launched
+from tests.browser import executable, launched, opened
 from tests.synthetic_runs import make_run as make_run
 
 STUDY = {
@@ -61,9 +61,16 @@ def page_path(tmp_path_factory):
     return report(archive)
 
 
+@pytest.fixture
+def page(browser, page_path):
+    watched = opened(browser, page_path)
+    yield watched
+    watched.page.context.close()
+
+
 @pytest.fixture(scope="package", params=["run", "study"])
 def any_path(request, page_path, study_folder):
     """The report of a run, and that of a study."""
-    return (
-        page_path if request.param == "run" else report(study_folder, page_path.with_name("study.html"), overwrite=True)
-    )
+    if request.param == "run":
+        return page_path
+    return report(study_folder, page_path.with_name("study.html"), overwrite=True)

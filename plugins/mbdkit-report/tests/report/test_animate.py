@@ -115,14 +115,8 @@ def test_a_page_holds_all_that_it_needs_and_asks_the_network_for_nothing(make_ru
 
 def test_a_page_has_labelled_controls(make_run):
     text = page(make_run())
-    for name in (
-        "Play",
-        'aria-label="Time"',
-        'aria-label="One frame forward"',
-        'role="group"',
-        'lang="en"',
-        "viewport",
-    ):
+    labels = ('aria-label="Time"', 'aria-label="One frame forward"', 'role="group"', 'lang="en"')
+    for name in ("Play", *labels, "viewport"):
         assert name in text
     assert Outline(text).tags.count("button") == 3
 

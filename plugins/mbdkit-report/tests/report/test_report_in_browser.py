@@ -28,13 +28,6 @@ EVIL = "</script><script>alert('x')</script><img src=https://evil.example/x.png 
 RULES = {"runOnly": {"type": "tag", "values": ["wcag2a", "wcag2aa", "wcag21a", "wcag21aa", "best-practice"]}}
 
 
-@pytest.fixture
-def page(browser, page_path):
-    watched = opened(browser, page_path)
-    yield watched
-    watched.page.context.close()
-
-
 @pytest.fixture(scope="module")
 def shared_page(browser, page_path):
     """A page for tests that leave the player alone and depend on nothing that another of them changes."""

@@ -57,11 +57,8 @@ def test_methods_name_both_integrators_and_the_reference_with_its_stages(documen
     text = " ".join(document.methods.paragraphs)
     assert "Integrator rk4" in text
     assert "stages 2 and 3" in text
-    assert [entry.split("{")[1].split(",")[0] for entry in document.methods.bibtex] == [
-        "mbdkit",
-        "kutta1901",
-        "butcher1964",
-    ]
+    cited = [entry.split("{")[1].split(",")[0] for entry in document.methods.bibtex]
+    assert cited == ["mbdkit", "kutta1901", "butcher1964"]
 
 
 def test_the_film_is_of_the_run_that_comes_apart_the_most_and_still_holds(document):
@@ -183,9 +180,8 @@ def test_the_measures_that_a_study_asks_for_are_drawn_and_listed(tmp_path):
     assert figure.lines[0].y.tolist() == [point.values["reaction_force_max"] for point in study.points]
     table = document.verdict.table("runs")
     labels = [column.label for column in table.columns]
-    assert {"largest reaction force", "Jacobians", "factorizations", "wall time, shortest", "upper quartile"} <= set(
-        labels
-    )
+    assert {"largest reaction force", "Jacobians", "factorizations", "upper quartile"} <= set(labels)
+    assert "wall time, shortest" in labels
     wall = document.verdict.figure("wall-time-over-model-forces-upper-spring-stiffness").lines[0]
     rows = [sorted(point.row.repeats) for point in study.points]
     assert wall.y.tolist() == [row[0] for row in rows]  # the shortest of three

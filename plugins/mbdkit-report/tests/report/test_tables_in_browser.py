@@ -4,19 +4,10 @@ from __future__ import annotations
 
 import csv
 
-import pytest
-
 import mbdkit
 from mbdkit.base.text import csv_cell
 from mbdkit_report.pages.run_report import run_report
 from tests.browser import opened
-
-
-@pytest.fixture
-def page(browser, page_path):
-    watched = opened(browser, page_path)
-    yield watched
-    watched.page.context.close()
 
 
 def test_a_table_is_sorted_by_the_button_in_its_heading(page):

@@ -100,15 +100,8 @@ def test_free_bodies_have_modes_of_frequency_zero() -> None:
     m.body("a", mass=1.0, inertia=0.2)
     m.body("b", mass=3.0, inertia=0.4, position=(1.0, 0.0))
     for damping in (0.0, 0.3):
-        m.spring_damper(
-            f"spring{len(m.forces)}",
-            "a",
-            "b",
-            points=((0, 0), (0, 0)),
-            stiffness=15.0,
-            damping=damping,
-            free_length=1.0,
-        )
+        spring = {"points": ((0, 0), (0, 0)), "stiffness": 15.0, "damping": damping, "free_length": 1.0}
+        m.spring_damper(f"spring{len(m.forces)}", "a", "b", **spring)
         found = mbdkit.modes(m)
         np.testing.assert_array_equal(found.eigenvalues[:5], 0.0)
         assert len(found.eigenvalues) == 6
@@ -287,14 +280,8 @@ def test_modes_say_which_elements_of_a_beam_are_too_coarse(elements: int, nodes:
 def test_motions_of_rigid_bodies_are_not_modes_for_which_elements_are_too_coarse() -> None:
     m = mbdkit.Mechanism(gravity=(0.0, 0.0))
     m.body("apart", mass=1.0, inertia=0.1, position=(5.0, 0.0))
-    m.beam(
-        "blade",
-        a=(0, 0),
-        b=(2, 0),
-        elements=4,
-        mass_per_length=0.5,
-        stiffness={"axial": 1e4, "shear": 1e4, "bending": 4.0},
-    )
+    stiffness = {"axial": 1e4, "shear": 1e4, "bending": 4.0}
+    m.beam("blade", a=(0, 0), b=(2, 0), elements=4, mass_per_length=0.5, stiffness=stiffness)
     found = mbdkit.modes(m, at="start")
     first = 1 + int(np.argmax(found.natural_frequency > 1e-6))
     assert first == 7

@@ -173,14 +173,7 @@ def test_the_double_pendulum_prints_the_index_1_system_of_two_rods_on_pins() -> 
     half = sp.Rational(1, 2) * sp.Integer(20)  # the packaged example's rods are 20 m long
     c1, s1, c2, s2 = (half * f(th) for th in (th1, th2) for f in (sp.cos, sp.sin))
     phi = sp.Matrix([x1 - c1, y1 - s1, x2 - c2 - x1 - c1, y2 - s2 - y1 - s1])
-    phi_q = sp.Matrix(
-        [
-            [1, 0, s1, 0, 0, 0],
-            [0, 1, -c1, 0, 0, 0],
-            [-1, 0, s1, 1, 0, s2],
-            [0, -1, -c1, 0, 1, -c2],
-        ]
-    )
+    phi_q = sp.Matrix([[1, 0, s1, 0, 0, 0], [0, 1, -c1, 0, 0, 0], [-1, 0, s1, 1, 0, s2], [0, -1, -c1, 0, 1, -c2]])
     w1, w2 = s.v[2] ** 2, s.v[5] ** 2
     gamma = sp.Matrix([-c1 * w1, -s1 * w1, -c1 * w1 - c2 * w2, -s1 * w1 - s2 * w2])
     assert matrix.shape == (10, 10)

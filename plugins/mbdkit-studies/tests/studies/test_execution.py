@@ -12,10 +12,12 @@ import pytest
 
 import mbdkit
 from mbdkit.archive.archive_check import check
-from mbdkit.base.errors import ResourceError, SpecError
+from mbdkit.base.errors import SpecError
 from mbdkit_studies import pool, study_index
 from mbdkit_studies.batch import refusal
 from mbdkit_studies.folder_lock import Shard
+
+from .test_blocks import index_hash
 
 #: Two rods that can meet a point of the ground at a distance of 1.5 m, but not at 3 m.
 CLOSED = {
@@ -35,12 +37,6 @@ CLOSED = {
 def written(folder: Path) -> dict[str, int]:
     """When each run file was last written."""
     return {path.name: path.stat().st_mtime_ns for path in (folder / "runs").iterdir()}
-
-
-def index_hash(folder: Path) -> str:
-    """The hash of all of the index but the timings."""
-    with h5py.File(folder / "index.h5") as file:
-        return str(file.attrs["data_sha256"])
 
 
 def test_every_run_has_a_sound_archive_and_nothing_else_is_left(finished):
@@ -169,21 +165,11 @@ def test_a_file_that_holds_another_run_than_its_name_says_is_refused_before_any_
     assert not third.exists()
 
 
-def test_only_one_call_works_in_a_folder_at_a_time(copied, small):
-    from mbdkit_studies.study_folder import StudyFolder
-
-    with StudyFolder(copied).locked(), pytest.raises(ResourceError, match="running in this folder"):
-        mbdkit.study(small, out=copied)
-
-
 def test_runs_that_fail_are_results_with_their_reasons_and_are_not_tried_again(tmp_path):
     study = {
         "mbdkit_study": 1,
         "base": {"model": CLOSED, "integrator": {"name": "rk4"}, "time": {"end": 0.1, "step": 0.01}},
-        "axes": [
-            {"model.joints.C.points[0]": [[1.5, 0], [3.0, 0]]},
-            {"limits.max_steps": [1000, 5]},
-        ],
+        "axes": [{"model.joints.C.points[0]": [[1.5, 0], [3.0, 0]]}, {"limits.max_steps": [1000, 5]}],
         "reference": {"integrator": {"name": "gauss", "stages": 3}, "limits": {}},
     }
     done = mbdkit.study(study, out=tmp_path / "out")
@@ -345,24 +331,7 @@ def test_progress_counts_runs_and_timings(small, tmp_path):
     assert told == [(1, 3, 0), (2, 3, 0), (3, 3, 0)]
 
 
-def test_without_a_folder_a_study_lives_as_long_as_it_is_held():
-    study = mbdkit.study(
-        {
-            "mbdkit_study": 1,
-            "base": "pendulum",
-            "overrides": {"time": {"end": 0.1, "step": 0.01}},
-            "axes": [{"model.length": [1.0]}],
-        }
-    )
-    folder = study.folder
-    with study.run(study.points[0]) as run:
-        assert run.status == "complete"
-    del study
-    assert not folder.exists()
-
-
 def test_reasons_of_runs_with_several_wrong_values_are_on_one_line() -> None:
     error = SpecError("should be greater than 0, not -1\n  also: model.b: is missing", key="model.a")
-    assert refusal(error).reason == (
-        "wrong-input: model.a: should be greater than 0, not -1; also: model.b: is missing"
-    )
+    wanted = "wrong-input: model.a: should be greater than 0, not -1; also: model.b: is missing"
+    assert refusal(error).reason == wanted

@@ -26,12 +26,8 @@ from mbdkit_studies.tasks import Task
 
 from .test_execution import index_hash
 
-BASE: dict[str, Any] = {
-    "mbdkit": 1,
-    "model": {"name": "double-pendulum"},
-    "integrator": {"name": "rk4"},
-    "time": {"end": 0.2, "step": 0.01},
-}
+RUN = {"integrator": {"name": "rk4"}, "time": {"end": 0.2, "step": 0.01}}
+BASE: dict[str, Any] = {"mbdkit": 1, "model": {"name": "double-pendulum"}, **RUN}
 
 
 def pendulums(**options: Any) -> mbdkit.Study:
@@ -96,10 +92,8 @@ def test_a_lost_worker_costs_its_task_one_retry(blocks, tmp_path):
 def test_a_run_that_is_lost_twice_has_failed_and_is_tried_again_by_the_next_call(finished, small, tmp_path):
     study = mbdkit.study(small, out=tmp_path / "s", executor=losing(3, 6))
     (failed,) = study.failures
-    assert failed.reason == (
-        "worker-died: two processes that computed it died; the second one was lost by the executor: LostError: the "
-        "worker is gone."
-    )
+    assert failed.reason.startswith("worker-died: two processes that computed it died; the second one was lost by")
+    assert failed.reason.endswith("LostError: the worker is gone.")
     assert study.unfinished == (failed.reason,)
     assert mbdkit.study(small, out=tmp_path / "s", executor=Here()).computed == 1
     assert index_hash(study.folder) == index_hash(finished.folder)
@@ -326,8 +320,7 @@ def test_options_that_do_not_fit_are_refused(options, words, monkeypatch, tmp_pa
 def test_a_package_that_is_not_installed_is_named_with_its_extra(name, package, monkeypatch, tmp_path):
     monkeypatch.setitem(sys.modules, package, None)
     scheduler = ["--scheduler", "tcp://127.0.0.1:9"] if name == "dask" else []
-    result = CliRunner().invoke(
-        app, ["study", "paper", "-o", str(Path(tmp_path) / "s"), "--executor", name, *scheduler]
-    )
+    command = ["study", "paper", "-o", str(Path(tmp_path) / "s"), "--executor", name, *scheduler]
+    result = CliRunner().invoke(app, command)
     assert result.exit_code == 2
     assert f"needs the package {package}, which is not installed: pip install 'mbdkit[{name}]'" in result.stderr

@@ -72,10 +72,7 @@ def test_of_two_studies_that_begin_in_one_folder_one_is_refused(attempt, small, 
 
 @pytest.mark.parametrize(
     ("name", "is_folder", "words"),
-    [
-        ("runs", False, "this is not a folder, but the study needs a folder of this name"),
-        ("index.h5", True, "this is a folder, but the study writes a file of this name"),
-    ],
+    [("runs", False, "this is not a folder, but the study"), ("index.h5", True, "this is a folder, but the study")],
 )
 def test_what_has_the_name_of_something_else_in_the_folder_is_named(name, is_folder, words, small, tmp_path):
     spec, path = load_study_spec(small), tmp_path / "out"

@@ -19,26 +19,17 @@ from tests.first_party import ROOT
 from tests.installing import install_project, python
 
 PROJECT = ROOT / "plugins" / "mbdkit-generalized-alpha"
+GAUSS = {"label": "Gauss 2", "set": {"integrator": {"name": "gauss", "stages": 2}}}
+ALPHA = {
+    "label": "Generalized-alpha",
+    "set": {"integrator": {"name": "mbdkit-generalized-alpha:generalized-alpha"}, "formulation": "index-3"},
+    "if_installed": "mbdkit-generalized-alpha",
+}
 STUDY: dict[str, Any] = {
     "mbdkit_study": 1,
     "title": "One of ours, one of a plugin",
     "base": {"model": {"name": "double-pendulum", "angles": [-1.0, -0.4]}, "time": {"end": 0.4, "step": 0.02}},
-    "axes": [
-        {
-            "method": [
-                {"label": "Gauss 2", "set": {"integrator": {"name": "gauss", "stages": 2}}},
-                {
-                    "label": "Generalized-alpha",
-                    "set": {
-                        "integrator": {"name": "mbdkit-generalized-alpha:generalized-alpha"},
-                        "formulation": "index-3",
-                    },
-                    "if_installed": "mbdkit-generalized-alpha",
-                },
-            ]
-        },
-        {"time.step": [0.02, 0.01]},
-    ],
+    "axes": [{"method": [GAUSS, ALPHA]}, {"time.step": [0.02, 0.01]}],
     "reference": {"integrator": {"name": "gauss", "stages": 5}, "formulation": "index-1", "time.step": 0.01},
     "measures": ["misalignment_max", "velocity_error", "multiplier_error", "own_multipliers", "reversibility_defect"],
 }

@@ -54,16 +54,8 @@ def test_prepared_runs_equal_single_ones_to_the_bit(source: Any, sections: Any, 
     for number in (value, 0.9 * value, value):  # the second run leaves nothing behind
         made, single = prepared.run({key: number}), alone(spec, key, number)
         assert made.data_sha256 == single.data_sha256
-        assert (made.run_id, made.spec_json, made.status_reason) == (
-            single.run_id,
-            single.spec_json,
-            single.status_reason,
-        )
-        assert (made.verdict, made.verdict_reasons, made.warnings) == (
-            single.verdict,
-            single.verdict_reasons,
-            single.warnings,
-        )
+        for one in ("run_id", "spec_json", "status_reason", "verdict", "verdict_reasons", "warnings"):
+            assert getattr(made, one) == getattr(single, one), one
         np.testing.assert_equal(dict(made.measures), dict(single.measures))
         assert (made.accuracy is None) == (single.accuracy is None)
 

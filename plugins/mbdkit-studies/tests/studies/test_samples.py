@@ -25,25 +25,25 @@ from mbdkit_studies.study_headlines import _sobol_words, headlines
 from mbdkit_studies.study_notes import notes
 
 BODY = {"mass": 1.0, "inertia": 1.0, "position": [0.0, 0.0], "angle": 0.0}
+SPEED, MASS = "model.bodies.ball.velocity.0", "model.bodies.ball.mass"
+
+
+def base(end: float, **bodies: Any) -> dict[str, Any]:
+    """Return a run spec of bodies that nothing acts on."""
+    model = {"name": "mechanism", "gravity": [0.0, 0.0], "bodies": bodies, "joints": {}}
+    return {"model": model, "integrator": {"name": "rk4"}, "time": {"end": end, "step": 0.1}}
+
+
 THROW: dict[str, Any] = {
     "mbdkit_study": 1,
-    "base": {
-        "model": {"name": "mechanism", "gravity": [0.0, 0.0], "bodies": {"ball": BODY}, "joints": {}},
-        "integrator": {"name": "rk4"},
-        "time": {"end": 0.4, "step": 0.1},
-    },
+    "base": base(0.4, ball=BODY | {"velocity": [0.0, 0.0]}),
     "sample": {
         "n": 16,
         "seed": 3,
-        "variables": {
-            "model.bodies.ball.velocity.0": {"uniform": [1, 3]},
-            "model.bodies.ball.mass": {"lognorm": {"s": 0.2, "scale": 2.0}},
-        },
+        "variables": {SPEED: {"uniform": [1, 3]}, MASS: {"lognorm": {"s": 0.2, "scale": 2.0}}},
     },
     "measures": {"distance": "final(ball.x)", "work": "max(energy.kinetic)"},
 }
-THROW["base"]["model"]["bodies"]["ball"] = BODY | {"velocity": [0.0, 0.0]}
-SPEED, MASS = THROW["sample"]["variables"]
 
 
 @pytest.fixture
@@ -83,10 +83,8 @@ def test_the_seed_alone_decides_the_values(method: str) -> None:
 def test_values_have_the_distributions_of_scipy(method: str) -> None:
     variables = {"a": {"triang": [0.3, 1, 2]}, "b": {"truncnorm": [-1, 3, 5, 2]}}
     found = sampled_values(_sample(n=1024, method=method, variables=variables))
-    for values, expected in (
-        (found["a"], scipy.stats.triang(0.3, 1, 2)),
-        (found["b"], scipy.stats.truncnorm(-1, 3, 5, 2)),
-    ):
+    wanted = {"a": scipy.stats.triang(0.3, 1, 2), "b": scipy.stats.truncnorm(-1, 3, 5, 2)}
+    for values, expected in ((found[name], wanted[name]) for name in "ab"):
         test = scipy.stats.kstest(values, expected.cdf)
         # One value in each of n classes, of equal probability, has at most 1/n.
         assert test.pvalue > 1e-3 if method in ("random", "halton") else test.statistic <= 1.001 / 1024
@@ -168,21 +166,12 @@ def test_axes_repeat_the_sample(throw: dict[str, Any], tmp_path: Path) -> None:
 @pytest.fixture(scope="module")
 def of_ishigami(tmp_path_factory: pytest.TempPathFactory) -> mbdkit.Study:
     """The Ishigami function of the angles of three bodies at rest, as a measure of runs."""
-    bodies = dict.fromkeys("abc", BODY)
     value = "sin(final(a.angle)) + 7*sin(final(b.angle))**2 + 0.1*final(c.angle)**4*sin(final(a.angle))"
+    angles = {f"model.bodies.{name}.angle": {"uniform": [-np.pi, np.pi]} for name in "abc"}
     spec = {
         "mbdkit_study": 1,
-        "base": {
-            "model": {"name": "mechanism", "gravity": [0.0, 0.0], "bodies": bodies, "joints": {}},
-            "integrator": {"name": "rk4"},
-            "time": {"end": 0.1, "step": 0.1},
-        },
-        "sample": {
-            "n": 256,
-            "seed": 1,
-            "design": "saltelli",
-            "variables": {f"model.bodies.{name}.angle": {"uniform": [-np.pi, np.pi]} for name in "abc"},
-        },
+        "base": base(0.1, **dict.fromkeys("abc", BODY)),
+        "sample": {"n": 256, "seed": 1, "design": "saltelli", "variables": angles},
         "store": "histories",
         "measures": {"y": {"value": value, "unit": "1"}},
     }
@@ -343,15 +332,9 @@ def test_reasons_of_several_sentences_are_counted_whole(tmp_path: Path, store: s
 
 
 def test_runs_with_several_reasons_of_one_kind_are_counted_once(tmp_path: Path) -> None:
-    spec = {
-        "mbdkit_study": 1,
-        "base": {
-            "model": {"name": "double-pendulum", "angles": [45, 60]},
-            "integrator": {"name": "rk4"},
-            "time": {"end": 0.01, "step": 0.001},
-        },
-        "axes": [{"time.step": [0.001, 0.002]}],
-    }
+    run = {"integrator": {"name": "rk4"}, "time": {"end": 0.01, "step": 0.001}}
+    whirling = {"model": {"name": "double-pendulum", "angles": [45, 60]}, **run}
+    spec = {"mbdkit_study": 1, "base": whirling, "axes": [{"time.step": [0.001, 0.002]}]}
     told = [text for label, text in notes(mbdkit.study(spec, out=tmp_path / "s")) if label == "doubtful"]
     assert [text.partition(";")[0] for text in told] == ["2 runs (1, 2)"]
 

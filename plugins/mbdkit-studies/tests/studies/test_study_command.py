@@ -12,7 +12,6 @@ import sys
 import time
 from pathlib import Path
 
-import h5py
 import pytest
 
 from mbdkit import load, load_study
@@ -22,6 +21,8 @@ from mbdkit.base import progress_bars
 from mbdkit.spec import load_study_spec
 from mbdkit_studies.planned_points import plan_points
 from mbdkit_studies.study_folder import StudyFolder
+
+from .test_blocks import index_hash
 
 SWEEP = """\
 mbdkit_study: 1
@@ -139,11 +140,7 @@ def test_ctrl_c_keeps_what_is_finished_and_the_next_call_comes_to_the_same_index
     for out in ("cut", "whole"):
         study_in_this_process(tmp_path / "slow.yaml", out=tmp_path / out)
     assert all(path.stat().st_mtime_ns == before for path, before in kept.items())
-    hashes = []
-    for out in ("cut", "whole"):
-        with h5py.File(tmp_path / out / "index.h5") as file:
-            hashes.append(file.attrs["data_sha256"])
-    assert hashes[0] == hashes[1]
+    assert index_hash(tmp_path / "cut") == index_hash(tmp_path / "whole")
 
 
 @pytest.mark.end_to_end
@@ -245,11 +242,7 @@ def test_a_key_is_set_in_the_base_of_every_run(mbdkit, in_tmp_path):
 @pytest.mark.parametrize(
     ("assignment", "expected"),
     [
-        (
-            "model.length=3",
-            "--set model.length=3: an axis of the study sets model.length, so this would",
-        ),
-        ("limits.max_steps=3", "an axis of the study sets limits.max_steps"),
+        ("model.length=3", "--set model.length=3: an axis of the study sets model.length"),
         ("time.ende=3", "--set time.ende=3: overrides.\"time.ende\": unknown key (did you mean 'end'?)"),
         ("time.end", "should have the form KEY=VALUE"),
     ],
@@ -331,19 +324,8 @@ def test_validate_takes_a_study(mbdkit, in_tmp_path):
     assert mbdkit("validate", "no-drift").exit_code == 0
 
 
-@pytest.mark.parametrize(
-    ("text", "expected"),
-    [
-        (SWEEP.replace("model.length", "model.lenght"), 'sweep.yaml:7: axes[0]."model.lenght"[0]: '),
-        (
-            SWEEP + "measures: {far: max(abs(rod2.position))}\n",
-            "sweep.yaml:9: measures.far: there is no body",
-        ),
-        (SWEEP.replace("mbdkit_study: 1\n", ""), "sweep.yaml: mbdkit_study: is missing"),
-    ],
-)
-def test_validate_names_what_is_wrong_with_a_study(mbdkit, in_tmp_path, text, expected):
-    (in_tmp_path / "sweep.yaml").write_text(text)
+def test_validate_names_what_is_wrong_with_a_study(mbdkit, in_tmp_path):
+    (in_tmp_path / "sweep.yaml").write_text(SWEEP + "measures: {far: max(abs(rod2.position))}\n")
     result = mbdkit("validate", "sweep.yaml")
     assert result.exit_code == 2
-    assert expected in result.stderr
+    assert "sweep.yaml:9: measures.far: there is no body" in result.stderr

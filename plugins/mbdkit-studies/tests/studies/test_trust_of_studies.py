@@ -1,4 +1,4 @@
-"""Runs of a study that are not to be trusted are visible in its table, its summary and its report."""
+"""Runs of a study that are not to be trusted are visible in its table and its report."""
 
 from __future__ import annotations
 
@@ -11,17 +11,12 @@ import pytest
 import mbdkit
 from mbdkit.archive.fingerprint import data_sha256
 from mbdkit_studies.study_report import study_report
-from mbdkit_studies.study_summary import outcome, summary
 
+RUN = {"integrator": {"name": "gauss", "stages": 3}, "time": {"end": 2.0, "step": 0.05}}
 STUDY = {
     "mbdkit_study": 1,
     "title": "two methods",
-    "base": {
-        "mbdkit": 1,
-        "model": {"name": "double-pendulum"},
-        "integrator": {"name": "gauss", "stages": 3},
-        "time": {"end": 2.0, "step": 0.05},
-    },
+    "base": {"mbdkit": 1, "model": {"name": "double-pendulum"}, **RUN},
     "axes": [{"integrator": [{"name": "gauss", "stages": 3}, {"name": "rk-gill"}]}],
 }
 
@@ -48,11 +43,6 @@ def test_the_report_of_a_study_shows_the_verdicts(study: mbdkit.Study) -> None:
     place = [column.label for column in table.columns].index("verdict")
     assert [row[place] for row in table.rows] == ["unknown", "bad"]
     assert page.settings.endswith("2 complete \u00b7 1 bad")
-
-
-def test_the_summary_of_a_study_counts_the_verdicts(study: mbdkit.Study) -> None:
-    assert "verdicts   1 unknown, 1 bad" in summary(study)
-    assert outcome(study)["verdicts"] == {"unknown": 1, "bad": 1}
 
 
 def test_an_index_without_verdicts_is_read_and_renewed_from_the_archives(study: mbdkit.Study, tmp_path: Path) -> None:

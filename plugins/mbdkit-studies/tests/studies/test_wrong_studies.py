@@ -30,6 +30,25 @@ def study(old: str, new: str) -> str:
     return STUDY.replace(old, new)
 
 
+STEPS, RK4, GAUSS = "time.step: [0.1, 0.05]", "{name: rk4}", "{name: gauss, stages: 2}"
+START = "mbdkit_study: 1\nbase: pendulum\nfamilies:\n  a:\n"
+WITHOUT_REFERENCE = STUDY[: STUDY.index("reference:")]
+
+
+def several(entry: str, name: str = "name") -> str:
+    """Return the study with an axis whose only value sets several keys."""
+    return study(STEPS, f"{name}: [{{label: x, {entry}}}]")
+
+
+def called(name: str) -> str:
+    """Return the study with an axis of this name."""
+    text = study("  - integrator:", f"  - {name}:").replace(RK4, "{label: a, set: {time.end: 1.0}}")
+    return text.replace(GAUSS, "{label: b, set: {time.end: 2.0}}")
+
+
+COLUMNS = """status status_reason run run_id reference steps wall_s misalignment_max family verdict file_sha256 number
+    wall_median_s repeat known_until reversibility_defect"""
+
 #: What is wrong: the spec, the line, the key, words of the message.
 WRONG = {
     "unknown key": (study("axes:", "axis:"), 7, "axis", "did you mean 'axes'?"),
@@ -38,40 +57,13 @@ WRONG = {
     "a run spec": (study("mbdkit_study: 1", "mbdkit: 1"), 1, "mbdkit", "`mbdkit run` runs"),
     "no base": ("mbdkit_study: 1\naxes: [{time.step: [1]}]\n", None, "base", "is missing"),
     "nothing that varies": (STUDY[: STUDY.index("axes:")], None, "", "needs `axes`"),
-    "an example that is none": (
-        "mbdkit_study: 1\nbase: knnee\naxes: [{time.step: [1]}]\n",
-        2,
-        "base",
-        "did you mean 'knee'?",
-    ),
+    "no such example": ("mbdkit_study: 1\nbase: knnee\naxes: [{time.step: [1]}]\n", 2, "base", "mean 'knee'?"),
     "axes that are no list": (study("  - integrator", "    integrator"), 11, "", "not valid YAML"),
-    "an axis that is a list": (
-        study("  - time.step: [0.1, 0.05]", "  - [time.step, 0.1]"),
-        11,
-        "axes[1]",
-        "should be a mapping",
-    ),
-    "an axis of nothing": (study("time.step: [0.1, 0.05]", "{}"), 11, "axes[1]", "at least one key"),
-    "values that are no list": (study("[0.1, 0.05]", "0.1"), 11, 'axes[1]."time.step"', "should be a list of values"),
-    "no values": (study("[0.1, 0.05]", "[]"), 11, 'axes[1]."time.step"', "at least one value"),
-    "a mistyped spacing": (
-        study("[0.1, 0.05]", "{geomspce: [1, 2, 3]}"),
-        11,
-        'axes[1]."time.step".geomspce',
-        "did you mean 'geomspace'?",
-    ),
-    "keys of different length": (
-        study("[0.1, 0.05]", "[0.1, 0.05]\n    time.end: [1.0]"),
-        11,
-        "axes[1]",
-        "'time.step' has 2 and 'time.end' has 1",
-    ),
-    "one key on two axes": (
-        study("[0.1, 0.05]", "[0.1]\n  - time.step: [0.2]"),
-        12,
-        'axes[2]."time.step"',
-        "is already in axes[1]",
-    ),
+    "an axis that is a list": (study(f"  - {STEPS}", "  - [time.step, 0.1]"), 11, "axes[1]", "should be a mapping"),
+    "an axis of nothing": (study(STEPS, "{}"), 11, "axes[1]", "at least one key"),
+    "a mistyped spacing": (study("[0.1, 0.05]", "{geomspce: [1]}"), 11, 'axes[1]."time.step".geomspce', "'geomspace'"),
+    "different lengths": (study("0.05]", "0.05]\n    time.end: [1.0]"), 11, "axes[1]", "'time.end' has 1"),
+    "a key twice": (study("0.05]", "0.2]\n  - time.step: [0.2]"), 12, 'axes[2]."time.step"', "is already in axes[1]"),
     "a key under one that comes later": (
         study("  - integrator:", "  - integrator.stages: [1]\n  - integrator:"),
         9,
@@ -79,218 +71,110 @@ WRONG = {
         "as 'integrator.stages'",
     ),
     "no key at all": (study("  - time.step:", "  - .step:"), 11, 'axes[1].".step"', "dotted key"),
-    "a mistyped key of the run": (
-        study("time.step: [", "time.stpe: ["),
-        11,
-        'axes[1]."time.stpe"[0]',
-        "did you mean 'step'?",
-    ),
-    "a value that a run refuses": (
-        study("0.05]", "-0.05]"),
-        11,
-        'axes[1]."time.step"[1]',
-        "should be greater than 0, not -0.05 (in run 2: rk4; time.step -0.05)",
-    ),
-    "an unknown integrator": (
-        study("{name: rk4}", "{name: rk5}"),
-        9,
-        "axes[0].integrator[0].name",
-        "did you mean 'rk4'?",
-    ),
+    "a mistyped key of the run": (study("time.step: [", "time.stpe: ["), 11, 'axes[1]."time.stpe"[0]', "mean 'step'?"),
+    "a value that a run refuses": (study("0.05]", "-0.05]"), 11, 'axes[1]."time.step"[1]', "not -0.05 (in run 2: rk4;"),
+    "an unknown integrator": (study(RK4, "{name: rk5}"), 9, "axes[0].integrator[0].name", "did you mean 'rk4'?"),
     "an option of a labelled object": (
-        study("{name: rk4}", "{label: x, value: {name: gauss, stages: 9}}"),
+        study(RK4, "{label: x, value: {name: gauss, stages: 9}}"),
         9,
         "axes[0].integrator[0].value.stages",
         "should be at most 6",
     ),
     "a mistake in the base": (study("double-pendulum", "duoble-pendulum"), 3, "base.model.name", "'double-pendulum'"),
     "a mistake in the overrides": (study("output.every", "output.evry"), 6, 'overrides."output.evry"', "mean 'every'?"),
-    "an override of what has no keys": (
-        study("output.every", "time.step.small"),
-        6,
-        'overrides."time.step.small"',
-        "so it has no 'small'",
-    ),
+    "no such keys": (study("output.every", "time.step.small"), 6, 'overrides."time.step.small"', "has no 'small'"),
     "a combination that a run refuses": (
         study("output.every: 2", "output: {interval: 0.1}"),
         6,
         "overrides.output.interval",
         "no dense output",
     ),
-    "a key that only together is wrong": (
-        study("time.step: [0.1, 0.05]", "time.steps: [10]"),
-        11,
-        'axes[1]."time.steps"[0]',
-        "time: takes exactly one of `end` and `steps`, not both; null removes a key, as in --set time.steps=null",
-    ),
-    "a reference that is a number": (
-        STUDY[: STUDY.index("reference:")] + "reference: 5\n",
-        12,
-        "reference",
-        "should be 'none' or a mapping (`key: value`), not 5",
-    ),
-    "a mistake in the reference": (
-        study("stages: 4", "stages: 7"),
-        13,
-        "reference.integrator.stages",
-        "in the reference of run 1",
-    ),
+    "wrong together": (study(STEPS, "time.steps: [10]"), 11, 'axes[1]."time.steps"[0]', "time: takes exactly one of"),
+    "a number as reference": (f"{WITHOUT_REFERENCE}reference: 5\n", 12, "reference", "should be 'none' or a mapping"),
+    "a wrong reference": (study("stages: 4", "stages: 7"), 13, "reference.integrator.stages", "the reference of run 1"),
     "a reference of another length": (
-        STUDY + "  time.end: 2.0\n",
+        f"{STUDY}  time.end: 2.0\n",
         12,
         "reference",
-        "the reference of run 1 goes from 0 s to 2 s, the run from 0 s to 1 s",
+        "goes from 0 s to 2 s, the run from",
     ),
     "a reference of other bodies": (
-        STUDY + "  model: {name: single-pendulum}\n",
+        f"{STUDY}  model: {{name: single-pendulum}}\n",
         12,
         "reference",
-        "the reference of run 1 has the bodies rod1, the run has rod1, rod2; both should have the same",
+        "has the bodies rod1",
     ),
-    "an unknown measure": (STUDY + "measures: [end_eror]\n", 14, "measures[0]", "did you mean 'end_error'?"),
-    "an error without reference": (
-        STUDY[: STUDY.index("reference:")] + "measures: [end_error]\n",
-        12,
-        "measures[0]",
-        "needs a `reference`",
-    ),
-    "no repeats": (STUDY + "repeats: 0\n", 14, "repeats", "at least 1"),
+    "an unknown measure": (f"{STUDY}measures: [end_eror]\n", 14, "measures[0]", "did you mean 'end_error'?"),
+    "no reference": (f"{WITHOUT_REFERENCE}measures: [end_error]\n", 12, "measures[0]", "needs a `reference`"),
+    "no repeats": (f"{STUDY}repeats: 0\n", 14, "repeats", "at least 1"),
     "several keys beside one": (
         study("[0.1, 0.05]", "[0.1, {label: x, set: {time.step: 0.1}}]"),
         11,
         'axes[1]."time.step"[1]',
         "cannot mix values with and without `set`",
     ),
-    "several keys of which one is none": (
-        study("time.step: [0.1, 0.05]", "name: [{label: x, set: {.step: 0.1}}]"),
-        11,
-        'axes[1].name[0].set.".step"',
-        "dotted key",
-    ),
+    "no key of several": (several("set: {.step: 0.1}"), 11, 'axes[1].name[0].set.".step"', "dotted key"),
     "several keys of which one is set by another axis": (
-        study(
-            "time.step: [0.1, 0.05]", "name: [{label: x, set: {time.step: 0.1, integrator.name: rk4}}]\n  - time: [{}]"
-        ),
+        study(STEPS, "name: [{label: x, set: {time.step: 1, integrator.name: rk4}}]\n  - time: [{}]"),
         12,
         "axes[2].time",
         "would replace a key that is set in axes[1], as 'time.step'",
     ),
-    "a name that two axes have": (
-        study("time.step: [0.1, 0.05]", "integrator: [{label: x, set: {time.step: 0.1}}]"),
-        11,
-        "axes[1].integrator",
-        "is already in axes[0]",
-    ),
-    "a mistake in one of several keys": (
-        study("time.step: [0.1, 0.05]", "name: [{label: x, set: {time.step: 0.1, time.stpe: 2}}]"),
+    "one name twice": (several("set: {time.step: 1}", "integrator"), 11, "axes[1].integrator", "is already in axes[0]"),
+    "a mistake in several keys": (
+        several("set: {time.stpe: 2}"),
         11,
         'axes[1].name[0].set."time.stpe"',
-        "did you mean 'step'?",
+        "mean 'step'?",
     ),
     "an unknown integrator of a distribution that is installed": (
-        study("{name: rk4}", "{label: x, value: {name: rk5}, if_installed: mbdkit}"),
+        study(RK4, "{label: x, value: {name: rk5}, if_installed: mbdkit}"),
         9,
         "axes[0].integrator[0].value.name",
         "did you mean 'rk4'?",
     ),
-    "a mistyped condition": (
-        study("{name: rk4}", "{label: x, value: {name: rk4}, if_instaled: mbdkit}"),
-        9,
-        "axes[0].integrator[0].if_instaled",
-        "did you mean 'if_installed'?",
-    ),
-    "a distribution that is a number": (
-        study("{name: rk4}", "{label: x, value: {name: rk4}, if_installed: 3}"),
-        9,
-        "axes[0].integrator[0].if_installed",
-        "should be the name of a Python package, such as mbdkit-generalized-alpha, not 3",
-    ),
-    "a mistyped reversal": (STUDY + "measures: [reversibility_defct]\n", 14, "measures[0]", "'reversibility_defect'?"),
-    "axes beside families": (STUDY + "families: {a: {}}\n", 7, "axes", "give each family its own axes"),
-    "a family with a mistyped key": (
-        "mbdkit_study: 1\nbase: pendulum\nfamilies:\n  a:\n    axs: []\n",
-        5,
-        "families.a.axs",
-        "did you mean 'axes'?",
-    ),
+    "axes beside families": (f"{STUDY}families: {{a: {{}}}}\n", 7, "axes", "give each family its own axes"),
+    "a mistyped key of a family": (f"{START}    axs: []\n", 5, "families.a.axs", "did you mean 'axes'?"),
     "a mistake in a family": (
-        "mbdkit_study: 1\nbase: pendulum\nfamilies:\n  a:\n    axes:\n      - time.step: [0]\n",
+        f"{START}    axes:\n      - time.step: [0]\n",
         6,
         'families.a.axes[0]."time.step"[0]',
         "should be greater than 0",
     ),
     "a family without base": (
-        "mbdkit_study: 1\nfamilies:\n  a:\n    axes: [{time.step: [1]}]\n",
+        START.replace("base: pendulum\n", "") + "    axes: []\n",
         3,
         "families.a.base",
         "is missing",
     ),
-    "too many runs": (
-        study("[0.1, 0.05]", "{linspace: [0.1, 0.2, 9000]}"),
-        7,
-        "axes",
-        "makes 18000 runs; a study has at most 10000",
-    ),
-    **{
-        f"an axis called {name}": (
-            study("  - integrator:", f"  - {name}:")
-            .replace("{name: rk4}", "{label: a, set: {time.end: 1.0}}")
-            .replace("{name: gauss, stages: 2}", "{label: b, set: {time.end: 2.0}}"),
-            8,
-            f"axes[0].{name}",
-            "is a column of the index of every study",
-        )
-        for name in (
-            "status",
-            "status_reason",
-            "run",
-            "run_id",
-            "reference",
-            "steps",
-            "wall_s",
-            "misalignment_max",
-            "family",
-            "verdict",
-            "file_sha256",
-            "number",
-            "wall_median_s",
-            "repeat",
-            "known_until",
-            "reversibility_defect",
-        )
-    },
+    "too many runs": (study("[0.1, 0.05]", "{linspace: [0.1, 0.2, 9000]}"), 7, "axes", "makes 18000 runs"),
+    **{name: (called(name), 8, f"axes[0].{name}", "is a column of the index") for name in COLUMNS.split()},
     "axes of the same name in the index": (
         study(
-            "  - time.step: [0.1, 0.05]",
-            "  - a/b: [{label: x, set: {time.step: 0.1}}]\n  - a|b: [{label: y, set: {time.end: 2.0}}]",
+            f"  - {STEPS}", "  - a/b: [{label: x, set: {time.step: 0.1}}]\n  - a|b: [{label: y, set: {time.end: 2}}]"
         ),
         12,
         "axes[2].a|b",
         "'a|b' and 'a/b' would be one column",
     ),
-    "a zero in the name of an axis": (
-        study("  - time.step: [0.1, 0.05]", '  - "a\\0b": [{label: x, set: {time.step: 0.1}}]'),
+    "a zero in a name": (
+        several("set: {time.step: 0.1}", '"a\\0b"'),
         11,
         "axes[1].a?b",
-        "contains the character '\\x00'",
+        r"contains the character '\x00'",
     ),
     "a zero in a label": (
-        study("  - time.step: [0.1, 0.05]", '  - "a": [{label: "x\\0", set: {time.step: 0.1}}]'),
+        study(STEPS, 'a: [{label: "x\\0", set: {time.step: 0.1}}]'),
         11,
         "axes[1].a[0].set",
-        "contains the character '\\x00'",
+        r"contains the character '\x00'",
     ),
-    "a blank name of an axis": (
-        study("  - time.step: [0.1, 0.05]", '  - "  ": [{label: x, set: {time.step: 0.1}}]'),
-        11,
-        'axes[1]."  "',
-        "is blank",
-    ),
-    "a long name of an axis": (
-        study("  - time.step: [0.1, 0.05]", f"  - {'a' * 300}: [{{label: x, set: {{time.step: 0.1}}}}]"),
+    "a blank name": (several("set: {time.step: 0.1}", '"  "'), 11, 'axes[1]."  "', "is blank"),
+    "a long name": (
+        several("set: {time.step: 0.1}", "a" * 300),
         11,
         f"axes[1].{'a' * 289}...",
-        "is longer than 255 bytes",
+        "longer than 255 bytes",
     ),
     "not finite": (study("[0.1, 0.05]", "[.nan]"), 11, 'axes[1]."time.step"[0]', "finite"),
 }

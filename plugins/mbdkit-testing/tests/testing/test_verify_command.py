@@ -51,10 +51,7 @@ def test_as_html_it_is_a_page_that_is_not_replaced_unasked(
         (["gauss", "--set", "stages=9"], "stages: should be at most 6, not 9"),
         (["gauss", "--set", "stagse=2"], "stagse: unknown key (did you mean 'stages'?)"),
         (["gauss", "--set", "stages"], "should have the form KEY=VALUE"),
-        (
-            ["mechanism"],
-            "mbdkit:mechanism needs options: bodies: a mechanism needs at least one body or beam; give them",
-        ),
+        (["mechanism"], "mbdkit:mechanism needs options: bodies: a mechanism needs at least one body or beam; give"),
         (["n-pendulum"], "'n', the number of rods, is missing"),
         (["linear", "-o", "page.pdf"], "its name must end in .html or .htm"),
         (["linear", "-o", "nowhere/page.html"], "the folder nowhere does not exist"),
