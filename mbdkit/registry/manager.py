@@ -189,6 +189,8 @@ def load_registry(entry_points: Iterable[EntryPoint], policy: Policy | None = No
 def _offered(entry_point: EntryPoint, origin: Origin, manager: pluggy.PluginManager) -> Iterator[tuple[str, object]]:
     module = entry_point.load()
     check_api(module, origin.distribution)
+    if module is None:
+        raise PluginError("it is None, which implements none of the hooks")
     manager.register(module, entry_point.name)
     try:
         manager.check_pending()
@@ -202,7 +204,7 @@ def _offered(entry_point: EntryPoint, origin: Origin, manager: pluggy.PluginMana
                 for thing in answer:
                     yield hook, thing
     finally:
-        manager.unregister(name=entry_point.name)
+        manager.unregister(module)
 
 
 def _accept(

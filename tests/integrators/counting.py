@@ -11,7 +11,7 @@ from collections import Counter
 from typing import Any
 
 import mbdkit
-from mbdkit.engine.kernels import system
+from mbdkit.engine.kernels import accelerations
 from mbdkit.engine.workspace import Workspace
 from mbdkit.integrators import collocation_index1, collocation_step, explicit, simplified_newton
 
@@ -26,7 +26,7 @@ def main(stages: int, solver: str) -> None:
 
         return wrapper
 
-    solve = counted("solve", system.solve_accelerations)
+    solve = counted("solve", accelerations.solve_accelerations)
     for module in (explicit, collocation_index1, collocation_step):
         module.solve_accelerations = solve  # type: ignore[attr-defined]
     collocation_index1.evaluate_tangents = counted("tangents", collocation_index1.evaluate_tangents)

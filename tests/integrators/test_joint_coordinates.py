@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
+from tests.studies import test_lanes
 
 import mbdkit
 from mbdkit.base.errors import SpecError
@@ -20,7 +21,6 @@ from mbdkit.engine.spanning_tree import cut_joints, is_tree_of_pins, spanning_tr
 from mbdkit.mechanism.mechanism import Mechanism
 from tests.engine.random_mechanisms import add_rod, chain, driven_frame, loop, slides, tree
 
-from . import test_lanes
 from .running import EPS, assert_same_end, driven_chain
 
 TIGHT = {"name": "dop853", "adaptive": True, "rtol": 1e-12, "atol": 1e-12}
