@@ -3,8 +3,8 @@
 An element of two or three nodes is integrated at one or two cross-sections. The state of a cross-section, the
 derivatives of its position with respect to the arc length, its angle and the derivative of its angle, is a linear
 function of the coordinates of the nodes. Its strains, forces and tangents are generated from the strain energy
-(`mbdkit.symbolic.definitions.derive_section`). Angles are interpolated and not wrapped, so that a beam may make many
-turns.
+(`mbdkit_statics.element_definitions.derive_section`). Angles are interpolated and not wrapped, so that a beam may make
+many turns.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Element kernels, generated from the definitions by ``python -m mbdkit.symbolic``. Do not edit.
+"""Element kernels, generated from the definitions by ``python -m mbdkit_builder elements``. Do not edit.
 
 Each element kernel writes the values of element `k` into row `k` of its output arrays; each ``constraint_*`` function
 calls the kernels of all pairs of constraint rows. Arguments:

@@ -82,7 +82,7 @@ class Topology(NamedTuple):
     """(G, 5) cross-sections at which the elements of beams are integrated: element, number of its nodes, the nodes."""
     section_parameters: Annotated[RealMatrix, 16]
     """(G, 16) values and derivatives with respect to the arc length of the shape functions of three nodes, then the
-    parameters of the cross-section; see `mbdkit.symbolic.definitions.derive_section`."""
+    parameters of the cross-section; see `mbdkit_statics.element_definitions.derive_section`."""
     force_place: IntVector
     """(S + L,) index of the force element of each segment and of each load."""
     pair_joint: IntVector

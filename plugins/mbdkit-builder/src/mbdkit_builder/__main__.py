@@ -79,11 +79,11 @@ def _platform(text: str) -> Platform:
     return Platform(system, architecture)
 
 
-def _build(target: Platform, into: Path, *, anew: bool = False, only: str | None = None) -> None:
+def _build(target: Platform, into: Path, *, only: str | None = None) -> None:
     from mbdkit_builder.libraries import build
     from mbdkit_builder.lowering import symbols
 
-    build(target, symbols(), into, anew=anew, only=only)
+    build(target, symbols(), into, only=only)
     size = sum(path.stat().st_size for path in into.iterdir())
     print(f"{into}: {size / 1e6:.2f} MB")
 
@@ -92,7 +92,7 @@ def _check(target: Platform, level: str | None) -> int:
     stored = machine_code.STORED / str(target)
     with tempfile.TemporaryDirectory() as work:
         again = Path(work) / "again"
-        _build(target, again, anew=True, only=level)
+        _build(target, again, only=level)
         names = sorted({path.name for folder in (stored, again) for path in folder.glob("*")})
         if level:
             names = [name for name in names if name.endswith(f"-{level}.xz")]

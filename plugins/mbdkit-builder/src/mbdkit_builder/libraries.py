@@ -47,8 +47,10 @@ def group_of(symbol: str) -> str:
     return "collocation" if name.startswith(("collocation", "lobatto")) else "core"
 
 
-def build(target: Platform, names: Iterable[str], into: Path, *, anew: bool = False, only: str | None = None) -> None:
+def build(target: Platform, names: Iterable[str], into: Path, *, only: str | None = None) -> None:
     """Build the libraries of a platform and their manifest into a new folder.
+
+    Every symbol is compiled, because the code of a symbol depends on which ones the same process compiled before it.
 
     Parameters
     ----------
@@ -58,8 +60,6 @@ def build(target: Platform, names: Iterable[str], into: Path, *, anew: bool = Fa
         All symbols.
     into
         The folder, which is replaced.
-    anew
-        Whether to compile every symbol, also those whose object files are up to date.
     only
         Name of the only level to build, for comparison.
     """
@@ -68,7 +68,7 @@ def build(target: Platform, names: Iterable[str], into: Path, *, anew: bool = Fa
         groups.setdefault(group_of(symbol), []).append(symbol)
     with tempfile.TemporaryDirectory() as work:
         levels = [level for level in target.levels if only in (None, level.name)]
-        objects = _objects(target, levels, groups, Path(work) if anew else BUILT)
+        objects = _objects(target, levels, groups, Path(work))
         new = Path(work) / "libraries"
         new.mkdir()
         digests = {}
@@ -104,7 +104,7 @@ def _manifest(groups: Mapping[str, list[str]], digests: Mapping[str, str]) -> di
 def _objects(
     target: Platform, levels: list[Level], groups: Mapping[str, list[str]], folder: Path
 ) -> dict[tuple[str, str], list[Path]]:
-    """Return the object files of each library; those that are missing in `folder` are compiled."""
+    """Compile all symbols into a folder; return the object files of each library."""
     folder.mkdir(exist_ok=True)
     jobs: list[tuple[list[str], list[str]]] = [([level.name], groups["lanes"]) for level in levels]
     for name in ("gradients", "collocation", "core"):

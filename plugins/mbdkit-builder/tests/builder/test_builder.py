@@ -44,7 +44,7 @@ def test_the_stored_code_is_that_of_this_builder() -> None:
 def test_check_names_a_manifest_of_other_sources(
     level: str | None, key: str | None, name: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    def build(target: Platform, into: Path, *, anew: bool, only: str | None) -> None:
+    def build(target: Platform, into: Path, *, only: str | None) -> None:
         shutil.copytree(machine_code.STORED / str(target), into)
         path = into / machine_code.MANIFEST
         text = json.loads(path.read_bytes())

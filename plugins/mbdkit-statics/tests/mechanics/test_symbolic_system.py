@@ -312,7 +312,8 @@ FIELDS = {
     "force": {"type", "body", "point", "at", "value", "frame"},
     "law": {"type", "law", "pathway"},
 }
-"""What `mbdkit.symbolic.build` reads of each force element; once it is placed, `at`, `from_` and `to` are None."""
+"""What `mbdkit_statics.symbolic_equations` reads of each force element; once it is placed, `at`, `from_` and `to` are
+None."""
 
 
 def test_every_force_element_has_a_symbolic_form_and_no_key_of_one_is_left_out() -> None:
