@@ -15,11 +15,12 @@ from mbdkit.base.text import shown
 
 
 def logger_of(module: str) -> logging.Logger:
-    """Return the logger of a module, such as ``mbdkit.runs.simulation``.
+    """Return the logger of a module, such as ``mbdkit.runs.simulation``; ``mbdkit.studies.batch`` in mbdkit_studies.
 
-    The logger has a handler that does nothing; without a handler, logging would print warnings to stderr a second time.
+    All are below the logger ``mbdkit``, by which a program sets what it wants to see. The logger has a handler that
+    does nothing; without a handler, logging would print warnings to stderr a second time.
     """
-    logger = logging.getLogger(module)
+    logger = logging.getLogger(module.replace("mbdkit_", "mbdkit.", 1))
     logger.addHandler(logging.NullHandler())
     return logger
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import sys
 from dataclasses import replace
 
@@ -140,3 +141,12 @@ def test_every_number_of_a_study_with_a_reference_is_computed_again(finished):
     falsified = replace(finished.points[1], row=replace(finished.points[1].row, values=errors))
     with pytest.raises(MbdkitError, match="the index has other values of trajectory_error"):
         finished.remake(falsified)
+
+
+def test_a_study_is_logged_below_the_logger_mbdkit(tmp_path, caplog):
+    # expected: a program that asks mbdkit for messages, as the guide shows, gets those of studies too
+    spec = {"mbdkit_study": 1, "base": "pendulum", "axes": [{"time.step": [0.01]}], "overrides": {"time.end": 0.05}}
+    with caplog.at_level(logging.INFO, logger="mbdkit"):
+        mbdkit.study(spec, out=tmp_path / "study")
+    told = [record.getMessage() for record in caplog.records if record.name.startswith("mbdkit.studies.")]
+    assert [words in text for words, text in zip(("begins", "ends"), told, strict=True)] == [True, True], told
