@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import ast
+import re
 from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
 
-from tests.first_party import modules
+from mbdkit.cli import QUIET
+from tests.first_party import PACKAGES, modules
 
 FACES = ("mbdkit", "mbdkit.plugin", "mbdkit.spec", "mbdkit.testing")
 """Modules that name what the parts offer."""
@@ -31,3 +33,8 @@ def test_no_file_imports_itself_through_others() -> None:
         TopologicalSorter(graph).prepare()
     except CycleError as error:
         raise AssertionError(f"circular import: {' <- '.join(error.args[1])}") from None
+
+
+def test_commands_show_no_warnings_about_lines_of_our_own_code_and_those_of_other_plugins():
+    assert all(re.match(QUIET, f"{package}.module") for package in PACKAGES)
+    assert not any(re.match(QUIET, other) for other in ("mbdkit_rocket", "mbdkit_reports", "numpydoc"))

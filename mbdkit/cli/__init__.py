@@ -21,6 +21,9 @@ from mbdkit.base.terminal import PlainStream, keep_results_apart, open_streams, 
 from mbdkit.cli.common_options import PLAIN, Debug
 from mbdkit.cli.registered_commands import MainCommands
 
+QUIET = r"(mbdkit(_(biomech|builder|design|explore|paper|report|statics|studies|testing))?|numpy|scipy)\b"
+"""Modules of mbdkit, its parts and what they compute with, whose warnings refer to lines of code."""
+
 app = typer.Typer(cls=MainCommands, pretty_exceptions_enable=False, **PLAIN)
 
 
@@ -62,9 +65,8 @@ def main() -> None:
     try:
         open_streams()  # first, because the next file opened would get the file descriptor of a closed stream
         stop_as_by_ctrl_c()
-        # mbdkit reports overflows itself; NumPy's warnings would refer to lines of
-        # code.
-        warnings.filterwarnings("ignore", category=RuntimeWarning, module=r"(mbdkit|numpy|scipy)\b")
+        # mbdkit reports overflows itself
+        warnings.filterwarnings("ignore", category=RuntimeWarning, module=QUIET)
         keep_results_apart()
         for stream in (sys.stdout, sys.stderr):
             if isinstance(stream, io.TextIOWrapper):
