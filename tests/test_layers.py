@@ -7,6 +7,7 @@ import re
 from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
 
+from mbdkit.base.errors import OWN_PACKAGES
 from mbdkit.cli import QUIET
 from tests.first_party import PACKAGES, modules
 
@@ -36,5 +37,6 @@ def test_no_file_imports_itself_through_others() -> None:
 
 
 def test_commands_show_no_warnings_about_lines_of_our_own_code_and_those_of_other_plugins():
+    assert set(OWN_PACKAGES) == set(PACKAGES)
     assert all(re.match(QUIET, f"{package}.module") for package in PACKAGES)
     assert not any(re.match(QUIET, other) for other in ("mbdkit_rocket", "mbdkit_reports", "numpydoc"))

@@ -139,7 +139,11 @@ def blaming(what: str, *expected: type[Exception]) -> Iterator[None]:
         raise PluginError(f"{what}: {with_place(error)}") from error
 
 
-_NO_PLUGINS = frozenset({"mbdkit", "pluggy", "pydantic", "pydantic_core", "numpy", "scipy", "sympy", "numba", "h5py"})
+_PARTS = ("biomech", "builder", "design", "explore", "paper", "report", "statics", "studies", "testing")
+OWN_PACKAGES = ("mbdkit", *(f"mbdkit_{part}" for part in _PARTS))
+"""The packages of mbdkit itself: the core and its parts."""
+
+_NO_PLUGINS = {*OWN_PACKAGES, "pluggy", "pydantic", "pydantic_core", "numpy", "scipy", "sympy", "numba", "h5py"}
 """Packages that are not plugins, but that call plugins or are called by them."""
 
 

@@ -16,12 +16,13 @@ from typing import Annotated
 
 import typer
 
+from mbdkit.base.errors import OWN_PACKAGES
 from mbdkit.base.interrupts import INTERRUPTED, stop_as_by_ctrl_c
 from mbdkit.base.terminal import PlainStream, keep_results_apart, open_streams, show
 from mbdkit.cli.common_options import PLAIN, Debug
 from mbdkit.cli.registered_commands import MainCommands
 
-QUIET = r"(mbdkit(_(biomech|builder|design|explore|paper|report|statics|studies|testing))?|numpy|scipy)\b"
+QUIET = rf"({'|'.join(OWN_PACKAGES)}|numpy|scipy)\b"
 """Modules of mbdkit, its parts and what they compute with, whose warnings refer to lines of code."""
 
 app = typer.Typer(cls=MainCommands, pretty_exceptions_enable=False, **PLAIN)

@@ -106,7 +106,7 @@ def test_a_plot_that_fails_is_named_and_none_replaces_a_plot_of_mbdkit(run, inst
     assert plot_kinds()["acme:energy"] == "jumps"
     with pytest.raises(PluginError, match="the plot kind 'acme:jumps' returned an object of type int, not"):
         plot_module("jumps").charts(run)
-    with pytest.raises(PluginError, match=r"the plot kind 'acme:jumps' failed: .*no such muscle"):
+    with pytest.raises(PluginError, match=r"the plot kind 'acme:jumps' failed: .*no such muscle.*test_item_errors.py"):
         run.plot.jumps()
 
 
