@@ -43,8 +43,8 @@ class RegisteredCommands(TyperGroup):
         if item is None:
             # typer suggests the keys of `commands`; commands of this name under `distribution:name` clash
             self.commands = _stubs(items)
-            if any(item.plugin.name == cmd_name for item in items.values()):
-                installed().get(Command.kind, f"{self.group} {cmd_name}".strip())
+            for clashing in (item for item in items.values() if item.plugin.name == cmd_name):
+                installed().get(clashing.kind, clashing.name)
             return None
         command = _imported(item)
         guard(command, ("mbdkit", *self.group.split(), cmd_name))

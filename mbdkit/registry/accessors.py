@@ -8,7 +8,7 @@ from mbdkit.base.errors import MissingPartError, PluginError
 from mbdkit.base.text import listed
 from mbdkit.registry.catalogue import MBDKIT, Registered
 from mbdkit.registry.feature_items import Accessor
-from mbdkit.registry.manager import registry
+from mbdkit.registry.manager import log, registry
 from mbdkit.registry.use import use
 
 
@@ -24,7 +24,12 @@ class Extensible:
     def __new__(cls, *_arguments: Any, **_named: Any) -> Self:
         """Make an object of the class, which has the attributes of plugins."""
         if "_added" not in vars(cls):
-            cls._added = frozenset(name for name in _accessors(cls) if not hasattr(cls, name))
+            accessors = _accessors(cls)
+            cls._added = frozenset(name for name in accessors if not hasattr(cls, name))
+            for item in (item for name in accessors.keys() - cls._added for item in accessors[name]):
+                if item.origin.distribution != MBDKIT:
+                    sentence = "mbdkit: warning: %s.%s is an attribute of mbdkit itself, so '%s' is not used"
+                    log.warning(sentence, cls.__name__, item.name, item.id)
             for name in cls._added:
                 setattr(cls, name, _Computed(name))
         return super().__new__(cls)

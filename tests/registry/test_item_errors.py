@@ -83,6 +83,14 @@ def test_an_attribute_of_mbdkit_itself_stays(run, installed):
     assert callable(accessors.computed(run, "plot"))
 
 
+def test_an_accessor_never_replaces_an_attribute_of_mbdkit_and_is_named(installed, caplog):
+    installed(acme=[Accessor(name="time", summary="Times.", of="Run", target=target("failing"))])
+    recording = type("Run", (accessors.Extensible,), {"time": 3.0})
+    assert [recording().time, recording().time] == [3.0, 3.0]
+    (record,) = caplog.records
+    assert "Run.time is an attribute of mbdkit itself, so 'acme:time' is not used" in record.getMessage()
+
+
 @pytest.mark.parametrize(("function", "words"), [("failing", "ValueError: no such muscle"), ("wrong", "not pairs")])
 def test_a_summary_line_that_fails_leaves_the_summary(function, words, run, installed):
     installed(acme=[SummaryLine(name="jumps", summary="Jumps.", text=target(function))])

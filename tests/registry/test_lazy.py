@@ -14,7 +14,7 @@ import mbdkit.plugin
 from mbdkit.base.errors import PluginError, SpecError
 from mbdkit.cli import app
 from mbdkit.guide import item_places
-from mbdkit.plugin import Command, IntegratorPlugin, ModelPlugin, Target
+from mbdkit.plugin import Command, IntegratorPlugin, ModelPlugin, SpecKind, Target
 from mbdkit.registry.item_options import named_options
 from mbdkit.registry.manager import checked, load_registry, registry
 from mbdkit.registry.policy import Policy
@@ -184,6 +184,16 @@ def test_a_command_never_replaces_one_of_mbdkit_and_a_clash_names_both(installed
     clashes = {report.id: report.error for report in loaded.reports if report.status == "clash"}
     assert set(clashes) == {"acme:run", "acme:greet", "bolt:greet"}
     assert f"also used by mbdkit {mbdkit.__version__}" in clashes["acme:run"]
+
+
+def test_a_clash_of_kinds_of_specs_names_both_also_for_their_schema(installed):
+    target = Target("mbdkit.spec.run_spec:RunSpec")
+    kind = SpecKind(name="jumps", summary="Jumps.", marker="jumps", load=target, model=target)
+    installed(acme=[kind], bolt=[kind])
+    refused = CliRunner().invoke(app, ["schema", "jumps"])
+    assert refused.exit_code == 2
+    assert "write 'acme:jumps' or" in refused.output
+    assert '"anyOf"' in CliRunner().invoke(app, ["schema", "acme:jumps"]).output
 
 
 def test_what_plugins_import_exists_and_is_named_once():
