@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Literal
 
 from mbdkit.registry.feature_items import CriterionItem, Example, Feature, GuidePage, SpecKind, TableFormat
 from mbdkit.registry.target import Target
@@ -16,14 +17,42 @@ _FORMATS = {
     "json": "JSON.",
 }
 
-
-_WATCHERS = (
-    ("centers", "Ends of the tables of moving centers.", "moving_centers:MovingCenters"),
-    ("friction", "Dry friction that slips so slowly that it is viscous.", "slow_friction:SlowFriction"),
-    ("ends", "Forces whose ends meet.", "coincident_ends:CoincidentEnds"),
-    ("beams", "Beams whose elements are too coarse.", "coarse_beams:CoarseBeams"),
-    ("overlaps", "Circles in contact that overlap deeply.", "deep_overlaps:DeepOverlaps"),
+_NOTES = (
+    ("model-notes", "What the model says about its mechanism.", "run_criteria:model_notes"),
+    ("unresolved-beams", "Oscillations of beams that the step does not resolve.", "run_criteria:unresolved_beams"),
+    ("unused-parameters", "Parameters that no expression uses.", "run_criteria:unused_parameters"),
+    ("short-runs", "Tables that change long after the end of the run.", "notes:short_runs"),
+    ("zero-reactions", "Measures of reactions that are always zero.", "notes:zero_reactions_of_run"),
 )
+_CRITERIA: tuple[tuple[Literal["spec", "start", "rows", "end"], str, str, str], ...] = (
+    ("spec", "baumgarte", "Terms of Baumgarte that the step makes unstable.", "run_criteria:unstable_baumgarte"),
+    *(("spec", *note) for note in _NOTES),
+    ("spec", "left-out", "Effects of a file that the mechanism lacks.", "run_criteria:left_out"),
+    ("spec", "degrees", "Angles that are probably in degrees.", "run_criteria:degrees"),
+    ("spec", "improbable-values", "Improbable values, often in another unit.", "run_criteria:improbable_values"),
+    ("spec", "long-step", "A step that is longer than the run.", "run_criteria:long_step"),
+    ("spec", "excitations", "Excitations of muscles below 0 or above 1.", "run_criteria:excitations"),
+    ("spec", "slip-events", "Events at zeros of a slip that are rounding errors.", "run_criteria:slip_events"),
+    ("spec", "corners", "Tables that overshoot, and too many discontinuities.", "corners:overshoots_and_corners"),
+    ("start", "moved-start", "Positions that assembly changes by far.", "run_criteria:moved_start"),
+    ("start", "changed-velocities", "Velocities that assembly changes.", "run_criteria:changed_velocities"),
+    ("rows", "table-ends", "Ends of the tables of moving centers.", "moving_centers:MovingCenters.of"),
+    ("rows", "slow-friction", "Dry friction that slips so slowly that it is viscous.", "slow_friction:SlowFriction.of"),
+    ("rows", "coincident-ends", "Forces whose ends meet.", "coincident_ends:CoincidentEnds.of"),
+    ("rows", "coarse-beams", "Beams whose elements are too coarse.", "coarse_beams:CoarseBeams.of"),
+    ("rows", "deep-overlaps", "Circles in contact that overlap deeply.", "deep_overlaps:DeepOverlaps.of"),
+    ("end", "passive-laws", "Laws that are declared passive, but supply energy.", "run_criteria:passive_laws"),
+)
+_SEVERAL = {
+    "improbable-values": (
+        *(f"improbable-{what}" for what in ("inertias", "frictions", "beams", "lengths", "bodies", "people")),
+        "rolling-point-masses",
+    ),
+    "corners": ("corners", "overshoots"),
+}
+"""Criteria that one item examines, where they are several."""
+_WITHOUT_RUN = ("model-notes", "unused-parameters", "left-out", "degrees", "improbable-values")
+"""Criteria that also apply to a mechanism without a run."""
 
 
 def builtin_features() -> list[Feature]:
@@ -50,21 +79,24 @@ def builtin_features() -> list[Feature]:
         )
         for number, (name, summary) in enumerate(_FORMATS.items())
     ]
-    watchers = [
+    notes = {name for name, *_ in _NOTES}
+    criteria = [
         CriterionItem(
             name=name,
             summary=summary,
             order=10 * number,
-            stage="rows",
-            find=Target(f"mbdkit.runs.{where}.of"),
-            of=frozenset({"run"}),
+            stage=stage,
+            find=Target(f"mbdkit.runs.{where}"),
+            of=frozenset({"run", "mechanism"} if name in _WITHOUT_RUN else {"run"}),
+            criteria=() if name in notes else _SEVERAL.get(name, (name,)),
+            level=None if name in notes else "doubtful",
         )
-        for number, (name, summary, where) in enumerate(_WATCHERS)
+        for number, (stage, name, summary, where) in enumerate(_CRITERIA)
     ]
     return [
         run,
         *formats,
-        *watchers,
+        *criteria,
         *Example.folder(_HERE / "models" / "examples"),
         *GuidePage.folder(_HERE / "guide"),
     ]

@@ -106,6 +106,7 @@ if TYPE_CHECKING:
     )
     from mbdkit.registry.target import Target
     from mbdkit.registry.use import use
+    from mbdkit.runs.findings import findings
     from mbdkit.runs.preparation import build, caution
     from mbdkit.runs.simulation import run, simulate
     from mbdkit.spec.loading import example_names, loaded, read_source
@@ -117,12 +118,13 @@ if TYPE_CHECKING:
     from mbdkit.spec.varied_specs import VariedSpecs
     from mbdkit.spec.yaml_reader import write_yaml
     from mbdkit.trust.criteria import Evidence, Judgement, Level, judge
-    from mbdkit.trust.finding import Finding
+    from mbdkit.trust.finding import Finding, accepted_doubts, open_doubts
     from mbdkit_studies.prepared_run import PreparedRun, prepare
 
 _STABLE = {
     "mbdkit.base.files_read": "read_data",
-    "mbdkit.trust.finding": "Finding",
+    "mbdkit.runs.findings": "findings",
+    "mbdkit.trust.finding": "Finding accepted_doubts open_doubts",
     "mbdkit.registry.feature_items": "Accessor CriterionItem "
     "Example FileFormat GuidePage PlotKind ReportSection SpecKind "
     "SummaryLine TableFormat ViewItem",
@@ -294,6 +296,7 @@ __all__ = [
     "VariedSpecs",
     "ViewItem",
     "Workspace",
+    "accepted_doubts",
     "archive_names",
     "build",
     "caution",
@@ -307,6 +310,7 @@ __all__ = [
     "did_you_mean",
     "example_names",
     "file_error",
+    "findings",
     "grouped",
     "headline_texts",
     "hookimpl",
@@ -317,6 +321,7 @@ __all__ = [
     "nearest_positions",
     "nearest_velocities",
     "one_line",
+    "open_doubts",
     "output_to",
     "parse_key",
     "parse_path",

@@ -169,8 +169,8 @@ def validate_run(source: Document, spec: str, assignments: list[str]) -> None:
     from mbdkit.integrators.start import require_support
     from mbdkit.mechanism.mechanism import gravity_text
     from mbdkit.runs.corners import check_jumps
+    from mbdkit.runs.findings import findings
     from mbdkit.runs.preparation import build, caution, make_method
-    from mbdkit.runs.warnings import start_warnings
 
     mechanism = checked.mechanism()
     check_jumps(checked)
@@ -183,7 +183,7 @@ def validate_run(source: Document, spec: str, assignments: list[str]) -> None:
         require_support(make_method(checked), problem.mechanism)
     except SpecError as error:
         raise checked.placed(error) from None
-    for warning in (*caution(checked), *start_warnings(checked, start)):
+    for warning in (*caution(checked), *findings("start", checked, start)):
         say(f"warning: {warning}")
     show(f"{spec}: this spec is valid")
     show(f"model        {checked.model_item.id}: {mechanism.description()}")

@@ -45,13 +45,13 @@ from mbdkit.integrators.dual_run import NO_SEEDS
 from mbdkit.measures.measure_expression import MeasureExpression
 from mbdkit.measures.natural_size import natural_scales, natural_size
 from mbdkit.methods.kinds import Method
+from mbdkit.runs.findings import findings
 from mbdkit.runs.notes import zero_reactions_in
 from mbdkit.runs.preparation import build, caution
-from mbdkit.runs.warnings import doubts as questions
-from mbdkit.runs.warnings import start_warnings
 from mbdkit.spec import RunSpec, load_spec
 from mbdkit.spec.loading import RunSource
 from mbdkit.spec.varied_specs import VariedSpecs
+from mbdkit.trust.finding import open_doubts
 
 
 @dataclass(frozen=True)
@@ -218,9 +218,9 @@ def gradient(
     require_derivatives(expressions_of(spec, definitions))
     with one_thread_of_linear_algebra():
         found = gradient_of_run_spec(spec, definitions, chosen, check=check)
-    warnings = (*caution(spec), *start_warnings(spec, build(spec)[1]))
-    of_run = questions(spec, warnings)
-    notes = [warning for warning in warnings if warning not in of_run]
+    of_spec = [*caution(spec), *findings("start", spec, build(spec)[1])]
+    of_run = open_doubts(of_spec, spec.accept)
+    notes = [text for text in map(str, of_spec) if text not in of_run]
     known = {measure.expression for measure in spec.defined_measures()}
     for name, expression in expressions_of(spec, definitions).items():
         if expression.text not in known:  # otherwise, the warnings contain the notes on it

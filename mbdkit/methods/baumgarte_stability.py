@@ -9,7 +9,7 @@ the method.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from math import factorial
 
 import numpy as np
@@ -22,8 +22,10 @@ Growth = Callable[[float], float]
 """Function from the step size [s] to the growth factor of an error in a step, or in an iteration."""
 
 
-def stiff_baumgarte(name: str, method: Method, claims: Claims, wanted: Stabilization, step: float | None) -> str:
-    """Return a warning if Baumgarte's terms are unstable with a fixed step; otherwise an empty text.
+def stiff_baumgarte(
+    name: str, method: Method, claims: Claims, wanted: Stabilization, step: float | None
+) -> Iterator[str]:
+    """Yield a warning if Baumgarte's terms are unstable with a fixed step.
 
     Parameters
     ----------
@@ -34,13 +36,13 @@ def stiff_baumgarte(name: str, method: Method, claims: Claims, wanted: Stabiliza
         The fixed step [s]; None if there is none.
     """
     if step is None or claims.adaptive:
-        return ""
+        return
     growth, does = _growth(method, claims, wanted)
     if growth(step) < 1:
-        return ""
+        return
     alpha, beta = wanted.alpha, wanted.beta
     most = alpha * _limit(growth, step)
-    return (
+    yield (
         f"Baumgarte's alpha = {alpha:g} and beta = {beta:g} 1/s are too large for the step of {step:g} s: "
         f"with '{name}' {does} by {growth(step):.3g} instead of reducing them. "
         f"alpha times the step is {alpha * step:.4g}, with beta / alpha = {beta / alpha:g} it should be "

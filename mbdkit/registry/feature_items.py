@@ -349,24 +349,32 @@ class CriterionItem(Feature):
     Parameters
     ----------
     stage
-        ``rows``: looks at the recorded states of a run; ``data``: looks at the result of inverse dynamics.
+        What is examined: the ``spec`` of a run, its ``start`` after assembly, its recorded ``rows``, its ``end``, or
+        the ``data`` of inverse dynamics.
     find
-        With ``rows``, a function that takes the spec, the compiled mechanism and its size [m], and returns a
-        `mbdkit.runs.state_watchers.StateWatcher`, or None if this run needs none. With ``data``, a function that takes
-        the result and its error bars, or None, and returns findings.
+        Function that returns `mbdkit.plugin.Finding` objects or sentences. It takes, with ``spec``, the spec and the
+        expressions that are evaluated beside its measures; with ``start``, the spec and the
+        `mbdkit.engine.assembly.AssembledState`; with ``end``, the spec and the largest energies, a
+        `mbdkit.trust.energy_record.EnergyRecord`; with ``data``, the result and its error bars, or None. With ``rows``,
+        it takes the spec, the compiled mechanism and its size [m], and returns a
+        `mbdkit.runs.state_watchers.StateWatcher`, or None if this run needs none.
     of
-        Names of the kinds of specs whose results are examined.
+        Names of the kinds of specs whose results are examined; ``mechanism`` stands for results without a run, such as
+        equilibria.
     criteria
         Names of the criteria, which `accept` in specs of these kinds may list.
+    level
+        Level of sentences, which become findings of the criterion `name`.
     """
 
     kind: ClassVar[str] = "criterion"
     key: ClassVar[str] = "accept"
 
-    stage: Literal["rows", "data"]
+    stage: Literal["spec", "start", "rows", "end", "data"]
     find: Target[Callable[..., Any]]
     of: frozenset[str]
     criteria: tuple[str, ...] = ()
+    level: Literal["doubtful"] | None = "doubtful"
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)

@@ -104,7 +104,7 @@ class CoarseBeams:
         for beam in self._beams:
             beam.add(states.q, states.observed.beams)
 
-    def warnings(self, _energies: EnergyRecord | None = None) -> tuple[str, ...]:
+    def findings(self, _energies: EnergyRecord | None = None) -> tuple[str, ...]:
         """Return a warning for each beam whose elements are too coarse."""
         return tuple(warning for beam in self._beams for warning in beam.warnings())
 

@@ -72,7 +72,7 @@ class CoincidentEnds:
             times = np.where(met, t0 + h * np.nan_to_num(s0 / (s0 + s1)), np.inf)
         self._first = np.minimum(self._first, times.min(axis=0, initial=np.inf))
 
-    def warnings(self, _energies: EnergyRecord) -> tuple[str, ...]:
+    def findings(self, _energies: EnergyRecord) -> tuple[str, ...]:
         """Return a sentence for each force whose ends have met."""
         return tuple(
             f"the two ends of force '{name}' meet at t = {time:.6g} s, or pass each other too closely for the step; "

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
@@ -14,6 +14,7 @@ from mbdkit.integrators.interface import SAME_TIME
 from mbdkit.integrators.sampled_control import sample_times
 from mbdkit.mechanism.motion_corners import JUMP, Corner, corners_of, jet_of, overshoot
 from mbdkit.mechanism.values import Motion, Table
+from mbdkit.trust.finding import Finding
 
 if TYPE_CHECKING:
     from mbdkit.spec import RunSpec
@@ -153,24 +154,24 @@ def _check_driver(spec: RunSpec, motion: Motion, unit: str) -> None:
             )
 
 
-def corner_warnings(spec: RunSpec) -> tuple[str, ...]:
-    """Return warnings about tables that overshoot, and motions with too many discontinuities."""
-    warnings = []
+def overshoots_and_corners(spec: RunSpec, _measures: Sequence[str] = ()) -> Iterator[Finding]:
+    """Yield doubts about tables that overshoot, and motions with too many discontinuities."""
     for key, motion in spec.mechanism().motions():
         if isinstance(motion, Table) and (share := overshoot(motion)) > OVERSHOOT:
-            warnings.append(
+            sentence = (
                 f"the {motion.interpolation} spline of the table at {key} leaves the range of its values by "
                 f"{share:.3g} times this range; use points closer together where the values change quickly, or "
                 "`interpolation: linear`"
             )
+            yield Finding("overshoots", "doubtful", sentence, key, is_named=False)
         count = len(corners_of(motion, spec.time.start, spec.time.final))
         if count > MOST_STOPS and not (isinstance(motion, Table) and not motion.period):
             what = "periodic table" if isinstance(motion, Table) else "expression"
-            warnings.append(
+            sentence = (
                 f"the {what} at {key} has {count} discontinuities of its value or derivatives, more than "
                 f"{MOST_STOPS}, so that steps do not end there; methods of high order lose their order"
             )
-    return tuple(warnings)
+            yield Finding("corners", "doubtful", sentence, key, is_named=False)
 
 
 def _is_at_end(time: float, margin: float, start: float, end: float) -> bool:

@@ -51,7 +51,7 @@ class DeepOverlaps:
         self._time = np.where(depth > self._depth, states.time[row], self._time)
         self._depth = np.maximum(self._depth, depth)
 
-    def warnings(self, _energies: EnergyRecord) -> tuple[str, ...]:
+    def findings(self, _energies: EnergyRecord) -> tuple[str, ...]:
         """Return a sentence for each circle that overlaps too much."""
         told = []
         for pair, depth, time in zip(self._pairs, self._depth.tolist(), self._time.tolist(), strict=True):

@@ -22,6 +22,7 @@ from mbdkit.mechanism.force_law import ARGUMENTS
 from mbdkit.mechanism.law_element import Law
 from mbdkit.mechanism.law_parameters import law_range
 from mbdkit.muscles.acting_muscles import MuscleForce, acting_muscles
+from mbdkit.trust.finding import Finding
 
 if TYPE_CHECKING:
     from mbdkit.engine.compiled_mechanism import CompiledMechanism
@@ -233,6 +234,10 @@ class LawRanges:
                 f"t = {self._worst_time[place]:.6g} s"
             )
         return tuple(warnings)
+
+    def findings(self) -> tuple[Finding, ...]:
+        """Return the doubts about bounds that were exceeded."""
+        return tuple(Finding("law-ranges", "doubtful", one, is_named=False) for one in self.warnings())
 
     def failure(self) -> Failure:
         """Return the failure of a run that is stopped because a force law has left its range."""

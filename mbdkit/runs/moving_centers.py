@@ -43,7 +43,7 @@ class MovingCenters:
         np.minimum(low, states.coordinate.min(axis=0, initial=np.inf), out=low)
         np.maximum(high, states.coordinate.max(axis=0, initial=-np.inf), out=high)
 
-    def warnings(self, _energies: EnergyRecord) -> tuple[str, ...]:
+    def findings(self, _energies: EnergyRecord) -> tuple[str, ...]:
         """Return a sentence for each end of a table that was passed."""
         warnings = []
         for (name, joint), reached in zip(self._joints.items(), self._reached.T.tolist(), strict=True):

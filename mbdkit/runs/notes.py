@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import suppress
 
 from mbdkit.base.errors import SpecError
@@ -14,12 +14,13 @@ from mbdkit.mechanism.values import Table
 from mbdkit.quantities.quantity import Quantity
 from mbdkit.spec import RunSpec
 from mbdkit.spec.study_measures import DefinedMeasure
+from mbdkit.trust.finding import Finding
 
 COVERED = 0.5
 """Share of the duration of a table, without constant values at its end, that a run covers without a note."""
 
 
-def short_runs(spec: RunSpec) -> Iterator[str]:
+def short_runs(spec: RunSpec, _measures: Sequence[str] = ()) -> Iterator[Finding]:
     """Yield a note for each table of a motion, load or excitation that changes long after the end of the run."""
     start, end = spec.span
     for key, motion in spec.mechanism().motions():
@@ -28,10 +29,16 @@ def short_runs(spec: RunSpec) -> Iterator[str]:
         times, values = motion.table
         last = times[max((row for row in range(1, len(times)) if values[row] != values[row - 1]), default=0)]
         if end - start < COVERED * (last - times[0]):
-            yield (
+            sentence = (
                 f"the table at {key} changes from {times[0]:g} s to {last:g} s, but the run goes from {start:g} s to "
                 f"{end:g} s, less than half of it; if the whole table is intended, set time.end to {last:g}"
             )
+            yield Finding("short-runs", None, sentence, key, is_named=False)
+
+
+def zero_reactions_of_run(spec: RunSpec, _measures: Sequence[str] = ()) -> Iterator[str]:
+    """Yield a note for each reaction in the measures of a run that is always zero."""
+    return zero_reactions(spec, spec.defined_measures())
 
 
 def zero_reactions(spec: RunSpec, measures: Iterable[DefinedMeasure]) -> Iterator[str]:

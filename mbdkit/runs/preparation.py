@@ -19,22 +19,22 @@ from mbdkit.integrators.event_driven import with_contact_forces
 from mbdkit.integrators.interface import Failure, Guards, Timetable
 from mbdkit.measures.take import check_measures
 from mbdkit.mechanism.size import mechanism_size
-from mbdkit.methods.baumgarte_stability import stiff_baumgarte
 from mbdkit.methods.kinds import Method
 from mbdkit.quantities.array import Array
 from mbdkit.quantities.names import archive_names
-from mbdkit.runs.corners import corner_warnings, stops_of
-from mbdkit.runs.warnings import spec_warnings
+from mbdkit.runs.corners import stops_of
+from mbdkit.runs.findings import findings
 from mbdkit.spec import RunSpec
+from mbdkit.trust.finding import Finding
 
 
-def caution(spec: RunSpec, method: Method | None = None, measures: Sequence[str] = ()) -> tuple[str, ...]:
-    """Return warnings about settings that are valid but unlikely to work, as sentences.
+def caution(spec: RunSpec, method: Method | None = None, measures: Sequence[str] = ()) -> list[Finding]:
+    """Return what is doubtful or worth a note in a spec before its run.
 
     Parameters
     ----------
     method
-        Method of the spec; created if omitted.
+        Method of the spec; created, and thereby checked, if omitted.
     measures
         Expressions that are evaluated for the run, in addition to the measures of the spec.
 
@@ -43,11 +43,9 @@ def caution(spec: RunSpec, method: Method | None = None, measures: Sequence[str]
     PluginError
         If the plugin fails to create the method.
     """
-    method = method if method is not None else make_method(spec)
-    unstable = ""
-    if spec.stabilized.kind == "baumgarte":
-        unstable = stiff_baumgarte(spec.integrator_item.name, method, spec.claims, spec.stabilized, spec.time.step)
-    return (*([unstable] if unstable else []), *spec_warnings(spec, measures), *corner_warnings(spec))
+    if method is None:
+        make_method(spec)
+    return findings("spec", spec, measures)
 
 
 def build(spec: RunSpec, starts: Starts | None = None) -> tuple[Workspace, AssembledState]:

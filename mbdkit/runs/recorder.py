@@ -25,6 +25,7 @@ from mbdkit.runs.law_ranges import LawRanges
 from mbdkit.runs.recorded_states import ObservedRows, recorded_states
 from mbdkit.runs.state_watchers import StateWatchers
 from mbdkit.trust.energy_record import EnergyRecord
+from mbdkit.trust.finding import Finding
 
 if TYPE_CHECKING:
     from mbdkit.events.watch import Found
@@ -365,12 +366,12 @@ class Recorder:
         if self.watchers is not None:
             self.watchers.restore(state["watchers"])
 
-    def warnings(self) -> tuple[str, ...]:
-        """Return the warnings about the recorded states."""
-        watched = () if self.watchers is None else self.watchers.warnings(self.energies)
+    def findings(self) -> list[Finding]:
+        """Return what is doubtful or worth a note in the recorded states."""
+        watched = () if self.watchers is None else self.watchers.findings(self.energies)
         # if a run stops where a law leaves its range, the reason of its failure says so
-        ranges = () if self.ranges is None or self.ranges.stops else self.ranges.warnings()
-        return (*watched, *ranges)
+        ranges = () if self.ranges is None or self.ranges.stops else self.ranges.findings()
+        return [*watched, *ranges]
 
     def misalignment_max(self, worst_pairs: np.ndarray) -> np.ndarray:
         """Return the largest misalignment of each joint over all steps, recorded or not, (J,) [m].

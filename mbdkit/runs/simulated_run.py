@@ -52,11 +52,12 @@ from mbdkit.runs.preparation import guards, plugin_failure, size_at_start, timet
 from mbdkit.runs.recorded_states import ObservedRows
 from mbdkit.runs.recorder import Recorder
 from mbdkit.runs.run_checkpoint import TIMES, Checkpoints, Continuation, Parts, why_without
+from mbdkit.runs.run_criteria import step_advice
 from mbdkit.runs.run_in_memory import measured_values, run_in_memory
 from mbdkit.runs.state_watchers import StateWatchers
-from mbdkit.runs.warnings import accepted_doubts, doubts, step_advice
 from mbdkit.spec import RunSpec
 from mbdkit.trust.criteria import judge
+from mbdkit.trust.finding import Finding, accepted_doubts, open_doubts
 
 if TYPE_CHECKING:
     from mbdkit.events.watch import Watch
@@ -133,12 +134,12 @@ class SimulatedRun:
         method: Method,
         writer: RunWriter,
         begin: float,
-        warnings: tuple[str, ...],
+        findings: tuple[Finding, ...],
         choice: Choice | None,
         functionals: Sequence[Functional] = (),
     ):
         self.spec, self.workspace, self.method, self.writer, self.begin = spec, workspace, method, writer, begin
-        self.warnings, self.choice = warnings, choice
+        self.findings, self.choice = findings, choice
         self.tried = [] if choice is None else [choice]
         self.timings: dict[str, float] = {}
         #: Whether the run is returned as a `Run`, which Ctrl-C ends early; otherwise, only the arrays in its writer are
@@ -439,12 +440,10 @@ class SimulatedRun:
         of_drivers = [] if steps is None else [one for one in steps.impacts if isinstance(one, DriverImpulse)]
         drivers = stops_of(self.spec).impacts if of_drivers else {}
         self.recorder.record_impacts(() if contacts is None else contacts.impacts, of_drivers, drivers)
-        self.warnings = (*self.warnings, *self.recorder.warnings())
+        found = (*self.findings, *self.recorder.findings())
         if self.becomes_run and self.spec.gradients and status == "complete" and not self.interrupted:
             self.gradients = higher_layers.gradients_json(self.spec)
-        questions = (*doubts(self.spec, self.warnings), *self.doubtful_gradients())
-        # notes about the treatment of contacts, which do not question the result
-        self.warnings = (*self.warnings, *notes)
+        questions = (*open_doubts(found, self.spec.accept), *self.doubtful_gradients())
         evidence = evidence_of_run(
             self.recorder,
             steps,
@@ -452,7 +451,7 @@ class SimulatedRun:
             misalignment_max,
             self.size,
             questions,
-            accepted_doubts(self.spec, self.warnings),
+            accepted_doubts(found, self.spec.accept),
         )
         errors, totals = None, {} if self.integrals is None else self.integrals.totals(self.recorder.of_event)
         if self.accuracy is not None:
@@ -476,7 +475,7 @@ class SimulatedRun:
             {**counters, **self.timings},
             misalignment_max,
             judgement,
-            self.warnings,
+            (*map(str, found), *notes),  # notes about the treatment of contacts do not question the result
             self.accuracy,
             totals,
         )

@@ -33,15 +33,16 @@ from mbdkit.methods.kinds import Method
 from mbdkit.quantities.names import archive_names
 from mbdkit.runs.accuracy.chosen_method import MOST_ATTEMPTS, Choice, choose_method, other_method
 from mbdkit.runs.corners import check_jumps
+from mbdkit.runs.findings import findings
 from mbdkit.runs.integrals import expressions_of, functionals_of, largest_loads_of
 from mbdkit.runs.preparation import build, caution, check_disk_space, make_method, recorded_arrays
 from mbdkit.runs.provenance import provenance
 from mbdkit.runs.recorder import shared_forces
 from mbdkit.runs.run_checkpoint import Continuation
 from mbdkit.runs.simulated_run import Progress, SimulatedRun
-from mbdkit.runs.warnings import start_warnings
 from mbdkit.spec import RunSpec, load_spec
 from mbdkit.spec.loading import RunSource, Sections
+from mbdkit.trust.finding import Finding
 
 _Start = tuple[Workspace, AssembledState]
 
@@ -215,7 +216,7 @@ class _Preparation:
         cautions = caution(spec, method, self.measures)
         _log(cautions)
         workspace, start = build(spec, self.starts)
-        moves = start_warnings(spec, start)
+        moves = findings("start", spec, start)
         _log(moves)
         if _LOG.isEnabledFor(logging.DEBUG):
             _LOG.debug("mechanism: %s; start: %s", workspace.mechanism.freedoms(), start.describe())
@@ -329,9 +330,9 @@ def measured_in(expressions: Sequence[str], spec: RunSpec) -> Sequence[float] | 
         return None
 
 
-def _log(warnings: Iterable[str]) -> None:
-    """Log warnings about a run."""
-    for warning in warnings:
+def _log(found: Iterable[Finding]) -> None:
+    """Log findings about a run."""
+    for warning in found:
         _LOG.warning("%s", shown(warning))
 
 

@@ -104,7 +104,7 @@ class SlowFriction:
         values = np.concatenate([rows[:, :4], np.where(rows[:, 3:4] + rows[:, 2:3] > 0, 1.0, 0.0)], axis=1)
         self._sums += np.sum(0.5 * h * (values[1:] + values[:-1]), axis=0)
 
-    def warnings(self, energies: EnergyRecord) -> tuple[str, ...]:
+    def findings(self, energies: EnergyRecord) -> tuple[str, ...]:
         """Return a sentence for each element that lacks much of its friction."""
         work, missing, path, slow, lasted = self._sums
         found = (missing > MISSING * work) & (missing > MATTERS * energies.kinetic) & (slow > self._rest)

@@ -1,15 +1,13 @@
-"""The watchers of a run, which look at all recorded states and give warnings at its end."""
+"""The watchers of a run, which look at all recorded states and say at its end what they have found."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable
-from typing import TYPE_CHECKING, Any, Protocol, cast
+from typing import TYPE_CHECKING, Any, Protocol
 
 from mbdkit.quantities.states import States
-from mbdkit.registry.feature_items import CriterionItem
-from mbdkit.registry.manager import registry
 from mbdkit.registry.use import use
-from mbdkit.runs.warnings import passivity_warnings
+from mbdkit.runs.findings import as_findings, criteria, findings
 
 if TYPE_CHECKING:
     from mbdkit.engine.compiled_mechanism import CompiledMechanism
@@ -24,7 +22,7 @@ class StateWatcher(Protocol):
     def add(self, states: States) -> None:
         """Take note of states, which are later than those of earlier calls."""
 
-    def warnings(self, energies: EnergyRecord) -> Iterable[str | Finding]:
+    def findings(self, energies: EnergyRecord) -> Iterable[str | Finding]:
         """Return what is wrong, as sentences or findings; `energies` are the largest of the run."""
 
     def stored(self) -> Any:
@@ -46,14 +44,13 @@ class StateWatchers:
     """
 
     def __init__(self, spec: RunSpec, compiled: CompiledMechanism, size: float):
-        self._mechanism = spec.mechanism()
+        self._spec = spec
+        self._criteria = {item.name: (item, criterion) for item, criterion in criteria("rows")}
         self._watchers: dict[str, StateWatcher] = {}
-        for item in registry().of_kind(CriterionItem.kind):
-            criterion = cast(CriterionItem, item.plugin)
-            if criterion.stage == "rows":
-                watcher = use(item, lambda find=criterion.find: find()(spec, compiled, size))  # type: ignore[misc]
-                if watcher is not None:
-                    self._watchers[item.name] = watcher
+        for name, (item, criterion) in self._criteria.items():
+            watcher = use(item, lambda find=criterion.find: find()(spec, compiled, size))  # type: ignore[misc]
+            if watcher is not None:
+                self._watchers[name] = watcher
 
     def __bool__(self) -> bool:
         return bool(self._watchers)
@@ -63,10 +60,13 @@ class StateWatchers:
         for watcher in self._watchers.values():
             watcher.add(states)
 
-    def warnings(self, energies: EnergyRecord) -> tuple[str, ...]:
-        """Return a sentence for each thing that is wrong with the states or energies of a run."""
-        found = [str(finding) for watcher in self._watchers.values() for finding in watcher.warnings(energies)]
-        return (*found, *passivity_warnings(self._mechanism, energies))
+    def findings(self, energies: EnergyRecord) -> list[Finding]:
+        """Return what is wrong with the states of a run and at its end; `energies` are the largest of the run."""
+        watched: list[Finding] = []
+        for name, watcher in self._watchers.items():
+            item, criterion = self._criteria[name]
+            watched += use(item, lambda own=criterion, one=watcher: [*as_findings(own, one.findings(energies))])  # type: ignore[misc]
+        return [*watched, *findings("end", self._spec, energies)]
 
     def stored(self) -> dict[str, Any]:
         """Return the state as plain values, for a checkpoint."""

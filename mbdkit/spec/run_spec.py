@@ -155,9 +155,10 @@ class RunSpec(ModelSpec):
     records the work of the impulse."""
     contact: ContactTreatment = ContactTreatment()
     """How contacts act."""
-    accept: list[Annotated[str, CriterionName("run", ("left-out",))]] = Field(default_factory=list)
+    accept: list[Annotated[str, CriterionName("run", ("law-ranges",))]] = Field(default_factory=list)
     """Criteria that are not applied in the verdict, because their findings are known and intended. `left-out`: effects
-    that the file of a model describes, but the mechanism lacks."""
+    that the file of a model describes, but the mechanism lacks; `law-ranges`: arguments that leave the range of a force
+    law; `mbdkit guide trust` describes the others."""
 
     _watched: Any = PrivateAttr(default=None)
     _settings: Any = PrivateAttr(default=None)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection, Iterable
 from dataclasses import dataclass
 from typing import Literal
 
@@ -20,12 +21,25 @@ class Finding:
         What was found, and what to do about it.
     key
         Key path in the spec that the finding is about; empty if there is none.
+    is_named
+        Whether the text of the finding begins with the name of the criterion.
     """
 
     criterion: str
     level: Literal["doubtful"] | None
     sentence: str
     key: str = ""
+    is_named: bool = True
 
     def __str__(self) -> str:
-        return f"{self.criterion}: {self.sentence}"
+        return f"{self.criterion}: {self.sentence}" if self.is_named else self.sentence
+
+
+def open_doubts(found: Iterable[Finding], accepted: Collection[str]) -> tuple[str, ...]:
+    """Return the texts of those findings that lower the verdict: doubts of criteria that are not accepted."""
+    return tuple(str(one) for one in found if one.level is not None and one.criterion not in accepted)
+
+
+def accepted_doubts(found: Iterable[Finding], accepted: Collection[str]) -> tuple[str, ...]:
+    """Return the texts of the doubts of accepted criteria."""
+    return tuple(str(one) for one in found if one.level is not None and one.criterion in accepted)

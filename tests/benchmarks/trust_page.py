@@ -16,8 +16,12 @@ import numpy as np
 
 import mbdkit
 from mbdkit.archive.accuracy import SMALL_FORCE
+from mbdkit.registry.catalogue import Registered
+from mbdkit.registry.feature_items import CriterionItem
 from mbdkit.runs.accuracy.companion_choice import LOOKS
 from mbdkit.runs.accuracy.position_measure import PositionMeasure
+from mbdkit.runs.findings import Stage
+from mbdkit.runs.findings import criteria as examined_at
 from mbdkit.runs.preparation import build
 from mbdkit.spec import load_spec
 from mbdkit.trust import criteria
@@ -67,16 +71,24 @@ below 0.0005 kg/m^2 times the square of its length (at 100 m, below 5 kg), and a
 400 kg. A rope or tether may be that light: three or more links of equal mass and length cause no doubt. A run whose
 [gradients](gradients.md) fail their check is doubtful as well.
 
-A model that is read from a file of another program may lack effects that the file describes and that change the motion.
-A run of such a model is `doubtful`, with a reason that begins with `left-out`. If you accept this, write `accept:
-[left-out]` in the spec: the verdict then mentions the effects without becoming `doubtful`.
-
 The *branch* of a run is the family of positions that the mechanism can reach continuously from its start. In a singular
 position, several branches meet, and a run can continue on the wrong one. A run is `bad` if its direction of motion
 changes sharply in a singular position, because it has then probably left its branch. The change counts as sharp if its
 angle [rad] is at least {angle:g}, and at least {ratio:g} r, where r is the length of the path on which the direction
 changes, divided by the length of the longest link. If joints that are redundant and consistent at the start become
 inconsistent, the run has certainly left its branch, and stops with the reason `branch-left`.
+
+### Criteria of warnings
+
+Each of these warnings belongs to a criterion. If a warning is known and intended, list its criterion in the spec, as in
+`accept: [degrees, left-out]`: the verdict then mentions it without becoming `doubtful`.
+
+| criterion | looks for |
+|---|---|
+{warnings}
+
+A model that is read from a file of another program may lack effects that the file describes and that change the motion:
+these are the doubts of `left-out`. Plugins may add criteria ([items](plugins.md#other-kinds-of-items)).
 
 ## What you can ask for
 
@@ -226,6 +238,20 @@ def criteria_rows() -> list[str]:
     return [*rows, f"| change of the energy balance in one step, {kinetic} | - | {criteria.ENERGY_JUMP:g} |"]
 
 
+def warning_rows() -> list[str]:
+    """Return the lines of the table of criteria of warnings."""
+    rows = {" ".join(f"`{name}`" for name in one.criteria): one.summary for _, one in every_criterion() if one.criteria}
+    rows["`law-ranges`"] = "Arguments that leave the range in which a force law is defined."
+    return [f"| {names} | {summary[0].lower()}{summary[1:].removesuffix('.')} |" for names, summary in rows.items()]
+
+
+def every_criterion() -> list[tuple[Registered, CriterionItem]]:
+    """Return the criteria of mbdkit that examine runs."""
+    stages: tuple[Stage, ...] = ("spec", "start", "rows", "end")
+    found = [one for stage in stages for one in examined_at(stage)]
+    return [one for one in found if one[0].origin.distribution == "mbdkit"]
+
+
 def page() -> str:
     """Return the page."""
     rows = []
@@ -236,6 +262,7 @@ def page() -> str:
             print(rows[-1], file=sys.stderr, flush=True)
     return OUTLINE.format(
         criteria="\n".join(criteria_rows()),
+        warnings="\n".join(warning_rows()),
         small=SMALL_FORCE,
         rounding=criteria.ROUNDING,
         angle=criteria.BRANCH_ANGLE,

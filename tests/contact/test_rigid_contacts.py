@@ -12,7 +12,7 @@ from mbdkit.base.errors import SpecError
 from mbdkit.engine.equations_of_motion import EquationsOfMotion
 from mbdkit.integrators.complementarity import coulomb, coupled_by_all, stronge, swept
 from mbdkit.integrators.contact_kinematics import ContactKinematics
-from mbdkit.runs.warnings import spec_warnings
+from mbdkit.runs.preparation import caution
 from mbdkit.spec import load_spec
 from mbdkit_report.pages.run_tables import run_tables
 from tests.witness.pit import pit
@@ -497,4 +497,4 @@ def test_a_body_that_slides_begins_to_roll(inertia: float, time: float, speed: f
 
 def test_an_event_on_the_sign_of_a_slip_is_warned_about() -> None:
     spec = load_spec("belt", (), events={"slips": {"when": 'contacts["belt.3"].slip'}})
-    assert "event 'slips' watches the sign of contacts[\"belt.3\"].slip" in "".join(spec_warnings(spec))
+    assert "event 'slips' watches the sign of contacts[\"belt.3\"].slip" in "".join(map(str, caution(spec)))

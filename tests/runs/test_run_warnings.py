@@ -11,6 +11,7 @@ import pytest
 
 import mbdkit
 from mbdkit.base.errors import SpecError
+from mbdkit.engine.assembly import AssembledState
 from mbdkit.mechanism.improbable_bodies import improbable_bodies, improbable_inertias
 from mbdkit.mechanism.improbable_values import (
     improbable_beams,
@@ -19,8 +20,8 @@ from mbdkit.mechanism.improbable_values import (
     rolling_point_masses,
 )
 from mbdkit.mechanism.mechanism import Mechanism
-from mbdkit.runs.preparation import build
-from mbdkit.runs.warnings import doubts, spec_warnings, start_warnings
+from mbdkit.runs.findings import findings
+from mbdkit.runs.preparation import build, caution
 from mbdkit.spec import RunSpec, load_spec
 from mbdkit.spec.loading import example_names
 from mbdkit.spec.reading import parse_key, put
@@ -48,7 +49,12 @@ def changed(values: dict[str, Any]) -> RunSpec:
 
 def warnings_of(**values: Any) -> tuple[str, ...]:
     """Return the warnings about the spec with other values."""
-    return spec_warnings(changed(values))
+    return tuple(map(str, caution(changed(values))))
+
+
+def start_warnings(spec: RunSpec, start: AssembledState) -> tuple[str, ...]:
+    """Return the warnings about the start of a run."""
+    return tuple(map(str, findings("start", spec, start)))
 
 
 SPRING = {"type": "spring-damper", "bodies": ["ground", "rod"], "points": [[0.5, 0], [0.2, 0]], "stiffness": 9.0}
@@ -212,10 +218,9 @@ def test_short_runs_and_reactions_that_are_always_zero_are_noted_without_doubt(
     values: dict[str, Any], note: str
 ) -> None:
     spec = changed(values)
-    told = spec_warnings(spec)
+    told = [one.sentence for one in caution(spec) if one.level is None]
     assert len(told) == bool(note)
-    assert all(note in text for text in told)
-    assert doubts(spec, told) == ()
+    assert all(note in sentence for sentence in told)
     if "measures" in values:
         assert (max(map(abs, mbdkit.run(spec).measures.values())) < 1e-14) == bool(note)
 
@@ -513,3 +518,21 @@ def test_a_circle_that_sinks_in_by_more_than_half_its_radius_is_doubted(share):
     told = [one for one in run.warnings if one.startswith("contact 'floor' overlaps by 0.055 m")]
     assert len(told) == (share > 0.5)
     assert (run.verdict == "doubtful") == (share > 0.5)
+
+
+def test_doubts_about_spec_and_rows_are_accepted_by_their_criteria() -> None:
+    m = mbdkit.Mechanism(gravity=(0.0, -9.81))
+    m.body("ball", mass=1.0, inertia=0.1, angle=400.0, position=(0.0, 0.1))
+    shapes = [{"line": {"normal": [0.0, 1.0]}}, {"circle": {"radius": 0.1}}]
+    m.contact("floor", "ground", "ball", shapes=shapes, compliance={"stiffness": 50.0})
+    spec = {"mbdkit": 1, "model": m.to_spec(), "integrator": {"name": "rk4"}, "time": {"end": 0.3, "step": 1e-3}}
+    run = mbdkit.run(spec)
+    doubts = [one for one in run.warnings if "400 rad" in one or "overlaps by" in one]
+    assert run.verdict == "doubtful"
+    assert [*run.verdict_reasons] == doubts
+    accepting = mbdkit.run(spec, accept=["degrees", "deep-overlaps"])
+    assert (accepting.verdict, accepting.warnings) == ("unknown", run.warnings)
+    assert accepting.verdict_reasons == [f"Accepted by the spec: {one}" for one in doubts]
+    assert accepting.data_sha256 == run.data_sha256
+    with pytest.raises(SpecError, match="'degrees'"):
+        load_spec({**spec, "accept": ["degree"]})

@@ -150,7 +150,7 @@ def _cautions(spec: RunSpec | InverseSpec) -> Iterable[str]:
     from mbdkit_biomech.inverse_dynamics.data_verdict import doubts_before_computation
 
     if isinstance(spec, RunSpec):
-        return caution(spec)
+        return map(str, caution(spec))
     problem = InverseProblem.of(spec)
     return (*problem.warnings, *doubts_before_computation(problem).open)
 

@@ -146,9 +146,9 @@ def _show(text: str, prepared: PreparedMechanism, found: Sequence[str] = (), not
 
 
 def _warnings(prepared: PreparedMechanism) -> list[str]:
-    from mbdkit.runs.warnings import mechanism_warnings
+    from mbdkit.plugin import findings
 
-    return list(mechanism_warnings(prepared.spec))
+    return [str(one) for one in findings("spec", prepared.spec, (), kind="mechanism")]
 
 
 def _check_picture(output: Path, spec: str, *, overwrite: bool) -> None:

@@ -223,7 +223,7 @@ def _internal_forces(prepared: PreparedMechanism, found: Rest) -> tuple[dict[str
         angles = q[0, [3 * places[node] + 2 for node in beam.node_names(name)]]
         within = with_ends(out.beams[0, compiled.beam_elements(name), :3], angles, beam.element_length)
         forces[name] = np.column_stack([places_with_ends(beam.length, beam.elements), within])
-    return forces, coarse.warnings()
+    return forces, coarse.findings()
 
 
 def _stability(prepared: PreparedMechanism, at: State) -> tuple[float, str]:

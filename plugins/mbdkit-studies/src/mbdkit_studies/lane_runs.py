@@ -27,6 +27,7 @@ from mbdkit.integrators.interface import Guards, StepEvidence, Stretch, Timetabl
 from mbdkit.integrators.lane_collocation import StagePivots
 from mbdkit.mechanism.size import mechanism_sizes
 from mbdkit.methods.kinds import Method
+from mbdkit.plugin import Finding, accepted_doubts, findings, open_doubts
 from mbdkit.quantities.array import FLOAT
 from mbdkit.quantities.names import ArchiveNames, archive_names
 from mbdkit.quantities.states import States
@@ -38,7 +39,6 @@ from mbdkit.runs.law_ranges import LawRanges, has_ranges, steps_are_rows
 from mbdkit.runs.preparation import caution, guards, make_method, recorded_arrays, timetable
 from mbdkit.runs.recorded_states import recorded_states
 from mbdkit.runs.state_watchers import StateWatchers
-from mbdkit.runs.warnings import accepted_doubts, doubts, start_warnings
 from mbdkit.spec import RunSpec
 from mbdkit.trust.criteria import judge
 from mbdkit.trust.energy_record import EnergyRecord
@@ -71,7 +71,7 @@ class LaneMember:
     """Pivots of the stage matrix; None if the method is explicit."""
     size: float
     """Size of the mechanism at its start [m]."""
-    warnings: tuple[str, ...]
+    findings: tuple[Finding, ...]
     topology: tuple[object, ...]
     """Key that is equal for mechanisms that differ only in numbers."""
     seconds: float = 0.0
@@ -91,7 +91,7 @@ class _Compiled:
 
     spec: RunSpec
     method: Method
-    cautions: tuple[str, ...]
+    cautions: Sequence[Finding]
     compiled: CompiledForStarts
 
 
@@ -226,8 +226,8 @@ class LaneRuns:
         if start.mechanism.muscles or start.mechanism.contacts or not suits_lanes(method, start.mechanism, table):
             return None
         pivots = self._pivots.of(method, start, table)
-        warnings = (*run.cautions, *start_warnings(spec, start.assembled))
-        return LaneMember(spec, method, start, table, pivots, size, warnings, self._topology_of(start.mechanism))
+        found = (*run.cautions, *findings("start", spec, start.assembled))
+        return LaneMember(spec, method, start, table, pivots, size, found, self._topology_of(start.mechanism))
 
     def _topology_of(self, mechanism: CompiledMechanism) -> tuple[object, ...]:
         if self._topology is None or self._topology[0] is not mechanism:
@@ -392,12 +392,12 @@ class _Group:
             watchers = StateWatchers(member.spec, member.start.mechanism, member.size)
             if watchers:
                 watchers.add(_states_of_lane(member.start.mechanism, results, lane, rows))
-            warnings = (*member.warnings, *watchers.warnings(recorded[lane][1].energies))
-            warnings = (*warnings, *(() if ranges is None else ranges.warnings()))
+            watched = watchers.findings(recorded[lane][1].energies)
+            told = (*member.findings, *watched, *(() if ranges is None else ranges.findings()))
             counters = vars(results.counters[lane]).copy()
             # The mechanism was factorized once more when the pivots of the stage matrix were chosen.
             counters["factorizations"] += int(member.pivots is not None)
-            made = self._run(member, own, recorded[lane], warnings, results.evidence[lane], counters, digests)
+            made = self._run(member, own, recorded[lane], told, results.evidence[lane], counters, digests)
             finished.append(made)
         return finished
 
@@ -474,7 +474,7 @@ class _Group:
         member: LaneMember,
         arrays: dict[str, np.ndarray],
         recorded: tuple[np.ndarray, _RecordedRun],
-        warnings: tuple[str, ...],
+        told: Sequence[Finding],
         steps: StepEvidence,
         counters: Mapping[str, int],
         digests: Mapping[str, str],
@@ -486,7 +486,7 @@ class _Group:
         begin = time.perf_counter()
         worst, extremes = recorded
         ending = "complete", ""
-        questions = doubts(member.spec, warnings), accepted_doubts(member.spec, warnings)
+        questions = open_doubts(told, member.spec.accept), accepted_doubts(told, member.spec.accept)
         judgement = judge(evidence_of_run(extremes, steps, ending, worst, member.size, *questions))
         if _LOG.isEnabledFor(logging.INFO):
             _LOG.info("run %s ends: complete, verdict %s", member.spec.run_id(), judgement.level)
@@ -494,5 +494,5 @@ class _Group:
         return FinishedRun(
             self.names, self.layout, arrays, None, *ending,
             {**counters, "setup_s": member.seconds, "finish_s": time.perf_counter() - begin},
-            np.asarray(worst, FLOAT), judgement, warnings, data_sha256, member.start.assembled.describe(),
+            np.asarray(worst, FLOAT), judgement, tuple(map(str, told)), data_sha256, member.start.assembled.describe(),
         )  # fmt: skip

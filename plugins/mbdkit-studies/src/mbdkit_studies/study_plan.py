@@ -113,7 +113,7 @@ class StudyPlan:
         """
         specs = [spec for _, spec in self.valid_samples] if self.spec.in_blocks else self.runs.values()
         found: dict[str, str] = {}
-        for warning in (one for spec in specs for one in caution(spec, measures=self.expressions)):
+        for warning in (str(one) for spec in specs for one in caution(spec, measures=self.expressions)):
             found.setdefault(without_numbers(warning), warning)
         of_starts = start_warnings_of_study(spec for _, spec in self.valid_samples)
         of_sample = self.warnings_of_sample()

@@ -7,9 +7,10 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from mbdkit.base.text import listed
+from mbdkit.plugin import Finding
 from mbdkit_biomech.inverse_dynamics.changed_axes import changed_axes
 from mbdkit_biomech.inverse_dynamics.compute import Inverse
-from mbdkit_biomech.inverse_dynamics.doubt import ROUND_OFF, TO_DEVIATION, Doubt
+from mbdkit_biomech.inverse_dynamics.doubt import ROUND_OFF, TO_DEVIATION, doubt
 from mbdkit_biomech.inverse_dynamics.exchanged_markers import exchanged_markers
 from mbdkit_biomech.inverse_dynamics.inverse_sections import NoSmoothing, QuinticSpline
 from mbdkit_biomech.inverse_dynamics.marker_distances import far_apart, unlike_distances
@@ -75,7 +76,7 @@ A low cutoff alone gives ratios of up to 5.
 """
 
 
-def column_doubts(result: Inverse) -> Iterator[Doubt]:
+def column_doubts(result: Inverse) -> Iterator[Finding]:
     """Yield doubts about the times and columns of a measured motion."""
     yield from doubts_before_fit(result.fitted.measured, result.problem.fitter.manifold.length)
     yield from unit_of_time(result)
@@ -84,7 +85,7 @@ def column_doubts(result: Inverse) -> Iterator[Doubt]:
     yield from _noise(result)
 
 
-def doubts_before_fit(measured: Measured, length: float) -> Iterator[Doubt]:
+def doubts_before_fit(measured: Measured, length: float) -> Iterator[Finding]:
     """Yield those doubts about the times and columns of a measured motion that do not depend on the fitted motion.
 
     Parameters
@@ -92,14 +93,14 @@ def doubts_before_fit(measured: Measured, length: float) -> Iterator[Doubt]:
     length
         Longest link of the mechanism [m].
     """
-    yield from (Doubt("units", f"{sentence}.") for sentence in measured.contradictions)
+    yield from (doubt("units", f"{sentence}.") for sentence in measured.contradictions)
     yield from uneven_times(measured)
     yield from _radians(measured)
     for index, name in enumerate(measured.names):
         yield from _outliers(measured, index, name)
         yield from _units(measured, index, name, length)
     if sentence := unlike_distances(measured, length):
-        yield Doubt("units", sentence)
+        yield doubt("units", sentence)
 
 
 def suspicious_columns(measured: Measured, length: float, *, no_pose: bool) -> list[str]:
@@ -146,7 +147,7 @@ def _size(measured: Measured, index: int, size: float, length: float) -> str:
     return f"{size * length:.3g} m ({size:.3g} times the longest link)"
 
 
-def _radians(measured: Measured) -> Iterator[Doubt]:
+def _radians(measured: Measured) -> Iterator[Finding]:
     """Yield a doubt if all angles that the spec declares in degrees look like radians.
 
     One small angle among larger ones, such as the tilt of a pelvis, is plausible.
@@ -159,7 +160,7 @@ def _radians(measured: Measured) -> Iterator[Doubt]:
     least, most = SMALL_RANGES
     if least <= span.max() <= most and np.nanmax(np.abs(numbers)) <= 2 * np.pi:
         names = listed([measured.names[index] for index in columns[:4]], "and")
-        yield Doubt(
+        yield doubt(
             "units",
             f"the angles with `unit: deg` ({names}) change by at most {span.max():.3g} degrees during the motion "
             f"(doubtful below {most:g} if values are at most {2 * np.pi:.3g}): they look like radians; leave out "
@@ -167,7 +168,7 @@ def _radians(measured: Measured) -> Iterator[Doubt]:
         )
 
 
-def _outliers(measured: Measured, index: int, name: str) -> Iterator[Doubt]:
+def _outliers(measured: Measured, index: int, name: str) -> Iterator[Finding]:
     x = measured.values[:, index]
     if len(x) < 12 or np.ptp(x) == 0:
         return
@@ -176,7 +177,7 @@ def _outliers(measured: Measured, index: int, name: str) -> Iterator[Doubt]:
     rows = np.flatnonzero(off > limit) + 2
     if rows.size:
         worst = int(np.argmax(off))
-        yield Doubt(
+        yield doubt(
             "outliers",
             f"column of {name}: the value at t = {measured.time[worst + 2]:.6g} s is {off[worst]:.3g} "
             f"{measured.quantities.quantities[index].unit} off its neighbours (doubtful above {limit:.3g}); "
@@ -184,7 +185,7 @@ def _outliers(measured: Measured, index: int, name: str) -> Iterator[Doubt]:
         )
 
 
-def _constants(result: Inverse) -> Iterator[Doubt]:
+def _constants(result: Inverse) -> Iterator[Finding]:
     """Yield doubts about columns that are constant for some time while other columns change, unless the joints keep
     these quantities constant.
     """
@@ -205,7 +206,7 @@ def _constants(result: Inverse) -> Iterator[Doubt]:
         moves = [np.median(np.abs(x[end - begin :] - x[: begin - end]))] if end - begin < len(x) else [np.inf]
         if end - begin < FROZEN or not others or 2 * sum(others) < len(others) or moves[0] < MOVING * quantum[index]:
             continue
-        yield Doubt(
+        yield doubt(
             "constant",
             f"column of {name}: the value stays exactly {x[begin]:.6g} from t = {measured.time[begin]:.6g} to "
             f"{measured.time[end - 1]:.6g} s, {end - begin} rows, while others change (doubtful from {FROZEN} rows): a "
@@ -220,12 +221,12 @@ def _longest_constant(x: np.ndarray) -> tuple[int, int]:
     return int(changes[longest]), int(changes[longest + 1])
 
 
-def _units(measured: Measured, index: int, name: str, length: float) -> Iterator[Doubt]:
+def _units(measured: Measured, index: int, name: str, length: float) -> Iterator[Finding]:
     quantity, given = measured.quantities.quantities[index], measured.given[:, index]
     if quantity.unit == "m":
         travel = float(np.nanmax(given) - np.nanmin(given)) / quantity.scale
         if not measured.has_unit[index] and travel > TRAVELS * length:
-            yield Doubt(
+            yield doubt(
                 "units",
                 f"column of {name}: the values have a range of {travel:.4g} m, {travel / length:.3g} times the longest "
                 f"link (doubtful above {TRAVELS:g}), and no `unit`: they look like millimetres.",
@@ -235,7 +236,7 @@ def _units(measured: Measured, index: int, name: str, length: float) -> Iterator
     largest = float(np.nanmax(np.abs(given))) / quantity.scale
     turning = abs(np.sum(change)) >= TURNING * np.sum(np.abs(change))
     if not measured.has_unit[index] and largest > TURNS and not turning:
-        yield Doubt(
+        yield doubt(
             "units",
             f"column of {name}: the values reach {largest:.4g} rad (doubtful above {TURNS:.4g} for an angle that "
             f"does not turn mostly in one direction), and no `unit` is given: they look like degrees; write `unit: "
@@ -243,7 +244,7 @@ def _units(measured: Measured, index: int, name: str, length: float) -> Iterator
         )
     elif change.size and np.max(np.abs(change)) > TURN:
         at = int(np.argmax(np.abs(change)))
-        yield Doubt(
+        yield doubt(
             "turns",
             f"column of {name}: the angle changes by {abs(change[at]):.3g} rad in the interval after t = "
             f"{measured.time[at]:.6g} s (doubtful above {TURN:g}), so that its turns are not certain: too few samples, "
@@ -251,7 +252,7 @@ def _units(measured: Measured, index: int, name: str, length: float) -> Iterator
         )
 
 
-def _fit(result: Inverse) -> Iterator[Doubt]:
+def _fit(result: Inverse) -> Iterator[Finding]:
     """Yield a doubt if the mechanism fits the data poorly, always or for some time."""
     measured, residual = result.fitted.measured, result.fitted.residual
     length = result.problem.fitter.manifold.length
@@ -262,7 +263,7 @@ def _fit(result: Inverse) -> Iterator[Doubt]:
         large = [index for index in np.argsort(-rms) if rms[index] > RESIDUAL][:4]
         worst, first = [measured.names[index] for index in large], large[0]
         limit = f"{RESIDUAL:g} {'rad' if measured.quantities.is_angle[first] else 'times the longest link'}"
-        yield Doubt(
+        yield doubt(
             "fit",
             f"the mechanism does not fit the data: the root mean square residual of {worst[0]} is "
             f"{_size(measured, first, rms[first], length)} (doubtful above {limit}); columns with large residuals: "
@@ -275,13 +276,13 @@ def _fit(result: Inverse) -> Iterator[Doubt]:
         )
         return
     if np.any(rms > LEAST_SUDDEN) and (told := misplaced_marker(result, share)):
-        yield Doubt("fit", told)
+        yield doubt("fit", told)
         return
     usual = np.maximum(SUDDEN * TO_DEVIATION * np.nanmedian(share, axis=0), LEAST_SUDDEN)
     rows = np.flatnonzero(np.any(share > usual, axis=1))
     if rows.size:
         columns = [name for name, one in zip(measured.names, (share > usual).T, strict=True) if np.any(one)][:4]
-        yield Doubt(
+        yield doubt(
             "fit",
             f"the mechanism does not fit {len(rows)} rows between t = {measured.time[rows[0]]:.6g} and "
             f"{measured.time[rows[-1]]:.6g} s, with residuals above {SUDDEN:g} times the usual ones, of "
@@ -298,7 +299,7 @@ def _cause_of_misfit(result: Inverse, share: np.ndarray, otherwise: str) -> str:
     return f"{told}." if told else misplaced_marker(result, share) or otherwise
 
 
-def _noise(result: Inverse) -> Iterator[Doubt]:
+def _noise(result: Inverse) -> Iterator[Finding]:
     """Yield a doubt if the smoothing changes a column by much more than its stated noise can explain."""
     if isinstance(result.problem.spec.motion.smooth, NoSmoothing | QuinticSpline):
         return
@@ -309,7 +310,7 @@ def _noise(result: Inverse) -> Iterator[Doubt]:
         f"{name} {one:.3g}" for name, one in zip(measured.names, ratio, strict=True) if one > BEYOND_NOISE
     ]
     if told:
-        yield Doubt(
+        yield doubt(
             "noise",
             f"data and smoothed motion differ by more than {BEYOND_NOISE:g} times the stated noise: "
             f"{listed(told, 'and')} times. The cutoff is too low, the deviation has another unit, or the columns are "

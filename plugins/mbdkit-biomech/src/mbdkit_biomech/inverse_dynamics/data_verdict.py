@@ -5,18 +5,14 @@ accept.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import NamedTuple, cast
+from typing import NamedTuple
 
 import numpy as np
 
-from mbdkit.plugin import use
-from mbdkit.registry.feature_items import CriterionItem
-from mbdkit.registry.manager import registry
+from mbdkit.plugin import Finding, accepted_doubts, findings, open_doubts
 from mbdkit.trust.criteria import Evidence, Judgement, judge
-from mbdkit.trust.finding import Finding
 from mbdkit_biomech.inverse_dynamics.column_criteria import column_doubts, doubts_before_fit
 from mbdkit_biomech.inverse_dynamics.compute import Inverse, InverseProblem
-from mbdkit_biomech.inverse_dynamics.doubt import Doubt
 from mbdkit_biomech.inverse_dynamics.error_bars import ErrorBars
 from mbdkit_biomech.inverse_dynamics.inertias_about_joints import inertias_about_joints
 from mbdkit_biomech.inverse_dynamics.knee_criterion import knee_doubts
@@ -51,13 +47,7 @@ class DataDoubts(NamedTuple):
 
 def doubts_about_data(result: Inverse, bars: ErrorBars | None) -> DataDoubts:
     """Return the doubts about the data and the model of a result, and remarks on the data."""
-    items = [(item, cast(CriterionItem, item.plugin)) for item in registry().of_kind(CriterionItem.kind)]
-    found = [
-        finding
-        for item, own in items
-        if own.stage == "data" and "inverse" in own.of
-        for finding in use(item, lambda own=own: list(own.find()(result, bars)))  # type: ignore[misc]
-    ]
+    found = findings("data", result, bars, kind="inverse")
     remarks = (
         *equal_columns(result.problem),
         *forces_at_centres(result.problem),
@@ -65,21 +55,21 @@ def doubts_about_data(result: Inverse, bars: ErrorBars | None) -> DataDoubts:
         *large_deviations(result, bars),
         *inertias_about_joints(result.problem.names.mechanism),
     )
-    added = (str(one) for one in found if isinstance(one, Finding) and one.level is None)
+    added = (str(one) for one in found if one.level is None)
     return _sorted(found, result.problem.spec.accept)._replace(remarks=(*remarks, *added))
 
 
-def doubts_of_columns(result: Inverse, _bars: ErrorBars | None) -> list[Doubt]:
+def doubts_of_columns(result: Inverse, _bars: ErrorBars | None) -> list[Finding]:
     """Return the doubts about columns of the motion and their smoothing."""
     return [*shared_columns(result.problem), *column_doubts(result), *cutoff_doubts(result)]
 
 
-def doubts_of_loads(result: Inverse, bars: ErrorBars | None) -> list[Doubt]:
+def doubts_of_loads(result: Inverse, bars: ErrorBars | None) -> list[Finding]:
     """Return the doubts about loads."""
     return [*load_doubts(result, bars)]
 
 
-def doubts_of_model(result: Inverse, _bars: ErrorBars | None) -> list[Doubt]:
+def doubts_of_model(result: Inverse, _bars: ErrorBars | None) -> list[Finding]:
     """Return the doubts about the model, about forces without a point, and about turns and signs of angles."""
     return [
         *model_doubts(result),
@@ -89,7 +79,7 @@ def doubts_of_model(result: Inverse, _bars: ErrorBars | None) -> list[Doubt]:
     ]
 
 
-def doubts_of_record(result: Inverse, bars: ErrorBars | None) -> list[Doubt]:
+def doubts_of_record(result: Inverse, bars: ErrorBars | None) -> list[Finding]:
     """Return the doubts about the record, the units of loads, and errors."""
     return [*record_doubts(result, bars), *units_of_loads(result.problem), *large_errors(result, bars)]
 
@@ -102,11 +92,9 @@ def doubts_before_computation(problem: InverseProblem) -> DataDoubts:
     return _sorted(found, problem.spec.accept)
 
 
-def _sorted(found: Sequence[Doubt | Finding], accepted: Sequence[str]) -> DataDoubts:
+def _sorted(found: Sequence[Finding], accepted: Sequence[str]) -> DataDoubts:
     """Separate open doubts from accepted ones; remarks are left out."""
-    doubts = [one for one in found if not isinstance(one, Finding) or one.level is not None]
-    texts = [(one.criterion in accepted, f"{one.criterion}: {one.sentence}") for one in doubts]
-    return DataDoubts(*(tuple(text for is_accepted, text in texts if is_accepted == side) for side in (False, True)))
+    return DataDoubts(open_doubts(found, accepted), accepted_doubts(found, accepted))
 
 
 def verdict_on_data(result: Inverse, misalignment: np.ndarray, doubts: DataDoubts) -> Judgement:

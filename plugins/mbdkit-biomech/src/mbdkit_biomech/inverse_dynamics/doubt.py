@@ -1,9 +1,8 @@
-"""A reason to doubt measured data, and limits that several criteria use."""
+"""Reasons to doubt measured data, and limits that several criteria use."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
+from mbdkit.plugin import Finding
 from mbdkit_biomech.inverse_dynamics.inverse_sections import Criterion
 
 ROUND_OFF = 1e-9
@@ -13,9 +12,6 @@ TO_DEVIATION = 1.4826
 """Ratio of the standard deviation of Gaussian noise to the median of its absolute values."""
 
 
-@dataclass(frozen=True)
-class Doubt:
-    """A reason to doubt measured data: the criterion, and a sentence that names the likely cause."""
-
-    criterion: Criterion
-    sentence: str
+def doubt(criterion: Criterion, sentence: str) -> Finding:
+    """Return a reason to doubt measured data; the sentence names the likely cause."""
+    return Finding(criterion, "doubtful", sentence)

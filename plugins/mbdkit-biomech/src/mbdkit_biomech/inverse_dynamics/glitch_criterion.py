@@ -8,8 +8,9 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
 from mbdkit.base.text import counted, listed
+from mbdkit.plugin import Finding
 from mbdkit_biomech.inverse_dynamics.compute import Inverse
-from mbdkit_biomech.inverse_dynamics.doubt import Doubt
+from mbdkit_biomech.inverse_dynamics.doubt import doubt
 from mbdkit_biomech.inverse_dynamics.loads import LoadSeries, global_point
 
 FORCE, MOMENT = 0.05, 0.02
@@ -42,7 +43,7 @@ def limits_of_balance(result: Inverse) -> tuple[float, float, np.ndarray]:
     return load, weight, np.array([FORCE, FORCE, MOMENT * height]) * max(load, weight)
 
 
-def glitch_doubts(result: Inverse, name: str) -> Iterator[Doubt]:
+def glitch_doubts(result: Inverse, name: str) -> Iterator[Finding]:
     """Yield a doubt if the force of a plate, or its moment about the body, jumps away and back within a few rows."""
     time, wrench = _wrench(result, result.problem.loads[name])
     size = np.linalg.norm(wrench[:, :2], axis=1)
@@ -63,7 +64,7 @@ def glitch_doubts(result: Inverse, name: str) -> Iterator[Doubt]:
     for start, count, _, _ in glitches:
         rows[start : start + count] = True
     what, unit = (("force along x", "N"), ("force along y", "N"), ("moment about its body", "N m"))[axis]
-    yield Doubt(
+    yield doubt(
         "outliers",
         f"load '{name}' has glitches of at most {LONGEST} rows, {spans(time, rows)}. The largest one is in the "
         f"{what}, which jumps by {jump:.4g} {unit} at t = {time[first]:.6g} s and back after {counted(length, 'row')} "

@@ -6,8 +6,9 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from mbdkit.plugin import Finding
 from mbdkit_biomech.inverse_dynamics.compute import Inverse
-from mbdkit_biomech.inverse_dynamics.doubt import Doubt
+from mbdkit_biomech.inverse_dynamics.doubt import doubt
 
 KNEE = "knee_flexion"
 """Coordinates whose names begin with this are positive if the knee is bent."""
@@ -19,7 +20,7 @@ beyond the straight leg.
 """
 
 
-def knee_doubts(result: Inverse) -> Iterator[Doubt]:
+def knee_doubts(result: Inverse) -> Iterator[Finding]:
     """Yield a doubt for each coordinate of knee flexion that is negative beyond what knees allow."""
     names = result.problem.names
     for name in names.mechanism.coordinates:
@@ -28,7 +29,7 @@ def knee_doubts(result: Inverse) -> Iterator[Doubt]:
         values = np.degrees(names.coordinate(name).value(result.fitted.q))
         least, most = np.quantile(values, (FRAMES, 1 - FRAMES)).tolist()
         if least < -HYPEREXTENDED and most <= -least / 2:
-            yield Doubt(
+            yield doubt(
                 "knee",
                 f"{name} is below {least:.3g} degrees in {FRAMES:.0%} of the rows (doubtful below "
                 f"{-HYPEREXTENDED:g}), although flexion is positive: the knee is hyperextended. If its "

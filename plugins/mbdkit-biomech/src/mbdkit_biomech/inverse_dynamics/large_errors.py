@@ -7,8 +7,9 @@ from collections.abc import Iterator
 import numpy as np
 
 from mbdkit.base.text import listed
+from mbdkit.plugin import Finding
 from mbdkit_biomech.inverse_dynamics.compute import Inverse
-from mbdkit_biomech.inverse_dynamics.doubt import Doubt
+from mbdkit_biomech.inverse_dynamics.doubt import doubt
 from mbdkit_biomech.inverse_dynamics.error_bars import ErrorBars
 from mbdkit_biomech.inverse_dynamics.inverse_sections import NoSmoothing
 
@@ -23,7 +24,7 @@ NAMED = 4
 """Largest number of actuators that are named."""
 
 
-def large_errors(result: Inverse, bars: ErrorBars | None) -> Iterator[Doubt]:
+def large_errors(result: Inverse, bars: ErrorBars | None) -> Iterator[Finding]:
     """Yield a doubt about the actuators, except residual ones and reserves, whose values are mostly noise.
 
     The parts of errors due to the ends of the record are left out, because they have their own criterion.
@@ -44,7 +45,7 @@ def large_errors(result: Inverse, bars: ErrorBars | None) -> Iterator[Doubt]:
         more = [f"{len(told) - NAMED} more"] if len(told) > NAMED else []
         is_smoothed = not isinstance(result.problem.spec.motion.smooth, NoSmoothing)
         cure = "use a lower cutoff" if is_smoothed else "smooth the motion with `motion.smooth`"
-        yield Doubt(
+        yield doubt(
             "large-errors",
             f"values of actuators are mostly noise, according to their root mean squares: "
             f"{listed([*told[:NAMED], *more], 'and')} (doubtful above {MOSTLY:g} times as much; noise alone gives 2): "

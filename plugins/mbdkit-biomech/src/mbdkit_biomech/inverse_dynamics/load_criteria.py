@@ -9,8 +9,9 @@ from scipy.ndimage import median_filter
 
 from mbdkit.base.text import listed
 from mbdkit.mechanism.mechanism_quantities import Coordinate, MarkerCoordinate
+from mbdkit.plugin import Finding
 from mbdkit_biomech.inverse_dynamics.compute import Inverse, InverseProblem
-from mbdkit_biomech.inverse_dynamics.doubt import ROUND_OFF, TO_DEVIATION, Doubt
+from mbdkit_biomech.inverse_dynamics.doubt import ROUND_OFF, TO_DEVIATION, doubt
 from mbdkit_biomech.inverse_dynamics.error_bars import ErrorBars
 from mbdkit_biomech.inverse_dynamics.glitch_criterion import (
     FORCE,
@@ -108,13 +109,13 @@ reduces the scatter to no less than 0.93 of its value, and to no less than half 
 """
 
 
-def units_of_loads(problem: InverseProblem) -> Iterator[Doubt]:
+def units_of_loads(problem: InverseProblem) -> Iterator[Finding]:
     """Yield a doubt for each unit of a load in the spec that differs from that in the file."""
     for load in problem.loads.values():
-        yield from (Doubt("units", f"{sentence}.") for sentence in load.contradictions)
+        yield from (doubt("units", f"{sentence}.") for sentence in load.contradictions)
 
 
-def load_doubts(result: Inverse, bars: ErrorBars | None) -> Iterator[Doubt]:
+def load_doubts(result: Inverse, bars: ErrorBars | None) -> Iterator[Finding]:
     """Yield doubts about measured loads."""
     for index, (name, load) in enumerate(result.problem.spec.loads.items()):
         if load.is_plate:
@@ -127,7 +128,7 @@ def load_doubts(result: Inverse, bars: ErrorBars | None) -> Iterator[Doubt]:
     yield from _balance(result, bars)
 
 
-def _lag(result: Inverse, index: int, name: str) -> Iterator[Doubt]:
+def _lag(result: Inverse, index: int, name: str) -> Iterator[Finding]:
     """Yield a doubt if the body of a plate slips while the plate is loaded, or if the point of the load leaves its line
     on the body, but not if the load is shifted in time.
     """
@@ -175,7 +176,7 @@ def _lag(result: Inverse, index: int, name: str) -> Iterator[Doubt]:
         if values is width and at_end <= limit:  # the scatter must be small for this delay only
             continue
         if LAG < abs(best) < LONGEST_LAG and values[best] <= most and given > limit:
-            yield Doubt(
+            yield doubt(
                 "load-time",
                 f"load '{name}' seems to be about {abs(best):.3g} s too {'late' if best > 0 else 'early'}: "
                 f"{told.format(given, values[best])} if the load is shifted by this time (doubtful above {ratio:g} "
@@ -184,7 +185,7 @@ def _lag(result: Inverse, index: int, name: str) -> Iterator[Doubt]:
             return
 
 
-def _direction(result: Inverse, index: int, name: str) -> Iterator[Doubt]:
+def _direction(result: Inverse, index: int, name: str) -> Iterator[Finding]:
     """Yield a doubt if a plate pulls its body down on average, or pushes it sideways more than up."""
     gravity = np.array(result.problem.names.mechanism.gravity, dtype=float)
     if not np.any(gravity):
@@ -194,14 +195,14 @@ def _direction(result: Inverse, index: int, name: str) -> Iterator[Doubt]:
     largest = float(np.max(np.linalg.norm(force, axis=1), initial=0.0))
     vertical, horizontal = float(np.mean(np.abs(up))), float(np.mean(np.abs(across)))
     if np.mean(up) < -ROUND_OFF * largest:
-        yield Doubt(
+        yield doubt(
             "load-sign",
             f"load '{name}' pulls its body down on average, by {-np.mean(up):.4g} N: force plates often give the "
             f"force on the plate, whose sign must be reversed with `scale: -1`; or the y axis points down. (If this "
             f"is not the load of a force plate, set `kind: other`.)",
         )
     if horizontal > FRICTION * vertical + ROUND_OFF * largest:
-        yield Doubt(
+        yield doubt(
             "load-direction",
             f"the force of load '{name}' is {horizontal:.4g} N along the horizontal, but only {vertical:.4g} N along "
             f"the vertical (means of absolute values; doubtful above {FRICTION:g} times as much): is the column of the "
@@ -210,7 +211,7 @@ def _direction(result: Inverse, index: int, name: str) -> Iterator[Doubt]:
         )
 
 
-def _horizontal_sign(result: Inverse, index: int, name: str) -> Iterator[Doubt]:
+def _horizontal_sign(result: Inverse, index: int, name: str) -> Iterator[Finding]:
     """Yield a doubt if a plate under a free mechanism probably gives its horizontal force with the wrong sign."""
     mechanism, q = result.problem.names.mechanism, result.motion.q
     gravity = np.array(mechanism.gravity, dtype=float)
@@ -225,7 +226,7 @@ def _horizontal_sign(result: Inverse, index: int, name: str) -> Iterator[Doubt]:
         float(np.sqrt(np.mean((arm[:, 0] * one[:, 1] - arm[:, 1] * one[:, 0]) ** 2))) for one in (force, mirrored)
     )
     if other < MIRRORED * given:
-        yield Doubt(
+        yield doubt(
             "load-sign",
             f"the horizontal force of load '{name}' seems to have the wrong sign: the moment of the load about the "
             f"centre of mass has a root mean square of {given:.4g} N m, but only {other:.4g} N m with the other sign "
@@ -233,7 +234,7 @@ def _horizontal_sign(result: Inverse, index: int, name: str) -> Iterator[Doubt]:
         )
 
 
-def _offset(result: Inverse, index: int, name: str) -> Iterator[Doubt]:
+def _offset(result: Inverse, index: int, name: str) -> Iterator[Finding]:
     force = result.loads.force[:, index]
     peak = float(np.max(np.abs(force), initial=0.0))
     rows = np.linalg.norm(force, axis=1) < UNLOADED * peak
@@ -242,7 +243,7 @@ def _offset(result: Inverse, index: int, name: str) -> Iterator[Doubt]:
     middle = np.median(force[rows], axis=0)
     scatter = TO_DEVIATION * np.median(np.abs(force[rows] - middle), axis=0) / np.sqrt(np.sum(rows))
     if np.any(np.abs(middle) > np.maximum(LEAST_OFFSET * peak, 5 * scatter)):
-        yield Doubt(
+        yield doubt(
             "load-offset",
             f"load '{name}' is about ({middle[0]:.3g}, {middle[1]:.3g}) N in {np.sum(rows)} rows in which it is below "
             f"{UNLOADED:g} of its peak, and should be zero (doubtful above {LEAST_OFFSET:g} of it): the plate has an "
@@ -250,7 +251,7 @@ def _offset(result: Inverse, index: int, name: str) -> Iterator[Doubt]:
         )
 
 
-def _balance(result: Inverse, bars: ErrorBars | None) -> Iterator[Doubt]:
+def _balance(result: Inverse, bars: ErrorBars | None) -> Iterator[Finding]:
     """Yield a doubt if the loads and the motion of a mechanism with one free root contradict Newton's second law."""
     mechanism = result.problem.names.mechanism
     roots = free_roots(mechanism)
@@ -283,7 +284,7 @@ def _balance(result: Inverse, bars: ErrorBars | None) -> Iterator[Doubt]:
             )
         elif load > 0:
             cause = _cause(result, residual / [1, 1, height], height, inside)
-        yield Doubt(
+        yield doubt(
             "residuals",
             f"motion and loads contradict Newton's second law: the residual actuators of {roots[0]} reach "
             f"{listed(told, 'and')} ({limit} of its moment at the height of the mechanism). The residual force is up "
@@ -291,7 +292,7 @@ def _balance(result: Inverse, bars: ErrorBars | None) -> Iterator[Doubt]:
         )
     if any(ratio > limit for ratio, limit, _ in sizes):
         limits_told = listed([f"{limit:g} times {of}" for _, limit, of in sizes], "or")
-        yield Doubt(
+        yield doubt(
             "residual-size",
             f"the residual force of {roots[0]} is up to {carried:.4g} N, {told_sizes} (doubtful above {limits_told}), "
             "which missing loads or bodies hardly explain: is a force or a mass in another unit, such as kN or g?",

@@ -9,8 +9,9 @@ import numpy as np
 from mbdkit.base.text import listed
 from mbdkit.base.units import read_unit
 from mbdkit.mechanism.bodies import GROUND
+from mbdkit.plugin import Finding
 from mbdkit_biomech.inverse_dynamics.compute import Inverse
-from mbdkit_biomech.inverse_dynamics.doubt import TO_DEVIATION, Doubt
+from mbdkit_biomech.inverse_dynamics.doubt import TO_DEVIATION, doubt
 from mbdkit_biomech.inverse_dynamics.glitch_criterion import spans
 from mbdkit_biomech.inverse_dynamics.loads import UNLOADED_SHARE
 
@@ -56,7 +57,7 @@ times its extent.
 """
 
 
-def load_point_doubts(result: Inverse) -> Iterator[Doubt]:
+def load_point_doubts(result: Inverse) -> Iterator[Finding]:
     """Yield a doubt for each load that acts outside of its body, or on another body."""
     wide, narrow = _outlines(result)
     for index, (name, load) in enumerate(result.problem.spec.loads.items()):
@@ -127,7 +128,7 @@ def _share_outside(result: Inverse, index: int, point: np.ndarray, outlines: np.
     return float(np.sum(size[_outside(result, point, body, outlines[body]) > OUTSIDE]) / np.sum(size))
 
 
-def _outside_of_body(result: Inverse, index: int, name: str, outlines: np.ndarray) -> Iterator[Doubt]:
+def _outside_of_body(result: Inverse, index: int, name: str, outlines: np.ndarray) -> Iterator[Finding]:
     """Yield a doubt if a load acts far from its body."""
     series, size = result.problem.loads[name], np.linalg.norm(result.loads.force[:, index], axis=1)
     centre, shift = centre_of_pressure(result, index)
@@ -149,14 +150,14 @@ def _outside_of_body(result: Inverse, index: int, name: str, outlines: np.ndarra
             "is its point in another frame, such as that of the laboratory, or in another unit, or is the load delayed?"
         )
     far = _outside(result, centre, series.body, outlines[series.body])
-    yield Doubt(
+    yield doubt(
         "load-point",
         f"load '{name}' acts outside of {bodies[series.body]}, up to {np.max(far[rows]):.2g} of its extent from its "
         f"outline (doubtful above {OUTSIDE:g}): {cause}",
     )
 
 
-def _on_other_body(result: Inverse, index: int, name: str, outlines: np.ndarray) -> Iterator[Doubt]:
+def _on_other_body(result: Inverse, index: int, name: str, outlines: np.ndarray) -> Iterator[Finding]:
     """Yield a doubt if a load acts near its body, but nearer to another body."""
     size, own = np.linalg.norm(result.loads.force[:, index], axis=1), result.problem.loads[name].body
     bodies, (centre, _) = result.problem.fitter.bodies, centre_of_pressure(result, index)
@@ -167,7 +168,7 @@ def _on_other_body(result: Inverse, index: int, name: str, outlines: np.ndarray)
     other = int(np.argmax(share))
     if share[other] >= ON_OTHER:
         far, close = (float(np.average(off[body, rows], weights=size[rows])) for body in (own, other))
-        yield Doubt(
+        yield doubt(
             "load-point",
             f"the point of load '{name}' is {far:.2g} m on average from the outline of {bodies[own]}, on which it "
             f"acts, but {close:.2g} m from that of {bodies[other]}, to which it is nearer for {100 * share[other]:.3g} "
@@ -175,7 +176,7 @@ def _on_other_body(result: Inverse, index: int, name: str, outlines: np.ndarray)
         )
 
 
-def _metres(result: Inverse, index: int, name: str, outlines: np.ndarray) -> Iterator[Doubt]:
+def _metres(result: Inverse, index: int, name: str, outlines: np.ndarray) -> Iterator[Finding]:
     """Yield a doubt if the points of a plate with a small unit, such as mm, are probably in metres."""
     load, rows = result.problem.spec.loads[name], np.any(result.loads.force[:, index] != 0, axis=1)
     declared = {
@@ -191,7 +192,7 @@ def _metres(result: Inverse, index: int, name: str, outlines: np.ndarray) -> Ite
         in_metres[:, axis] /= read_unit(unit).factor
     if _share_outside(result, index, in_metres, outlines) <= OFTEN:
         units = listed(sorted(set(declared.values())), "and")
-        yield Doubt(
+        yield doubt(
             "units",
             f"the coordinates of the point of load '{name}' with `unit: {units}` are at most {1e3 * largest:.3g} mm "
             f"(doubtful below {1e3 * LEAST_POINT:g} mm), but in metres the same numbers are on "
@@ -199,7 +200,7 @@ def _metres(result: Inverse, index: int, name: str, outlines: np.ndarray) -> Ite
         )
 
 
-def _zeros(result: Inverse, index: int, name: str, outlines: np.ndarray) -> Iterator[Doubt]:
+def _zeros(result: Inverse, index: int, name: str, outlines: np.ndarray) -> Iterator[Finding]:
     """Yield a doubt if a coordinate of the point of a load in the global frame is zero because it was lost."""
     load, series = result.problem.spec.loads[name], result.problem.loads[name]
     if series.point is None or load.point_frame != GROUND:
@@ -230,7 +231,7 @@ def _zeros(result: Inverse, index: int, name: str, outlines: np.ndarray) -> Iter
             is_level = gravity[axis] > 0.5 * np.linalg.norm(gravity)  # the height of the plate
             is_lost = not is_level and bool(travel > TRAVELS * extent)
         if is_lost:
-            yield Doubt(
+            yield doubt(
                 "constant",
                 f"coordinate {'xy'[axis]} of the point of load '{name}' is exactly zero in {np.sum(zero)} rows with "
                 f"forces of up to {np.max(size[zero]):.4g} N, {spans(series.time, zero)}: values that were lost. Leave "

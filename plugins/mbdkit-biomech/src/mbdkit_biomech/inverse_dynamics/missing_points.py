@@ -5,23 +5,24 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from mbdkit.base.text import listed, shown
+from mbdkit.plugin import Finding
 from mbdkit_biomech.inverse_dynamics.compute import InverseProblem
-from mbdkit_biomech.inverse_dynamics.doubt import Doubt
+from mbdkit_biomech.inverse_dynamics.doubt import doubt
 
 
-def missing_points(problem: InverseProblem) -> Iterator[Doubt]:
+def missing_points(problem: InverseProblem) -> Iterator[Finding]:
     """Yield a doubt for each load without a point that is that of a plate, or whose table seems to have its point."""
     for name, told, columns in _without_point(problem):
         if columns:
             look = "looks like its" if len(columns) == 1 else "look like columns of its"
             example = f", as in `point: [{', '.join(map(shown, columns))}]`" if len(columns) == 2 else ""
-            yield Doubt(
+            yield doubt(
                 "load-point",
                 f"{told}, but {listed([shown(column) for column in columns], 'and')} {look} point of application: give "
                 f"`point`{example}, or write `kind: other` if the force does act at the centre of mass.",
             )
         elif problem.spec.loads[name].kind == "plate":
-            yield Doubt("load-point", f"{told}, although it is the load of a force plate: give `point`.")
+            yield doubt("load-point", f"{told}, although it is the load of a force plate: give `point`.")
 
 
 def forces_at_centres(problem: InverseProblem) -> Iterator[str]:

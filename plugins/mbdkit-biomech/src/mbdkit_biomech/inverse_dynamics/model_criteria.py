@@ -13,11 +13,12 @@ from mbdkit.archive.run_summary import PULLING
 from mbdkit.mechanism.improbable_bodies import improbable_bodies, improbable_people, improbable_radii
 from mbdkit.mechanism.improbable_values import improbable_beams, improbable_lengths
 from mbdkit.mechanism.mechanism import Mechanism
+from mbdkit.plugin import Finding
 from mbdkit.runs.angles_in_degrees import angles_in_degrees
 from mbdkit.runs.coarse_beams import CoarseBeams
 from mbdkit.spec import InverseSpec
 from mbdkit_biomech.inverse_dynamics.compute import Inverse, recorded_states
-from mbdkit_biomech.inverse_dynamics.doubt import Doubt
+from mbdkit_biomech.inverse_dynamics.doubt import doubt
 from mbdkit_biomech.inverse_dynamics.named_actuators import RESERVE
 from mbdkit_biomech.inverse_dynamics.recruited import Recruited
 
@@ -43,7 +44,7 @@ AT_REST = 1e-9
 """Peaks of moments and forces [N m, N] below this value are rounding errors."""
 
 
-def model_doubts(result: Inverse) -> Iterator[Doubt]:
+def model_doubts(result: Inverse) -> Iterator[Finding]:
     """Yield doubts about the masses, beams, muscles and reserves of the model."""
     yield from spec_doubts(result.problem.spec)
     workspace = result.problem.prepared.workspace
@@ -51,43 +52,43 @@ def model_doubts(result: Inverse) -> Iterator[Doubt]:
     if mechanism.beams:
         coarse = CoarseBeams(mechanism, workspace.mechanism)
         coarse.add(recorded_states(result))
-        for warning in coarse.warnings():
-            yield Doubt("elements", f"{warning}.")
+        for warning in coarse.findings():
+            yield doubt("elements", f"{warning}.")
     if result.recruited is not None:
         yield from _fibers(result, result.recruited)
         yield from _reserves(result, result.recruited)
         yield from _weak_muscles(result, result.recruited)
 
 
-def spec_doubts(spec: InverseSpec) -> Iterator[Doubt]:
+def spec_doubts(spec: InverseSpec) -> Iterator[Finding]:
     """Yield a doubt for each angle of the model that is probably in degrees, for a body height and a body mass that no
     person has, and those of `mechanism_doubts`.
     """
     for sentence in chain(angles_in_degrees(spec), improbable_people(spec.model)):
-        yield Doubt("units", f"{sentence}.")
+        yield doubt("units", f"{sentence}.")
     yield from mechanism_doubts(spec.mechanism())
 
 
-def mechanism_doubts(mechanism: Mechanism) -> Iterator[Doubt]:
+def mechanism_doubts(mechanism: Mechanism) -> Iterator[Finding]:
     """Yield a doubt for each inertia, quantity of a beam, free length, optimal length and size of a body that seems to
     have another unit, and for effects that the mechanism lacks.
     """
     for sentence in improbable_radii(mechanism):
-        yield Doubt("inertia", f"{sentence}.")
+        yield doubt("inertia", f"{sentence}.")
     for sentence in chain(improbable_beams(mechanism), improbable_lengths(mechanism), improbable_bodies(mechanism)):
-        yield Doubt("units", f"{sentence}.")
+        yield doubt("units", f"{sentence}.")
     for sentence in mechanism.left_out:
-        yield Doubt("left-out", f"{sentence}.")
+        yield doubt("left-out", f"{sentence}.")
 
 
-def _fibers(result: Inverse, recruited: Recruited) -> Iterator[Doubt]:
+def _fibers(result: Inverse, recruited: Recruited) -> Iterator[Finding]:
     """Yield a doubt for each muscle whose fibres leave the range of lengths in which they have an active force."""
     low, high = PULLING
     for index, (name, muscle) in enumerate(result.problem.names.mechanism.muscles.items()):
         lengths = recruited.contraction.fiber_length[:, index] / muscle.optimal_length
         outside = np.flatnonzero((lengths < low) | (lengths > high))
         if outside.size:
-            yield Doubt(
+            yield doubt(
                 "fibers",
                 f"the fibres of muscle '{name}' are {np.nanmin(lengths):.3g} to {np.nanmax(lengths):.3g} optimal "
                 f"lengths long, in {outside.size} rows outside of {low:g} to {high:g}, where they have almost no "
@@ -95,7 +96,7 @@ def _fibers(result: Inverse, recruited: Recruited) -> Iterator[Doubt]:
             )
 
 
-def _reserves(result: Inverse, recruited: Recruited) -> Iterator[Doubt]:
+def _reserves(result: Inverse, recruited: Recruited) -> Iterator[Finding]:
     """Yield a doubt for each reserve that supplies a large share of the moment to which it contributes."""
     problem = result.problem
     names = [actuator.name for actuator in problem.actuators]
@@ -108,7 +109,7 @@ def _reserves(result: Inverse, recruited: Recruited) -> Iterator[Doubt]:
             at = result.motion.time[int(np.argmax(np.abs(values)))]
             unit = problem.actuators[actuator].unit
             share = f", {most / whole:.2g} of the largest value of {name}" if whole > 0 else ""
-            yield Doubt(
+            yield doubt(
                 "reserves",
                 f"the reserve of {name} supplies up to {most:.4g} {unit} at t = {at:.6g} s{share} (doubtful above "
                 f"{RESERVE_SHARE:g}), so that the muscles do not produce the motion alone: they are too weak or too "
@@ -116,7 +117,7 @@ def _reserves(result: Inverse, recruited: Recruited) -> Iterator[Doubt]:
             )
 
 
-def _weak_muscles(result: Inverse, recruited: Recruited) -> Iterator[Doubt]:
+def _weak_muscles(result: Inverse, recruited: Recruited) -> Iterator[Finding]:
     """Yield a doubt for each muscle that is negligible at every joint on which it acts."""
     problem = result.problem
     arms = np.max(np.abs(recruited.sharing.arms), axis=0)  # (U, M)
@@ -131,7 +132,7 @@ def _weak_muscles(result: Inverse, recruited: Recruited) -> Iterator[Doubt]:
         share = moments[best] / peaks[acting][best]
         if share < WEAK:
             actuator = problem.actuators[acting[best]]
-            yield Doubt(
+            yield doubt(
                 "max-force",
                 f"muscle '{name}' with a max_force of {muscle.max_force:g} N can exert at most {share:.2g} of the "
                 f"largest value of {actuator.name}, {peaks[acting][best]:.4g} {actuator.unit} (doubtful below "

@@ -8,8 +8,9 @@ from typing import NamedTuple
 import numpy as np
 
 from mbdkit.base.text import listed
+from mbdkit.plugin import Finding
 from mbdkit_biomech.inverse_dynamics.compute import Inverse, recorded_states
-from mbdkit_biomech.inverse_dynamics.doubt import Doubt
+from mbdkit_biomech.inverse_dynamics.doubt import doubt
 from mbdkit_biomech.inverse_dynamics.ends_and_gaps import NAMED, long_gaps, longest_period, told_gaps
 from mbdkit_biomech.inverse_dynamics.error_bars import ErrorBars
 from mbdkit_biomech.inverse_dynamics.inverse_sections import QuinticSpline
@@ -60,7 +61,7 @@ class _Peak(NamedTuple):
         return f"{self.label} (by up to {most:.2g} {self.unit})" if np.isfinite(most) else self.label
 
 
-def record_doubts(result: Inverse, bars: ErrorBars | None) -> Iterator[Doubt]:
+def record_doubts(result: Inverse, bars: ErrorBars | None) -> Iterator[Finding]:
     """Yield doubts about actuators and joint forces whose values in long gaps, or largest values near the ends, are
     uncertain.
     """
@@ -69,14 +70,14 @@ def record_doubts(result: Inverse, bars: ErrorBars | None) -> Iterator[Doubt]:
         rows = (time > start) & (time < end)
         open_peaks = [one for one in peaks if np.any(one.reached[rows] > one.value)]
         if open_peaks:
-            yield Doubt(
+            yield doubt(
                 "gaps",
                 f"the data do not determine the largest values of {_some([one.told(time) for one in open_peaks])}, "
                 f"because of {gap}: its values are interpolated, and larger ones are possible. Fill it with measured "
                 "values, or cut the motion with `time.start` or `time.end`.",
             )
         elif wrong := [one for one in peaks if np.any(one.hidden[rows] > OF_GAPS * one.value)]:
-            yield Doubt(
+            yield doubt(
                 "gaps",
                 f"errors are unknown because of {gap}: values of {_some([one.wrong_by(rows) for one in wrong])} may be "
                 f"wrong there (doubtful above {OF_GAPS:g} of the largest value). Do not use values in the gap, or fill "
@@ -85,7 +86,7 @@ def record_doubts(result: Inverse, bars: ErrorBars | None) -> Iterator[Doubt]:
     yield from _doubts_at_ends(result, peaks)
 
 
-def _doubts_at_ends(result: Inverse, peaks: Sequence[_Peak]) -> Iterator[Doubt]:
+def _doubts_at_ends(result: Inverse, peaks: Sequence[_Peak]) -> Iterator[Finding]:
     """Yield doubts about largest values near the ends, and about larger ones that the smoothing may have removed."""
     time = result.motion.time
     cutoff = "" if isinstance(result.problem.spec.motion.smooth, QuinticSpline) else ", one period of the cutoff"
@@ -102,7 +103,7 @@ def _doubts_at_ends(result: Inverse, peaks: Sequence[_Peak]) -> Iterator[Doubt]:
         move = f"or move `time.{side}` if it cuts the data there."
         if near:
             worst = max(near, key=lambda one: one.of_ends / one.value)
-            yield Doubt(
+            yield doubt(
                 "ends",
                 f"the largest values of {_some([one.told(time) for one in near])} are so close to the {side} of the "
                 f"record that the smoothing may change that of {worst.label} by {worst.of_ends:.2g} {worst.unit} "
@@ -110,7 +111,7 @@ def _doubts_at_ends(result: Inverse, peaks: Sequence[_Peak]) -> Iterator[Doubt]:
             )
         if lost:
             most, worst = max(lost, key=lambda pair: pair[0] / pair[1].value)
-            yield Doubt(
+            yield doubt(
                 "ends",
                 f"the true largest values of {_some([one.told(time) for _, one in lost])} may lie at the {side} of the "
                 f"record, where the smoothing takes accelerations for zero: the data before smoothing show about "

@@ -8,8 +8,9 @@ from itertools import combinations
 import numpy as np
 
 from mbdkit.base.text import listed, shown
+from mbdkit.plugin import Finding
 from mbdkit_biomech.inverse_dynamics.compute import InverseProblem
-from mbdkit_biomech.inverse_dynamics.doubt import Doubt
+from mbdkit_biomech.inverse_dynamics.doubt import doubt
 from mbdkit_biomech.inverse_dynamics.inverse_sections import Load
 
 TIED = 1e-6
@@ -18,7 +19,7 @@ of the gradient of the other is below this share.
 """
 
 
-def shared_columns(problem: InverseProblem) -> Iterator[Doubt]:
+def shared_columns(problem: InverseProblem) -> Iterator[Finding]:
     """Yield a doubt for each column that is used for several quantities or components of loads.
 
     Quantities that the mechanism ties to each other, such as the angles of two welded bodies, may share a column.
@@ -37,7 +38,7 @@ def shared_columns(problem: InverseProblem) -> Iterator[Doubt]:
             used.setdefault((table, heading), []).append(f"loads.{name}.{place}")
     for (_, heading), sharing in used.items():
         if len(sharing) > 1:
-            yield Doubt(
+            yield doubt(
                 "shared-column",
                 f"column '{shown(heading)}' is used for {listed(sharing, 'and')}: is another column meant? If not, as "
                 "in symmetric motions, write `accept: [shared-column]`.",

@@ -8,8 +8,9 @@ import numpy as np
 from scipy.signal import periodogram
 
 from mbdkit.base.text import listed
+from mbdkit.plugin import Finding
 from mbdkit_biomech.inverse_dynamics.compute import Inverse
-from mbdkit_biomech.inverse_dynamics.doubt import Doubt
+from mbdkit_biomech.inverse_dynamics.doubt import doubt
 from mbdkit_biomech.inverse_dynamics.inverse_sections import Butterworth, OpenSimFilter, SmoothingSpline
 from mbdkit_biomech.inverse_dynamics.smoothing import UNEVEN, cutoff_of
 
@@ -30,7 +31,7 @@ FEWEST_HIGH = 8
 """Least number of high frequencies that give the level of the noise."""
 
 
-def cutoff_doubts(result: Inverse) -> Iterator[Doubt]:
+def cutoff_doubts(result: Inverse) -> Iterator[Finding]:
     """Yield a doubt if a cutoff given in the spec removes a part of the motion (residual analysis; D. A. Winter,
     Biomechanics and Motor Control of Human Movement, 4th edition, Wiley 2009, section 3.4.4.3).
     """
@@ -59,7 +60,7 @@ def cutoff_doubts(result: Inverse) -> Iterator[Doubt]:
     low = np.flatnonzero((excess > EXCESS) & (share > REMOVED))
     if low.size:
         told = [f"{share[index]:.2g} of that of {independent.names[index]}" for index in low[:4]]
-        yield Doubt(
+        yield doubt(
             "cutoff",
             f"the cutoff of {cutoff:.3g} Hz removes a part of the motion: the accelerations that it removes are "
             f"{listed(told, 'and')} (doubtful above {REMOVED:g}), and noise does not explain them. Choose a higher "

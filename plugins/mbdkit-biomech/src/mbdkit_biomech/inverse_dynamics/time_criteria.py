@@ -7,8 +7,9 @@ from collections.abc import Iterator
 import numpy as np
 
 from mbdkit.base.text import shown
+from mbdkit.plugin import Finding
 from mbdkit_biomech.inverse_dynamics.compute import Inverse
-from mbdkit_biomech.inverse_dynamics.doubt import Doubt
+from mbdkit_biomech.inverse_dynamics.doubt import doubt
 from mbdkit_biomech.inverse_dynamics.measured import Measured
 
 STANDARD_GRAVITY = 9.81
@@ -53,7 +54,7 @@ GRIDS = tuple(10.0**-digits for digits in range(1, 7))
 """Intervals [s] of which rounded times are multiples."""
 
 
-def uneven_times(measured: Measured) -> Iterator[Doubt]:
+def uneven_times(measured: Measured) -> Iterator[Finding]:
     """Yield a doubt if the columns fit evenly spaced times better than the given times."""
     time, steps = measured.time, np.diff(measured.time)
     if len(time) < 6 or np.ptp(steps) <= UNEVEN * np.mean(steps) or np.max(steps) > 1.9 * np.median(steps):
@@ -71,7 +72,7 @@ def uneven_times(measured: Measured) -> Iterator[Doubt]:
     if not product > max(EVEN * square, certain * np.sqrt(square)):
         return
     cause = "they probably have jitter" if grid is None else f"they are probably rounded to {grid:g} s"
-    yield Doubt(
+    yield doubt(
         "times",
         f"the columns fit evenly spaced times better than the given times, whose intervals vary from "
         f"{steps.min():.6g} to {steps.max():.6g} s (share {product / square:.2g}, doubtful above {EVEN:g}; certain to "
@@ -80,7 +81,7 @@ def uneven_times(measured: Measured) -> Iterator[Doubt]:
     )
 
 
-def unit_of_time(result: Inverse) -> Iterator[Doubt]:
+def unit_of_time(result: Inverse) -> Iterator[Finding]:
     """Yield a doubt if accelerations, compared with gravity, are so small or large that the times seem to have another
     unit.
     """
@@ -103,13 +104,13 @@ def unit_of_time(result: Inverse) -> Iterator[Doubt]:
             if column.factor == 1.0
             else f"are the times in {shown(column.unit)}?"
         )
-        yield Doubt(
+        yield doubt(
             "time-unit",
             f"{rows} (doubtful above {COARSE:g}), and no acceleration exceeds {np.max(share):.2g} of gravity (doubtful "
             f"below {SLOW:g}), so that inertia has no effect: {cause}",
         )
     elif interval < FINE * natural and rms > FAST:
-        yield Doubt(
+        yield doubt(
             "time-unit",
             f"{rows} (doubtful below {FINE:g}), and accelerations are {rms:.2g} times gravity (doubtful above "
             f"{FAST:g}): are the times in {shown(result.problem.spec.motion.time.unit)}?",

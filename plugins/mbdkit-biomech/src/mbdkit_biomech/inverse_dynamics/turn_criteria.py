@@ -11,8 +11,9 @@ from mbdkit.mechanism.bodies import GROUND
 from mbdkit.mechanism.forces import TorsionSpring
 from mbdkit.mechanism.law_element import Law
 from mbdkit.mechanism.pathways import AnglePathway, JointAngles
+from mbdkit.plugin import Finding
 from mbdkit_biomech.inverse_dynamics.compute import Inverse
-from mbdkit_biomech.inverse_dynamics.doubt import Doubt
+from mbdkit_biomech.inverse_dynamics.doubt import doubt
 
 HALF_TURN = 2.8
 """The number of full turns of an angle is uncertain if the angle in the first row differs from that of the model by
@@ -20,7 +21,7 @@ more than this [rad], which is about 160 degrees.
 """
 
 
-def turn_doubts(result: Inverse) -> Iterator[Doubt]:
+def turn_doubts(result: Inverse) -> Iterator[Finding]:
     """Yield a doubt for each force that depends on an angle whose number of full turns is uncertain."""
     if result.problem.spec.motion.is_run:
         return
@@ -37,7 +38,7 @@ def turn_doubts(result: Inverse) -> Iterator[Doubt]:
             off = abs(changes[b] - changes[a])
             if off > HALF_TURN:
                 columns = _angles_of(result, [bodies.index(one) for one in (a, b) if one != GROUND])
-                yield Doubt(
+                yield doubt(
                     "turns",
                     f"force '{name}' depends on the angle between {a} and {b}, which in the first row differs by "
                     f"{off:.3g} rad from that of the model (doubtful above {HALF_TURN:g}), so that its number of full "

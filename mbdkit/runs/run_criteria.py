@@ -1,5 +1,7 @@
-"""Warnings about values of a spec that are valid but probably unintended, such as angles in degrees, inertias in
-kg mm^2 or an initial state in which joints are far from closed.
+"""The criteria of mbdkit that examine the spec, the start and the end of a run.
+
+They find values that are valid but probably unintended, such as angles in degrees, inertias in kg mm^2, or an initial
+state in which joints are far from closed. `mbdkit.builtin_features` lists them; `CriterionItem` says what they take.
 """
 
 from __future__ import annotations
@@ -8,6 +10,7 @@ import math
 import re
 from collections.abc import Iterator, Sequence
 
+from mbdkit.base.plain_data import quoted
 from mbdkit.base.text import counted, did_you_mean, listed
 from mbdkit.engine.assembly import AssembledState
 from mbdkit.mechanism.beams import written_key
@@ -22,12 +25,14 @@ from mbdkit.mechanism.law_element import Law
 from mbdkit.mechanism.mechanism import Mechanism
 from mbdkit.mechanism.parameters import parameters_in_use
 from mbdkit.mechanism.size import mechanism_size
+from mbdkit.methods.baumgarte_stability import stiff_baumgarte
 from mbdkit.muscles.acting_muscles import acting_muscles
 from mbdkit.runs.angles_in_degrees import angles_in_degrees, motions_in_degrees
-from mbdkit.runs.notes import short_runs, zero_reactions
+from mbdkit.runs.preparation import make_method
 from mbdkit.spec import RunSpec
 from mbdkit.trust.criteria import rounding
 from mbdkit.trust.energy_record import EnergyRecord
+from mbdkit.trust.finding import Finding
 
 FAR = 0.1
 """Share of the mechanism's size by which assembly may change the initial positions without a warning."""
@@ -49,41 +54,30 @@ REGAINED = 10.0
 _SLIP = re.compile(r"contacts(\.\w+|\[[^\]]+\])\.slip")
 
 
-def spec_warnings(spec: RunSpec, measures: Sequence[str] = ()) -> tuple[str, ...]:
-    """Return the warnings of the model, and those about effects that it lacks, unresolved beams, unused parameters,
-    short runs, zero reactions, improbable values, long steps, excitations and events.
-
-    Parameters
-    ----------
-    measures
-        Expressions that are evaluated for the run, in addition to the measures of the spec.
-    """
-    found = (*_known(spec, measures), *_left_out(spec), *_improbable(spec), *_long_step(spec), *_excitations(spec))
-    return (*found, *_slip_events(spec))
+def unstable_baumgarte(spec: RunSpec, _measures: Sequence[str] = ()) -> Iterator[str]:
+    """Yield a warning if Baumgarte's terms are unstable with the step of a run."""
+    if spec.stabilized.kind == "baumgarte":
+        method, name = make_method(spec), spec.integrator_item.name
+        yield from stiff_baumgarte(name, method, spec.claims, spec.stabilized, spec.time.step)
 
 
-def mechanism_warnings(spec: RunSpec) -> tuple[str, ...]:
-    """Return the warnings that also apply without a run: those of the model, and those about effects that it lacks,
-    unused parameters and improbable values.
-    """
-    return (*spec.mechanism().warnings, *_left_out(spec), *_unused_parameters(spec), *_improbable(spec))
+def model_notes(spec: RunSpec, _measures: Sequence[str] = ()) -> tuple[str, ...]:
+    """Return what the model says about its mechanism."""
+    return spec.mechanism().warnings
 
 
-def start_warnings(spec: RunSpec, start: AssembledState) -> tuple[str, ...]:
-    """Return warnings if assembly moved the start by more than a tenth of the mechanism's size, or changed a velocity
-    that the spec gives by more than 1 % of it.
+def left_out(spec: RunSpec, _measures: Sequence[str] = ()) -> Iterator[Finding]:
+    """Yield a doubt about each effect that the file of a model describes, but the mechanism lacks."""
+    mechanism = spec.mechanism()
+    for sentence in (*mechanism.left_out, *mechanism.left_out_of_runs):
+        yield Finding("left-out", "doubtful", sentence, "model")
 
-    Parameters
-    ----------
-    start
-        The initial state after assembly.
-    """
+
+def moved_start(spec: RunSpec, start: AssembledState) -> Iterator[str]:
+    """Yield a warning if assembly moves a point by more than a tenth of the mechanism's size."""
     if not start.changed:
-        return ()
-    return (*_moved_start(spec.mechanism(), start), *_changed_velocities(spec.mechanism(), start))
-
-
-def _moved_start(mechanism: Mechanism, start: AssembledState) -> Iterator[str]:
+        return
+    mechanism = spec.mechanism()
     points: dict[str, set[tuple[float, float]]] = {name: {(0.0, 0.0)} for name in mechanism.bodies}
     for joint in mechanism.joints.values():
         for _, name, point in joint.attachments():
@@ -104,7 +98,11 @@ def _moved_start(mechanism: Mechanism, start: AssembledState) -> Iterator[str]:
         )
 
 
-def _changed_velocities(mechanism: Mechanism, start: AssembledState) -> Iterator[str]:
+def changed_velocities(spec: RunSpec, start: AssembledState) -> Iterator[str]:
+    """Yield a warning if assembly changes a velocity that the spec gives by more than 1 % of it."""
+    if not start.changed:
+        return
+    mechanism = spec.mechanism()
     changes = []
     for (name, body), (vx, vy, rate) in zip(mechanism.bodies.items(), start.v.tolist(), strict=True):
         for what, unit, given, now in (
@@ -130,97 +128,81 @@ def _key(mechanism: Mechanism, body: str) -> str:
     return written_key(mechanism.beams, "bodies", body) if mechanism.name == "mechanism" else "model"
 
 
-def doubts(spec: RunSpec, warnings: Sequence[str]) -> tuple[str, ...]:
-    """Return those warnings of a run that question its result.
-
-    Excluded are warnings about intended limits of model and step, about unused parameters, short runs and reactions
-    that are always zero, and those that the spec accepts.
-    """
-    known: tuple[str, ...] = (*_known(spec), *accepted_doubts(spec, warnings)) if warnings else ()
-    return tuple(warning for warning in warnings if warning not in known)
-
-
-def accepted_doubts(spec: RunSpec, warnings: Sequence[str]) -> tuple[str, ...]:
-    """Return the warnings that question the result, but are accepted by the spec."""
-    own = _left_out(spec) if "left-out" in spec.accept else ()
-    others = tuple(f"{name}: " for name in spec.accept if name != "left-out")
-    return (*own, *(warning for warning in warnings if others and warning.startswith(others)))
-
-
-def _left_out(spec: RunSpec) -> tuple[str, ...]:
-    """Return warnings about effects that the mechanism lacks, which begin with the name of their criterion."""
-    mechanism = spec.mechanism()
-    return tuple(f"left-out: {sentence}" for sentence in (*mechanism.left_out, *mechanism.left_out_of_runs))
-
-
-def _known(spec: RunSpec, measures: Sequence[str] = ()) -> tuple[str, ...]:
-    """Return the warnings that do not question the result."""
-    notes = (*short_runs(spec), *zero_reactions(spec, spec.defined_measures()))
-    return (*spec.mechanism().warnings, *_unresolved_beams(spec), *_unused_parameters(spec, measures), *notes)
-
-
-def passivity_warnings(mechanism: Mechanism, energies: EnergyRecord) -> tuple[str, ...]:
-    """Return a warning about passive force laws if the dissipated energy of a run has decreased."""
+def passive_laws(spec: RunSpec, energies: EnergyRecord) -> Iterator[str]:
+    """Yield a warning about passive force laws if the dissipated energy of a run has decreased."""
     least = max(REGAINED * energies.balance, rounding(energies.energy))
     laws = [
         f"{force.law_id} of force '{name}'"
-        for name, force in mechanism.forces.items()
+        for name, force in spec.mechanism().forces.items()
         if isinstance(force, Law) and force.force_law.passive
     ]
     if not laws or not energies.regained > least:
-        return ()
+        return
     which = f"one of the laws {listed(laws, 'and')}" if len(laws) > 1 else f"the law {laws[0]}"
-    sentence = (
+    yield (
         f"the dissipated energy decreases by up to {energies.regained:.3g} J, because {which} supplies energy although "
         f"it is declared passive; correct its options, or declare it without `passive`, so that its power counts as "
         f"work"
     )
-    return (sentence,)
 
 
-def _improbable(spec: RunSpec) -> Iterator[str]:
-    """Yield warnings about values that are valid but improbable, most of them because of another unit."""
+def degrees(spec: RunSpec, _measures: Sequence[str] = ()) -> Iterator[str]:
+    """Yield warnings about angles that are probably in degrees."""
     yield from angles_in_degrees(spec)
     yield from motions_in_degrees(spec)
-    yield from improbable_inertias(spec.mechanism())
-    yield from improbable_frictions(spec.mechanism())
-    yield from rolling_point_masses(spec.mechanism())
-    yield from improbable_beams(spec.mechanism())
-    yield from improbable_lengths(spec.mechanism())
-    yield from improbable_bodies(spec.mechanism())
-    yield from improbable_people(spec.model)
 
 
-def _long_step(spec: RunSpec) -> Iterator[str]:
+def improbable_values(spec: RunSpec, _measures: Sequence[str] = ()) -> Iterator[Finding]:
+    """Yield doubts about values that are valid but improbable, most of them because of another unit."""
+    mechanism = spec.mechanism()
+    for criterion, found in (
+        ("improbable-inertias", improbable_inertias(mechanism)),
+        ("improbable-frictions", improbable_frictions(mechanism)),
+        ("rolling-point-masses", rolling_point_masses(mechanism)),
+        ("improbable-beams", improbable_beams(mechanism)),
+        ("improbable-lengths", improbable_lengths(mechanism)),
+        ("improbable-bodies", improbable_bodies(mechanism)),
+        ("improbable-people", improbable_people(spec.model)),
+    ):
+        for sentence in found:
+            yield Finding(criterion, "doubtful", sentence, "model", is_named=False)
+
+
+def long_step(spec: RunSpec, _measures: Sequence[str] = ()) -> Iterator[Finding]:
+    """Yield a doubt if the step is longer than the run."""
     length = spec.time.final - spec.time.start
     if spec.time.step is not None and spec.time.step > length * (1.0 + 1e-9):
-        yield (
+        sentence = (
             f"the step of {spec.time.step:g} s at time.step is longer than the run of {length:g} s; the run takes a "
             f"single, shorter step"
         )
+        yield Finding("long-step", "doubtful", sentence, "time.step", is_named=False)
 
 
-def _excitations(spec: RunSpec) -> Iterator[str]:
+def excitations(spec: RunSpec, _measures: Sequence[str] = ()) -> Iterator[Finding]:
     """Yield a warning for each muscle whose excitation leaves the range 0 to 1 as a function of time."""
     for name, muscle in acting_muscles(spec.mechanism()).items():
         if (outside := muscle.excitation_outside(spec.time.start, spec.time.final)) is not None:
             time, value = outside
             reached = f"{value:.3g} at t = {time:.6g} s"
-            yield f"the excitation of muscle '{name}' is {reached}; it should stay between 0 and 1"
+            sentence = f"the excitation of muscle '{name}' is {reached}; it should stay between 0 and 1"
+            key = f"model.muscles.{quoted(name)}.excitation"
+            yield Finding("excitations", "doubtful", sentence, key, is_named=False)
 
 
-def _slip_events(spec: RunSpec) -> Iterator[str]:
+def slip_events(spec: RunSpec, _measures: Sequence[str] = ()) -> Iterator[Finding]:
     """Yield a warning for each event that is the zero crossing of the slip of a contact."""
     for name, event in spec.events.items():
         if (slip := _SLIP.fullmatch(event.when.strip())) is not None:
-            yield (
+            sentence = (
                 f"event '{name}' watches the sign of {slip[0]}, which is zero except for rounding errors while the "
                 f"contact sticks or rolls; to find the begin or end of slip, watch abs({slip[0]}) - 1e-6 with rigid "
                 "contacts, or subtract the transition speed with compliant ones"
             )
+            yield Finding("slip-events", "doubtful", sentence, f"events.{quoted(name)}.when", is_named=False)
 
 
-def _unresolved_beams(spec: RunSpec) -> Iterator[str]:
+def unresolved_beams(spec: RunSpec, _measures: Sequence[str] = ()) -> Iterator[str]:
     """Yield a warning for each beam whose oscillations are not resolved by the fixed steps of an implicit method."""
     step, beams = spec.time.step, spec.mechanism().beams
     if not beams or step is None:
@@ -259,11 +241,13 @@ def step_advice(spec: RunSpec, code: str) -> str:
     return advice
 
 
-def _unused_parameters(spec: RunSpec, measures: Sequence[str] = ()) -> Iterator[str]:
+def unused_parameters(spec: RunSpec, measures: Sequence[str] = ()) -> Iterator[Finding]:
+    """Yield a note for each parameter that no expression of a spec uses."""
     if not spec.parameters:
         return
     used = parameters_in_use(spec.parameters, [*spec.written.values(), *spec.expressions_outside_model, *measures])
     for name in spec.parameters:
         if name not in used:
             hint = did_you_mean(name, [other for other in spec.parameters if other != name])
-            yield f"the parameter at parameters.{name} is not used{hint}"
+            sentence = f"the parameter at parameters.{name} is not used{hint}"
+            yield Finding("unused-parameters", None, sentence, f"parameters.{name}", is_named=False)

@@ -1,0 +1,37 @@
+"""The findings of criteria, those of mbdkit and those of plugins."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from typing import Any, Literal, cast
+
+from mbdkit.registry.catalogue import Registered
+from mbdkit.registry.feature_items import CriterionItem
+from mbdkit.registry.manager import registry
+from mbdkit.registry.use import use
+from mbdkit.trust.finding import Finding
+
+Stage = Literal["spec", "start", "rows", "end", "data"]
+
+
+def criteria(stage: Stage, kind: str = "run") -> Iterator[tuple[Registered, CriterionItem]]:
+    """Yield the criteria of a stage for the results of a kind of specs, in their order."""
+    for item in registry().of_kind(CriterionItem.kind):
+        criterion = cast(CriterionItem, item.plugin)
+        if criterion.stage == stage and kind in criterion.of:
+            yield item, criterion
+
+
+def findings(stage: Stage, *examined: Any, kind: str = "run") -> list[Finding]:
+    """Return what all criteria of a stage find in the objects that are examined; see `CriterionItem`."""
+    return [
+        finding
+        for item, criterion in criteria(stage, kind)
+        for finding in use(item, lambda own=criterion: [*as_findings(own, own.find()(*examined))])  # type: ignore[misc]
+    ]
+
+
+def as_findings(criterion: CriterionItem, found: Iterable[str | Finding]) -> Iterator[Finding]:
+    """Yield what a criterion has found; sentences become findings of its name and level."""
+    for one in found:
+        yield Finding(criterion.name, criterion.level, one, is_named=False) if isinstance(one, str) else one
