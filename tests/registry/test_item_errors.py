@@ -10,7 +10,17 @@ import mbdkit
 from mbdkit.archive import export as exports
 from mbdkit.archive.run import Run
 from mbdkit.base.errors import PluginError, SpecError
-from mbdkit.plugin import Accessor, PlotKind, ReportSection, SpecKind, SummaryLine, TableFormat, Target
+from mbdkit.plugin import (
+    Accessor,
+    CriterionItem,
+    Finding,
+    PlotKind,
+    ReportSection,
+    SpecKind,
+    SummaryLine,
+    TableFormat,
+    Target,
+)
 from mbdkit.registry import accessors, manager
 from mbdkit.registry.manager import checked
 from mbdkit.spec.spec_kinds import kind_of
@@ -28,6 +38,10 @@ def wrong(*_):
 
 def failing(*_):
     raise ValueError("no such muscle")
+
+
+def suspicious(spec, *_):
+    return [f"{len(spec.mechanism().bodies)} bodies", Finding("acme-time", None, "a note", "time")]
 
 
 def charts(run):
@@ -157,3 +171,29 @@ def test_the_doctor_reports_what_is_wrong_with_an_item(item, words, installed):
 
 def test_all_accessors_are_of_runs():
     assert {item.plugin.of for item in manager.registry().of_kind("accessor")} <= {Run.__name__}
+
+
+def criterion(stage, function):
+    of = frozenset({"run"})
+    return CriterionItem(
+        name="acme", summary="A criterion.", stage=stage, find=target(function), of=of, criteria=("acme",)
+    )
+
+
+@pytest.mark.parametrize("stage", ["spec", "start", "end"])
+def test_a_criterion_of_a_plugin_examines_spec_start_and_end(stage, installed):
+    installed(acme=[criterion(stage, "suspicious")])
+    time = {"end": 0.1, "step": 0.01}
+    found = mbdkit.run("pendulum", time=time)
+    assert found.warnings == ["1 bodies", "acme-time: a note"]
+    assert (found.verdict, found.verdict_reasons) == ("doubtful", ["1 bodies"])
+    accepting = mbdkit.run("pendulum", time=time, accept=["acme"])
+    assert (accepting.verdict, accepting.verdict_reasons) == ("unknown", ["Accepted by the spec: 1 bodies"])
+
+
+@pytest.mark.parametrize(("function", "words"), [("failing", "no such muscle"), ("wrong", "neither a sentence nor")])
+@pytest.mark.parametrize("stage", ["spec", "start", "end"])
+def test_a_criterion_that_fails_is_named(stage, function, words, installed):
+    installed(acme=[criterion(stage, function)])
+    with pytest.raises(PluginError, match=f"the criterion 'acme:acme' failed: .*{words}"):
+        mbdkit.run("pendulum", time={"end": 0.1, "step": 0.01})
