@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 import re
 from collections.abc import Sequence
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -21,7 +20,7 @@ from mbdkit.base.files import check_suffix
 from mbdkit_report.figures.curves import require_rows
 from mbdkit_report.figures.palette import GRID, INK, PALETTE, PAPER
 from mbdkit_report.plot.caption import caption
-from mbdkit_report.plot.charts import Panel, draw_chart, draw_on, settle_layout
+from mbdkit_report.plot.charts import Panel, chart_panel, draw_on, settle_layout
 from mbdkit_report.plot.comparison import comparison
 from mbdkit_report.plot.plot_kinds import plot_module
 from mbdkit_report.plot.style import FORMATS, new_figure, save
@@ -57,11 +56,11 @@ def figure(run: Run, kind: str = "trajectory", **options: Any) -> Figure:
     if options:
         chart, _ = comparison([run], kind, **options)
         title = chart.lines[0].label if len(chart.lines) == 1 else ""  # a single line has no legend
-        panels: Sequence[Panel] = [Panel(partial(draw_chart, chart=chart, title=title), height=2.7)]
+        panels: Sequence[Panel] = [chart_panel(chart, title, 2.7)]
     elif hasattr(module, "panels"):
         panels = module.panels(run)
     else:
-        panels = [Panel(partial(draw_chart, chart=chart)) for chart in module.charts(run)]
+        panels = [chart_panel(chart) for chart in module.charts(run)]
     picture = new_figure(caption(run), _WIDTH, _HEADING_AND_LABELS + sum(panel.height for panel in panels))
     shared: Axes | None = None
     for row, panel in enumerate(panels, start=1):

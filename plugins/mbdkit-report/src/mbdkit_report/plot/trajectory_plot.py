@@ -11,7 +11,6 @@ from matplotlib.lines import Line2D
 from numpy.typing import NDArray
 
 from mbdkit.archive.run_views import Names
-from mbdkit.base.errors import UnknownNameError
 from mbdkit_report.figures.beam_curves import bending_moments, largest_moment
 from mbdkit_report.figures.curves import Array, band_along_path, errors_at, evenly, take
 from mbdkit_report.figures.drawing_geometry import Drawing, Trace, choose_traces, draw_run, trace_points
@@ -19,7 +18,7 @@ from mbdkit_report.figures.page_model import Axis, Figure, Line
 from mbdkit_report.figures.palette import FAINT, INK, body_colors, trace_colors
 from mbdkit_report.figures.plane_geometry import view_box
 from mbdkit_report.figures.pose import Pose
-from mbdkit_report.plot.charts import Panel
+from mbdkit_report.plot.charts import Panel, named
 from mbdkit_report.plot.style import dress, legend
 
 if TYPE_CHECKING:
@@ -51,18 +50,8 @@ def charts(run: Run) -> list[Figure]:
 
 
 def chart(run: Run, *, points: Names = None, most: int = 6) -> Figure:
-    """Return the chart of the paths of some points.
-
-    Parameters
-    ----------
-    points
-        Names of markers, of bodies (their centres of mass), of joints that move, and of free ends such as ``rod2 end``;
-        by default the first `most` markers on bodies or, if there are none, free ends and moving joints.
-
-    Raises
-    ------
-    UnknownNameError
-        If there is no such point.
+    """Return the chart of the paths of some points; the options are those of `RunPlots.trajectory`, and at most `most`
+    points are shown unless they are named. Raises UnknownNameError if there is no such point.
     """
     rows = evenly(len(run.time), _CHART_ROWS)
     names, found = _points(run, points, most, rows)
@@ -101,18 +90,16 @@ def _points(
         moving = [name for name in markers if run.markers[name].body in run.bodies]
         names = list(moving or (trace.label for trace in choose_traces(drawing)))[:most]
     else:
-        names = [wanted] if isinstance(wanted, str) else list(dict.fromkeys(wanted))
+        names = named(wanted, dict.fromkeys([*markers, *traces]), "point")
     found = []
     for name in names:
         if name in markers:
             found.append(_marker_path(run, name, rows))
-        elif name in traces:
-            fixed, owners = trace_points(drawing, (traces[name],))
-            errors = _errors(run, drawing, (traces[name],), _CHART_ROWS)
-            path = fixed.world(take(run.dataset("trajectory/position"), rows, owners))[:, 0]
-            found.append((path, None if errors is None else errors[:, 0]))
-        else:
-            raise UnknownNameError("point", name, list(dict.fromkeys([*markers, *traces])))
+            continue
+        fixed, owners = trace_points(drawing, (traces[name],))
+        errors = _errors(run, drawing, (traces[name],), _CHART_ROWS)
+        path = fixed.world(take(run.dataset("trajectory/position"), rows, owners))[:, 0]
+        found.append((path, None if errors is None else errors[:, 0]))
     return names, found
 
 
