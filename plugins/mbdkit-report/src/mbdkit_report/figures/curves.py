@@ -56,13 +56,7 @@ class Bands:
 
 
 def require_rows(run: Run) -> None:
-    """Raise an error if a run has no rows.
-
-    Raises
-    ------
-    SpecError
-        If the run has no rows.
-    """
+    """Raise SpecError if a run has no rows."""
     if not len(run.time):
         raise SpecError("this run recorded no rows, so there is nothing to draw")
 

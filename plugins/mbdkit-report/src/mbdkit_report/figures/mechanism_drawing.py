@@ -19,8 +19,8 @@ from mbdkit.mechanism.pathways import JointAngles
 from mbdkit.mechanism.state_values import is_of_state
 from mbdkit.trust.criteria import ROUND_OFF
 from mbdkit_report.figures.beam_curves import bezier_polylines, largest_moment
-from mbdkit_report.figures.cable_geometry import cable_places
 from mbdkit_report.figures.drawing_geometry import Drawing, draw_centres, draw_mechanism
+from mbdkit_report.figures.element_places import cable_places
 from mbdkit_report.figures.label_placement import LINE, SWATCH, Name, PlacedName, place_names
 from mbdkit_report.figures.palette import body_colors, color_key
 from mbdkit_report.figures.plane_geometry import Array, zigzag
@@ -151,12 +151,9 @@ def draw_sketch(
             canvas.line(at[list(outline)], "thin body" if crowd else "body", closed=len(outline) > 2,
                         color=color_key(color))  # fmt: skip
     _draw_beams(canvas, drawing, at, moments)
-    for ends in drawing.bars:
-        canvas.line(at[list(ends)], "bar")
-    for points in drawing.shapes:
-        canvas.line(at[list(points)], "bar")
-    for points in drawing.muscles:
-        canvas.line(at[list(points)], "muscle")
+    for paths, look in ((drawing.bars, "bar"), (drawing.shapes, "bar"), (drawing.muscles, "muscle")):
+        for points in paths:
+            canvas.line(at[list(points)], look)
     for start, end in drawing.springs:
         canvas.line(zigzag(at[start], at[end], 6.0), "spring")
     if crowd:

@@ -95,30 +95,20 @@ class _Quantity:
     missed: Array
 
     @property
-    def is_complete(self) -> bool:
-        """Whether errors are known for the whole run."""
-        return self.known is not None and math.isinf(self.known_until)
-
-    def columns(self) -> list[Column]:
-        """Return the headings of the columns for this quantity."""
-        columns = [Column(f"largest {self.name}", self.unit), Column(f"time of the {self.name}", "s")]
-        if self.known is not None and not self.is_complete:
-            columns.append(Column(f"largest {self.name} until {self.known_until:.4g} s", self.unit))
+    def columns(self) -> list[tuple[Column, Array]]:
+        """The columns for this quantity: headings, and the values of the joints."""
+        found = [(Column(f"largest {self.name}", self.unit), self.peaks.value)]
+        found.append((Column(f"time of the {self.name}", "s"), self.peaks.time))
+        if self.known is not None and not math.isinf(self.known_until):
+            found.append((Column(f"largest {self.name} until {self.known_until:.4g} s", self.unit), self.known.value))
         if self.known is not None:
-            columns.append(Column(f"± error of the {self.name}", self.unit))
-        return columns
+            found.append((Column(f"± error of the {self.name}", self.unit), self.error))
+        return found
 
     def cells(self, joint: int, floor: float) -> list[Cell]:
         """Return the cells of a joint; they are empty if its largest value is at most `floor`, a rounding error."""
-        value, time = float(self.peaks.value[joint]), float(self.peaks.time[joint])
-        if value <= floor:
-            return [None] * len(self.columns())
-        cells: list[Cell] = [value, time]
-        if self.known is not None and not self.is_complete:
-            cells.append(float(self.known.value[joint]))
-        if self.known is not None:
-            cells.append(float(self.error[joint]))
-        return cells
+        is_rounding = self.peaks.value[joint] <= floor
+        return [None if is_rounding else float(values[joint]) for _, values in self.columns]
 
     def told(self, joint: int) -> str:
         """Return the largest value of a joint with its error and time or, if the value between rows is clearly larger,
@@ -133,6 +123,12 @@ class _Quantity:
             unknown = "" if self.known is None else ", error unknown"
             return f"{value:.4g} {self.unit} (at {time:.4g} s{unknown})"
         return f"{plus_minus(value, float(self.error[joint]), '±')} {self.unit} (at {time:.4g} s)"
+
+
+def standard_sections(run: Run, mechanism: Mechanism | None) -> list[Section]:
+    """Return the sections that every run may have: on the largest forces, on beams and on gradients."""
+    sections = (answer_section(run), beam_section(run, mechanism), gradient_section(run))
+    return [section for section in sections if section is not None]
 
 
 def answer_section(run: Run) -> Section | None:
@@ -210,7 +206,7 @@ def _table(run: Run, name: str, title: str, columns: Sequence[int], found: Seque
     chosen = sorted(sorted(columns, key=lambda column: -most[column])[:ROWS])
     used = [one for one in found if any(one.peaks.value[column] > floor for column in chosen)]
     headings = [Column("driver" if name == "drivers" else "joint"), Column("between")]
-    headings += [column for one in used for column in one.columns()]
+    headings += [column for one in used for column, _ in one.columns]
     power = None
     if name == "drivers" and run.records("joints/driver_power"):
         power = Peaks.of(np.asarray(run.time), run.dataset("joints/driver_power"))

@@ -5,8 +5,7 @@ over time.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -32,20 +31,9 @@ _ALONG = Axis("distance from the end a", "m")
 _TIME = Axis("time", "s")
 
 
-@dataclass(frozen=True)
-class BeamPeak:
-    """Largest magnitude of an internal force of a beam.
-
-    Parameters
-    ----------
-    value
-        The value with its sign [N or N m]; nan if no value is finite.
-    time
-        Time of this value [s].
-    place
-        Distance of the value from end a along the beam [m].
-    row
-        Index of the recorded row with this value.
+class BeamPeak(NamedTuple):
+    """Largest magnitude of an internal force of a beam: the value with its sign [N or N m], nan if no value is finite;
+    its time [s]; its distance `place` from end a along the beam [m]; and its recorded row.
     """
 
     value: float

@@ -34,16 +34,9 @@ Look = dict[str, Any]
 
 @dataclass(frozen=True)
 class Panel:
-    """A part of a plot with its own axes.
+    """A part of a plot with its own axes: a function that draws it on empty axes, and their approximate height [inch].
 
-    Parameters
-    ----------
-    draw
-        Function that draws the panel on empty axes.
-    height
-        Approximate height of the axes [inch].
-    over_time
-        Whether the x axis is time. Such panels share this axis, which is labelled at the lowest panel only.
+    Panels whose x axis is time (`over_time`) share this axis, which is labelled at the lowest panel only.
     """
 
     draw: Callable[[Axes], None]

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -253,35 +252,36 @@ def element_panel(
     title
         Title of the panel; by default it states the largest value.
     """
-    return Panel(partial(_draw, quantity=quantity, what=what, log=log, title=title), height)
 
+    def draw(axes: Axes) -> None:
+        elements, data = quantity.elements, quantity.data
+        few, handles, labels, floor = quantity, [], [], _floor(data.high) if log else -np.inf
+        if len(elements) > MOST:
+            few = quantity.only(quantity.largest_columns(MOST - 1))
+            top = np.max(np.nan_to_num(np.maximum(np.abs(data.low), np.abs(data.high))), axis=1)
+            handles = axes.plot(data.time, np.maximum(top, floor), color=INK, linewidth=2.2, alpha=0.45)
+            labels = [f"largest of {len(elements)}"]
+        chart = element_chart("", "", "", Axis(quantity.name, quantity.unit, log), few)
+        if log:
+            chart = replace(chart, lines=tuple(replace(line, y=np.maximum(line.y, floor)) for line in chart.lines))
+        heading = title
+        if not elements:
+            heading = f"{quantity.name}: there are no {what}"
+        elif not title:
+            column, most = quantity.largest
+            heading = f"{quantity.name}: largest {_with_error(quantity, column, most)} ({elements[column]})"
+        handles += draw_lines(axes, chart, heading)
+        axes.margins(x=0.01)
+        axes.set_ylabel(f"{quantity.name}\n[{quantity.unit}]")
+        legend(axes, handles, [*labels, *few.elements])
+        if log:
+            _show_floor(axes, floor, data.high, quantity.unit)
+        elif elements:
+            powers_of_ten(axes)
+            if np.nanmin(data.low, initial=0.0) >= 0.0:
+                axes.set_ylim(bottom=0.0)
 
-def _draw(axes: Axes, quantity: ElementQuantity, what: str, log: bool, title: str) -> None:
-    elements, data = quantity.elements, quantity.data
-    few, handles, labels, floor = quantity, [], [], _floor(data.high) if log else -np.inf
-    if len(elements) > MOST:
-        few = quantity.only(quantity.largest_columns(MOST - 1))
-        top = np.max(np.nan_to_num(np.maximum(np.abs(data.low), np.abs(data.high))), axis=1)
-        handles = axes.plot(data.time, np.maximum(top, floor), color=INK, linewidth=2.2, alpha=0.45)
-        labels = [f"largest of {len(elements)}"]
-    chart = element_chart("", "", "", Axis(quantity.name, quantity.unit, log), few)
-    if log:
-        chart = replace(chart, lines=tuple(replace(line, y=np.maximum(line.y, floor)) for line in chart.lines))
-    if not elements:
-        title = f"{quantity.name}: there are no {what}"
-    elif not title:
-        column, most = quantity.largest
-        title = f"{quantity.name}: largest {_with_error(quantity, column, most)} ({elements[column]})"
-    handles += draw_lines(axes, chart, title)
-    axes.margins(x=0.01)
-    axes.set_ylabel(f"{quantity.name}\n[{quantity.unit}]")
-    legend(axes, handles, [*labels, *few.elements])
-    if log:
-        _show_floor(axes, floor, data.high, quantity.unit)
-    elif elements:
-        powers_of_ten(axes)
-        if np.nanmin(data.low, initial=0.0) >= 0.0:
-            axes.set_ylim(bottom=0.0)
+    return Panel(draw, height)
 
 
 def _with_error(quantity: ElementQuantity, column: int, largest: float) -> str:

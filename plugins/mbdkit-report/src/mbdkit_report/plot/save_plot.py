@@ -44,12 +44,9 @@ def figure(run: Run, kind: str = "trajectory", **options: Any) -> Figure:
 
     Raises
     ------
-    SpecError
-        If the kind or an option is unknown, or the run has no rows.
-    UnknownNameError
-        If a name among the options is unknown.
-    MbdkitError
-        If the run did not record the plotted quantities.
+    SpecError, UnknownNameError, MbdkitError
+        If the kind or an option is unknown, a name among the options is, or the run has no rows, or did not record the
+        plotted quantities.
     """
     module = plot_module(kind)
     require_rows(run)
