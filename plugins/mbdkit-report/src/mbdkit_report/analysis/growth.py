@@ -15,7 +15,7 @@ from mbdkit.archive.run import Run
 Law = Literal["none", "bounded", "linear", "quadratic", "exponential", "unclear"]
 
 BLOCKS = 24
-"""Default number of blocks: enough to distinguish growth laws, but so few that each block should span an oscillation.
+"""Largest number of blocks: enough to distinguish growth laws, but so few that each block should span an oscillation.
 """
 FEWEST = 6
 """Minimum number of blocks needed to determine a law."""
@@ -250,17 +250,11 @@ def _exponent(s: np.ndarray, y: np.ndarray) -> tuple[float, float]:
     return float(slope), math.sqrt(variance / count / float(np.var(x)))
 
 
-def edges(time: np.ndarray, number: int = BLOCKS) -> np.ndarray:
-    """Return the row indices (K + 1,) that separate up to `number` blocks of equal duration.
-
-    Parameters
-    ----------
-    time
-        (T,) increasing times [s].
-    number
-        Largest number of blocks; it is reduced so that each block has at least four rows on average.
+def edges(time: np.ndarray) -> np.ndarray:
+    """Return the row indices (K + 1,) that separate up to `BLOCKS` blocks of equal duration, which have at least four
+    rows on average; the times (T,) [s] increase.
     """
-    count = max(1, min(number, len(time) // 4))
+    count = max(1, min(BLOCKS, len(time) // 4))
     borders = np.searchsorted(time, np.linspace(time[0], time[-1], count + 1)[1:-1], side="left")
     return np.unique(np.concatenate([[0], borders, [len(time)]]))
 
@@ -272,9 +266,9 @@ def block_maxima(time: np.ndarray, value: np.ndarray) -> tuple[np.ndarray, np.nd
     return time[at], value[at]
 
 
-def block_means(time: np.ndarray, value: np.ndarray, number: int = BLOCKS) -> tuple[np.ndarray, np.ndarray]:
+def block_means(time: np.ndarray, value: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return the mean time (K,) and the mean value (..., K) of each block of the values (..., T)."""
-    spans = list(itertools.pairwise(edges(time, number)))
+    spans = list(itertools.pairwise(edges(time)))
     means = [np.stack([x[..., a:b].mean(axis=-1) for a, b in spans], axis=-1) for x in (time, value)]
     return means[0], means[1]
 

@@ -22,6 +22,7 @@ from mbdkit_report.figures.beam_curves import bezier_polylines, largest_moment
 from mbdkit_report.figures.drawing_geometry import Drawing, draw_centres, draw_mechanism
 from mbdkit_report.figures.element_places import cable_places
 from mbdkit_report.figures.label_placement import LINE, SWATCH, Name, PlacedName, place_names
+from mbdkit_report.figures.page_model import Illustration
 from mbdkit_report.figures.palette import body_colors, color_key
 from mbdkit_report.figures.plane_geometry import Array, zigzag
 from mbdkit_report.figures.quantity_text import length
@@ -98,6 +99,11 @@ def mechanism_svg(shown: NamedPose, width: float) -> Markup:
     for placed in place_names(names, canvas.ink, canvas.width, canvas.height):
         _write(canvas, placed)
     return canvas.svg()
+
+
+def illustration(shown: NamedPose, description: str, caption: str) -> Illustration:
+    """Return the drawing of a mechanism with names, for wide and for narrow pages."""
+    return Illustration(mechanism_svg(shown, WIDE), mechanism_svg(shown, NARROW), description, caption)
 
 
 def names_shown(shown: NamedPose) -> bool:

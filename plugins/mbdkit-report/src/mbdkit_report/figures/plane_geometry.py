@@ -34,19 +34,8 @@ def convex_hull(points: Array) -> list[int]:
 
 
 def zigzag(start: Array, end: Array, width: float) -> Array:
-    """Return the polyline of a spring with `_COILS` coils of two corners between two points.
-
-    Parameters
-    ----------
-    start, end
-        Ends of the spring, in any unit of length, shape (..., 2).
-    width
-        Amplitude of the zigzag, in the same unit.
-
-    Returns
-    -------
-    Array
-        Corners of the polyline, in the same unit, shape (..., 2 * _COILS + 4, 2).
+    """Return the polyline of a spring between two points (..., 2), with `_COILS` coils of two corners each; shape (...,
+    2 * _COILS + 4, 2). The amplitude `width` has the unit of the points, which is any unit of length.
     """
     along = end - start
     length = np.hypot(along[..., 0], along[..., 1])[..., None]

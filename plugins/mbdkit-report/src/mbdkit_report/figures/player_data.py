@@ -26,14 +26,8 @@ _SAME = 1e-9  # m; closer points of a body are drawn as one point
 
 
 def film_data(run: Run, numbers: int, label: str = "") -> dict[str, Any]:
-    """Return the data of an animation of a run.
-
-    Parameters
-    ----------
-    numbers
-        Approximate number of pose values, six bytes each.
-    label
-        Name of the run on a page with several runs.
+    """Return the data of an animation of a run, with about `numbers` pose values of six bytes each; `label` is the name
+    of the run on a page with several runs.
     """
     most = int(np.clip(numbers // (3 * max(1, len(run.bodies))), 30, 1_000))
     shown = scene(run, rate=RATE, most=most, shortest=2.0, longest=30.0)
@@ -108,13 +102,9 @@ def _short(values: Array, digits: int) -> list[float | None]:
 class Gaps:
     """Gaps of the joints over F frames.
 
-    Parameters
-    ----------
-    ends
-        For each joint, the indices in the drawing's table of its points on the first and the second body.
-    vectors
-        Vector from the required to the actual position of the second body's point [m], in the global frame, shape (F,
-        J, 2). Its length is the misalignment of the joint.
+    `ends` has for each joint the indices in the drawing's table of its points on the first and the second body.
+    `vectors` (F, J, 2) leads from the required to the actual position of the second body's point [m], in the global
+    frame; its length is the misalignment of the joint.
     """
 
     joints: tuple[str, ...]

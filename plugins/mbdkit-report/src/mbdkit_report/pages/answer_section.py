@@ -16,7 +16,7 @@ from mbdkit.archive.peak_errors import missed_between_rows, peak_errors
 from mbdkit.archive.run_summary import derivative_texts
 from mbdkit_report.figures.beam_curves import bending_moments, distributed_loads, has_beams
 from mbdkit_report.figures.curves import BEYOND, Array, blocks, take
-from mbdkit_report.figures.mechanism_drawing import NARROW, WIDE, NamedPose, mechanism_svg
+from mbdkit_report.figures.mechanism_drawing import NamedPose, illustration
 from mbdkit_report.figures.page_model import Cell, Column, Illustration, Section, Table, columns_of
 from mbdkit_report.plot.beams_plot import beam_peak
 
@@ -153,9 +153,8 @@ def gradient_section(run: Run) -> Section | None:
     doubts = dict.fromkeys(doubt for one in run.gradients.values() for doubt in one.get("doubts", ()))
     sentences = tuple(f"{doubt[:1].upper()}{doubt[1:].rstrip('.')}." for doubt in doubts)
     note = "In the unit of the measure for each SI unit of the parameter."
-    table = Table(
-        "gradients", "Derivatives", columns_of("measure; unit; with respect to; derivative"), tuple(rows), note
-    )
+    columns = columns_of("measure; unit; with respect to; derivative")
+    table = Table("gradients", "Derivatives", columns, tuple(rows), note)
     return Section("gradients", "Derivatives of measures", sentences, None, (table,))
 
 
@@ -187,11 +186,8 @@ def _quantity(run: Run, name: str, unit: str, path: str, magnitude: Callable[[Ar
     missed = np.zeros(len(peaks.value)) if beyond is None else beyond
     if accuracy is None:
         return _Quantity(name, unit, peaks, None, np.full(len(peaks.value), np.nan), math.nan, missed)
-    count = accuracy.rows_known
-    error: np.ndarray | None = None
-    if count:
-        what = "reaction_error" if name == "force" else "torque_error"
-        error = peak_errors(run, what, magnitude(np.asarray(data[:count])), count)
+    count, what = accuracy.rows_known, "reaction_error" if name == "force" else "torque_error"
+    error = peak_errors(run, what, magnitude(np.asarray(data[:count])), count) if count else None
     error = np.full(len(peaks.value), np.nan) if error is None else error
     until = math.inf if accuracy.is_complete else accuracy.known_until if count else -math.inf
     known = peaks if accuracy.is_complete else Peaks.of(time[:count], data, magnitude)
@@ -290,12 +286,7 @@ def _bent(run: Run, mechanism: Mechanism | None, row: int) -> Illustration | Non
         return None
     shown = replace(named, moments=moments[row])
     caption = f"The mechanism at t = {run.time[row]:.6g} s. Beams are coloured by their bending moments."
-    return Illustration(
-        mechanism_svg(shown, WIDE),
-        mechanism_svg(shown, NARROW),
-        "Drawing of the mechanism with its bent beams",
-        caption,
-    )
+    return illustration(shown, "Drawing of the mechanism with its bent beams", caption)
 
 
 def _beam_table(run: Run) -> Table:

@@ -15,7 +15,7 @@ from mbdkit.mechanism.parameters import parameter_values
 from mbdkit.mechanism.pathways import JointAngles, path_ends
 from mbdkit.mechanism.values import Table as TimeTable
 from mbdkit_report.figures.curves import take
-from mbdkit_report.figures.mechanism_drawing import NARROW, WIDE, NamedPose, mechanism_svg, names_shown, own_forces
+from mbdkit_report.figures.mechanism_drawing import NamedPose, illustration, names_shown, own_forces
 from mbdkit_report.figures.page_model import Cell, Illustration, Section, Table, columns_of
 from mbdkit_report.figures.quantity_text import count
 from mbdkit_report.key_words import described_unit
@@ -93,7 +93,7 @@ def drawing(shown: NamedPose) -> Illustration:
         caption += " Bodies have the colours that they have in the animation."
     else:
         caption += " It has too many elements to name them all here; the tables list them."
-    return Illustration(mechanism_svg(shown, WIDE), mechanism_svg(shown, NARROW), description, caption)
+    return illustration(shown, description, caption)
 
 
 def _limited(name: str, title: str, headings: str, rows: list[tuple[Cell, ...]]) -> Table:

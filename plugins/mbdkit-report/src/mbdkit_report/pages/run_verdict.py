@@ -57,11 +57,8 @@ def run_verdict(run: Run) -> Verdict:
 def _rounding_errors(run: Run) -> set[str]:
     """Return the names of the charts and tables that would show nothing but rounding errors."""
     found: set[str] = set()
-    if (
-        run.records("joints/misalignment")
-        and run.joint_names
-        and run.misalignment_max <= ROUND_OFF * mechanism_size(run)
-    ):
+    has_gaps = run.records("joints/misalignment") and run.joint_names
+    if has_gaps and run.misalignment_max <= ROUND_OFF * mechanism_size(run):
         found |= {"misalignment", "velocity-misalignment"}
     if run.records("energy/balance"):
         off, kinetic = (float(np.max(np.abs(run.dataset(f"energy/{name}")[:]))) for name in ("balance", "kinetic"))

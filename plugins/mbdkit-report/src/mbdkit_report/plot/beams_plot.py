@@ -14,7 +14,7 @@ from mbdkit.base.errors import SpecError
 from mbdkit.base.text import listed
 from mbdkit_report.figures.beam_curves import has_beams
 from mbdkit_report.figures.curves import Array, bands
-from mbdkit_report.figures.page_model import Axis, Figure, Line
+from mbdkit_report.figures.page_model import TIME, Axis, Figure, Line
 from mbdkit_report.figures.palette import PALETTE
 from mbdkit_report.figures.scene import nearest_rows
 from mbdkit_report.plot.charts import Panel, chart_panel, draw_lines, named
@@ -28,7 +28,6 @@ if TYPE_CHECKING:
 _TITLES: dict[BeamForce, str] = {"moment": "Bending moment", "shear": "Shear force", "axial": "Axial force"}
 _TIMES = 5
 _ALONG = Axis("distance from the end a", "m")
-_TIME = Axis("time", "s")
 
 
 class BeamPeak(NamedTuple):
@@ -156,10 +155,10 @@ def _over_time(run: Run, component: BeamForce, names: Sequence[str] | None = Non
     found = bands(time, largest)
     axis, caption = _axis(component), "Largest magnitude along a beam, ends included."
     lines = tuple(Line(name, *found.curve(k), group=name) for k, name in enumerate(chosen))
-    return Figure(f"beams-{component}-over-time", f"Largest {axis.label} over time", caption, _TIME, axis, lines)
+    return Figure(f"beams-{component}-over-time", f"Largest {axis.label} over time", caption, TIME, axis, lines)
 
 
 def _draw_nothing(axes: Axes) -> None:
-    chart = Figure("", "", "", _TIME, Axis("bending moment\n", "N m"), ())
+    chart = Figure("", "", "", TIME, Axis("bending moment\n", "N m"), ())
     draw_lines(axes, chart, "Bending moment: there are no beams")
     axes.margins(x=0.01)

@@ -182,14 +182,8 @@ def _user_looks(chart: Figure, vary_dashes: bool) -> list[Look]:
 
 
 def _draw(axes: Axes, chart: Figure, looks: Sequence[Look], labels: Look, notes: Look) -> list[Line2D]:
-    """Draw a chart without its legend, and return its lines.
-
-    Parameters
-    ----------
-    labels
-        Look of the labels of the axes.
-    notes
-        Look of the marks and of the texts at the marks.
+    """Draw a chart without its legend, and return its lines. The look `labels` is that of the labels of the axes, and
+    `notes` that of the marks and of the texts at the marks.
     """
     axes.set_xlabel(chart.x.title, parse_math=False, **labels)
     axes.set_ylabel(chart.y.title, parse_math=False, **labels)

@@ -15,7 +15,7 @@ from mbdkit.archive.peak_errors import errors_of_frames, whole_peak_errors
 from mbdkit.archive.run_views import Gap, Names
 from mbdkit_report.figures.beam_curves import distributed_loads
 from mbdkit_report.figures.curves import UNKNOWN, Array, Bands, band_over_time, bands, errors_at
-from mbdkit_report.figures.page_model import Axis, Figure, Line, Mark
+from mbdkit_report.figures.page_model import TIME, Axis, Figure, Line, Mark
 from mbdkit_report.figures.palette import FAINT, INK, PALETTE, PAPER
 from mbdkit_report.plot.charts import Panel, draw_lines, named
 from mbdkit_report.plot.style import legend, powers_of_ten
@@ -174,12 +174,10 @@ def reaction_torque(run: Run) -> ElementQuantity:
 def with_errors(
     run: Run, quantity: ElementQuantity, name: str, joints: Sequence[int] | slice = slice(None)
 ) -> ElementQuantity:
-    """Add the estimated errors of joints to a quantity, if they were estimated.
+    """Add the estimated errors of joints to a quantity, if they were estimated: the attribute `name` of `Accuracy`.
 
     Parameters
     ----------
-    name
-        Attribute of `Accuracy`: ``reaction_error`` or ``torque_error``.
     joints
         Index of the joint of each element; by default the elements are all joints.
     """
@@ -194,16 +192,7 @@ def with_errors(
 def picked(quantity: ElementQuantity, wanted: Names, what: str, most: int = MOST) -> list[int]:
     """Return the indices of the wanted elements or, if None, of at most `most` elements with the largest values.
     Elements whose values are all zero are then left out, except a single one if there are no others.
-
-    Parameters
-    ----------
-    what
-        Kind of the elements, such as ``joint``.
-
-    Raises
-    ------
-    UnknownNameError
-        If there is no such element.
+    Raises UnknownNameError if there is no such element, of the kind `what`.
     """
     if wanted is None:
         columns = quantity.nonzero_columns
@@ -234,7 +223,7 @@ def element_chart(
     if errors is not None:
         caption += " Bands show estimated errors; those narrower than a line are hidden by it."
     marks = (Mark(UNKNOWN, quantity.known_until),) if math.isfinite(quantity.known_until) else ()
-    return Figure(name, title, caption, Axis("time", "s"), axis, tuple(lines), marks=marks)
+    return Figure(name, title, caption, TIME, axis, tuple(lines), marks=marks)
 
 
 def element_panel(

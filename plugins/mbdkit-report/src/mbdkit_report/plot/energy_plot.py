@@ -12,7 +12,7 @@ from mbdkit.archive.run_views import Names
 from mbdkit.base.errors import SpecError
 from mbdkit.base.text import did_you_mean, listed
 from mbdkit_report.figures.curves import Array, bands
-from mbdkit_report.figures.page_model import Axis, Figure, Line
+from mbdkit_report.figures.page_model import TIME, Axis, Figure, Line
 from mbdkit_report.figures.palette import INK, PALETTE
 from mbdkit_report.plot.charts import Panel, draw_chart
 
@@ -29,8 +29,6 @@ COLORS = {
 }
 TERMS = ("total", "kinetic", "potential", "dissipated", "work")
 """Energies that a chart shows, the most important first."""
-
-_TIME = Axis("time", "s")
 
 
 def panels(run: Run) -> list[Panel]:
@@ -64,8 +62,8 @@ def _charts(run: Run, values: dict[str, Array]) -> tuple[Figure, Figure]:
     lines = tuple(_line(run, name, curve, name) for name, curve in energies.items())
     balance = (_line(run, "balance", values["balance"], "balance"),)
     return (
-        Figure("energy", "Energy", about, _TIME, Axis("energy", "J"), lines),
-        Figure("balance", "Energy balance", of_balance, _TIME, Axis("balance", "J"), balance),
+        Figure("energy", "Energy", about, TIME, Axis("energy", "J"), lines),
+        Figure("balance", "Energy balance", of_balance, TIME, Axis("balance", "J"), balance),
     )
 
 
@@ -90,7 +88,7 @@ def chart(run: Run, *, terms: Names = None, most: int = len(TERMS)) -> Figure:
     labels = {"potential": "potential (0 at the start)"} if base else {}
     lines = (_line(run, name, curve, labels.get(name, name)) for name, curve in shown.items())
     label = "energy balance" if names == ["balance"] else "energy"
-    return Figure("energy", "Energy", "", _TIME, Axis(label, "J"), tuple(lines))
+    return Figure("energy", "Energy", "", TIME, Axis(label, "J"), tuple(lines))
 
 
 def _read(run: Run) -> dict[str, Array]:

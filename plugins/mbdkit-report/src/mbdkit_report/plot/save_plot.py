@@ -145,19 +145,14 @@ _TEXT = 7.5  # points
 _SIZE = re.compile(r"(\d+(?:\.\d+)?) ?mm(?: ?x ?(\d+(?:\.\d+)?) ?mm)?", re.IGNORECASE)
 
 STYLE: dict[Any, Any] = {
-    "font.size": _TEXT,
-    "axes.labelsize": _TEXT,
-    "xtick.labelsize": _TEXT,
-    "ytick.labelsize": _TEXT,
-    "legend.fontsize": _TEXT,
-    "legend.title_fontsize": _TEXT,
-    "legend.frameon": False,
+    **dict.fromkeys(("font.size", "axes.labelsize", "xtick.labelsize", "ytick.labelsize"), _TEXT),
+    **dict.fromkeys(("legend.fontsize", "legend.title_fontsize"), _TEXT),
+    **dict.fromkeys(("legend.frameon", "axes.spines.top", "axes.spines.right"), False),
+    **dict.fromkeys(("figure.facecolor", "axes.facecolor"), PAPER),
     "legend.handlelength": 1.8,
     "axes.prop_cycle": cycler(color=PALETTE),
     "axes.edgecolor": INK,
     "axes.linewidth": 0.6,
-    "axes.spines.top": False,
-    "axes.spines.right": False,
     "axes.grid": True,
     "axes.axisbelow": True,
     "axes.formatter.use_mathtext": True,
@@ -169,8 +164,6 @@ STYLE: dict[Any, Any] = {
     "ytick.major.width": 0.6,
     "lines.linewidth": 1.1,
     "lines.markersize": 3.0,
-    "figure.facecolor": PAPER,
-    "axes.facecolor": PAPER,
 }
 """Settings of Matplotlib for figures in papers."""
 
@@ -230,16 +223,10 @@ def _legend_above(figure: Figure, width: float, title: str) -> None:
 
 
 def _columns(lengths: Sequence[int], room: float) -> int:
-    """Return the largest number of columns of a legend that fit into a width; at least 1.
+    """Return the largest number of columns of a legend that fit into a width, at least 1. `lengths` are the numbers of
+    letters in the labels; the width `room` is in units of the font size.
 
     A letter is about 0.6 font sizes wide, and the line before a label about 4 font sizes.
-
-    Parameters
-    ----------
-    lengths
-        Numbers of letters in the labels.
-    room
-        Width, in units of the font size.
     """
     for rows in range(1, len(lengths)):
         columns = [lengths[start : start + rows] for start in range(0, len(lengths), rows)]
