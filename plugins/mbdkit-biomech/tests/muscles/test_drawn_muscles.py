@@ -4,7 +4,7 @@ import numpy as np
 
 from mbdkit import Mechanism
 from mbdkit_report.figures.drawing_geometry import draw_mechanism
-from mbdkit_report.figures.muscle_geometry import muscle_places
+from mbdkit_report.figures.element_places import muscle_places
 
 
 def test_a_muscle_is_drawn_through_its_points_and_beside_its_circles():

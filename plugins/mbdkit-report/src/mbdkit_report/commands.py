@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -26,35 +26,25 @@ def _check_kind(kind: str) -> str:
     return kind
 
 
+_Names = list[str] | None
+
+
+def _several(flag: str, metavar: str, what: str) -> Any:
+    return typer.Option(flag, metavar=metavar, help=f"{what}; may be repeated.")
+
+
 @dataclass
 class Selection:
     """The contents of a plot, by the names of the options of `mbdkit_report.plot.comparison.compare`."""
 
-    joints: Annotated[
-        list[str] | None,
-        typer.Option(
-            "--joint", metavar="J", help="With drift, reactions or torques: draw this joint; may be repeated."
-        ),
-    ] = None
-    elements: Annotated[
-        list[str] | None,
-        typer.Option(
-            "--element", metavar="F", help="With forces or torques: draw this force element; may be repeated."
-        ),
-    ] = None
+    joints: Annotated[_Names, _several("--joint", "J", "With drift, reactions or torques: draw this joint")] = None
+    elements: Annotated[_Names, _several("--element", "F", "With forces or torques: draw this force element")] = None
     points: Annotated[
-        list[str] | None,
-        typer.Option(
-            "--point", metavar="P", help="With trajectory: draw this marker, body, joint or free end; may be repeated."
-        ),
+        _Names, _several("--point", "P", "With trajectory: draw this marker, body, joint or free end")
     ] = None
-    beams: Annotated[
-        list[str] | None,
-        typer.Option("--beam", metavar="B", help="With beams: draw this beam; may be repeated."),
-    ] = None
+    beams: Annotated[_Names, _several("--beam", "B", "With beams: draw this beam")] = None
     times: Annotated[
-        list[float] | None,
-        typer.Option("--time", metavar="T", help="With beams: draw values along beams at this time; may be repeated."),
+        list[float] | None, _several("--time", "T", "With beams: draw values along beams at this time")
     ] = None
     components: Annotated[
         str | None,

@@ -5,19 +5,14 @@ from __future__ import annotations
 from collections.abc import Iterable
 from pathlib import Path
 
-from mbdkit.plugin import (
-    Accessor,
-    Command,
-    Example,
-    GuidePage,
-    Item,
-    PlotKind,
-    ReportSection,
-    Target,
-    hookimpl,
-)
+from mbdkit.plugin import Accessor, Command, Example, GuidePage, Item, PlotKind, ReportSection, Target, hookimpl
 
 _HERE = Path(__file__).parent
+_COMMANDS = {
+    "plot": (100, "Plot a run, or one quantity of several runs."),
+    "animate": (110, "Animate a run."),
+    "report": (120, "Write a report on a run, study or design as an HTML page."),
+}
 _PLOTS = {
     "trajectory": "paths of free ends and moving joints, first and last pose",
     "drift": "misalignment of the joints on a logarithmic axis",
@@ -36,20 +31,12 @@ def mbdkit_items() -> Iterable[Item]:
         PlotKind(name=name, summary=summary, order=10 * number, module=f"mbdkit_report.plot.{name}_plot")
         for number, (name, summary) in enumerate(_PLOTS.items())
     ]
+    commands = [
+        Command(name=name, summary=summary, order=order, target=Target(f"mbdkit_report.commands:{name}"))
+        for name, (order, summary) in _COMMANDS.items()
+    ]
     return [
-        Command(
-            name="plot",
-            summary="Plot a run, or one quantity of several runs.",
-            order=100,
-            target=Target("mbdkit_report.commands:plot"),
-        ),
-        Command(name="animate", summary="Animate a run.", order=110, target=Target("mbdkit_report.commands:animate")),
-        Command(
-            name="report",
-            summary="Write a report on a run, study or design as an HTML page.",
-            order=120,
-            target=Target("mbdkit_report.commands:report"),
-        ),
+        *commands,
         *plots,
         Accessor(
             name="plot",
@@ -67,7 +54,7 @@ def mbdkit_items() -> Iterable[Item]:
             name="standard",
             summary="Largest forces, beams and gradients of a run.",
             order=200,
-            make=Target("mbdkit_report.pages.standard_sections:standard_sections"),
+            make=Target("mbdkit_report.pages.answer_section:standard_sections"),
         ),
         *Example.folder(_HERE / "examples", ".py"),
         *GuidePage.folder(_HERE / "guide"),

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from mbdkit.archive.run import Run
-from mbdkit_report.analysis.growth import BLOCKS, block_means, independent
+from mbdkit_report.analysis.growth import block_means, independent
 
 SURE = 3.0
 """A slope counts as a drift if its magnitude is larger than this multiple of its standard error."""
@@ -40,8 +40,13 @@ class Trend:
         return abs(self.slope) > SURE * self.error
 
 
-def trend(time: np.ndarray, value: np.ndarray, *, blocks: int = BLOCKS) -> Trend:
-    """Fit a straight line to the block means of a time series.
+def trend(time: np.ndarray, value: np.ndarray) -> Trend:
+    """Fit a straight line to the block means of a time series (T,) at increasing times (T,) [s]; see `trends`."""
+    return trends(time, np.asarray(value, dtype=float)[None])[0]
+
+
+def trends(time: np.ndarray, values: np.ndarray) -> list[Trend]:
+    """Return the trend of each of R time series at the same times: a straight line fitted to its block means.
 
     The standard error is computed from the effective number of independent blocks. The number of rows would give too
     small an error, because neighbouring rows are correlated.
@@ -50,30 +55,8 @@ def trend(time: np.ndarray, value: np.ndarray, *, blocks: int = BLOCKS) -> Trend
     ----------
     time
         (T,) increasing times [s].
-    value
-        (T,) values.
-    blocks
-        Maximum number of blocks.
-
-    Raises
-    ------
-    ValueError
-        If there are fewer than 12 values, or if the numbers of times and values differ.
-    """
-    return trends(time, np.asarray(value, dtype=float)[None], blocks=blocks)[0]
-
-
-def trends(time: np.ndarray, values: np.ndarray, *, blocks: int = BLOCKS) -> list[Trend]:
-    """Return the trend of each of R time series at the same times; see `trend`.
-
-    Parameters
-    ----------
-    time
-        (T,) increasing times [s].
     values
         (R, T) values.
-    blocks
-        Maximum number of blocks.
 
     Raises
     ------
@@ -86,7 +69,7 @@ def trends(time: np.ndarray, values: np.ndarray, *, blocks: int = BLOCKS) -> lis
         raise ValueError(
             f"a trend needs at least 12 values and as many times, not {count} values and {len(time)} times"
         )
-    t, x = block_means(time, values, blocks)
+    t, x = block_means(time, values)
     centred = t - t.mean()
     power = np.sum(centred * centred)
     slope = np.sum(x * centred, axis=-1) / power

@@ -15,7 +15,7 @@ from mbdkit.archive.run import Run
 Law = Literal["none", "bounded", "linear", "quadratic", "exponential", "unclear"]
 
 BLOCKS = 24
-"""Default number of blocks: enough to distinguish growth laws, but so few that each block should span an oscillation.
+"""Largest number of blocks: enough to distinguish growth laws, but so few that each block should span an oscillation.
 """
 FEWEST = 6
 """Minimum number of blocks needed to determine a law."""
@@ -113,7 +113,7 @@ class Growth:
         )
 
 
-def growth_law(time: np.ndarray, value: np.ndarray, *, blocks: int = BLOCKS) -> Growth:
+def growth_law(time: np.ndarray, value: np.ndarray) -> Growth:
     """Determine the growth law of a time series.
 
     The series is divided into blocks of equal duration. The maxima of the blocks are not affected by oscillation within
@@ -129,8 +129,6 @@ def growth_law(time: np.ndarray, value: np.ndarray, *, blocks: int = BLOCKS) -> 
         (T,) increasing times [s].
     value
         (T,) values >= 0, such as a joint's misalignment [m].
-    blocks
-        Maximum number of blocks.
 
     Returns
     -------
@@ -155,7 +153,7 @@ def growth_law(time: np.ndarray, value: np.ndarray, *, blocks: int = BLOCKS) -> 
         )
     if not np.all(np.isfinite(value)) or np.any(value < 0):
         raise ValueError("a growth law is fitted to finite values that are not negative")
-    at, largest = block_maxima(time, value, blocks)
+    at, largest = block_maxima(time, value)
     keep = largest > 0
     if not np.any(keep):
         return Growth("none", ("none",), math.nan, math.nan, 0.0, ())
@@ -163,15 +161,11 @@ def growth_law(time: np.ndarray, value: np.ndarray, *, blocks: int = BLOCKS) -> 
         return Growth("unclear", ("unclear",), math.nan, math.nan, float(keep.sum()), ())
     s, y = (at[keep] - time[0]) / (time[-1] - time[0]), np.log(largest[keep])
     residuals = {law: fit(s, y) for law, fit in _FITS.items()}
-    nearest = min(residuals.values(), key=lambda found: float(found[0] @ found[0]))
+    nearest = min(residuals.values(), key=lambda one: float(one[0] @ one[0]))
     count = max(float(independent(nearest[0])), float(FEWEST))
     duration = float(time[-1] - time[0])
-    fits = tuple(
-        sorted(
-            (_fit(law, residual, count, len(y), duration) for law, residual in residuals.items()),
-            key=lambda fit: fit.aicc,
-        )
-    )
+    found = (_fit(law, residual, count, len(y), duration) for law, residual in residuals.items())
+    fits = tuple(sorted(found, key=lambda fit: fit.aicc))
     exponent, error = _exponent(s, y)
     if fits[0].scatter > LOOSE:
         return Growth("unclear", ("unclear",), exponent, error, count, fits)
@@ -256,31 +250,25 @@ def _exponent(s: np.ndarray, y: np.ndarray) -> tuple[float, float]:
     return float(slope), math.sqrt(variance / count / float(np.var(x)))
 
 
-def edges(time: np.ndarray, number: int = BLOCKS) -> np.ndarray:
-    """Return the row indices (K + 1,) that separate up to `number` blocks of equal duration.
-
-    Parameters
-    ----------
-    time
-        (T,) increasing times [s].
-    number
-        Largest number of blocks; it is reduced so that each block has at least four rows on average.
+def edges(time: np.ndarray) -> np.ndarray:
+    """Return the row indices (K + 1,) that separate up to `BLOCKS` blocks of equal duration, which have at least four
+    rows on average; the times (T,) [s] increase.
     """
-    count = max(1, min(number, len(time) // 4))
+    count = max(1, min(BLOCKS, len(time) // 4))
     borders = np.searchsorted(time, np.linspace(time[0], time[-1], count + 1)[1:-1], side="left")
     return np.unique(np.concatenate([[0], borders, [len(time)]]))
 
 
-def block_maxima(time: np.ndarray, value: np.ndarray, number: int = BLOCKS) -> tuple[np.ndarray, np.ndarray]:
+def block_maxima(time: np.ndarray, value: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return the times (K,) and the values (K,) of the maximum of each block."""
-    borders = edges(time, number)
+    borders = edges(time)
     at = np.array([a + int(np.argmax(value[a:b])) for a, b in itertools.pairwise(borders)])
     return time[at], value[at]
 
 
-def block_means(time: np.ndarray, value: np.ndarray, number: int = BLOCKS) -> tuple[np.ndarray, np.ndarray]:
+def block_means(time: np.ndarray, value: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return the mean time (K,) and the mean value (..., K) of each block of the values (..., T)."""
-    spans = list(itertools.pairwise(edges(time, number)))
+    spans = list(itertools.pairwise(edges(time)))
     means = [np.stack([x[..., a:b].mean(axis=-1) for a, b in spans], axis=-1) for x in (time, value)]
     return means[0], means[1]
 

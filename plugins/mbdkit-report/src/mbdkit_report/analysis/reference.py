@@ -42,17 +42,8 @@ def offsets(run: Run, reference: Run, rows: slice = EVERY_ROW) -> np.ndarray:
 
 
 def common_rows(run: Run, reference: Run) -> tuple[np.ndarray, np.ndarray]:
-    """Return the rows that a run and a reference recorded at the same times, without the first row of the run.
-
-    Parameters
-    ----------
-    run, reference
-        Two runs over the same time span.
-
-    Returns
-    -------
-    ndarray, ndarray
-        Row numbers in the run and in the reference, (K,) each; empty if no times agree.
+    """Return the rows that a run and a reference over the same time span recorded at the same times, without the first
+    row of the run: row numbers in the run and in the reference, (K,) each; empty if no times agree.
     """
     mine, theirs = run.time, reference.time
     near = np.clip(np.searchsorted(theirs, mine), 1, len(theirs) - 1)

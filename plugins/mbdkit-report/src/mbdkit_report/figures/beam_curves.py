@@ -50,17 +50,8 @@ class BeamCurve:
 
 
 def bezier_polylines(corners: Array) -> Array:
-    """Return a polyline for each of K consecutive Bezier curves.
-
-    Parameters
-    ----------
-    corners
-        Control points, shape (3 K + 1, 2).
-
-    Returns
-    -------
-    Array
-        Points, shape (K, 7, 2).
+    """Return a polyline of seven points for each of K consecutive Bezier curves, shape (K, 7, 2), from their control
+    points (3 K + 1, 2).
     """
     t = np.linspace(0.0, 1.0, _STEPS + 1)[:, None]
     weights = ((1 - t) ** 3, 3 * t * (1 - t) ** 2, 3 * t**2 * (1 - t), t**3)

@@ -56,13 +56,7 @@ class Bands:
 
 
 def require_rows(run: Run) -> None:
-    """Raise an error if a run has no rows.
-
-    Raises
-    ------
-    SpecError
-        If the run has no rows.
-    """
+    """Raise SpecError if a run has no rows."""
     if not len(run.time):
         raise SpecError("this run recorded no rows, so there is nothing to draw")
 
@@ -151,7 +145,8 @@ def errors_at(accuracy: Accuracy, errors: Array, time: Array) -> Array:
 
 
 def band_over_time(time: Array, low: Array, high: Array, error: Array) -> Array | None:
-    """Return the outline of the error band around a curve; None if no error is known.
+    """Return the outline (2 R, 2) of the error band around a curve at its R times with known errors; None if there are
+    none.
 
     Parameters
     ----------
@@ -159,11 +154,6 @@ def band_over_time(time: Array, low: Array, high: Array, error: Array) -> Array 
         (K,) times [s] and the smallest and largest value at each of them.
     error
         (K,) error of the values, nan where unknown.
-
-    Returns
-    -------
-    Array
-        (2 R, 2) corners of the closed outline around the R known values.
     """
     known = np.isfinite(low - error) & np.isfinite(high + error)
     if not np.any(known):
@@ -174,15 +164,8 @@ def band_over_time(time: Array, low: Array, high: Array, error: Array) -> Array 
 
 
 def band_along_path(path: Array, error: Array) -> Array | None:
-    """Return the outline of a band along a path, which extends by the error on both sides; None if the error is known
-    at fewer than two points.
-
-    Parameters
-    ----------
-    path
-        (K, 2) points [m].
-    error
-        (K,) error of their positions [m], nan where unknown.
+    """Return the outline of a band along a path (K, 2) [m], which extends on both sides by the error (K,) of its points
+    [m], nan where unknown; None if the error is known at fewer than two points.
     """
     known = np.isfinite(error) & np.all(np.isfinite(path), axis=1)
     if np.sum(known) < 2:

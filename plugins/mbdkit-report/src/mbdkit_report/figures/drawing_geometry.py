@@ -7,6 +7,7 @@ springs. The poses of the bodies give the global coordinates of all points at al
 from __future__ import annotations
 
 import itertools
+from collections import defaultdict
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -18,9 +19,8 @@ from numpy.typing import NDArray
 from mbdkit.base.errors import MbdkitError
 from mbdkit.mechanism.pathways import JointAngles
 from mbdkit_report.figures.beam_curves import BeamCurve
-from mbdkit_report.figures.cable_geometry import Place, cable_places
-from mbdkit_report.figures.contact_geometry import contact_places
-from mbdkit_report.figures.muscle_geometry import muscle_places
+from mbdkit_report.figures.curves import evenly, take
+from mbdkit_report.figures.element_places import Place, cable_places, contact_places, muscle_places
 from mbdkit_report.figures.plane_geometry import Array, convex_hull
 
 if TYPE_CHECKING:
@@ -212,11 +212,11 @@ def draw_mechanism(mechanism: Mechanism) -> Drawing:
         ends = sketch.attach(force)
         pathway = getattr(force, "pathway", None)
         if pathway is not None and pathway.is_line:
-            sketch.springs.append((ends[0], ends[1]))
+            sketch.parts["springs"].append((ends[0], ends[1]))
         elif isinstance(pathway, JointAngles):
-            sketch.cable(cable_places(mechanism.joints, pathway))
+            sketch.parts["springs"] += itertools.pairwise(sketch.points(cable_places(mechanism.joints, pathway)))
     for muscle in mechanism.muscles.values():
-        sketch.muscle(muscle_places(mechanism, muscle))
+        sketch.parts["muscles"].append(sketch.points(muscle_places(mechanism, muscle)))
     for contact in mechanism.contacts.values():
         for _, _, body, shape in contact.by_body:
             sketch.shape(body, shape, contact_places(mechanism, body, shape))
@@ -250,17 +250,7 @@ class _Sketch:
         self.known: dict[tuple[int, float, float], int] = {}
         self.held: list[list[int]] = [[] for _ in bodies]  # points of joints on each body
         self.touched: list[list[int]] = [[] for _ in bodies]  # points of anything on each body
-        self.pins: list[int] = []
-        self.bars: list[tuple[int, int]] = []
-        self.springs: list[tuple[int, int]] = []
-        self.muscles: list[tuple[int, ...]] = []
-        self.shapes: dict[tuple[int, ...], None] = {}  # outlines of shapes, each only once if several contacts share it
-        self.lines: dict[tuple[int, ...], None] = {}
-        self.guides: list[tuple[int, int]] = []
-        self.sliders: list[int] = []
-        self.welds: list[int] = []
-        self.grounds: list[int] = []
-        self.beams: list[BeamCurve] = []
+        self.parts: defaultdict[str, list[Any]] = defaultdict(list)  # fields of the drawing
         self.marked: list[Trace] = []
         self.moving: list[Trace] = []
         # Bodies with the trace of a joint or of a free end. Of other bodies, except nodes, the centre is traced.
@@ -283,8 +273,8 @@ class _Sketch:
             index = self.point(body, local)
             found.append(index)
             if body == GROUND:
-                if index not in self.grounds and getattr(element, "mark", "") != "none":
-                    self.grounds.append(index)
+                if index not in self.parts["grounds"] and getattr(element, "mark", "") != "none":
+                    self.parts["grounds"].append(index)
                 continue
             self.touched[body].append(index)
             if joint:
@@ -296,27 +286,21 @@ class _Sketch:
         nodes = [self.index[node] for node in beam.node_names(name)]
         third = beam.length / (len(nodes) - 1) / 3.0
         corners = [self.point(node, (place, 0.0)) for node in nodes for place in (-third, 0.0, third)]
-        self.beams.append(BeamCurve(name, tuple(nodes), tuple(corners[1:-1]), beam.elements))
+        self.parts["beams"].append(BeamCurve(name, tuple(nodes), tuple(corners[1:-1]), beam.elements))
 
-    def cable(self, places: Sequence[Place]) -> None:
-        """Add a spring drawn through several points of bodies."""
-        passed = [self.point(self.index[body], local) for body, local in places]
-        self.springs += itertools.pairwise(passed)
-
-    def muscle(self, places: Sequence[Place]) -> None:
-        """Add a muscle drawn through several points of bodies."""
-        self.muscles.append(tuple(self.point(self.index[body], local) for body, local in places))
+    def points(self, places: Sequence[Place]) -> tuple[int, ...]:
+        """Return the indices of several points, given by body and place in its frame."""
+        return tuple(self.point(self.index[body], local) for body, local in places)
 
     def shape(self, body: str, shape: Shape, places: Sequence[Place]) -> None:
-        """Add the outline of the shape of a contact. The outline of the body is extended so that it contains the points
-        of the shape, unless the shape is a line.
+        """Add the outline of the shape of a contact, only once if several contacts share it. The outline of the body is
+        extended so that it contains the points of the shape, unless the shape is a line.
         """
         owner = self.index[body]
-        if places:
-            drawn = tuple(self.point(owner, local) for _, local in places)
-            self.shapes[drawn] = None
-            if shape.line is not None:
-                self.lines[drawn] = None
+        drawn = self.points(places)
+        for name in ("shapes", "lines") if shape.line is not None else ("shapes",):
+            if places and drawn not in self.parts[name]:
+                self.parts[name].append(drawn)
         if owner != GROUND and shape.line is None:
             self.touched[owner] += [self.point(owner, local) for _, local in shape.points()]
 
@@ -326,12 +310,11 @@ class _Sketch:
         """
         ends = self.attach(joint, joint=joint.mark != "none")
         if joint.mark == "bar":
-            self.bars.append((ends[0], ends[1]))
+            self.parts["bars"].append((ends[0], ends[1]))
         elif joint.mark != "none" and ends:
             moving = [index for index in ends if self.owner[index] != GROUND]
-            marks = {"pin": self.pins, "slide": self.sliders, "weld": self.welds}[joint.mark]
             place = ends[1] if joint.point_moves_on_first else moving[0] if moving else ends[0]
-            marks.append(place)
+            self.parts[{"pin": "pins", "slide": "sliders", "weld": "welds"}[joint.mark]].append(place)
             if len(moving) == 2:
                 self.moving.append(Trace(name, place))
                 self.traced.update(self.owner[index] for index in moving)
@@ -349,12 +332,12 @@ class _Sketch:
         """Add the line of a sliding joint between two distances along its axis [m]."""
         (x, y), (dx, dy) = joint.ends[0], joint.direction
         low, high = (self.point(self.index[joint.bodies[0]], (x + s * dx, y + s * dy)) for s in travel)
-        self.guides.append((low, high))
+        self.parts["guides"].append((low, high))
 
     def finish(self) -> Drawing:
         """Return the drawing with outlines and free ends."""
         free = self._free_nodes()
-        nodes = {node for beam in self.beams for node in beam.nodes}
+        nodes = {node for beam in self.parts["beams"] for node in beam.nodes}
         outlines: list[tuple[int, ...]] = []
         centres = []
         for body, name in enumerate(self.bodies):
@@ -378,25 +361,15 @@ class _Sketch:
             owner=np.array(self.owner, dtype=np.intp),
             local=np.array(self.local, dtype=np.float64).reshape(-1, 2),
             outlines=tuple(outlines),
-            pins=tuple(self.pins),
-            grounds=tuple(self.grounds),
             centres=tuple(centres),
-            springs=tuple(self.springs),
-            bars=tuple(self.bars),
-            muscles=tuple(self.muscles),
-            shapes=tuple(self.shapes),
-            lines=tuple(self.lines),
-            guides=tuple(self.guides),
-            sliders=tuple(self.sliders),
-            welds=tuple(self.welds),
-            beams=tuple(self.beams),
+            **{name: tuple(found) for name, found in self.parts.items()},
             traces=tuple(self.marked + free + self.moving),
         )
 
     def _free_nodes(self) -> list[Trace]:
         """Return traces for beams: at their ends without a joint, or else at their middles."""
         found = []
-        for beam in self.beams:
+        for beam in self.parts["beams"]:
             ends = [node for node in (beam.nodes[0], beam.nodes[-1]) if not self.held[node]]
             shown = ends or [beam.nodes[len(beam.nodes) // 2]]
             found += [Trace(self.bodies[node], self.point(node, (0.0, 0.0))) for node in shown]
@@ -447,3 +420,13 @@ def trace_points(drawing: Drawing, traces: Sequence[Trace]) -> tuple[Drawing, li
         outlines=(),
     )
     return points, few
+
+
+def traced_paths(run: Run, rows: int) -> tuple[Drawing, tuple[Trace, ...], Array]:
+    """Return the drawing of a run, the traced points, and their paths [m], shape (R, K, 2), with at most `rows` rows
+    that are evenly spaced.
+    """
+    drawing = draw_run(run)
+    traces = choose_traces(drawing)
+    fixed, owners = trace_points(drawing, traces)
+    return drawing, traces, fixed.world(take(run.dataset("trajectory/position"), evenly(len(run.time), rows), owners))

@@ -24,17 +24,9 @@ LEADER = 24.0
 
 @dataclass(frozen=True)
 class Name:
-    """A name to place beside one of several points.
-
-    Parameters
-    ----------
-    kind
-        Kind of the named element: ``body``, ``joint``, ``force``, ``load`` or ``marker``.
-    points
-        (K, 2) points [px], beside any of which the name may stand.
-    color
-        Name of the colour of a patch in front of the name, see `mbdkit_report.figures.palette.color_key`;
-        empty for no patch.
+    """A name to place beside any of several `points` (K, 2) [px], of an element of this `kind`: ``body``, ``joint``,
+    ``force``, ``load`` or ``marker``. `color` is the name of the colour of a patch in front of the name, see
+    `mbdkit_report.figures.palette.color_key`; empty for no patch.
     """
 
     text: str

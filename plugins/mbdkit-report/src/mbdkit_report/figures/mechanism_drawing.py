@@ -19,9 +19,10 @@ from mbdkit.mechanism.pathways import JointAngles
 from mbdkit.mechanism.state_values import is_of_state
 from mbdkit.trust.criteria import ROUND_OFF
 from mbdkit_report.figures.beam_curves import bezier_polylines, largest_moment
-from mbdkit_report.figures.cable_geometry import cable_places
 from mbdkit_report.figures.drawing_geometry import Drawing, draw_centres, draw_mechanism
+from mbdkit_report.figures.element_places import cable_places
 from mbdkit_report.figures.label_placement import LINE, SWATCH, Name, PlacedName, place_names
+from mbdkit_report.figures.page_model import Illustration
 from mbdkit_report.figures.palette import body_colors, color_key
 from mbdkit_report.figures.plane_geometry import Array, zigzag
 from mbdkit_report.figures.quantity_text import length
@@ -100,6 +101,11 @@ def mechanism_svg(shown: NamedPose, width: float) -> Markup:
     return canvas.svg()
 
 
+def illustration(shown: NamedPose, description: str, caption: str) -> Illustration:
+    """Return the drawing of a mechanism with names, for wide and for narrow pages."""
+    return Illustration(mechanism_svg(shown, WIDE), mechanism_svg(shown, NARROW), description, caption)
+
+
 def names_shown(shown: NamedPose) -> bool:
     """Return whether a drawing shows names: there are at most `NAMES`, and at most `CROWD` links."""
     elements = shown.mechanism
@@ -151,12 +157,9 @@ def draw_sketch(
             canvas.line(at[list(outline)], "thin body" if crowd else "body", closed=len(outline) > 2,
                         color=color_key(color))  # fmt: skip
     _draw_beams(canvas, drawing, at, moments)
-    for ends in drawing.bars:
-        canvas.line(at[list(ends)], "bar")
-    for points in drawing.shapes:
-        canvas.line(at[list(points)], "bar")
-    for points in drawing.muscles:
-        canvas.line(at[list(points)], "muscle")
+    for paths, look in ((drawing.bars, "bar"), (drawing.shapes, "bar"), (drawing.muscles, "muscle")):
+        for points in paths:
+            canvas.line(at[list(points)], look)
     for start, end in drawing.springs:
         canvas.line(zigzag(at[start], at[end], 6.0), "spring")
     if crowd:

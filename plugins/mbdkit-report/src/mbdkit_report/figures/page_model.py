@@ -60,6 +60,9 @@ class Axis:
         return f"{self.label} [{self.unit}]" if self.unit else self.label
 
 
+TIME = Axis("time", "s")
+
+
 @dataclass(frozen=True, eq=False)
 class Line:
     """One line of a figure.
@@ -100,14 +103,8 @@ class Band:
 
 @dataclass(frozen=True, eq=False)
 class Guide:
-    """A thin line that shows a slope, such as that of an order of convergence.
-
-    Attributes
-    ----------
-    label
-        Label in its middle.
-    x, y
-        (2,) coordinates of its ends.
+    """A thin line that shows a slope, such as that of an order of convergence, with a label in its middle; `x` and `y`
+    (2,) are the coordinates of its ends.
     """
 
     label: str

@@ -6,6 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
+_COILS = 6
+_MARGIN = 0.08  # on each side of a picture, as a share of its size
 _FLAT = 1e-9  # corners that protrude by less than this share of the body's size are left out
 
 
@@ -31,34 +33,21 @@ def convex_hull(points: Array) -> list[int]:
     return half(order) + half(order[::-1])
 
 
-def zigzag(start: Array, end: Array, width: float, coils: int = 6) -> Array:
-    """Return the polyline of a spring between two points.
-
-    Parameters
-    ----------
-    start, end
-        Ends of the spring, in any unit of length, shape (..., 2).
-    width
-        Amplitude of the zigzag, in the same unit.
-    coils
-        Number of coils; each has two corners.
-
-    Returns
-    -------
-    Array
-        Corners of the polyline, in the same unit, shape (..., 2 * coils + 4, 2).
+def zigzag(start: Array, end: Array, width: float) -> Array:
+    """Return the polyline of a spring between two points (..., 2), with `_COILS` coils of two corners each; shape (...,
+    2 * _COILS + 4, 2). The amplitude `width` has the unit of the points, which is any unit of length.
     """
     along = end - start
     length = np.hypot(along[..., 0], along[..., 1])[..., None]
     unit = np.divide(along, length, out=np.zeros_like(along), where=length > 0)
     across = np.stack([-unit[..., 1], unit[..., 0]], axis=-1)
-    share = np.concatenate([[0.0, 0.15], 0.15 + 0.7 * (np.arange(2 * coils) + 0.5) / (2 * coils), [0.85, 1.0]])
-    side = np.concatenate([[0.0, 0.0], np.resize([1.0, -1.0], 2 * coils), [0.0, 0.0]]) * width
+    share = np.concatenate([[0.0, 0.15], 0.15 + 0.7 * (np.arange(2 * _COILS) + 0.5) / (2 * _COILS), [0.85, 1.0]])
+    side = np.concatenate([[0.0, 0.0], np.resize([1.0, -1.0], 2 * _COILS), [0.0, 0.0]]) * width
     corners: Array = start[..., None, :] + share[:, None] * along[..., None, :] + side[:, None] * across[..., None, :]
     return corners
 
 
-def view_box(paths: Array, poses: Array, margin: float = 0.08) -> tuple[tuple[float, float], tuple[float, float], bool]:
+def view_box(paths: Array, poses: Array) -> tuple[tuple[float, float], tuple[float, float], bool]:
     """Return the x limits and y limits [m] of a picture, and whether points lie outside them.
 
     The limits contain all finite points, unless the motion diverges. It diverges if it extends more than 300 times
@@ -71,8 +60,6 @@ def view_box(paths: Array, poses: Array, margin: float = 0.08) -> tuple[tuple[fl
         Points [m] over time, shape (R, K, 2).
     poses
         Other points [m] to contain, shape (..., 2).
-    margin
-        Margin on each side, as a share of the size.
     """
     points = np.concatenate([paths.reshape(-1, 2), poses.reshape(-1, 2)])
     points = points[np.all(np.isfinite(points), axis=1)]
@@ -82,7 +69,7 @@ def view_box(paths: Array, poses: Array, margin: float = 0.08) -> tuple[tuple[fl
     low, high = points[inside].min(axis=0), points[inside].max(axis=0)
     size = float(np.max(high - low)) or 1.0
     lack = np.maximum(0.25 * size - (high - low), 0.0) / 2  # prevents the axes from collapsing for a straight path
-    low, high = low - lack - margin * size, high + lack + margin * size
+    low, high = low - lack - _MARGIN * size, high + lack + _MARGIN * size
     return (float(low[0]), float(high[0])), (float(low[1]), float(high[1])), not bool(np.all(inside))
 
 

@@ -15,25 +15,19 @@ from mbdkit_report.figures.scene import Scene, scene
 
 if TYPE_CHECKING:
     from mbdkit.archive.run import Run
-    from mbdkit.mechanism.mechanism import Mechanism
 
 RATE = 50
 """Frames per second; fewer if there are many bodies."""
 _GRAIN = 1.0 / 20_000  # unit of positions, as a share of the view; a fourteenth of a pixel on a wide screen
 _ANGLE = 2e-4  # unit of angles [rad]
 _JOINTS = 40  # largest number of joints with gaps
+_POINTS = ("pins", "grounds", "centres", "springs", "muscles", "shapes", "bars", "guides", "sliders", "welds")
 _SAME = 1e-9  # m; closer points of a body are drawn as one point
 
 
 def film_data(run: Run, numbers: int, label: str = "") -> dict[str, Any]:
-    """Return the data of an animation of a run.
-
-    Parameters
-    ----------
-    numbers
-        Approximate number of pose values, six bytes each.
-    label
-        Name of the run on a page with several runs.
+    """Return the data of an animation of a run, with about `numbers` pose values of six bytes each; `label` is the name
+    of the run on a page with several runs.
     """
     most = int(np.clip(numbers // (3 * max(1, len(run.bodies))), 30, 1_000))
     shown = scene(run, rate=RATE, most=most, shortest=2.0, longest=30.0)
@@ -63,18 +57,9 @@ def _scene_data(shown: Scene) -> dict[str, Any]:
         "links": [[name, color_key(colors[drawing.link_numbers.index(k)])] for k, name in enumerate(drawing.links)],
         "owner": drawing.owner.tolist(),
         "local": _short(drawing.local, 6),
-        "outlines": [list(outline) for outline in drawing.outlines],
+        "outlines": drawing.outlines,
         **_beam_data(shown),
-        "pins": list(drawing.pins),
-        "grounds": list(drawing.grounds),
-        "centres": list(drawing.centres),
-        "springs": [list(ends) for ends in drawing.springs],
-        "muscles": [list(points) for points in drawing.muscles],
-        "shapes": [list(points) for points in drawing.shapes],
-        "bars": [list(ends) for ends in drawing.bars],
-        "guides": [list(ends) for ends in drawing.guides],
-        "sliders": list(drawing.sliders),
-        "welds": list(drawing.welds),
+        **{name: getattr(drawing, name) for name in _POINTS},
         "traces": [
             {"label": trace.label, "point": trace.point, "color": color_key(color)}
             for trace, color in zip(shown.traces, trace_colors(drawing, shown.traces), strict=True)
@@ -117,13 +102,9 @@ def _short(values: Array, digits: int) -> list[float | None]:
 class Gaps:
     """Gaps of the joints over F frames.
 
-    Parameters
-    ----------
-    ends
-        For each joint, the indices in the drawing's table of its points on the first and the second body.
-    vectors
-        Vector from the required to the actual position of the second body's point [m], in the global frame, shape (F,
-        J, 2). Its length is the misalignment of the joint.
+    `ends` has for each joint the indices in the drawing's table of its points on the first and the second body.
+    `vectors` (F, J, 2) leads from the required to the actual position of the second body's point [m], in the global
+    frame; its length is the misalignment of the joint.
     """
 
     joints: tuple[str, ...]
@@ -134,11 +115,8 @@ class Gaps:
         """Return the `count` largest gaps, in the order of the joints."""
         size = np.nan_to_num(np.hypot(self.vectors[..., 0], self.vectors[..., 1]), nan=np.inf).max(axis=0, initial=0.0)
         kept = sorted(np.argsort(-size, kind="stable")[:count].tolist())
-        return Gaps(
-            tuple(self.joints[joint] for joint in kept),
-            tuple(self.ends[joint] for joint in kept),
-            self.vectors[:, kept],
-        )
+        joints, ends = tuple(self.joints[joint] for joint in kept), tuple(self.ends[joint] for joint in kept)
+        return Gaps(joints, ends, self.vectors[:, kept])
 
 
 def gaps(run: Run, drawing: Drawing, poses: Array) -> Gaps:
@@ -153,10 +131,6 @@ def gaps(run: Run, drawing: Drawing, poses: Array) -> Gaps:
     mechanism = mechanism_of(run)
     if mechanism is None or tuple(mechanism.bodies) != drawing.bodies:
         return Gaps((), (), np.zeros((len(poses), 0, 2)))
-    return _gaps_of(mechanism, drawing, poses)
-
-
-def _gaps_of(mechanism: Mechanism, drawing: Drawing, poses: Array) -> Gaps:
     index = {"ground": -1} | {name: number for number, name in enumerate(mechanism.bodies)}
     names, ends, vectors = [], [], []
     for name, joint in mechanism.joints.items():

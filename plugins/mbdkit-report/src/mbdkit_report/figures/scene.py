@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from mbdkit_report.figures.beam_curves import bending_moments
 from mbdkit_report.figures.curves import evenly, take
-from mbdkit_report.figures.drawing_geometry import Drawing, Trace, choose_traces, draw_run, trace_points
+from mbdkit_report.figures.drawing_geometry import Drawing, Trace, traced_paths
 from mbdkit_report.figures.plane_geometry import Array, view_box
 
 if TYPE_CHECKING:
@@ -84,18 +84,15 @@ def scene(run: Run, *, rate: float, most: int, shortest: float, longest: float) 
     speed = round_speed(duration, shortest, longest)
     count = int(np.clip(round(duration / speed * rate), 0, most - 1))
     rows = nearest_rows(time, np.linspace(time[0], time[-1], count + 1))
-    positions = run.dataset("trajectory/position")
-    poses = take(positions, np.unique(rows))[np.searchsorted(np.unique(rows), rows)]
-    drawing = draw_run(run)
-    traces = choose_traces(drawing)
-    fixed, owners = trace_points(drawing, traces)
-    path_rows = evenly(len(time), _PATH_ROWS)
-    paths = fixed.world(take(positions, path_rows, owners))
+    shown, place = np.unique(rows, return_inverse=True)
+    poses = take(run.dataset("trajectory/position"), shown)[place]
+    drawing, traces, paths = traced_paths(run, _PATH_ROWS)
     xlim, ylim, _ = view_box(paths, drawing.world(poses[evenly(len(poses), 60)]))
     drawing = drawing.spanning(xlim, ylim, poses)
     moments = bending_moments(run, drawing.beams)
-    shown = None if moments is None else moments[rows]
-    return Scene(drawing, speed, time[rows], poses, traces, time[path_rows], paths, xlim, ylim, shown)
+    bending = None if moments is None else moments[rows]
+    path_time = time[evenly(len(time), _PATH_ROWS)]
+    return Scene(drawing, speed, time[rows], poses, traces, path_time, paths, xlim, ylim, bending)
 
 
 def round_speed(duration: float, shortest: float, longest: float) -> float:

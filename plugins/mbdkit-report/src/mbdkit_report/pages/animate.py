@@ -44,21 +44,15 @@ def animate(run: Run, path: str | os.PathLike[str]) -> Path:
     return target
 
 
-def write_html(run: Run, target: Path) -> None:
-    """Write the page of a run."""
-    target.write_text(page(run), encoding="utf-8")
-
-
 def page(run: Run, numbers: int = 450_000) -> str:
-    """Return the page of a run.
-
-    Parameters
-    ----------
-    numbers
-        Approximate number of pose values in the page. Each takes six bytes; the default amounts to about three
-        megabytes.
+    """Return the page of a run, with about `numbers` pose values. Each takes six bytes; the default amounts to about
+    three megabytes.
     """
     return render("animation.html", {"caption": caption(run), "films": [film_data(run, numbers)]})
 
 
-WRITERS: dict[str, Callable[[Run, Path], None]] = {".gif": write_gif, ".mp4": write_mp4, ".html": write_html}
+WRITERS: dict[str, Callable[[Run, Path], object]] = {
+    ".gif": write_gif,
+    ".mp4": write_mp4,
+    ".html": lambda run, target: target.write_text(page(run), encoding="utf-8"),
+}

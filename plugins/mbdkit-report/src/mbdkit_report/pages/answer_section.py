@@ -16,7 +16,7 @@ from mbdkit.archive.peak_errors import missed_between_rows, peak_errors
 from mbdkit.archive.run_summary import derivative_texts
 from mbdkit_report.figures.beam_curves import bending_moments, distributed_loads, has_beams
 from mbdkit_report.figures.curves import BEYOND, Array, blocks, take
-from mbdkit_report.figures.mechanism_drawing import NARROW, WIDE, NamedPose, mechanism_svg
+from mbdkit_report.figures.mechanism_drawing import NamedPose, illustration
 from mbdkit_report.figures.page_model import Cell, Column, Illustration, Section, Table, columns_of
 from mbdkit_report.plot.beams_plot import beam_peak
 
@@ -95,30 +95,20 @@ class _Quantity:
     missed: Array
 
     @property
-    def is_complete(self) -> bool:
-        """Whether errors are known for the whole run."""
-        return self.known is not None and math.isinf(self.known_until)
-
-    def columns(self) -> list[Column]:
-        """Return the headings of the columns for this quantity."""
-        columns = [Column(f"largest {self.name}", self.unit), Column(f"time of the {self.name}", "s")]
-        if self.known is not None and not self.is_complete:
-            columns.append(Column(f"largest {self.name} until {self.known_until:.4g} s", self.unit))
+    def columns(self) -> list[tuple[Column, Array]]:
+        """The columns for this quantity: headings, and the values of the joints."""
+        found = [(Column(f"largest {self.name}", self.unit), self.peaks.value)]
+        found.append((Column(f"time of the {self.name}", "s"), self.peaks.time))
+        if self.known is not None and not math.isinf(self.known_until):
+            found.append((Column(f"largest {self.name} until {self.known_until:.4g} s", self.unit), self.known.value))
         if self.known is not None:
-            columns.append(Column(f"± error of the {self.name}", self.unit))
-        return columns
+            found.append((Column(f"± error of the {self.name}", self.unit), self.error))
+        return found
 
     def cells(self, joint: int, floor: float) -> list[Cell]:
         """Return the cells of a joint; they are empty if its largest value is at most `floor`, a rounding error."""
-        value, time = float(self.peaks.value[joint]), float(self.peaks.time[joint])
-        if value <= floor:
-            return [None] * len(self.columns())
-        cells: list[Cell] = [value, time]
-        if self.known is not None and not self.is_complete:
-            cells.append(float(self.known.value[joint]))
-        if self.known is not None:
-            cells.append(float(self.error[joint]))
-        return cells
+        is_rounding = self.peaks.value[joint] <= floor
+        return [None if is_rounding else float(values[joint]) for _, values in self.columns]
 
     def told(self, joint: int) -> str:
         """Return the largest value of a joint with its error and time or, if the value between rows is clearly larger,
@@ -133,6 +123,12 @@ class _Quantity:
             unknown = "" if self.known is None else ", error unknown"
             return f"{value:.4g} {self.unit} (at {time:.4g} s{unknown})"
         return f"{plus_minus(value, float(self.error[joint]), '±')} {self.unit} (at {time:.4g} s)"
+
+
+def standard_sections(run: Run, mechanism: Mechanism | None) -> list[Section]:
+    """Return the sections that every run may have: on the largest forces, on beams and on gradients."""
+    sections = (answer_section(run), beam_section(run, mechanism), gradient_section(run))
+    return [section for section in sections if section is not None]
 
 
 def answer_section(run: Run) -> Section | None:
@@ -157,9 +153,8 @@ def gradient_section(run: Run) -> Section | None:
     doubts = dict.fromkeys(doubt for one in run.gradients.values() for doubt in one.get("doubts", ()))
     sentences = tuple(f"{doubt[:1].upper()}{doubt[1:].rstrip('.')}." for doubt in doubts)
     note = "In the unit of the measure for each SI unit of the parameter."
-    table = Table(
-        "gradients", "Derivatives", columns_of("measure; unit; with respect to; derivative"), tuple(rows), note
-    )
+    columns = columns_of("measure; unit; with respect to; derivative")
+    table = Table("gradients", "Derivatives", columns, tuple(rows), note)
     return Section("gradients", "Derivatives of measures", sentences, None, (table,))
 
 
@@ -191,11 +186,8 @@ def _quantity(run: Run, name: str, unit: str, path: str, magnitude: Callable[[Ar
     missed = np.zeros(len(peaks.value)) if beyond is None else beyond
     if accuracy is None:
         return _Quantity(name, unit, peaks, None, np.full(len(peaks.value), np.nan), math.nan, missed)
-    count = accuracy.rows_known
-    error: np.ndarray | None = None
-    if count:
-        what = "reaction_error" if name == "force" else "torque_error"
-        error = peak_errors(run, what, magnitude(np.asarray(data[:count])), count)
+    count, what = accuracy.rows_known, "reaction_error" if name == "force" else "torque_error"
+    error = peak_errors(run, what, magnitude(np.asarray(data[:count])), count) if count else None
     error = np.full(len(peaks.value), np.nan) if error is None else error
     until = math.inf if accuracy.is_complete else accuracy.known_until if count else -math.inf
     known = peaks if accuracy.is_complete else Peaks.of(time[:count], data, magnitude)
@@ -210,7 +202,7 @@ def _table(run: Run, name: str, title: str, columns: Sequence[int], found: Seque
     chosen = sorted(sorted(columns, key=lambda column: -most[column])[:ROWS])
     used = [one for one in found if any(one.peaks.value[column] > floor for column in chosen)]
     headings = [Column("driver" if name == "drivers" else "joint"), Column("between")]
-    headings += [column for one in used for column in one.columns()]
+    headings += [column for one in used for column, _ in one.columns]
     power = None
     if name == "drivers" and run.records("joints/driver_power"):
         power = Peaks.of(np.asarray(run.time), run.dataset("joints/driver_power"))
@@ -294,12 +286,7 @@ def _bent(run: Run, mechanism: Mechanism | None, row: int) -> Illustration | Non
         return None
     shown = replace(named, moments=moments[row])
     caption = f"The mechanism at t = {run.time[row]:.6g} s. Beams are coloured by their bending moments."
-    return Illustration(
-        mechanism_svg(shown, WIDE),
-        mechanism_svg(shown, NARROW),
-        "Drawing of the mechanism with its bent beams",
-        caption,
-    )
+    return illustration(shown, "Drawing of the mechanism with its bent beams", caption)
 
 
 def _beam_table(run: Run) -> Table:

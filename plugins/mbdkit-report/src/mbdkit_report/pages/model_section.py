@@ -4,7 +4,7 @@ parameters.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -15,8 +15,8 @@ from mbdkit.mechanism.parameters import parameter_values
 from mbdkit.mechanism.pathways import JointAngles, path_ends
 from mbdkit.mechanism.values import Table as TimeTable
 from mbdkit_report.figures.curves import take
-from mbdkit_report.figures.mechanism_drawing import NARROW, WIDE, NamedPose, mechanism_svg, names_shown, own_forces
-from mbdkit_report.figures.page_model import Cell, Column, Illustration, Section, Table, columns_of
+from mbdkit_report.figures.mechanism_drawing import NamedPose, illustration, names_shown, own_forces
+from mbdkit_report.figures.page_model import Cell, Illustration, Section, Table, columns_of
 from mbdkit_report.figures.quantity_text import count
 from mbdkit_report.key_words import described_unit
 
@@ -93,12 +93,16 @@ def drawing(shown: NamedPose) -> Illustration:
         caption += " Bodies have the colours that they have in the animation."
     else:
         caption += " It has too many elements to name them all here; the tables list them."
-    return Illustration(mechanism_svg(shown, WIDE), mechanism_svg(shown, NARROW), description, caption)
+    return illustration(shown, description, caption)
 
 
-def _limited(name: str, title: str, columns: Sequence[Column], rows: list[tuple[Cell, ...]]) -> Table:
+def _limited(name: str, title: str, headings: str, rows: list[tuple[Cell, ...]]) -> Table:
+    """Return a table of at most `ROWS` rows, without a last column of data if all its cells are empty."""
+    columns = columns_of(headings)
+    if columns[-1].label == "data" and not any(row[-1] for row in rows):
+        columns, rows = columns[:-1], [row[:-1] for row in rows]
     note = f"The first {ROWS} of {len(rows):,}." if len(rows) > ROWS else ""
-    return Table(name, title, tuple(columns), tuple(rows[:ROWS]), note)
+    return Table(name, title, columns, tuple(rows[:ROWS]), note)
 
 
 def _bodies(shown: NamedPose) -> Table:
@@ -111,9 +115,8 @@ def _bodies(shown: NamedPose) -> Table:
         body = known.get(name)
         centre = shown.place(name, (0.0, 0.0)).tolist()
         rows.append((name, *((body.mass, body.inertia) if body else ()), *centre, angle))
-    columns = [Column("body"), *([*columns_of("mass [kg]; moment of inertia [kg m²]")] if known else [])]
-    columns += columns_of("x [m]; y [m]; angle [rad]")
-    return _limited("bodies", "Bodies", columns, rows)
+    columns = "body; mass [kg]; moment of inertia [kg m²]; x [m]" if known else "body; x [m]"
+    return _limited("bodies", "Bodies", f"{columns}; y [m]; angle [rad]", rows)
 
 
 def _beams(mechanism: Mechanism) -> Table:
@@ -122,13 +125,8 @@ def _beams(mechanism: Mechanism) -> Table:
         stiffness, (mass, _) = beam.section_stiffness, beam.inertia_per_length
         nodes = f"{name}.0 to {name}.{beam.node_count - 1}"
         rows.append((name, nodes, beam.length, mass * beam.length, *stiffness, beam.damping))
-    columns = [
-        *columns_of(
-            "beam; nodes; length [m]; mass [kg]; axial stiffness [N]; shear stiffness [N]; "
-            "bending stiffness [N m²]; damping [s]"
-        )
-    ]
-    return _limited("model-beams", "Beams", columns, rows)
+    columns = "beam; nodes; length [m]; mass [kg]; axial stiffness [N]; shear stiffness [N]; bending stiffness [N m²]"
+    return _limited("model-beams", "Beams", f"{columns}; damping [s]", rows)
 
 
 def _joints(shown: NamedPose) -> Table:
@@ -136,23 +134,9 @@ def _joints(shown: NamedPose) -> Table:
     rows: list[tuple[Cell, ...]] = []
     for name, joint in shown.mechanism.joints.items():
         held = joint.attachments()
-        place: tuple[Cell, Cell] = (None, None)
-        if held:
-            x, y = shown.place(*held[-1][1:]).tolist()
-            place = (x, y)
-        rows.append((name, joint.type, _between(joint.bodies), *place, _joint_details(joint)))
-    columns = [*columns_of("joint; type; between; x [m]; y [m]; data")]
-    rows, columns = _without_empty_data(rows, columns)
-    return _limited("model-joints", "Joints and drivers", columns, rows)
-
-
-def _without_empty_data(
-    rows: list[tuple[Cell, ...]], columns: list[Column]
-) -> tuple[list[tuple[Cell, ...]], list[Column]]:
-    """Return rows and columns without the last column if all its cells are empty."""
-    if any(row[-1] for row in rows):
-        return rows, columns
-    return [row[:-1] for row in rows], columns[:-1]
+        place: list[Cell] = [*shown.place(*held[-1][1:]).tolist()] if held else [None, None]
+        rows.append((name, joint.type, " - ".join(joint.bodies), *place, _joint_details(joint)))
+    return _limited("model-joints", "Joints and drivers", "joint; type; between; x [m]; y [m]; data", rows)
 
 
 def _forces(shown: NamedPose) -> Table:
@@ -162,14 +146,12 @@ def _forces(shown: NamedPose) -> Table:
     for name, force in own_forces(shown.mechanism).items():
         load = getattr(force, "load", None)
         if load is None:
-            between = _between(path_ends(force.pathway.segments(shown.mechanism.joints)))
+            between = path_ends(force.pathway.segments(shown.mechanism.joints))
         else:
-            between = _between((load.reaction_body, load.body))
+            between = (load.reaction_body, load.body)
         kind = f"{force.type}: {force.law}" if force.type == "law" else force.type
-        rows.append((name, kind, between, _force_details(force, shown)))
-    columns = [*columns_of("force element; type; between; data")]
-    rows, columns = _without_empty_data(rows, columns)
-    return _limited("model-forces", "Springs, dampers and loads", columns, rows)
+        rows.append((name, kind, " - ".join(between), _force_details(force, shown)))
+    return _limited("model-forces", "Springs, dampers and loads", "force element; type; between; data", rows)
 
 
 def _markers(shown: NamedPose) -> Table:
@@ -178,7 +160,7 @@ def _markers(shown: NamedPose) -> Table:
     for name, marker in shown.mechanism.markers.items():
         x, y = shown.place(marker.body, marker.held).tolist()
         rows.append((name, marker.body, *shown.rounded(marker.held).tolist(), x, y))
-    columns = [*columns_of("marker; body; x in its frame [m]; y in its frame [m]; x [m]; y [m]")]
+    columns = "marker; body; x in its frame [m]; y in its frame [m]; x [m]; y [m]"
     return _limited("markers", "Markers", columns, rows)
 
 
@@ -188,12 +170,7 @@ def _parameters(spec: Mapping[str, Any]) -> Table:
     rows: list[tuple[Cell, ...]] = [
         (name, text if isinstance(text, str) else None, values[name]) for name, text in given.items()
     ]
-    columns = [*columns_of("parameter; expression; value")]
-    return _limited("parameters", "Parameters", columns, rows)
-
-
-def _between(bodies: tuple[str, str]) -> str:
-    return " - ".join(bodies)
+    return _limited("parameters", "Parameters", "parameter; expression; value", rows)
 
 
 def _joint_details(joint: Any) -> str:

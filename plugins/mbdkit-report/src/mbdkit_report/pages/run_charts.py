@@ -16,7 +16,7 @@ from mbdkit.quantities.array import Recorded
 from mbdkit.quantities.table import BY_GROUP, RECORDED
 from mbdkit_report.figures.curves import bands
 from mbdkit_report.figures.drawing_geometry import choose_traces, draw_run
-from mbdkit_report.figures.page_model import Axis, Figure, Line, Mark
+from mbdkit_report.figures.page_model import TIME, Axis, Figure, Line, Mark
 from mbdkit_report.figures.palette import INK, PALETTE, body_colors, trace_colors
 from mbdkit_report.pages.answer_section import Peaks
 from mbdkit_report.pages.section_items import added_charts
@@ -29,7 +29,6 @@ MARKS = 60
 """No events are marked if a run has more event crossings than this."""
 DRIFT = ("misalignment", "velocity-misalignment", "angle-misalignment", "balance")
 """Charts that show how well the constraints and the energy hold."""
-_TIME = Axis("time", "s")
 _FIRST = ("reactions", "torques", "forces", "beams")
 _OF_MOTION = ("m", "rad", "m/s", "rad/s")
 """Units of the recorded arrays whose charts come after the chart of the trajectory."""
@@ -47,22 +46,19 @@ def run_charts(run: Run) -> tuple[Figure, ...]:
     charts = [chart for kind in _FIRST for chart in of_kinds.pop(kind, [])]
     recorded = [chart for path in RECORDED for chart in recorded_charts(run, path)]
     moving = [chart for chart in recorded if chart.y.unit in _OF_MOTION]
-    charts += [
-        *added_charts(run),
-        *component_charts(run),
-        *(chart for chart in recorded if chart.y.unit not in _OF_MOTION),
-    ]
+    still = [chart for chart in recorded if chart.y.unit not in _OF_MOTION]
+    charts += [*added_charts(run), *component_charts(run), *still]
     charts += [*of_kinds.pop("trajectory"), *moving, *(chart for of_kind in of_kinds.values() for chart in of_kind)]
     charts.sort(key=lambda chart: chart.name in DRIFT)
     marks = _marks(run)
     colors = _colors(run)
-    return tuple(
-        replace(
-            _colored(chart, colors.get(chart.name, {})),
-            marks=(*chart.marks, *marks) if chart.x == _TIME else chart.marks,
-        )
-        for chart in charts
-    )
+    found = []
+    for chart in charts:
+        own = colors.get(chart.name, {})
+        lines = (replace(line, color=line.color or own.get(line.group or line.label, "")) for line in chart.lines)
+        at = (*chart.marks, *marks) if chart.x == TIME else chart.marks
+        found.append(replace(chart, lines=tuple(lines), marks=at))
+    return tuple(found)
 
 
 def _colors(run: Run) -> Mapping[str, Mapping[str, str]]:
@@ -75,11 +71,6 @@ def _colors(run: Run) -> Mapping[str, Mapping[str, str]]:
     few = run.joint_names if len(run.joint_names) <= len(PALETTE) else ()
     joints = dict(zip(few, PALETTE, strict=False))
     return {"trajectory": paths} | dict.fromkeys(_OF_JOINTS, joints)
-
-
-def _colored(chart: Figure, colors: Mapping[str, str]) -> Figure:
-    lines = (replace(line, color=line.color or colors.get(line.group or line.label, "")) for line in chart.lines)
-    return replace(chart, lines=tuple(lines))
 
 
 def _marks(run: Run) -> tuple[Mark, ...]:
@@ -126,11 +117,10 @@ def _components(run: Run, joint: Any, colors: dict[str, str]) -> Figure:
         frame = "global {}" if body == GROUND else f"{{}} of {body}"
         color = colors.get(body, "")
         lines += [Line(frame.format(axis), *curves.curve(k), color=color, group=body) for k, axis in enumerate("xy")]
-    caption = (
-        f"Components of the force of {joint.bodies[0]} on {joint.bodies[1]} along the axes that are fixed to each body."
-    )
+    first, second = joint.bodies
+    caption = f"Components of the force of {first} on {second} along the axes that are fixed to each body."
     title = f"Force in {joint.name}, in the frames of its bodies"
-    return Figure(f"components-{joint.index + 1}", title, caption, _TIME, Axis("force component", "N"), tuple(lines))
+    return Figure(f"components-{joint.index + 1}", title, caption, TIME, Axis("force component", "N"), tuple(lines))
 
 
 def recorded_charts(run: Run, path: str) -> list[Figure]:
@@ -149,7 +139,7 @@ def recorded_charts(run: Run, path: str) -> list[Figure]:
         lines = _lines(run, path, names, [column for column, unit in enumerate(units) if unit == chart.unit])
         if lines:
             axis = Axis(chart.axis, "" if chart.unit == "1" else chart.unit)
-            found.append(Figure(chart.name, chart.title, chart.caption, _TIME, axis, lines))
+            found.append(Figure(chart.name, chart.title, chart.caption, TIME, axis, lines))
     return found
 
 

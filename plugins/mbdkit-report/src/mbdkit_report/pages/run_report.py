@@ -91,19 +91,8 @@ def yaml_text(spec: Mapping[str, Any]) -> str:
     return write_yaml({key: spec[key] for key in sorted(spec, key=_place)})
 
 
-_ORDER = (
-    "mbdkit",
-    "title",
-    "parameters",
-    "model",
-    "formulation",
-    "stabilization",
-    "integrator",
-    "time",
-    "output",
-    "events",
-    "limits",
-)
+_ORDER = ["mbdkit", "title", "parameters", "model", "formulation", "stabilization", "integrator", "time", "output"]
+_ORDER += ["events", "limits"]
 
 
 def _place(key: str) -> int:

@@ -13,6 +13,7 @@ from mbdkit.mechanism.contacts import STICK
 from mbdkit_report.figures.beam_curves import has_beams
 from mbdkit_report.figures.page_model import Cell, Column, Table, columns_of
 from mbdkit_report.pages.answer_section import Peaks
+from mbdkit_report.plot.element_quantity import GAPS
 
 if TYPE_CHECKING:
     from mbdkit.archive.accuracy import Accuracy
@@ -24,10 +25,6 @@ JOINTS = 50
 """Largest number of rows in a table of joints or contacts."""
 EVENTS = 50
 """Largest number of event crossings, and of changes of contacts, in their table."""
-_QUANTITIES = (
-    ("velocity misalignment", "joints/velocity_misalignment", "m/s"),
-    ("angle misalignment", "joints/angle_misalignment", "rad"),
-)
 
 
 def run_tables(run: Run) -> tuple[Table, ...]:
@@ -48,13 +45,9 @@ def _events(run: Run) -> Table:
     """Return the table of the first `EVENTS` event crossings, followed by the events that never occurred."""
     specs = run.spec["events"]
     columns = columns_of("event; zero crossing of; direction; time [s]")
+    ways = {True: "upwards", False: "downwards"}
     rows: list[tuple[Cell, ...]] = [
-        (
-            event.name,
-            str(specs[event.name]["when"]),
-            "upwards" if event.direction > 0 else "downwards",
-            f"{event.time:.10g}",
-        )
+        (event.name, str(specs[event.name]["when"]), ways[event.direction > 0], f"{event.time:.10g}")
         for event in run.events[:EVENTS]
     ]
     found = set(run.events.names)
@@ -66,15 +59,14 @@ def _events(run: Run) -> Table:
 def _joints(run: Run) -> Table:
     columns = [*columns_of("joint; between; largest misalignment [m]")]
     found = []
-    for name, path, unit in _QUANTITIES:
-        if run.records(path):
+    for name, unit in (GAPS["velocity"], GAPS["angle"]):
+        if run.records(path := f"joints/{name.replace(' ', '_')}"):
             peaks = Peaks.of(np.asarray(run.time), run.dataset(path)).value
             if name == "velocity misalignment" or np.any(np.nan_to_num(peaks, nan=1.0)):
                 columns.append(Column(f"largest {name}", unit))
                 found.append(peaks.tolist())
-    order = sorted(
-        enumerate(run.joints.values()), key=lambda item: -np.nan_to_num(item[1].misalignment_max, nan=np.inf)
-    )[:JOINTS]
+    joints = list(enumerate(run.joints.values()))
+    order = sorted(joints, key=lambda item: -np.nan_to_num(item[1].misalignment_max, nan=np.inf))[:JOINTS]
     rows: list[tuple[Cell, ...]] = [
         (joint.name, " - ".join(joint.bodies), joint.misalignment_max, *(cells[column] for cells in found))
         for column, joint in sorted(order)

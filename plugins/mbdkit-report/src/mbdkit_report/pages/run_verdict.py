@@ -18,7 +18,7 @@ from mbdkit_report.figures.drawing_geometry import draw_run, mechanism_of
 from mbdkit_report.figures.quantity_text import count, duration, length, proportion
 from mbdkit_report.pages.run_charts import run_charts
 from mbdkit_report.pages.run_tables import run_tables
-from mbdkit_report.plot.element_quantity import ElementQuantity, angle_misalignment, joint_misalignment
+from mbdkit_report.plot.element_quantity import ElementQuantity, misalignment
 
 if TYPE_CHECKING:
     from mbdkit.archive.run import Run
@@ -57,11 +57,8 @@ def run_verdict(run: Run) -> Verdict:
 def _rounding_errors(run: Run) -> set[str]:
     """Return the names of the charts and tables that would show nothing but rounding errors."""
     found: set[str] = set()
-    if (
-        run.records("joints/misalignment")
-        and run.joint_names
-        and run.misalignment_max <= ROUND_OFF * mechanism_size(run)
-    ):
+    has_gaps = run.records("joints/misalignment") and run.joint_names
+    if has_gaps and run.misalignment_max <= ROUND_OFF * mechanism_size(run):
         found |= {"misalignment", "velocity-misalignment"}
     if run.records("energy/balance"):
         off, kinetic = (float(np.max(np.abs(run.dataset(f"energy/{name}")[:]))) for name in ("balance", "kinetic"))
@@ -132,7 +129,7 @@ def _completion(run: Run) -> Claim:
 
 
 def _joints(run: Run) -> Claim:
-    quantity = joint_misalignment(run)
+    quantity = misalignment(run)
     worst = max(run.joints.values(), key=lambda joint: np.nan_to_num(joint.misalignment_max, nan=math.inf))
     most, size = worst.misalignment_max, mechanism_size(run)
     if not math.isfinite(most):
@@ -166,7 +163,7 @@ def _growth_words(quantity: ElementQuantity, column: int) -> list[str]:
 
 
 def _angles(run: Run) -> list[Claim]:
-    quantity = angle_misalignment(run)
+    quantity = misalignment(run, "angle")
     if quantity.zero:
         return []
     column, most = quantity.largest

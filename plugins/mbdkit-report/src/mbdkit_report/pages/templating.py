@@ -14,13 +14,8 @@ from mbdkit.base.text import shown
 
 
 def render(template: str, values: Mapping[str, Any], filters: Mapping[str, Callable[..., Any]] | None = None) -> str:
-    """Return a page.
-
-    Parameters
-    ----------
-    values
-        Values that the template uses. Texts among them are escaped for HTML. Control characters are escaped on the
-        whole page; this does not change the meaning of JSON.
+    """Return a page with values that the template uses. Texts among them are escaped for HTML. Control characters are
+    escaped on the whole page; this does not change the meaning of JSON.
     """
     environment = _environment()
     environment.filters.update(filters or {})

@@ -5,21 +5,19 @@ over time.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
-from functools import partial
-from typing import TYPE_CHECKING, get_args
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
 from mbdkit.archive.run_views import BeamForce, Names
-from mbdkit.base.errors import SpecError, UnknownNameError
+from mbdkit.base.errors import SpecError
 from mbdkit.base.text import listed
 from mbdkit_report.figures.beam_curves import has_beams
 from mbdkit_report.figures.curves import Array, bands
-from mbdkit_report.figures.page_model import Axis, Figure, Line
+from mbdkit_report.figures.page_model import TIME, Axis, Figure, Line
 from mbdkit_report.figures.palette import PALETTE
 from mbdkit_report.figures.scene import nearest_rows
-from mbdkit_report.plot.charts import Panel, draw_chart, draw_panel
+from mbdkit_report.plot.charts import Panel, chart_panel, draw_lines, named
 from mbdkit_report.plot.element_quantity import MOST
 
 if TYPE_CHECKING:
@@ -27,26 +25,14 @@ if TYPE_CHECKING:
 
     from mbdkit.archive.run import Run
 
-_TITLES = {"moment": "Bending moment", "shear": "Shear force", "axial": "Axial force"}
+_TITLES: dict[BeamForce, str] = {"moment": "Bending moment", "shear": "Shear force", "axial": "Axial force"}
 _TIMES = 5
 _ALONG = Axis("distance from the end a", "m")
-_TIME = Axis("time", "s")
 
 
-@dataclass(frozen=True)
-class BeamPeak:
-    """Largest magnitude of an internal force of a beam.
-
-    Parameters
-    ----------
-    value
-        The value with its sign [N or N m]; nan if no value is finite.
-    time
-        Time of this value [s].
-    place
-        Distance of the value from end a along the beam [m].
-    row
-        Index of the recorded row with this value.
+class BeamPeak(NamedTuple):
+    """Largest magnitude of an internal force of a beam: the value with its sign [N or N m], nan if no value is finite;
+    its time [s]; its distance `place` from end a along the beam [m]; and its recorded row.
     """
 
     value: float
@@ -68,17 +54,19 @@ def panels(run: Run) -> list[Panel]:
     """Return panels of each internal force: along the beam with the largest value, and over time."""
     if not run.beams:
         return [Panel(_draw_nothing)]
-    along = [Panel(partial(_draw, chart=_along(run, which)), over_time=False) for which in get_args(BeamForce)]
-    return [*along, *(Panel(partial(_draw, chart=_over_time(run, which))) for which in get_args(BeamForce))]
+    return [
+        chart_panel(one, one.title if len(one.lines) > 1 else f"{one.title}: {one.lines[0].label}", over_time=over_time)
+        for draw, over_time in ((_along, False), (_over_time, True))
+        for one in (draw(run, which) for which in _TITLES)
+    ]
 
 
 def charts(run: Run) -> list[Figure]:
     """Return the charts of each internal force: along the beam with the largest value, and over time; empty if the run
     did not record internal forces of beams.
     """
-    if not has_beams(run):
-        return []
-    return [draw(run, which) for draw in (_along, _over_time) for which in get_args(BeamForce)]
+    drawn = (_along, _over_time) if has_beams(run) else ()
+    return [draw(run, which) for draw in drawn for which in _TITLES]
 
 
 def chart(
@@ -90,28 +78,16 @@ def chart(
     most: int = MOST,
 ) -> Figure:
     """Return the chart of an internal force of beams: along the beams at the given `times` or, by default, the largest
-    magnitude in each beam over time.
-
-    Parameters
-    ----------
-    beams
-        Names of beams; by default at most `most` beams, those with the largest values.
-    components
-        ``moment``, ``shear`` or ``axial``.
-    times
-        Times [s] of curves along the beams; the nearest recorded rows are drawn.
+    magnitude in each beam over time; the options are those of `RunPlots.beams`.
 
     Raises
     ------
-    SpecError
-        If the component is unknown, the run has no beams, or a time lies outside the run.
-    UnknownNameError
-        If there is no such beam.
-    NotRecordedError
-        If the run did not record the internal forces of beams.
+    SpecError, UnknownNameError, NotRecordedError
+        If the component is unknown, a time lies outside the run, the run has no beams, or no such beam, or did not
+        record the internal forces of beams.
     """
-    if components not in get_args(BeamForce):
-        known = listed(get_args(BeamForce), "or")
+    if components not in _TITLES:
+        known = listed(_TITLES, "or")
         raise SpecError(f"the components of a plot of beams should be {known}, not {components!r}")
     if not run.beams:
         raise SpecError("this run has no beams")
@@ -127,11 +103,7 @@ def _picked(run: Run, wanted: Names, component: BeamForce, most: int) -> list[st
     if wanted is None:
         size = [abs(beam_peak(run, name, component).value) for name in known]
         return [known[k] for k in sorted(np.argsort(-np.nan_to_num(size), kind="stable")[:most].tolist())]
-    names = [wanted] if isinstance(wanted, str) else list(dict.fromkeys(wanted))
-    for name in names:
-        if name not in known:
-            raise UnknownNameError("beam", name, known)
-    return names
+    return named(wanted, known, "beam")
 
 
 def _axis(component: BeamForce) -> Axis:
@@ -148,17 +120,14 @@ def _along(run: Run, component: BeamForce, names: Sequence[str] | None = None, t
     lines = []
     for name in names:
         values, place = run.beams[name].along(component), run.beams[name].arc_length
-        lines += [
-            Line(f"{name}, {run.time[row]:.4g} s" if len(names) > 1 else f"{run.time[row]:.4g} s", place, values[row],
-                 group=f"{run.time[row]:.4g} s", color=PALETTE[k] if k < len(PALETTE) else "")
-            for k, row in enumerate(rows)
-        ]  # fmt: skip
+        for k, row in enumerate(rows):
+            time, color = f"{run.time[row]:.4g} s", PALETTE[k] if k < len(PALETTE) else ""
+            label = f"{name}, {time}" if len(names) > 1 else time
+            lines.append(Line(label, place, values[row], group=time, color=color))
     where = f" along {names[0]}" if len(names) == 1 else " along beams"
-    caption = (
-        f"In the middle of each element and at both ends{where}; positive moments turn the far part counter-clockwise."
-    )
-    if component != "moment":
-        caption = f"In the middle of each element and at both ends{where}, in the frame of its cross-section."
+    frame = "; positive moments turn the far part counter-clockwise."
+    frame = frame if component == "moment" else ", in the frame of its cross-section."
+    caption = f"In the middle of each element and at both ends{where}{frame}"
     return Figure(f"beams-{component}", f"{_TITLES[component]}{where}", caption, _ALONG, _axis(component), tuple(lines))
 
 
@@ -184,22 +153,12 @@ def _over_time(run: Run, component: BeamForce, names: Sequence[str] | None = Non
     time = np.asarray(run.time)
     largest = np.stack([np.max(np.abs(run.beams[name].along(component)), axis=1) for name in chosen], axis=1)
     found = bands(time, largest)
-    axis = _axis(component)
-    return Figure(
-        f"beams-{component}-over-time",
-        f"Largest {axis.label} over time",
-        "Largest magnitude along a beam, ends included.",
-        _TIME,
-        axis,
-        tuple(Line(name, *found.curve(k), group=name) for k, name in enumerate(chosen)),
-    )
-
-
-def _draw(axes: Axes, chart: Figure) -> None:
-    draw_chart(axes, chart, f"{chart.title}: {chart.lines[0].label}" if len(chart.lines) == 1 else chart.title)
+    axis, caption = _axis(component), "Largest magnitude along a beam, ends included."
+    lines = tuple(Line(name, *found.curve(k), group=name) for k, name in enumerate(chosen))
+    return Figure(f"beams-{component}-over-time", f"Largest {axis.label} over time", caption, TIME, axis, lines)
 
 
 def _draw_nothing(axes: Axes) -> None:
-    draw_panel(
-        axes, Figure("", "", "", _TIME, Axis("bending moment\n", "N m"), ()), "Bending moment: there are no beams"
-    )
+    chart = Figure("", "", "", TIME, Axis("bending moment\n", "N m"), ())
+    draw_lines(axes, chart, "Bending moment: there are no beams")
+    axes.margins(x=0.01)

@@ -15,16 +15,8 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Caption:
-    """Heading of a picture.
-
-    Parameters
-    ----------
-    title
-        The spec's title, or the model's name.
-    settings
-        Model, integrator, step and status in one line.
-    alarm
-        Status and reason of a run that is not complete; otherwise empty.
+    """Heading of a picture: the spec's title, or the model's name; model, integrator, step and status in one line; and
+    status and reason of a run that is not complete, otherwise empty.
     """
 
     title: str
@@ -77,10 +69,6 @@ def plain_name(choice: Any, default: str) -> str:
 
 def _departures(spec: Mapping[str, Any]) -> list[str]:
     """Return the names of formulation and stabilization if they differ from the defaults."""
-    found = []
-    for key, default in (("formulation", "index-1"), ("stabilization", "none")):
-        value = spec.get(key) or default
-        name = plain_name(value, default)
-        if name != default:
-            found.append(name)
-    return found
+    defaults = {"formulation": "index-1", "stabilization": "none"}
+    names = {key: plain_name(spec.get(key) or default, default) for key, default in defaults.items()}
+    return [name for key, name in names.items() if name != defaults[key]]

@@ -5,8 +5,9 @@ A chart is a `mbdkit_report.figures.page_model.Figure`: lines, axes and a captio
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Collection, Iterable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +17,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure as Picture
 from matplotlib.lines import Line2D
 
-from mbdkit.base.errors import file_error
+from mbdkit.base.errors import UnknownNameError, file_error
 from mbdkit_report.figures.page_model import Figure
 from mbdkit_report.figures.palette import FAINT, GRID, INK, PAPER, color_number, line_styles
 from mbdkit_report.plot.caption import Caption
@@ -33,21 +34,29 @@ Look = dict[str, Any]
 
 @dataclass(frozen=True)
 class Panel:
-    """A part of a plot with its own axes.
+    """A part of a plot with its own axes: a function that draws it on empty axes, and their approximate height [inch].
 
-    Parameters
-    ----------
-    draw
-        Function that draws the panel on empty axes.
-    height
-        Approximate height of the axes [inch].
-    over_time
-        Whether the x axis is time. Such panels share this axis, which is labelled at the lowest panel only.
+    Panels whose x axis is time (`over_time`) share this axis, which is labelled at the lowest panel only.
     """
 
     draw: Callable[[Axes], None]
     height: float = 1.85
     over_time: bool = True
+
+
+def named(wanted: str | Iterable[str], known: Collection[str], what: str) -> list[str]:
+    """Return the wanted names, each once.
+
+    Raises
+    ------
+    UnknownNameError
+        If a name is not known; `what` is the kind of the elements, such as ``joint``.
+    """
+    names = [wanted] if isinstance(wanted, str) else list(dict.fromkeys(wanted))
+    for name in names:
+        if name not in known:
+            raise UnknownNameError(what, name, list(known))
+    return names
 
 
 def image_files(charts: Iterable[Figure], folder: Path) -> list[Path]:
@@ -84,6 +93,11 @@ def chart_image(chart: Figure, width: float = 7.2, height: float = 4.6) -> Pictu
     return picture
 
 
+def chart_panel(chart: Figure, title: str = "", height: float = Panel.height, *, over_time: bool = True) -> Panel:
+    """Return the panel of a chart; see `draw_chart`."""
+    return Panel(partial(draw_chart, chart=chart, title=title), height, over_time)
+
+
 def draw_chart(axes: Axes, chart: Figure, title: str = "") -> None:
     """Draw a chart on empty axes in the house style.
 
@@ -92,27 +106,19 @@ def draw_chart(axes: Axes, chart: Figure, title: str = "") -> None:
     title
         Title of a panel; the title and caption of the chart are not drawn.
     """
-    dress(axes)
-    handles = _draw(axes, chart, _house_looks(chart), {"size": 9, "color": INK}, {"size": 7, "color": FAINT})
+    handles = draw_lines(axes, chart, title)
     if chart.needs_key:
         legend(axes, handles, [line.label for line in chart.lines])
     if not chart.y.log:
         powers_of_ten(axes)
-    panel_title(axes, title)
 
 
-def draw_panel(axes: Axes, chart: Figure, title: str) -> list[Line2D]:
-    """Draw a chart over time in a panel of small height, without a legend, and return its lines."""
+def draw_lines(axes: Axes, chart: Figure, title: str) -> list[Line2D]:
+    """Draw a chart with the title of a panel, but without a legend, in the house style, and return its lines."""
     dress(axes)
     lines = _draw(axes, chart, _house_looks(chart), {"size": 9, "color": INK}, {"size": 7, "color": FAINT})
-    axes.margins(x=0.01)
-    panel_title(axes, title)
+    axes.set_title(title, size=8.5, color=INK, loc="left", parse_math=False)
     return lines
-
-
-def panel_title(axes: Axes, text: str) -> None:
-    """Write a title above the upper left corner of `axes`; the text is not interpreted as mathematics."""
-    axes.set_title(text, size=8.5, color=INK, loc="left", parse_math=False)
 
 
 def draw_on(axes: Axes | None, chart: Figure, legend_title: str = "", *, vary_dashes: bool = False) -> Axes:
@@ -176,14 +182,8 @@ def _user_looks(chart: Figure, vary_dashes: bool) -> list[Look]:
 
 
 def _draw(axes: Axes, chart: Figure, looks: Sequence[Look], labels: Look, notes: Look) -> list[Line2D]:
-    """Draw a chart without its legend, and return its lines.
-
-    Parameters
-    ----------
-    labels
-        Look of the labels of the axes.
-    notes
-        Look of the marks and of the texts at the marks.
+    """Draw a chart without its legend, and return its lines. The look `labels` is that of the labels of the axes, and
+    `notes` that of the marks and of the texts at the marks.
     """
     axes.set_xlabel(chart.x.title, parse_math=False, **labels)
     axes.set_ylabel(chart.y.title, parse_math=False, **labels)

@@ -5,7 +5,6 @@ from __future__ import annotations
 import inspect
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -104,16 +103,11 @@ def compare(
     return draw_on(ax, chart, heading, vary_dashes=len(found) > 1)
 
 
-def draw_run(run: Run, kind: str, ax: Axes | None = None, **options: Any) -> Axes:
-    """Draw a plot of a run, of the given kind, on axes or on those of a new figure, and return the axes; see
-    `Run.plot`.
-    """
-    return draw_on(ax, comparison([run], kind, **options)[0])
-
-
 def drawing(run: Run) -> Callable[..., Axes]:
-    """Return the function that draws plots of a run; see `draw_run`."""
-    return partial(draw_run, run)
+    """Return the function that draws a plot of a run, of the given kind, on axes or on those of a new figure, and
+    returns the axes; see `Run.plot`.
+    """
+    return lambda kind, ax=None, **options: draw_on(ax, comparison([run], kind, **options)[0])
 
 
 def comparison(
@@ -123,7 +117,11 @@ def comparison(
     if not runs:
         raise SpecError("there is no run to draw")
     module = plot_module(kind)
-    _check_options(kind, options)
+    known = options_of(kind)
+    for name in options:
+        if name not in known:
+            hint = did_you_mean(name, known)
+            raise SpecError(f"the plot {kind!r} has no option {name!r}{hint}; its options are {listed(known)}")
     for run in runs:
         require_rows(run)
     names = list(labels) if labels is not None else differences(runs)
@@ -158,7 +156,8 @@ def differences(runs: Sequence[Run]) -> list[str]:
     these are not unique either, the names of the files, the identifiers of the runs, or numbers.
     """
     settings = [_settings(run) for run in runs]
-    keys = [key for key in dict.fromkeys(key for setting in settings for key in setting) if _differs(key, settings)]
+    keys = [*dict.fromkeys(key for setting in settings for key in setting)]
+    keys = [key for key in keys if len({setting.get(key, _NONE).text for setting in settings}) > 1]
     if 0 < len(keys) <= _DIFFERENCES:
         found = [
             ", ".join(filter(None, _with_units([one.get(key, _NONE) for key in keys], run)))
@@ -166,8 +165,9 @@ def differences(runs: Sequence[Run]) -> list[str]:
         ]
         if len(set(found)) == len(found):
             return found
-    for name in (_title, _file, lambda run: run.run_id):
-        found = [name(run) for run in runs]
+    titles = [" ".join(str(run.spec.get("title") or "").split()) for run in runs]
+    files = [Path(run.path).stem if run.path else "" for run in runs]
+    for found in (titles, files, [run.run_id for run in runs]):
         if all(found) and len(set(found)) == len(found):
             return found
     return [f"run {number}" for number in range(1, len(runs) + 1)]
@@ -181,15 +181,6 @@ def options_of(kind: str) -> list[str]:
 def _parameters(kind: str) -> list[str]:
     """Return the names of the parameters of the chart of a kind of plot, without the run."""
     return list(inspect.signature(plot_module(kind).chart).parameters)[1:]
-
-
-def _check_options(kind: str, options: Iterable[str]) -> None:
-    """Raise SpecError for an option that a kind of plot does not have."""
-    known = options_of(kind)
-    for name in options:
-        if name not in known:
-            hint = did_you_mean(name, known)
-            raise SpecError(f"the plot {kind!r} has no option {name!r}{hint}; its options are {listed(known)}")
 
 
 def _group(line: Line) -> str:
@@ -232,14 +223,10 @@ def _settings(run: Run) -> dict[str, _Setting]:
     told = ("integrator", "formulation", "stabilization", "title", "output", "limits", "check")
     for path, value in _leaves({key: value for key, value in spec.items() if key not in told}):
         if path != ("time", "step"):
-            found[path_text(path)] = _setting(path, value)
+            is_number = isinstance(value, int | float) and not isinstance(value, bool)
+            text = f"{value:g}" if is_number else str(value)
+            found[path_text(path)] = _Setting(f"{key_words(path)} {text}", path if is_number else ())
     return found
-
-
-def _setting(path: SpecPath, value: Any) -> _Setting:
-    if isinstance(value, bool) or not isinstance(value, int | float):
-        return _Setting(f"{key_words(path)} {value}")
-    return _Setting(f"{key_words(path)} {value:g}", path)
 
 
 def _with_units(settings: Sequence[_Setting], run: Run) -> list[str]:
@@ -262,15 +249,3 @@ def _leaves(value: Any, path: SpecPath = ()) -> list[tuple[SpecPath, Any]]:
     if isinstance(value, list):
         return [leaf for index, item in enumerate(value) for leaf in _leaves(item, (*path, index))]
     return [(path, value)]
-
-
-def _differs(key: str, settings: Sequence[Mapping[str, _Setting]]) -> bool:
-    return len({setting.get(key, _NONE).text for setting in settings}) > 1
-
-
-def _title(run: Run) -> str:
-    return " ".join(str(run.spec.get("title") or "").split())
-
-
-def _file(run: Run) -> str:
-    return Path(run.path).stem if run.path else ""

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -14,67 +13,60 @@ from mbdkit_report.figures.page_model import Axis, Figure
 from mbdkit_report.figures.quantity_text import length
 from mbdkit_report.plot.charts import Panel
 from mbdkit_report.plot.element_quantity import (
+    GAPS,
     MOST,
-    ElementQuantity,
-    angle_misalignment,
-    draw_elements,
     element_chart,
-    joint_misalignment,
+    element_panel,
+    misalignment,
     picked,
     value_text,
-    velocity_misalignment,
 )
 
 if TYPE_CHECKING:
     from mbdkit.archive.run import Run
 
-_READ = {"position": joint_misalignment, "velocity": velocity_misalignment, "angle": angle_misalignment}
-
 
 def panels(run: Run) -> list[Panel]:
-    """Return panels of the misalignments of positions and velocities and, if there are any, of angles."""
-    found = [joint_misalignment(run), velocity_misalignment(run)]
-    angle = angle_misalignment(run)
-    if not angle.zero:
-        found.append(angle)
+    """Return panels of the misalignments of positions and velocities and, if there are any, of angles. Joints whose
+    values are all zero, such as joints that do not constrain an angle, are left out if there are others.
+    """
+    position, velocity, angle = (misalignment(run, gap) for gap in GAPS)
     title = ""
     if run.joint_names:
         # The title states the largest value over all steps, which may not be among the recorded rows.
         largest = {name: joint.misalignment_max for name, joint in run.joints.items()}
         worst = max(largest, key=lambda name: np.nan_to_num(largest[name], nan=np.inf))
         title = f"misalignment: largest over every step {value_text(largest[worst], 'm')} ({worst})"
-    return [
-        Panel(
-            partial(draw_elements, quantity=_without_zeros(quantity), what="joints", log=True, title=title * (not row))
-        )
-        for row, quantity in enumerate(found)
-    ]
+    shown = [(position, title), (velocity, ""), *([] if angle.zero else [(angle, "")])]
+    few = [(one.only(one.nonzero_columns) if one.nonzero_columns else one, title) for one, title in shown]
+    return [element_panel(one, "joints", log=True, title=title) for one, title in few]
 
 
 def charts(run: Run) -> list[Figure]:
     """Return a chart of positions, and of each other kind of misalignment that is not zero everywhere."""
     if not (run.records("joints/misalignment") and run.joint_names):
         return []
-    return [chart(run), *(chart(run, gap=gap) for gap in ("velocity", "angle") if not _READ[gap](run).zero)]
+    return [chart(run, gap=gap) for gap in GAPS if gap == "position" or not misalignment(run, gap).zero]
 
 
 def chart(run: Run, *, joints: Names = None, gap: Gap = "position", most: int = MOST) -> Figure:
-    """Return the chart of one kind of misalignment of some joints.
+    """Return the chart of one kind of misalignment of some joints; the options are those of `RunPlots.drift`.
 
     Raises
     ------
-    SpecError
-        If there is no such kind of misalignment, or the mechanism has no joints.
-    UnknownNameError
-        If there is no such joint.
+    SpecError, UnknownNameError
+        If there is no such kind of misalignment or joint, or the mechanism has no joints.
     """
-    if gap not in _READ:
-        raise SpecError(f"the misalignment should be {listed(_READ, 'or')}, not {gap!r}")
-    quantity = _READ[gap](run)
+    if gap not in GAPS:
+        raise SpecError(f"the misalignment should be {listed(GAPS, 'or')}, not {gap!r}")
+    quantity = misalignment(run, gap)
     if not quantity.elements:
         raise SpecError("the mechanism of this run has no joints, so that there is no misalignment to draw")
+    worst, most_of_all = quantity.largest
+    remark = f"The largest misalignment is {length(most_of_all)}, of joint {quantity.elements[worst]}."
+    remark = "All joints stay closed exactly." if quantity.zero else remark
     text = {
-        "position": f"Distance between the two points of each joint. {_remark(quantity)}",
+        "position": f"Distance between the two points of each joint. {remark}",
         "velocity": "Relative velocity of the two points of each joint.",
         "angle": "Error of each prescribed angle.",
     }[gap]
@@ -82,19 +74,3 @@ def chart(run: Run, *, joints: Names = None, gap: Gap = "position", most: int = 
     few = quantity.only(picked(quantity, joints, "joint", most))
     title = quantity.name.capitalize() + " of the joints"
     return element_chart(quantity.name.replace(" ", "-"), title, text, axis, few)
-
-
-def _remark(quantity: ElementQuantity) -> str:
-    """Return a sentence on the largest misalignment."""
-    worst, most = quantity.largest
-    if quantity.zero:
-        return "All joints stay closed exactly."
-    return f"The largest misalignment is {length(most)}, of joint {quantity.elements[worst]}."
-
-
-def _without_zeros(quantity: ElementQuantity) -> ElementQuantity:
-    """Return the quantity without the joints whose values are all zero, such as joints that do not constrain an angle;
-    unchanged if this applies to all joints.
-    """
-    columns = quantity.nonzero_columns
-    return quantity.only(columns) if columns else quantity

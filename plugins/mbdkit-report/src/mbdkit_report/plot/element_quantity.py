@@ -12,13 +12,12 @@ from matplotlib.axes import Axes
 
 from mbdkit.archive.headlines import plus_minus
 from mbdkit.archive.peak_errors import errors_of_frames, whole_peak_errors
-from mbdkit.archive.run_views import Names
-from mbdkit.base.errors import UnknownNameError
+from mbdkit.archive.run_views import Gap, Names
 from mbdkit_report.figures.beam_curves import distributed_loads
 from mbdkit_report.figures.curves import UNKNOWN, Array, Bands, band_over_time, bands, errors_at
-from mbdkit_report.figures.page_model import Axis, Figure, Line, Mark
+from mbdkit_report.figures.page_model import TIME, Axis, Figure, Line, Mark
 from mbdkit_report.figures.palette import FAINT, INK, PALETTE, PAPER
-from mbdkit_report.plot.charts import draw_panel
+from mbdkit_report.plot.charts import Panel, draw_lines, named
 from mbdkit_report.plot.style import legend, powers_of_ten
 
 if TYPE_CHECKING:
@@ -85,9 +84,8 @@ class ElementQuantity:
         """Return the same quantity for some of the elements."""
         data = self.data
         part = Bands(data.time, data.low[:, columns], data.high[:, columns], data.peaks[columns], data.exact)
-        errors = None if self.errors is None else self.errors[:, columns]
+        errors, peaks = (None if one is None else one[..., columns] for one in (self.errors, self.peak_errors))
         elements = [self.elements[column] for column in columns]
-        peaks = None if self.peak_errors is None else self.peak_errors[columns]
         return replace(self, elements=elements, data=part, errors=errors, peak_errors=peaks)
 
 
@@ -120,72 +118,66 @@ def element_values(run: Run, unit: str, name: str) -> ElementQuantity:
     names = taken + [f"{one.name} (actuator)" if one.name in taken else one.name for one in acting]
     quantity = ElementQuantity(name, unit, tuple(names), bands(time, data))
     if run.accuracy is not None:
-        quantity = replace(quantity, peak_errors=np.full(len(names), np.nan))
-    if acting and run.accuracy is not None:
-        bars = run.array("actuators/value_error")
-        own = errors_of_frames(run, "actuators.value", list(run.actuators), np.abs(run.array("actuators/value")), bars)
-        errors = np.column_stack([np.full((len(time), len(forces)), np.nan), bars])
-        quantity = replace(
-            quantity,
-            errors=errors_at(run.accuracy, errors, quantity.data.time),
-            peak_errors=np.concatenate([np.full(len(forces), np.nan), own]),
-        )
+        errors, own = None, np.zeros(0)
+        if acting:
+            bars, largest = run.array("actuators/value_error"), np.abs(run.array("actuators/value"))
+            own = errors_of_frames(run, "actuators.value", list(run.actuators), largest, bars)
+            every = np.column_stack([np.full((len(time), len(forces)), np.nan), bars])
+            errors = errors_at(run.accuracy, every, quantity.data.time)
+        peaks = np.concatenate([np.full(len(forces), np.nan), own])
+        quantity = replace(quantity, errors=errors, peak_errors=peaks)
     return quantity.only(columns)
 
 
-def joint_quantity(
-    run: Run, name: str, path: str, unit: str, values: Callable[[Array], Array] = np.asarray
+def _joint_quantity(
+    run: Run, name: str, unit: str, error: str = "", values: Callable[[Array], Array] = np.asarray
 ) -> ElementQuantity:
-    """Return a quantity of all joints, read from an array of the archive group /joints.
+    """Return a quantity of all joints, read from the array of its name in the archive group /joints.
 
     Parameters
     ----------
-    path
-        Path of the array, of shape (T, J, ...).
+    error
+        Attribute of `Accuracy` with its estimated errors, ``reaction_error`` or ``torque_error``; empty for none.
     values
         Function that maps a block of rows to one value for each row and joint, such as the norm over the last axis.
     """
-    return ElementQuantity(name, unit, run.joint_names, bands(np.asarray(run.time), run.dataset(path), values))
+    data = run.dataset(f"joints/{name.replace(' ', '_')}")
+    quantity = ElementQuantity(name, unit, run.joint_names, bands(np.asarray(run.time), data, values))
+    if not error or run.accuracy is None:
+        return quantity
+    return replace(with_errors(run, quantity, error), peak_errors=whole_peak_errors(run, error))
 
 
-def joint_misalignment(run: Run) -> ElementQuantity:
-    """Return the misalignment of every joint [m]."""
-    return joint_quantity(run, "misalignment", "joints/misalignment", "m")
+GAPS: dict[Gap, tuple[str, str]] = {
+    "position": ("misalignment", "m"),
+    "velocity": ("velocity misalignment", "m/s"),
+    "angle": ("angle misalignment", "rad"),
+}
+"""Name and unit of each kind of misalignment."""
 
 
-def velocity_misalignment(run: Run) -> ElementQuantity:
-    """Return the velocity misalignment of every joint [m/s]."""
-    return joint_quantity(run, "velocity misalignment", "joints/velocity_misalignment", "m/s")
-
-
-def angle_misalignment(run: Run) -> ElementQuantity:
-    """Return the angle misalignment of every joint [rad]; zero for joints that do not constrain an angle."""
-    return joint_quantity(run, "angle misalignment", "joints/angle_misalignment", "rad")
+def misalignment(run: Run, gap: Gap = "position") -> ElementQuantity:
+    """Return a kind of misalignment of every joint; an angle is zero for joints that do not constrain an angle."""
+    return _joint_quantity(run, *GAPS[gap])
 
 
 def reaction_force(run: Run) -> ElementQuantity:
     """Return the magnitude of the reaction force of every joint [N], with its estimated error."""
-    force = joint_quantity(
-        run, "reaction force", "joints/reaction_force", "N", lambda force: np.hypot(force[..., 0], force[..., 1])
-    )
-    return with_peak_errors(run, with_errors(run, force, "reaction_error"), "reaction_error")
+    return _joint_quantity(run, "reaction force", "N", "reaction_error", lambda f: np.hypot(f[..., 0], f[..., 1]))
 
 
 def reaction_torque(run: Run) -> ElementQuantity:
     """Return the reaction torque of every joint [N m], with its estimated error."""
-    torque = joint_quantity(run, "reaction torque", "joints/reaction_torque", "N m")
-    return with_peak_errors(run, with_errors(run, torque, "torque_error"), "torque_error")
+    return _joint_quantity(run, "reaction torque", "N m", "torque_error")
 
 
 def with_errors(
     run: Run, quantity: ElementQuantity, name: str, joints: Sequence[int] | slice = slice(None)
 ) -> ElementQuantity:
-    """Add the estimated errors of joints to a quantity, if they were estimated.
+    """Add the estimated errors of joints to a quantity, if they were estimated: the attribute `name` of `Accuracy`.
 
     Parameters
     ----------
-    name
-        Attribute of `Accuracy`: ``reaction_error`` or ``torque_error``.
     joints
         Index of the joint of each element; by default the elements are all joints.
     """
@@ -197,91 +189,47 @@ def with_errors(
     return replace(quantity, errors=errors, known_until=until)
 
 
-def with_peak_errors(run: Run, quantity: ElementQuantity, name: str) -> ElementQuantity:
-    """Add the errors of the largest values to a quantity of all joints, if errors were estimated.
-
-    Parameters
-    ----------
-    name
-        Attribute of `Accuracy`: ``reaction_error`` or ``torque_error``.
-    """
-    if run.accuracy is None:
-        return quantity
-    return replace(quantity, peak_errors=whole_peak_errors(run, name))
-
-
 def picked(quantity: ElementQuantity, wanted: Names, what: str, most: int = MOST) -> list[int]:
     """Return the indices of the wanted elements or, if None, of at most `most` elements with the largest values.
     Elements whose values are all zero are then left out, except a single one if there are no others.
-
-    Parameters
-    ----------
-    what
-        Kind of the elements, such as ``joint``.
-
-    Raises
-    ------
-    UnknownNameError
-        If there is no such element.
+    Raises UnknownNameError if there is no such element, of the kind `what`.
     """
     if wanted is None:
         columns = quantity.nonzero_columns
         return [columns[k] for k in quantity.only(columns).largest_columns(most)] or quantity.largest_columns(1)
-    names = [wanted] if isinstance(wanted, str) else list(dict.fromkeys(wanted))
-    for name in names:
-        if name not in quantity.elements:
-            raise UnknownNameError(what, name, list(quantity.elements))
-    return [quantity.elements.index(name) for name in names]
+    return [quantity.elements.index(name) for name in named(wanted, quantity.elements, what)]
 
 
-def element_lines(quantity: ElementQuantity, groups: Sequence[str] = ()) -> tuple[Line, ...]:
-    """Return a line of a chart for each element.
+def element_chart(
+    name: str, title: str, caption: str, axis: Axis, quantity: ElementQuantity, groups: Sequence[str] = ()
+) -> Figure:
+    """Return a chart of a quantity of some elements over time, with a mark at the time until which errors are known.
 
-    A long run is divided into bands of consecutive rows. Its lines show the largest value of each band or, if any value
+    A long run is divided into bands of consecutive rows. The lines show the largest value of each band or, if any value
     is negative, the smallest and the largest value.
 
     Parameters
     ----------
     groups
-        Group of each line; by default its element.
+        Group of the line of each element; by default the element.
     """
-    data = quantity.data
+    data, errors = quantity.data, quantity.errors
     signed = bool(np.nanmin(data.low, initial=0.0) < 0.0)
-    found = []
+    lines = []
     for k, (label, group) in enumerate(zip(quantity.elements, groups or quantity.elements, strict=True)):
         time, values = data.curve(k) if signed else (data.time, data.high[:, k])
-        found.append(Line(label, time, values, group=group, band=_band(quantity, k)))
-    return tuple(found)
-
-
-def element_chart(name: str, title: str, caption: str, axis: Axis, quantity: ElementQuantity, **look: Any) -> Figure:
-    """Return a chart of a quantity of some elements over time, with a mark at the time until which errors are known.
-
-    Parameters
-    ----------
-    **look
-        Further arguments of `element_lines`.
-    """
-    marks: tuple[Mark, ...] = ()
-    if quantity.errors is not None:
+        band = None if errors is None else band_over_time(data.time, data.low[:, k], data.high[:, k], errors[:, k])
+        lines.append(Line(label, time, values, group=group, band=band))
+    if errors is not None:
         caption += " Bands show estimated errors; those narrower than a line are hidden by it."
-    if math.isfinite(quantity.known_until):
-        marks = (Mark(UNKNOWN, quantity.known_until),)
-    return Figure(name, title, caption, Axis("time", "s"), axis, element_lines(quantity, **look), marks=marks)
+    marks = (Mark(UNKNOWN, quantity.known_until),) if math.isfinite(quantity.known_until) else ()
+    return Figure(name, title, caption, TIME, axis, tuple(lines), marks=marks)
 
 
-def _band(quantity: ElementQuantity, column: int) -> Array | None:
-    """Return the outline of the error band around the curve of one element; None if the error is unknown or not
-    estimated.
-    """
-    if quantity.errors is None:
-        return None
-    data = quantity.data
-    return band_over_time(data.time, data.low[:, column], data.high[:, column], quantity.errors[:, column])
-
-
-def draw_elements(axes: Axes, quantity: ElementQuantity, what: str, *, log: bool = False, title: str = "") -> None:
-    """Draw a quantity of the elements over time.
+def element_panel(
+    quantity: ElementQuantity, what: str, height: float = Panel.height, *, log: bool = False, title: str = ""
+) -> Panel:
+    """Return the panel of a quantity of the elements over time.
 
     If there are not more elements than colours, each is drawn. Otherwise, the maximum over all elements and the five
     elements with the largest values are drawn.
@@ -293,30 +241,36 @@ def draw_elements(axes: Axes, quantity: ElementQuantity, what: str, *, log: bool
     title
         Title of the panel; by default it states the largest value.
     """
-    elements, data = quantity.elements, quantity.data
-    few, handles, labels, floor = quantity, [], [], _floor(data.high) if log else -np.inf
-    if len(elements) > MOST:
-        few = quantity.only(quantity.largest_columns(MOST - 1))
-        top = np.max(np.nan_to_num(np.maximum(np.abs(data.low), np.abs(data.high))), axis=1)
-        handles = axes.plot(data.time, np.maximum(top, floor), color=INK, linewidth=2.2, alpha=0.45)
-        labels = [f"largest of {len(elements)}"]
-    chart = element_chart("", "", "", Axis(quantity.name, quantity.unit, log), few)
-    if log:
-        chart = replace(chart, lines=tuple(replace(line, y=np.maximum(line.y, floor)) for line in chart.lines))
-    if not elements:
-        title = f"{quantity.name}: there are no {what}"
-    elif not title:
-        column, most = quantity.largest
-        title = f"{quantity.name}: largest {_with_error(quantity, column, most)} ({elements[column]})"
-    handles += draw_panel(axes, chart, title)
-    axes.set_ylabel(f"{quantity.name}\n[{quantity.unit}]")
-    legend(axes, handles, [*labels, *few.elements])
-    if log:
-        _show_floor(axes, floor, data.high, quantity.unit)
-    elif elements:
-        powers_of_ten(axes)
-        if np.nanmin(data.low, initial=0.0) >= 0.0:
-            axes.set_ylim(bottom=0.0)
+
+    def draw(axes: Axes) -> None:
+        elements, data = quantity.elements, quantity.data
+        few, handles, labels, floor = quantity, [], [], _floor(data.high) if log else -np.inf
+        if len(elements) > MOST:
+            few = quantity.only(quantity.largest_columns(MOST - 1))
+            top = np.max(np.nan_to_num(np.maximum(np.abs(data.low), np.abs(data.high))), axis=1)
+            handles = axes.plot(data.time, np.maximum(top, floor), color=INK, linewidth=2.2, alpha=0.45)
+            labels = [f"largest of {len(elements)}"]
+        chart = element_chart("", "", "", Axis(quantity.name, quantity.unit, log), few)
+        if log:
+            chart = replace(chart, lines=tuple(replace(line, y=np.maximum(line.y, floor)) for line in chart.lines))
+        heading = title
+        if not elements:
+            heading = f"{quantity.name}: there are no {what}"
+        elif not title:
+            column, most = quantity.largest
+            heading = f"{quantity.name}: largest {_with_error(quantity, column, most)} ({elements[column]})"
+        handles += draw_lines(axes, chart, heading)
+        axes.margins(x=0.01)
+        axes.set_ylabel(f"{quantity.name}\n[{quantity.unit}]")
+        legend(axes, handles, [*labels, *few.elements])
+        if log:
+            _show_floor(axes, floor, data.high, quantity.unit)
+        elif elements:
+            powers_of_ten(axes)
+            if np.nanmin(data.low, initial=0.0) >= 0.0:
+                axes.set_ylim(bottom=0.0)
+
+    return Panel(draw, height)
 
 
 def _with_error(quantity: ElementQuantity, column: int, largest: float) -> str:

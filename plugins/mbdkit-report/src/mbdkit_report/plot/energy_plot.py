@@ -12,10 +12,9 @@ from mbdkit.archive.run_views import Names
 from mbdkit.base.errors import SpecError
 from mbdkit.base.text import did_you_mean, listed
 from mbdkit_report.figures.curves import Array, bands
-from mbdkit_report.figures.page_model import Axis, Figure, Line
+from mbdkit_report.figures.page_model import TIME, Axis, Figure, Line
 from mbdkit_report.figures.palette import INK, PALETTE
-from mbdkit_report.plot.charts import Panel, draw_panel
-from mbdkit_report.plot.style import legend, powers_of_ten
+from mbdkit_report.plot.charts import Panel, draw_chart
 
 if TYPE_CHECKING:
     from mbdkit.archive.run import Run
@@ -31,12 +30,10 @@ COLORS = {
 TERMS = ("total", "kinetic", "potential", "dissipated", "work")
 """Energies that a chart shows, the most important first."""
 
-_TIME = Axis("time", "s")
-
 
 def panels(run: Run) -> list[Panel]:
     """Return the panels of the energies and of their balance."""
-    values = _read(run, *COLORS)
+    values = _read(run)
     energies, balance = _charts(run, values)
     _, base = _relative(values)
     largest, kinetic = (float(np.nanmax(np.abs(values[name]), initial=0.0)) for name in ("balance", "kinetic"))
@@ -49,31 +46,24 @@ def panels(run: Run) -> list[Panel]:
 
 
 def _draw(axes: Axes, chart: Figure, title: str) -> None:
-    lines = draw_panel(axes, chart, title)
-    if chart.needs_key:
-        legend(axes, lines, [line.label for line in chart.lines])
-    powers_of_ten(axes)
+    draw_chart(axes, chart, title)
+    axes.margins(x=0.01)
 
 
 def charts(run: Run) -> list[Figure]:
     """Return the charts of the energies and of their balance."""
-    return list(_charts(run, _read(run, *COLORS))) if run.records("energy/balance") else []
+    return list(_charts(run, _read(run))) if run.records("energy/balance") else []
 
 
 def _charts(run: Run, values: dict[str, Array]) -> tuple[Figure, Figure]:
     energies, base = _relative(values)
+    about = f"Potential and total energy are relative to the potential energy at the start, {base:.4g} J."
+    of_balance = "Total + dissipated - work, minus its value at the start. Without numerical error it is zero."
     lines = tuple(_line(run, name, curve, name) for name, curve in energies.items())
-    caption = f"Potential and total energy are relative to the potential energy at the start, {base:.4g} J."
+    balance = (_line(run, "balance", values["balance"], "balance"),)
     return (
-        Figure("energy", "Energy", caption, _TIME, Axis("energy", "J"), lines),
-        Figure(
-            "balance",
-            "Energy balance",
-            "Total + dissipated - work, minus its value at the start. Without numerical error it is zero.",
-            _TIME,
-            Axis("balance", "J"),
-            (_line(run, "balance", values["balance"], "balance"),),
-        ),
+        Figure("energy", "Energy", about, TIME, Axis("energy", "J"), lines),
+        Figure("balance", "Energy balance", of_balance, TIME, Axis("balance", "J"), balance),
     )
 
 
@@ -82,26 +72,15 @@ def _line(run: Run, name: str, values: Array, label: str) -> Line:
 
 
 def chart(run: Run, *, terms: Names = None, most: int = len(TERMS)) -> Figure:
-    """Return the chart of some energies, with potential and total relative to the potential at the start.
-
-    Parameters
-    ----------
-    terms
-        Some of ``kinetic``, ``potential``, ``total``, ``dissipated``, ``work`` and ``balance``. By default, the
-        balance is left out, as are dissipated energy and work if they are zero.
-
-    Raises
-    ------
-    SpecError
-        If there is no such energy.
+    """Return the chart of some energies; the options are those of `RunPlots.energy`. Raises SpecError if there is no
+    such energy.
     """
     names = [terms] if isinstance(terms, str) else list(terms or ())
     for name in names:
         if name not in COLORS:
-            raise SpecError(
-                f"terms of the energy are {listed(COLORS, 'and')}, not {name!r}{did_you_mean(name, COLORS)}"
-            )
-    values = _read(run, *COLORS)
+            hint = did_you_mean(name, COLORS)
+            raise SpecError(f"terms of the energy are {listed(COLORS, 'and')}, not {name!r}{hint}")
+    values = _read(run)
     relative, base = _relative(values)
     if terms is None:
         names = [name for name in TERMS if name in relative][:most]
@@ -109,11 +88,11 @@ def chart(run: Run, *, terms: Names = None, most: int = len(TERMS)) -> Figure:
     labels = {"potential": "potential (0 at the start)"} if base else {}
     lines = (_line(run, name, curve, labels.get(name, name)) for name, curve in shown.items())
     label = "energy balance" if names == ["balance"] else "energy"
-    return Figure("energy", "Energy", "", _TIME, Axis(label, "J"), tuple(lines))
+    return Figure("energy", "Energy", "", TIME, Axis(label, "J"), tuple(lines))
 
 
-def _read(run: Run, *names: str) -> dict[str, Array]:
-    return {name: np.asarray(run.dataset(f"energy/{name}")[:], dtype=np.float64) for name in names}
+def _read(run: Run) -> dict[str, Array]:
+    return {name: np.asarray(run.dataset(f"energy/{name}")[:], dtype=np.float64) for name in COLORS}
 
 
 def _relative(values: dict[str, Array]) -> tuple[dict[str, Array], float]:

@@ -4,14 +4,13 @@ the elements that exert a torque.
 
 from __future__ import annotations
 
-from functools import partial
 from typing import TYPE_CHECKING
 
 from mbdkit.archive.run_views import Names
 from mbdkit.base.errors import SpecError
 from mbdkit_report.figures.page_model import Axis, Figure
 from mbdkit_report.plot.charts import Panel
-from mbdkit_report.plot.element_quantity import MOST, draw_elements, element_chart, element_values, has_elements, picked
+from mbdkit_report.plot.element_quantity import MOST, element_chart, element_panel, element_values, has_elements, picked
 
 if TYPE_CHECKING:
     from mbdkit.archive.run import Run
@@ -19,31 +18,21 @@ if TYPE_CHECKING:
 
 def panels(run: Run) -> list[Panel]:
     """Return the panel of the forces."""
-    force = element_values(run, "N", "force")
-    return [Panel(partial(draw_elements, quantity=force, what="force elements"), height=2.7)]
+    return [element_panel(element_values(run, "N", "force"), "force elements", 2.7)]
 
 
 def charts(run: Run) -> list[Figure]:
     """Return the chart of the forces, if there are any."""
-    if not has_elements(run):
-        return []
-    return [chart(run)] if element_values(run, "N", "force").elements else []
+    return [chart(run)] if has_elements(run) and element_values(run, "N", "force").elements else []
 
 
 def chart(run: Run, *, elements: Names = None, most: int = MOST) -> Figure:
-    """Return the chart of the forces of some force elements.
-
-    Parameters
-    ----------
-    elements
-        Names of force elements and actuators; by default those with the largest forces.
+    """Return the chart of the forces of some force elements; the options are those of `RunPlots.forces`.
 
     Raises
     ------
-    SpecError
-        If no element exerts a force.
-    UnknownNameError
-        If there is no such force element.
+    SpecError, UnknownNameError
+        If no element exerts a force, or there is no such force element.
     """
     force = element_values(run, "N", "force")
     if not force.elements:

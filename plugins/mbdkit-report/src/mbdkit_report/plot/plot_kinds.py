@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 from functools import wraps
 from importlib import import_module
+from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any, Protocol, cast
 
 from mbdkit.base.errors import SpecError
 from mbdkit.plugin import use
-from mbdkit.registry.catalogue import Registered
 from mbdkit.registry.feature_items import PlotKind
 from mbdkit.registry.manager import registry
 
@@ -45,7 +45,7 @@ class PlotModule(Protocol):
 
 
 def plot_module(kind: str) -> PlotModule:
-    """Return the module of a kind of plot.
+    """Return the functions of a kind of plot; errors of other distributions name them.
 
     Raises
     ------
@@ -58,26 +58,21 @@ def plot_module(kind: str) -> PlotModule:
     item = registry().get("plot-kind", kind)
     name = cast(PlotKind, item.plugin).module
     use(item, item.plugin.check_targets)
-    return _Plot(item, import_module(name))
+    module = import_module(name)
 
-
-class _Plot:
-    """The module of a plot; errors of other distributions name them."""
-
-    def __init__(self, item: Registered, module: Any):
-        self._item, self._module = item, module
-        # with the signature of the function, which names the options
-        self.chart = wraps(module.chart)(lambda run, **options: self._chart(run, **options))
-        if hasattr(module, "panels"):
-            self.panels = lambda run: use(item, lambda: list(module.panels(run)))
-
-    def charts(self, run: Run) -> Sequence[Figure]:
-        return [self._checked(chart) for chart in use(self._item, lambda: list(self._module.charts(run)))]
-
-    def _chart(self, run: Run, **options: Any) -> Figure:
-        return self._checked(use(self._item, lambda: self._module.chart(run, **options)))
-
-    def _checked(self, chart: Any) -> Figure:
+    def checked(chart: Any) -> Figure:
         from mbdkit_report.figures.page_model import Figure
 
-        return cast(Figure, use(self._item, lambda: chart, of=Figure))
+        return cast(Figure, use(item, lambda: chart, of=Figure))
+
+    def chart(run: Run, **options: Any) -> Figure:
+        return checked(use(item, lambda: module.chart(run, **options)))
+
+    def charts(run: Run) -> list[Figure]:
+        return [checked(one) for one in use(item, lambda: list(module.charts(run)))]
+
+    # with the signature of the function, which names the options
+    plot = SimpleNamespace(chart=wraps(module.chart)(chart), charts=charts)
+    if hasattr(module, "panels"):
+        plot.panels = lambda run: use(item, lambda: list(module.panels(run)))
+    return cast(PlotModule, plot)

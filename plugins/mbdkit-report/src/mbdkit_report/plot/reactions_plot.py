@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -16,8 +15,8 @@ from mbdkit_report.plot.charts import Panel
 from mbdkit_report.plot.element_quantity import (
     MOST,
     ElementQuantity,
-    draw_elements,
     element_chart,
+    element_panel,
     picked,
     reaction_force,
     with_errors,
@@ -48,14 +47,11 @@ def panels(run: Run) -> list[Panel]:
     Drivers that exert only a torque, such as motors, are left out of the panel of the forces.
     """
     force = reaction_force(run)
-    idle = {
-        name for name, peak in zip(force.elements, force.data.peaks, strict=True) if name in run.drivers and not peak
-    }
+    peaks = zip(force.elements, force.data.peaks, strict=True)
+    idle = {name for name, peak in peaks if name in run.drivers and not peak}
     force = force.only([column for column, name in enumerate(force.elements) if name not in idle])
-    found = [Panel(partial(draw_elements, quantity=force, what="joints"))]
-    if (torque := carried_torque(run, force)) is not None:
-        found.append(Panel(partial(draw_elements, quantity=torque, what="joints")))
-    return found
+    torque = carried_torque(run, force)
+    return [element_panel(one, "joints") for one in (force, torque) if one is not None]
 
 
 def charts(run: Run) -> list[Figure]:
@@ -64,22 +60,12 @@ def charts(run: Run) -> list[Figure]:
 
 
 def chart(run: Run, *, joints: Names = None, components: Components | str = "magnitude", most: int = MOST) -> Figure:
-    """Return the chart of the forces in some joints.
-
-    Parameters
-    ----------
-    joints
-        Names of joints; by default those with the largest forces.
-    components
-        ``magnitude``; ``x``, ``y`` or both (``global``), in the global frame; ``axial``, ``shear`` or both (``body``),
-        along the x and the y axis of the second body of the joint, or of the first body if the second is the ground.
+    """Return the chart of the forces in some joints; the options are those of `RunPlots.reactions`.
 
     Raises
     ------
-    SpecError
-        If there are no such components, or the mechanism has no joints.
-    UnknownNameError
-        If there is no such joint.
+    SpecError, UnknownNameError
+        If there are no such components or joints, or the mechanism has no joints.
     """
     if components not in COMPONENTS:
         hint = did_you_mean(components, COMPONENTS)
@@ -96,11 +82,8 @@ def chart(run: Run, *, joints: Names = None, components: Components | str = "mag
     parts = _components(run, columns, shown)
     groups = [run.joint_names[column] for column in columns for _ in shown]
     axis = Axis(_AXIS.get(components, "joint force"), "N")
-    frame = (
-        "the global frame"
-        if shown[0] in ("x", "y")
-        else "the frame of the second body, or of the first if it is ground"
-    )
+    frame = "the frame of the second body, or of the first if it is ground"
+    frame = "the global frame" if shown[0] in ("x", "y") else frame
     caption = f"{caption}: {listed(shown, 'and')} in {frame}."
     return element_chart("reactions", "Joint forces", caption, axis, parts, groups=groups)
 

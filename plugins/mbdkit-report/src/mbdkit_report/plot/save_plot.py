@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 import re
 from collections.abc import Sequence
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -21,7 +20,7 @@ from mbdkit.base.files import check_suffix
 from mbdkit_report.figures.curves import require_rows
 from mbdkit_report.figures.palette import GRID, INK, PALETTE, PAPER
 from mbdkit_report.plot.caption import caption
-from mbdkit_report.plot.charts import Panel, draw_chart, draw_on, settle_layout
+from mbdkit_report.plot.charts import Panel, chart_panel, draw_on, settle_layout
 from mbdkit_report.plot.comparison import comparison
 from mbdkit_report.plot.plot_kinds import plot_module
 from mbdkit_report.plot.style import FORMATS, new_figure, save
@@ -45,23 +44,20 @@ def figure(run: Run, kind: str = "trajectory", **options: Any) -> Figure:
 
     Raises
     ------
-    SpecError
-        If the kind or an option is unknown, or the run has no rows.
-    UnknownNameError
-        If a name among the options is unknown.
-    MbdkitError
-        If the run did not record the plotted quantities.
+    SpecError, UnknownNameError, MbdkitError
+        If the kind or an option is unknown, a name among the options is, or the run has no rows, or did not record the
+        plotted quantities.
     """
     module = plot_module(kind)
     require_rows(run)
     if options:
         chart, _ = comparison([run], kind, **options)
         title = chart.lines[0].label if len(chart.lines) == 1 else ""  # a single line has no legend
-        panels: Sequence[Panel] = [Panel(partial(draw_chart, chart=chart, title=title), height=2.7)]
+        panels: Sequence[Panel] = [chart_panel(chart, title, 2.7)]
     elif hasattr(module, "panels"):
         panels = module.panels(run)
     else:
-        panels = [Panel(partial(draw_chart, chart=chart)) for chart in module.charts(run)]
+        panels = [chart_panel(chart) for chart in module.charts(run)]
     picture = new_figure(caption(run), _WIDTH, _HEADING_AND_LABELS + sum(panel.height for panel in panels))
     shared: Axes | None = None
     for row, panel in enumerate(panels, start=1):
@@ -149,19 +145,14 @@ _TEXT = 7.5  # points
 _SIZE = re.compile(r"(\d+(?:\.\d+)?) ?mm(?: ?x ?(\d+(?:\.\d+)?) ?mm)?", re.IGNORECASE)
 
 STYLE: dict[Any, Any] = {
-    "font.size": _TEXT,
-    "axes.labelsize": _TEXT,
-    "xtick.labelsize": _TEXT,
-    "ytick.labelsize": _TEXT,
-    "legend.fontsize": _TEXT,
-    "legend.title_fontsize": _TEXT,
-    "legend.frameon": False,
+    **dict.fromkeys(("font.size", "axes.labelsize", "xtick.labelsize", "ytick.labelsize"), _TEXT),
+    **dict.fromkeys(("legend.fontsize", "legend.title_fontsize"), _TEXT),
+    **dict.fromkeys(("legend.frameon", "axes.spines.top", "axes.spines.right"), False),
+    **dict.fromkeys(("figure.facecolor", "axes.facecolor"), PAPER),
     "legend.handlelength": 1.8,
     "axes.prop_cycle": cycler(color=PALETTE),
     "axes.edgecolor": INK,
     "axes.linewidth": 0.6,
-    "axes.spines.top": False,
-    "axes.spines.right": False,
     "axes.grid": True,
     "axes.axisbelow": True,
     "axes.formatter.use_mathtext": True,
@@ -173,8 +164,6 @@ STYLE: dict[Any, Any] = {
     "ytick.major.width": 0.6,
     "lines.linewidth": 1.1,
     "lines.markersize": 3.0,
-    "figure.facecolor": PAPER,
-    "axes.facecolor": PAPER,
 }
 """Settings of Matplotlib for figures in papers."""
 
@@ -234,16 +223,10 @@ def _legend_above(figure: Figure, width: float, title: str) -> None:
 
 
 def _columns(lengths: Sequence[int], room: float) -> int:
-    """Return the largest number of columns of a legend that fit into a width; at least 1.
+    """Return the largest number of columns of a legend that fit into a width, at least 1. `lengths` are the numbers of
+    letters in the labels; the width `room` is in units of the font size.
 
     A letter is about 0.6 font sizes wide, and the line before a label about 4 font sizes.
-
-    Parameters
-    ----------
-    lengths
-        Numbers of letters in the labels.
-    room
-        Width, in units of the font size.
     """
     for rows in range(1, len(lengths)):
         columns = [lengths[start : start + rows] for start in range(0, len(lengths), rows)]

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -10,14 +9,14 @@ import numpy as np
 from mbdkit.archive.headlines import ROUND_OFF
 from mbdkit.archive.run_views import Names
 from mbdkit.base.errors import SpecError
-from mbdkit_report.figures.curves import Bands
+from mbdkit_report.figures.curves import Array, Bands
 from mbdkit_report.figures.page_model import Axis, Figure
 from mbdkit_report.plot.charts import Panel
 from mbdkit_report.plot.element_quantity import (
     MOST,
     ElementQuantity,
-    draw_elements,
     element_chart,
+    element_panel,
     element_values,
     has_elements,
     picked,
@@ -31,33 +30,21 @@ if TYPE_CHECKING:
 
 def panels(run: Run) -> list[Panel]:
     """Return the panel of the torques of joints, drivers, force elements and actuators."""
-    return [Panel(partial(draw_elements, quantity=_carried_by_any(run), what="torques"), height=2.7)]
+    return [element_panel(_carried_by_any(run), "torques", 2.7)]
 
 
 def charts(run: Run) -> list[Figure]:
     """Return the chart of the torques, if there are any."""
-    if not run.records("joints/reaction_torque"):
-        return []
-    return [chart(run)] if _carried_by_any(run).elements else []
+    return [chart(run)] if run.records("joints/reaction_torque") and _carried_by_any(run).elements else []
 
 
 def chart(run: Run, *, joints: Names = None, elements: Names = None, most: int = MOST) -> Figure:
-    """Return the chart of torques.
-
-    Parameters
-    ----------
-    joints
-        Names of joints and drivers.
-    elements
-        Names of force elements and actuators. If neither `joints` nor `elements` are given, those with the largest
-        torques are drawn.
+    """Return the chart of torques; the options are those of `RunPlots.torques`.
 
     Raises
     ------
-    SpecError
-        If nothing in the mechanism exerts a torque.
-    UnknownNameError
-        If there is no such joint, or no such force element with a torque.
+    SpecError, UnknownNameError
+        If nothing in the mechanism exerts a torque, or there is no such joint, or force element with a torque.
     """
     if joints is None and elements is None:
         quantity = _carried_by_any(run)
@@ -100,18 +87,19 @@ def _carried_by_any(run: Run) -> ElementQuantity:
 
 def _joined(parts: list[ElementQuantity]) -> ElementQuantity:
     """Return several quantities with the same times as a single one; errors that were not estimated are nan."""
-    first = parts[0]
-    low, high = (np.concatenate([getattr(part.data, side) for part in parts], axis=1) for side in ("low", "high"))
-    peaks = np.concatenate([part.data.peaks for part in parts])
-    errors = None
-    if any(part.errors is not None for part in parts):
-        unknown = [np.full(part.data.high.shape, np.nan) if part.errors is None else part.errors for part in parts]
-        errors = np.concatenate(unknown, axis=1)
-    peak_errors = None
-    if any(part.peak_errors is not None for part in parts):
-        peak_errors = np.concatenate(
-            [np.full(len(part.elements), np.nan) if part.peak_errors is None else part.peak_errors for part in parts]
-        )
+    first, data = parts[0], [part.data for part in parts]
+    low, high, peaks = (
+        np.concatenate([getattr(one, name) for one in data], axis=-1) for name in ("low", "high", "peaks")
+    )
+    errors = _errors([part.errors for part in parts], [one.high for one in data])
+    peak_errors = _errors([part.peak_errors for part in parts], [one.peaks for one in data])
     names = [name for part in parts for name in part.elements]
-    data = Bands(first.data.time, low, high, peaks, first.data.exact)
-    return ElementQuantity("torque", "N m", names, data, errors, first.known_until, peak_errors)
+    together = Bands(first.data.time, low, high, peaks, first.data.exact)
+    return ElementQuantity("torque", "N m", names, together, errors, first.known_until, peak_errors)
+
+
+def _errors(given: list[Array | None], values: list[Array]) -> Array | None:
+    if all(one is None for one in given):
+        return None
+    pairs = zip(given, values, strict=True)
+    return np.concatenate([np.full_like(like, np.nan) if one is None else one for one, like in pairs], axis=-1)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -11,15 +10,14 @@ from matplotlib.lines import Line2D
 from numpy.typing import NDArray
 
 from mbdkit.archive.run_views import Names
-from mbdkit.base.errors import UnknownNameError
 from mbdkit_report.figures.beam_curves import bending_moments, largest_moment
 from mbdkit_report.figures.curves import Array, band_along_path, errors_at, evenly, take
-from mbdkit_report.figures.drawing_geometry import Drawing, Trace, choose_traces, draw_run, trace_points
+from mbdkit_report.figures.drawing_geometry import Drawing, Trace, choose_traces, draw_run, trace_points, traced_paths
 from mbdkit_report.figures.page_model import Axis, Figure, Line
 from mbdkit_report.figures.palette import FAINT, INK, body_colors, trace_colors
 from mbdkit_report.figures.plane_geometry import view_box
 from mbdkit_report.figures.pose import Pose
-from mbdkit_report.plot.charts import Panel
+from mbdkit_report.plot.charts import Panel, named
 from mbdkit_report.plot.style import dress, legend
 
 if TYPE_CHECKING:
@@ -31,16 +29,54 @@ _CHART_ROWS = 4_000
 
 def panels(run: Run) -> list[Panel]:
     """Return the panel of the paths and poses, with a height that suits the motion."""
-    drawing, traces, paths = _paths(run, _ROWS)
+    drawing, traces, paths = traced_paths(run, _ROWS)
     poses = take(run.dataset("trajectory/position"), evenly(len(run.time), 2))
-    box = (x0, x1), (y0, y1), _ = view_box(paths, drawing.world(poses))
+    (x0, x1), (y0, y1), cut = view_box(paths, drawing.world(poses))
     drawing = drawing.spanning((x0, x1), (y0, y1), poses)
     height = float(np.clip(4.9 * (y1 - y0) / (x1 - x0), 2.4, 5.4)) - 1.0
     errors = _errors(run, drawing, traces, _ROWS)
     moments = bending_moments(run, drawing.beams)
     last = None if moments is None else moments[-1]
     ends = drawing.world(poses)
-    draw = partial(_draw, drawing=drawing, traces=traces, paths=paths, ends=ends, box=box, errors=errors, moments=last)
+
+    def draw(axes: Axes) -> None:
+        dress(axes, "x [m]", "y [m]")
+        axes.set_aspect("equal", adjustable="box")
+        axes.set(xlim=(x0, x1), ylim=(y0, y1))
+        size = max(x1 - x0, y1 - y0)
+        grey = [FAINT] * len(drawing.bodies)
+        Pose(axes, drawing, grey, size, alpha=0.35).move(ends[0])
+        at_end = Pose(axes, drawing, body_colors(drawing), size, alpha=0.55, largest_moment=largest_moment(last))
+        at_end.move(ends[-1], last)
+        at_end.show_scale(axes, "at the end")
+        handles = []
+        for number, color in enumerate(trace_colors(drawing, traces)):
+            path = paths[:, number]
+            for part in _lines(traces[number].label, path, None if errors is None else errors[:, number]):
+                dashes = ":" if part.label != traces[number].label else "-"
+                (line,) = axes.plot(part.x, part.y, color=color, linestyle=dashes, linewidth=1.1, zorder=2.5, alpha=0.9)
+                if part.band is not None:
+                    axes.fill(*part.band.T, color=color, alpha=0.25, linewidth=0, zorder=2.4)
+            axes.plot(*path[0], marker="o", markersize=4.5, color=color, markerfacecolor="white", zorder=8)
+            axes.plot(*path[-1], marker="o", markersize=4.5, color=color, zorder=8)
+            handles.append(Line2D([], [], color=line.get_color(), linewidth=1.1))
+        hidden = len(drawing.main_traces) - len(traces)
+        labels = [trace.label for trace in traces]
+        if hidden:
+            handles.append(Line2D([], [], linestyle=""))
+            labels.append(f"({hidden} more)")
+        handles += [
+            Line2D([], [], color=FAINT, alpha=0.5, linewidth=3, marker="o", markersize=4.5, markerfacecolor="white"),
+            Line2D([], [], color=INK, alpha=0.7, linewidth=3, marker="o", markersize=4.5),
+        ]
+        labels += ["at the start", "at the end"]
+        if errors is not None and not np.all(np.isfinite(errors)):
+            handles.append(Line2D([], [], color=INK, linewidth=1.1, linestyle=":"))
+            labels.append("error unknown")
+        legend(axes, handles, labels, "paths and poses")
+        if cut:
+            axes.set_title("some points lie outside the picture", size=8.5, color=FAINT, loc="left")
+
     height += 0.0 if last is None else 0.6  # room for the scale of the bending moments
     return [Panel(draw, height, over_time=False)]
 
@@ -51,18 +87,8 @@ def charts(run: Run) -> list[Figure]:
 
 
 def chart(run: Run, *, points: Names = None, most: int = 6) -> Figure:
-    """Return the chart of the paths of some points.
-
-    Parameters
-    ----------
-    points
-        Names of markers, of bodies (their centres of mass), of joints that move, and of free ends such as ``rod2 end``;
-        by default the first `most` markers on bodies or, if there are none, free ends and moving joints.
-
-    Raises
-    ------
-    UnknownNameError
-        If there is no such point.
+    """Return the chart of the paths of some points; the options are those of `RunPlots.trajectory`, and at most `most`
+    points are shown unless they are named. Raises UnknownNameError if there is no such point.
     """
     rows = evenly(len(run.time), _CHART_ROWS)
     names, found = _points(run, points, most, rows)
@@ -101,18 +127,16 @@ def _points(
         moving = [name for name in markers if run.markers[name].body in run.bodies]
         names = list(moving or (trace.label for trace in choose_traces(drawing)))[:most]
     else:
-        names = [wanted] if isinstance(wanted, str) else list(dict.fromkeys(wanted))
+        names = named(wanted, dict.fromkeys([*markers, *traces]), "point")
     found = []
     for name in names:
         if name in markers:
             found.append(_marker_path(run, name, rows))
-        elif name in traces:
-            fixed, owners = trace_points(drawing, (traces[name],))
-            errors = _errors(run, drawing, (traces[name],), _CHART_ROWS)
-            path = fixed.world(take(run.dataset("trajectory/position"), rows, owners))[:, 0]
-            found.append((path, None if errors is None else errors[:, 0]))
-        else:
-            raise UnknownNameError("point", name, list(dict.fromkeys([*markers, *traces])))
+            continue
+        fixed, owners = trace_points(drawing, (traces[name],))
+        errors = _errors(run, drawing, (traces[name],), _CHART_ROWS)
+        path = fixed.world(take(run.dataset("trajectory/position"), rows, owners))[:, 0]
+        found.append((path, None if errors is None else errors[:, 0]))
     return names, found
 
 
@@ -157,65 +181,3 @@ def _errors(run: Run, drawing: Drawing, traces: tuple[Trace, ...], rows: int) ->
     points = [trace.point for trace in traces]
     of_points, arm = error[:, drawing.owner[points]], np.linalg.norm(drawing.local[points], axis=-1)
     return np.asarray(np.linalg.norm(of_points[..., :2], axis=-1) + arm * of_points[..., 2])
-
-
-def _paths(run: Run, rows: int) -> tuple[Drawing, tuple[Trace, ...], Array]:
-    """Return the drawing, the traced points, and their paths [m], shape (R, K, 2), with at most `rows` rows."""
-    drawing = draw_run(run)
-    traces = choose_traces(drawing)
-    fixed, owners = trace_points(drawing, traces)
-    return drawing, traces, fixed.world(take(run.dataset("trajectory/position"), evenly(len(run.time), rows), owners))
-
-
-def _draw(
-    axes: Axes,
-    drawing: Drawing,
-    traces: tuple[Trace, ...],
-    paths: Array,
-    ends: Array,
-    box: tuple[tuple[float, float], tuple[float, float], bool],
-    errors: Array | None,
-    moments: Array | None,
-) -> None:
-    """Draw paths (R, K, 2) with their errors (R, K), and the first and last pose `ends` (2, P, 2).
-
-    `box` has the limits of the picture, see `view_box`, and `moments` (E,) are the bending moments of the beams at the
-    end [N m].
-    """
-    (x0, x1), (y0, y1), cut = box
-    dress(axes, "x [m]", "y [m]")
-    axes.set_aspect("equal", adjustable="box")
-    axes.set(xlim=(x0, x1), ylim=(y0, y1))
-    size = max(x1 - x0, y1 - y0)
-    grey = [FAINT] * len(drawing.bodies)
-    Pose(axes, drawing, grey, size, alpha=0.35).move(ends[0])
-    at_end = Pose(axes, drawing, body_colors(drawing), size, alpha=0.55, largest_moment=largest_moment(moments))
-    at_end.move(ends[-1], moments)
-    at_end.show_scale(axes, "at the end")
-    handles = []
-    for number, color in enumerate(trace_colors(drawing, traces)):
-        path = paths[:, number]
-        for part in _lines(traces[number].label, path, None if errors is None else errors[:, number]):
-            dashes = ":" if part.label != traces[number].label else "-"
-            (line,) = axes.plot(part.x, part.y, color=color, linestyle=dashes, linewidth=1.1, zorder=2.5, alpha=0.9)
-            if part.band is not None:
-                axes.fill(*part.band.T, color=color, alpha=0.25, linewidth=0, zorder=2.4)
-        axes.plot(*path[0], marker="o", markersize=4.5, color=color, markerfacecolor="white", zorder=8)
-        axes.plot(*path[-1], marker="o", markersize=4.5, color=color, zorder=8)
-        handles.append(Line2D([], [], color=line.get_color(), linewidth=1.1))
-    hidden = len(drawing.main_traces) - len(traces)
-    labels = [trace.label for trace in traces]
-    if hidden:
-        handles.append(Line2D([], [], linestyle=""))
-        labels.append(f"({hidden} more)")
-    handles += [
-        Line2D([], [], color=FAINT, alpha=0.5, linewidth=3, marker="o", markersize=4.5, markerfacecolor="white"),
-        Line2D([], [], color=INK, alpha=0.7, linewidth=3, marker="o", markersize=4.5),
-    ]
-    labels += ["at the start", "at the end"]
-    if errors is not None and not np.all(np.isfinite(errors)):
-        handles.append(Line2D([], [], color=INK, linewidth=1.1, linestyle=":"))
-        labels.append("error unknown")
-    legend(axes, handles, labels, "paths and poses")
-    if cut:
-        axes.set_title("some points lie outside the picture", size=8.5, color=FAINT, loc="left")

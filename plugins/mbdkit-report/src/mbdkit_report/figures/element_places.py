@@ -1,0 +1,129 @@
+"""Points on the bodies through which cables over joints, muscles and the shapes of contacts are drawn."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+
+import numpy as np
+
+from mbdkit.mechanism.bodies import GROUND
+from mbdkit.mechanism.contacts import LineShape, Shape
+from mbdkit.mechanism.coordinate_function import CoordinateFunction, names_of, value_and_slopes
+from mbdkit.mechanism.joints import Joint
+from mbdkit.mechanism.mechanism import Mechanism
+from mbdkit.mechanism.muscles import Muscle
+from mbdkit.mechanism.pathways import JointAngles
+from mbdkit.mechanism.quantity_names import QuantityNames
+
+Place = tuple[str, tuple[float, float]]
+"""Body, and point in its frame [m]."""
+ON_CIRCLE = 24
+"""Number of points of a circle."""
+
+
+def cable_places(joints: Mapping[str, Joint], pathway: JointAngles) -> list[Place]:
+    """Return the points that a cable over pulleys passes, from its first body to its last one.
+
+    The cable passes every joint at a distance equal to the radius. It passes on the side on which its tension turns the
+    second body in the direction given by the sign of the radius. It ends beside the centres of mass of the first and
+    the last body, unless these are the ground.
+    """
+    passed = [joints[name] for name in pathway.radii]
+    places: list[Place] = []
+    for index, (joint, radius) in enumerate(zip(passed, pathway.radii.values(), strict=True)):
+        first, second = joint.bodies
+        before, after = _centre(joints, joint, first), _centre(joints, joint, second)
+        if index == 0 and first != GROUND:
+            places.append((first, _beside((0.0, 0.0), before, radius)[0]))
+        if second == GROUND:
+            places.append((first, _beside((0.0, 0.0), before, radius)[1]))
+            continue
+        following = passed[index + 1] if index + 1 < len(passed) else None
+        leads_on = following is not None and second in following.bodies
+        far = _centre(joints, following, second) if following is not None and leads_on else (0.0, 0.0)
+        near_side, far_side = _beside(after, far, radius)
+        places.append((second, near_side))
+        if not leads_on:
+            places.append((second, far_side))
+    return places
+
+
+def _beside(start: tuple[float, float], end: tuple[float, float], radius: float) -> list[tuple[float, float]]:
+    """Return two points shifted by a radius to the left of the direction from `start` to `end`."""
+    along = (end[0] - start[0], end[1] - start[1])
+    size = math.hypot(*along) or 1.0
+    across = (-radius * along[1] / size, radius * along[0] / size)
+    return [(point[0] + across[0], point[1] + across[1]) for point in (start, end)]
+
+
+def _centre(joints: Mapping[str, Joint], joint: Joint, body: str) -> tuple[float, float]:
+    """Return the point of a joint in the frame of one of its bodies [m]. For a driver without points, the point of
+    another joint between the same bodies is used; the origin if there is none.
+    """
+    for one in (joint, *joints.values()):
+        if set(one.bodies) == set(joint.bodies):
+            for _, name, point in one.attachments():
+                if name == body:
+                    return point
+    return 0.0, 0.0
+
+
+def muscle_places(mechanism: Mechanism, muscle: Muscle) -> list[Place]:
+    """Return the points of a muscle, from its origin to its insertion.
+
+    Moving points are drawn at their initial positions; conditional points are left out. On a circle, the point farthest
+    to the side of the path is used.
+    """
+    items = [item for item in muscle.path if item.when is None]
+    places: list[Place] = []
+    for item in items:  # a point, or the center of a circle, in the frame of its body at the start
+        x, y = (_value(mechanism, part) for part in item.center)
+        places.append((item.on, (x, y)))
+    found: list[Place] = []
+    for index, item in enumerate(items):
+        body, center = places[index]
+        if item.wrap is None:
+            found.append((body, center))
+            continue
+        (ax, ay), (bx, by) = (mechanism.to_global(*places[other]) for other in (index - 1, index + 1))
+        size = math.hypot(bx - ax, by - ay) or 1.0
+        reach = item.wrap.radius * (1.0 if item.wrap.side == "left" else -1.0) / size
+        x, y = mechanism.to_global(body, center)
+        found.append((body, mechanism.to_local(body, (x - reach * (by - ay), y + reach * (bx - ax)))))
+    return found
+
+
+def _value(mechanism: Mechanism, part: CoordinateFunction) -> float:
+    if isinstance(part, int | float):
+        return float(part)
+    names = QuantityNames(mechanism)
+    q = np.array([[x for body in mechanism.bodies.values() for x in (*body.position, body.angle)]])
+    values = {name: names.coordinate(name).value(q) for name in names_of(part)}
+    return float(value_and_slopes(part, values, 1)[0][0])
+
+
+def contact_places(mechanism: Mechanism, body: str, shape: Shape) -> list[Place]:
+    """Return the points through which the shape of a contact is drawn; none for a point, which has no outline."""
+    if shape.line is not None:
+        points = _line(mechanism, body, shape.line)
+    elif shape.circle is not None or shape.hole is not None:
+        (x, y), radius = shape.circle_of
+        turns = np.linspace(0.0, 2.0 * np.pi, ON_CIRCLE, endpoint=False).tolist()
+        points = [(x + radius * math.cos(turn), y + radius * math.sin(turn)) for turn in turns]
+    else:
+        points = list(shape.polygon or ())
+    closed = points[:1] if shape.line is None else []
+    return [(body, point) for point in [*points, *closed]]
+
+
+def _line(mechanism: Mechanism, body: str, line: LineShape) -> list[tuple[float, float]]:
+    """Return the ends of the drawn part of a line, which extends beyond all bodies by half of their total extent."""
+    (x, y), (nx, ny) = line.point, line.unit
+    elements = [*mechanism.joints.values(), *mechanism.contacts.values()]
+    places = [mechanism.to_global(name, point) for element in elements for _, name, point in element.attachments()]
+    places += [body.position for body in mechanism.bodies.values()]
+    local = [mechanism.to_local(body, place) for place in places]
+    along = [(px - x) * ny - (py - y) * nx for px, py in local]
+    room = 0.5 * float(np.max(np.ptp(np.array(places), axis=0))) or 1.0
+    return [(x + s * ny, y - s * nx) for s in (min(along) - room, max(along) + room)]
