@@ -11,6 +11,7 @@ import re
 from pathlib import Path
 from typing import Any
 
+import griffe
 from mkdocs.config.defaults import MkDocsConfig
 from mkdocs.structure.files import File, Files, InclusionLevel
 
@@ -26,6 +27,18 @@ FILES = (
     ".github/*.png", ".github/gallery/*.png",
 )  # fmt: skip
 """Files of the site, as patterns of paths in the repository."""
+
+
+class Stubs(griffe.Extension):
+    """Shows the methods of mechanisms that are made at run time as their stub declares them."""
+
+    def on_package(self, *, pkg: griffe.Module, **_: Any) -> None:
+        """Replace these methods in the package."""
+        if pkg.name == "mbdkit":
+            path = ROOT / "mbdkit/mechanism/element_methods.pyi"
+            stub = griffe.visit(path.stem, path, path.read_text(encoding="utf-8"))
+            for name, method in stub["ElementMethods"].members.items():
+                pkg["mechanism.element_methods.ElementMethods"].set_member(name, method)
 
 
 def on_files(files: Files, config: MkDocsConfig) -> Files:

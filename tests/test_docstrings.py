@@ -11,7 +11,7 @@ import pytest
 import mbdkit
 
 MODULES = [f"mbdkit.archive.{name}" for name in ("reader", "recorded_data", "run", "run_views")]
-MODULES += [f"mbdkit.mechanism.{name}" for name in ("element_methods", "joint_methods", "mechanism")]
+MODULES += [f"mbdkit.mechanism.{name}" for name in ("element_methods", "mechanism", "named_elements")]
 MODULES += ["mbdkit.methods.tableau", "mbdkit.runs.simulation", "mbdkit_report.plot.comparison"]
 MODULES += [f"mbdkit_statics.{name}" for name in ("equilibrium", "kinematics", "modes")]
 MODULES += [f"mbdkit_studies.{name}" for name in ("carry_out", "prepared_run", "study")]

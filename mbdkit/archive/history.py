@@ -8,7 +8,8 @@ from typing import NamedTuple, overload
 
 import numpy as np
 
-from mbdkit.archive.named_columns import Histories, Source, View
+from mbdkit.archive import recorded_columns as columns
+from mbdkit.archive.named_columns import Histories, Source
 from mbdkit.base.errors import UnknownNameError
 from mbdkit.base.html_view import HtmlView
 from mbdkit.mechanism.beam_shape import places_with_ends, with_ends
@@ -17,38 +18,16 @@ from mbdkit.mechanism.contacts import MODES
 from mbdkit.quantities.table import BY_GROUP
 
 
-class BodyHistory(View, of="trajectory"):
+class BodyHistory(columns.Trajectory, of="trajectory"):
     """Motion of one body: its centre of mass in the global frame and its angle."""
 
-    # columns (python -m mbdkit_testing.history_columns mbdkit/archive/history.py)
-    position: np.ndarray
-    angle: np.ndarray
-    velocity: np.ndarray
-    angular_velocity: np.ndarray
-    acceleration: np.ndarray
-    angular_acceleration: np.ndarray
 
-
-class JointHistory(View, of="joints"):
+class JointHistory(columns.Joints, of="joints"):
     """Misalignment of one joint and its reaction: force and torque of the first body on the second.
 
     Its `angle` is in `angle_units`: ``rad``, or ``m`` for the travel of a slide.
     """
 
-    # columns (python -m mbdkit_testing.history_columns mbdkit/archive/history.py)
-    misalignment: np.ndarray
-    velocity_misalignment: np.ndarray
-    angle_misalignment: np.ndarray
-    reaction_force: np.ndarray
-    reaction_torque: np.ndarray
-    reaction_force_first: np.ndarray
-    reaction_force_second: np.ndarray
-    angle: np.ndarray
-    driver_power: np.ndarray
-    friction: np.ndarray
-
-    bodies: tuple[str, str]
-    angle_units: str
     index: int
 
     @property
@@ -57,47 +36,25 @@ class JointHistory(View, of="joints"):
         return float(self.source.joint_misalignments[self.index])
 
 
-class ForceHistory(View, of="forces"):
+class ForceHistory(columns.Forces, of="forces"):
     """Length, force and energy of one force element.
 
     The value is a tension [N], positive where it pulls the bodies together; a torque on the second body [N m], positive
     counter-clockwise; or the magnitude of a force at a point [N]. The second body of a load is the one that it acts on.
     """
 
-    # columns (python -m mbdkit_testing.history_columns mbdkit/archive/history.py)
-    length: np.ndarray
-    rate: np.ndarray
-    value: np.ndarray
-    power: np.ndarray
-    potential: np.ndarray
 
-    bodies: tuple[str, str]
-    units: str
-
-
-class MarkerHistory(View, of="markers"):
+class MarkerHistory(columns.Markers, of="markers"):
     """Position and velocity of one marker in the global frame."""
 
-    # columns (python -m mbdkit_testing.history_columns mbdkit/archive/history.py)
-    position: np.ndarray
-    velocity: np.ndarray
 
-    body: str
-
-
-class BeamHistory(View, of="beams"):
+class BeamHistory(columns.Beams, of="beams"):
     """Shape, internal forces and strain energy of one beam.
 
     Internal forces are those in the middle of each element, in the frame of the cross-section, whose x axis is the
     tangent: the force and moment that the part on the side of end b exerts on the part on the side of end a. The moment
     is positive where it increases the angle along the beam.
     """
-
-    # columns (python -m mbdkit_testing.history_columns mbdkit/archive/history.py)
-    axial: np.ndarray
-    shear: np.ndarray
-    moment: np.ndarray
-    strain_energy: np.ndarray
 
     @property
     def nodes(self) -> tuple[str, ...]:
@@ -140,48 +97,20 @@ class BeamHistory(View, of="beams"):
         return f"<beam {self.name}: {len(self.nodes)} nodes>"
 
 
-class ObservedHistory(View, of="motion"):
+class ObservedHistory(columns.Motion, of="motion"):
     """One observed quantity of a measured motion: measured value, and value of the fitted mechanism."""
 
-    # columns (python -m mbdkit_testing.history_columns mbdkit/archive/history.py)
-    raw: np.ndarray
-    fitted: np.ndarray
-    residual: np.ndarray
 
-    units: str
-
-
-class ActuatorHistory(View, of="actuators"):
+class ActuatorHistory(columns.Actuators, of="actuators"):
     """Value [N or N m] of one actuator in inverse dynamics, the error of the value, and the power.
 
     Its `kind` is ``actuator``, ``reserve`` (of recruitment) or ``residual`` (a load from outside on a part that no
     joint connects to the ground); empty in archives of earlier versions.
     """
 
-    # columns (python -m mbdkit_testing.history_columns mbdkit/archive/history.py)
-    value: np.ndarray
-    power: np.ndarray
-    value_error: np.ndarray
 
-    units: str
-    kind: str
-
-
-class MuscleHistory(View, of="muscles"):
+class MuscleHistory(columns.Muscles, of="muscles"):
     """Length, fibres, activation, tension [N] with its error, and power of one muscle."""
-
-    # columns (python -m mbdkit_testing.history_columns mbdkit/archive/history.py)
-    length: np.ndarray
-    rate: np.ndarray
-    fiber_length: np.ndarray
-    fiber_rate: np.ndarray
-    activation: np.ndarray
-    excitation: np.ndarray
-    force: np.ndarray
-    power: np.ndarray
-    fiber_power: np.ndarray
-    metabolic_power: np.ndarray
-    force_error: np.ndarray
 
 
 class Transition(NamedTuple):
@@ -200,21 +129,12 @@ class Transition(NamedTuple):
     after: str
 
 
-class ContactHistory(View, of="contacts"):
+class ContactHistory(columns.Contacts, of="contacts"):
     """Gap, forces, slip and mode of one contact.
 
     Friction is the force on the second body, and slip its velocity relative to the first. Both are positive along the
     normal turned by -90 degrees.
     """
-
-    # columns (python -m mbdkit_testing.history_columns mbdkit/archive/history.py)
-    gap: np.ndarray
-    normal_force: np.ndarray
-    friction_force: np.ndarray
-    slip: np.ndarray
-    mode: np.ndarray
-
-    bodies: tuple[str, str]
 
     @property
     def transitions(self) -> list[Transition]:
@@ -224,50 +144,23 @@ class ContactHistory(View, of="contacts"):
         return [Transition(time[row], MODES[mode[row - 1]], MODES[mode[row]]) for row in changes]
 
 
-class GroundReactionHistory(View, of="ground_reactions"):
+class GroundReactionHistory(columns.GroundReactions, of="ground_reactions"):
     """Force of the ground on one body [N], and its centre of pressure [m], nan where the body is in the air."""
 
-    # columns (python -m mbdkit_testing.history_columns mbdkit/archive/history.py)
-    force: np.ndarray
-    normal_force: np.ndarray
-    center_of_pressure: np.ndarray
 
-
-class LoadHistory(View, of="loads"):
+class LoadHistory(columns.Loads, of="loads"):
     """One measured load, in inverse dynamics; force and point of application are in the global frame."""
 
-    # columns (python -m mbdkit_testing.history_columns mbdkit/archive/history.py)
-    force: np.ndarray
-    point: np.ndarray
-    torque: np.ndarray
-    power: np.ndarray
 
-    body: str
-
-
-class StateHistory(View, of="states"):
+class StateHistory(columns.States, of="states"):
     """Value and rate of one first-order state."""
 
-    # columns (python -m mbdkit_testing.history_columns mbdkit/archive/history.py)
-    value: np.ndarray
-    rate: np.ndarray
 
-    units: str
-
-
-class ConstraintHistory(View, of="constraints"):
+class ConstraintHistory(columns.Constraints, of="constraints"):
     """Residuals and multipliers of one constraint row, whose constraint function is in `units`: ``m`` or ``rad``."""
 
-    # columns (python -m mbdkit_testing.history_columns mbdkit/archive/history.py)
-    position_residual: np.ndarray
-    velocity_residual: np.ndarray
-    multiplier: np.ndarray
-    method_multiplier: np.ndarray
 
-    units: str
-
-
-class Energy(View, of="energy"):
+class Energy(columns.Energy, of="energy"):
     """Energies of the whole mechanism.
 
     `dissipated` contains the losses of dampers, passive laws, joints with friction, beams and rigid contacts. `work`
@@ -275,29 +168,9 @@ class Energy(View, of="energy"):
     losses are negative work.
     """
 
-    # columns (python -m mbdkit_testing.history_columns mbdkit/archive/history.py)
-    kinetic: np.ndarray
-    potential: np.ndarray
-    total: np.ndarray
-    dissipated: np.ndarray
-    work: np.ndarray
-    balance: np.ndarray
 
-
-class Steps(View, of="steps"):
+class Steps(columns.Steps, of="steps"):
     """Statistics of the integrator for each recorded interval; interval i ends at row i (the start is row 0)."""
-
-    # columns (python -m mbdkit_testing.history_columns mbdkit/archive/history.py)
-    time: np.ndarray
-    steps: np.ndarray
-    size: np.ndarray
-    iterations: np.ndarray
-    iterations_max: np.ndarray
-    rejected: np.ndarray
-    projections: np.ndarray
-    position_correction: np.ndarray
-    velocity_correction: np.ndarray
-    acceleration_correction: np.ndarray
 
 
 @dataclass(frozen=True)

@@ -136,8 +136,8 @@ class Label:
 class View:
     """Base class of histories: the columns of one object of a run, or of a whole group.
 
-    Subclasses have the columns and labels of a kind in the table of quantities; they declare the columns for type
-    checkers and completion (`mbdkit_testing.history_columns`).
+    Subclasses have the columns and labels of a kind in the table of quantities; `mbdkit.archive.recorded_columns`
+    declares them for type checkers and completion.
 
     Parameters
     ----------

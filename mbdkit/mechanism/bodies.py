@@ -146,7 +146,7 @@ class AtPoint(Element):
     body: str
     """Name of the body."""
     point: Point | None = (0.0, 0.0)
-    """The point in the body's frame [m]; the centre of mass by default."""
+    """The point (x, y) in the body's frame [m]; the centre of mass by default."""
     at: Point | None = None
     """The point (x, y) [m] in the global frame, for the given initial position of the body (before assembly); an
     alternative to `point`."""
@@ -214,7 +214,7 @@ class BetweenPoints(Between):
     """Keys of the points in the global frame: one for a common point, or one for each body."""
 
     points: Points | None = None
-    """One point of each body, in the frame of that body [m]."""
+    """One point of each body, [[x, y], [x, y]], in the frame of that body [m]."""
 
     @model_validator(mode="after")
     def _points_once(self) -> Self:

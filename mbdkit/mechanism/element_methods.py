@@ -1,437 +1,263 @@
-"""Methods of a mechanism that add forces, markers, muscles, contacts, coordinates, states and controllers."""
+"""Methods of a mechanism that add one type of element each, with the fields of its model as arguments.
+
+Type checkers read the signatures in ``element_methods.pyi``, which ``python -m mbdkit_builder methods`` writes.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from typing import Any, Literal
+from typing import Literal
 
 from mbdkit.base.errors import SpecError
 from mbdkit.base.plain_data import quoted
-from mbdkit.mechanism.bodies import Marker
-from mbdkit.mechanism.contacts import Contact, check_contacts
+from mbdkit.mechanism.beams import Beam
+from mbdkit.mechanism.bodies import Body, Marker
+from mbdkit.mechanism.contacts import Contact
 from mbdkit.mechanism.forces import PointForce, SpringDamper, Torque, TorsionSpring
-from mbdkit.mechanism.joint_methods import JointMethods, Pair, Value, made
+from mbdkit.mechanism.joints import Distance, Driver, PointOnLine, Prismatic, Revolute, Weld
 from mbdkit.mechanism.law_element import Law
-from mbdkit.mechanism.mechanism_data import Assembly, NamedCoordinate, check_coordinates
-from mbdkit.mechanism.muscles import Muscle, check_moving_points
+from mbdkit.mechanism.mechanism_data import NamedCoordinate
+from mbdkit.mechanism.model_methods import of_models
+from mbdkit.mechanism.muscles import Muscle
+from mbdkit.mechanism.named_elements import NamedElements
+from mbdkit.mechanism.pathways import JointAngles, TwoPoints
 from mbdkit.mechanism.state_values import Controller, FirstOrderState
 
 
-class ElementMethods(JointMethods):
-    """The part of `Mechanism` that adds its elements; bodies, beams and joints are those of the base class."""
+class ElementMethods(NamedElements):
+    """The part of `Mechanism` that adds its elements."""
 
-    markers: dict[str, Marker]
-    muscles: dict[str, Muscle]
-    contacts: dict[str, Contact]
-    coordinates: dict[str, NamedCoordinate]
-    states: dict[str, FirstOrderState]
-    controllers: dict[str, Controller]
-    assembly: Assembly
+    @of_models(Body)
+    def body(self, name, **keys) -> str:
+        """Add a body and return its name.
 
-    def spring_damper(
-        self,
-        name: str,
-        a: str,
-        b: str,
-        *,
-        from_: Pair | None = None,
-        to: Pair | None = None,
-        points: Sequence[Pair] | None = None,
-        stiffness: float = 0.0,
-        damping: float = 0.0,
-        free_length: float = 0.0,
-    ) -> None:
+        >>> m = Mechanism()
+        >>> m.body("rod", mass=2.0, inertia=2.0 * 1.5**2 / 12, position=(0.75, 0.0))
+        'rod'
+        """
+        self.add("bodies", name, **keys)
+        return name
+
+    @of_models(Beam)
+    def beam(self, name, **keys) -> tuple[str, ...]:
+        """Add a flexible beam and return the names of its nodes, which are bodies: ``name.0``, ``name.1``, ...
+        Connect its ends, or any other node, with joints: a weld clamps it, a revolute joint pins it.
+
+        A cantilever of steel, 2 m long:
+
+        >>> m = Mechanism()
+        >>> steel = {"E": 2.1e11, "nu": 0.3, "density": 7850.0}
+        >>> nodes = m.beam("arm", a=(0, 0), b=(2, 0), elements=8, A=1e-4, I=8.3e-10, **steel)
+        >>> nodes[0], nodes[-1]
+        ('arm.0', 'arm.8')
+        >>> m.weld("clamp", m.ground, nodes[0], at=(0, 0))
+        """
+        self.add("beams", name, **keys)
+        return self.beams[name].node_names(name)
+
+    @of_models(Revolute)
+    def revolute(self, name, a, b, **keys):
+        """Connect bodies `a` and `b` by a revolute joint.
+
+        >>> m = Mechanism()
+        >>> rod = m.body("rod", mass=2.0, inertia=0.375, position=(0.75, 0.0))
+        >>> m.revolute("A", m.ground, rod, at=(0.0, 0.0))
+
+        A wheel of radius 0.3 m that rolls on the x axis:
+
+        >>> wheel = m.body("wheel", mass=1.0, inertia=0.045, position=(0.0, 0.3))
+        >>> m.revolute("rolls", m.ground, wheel, at=(0.0, 0.3), center={"x": "-0.3*angle"})
+        """
+        self.add("joints", name, type="revolute", bodies=(a, b), **keys)
+
+    @of_models(Prismatic)
+    def prismatic(self, name, a, b, **keys):
+        """Connect bodies `a` and `b` by a prismatic joint.
+
+        >>> m = Mechanism()
+        >>> slider = m.body("slider", mass=1.0, inertia=0.1, position=(2.0, 0.0))
+        >>> m.prismatic("guide", m.ground, slider, at=(2.0, 0.0), axis=(1, 0))
+        """
+        self.add("joints", name, type="prismatic", bodies=(a, b), **keys)
+
+    @of_models(PointOnLine)
+    def point_on_line(self, name, a, b, **keys):
+        """Hold a point of `b` on a line of `a`."""
+        self.add("joints", name, type="point-on-line", bodies=(a, b), **keys)
+
+    @of_models(Weld)
+    def weld(self, name, a, b, **keys):
+        """Connect bodies `a` and `b` rigidly."""
+        self.add("joints", name, type="weld", bodies=(a, b), **keys)
+
+    @of_models(Distance)
+    def distance(self, name, a, b, **keys):
+        """Hold a point of `a` and a point of `b` at a constant distance."""
+        self.add("joints", name, type="distance", bodies=(a, b), **keys)
+
+    @of_models(Driver)
+    def driver(self, name, a, b, **keys):
+        """Prescribe the motion of `b` relative to `a`.
+
+        >>> m = Mechanism()
+        >>> crank = m.body("crank", mass=1.0, inertia=0.1)
+        >>> m.revolute("A", m.ground, crank, at=(0.0, 0.0))
+        >>> m.driver("motor", m.ground, crank, coordinate="angle", motion="2*pi*t")
+        """
+        self.add("joints", name, type="driver", bodies=(a, b), **keys)
+
+    @of_models(SpringDamper)
+    def spring_damper(self, name, a, b, **keys):
         """Add a linear spring and damper between a point of `a` and a point of `b`.
 
-        Parameters
-        ----------
-        name, a, b
-            Name of the force element, and the two bodies.
-        from_, to
-            The point of a and the point of b (x, y) [m] in the global frame at the initial positions.
-        points
-            Alternative to `from_` and `to`: the points in the frames of a and of b, ((x, y), (x, y)) [m].
-        stiffness, damping, free_length
-            Stiffness [N/m], damping [N s/m], and length at which the spring exerts no force [m].
-
-        Examples
-        --------
         >>> m = Mechanism()
         >>> ball = m.body("ball", mass=1.0, position=(0.0, -1.0))
         >>> m.spring_damper("s", m.ground, ball, from_=(0, 0), to=(0, -1), stiffness=100, damping=0.5, free_length=0.9)
         """
-        ends = {"bodies": (a, b), "points": points, "from": from_, "to": to}
-        self._add("forces", SpringDamper, name, **ends, stiffness=stiffness, damping=damping, free_length=free_length)
+        self.add("forces", name, type="spring-damper", bodies=(a, b), **keys)
 
-    def torsion_spring(
-        self, name: str, a: str, b: str, *, stiffness: float = 0.0, damping: float = 0.0, free_angle: float = 0.0
-    ) -> None:
+    @of_models(TorsionSpring)
+    def torsion_spring(self, name, a, b, **keys):
         """Add a linear torsion spring and damper between `a` and `b`, acting on angle_b - angle_a.
 
-        Parameters
-        ----------
-        name, a, b
-            Name of the force element, and the two bodies.
-        stiffness, damping, free_angle
-            Stiffness [N m/rad], damping [N m s/rad], and relative angle at which the spring exerts no torque [rad].
-
-        Examples
-        --------
         >>> m = Mechanism()
         >>> shank = m.body("shank", mass=3.0, inertia=0.05)
         >>> m.torsion_spring("knee", m.ground, shank, stiffness=20.0, damping=0.1)
         """
-        self._add(
-            "forces", TorsionSpring, name, bodies=(a, b), stiffness=stiffness, damping=damping, free_angle=free_angle
-        )
+        self.add("forces", name, type="torsion-spring", bodies=(a, b), **keys)
 
+    @of_models(Law, TwoPoints)
     def law(
         self,
-        name: str,
-        a: str,
-        b: str,
+        name,
+        a,
+        b,
         *,
-        law: str,
+        law,
         along: Literal["line", "angle", "x", "y"] = "line",
-        from_: Pair | None = None,
-        to: Pair | None = None,
-        points: Sequence[Pair] | None = None,
-        **options: Any,
-    ) -> None:
+        from_=None,
+        to=None,
+        points=None,
+        **options,
+    ):
         """Add a force given by a force law along a pathway between `a` and `b`.
 
-        Parameters
-        ----------
-        name, a, b
-            Name of the force element, and the two bodies.
-        law
-            Name of the force law: ``one-sided``, ``exponential``, ``gas-spring``, ``table``, ``linear``, or a plugin's.
-        along
-            The length of the pathway: ``line``, the distance between two points [m]; ``angle``, angle_b - angle_a
-            [rad]; or ``x`` or ``y``, a coordinate of b's point in a's frame [m].
-        from_, to
-            For a line: the point of a and the point of b (x, y) [m] in the global frame at the initial positions.
-        points
-            For a line, alternative to `from_` and `to`: the points in the frames of a and of b, ((x, y), (x, y)) [m].
-            For `x` and `y`: ((0, 0), b's point in b's frame) [m]; by default, b's origin.
-        **options
-            Options of the force law; ``mbdkit plugins show LAW`` lists them.
-
-        Examples
-        --------
         A rope, which only pulls:
 
         >>> m = Mechanism()
         >>> ball = m.body("ball", mass=1.0, position=(0.0, -1.0))
         >>> m.law("rope", m.ground, ball, law="one-sided", from_=(0, 0), to=(0, -1), stiffness=1e4, acts="tension")
         """
-        pathway: dict[str, Any] = {"bodies": (a, b)}
-        if along == "line":
-            pathway |= {"type": "two-points", "points": points, "from": from_, "to": to}
-        else:
-            if from_ is not None or to is not None:
-                raise SpecError(
-                    f"from_ and to can be given only with along='line', not with along='{along}'",
-                    key=f"model.forces.{quoted(name)}",
-                )
-            pathway |= {"type": "relative-angle"} if along == "angle" else {"type": "coordinate", "coordinate": along}
-            if points is not None:
-                pathway["points"] = points
-        self._add("forces", Law, name, law=law, pathway=pathway, **options)
+        if along != "line" and (from_ is not None or to is not None):
+            told = f"from_ and to can be given only with along='line', not with along='{along}'"
+            raise SpecError(told, key=f"model.forces.{quoted(name)}")
+        types = {"line": {"type": "two-points"}, "angle": {"type": "relative-angle"}}
+        where = _given(**{"points": points, "from": from_, "to": to})
+        pathway = {"bodies": (a, b), **types.get(along, {"type": "coordinate", "coordinate": along}), **where}
+        self.add("forces", name, type="law", law=law, pathway=pathway, **options)
 
-    def cable(
-        self, name: str, radii: Mapping[str, float], *, law: str = "one-sided", length: float = 0.0, **options: Any
-    ) -> None:
-        """Add a cable over pulleys at one or several joints, such as an exotendon, with a force law.
+    @of_models(JointAngles, Law)
+    def cable(self, name, radii, *, law="one-sided", length=0.0, **options):
+        """Add a cable over pulleys at one or several joints, which exist already, with a force law.
 
-        Its length is ``length - sum(radius * angle of the joint)``. Add the joints before the cable.
-
-        Parameters
-        ----------
-        name
-            Name of the force element.
-        radii
-            Radius of the pulley at each joint, by the name of the joint [m]. The tension of the cable increases the
-            angle of a joint with positive radius, and decreases it with negative radius.
-        law
-            Name of the force law, ``one-sided`` by default.
-        length
-            Length where all angles are zero [m].
-        **options
-            Options of the force law; ``mbdkit plugins show LAW`` lists them.
-
-        Examples
-        --------
         >>> m = Mechanism()
         >>> shank = m.body("shank", mass=3.0, inertia=0.05, position=(0.0, -0.2))
         >>> m.revolute("knee", m.ground, shank, at=(0, 0))
         >>> m.cable("tendon", {"knee": 0.04}, stiffness=1e4, free_length=-0.01, acts="tension")
         """
         pathway = {"type": "joint-angles", "angles": dict(radii), "length": length}
-        self._add("forces", Law, name, law=law, pathway=pathway, **options)
+        self.add("forces", name, type="law", law=law, pathway=pathway, **options)
 
-    def torque(self, name: str, body: str, *, value: Value, reaction_body: str | None = None) -> None:
+    @of_models(Torque)
+    def torque(self, name, body, **keys):
         """Apply a torque to a body.
 
-        Parameters
-        ----------
-        name, body
-            Name of the force element, and of the body that the torque acts on.
-        value
-            Torque [N m]: number, expression of t or of the state, or table.
-        reaction_body
-            Name of the body that the opposite torque acts on, if any.
-
-        Examples
-        --------
         >>> m = Mechanism()
         >>> crank = m.body("crank", mass=1.0, inertia=0.1)
         >>> m.torque("motor", crank, value="5*sin(2*t)")
         """
-        self._add("forces", Torque, name, body=body, value=value, reaction_body=reaction_body)
+        self.add("forces", name, type="torque", body=body, **keys)
 
-    def force(
-        self,
-        name: str,
-        body: str,
-        *,
-        value: Sequence[Value],
-        at: Pair | None = None,
-        point: Pair | None = None,
-        frame: Literal["global", "body"] = "global",
-    ) -> None:
+    @of_models(PointForce)
+    def force(self, name, body, *, point=None, **keys):
         """Apply a force to a point of a body.
 
-        Parameters
-        ----------
-        name, body
-            Name of the force element, and of the body that the force acts on.
-        value
-            Force (x, y) [N]: numbers, expressions of t or of the state, or tables.
-        at
-            Point of application (x, y) [m] in the global frame at the initial position.
-        point
-            Alternative to `at`: point of application in the body's frame (x, y) [m]; the centre of mass by default.
-        frame
-            Frame of the components of `value`: ``global``, or ``body``, in which case the force turns with the body.
-
-        Examples
-        --------
         >>> m = Mechanism()
         >>> foot = m.body("foot", mass=1.0, inertia=0.01)
         >>> m.force("ground reaction", foot, value=(0.0, "700*sin(pi*t)"), point=(0.1, -0.05))
         """
-        where = {"at": at} if point is None else {"at": at, "point": point}
-        self._add("forces", PointForce, name, body=body, value=value, frame=frame, **where)
+        self.add("forces", name, type="force", body=body, **_given(point=point), **keys)
 
-    def marker(self, name: str, body: str, *, at: Pair | None = None, point: Pair | None = None) -> None:
-        """Name a point of a body, whose position and velocity the run records.
+    @of_models(Marker)
+    def marker(self, name, body, *, point=None, **keys):
+        """Add a marker.
 
-        Parameters
-        ----------
-        name, body
-            Name of the marker, and of its body.
-        at
-            The point (x, y) [m] in the global frame at the initial position.
-        point
-            Alternative to `at`: the point in the body's frame (x, y) [m]; the centre of mass by default.
-
-        Examples
-        --------
         >>> m = Mechanism()
         >>> foot = m.body("foot", mass=1.0, inertia=0.01, position=(1.0, 0.0))
         >>> m.marker("toe", foot, at=(1.15, -0.04))
         """
-        where = {"at": at} if point is None else {"at": at, "point": point}
-        self._add("markers", Marker, name, body=body, **where)
+        self.add("markers", name, body=body, **_given(point=point), **keys)
 
-    def muscle(
-        self,
-        name: str,
-        path: Sequence[Mapping[str, Any]],
-        *,
-        max_force: float,
-        optimal_length: float,
-        tendon_length: float,
-        **properties: Any,
-    ) -> None:
+    @of_models(Muscle)
+    def muscle(self, name, path, **keys):
         """Add a muscle. In runs it exerts a force; in inverse dynamics, `recruitment` computes its share of the
         moments.
 
-        Parameters
-        ----------
-        name
-            Name of the muscle.
-        path
-            Points and circles from origin to insertion: ``{"body": ..., "point": (x, y)}`` in the frame of the body
-            [m], perhaps with a range ``"when"`` or an offset z, and ``{"wrap": {"body": ..., "center": (x, y),
-            "radius": ..., "side": "left" or "right"}}``.
-        max_force
-            Isometric force of the fibres at optimal length [N].
-        optimal_length, tendon_length
-            Length of the fibres at their largest force, and length of the tendon without force [m].
-        **properties
-            ``pennation`` [rad], ``curves``, ``tendon``, ``damping``, ``activation``, ``excitation``, ``max_velocity``
-            and ``weight``; see ``Muscle``.
-
-        Examples
-        --------
         >>> m = Mechanism()
         >>> shank = m.body("shank", mass=3.0, inertia=0.05, position=(0.0, -0.2))
         >>> m.revolute("knee", m.ground, shank, at=(0.0, 0.0))
         >>> path = [{"body": "ground", "point": (-0.03, 0.3)}, {"body": shank, "point": (-0.03, 0.1)}]
         >>> m.muscle("flexor", path, max_force=2000.0, optimal_length=0.11, tendon_length=0.3)
         """
-        values = {"max_force": max_force, "optimal_length": optimal_length, "tendon_length": tendon_length}
-        self._add("muscles", Muscle, name, path=[dict(item) for item in path], **values, **properties)
-        check_moving_points({name: self.muscles[name]}, self.coordinates, "model.")
+        self.add("muscles", name, path=path, **keys)
 
-    def contact(
-        self,
-        name: str,
-        a: str | None = None,
-        b: str | None = None,
-        *,
-        shapes: Sequence[Mapping[str, Any]] | Mapping[str, Mapping[str, Any]],
-        among: Sequence[str] | None = None,
-        restitution: float = 0.0,
-        friction: float | Mapping[str, float] = 0.0,
-        compliance: Mapping[str, Any] | None = None,
-    ) -> None:
-        """Add a contact between two bodies, or between all pairs of several bodies.
+    @of_models(Contact)
+    def contact(self, name, a=None, b=None, **keys):
+        """Add a contact.
 
-        Parameters
-        ----------
-        name
-            Name of the contact.
-        a, b
-            The two bodies; the normal points from `a` to `b`.
-        shapes
-            The shapes of a and b in their frames: ``{"line": {"point": (x, y), "normal": (x, y)}}``,
-            ``{"point": (x, y)}``, ``{"circle": {"center": (x, y), "radius": r}}``, ``{"hole": {...}}`` with the keys of
-            a circle, or ``{"polygon": [(x, y), ...]}``. With `among`, a mapping from the body to its shape.
-        among
-            Bodies that may touch each other, as an alternative to `a` and `b`. All pairs of them are included, except
-            those that a joint connects.
-        restitution
-            Ratio of the normal velocity after an impact to that before it, from 0 to 1.
-        friction
-            Coefficient of friction, or ``{"static": number, "kinetic": number}``.
-        compliance
-            ``law``, ``stiffness``, ``dissipation`` or ``impact_speed``, and ``transition_speed``; see ``Compliance``.
-
-        Examples
-        --------
         >>> m = Mechanism()
         >>> ball = m.body("ball", mass=0.5, inertia=2e-4, position=(0.0, 1.0))
         >>> floor, outline = {"line": {"normal": (0, 1)}}, {"circle": {"radius": 0.03}}
         >>> m.contact("floor", m.ground, ball, shapes=[floor, outline], friction=0.4, compliance={"stiffness": 1e6})
         """
-        for key, body in ((f"model.contacts.{quoted(name)}.bodies[{i}]", one) for i, one in enumerate((a, b))):
-            if among is None and body is None:
+        for index, body in enumerate((a, b)):
+            if keys.get("among") is None and body is None:
+                key = f"model.contacts.{quoted(name)}.bodies[{index}]"
                 raise SpecError("is missing: a contact needs two bodies, or `among`", key=key)
-        pair = None if a is None and b is None else (a, b)
-        own: Any = dict(shapes) if isinstance(shapes, Mapping) else [dict(shape) for shape in shapes]
-        values = {"bodies": pair, "among": among, "shapes": own, "restitution": restitution, "friction": friction}
-        self._add("contacts", Contact, name, **values, compliance=compliance)
-        check_contacts({name: self.contacts[name]}, self.joints)
+        self.add("contacts", name, bodies=None if a is None and b is None else (a, b), **keys)
 
-    def coordinate(
-        self, name: str, of: str, *, relative_to: str | None = None, scale: float = 1.0, offset: float = 0.0
-    ) -> None:
-        """Define a named coordinate: a quantity with its own name, sign and zero, for example those of a measured file.
+    @of_models(NamedCoordinate)
+    def coordinate(self, name, of, **keys):
+        """Define a named coordinate, for example one of a measured file.
 
-        Parameters
-        ----------
-        name
-            Name of the coordinate.
-        of
-            ``JOINT.angle`` (relative angle, or travel of a slide), ``BODY.x``, ``BODY.y``, ``BODY.angle``, ``MARKER.x``
-            or ``MARKER.y`` [rad or m].
-        relative_to
-            Body whose angle is subtracted; only if `of` is the angle of another body.
-        scale, offset
-            The coordinate is ``scale * of + offset``.
-
-        Examples
-        --------
         >>> m = Mechanism()
         >>> shank = m.body("shank", mass=3.0, inertia=0.05, position=(0.0, -0.2))
         >>> m.revolute("knee", m.ground, shank, at=(0.0, 0.0))
         >>> m.coordinate("knee_flexion", "knee.angle", scale=-1.0)
         """
-        key = self._new("coordinates", name)
-        one = made(NamedCoordinate, key, of=of, relative_to=relative_to, scale=scale, offset=offset)
-        check_coordinates({name: one}, self.joints, self.bodies, self.markers)
-        self.coordinates[name] = one
+        self.add("coordinates", name, of=of, **keys)
 
-    def state(self, name: str, *, rate: float | str, initial: float = 0.0, unit: str = "1") -> None:
-        """Add a first-order state z, such as the current of a motor or the output of a filter.
+    @of_models(FirstOrderState)
+    def state(self, name, **keys):
+        """Add a first-order state.
 
-        Parameters
-        ----------
-        name
-            Name of the state; expressions contain it as ``states.NAME``.
-        rate
-            Time derivative of the state: an expression of t, of kinematic quantities of bodies, joints and markers, of
-            lengths, rates and values of springs, and of states.
-        initial, unit
-            Value at the start, and its unit.
-
-        Examples
-        --------
         >>> m = Mechanism()
         >>> leg = m.body("leg", mass=3.0, inertia=0.05)
         >>> m.state("lagged", rate="(bodies.leg.angle - states.lagged)/0.05", unit="rad")
         """
-        key = self._new("states", name)
-        self.states[name] = made(FirstOrderState, key, rate=rate, initial=initial, unit=unit)
+        self.add("states", name, **keys)
 
-    def controller(
-        self,
-        name: str,
-        *,
-        period: float,
-        outputs: Mapping[str, float | str],
-        states: Mapping[str, Mapping[str, float | str]] | None = None,
-        delay: float = 0.0,
-    ) -> None:
-        """Add a sampled controller, whose outputs are constant between samples.
+    @of_models(Controller)
+    def controller(self, name, *, states=None, **keys):
+        """Add a sampled controller.
 
-        Parameters
-        ----------
-        name
-            Name of the controller; expressions contain its outputs and states as ``controllers.NAME.OUTPUT``.
-        period, delay
-            Time between two samples, and time from a sample until its outputs apply [s]. The first sample is at the
-            start of the run; outputs are 0 until those of the first sample apply.
-        outputs
-            Expressions of the state at a sample, by name.
-        states
-            For each state of the controller ``{"initial": value, "next": expression}``, by name; `next` is its value
-            after the sample.
-
-        Examples
-        --------
         >>> m = Mechanism()
         >>> leg = m.body("leg", mass=3.0, inertia=0.05)
         >>> m.controller("pd", period=0.01, outputs={"u": "-20*leg.angle - 2*leg.angular_velocity"})
         >>> m.torque("motor", leg, value="controllers.pd.u")
         """
-        key = self._new("controllers", name)
-        given = {"period": period, "delay": delay, "outputs": dict(outputs), "states": dict(states or {})}
-        self.controllers[name] = made(Controller, key, **given)
+        self.add("controllers", name, **_given(states=states), **keys)
 
-    def hold(self, *bodies: str, tolerance: float = 1e-12) -> None:
-        """Set the bodies that assembly does not move, and the tolerance of assembly.
 
-        Parameters
-        ----------
-        bodies
-            Names of the bodies that assembly does not move; they replace those of an earlier call.
-        tolerance
-            Largest constraint residual of a consistent initial state [m, rad].
-        """
-        for index, name in enumerate(bodies):
-            self._known(name, f"model.assembly.fix[{index}]")
-        self.assembly = made(Assembly, "model.assembly", fix=bodies, tolerance=tolerance)
+def _given(**keys):
+    """Return the keys whose value is not None."""
+    return {key: value for key, value in keys.items() if value is not None}

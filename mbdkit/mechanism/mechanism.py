@@ -18,7 +18,6 @@ from mbdkit.mechanism.bodies import GROUND, Element
 from mbdkit.mechanism.checks import check_centers, check_mechanism, check_name, check_names, check_tables
 from mbdkit.mechanism.contacts import Treatment, check_contacts, feet
 from mbdkit.mechanism.element_methods import ElementMethods
-from mbdkit.mechanism.joint_methods import Pair
 from mbdkit.mechanism.law_element import Law
 from mbdkit.mechanism.mechanism_data import ELEMENTS, Assembly, MechanismData, NamedCoordinate, check_coordinates
 from mbdkit.mechanism.muscles import check_moving_points
@@ -94,7 +93,7 @@ class Mechanism(ElementMethods, HtmlView):
     ((0.0, 0.0), (-0.5, 0.0))
     """
 
-    def __init__(self, gravity: Pair = (0.0, -9.81), *, name: str = "mechanism"):
+    def __init__(self, gravity: Sequence[float] = (0.0, -9.81), *, name: str = "mechanism"):
         self.name = name
         self.gravity = _point(gravity, "model.gravity")
         for kind in ("bodies", "beams", *ELEMENTS, "coordinates", "states", "controllers"):
@@ -118,12 +117,12 @@ class Mechanism(ElementMethods, HtmlView):
 
     # ---- queries -------------------------------------------------------------------------------------------------
 
-    def to_local(self, body: str, point: Pair) -> tuple[float, float]:
+    def to_local(self, body: str, point: Sequence[float]) -> tuple[float, float]:
         """Return the coordinates of a global `point` (x, y) [m] in the frame of `body`, at its initial position."""
         self._known(body, "body")
         return (point[0], point[1]) if body == GROUND else self.bodies[body].to_local((point[0], point[1]))
 
-    def to_global(self, body: str, point: Pair) -> tuple[float, float]:
+    def to_global(self, body: str, point: Sequence[float]) -> tuple[float, float]:
         """Return the global coordinates of a `point` (x, y) [m] in the frame of `body`, at its initial position."""
         self._known(body, "body")
         return (point[0], point[1]) if body == GROUND else self.bodies[body].to_global((point[0], point[1]))

@@ -65,7 +65,7 @@ def _rate(given: Any) -> Any:
     return repr(float(given))
 
 
-Expression = Annotated[str, BeforeValidator(_rate)]
+Expression = Annotated[str, BeforeValidator(_rate, json_schema_input_type=str | float)]
 """An expression of the state, or a number."""
 
 

@@ -253,12 +253,16 @@ def test_the_builder_answers_at_once():
         (r"model\.gravity", lambda: Mechanism(gravity=(0, math.inf))),
         (r"joints\.A\.bodies\[0\]: should be text, not 0", lambda: m.revolute("A", 0, rod, at=(0, 0))),
         (r"joints\.A\.at\[1\]: should be a number", lambda: m.revolute("A", m.ground, rod, at=(0, "1"))),
+        (r"joints\.A\.att: unknown key \(did you mean 'at'", lambda: m.revolute("A", m.ground, rod, att=(0, 0))),
+        (r"no elements called 'joint' \(did you mean 'joints'", lambda: m.add("joint", "A", type="weld")),
+        (r"not a quantity of a joint", lambda: m.coordinate("q", "rood.angle")),
         (r"s\.to: .* two numbers", lambda: m.spring_damper("s", "ground", rod, from_=(0, 0), to=1, stiffness=1)),
     ):
         with pytest.raises(SpecError, match=words):
             call()
-    assert not m.joints
-    assert not m.forces
+    with pytest.raises(TypeError, match=r"revolute\(\) missing 1 required positional argument: 'b'"):
+        m.revolute("A", m.ground)
+    assert not m.joints | m.forces | m.coordinates
 
 
 def test_arrays_are_points():

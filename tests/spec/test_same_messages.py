@@ -38,6 +38,9 @@ WRONG: dict[str, tuple[str, Any, Call]] = {
         {"type": "revolute", "bodies": ["ground", 0], "points": POINTS},
         lambda m: m.revolute("A", "ground", 0, points=POINTS),
     ),
+    "missing": ("bodies.c", {}, lambda m: m.body("c")),
+    "unknown": ("bodies.c", {"mas": 1}, lambda m: m.body("c", mas=1)),
+    "type": ("joints.A", {"type": "revolut", **ENDS}, lambda m: m.add("joints", "A", type="revolut", **ENDS)),
     "coordinate": (
         "joints.A",
         {"type": "driver", "bodies": ["ground", "rod"], "coordinate": "angel", "motion": 1},

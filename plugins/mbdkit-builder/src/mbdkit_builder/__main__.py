@@ -8,9 +8,9 @@ check
     package with those of the manifest. With ``--level x86-64-v3``, check only the libraries of this level.
 objects
     Compile symbols to object files; `build` and `check` start processes that run this command.
-elements, laws
-    Generate the kernels of elements, or those of the packaged force laws; with ``--check``, compare them with the file
-    in the repository.
+elements, laws, methods
+    Generate the kernels of elements, those of the packaged force laws, or the signatures of methods that add elements;
+    with ``--check``, compare them with the file in the repository.
 list
     List all symbols and whether their stored code is up to date.
 """
@@ -19,6 +19,7 @@ from __future__ import annotations
 
 import argparse
 import filecmp
+import importlib
 import json
 import os
 import sys
@@ -28,6 +29,9 @@ from typing import Any
 
 from mbdkit.engine.native import machine_code
 from mbdkit.engine.native.levels import LEVELS, Platform, chosen_level, this_platform
+
+_GENERATED = {"elements": "element_kernels", "laws": "packaged_laws", "methods": "method_stubs"}
+"""Module that generates a file of the core, by command."""
 
 
 def main() -> int:
@@ -46,19 +50,16 @@ def main() -> int:
             command.add_argument("--levels", nargs="+", required=True)
             command.add_argument("--symbols", nargs="+", required=True)
     commands.add_parser("list")
-    for name in ("elements", "laws"):
+    for name in _GENERATED:
         commands.add_parser(name).add_argument("--check", action="store_true")
     given = parser.parse_args()
     if given.command == "list":
         return _list()
-    if given.command == "elements":
-        from mbdkit_builder import element_kernels, generated_files
+    if given.command in _GENERATED:
+        from mbdkit_builder import generated_files
 
-        return generated_files.write(element_kernels.TARGET, element_kernels.generated(), check=given.check)
-    if given.command == "laws":
-        from mbdkit_builder import generated_files, packaged_laws
-
-        return generated_files.write(packaged_laws.TARGET, packaged_laws.generated(), check=given.check)
+        module = importlib.import_module(f"mbdkit_builder.{_GENERATED[given.command]}")
+        return generated_files.write(module.TARGET, module.generated(), check=given.check)
     if given.command == "objects":
         return _objects(given.platform, given.levels, given.symbols, given.into)
     if given.command == "check":

@@ -60,6 +60,7 @@ _NOT_COMPILED = {
     "function_laws.py",
     "generated_files.py",
     "libraries.py",
+    "method_stubs.py",
     "packaged_laws.py",
     "sources.py",
 }

@@ -1,38 +1,39 @@
-"""Declares the columns of histories as class attributes, for type checkers and completion.
+"""Declares the columns and labels of histories, for type checkers and completion.
 
-``python -m mbdkit_testing.history_columns mbdkit/archive/history.py`` writes the declarations from the table of
-quantities. At run time, `View` creates the columns from the same table.
+``python -m mbdkit_testing.history_columns`` writes them from the table of quantities.
 """
 
 from __future__ import annotations
 
-import re
-import sys
 from pathlib import Path
 
-from mbdkit.archive.named_columns import columns_of
+from mbdkit.archive import history
+from mbdkit.archive.named_columns import VIEWS, columns_of
+from mbdkit.quantities.array import Kind
 from mbdkit.quantities.table import BY_GROUP
 
-MARK = "    # columns (python -m mbdkit_testing.history_columns mbdkit/archive/history.py)\n"
+TARGET = Path(history.__file__).with_name("recorded_columns.pyi")
 
-_CLASS = re.compile(
-    r'^class \w+\(View, of="(?P<group>\w+)"\):\n    """(?:.|\n)*?"""\n'
-    rf"(?P<columns>\n{re.escape(MARK)}(?:    \w+: np\.ndarray\n)*)?",
-    re.MULTILINE,
-)
+_HEADER = '''"""Columns and labels of histories by group, written by ``python -m mbdkit_testing.history_columns``."""
+
+import numpy as np
+
+from mbdkit.archive.named_columns import View
+'''
 
 
-def renewed(source: str) -> str:
-    """Return the source of `mbdkit.archive.history` with the declarations of columns replaced."""
+def declarations() -> str:
+    """Return the text of the stub."""
+    groups = [group for group, view in VIEWS.items() if view.__module__ == history.__name__]
+    return _HEADER + "".join(_class(BY_GROUP[group]) for group in groups)
 
-    def declared(found: re.Match[str]) -> str:
-        begin = found[0].removesuffix(found["columns"] or "")
-        lines = [f"    {name}: np.ndarray\n" for name, _ in columns_of(BY_GROUP[found["group"]])]
-        return begin + "\n" + MARK + "".join(lines)
 
-    return _CLASS.sub(declared, source)
+def _class(kind: Kind) -> str:
+    lines = [f'    {name}: np.ndarray\n    """{column.__doc__}"""\n' for name, column in columns_of(kind)]
+    for name, arrays in kind.labels.items():
+        lines.append(f"    {name}: {'str' if len(arrays) == 1 else 'tuple[str, str]'}\n")
+    return f'\nclass {kind.group.title().replace("_", "")}(View, of="{kind.group}"):\n' + "".join(lines)
 
 
 if __name__ == "__main__":
-    module = Path(sys.argv[1])
-    module.write_text(renewed(module.read_text(encoding="utf-8")), encoding="utf-8")
+    TARGET.write_text(declarations(), encoding="utf-8")
