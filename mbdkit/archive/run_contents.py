@@ -26,7 +26,7 @@ from mbdkit.archive.named_columns import NotRecordedError
 from mbdkit.archive.plain_spec import PlainSpec
 from mbdkit.archive.read_only_dict import ReadOnlyDict
 from mbdkit.archive.run_header import open_archive
-from mbdkit.archive.run_writer import Origin
+from mbdkit.archive.run_writer import Ending, Origin, SharedForces
 from mbdkit.archive.stored_mechanism import StoredMechanism, built_mechanism, read_mechanism
 from mbdkit.archive.writer import ArchiveWriter
 from mbdkit.base.errors import MbdkitError, SpecError, UnknownNameError
@@ -69,6 +69,26 @@ class Header:
     stats: Mapping[str, int | float] = field(default_factory=ReadOnlyDict)
     misalignment_max: np.ndarray | None = None
     redundancy: str = ""
+
+    @classmethod
+    def of(
+        cls,
+        attributes: Mapping[str, str],
+        provenance: Mapping[str, str | int | float],
+        ending: Ending,
+        shared: SharedForces | None,
+    ) -> Header:
+        """Return the header of a run that has ended."""
+        return cls(
+            attributes,
+            ReadOnlyDict(provenance),
+            ending.judgement.level,
+            tuple(ending.judgement.reasons),
+            ending.warnings,
+            ReadOnlyDict(ending.stats),
+            np.asarray(ending.misalignment_max, FLOAT),
+            "" if shared is None else shared.redundancy,
+        )
 
 
 class RunContents(ABC):
@@ -193,19 +213,10 @@ class ArchiveContents(RunContents):
     @classmethod
     def just_written(cls, writer: ArchiveWriter) -> ArchiveContents:
         """Open an archive that this process has just written; the header is taken from the writer."""
-        path, ending, origin = writer.path, writer.ending, writer.origin
+        path, ending = writer.path, writer.ending
         assert path is not None
         assert ending is not None
-        header = Header(
-            writer.head,
-            ReadOnlyDict(origin.provenance),
-            ending.judgement.level,
-            tuple(ending.judgement.reasons),
-            tuple(ending.warnings),
-            ReadOnlyDict(ending.stats),
-            np.asarray(ending.misalignment_max, FLOAT),
-            "" if writer.shared is None else writer.shared.redundancy,
-        )
+        header = Header.of(writer.head, writer.origin.provenance, ending, writer.shared)
         with reading("its header", path):
             file = h5py.File(path, "r", locking="best-effort")
         return cls(file, path, header)
@@ -320,31 +331,6 @@ class ArchiveContents(RunContents):
         self._file.close()
 
 
-@dataclass(frozen=True)
-class Heading:
-    """Spec and provenance of a run.
-
-    Parameters
-    ----------
-    spec
-        Spec of the run.
-    run_id
-        Identifier of the run.
-    created_utc
-        Time at which the run was stored, ISO 8601.
-    provenance
-        Attributes of ``/provenance``.
-    mechanism
-        The mechanism; None for that of `spec`.
-    """
-
-    spec: RunSpec | PlainSpec
-    run_id: str = ""
-    created_utc: str = ""
-    provenance: Mapping[str, str | int | float] = field(default_factory=dict)
-    mechanism: StoredMechanism | None = None
-
-
 class NotStoredError(NotRecordedError):
     """The run recorded the requested array, but the study does not store it."""
 
@@ -361,8 +347,12 @@ class ArrayContents(RunContents):
     ----------
     finished
         The results; `FinishedRun.layout` lists only the arrays that are stored.
-    heading
-        Spec and provenance.
+    spec
+        Spec of the run.
+    run_id, created_utc, provenance
+        See `Origin`.
+    mechanism
+        The mechanism; None for that of `spec`.
     store
         Which arrays the study stores of each run; empty if it stores all.
     measured
@@ -374,34 +364,32 @@ class ArrayContents(RunContents):
     def __init__(
         self,
         finished: FinishedRun,
-        heading: Heading,
+        spec: RunSpec | PlainSpec,
+        *,
+        run_id: str = "",
+        created_utc: str = "",
+        provenance: Mapping[str, str | int | float] = MappingProxyType({}),
+        mechanism: StoredMechanism | None = None,
         store: str = "",
         measured: MeasuredValues | None = None,
         gradients: str = "",
     ):
-        self._finished, self._heading, self._store = finished, heading, store
+        self._finished, self._spec, self._mechanism, self._store = finished, spec, mechanism, store
         self._measured, self._gradients = measured or MeasuredValues({}, {}), gradients
         self._closed = False
-        self.run_spec, self.cause = heading.spec if isinstance(heading.spec, RunSpec) else None, finished.cause
-        self.header = Header(
-            {
-                "format_version": layout.FORMAT_VERSION,
-                "status": finished.status,
-                "status_reason": finished.reason,
-                "run_id": heading.run_id,
-                "created_utc": heading.created_utc,
-                "spec": heading.spec.canonical_json(),
-                "spec_sha256": heading.spec.sha256(),
-                "data_sha256": finished.data_sha256,
-            },
-            ReadOnlyDict({**heading.provenance, **({"assembly": finished.assembly} if finished.assembly else {})}),
-            finished.judgement.level,
-            tuple(finished.judgement.reasons),
-            finished.warnings,
-            ReadOnlyDict(finished.stats),
-            finished.misalignment_max,
-            "" if finished.shared is None else finished.shared.redundancy,
-        )
+        self.run_spec, self.cause = spec if isinstance(spec, RunSpec) else None, finished.cause
+        attributes = {
+            "format_version": layout.FORMAT_VERSION,
+            "status": finished.status,
+            "status_reason": finished.reason,
+            "run_id": run_id,
+            "created_utc": created_utc,
+            "spec": spec.canonical_json(),
+            "spec_sha256": spec.sha256(),
+            "data_sha256": finished.data_sha256,
+        }
+        assembly = {"assembly": finished.assembly} if finished.assembly else {}
+        self.header = Header.of(attributes, {**provenance, **assembly}, finished, finished.shared)
 
     @cached_property
     def _texts(self) -> Mapping[str, tuple[str, ...]]:
@@ -450,12 +438,12 @@ class ArrayContents(RunContents):
 
     def mechanism(self) -> StoredMechanism:
         """Return the mechanism that was run."""
-        return self._heading.mechanism or StoredMechanism(self._heading.spec.mechanism())
+        return self._mechanism or StoredMechanism(self._spec.mechanism())
 
     @property
     def files(self) -> Sequence[FileRead] | None:
         """The files that were read for the run."""
-        return self._heading.spec.files_read
+        return self._spec.files_read
 
     def accuracy(self) -> Accuracy | None:
         """Return the estimated errors."""
@@ -467,17 +455,17 @@ class ArrayContents(RunContents):
         self._check_open()
         if self._store:
             raise NotStoredError("complete archive", self._store)
-        finished, heading = self._finished, self._heading
-        origin = Origin.of(heading.spec, self.header.provenance)
+        finished, head = self._finished, self.header.attributes
+        origin = Origin.of(self._spec, self.header.provenance)
         writer = ArchiveWriter(
             None,
             finished.names,
-            replace(origin, run_id=heading.run_id, created_utc=heading.created_utc),
+            replace(origin, run_id=head["run_id"], created_utc=head["created_utc"]),
             arrays=finished.layout,
             shared=finished.shared,
         )
         finished.write(writer)
-        file = writer.finish(finished.ending, measured=self._write_measures if self._measured else None)
+        file = writer.finish(finished, measured=self._write_measures if self._measured else None)
         assert file is not None
         file.attrs.modify("data_sha256", finished.data_sha256)
         file["stats"].attrs.modify("finish_s", finished.stats["finish_s"])

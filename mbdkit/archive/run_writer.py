@@ -39,7 +39,7 @@ _KEYS = frozenset(array.key for array in layout.LAYOUT)
 UNJUDGED = Judgement("unknown")
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Ending:
     """How a run has ended.
 
@@ -69,13 +69,9 @@ class Ending:
     stats: Mapping[str, int | float]
     misalignment_max: np.ndarray
     judgement: Judgement = UNJUDGED
-    warnings: Sequence[str] = ()
+    warnings: tuple[str, ...] = ()
     accuracy: Accuracy | None = None
     integrals: Integrals = field(default_factory=dict)
-
-    def __post_init__(self) -> None:
-        if self.status not in layout.STATUSES[1:]:
-            raise ValueError(f"a run ends as complete, failed or interrupted, not {self.status!r}")
 
 
 class AnySpec(Protocol):

@@ -198,6 +198,8 @@ class ArchiveWriter(RunWriter):
 
     def finish(self, ending: Ending, *, measured: Callable[[h5py.File], str] | None = None) -> h5py.File | None:
         """Write the remaining rows, the hash and the status, and rename the archive to its final name."""
+        if ending.status not in layout.STATUSES[1:]:
+            raise ValueError(f"a run ends as complete, failed or interrupted, not {ending.status!r}")
         started = time.perf_counter()
         accuracy = ending.accuracy
         with self._storing():

@@ -15,7 +15,7 @@ from typing import Unpack
 from mbdkit.archive.finished_run import ArrayWriter, FinishedRun
 from mbdkit.archive.part_file import check_target
 from mbdkit.archive.run import Run
-from mbdkit.archive.run_contents import ArrayContents, Heading
+from mbdkit.archive.run_contents import ArrayContents
 from mbdkit.archive.run_writer import Origin, RunWriter
 from mbdkit.archive.writer import ArchiveWriter
 from mbdkit.base import higher_layers
@@ -323,7 +323,7 @@ def measured_in(expressions: Sequence[str], spec: RunSpec) -> Sequence[float] | 
     """Return the values of expressions in a comparison run, in SI units; None if the run fails."""
     try:
         found = simulate_arrays(spec, measures=expressions)
-        run = Run(ArrayContents(found, Heading(spec)))
+        run = Run(ArrayContents(found, spec))
         return [MeasureExpression.in_si(text, run) for text in expressions] if run.status == "complete" else None
     except (MbdkitError, ArithmeticError):
         return None

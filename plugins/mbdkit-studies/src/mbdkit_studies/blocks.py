@@ -21,7 +21,7 @@ from mbdkit.archive.layout import COUNTERS, TIMINGS
 from mbdkit.archive.measured_values import ERROR, MeasuredValues
 from mbdkit.archive.plain_spec import PlainSpec
 from mbdkit.archive.run import Run
-from mbdkit.archive.run_contents import ArrayContents, Heading
+from mbdkit.archive.run_contents import ArrayContents
 from mbdkit.archive.run_writer import SharedForces
 from mbdkit.archive.stored_mechanism import StoredMechanism, built_mechanism, is_determined, read_mechanism
 from mbdkit.archive.untrusted_file import open_hdf5
@@ -230,13 +230,6 @@ class Block:
         spec, stored = self._spec_and_mechanism(number, finished.names.bodies)
         with reading(f"run {number}", self.path, hint=_HINT):
             common = {name: _plain(value) for name, value in self.file["provenance"].attrs.items()}
-            heading = Heading(
-                spec,
-                str(self.runs["run_id"][row]),
-                self.created_utc,
-                {**common, **json.loads(self.runs["plugins"][row])},
-                stored,
-            )
             columns, described = self.columns("measures"), self.described()
             names = [name for name in spec.measures if name in columns]
             measured = MeasuredValues(
@@ -244,7 +237,16 @@ class Block:
                 {name: described[name][0] for name in names},
                 errors={name: float(columns[name + ERROR][row]) for name in names if name + ERROR in columns},
             )
-        return ArrayContents(finished, heading, "" if self.store == "all" else self.store, measured)
+            return ArrayContents(
+                finished,
+                spec,
+                run_id=str(self.runs["run_id"][row]),
+                created_utc=self.created_utc,
+                provenance={**common, **json.loads(self.runs["plugins"][row])},
+                mechanism=stored,
+                store="" if self.store == "all" else self.store,
+                measured=measured,
+            )
 
     def results(self, number: int) -> FinishedRun:
         """Return the results of a run, with the arrays that the study has stored.
@@ -291,18 +293,18 @@ class Block:
         )
         by_joint = np.asarray(largest[place]) if largest is not None else np.full(joints, runs["misalignment_max"][row])
         return FinishedRun(
-            ArchiveNames(**names),
-            tuple(present),
-            arrays,
-            None if shared is None else SharedForces(**shared),
             str(runs["status"][row]),
             str(runs["status_reason"][row]),
             {name: int(value) if name in COUNTERS else value for name, value in stats.items()},
             by_joint,
             Judgement(level, reasons),
             warnings,
-            str(runs["data_sha256"][row]),
-            str(runs["assembly"][row]) if "assembly" in runs else "",
+            names=ArchiveNames(**names),
+            layout=tuple(present),
+            arrays=arrays,
+            shared=None if shared is None else SharedForces(**shared),
+            data_sha256=str(runs["data_sha256"][row]),
+            assembly=str(runs["assembly"][row]) if "assembly" in runs else "",
         )
 
     def close(self) -> None:

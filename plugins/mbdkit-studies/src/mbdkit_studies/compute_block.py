@@ -14,7 +14,7 @@ from typing import Any
 
 from mbdkit.archive.finished_run import FinishedRun
 from mbdkit.archive.run import Run
-from mbdkit.archive.run_contents import ArrayContents, Heading
+from mbdkit.archive.run_contents import ArrayContents
 from mbdkit.archive.stored_mechanism import is_determined, mechanism_json
 from mbdkit.base.errors import ResourceError, SpecError
 from mbdkit.base.files_read import files_json
@@ -82,7 +82,7 @@ class BlockMeasures:
 
     def of(self, results: Sequence[tuple[FinishedRun, RunSpec]]) -> list[dict[str, float] | Refused]:
         """Return, for each run, its measures by name or the reason why they could not be computed."""
-        runs = [Run(ArrayContents(finished, Heading(spec))) for finished, spec in results]
+        runs = [Run(ArrayContents(finished, spec)) for finished, spec in results]
         taken: list[dict[str, float] | Refused] = [Refused("", "")] * len(runs)
         for places in places_by_group([finished for finished, _ in results]):
             group = RunGroup([runs[place] for place in places], recorded=[results[place][0].arrays for place in places])

@@ -492,7 +492,7 @@ class _Group:
             _LOG.info("run %s ends: complete, verdict %s", member.spec.run_id(), judgement.level)
         data_sha256 = self.hash.of(arrays, digests)
         return FinishedRun(
-            self.names, self.layout, arrays, None, *ending,
-            {**counters, "setup_s": member.seconds, "finish_s": time.perf_counter() - begin},
-            np.asarray(worst, FLOAT), judgement, warnings, data_sha256, member.start.assembled.describe(),
+            *ending, {**counters, "setup_s": member.seconds, "finish_s": time.perf_counter() - begin},
+            np.asarray(worst, FLOAT), judgement, warnings, names=self.names, layout=self.layout, arrays=arrays,
+            shared=None, data_sha256=data_sha256, assembly=member.start.assembled.describe(),
         )  # fmt: skip
