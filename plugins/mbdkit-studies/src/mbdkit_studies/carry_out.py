@@ -25,9 +25,12 @@ from mbdkit.spec.loading import RunSource, load_spec, read_source
 from mbdkit.spec.reading import parse_key
 from mbdkit_studies import member_table
 from mbdkit_studies.block_writer import Store
-from mbdkit_studies.execute import Execution, Options, Progress
+from mbdkit_studies.execute import Options, Progress, execute
 from mbdkit_studies.executor_pool import Engine, checked_executor
 from mbdkit_studies.folder_lock import Shard
+from mbdkit_studies.run_blocks import RunBlocks
+from mbdkit_studies.run_files import RunFiles
+from mbdkit_studies.run_store import RunStore
 from mbdkit_studies.sampled_values import with_sample_values
 from mbdkit_studies.study import Study
 from mbdkit_studies.study_blocks import with_store
@@ -250,19 +253,18 @@ def _carried_out(spec: StudySpec, out: str | Path | None, engine: Engine, option
                 if without_numbers(text.removeprefix("warning: ")) not in of_sample:
                     options.notify(text)
 
-            execution = Execution(spec, folder, replace(options, progress=options.progress or bar, notify=notify))
-            _LOG.info("study in %s begins: %s", shown(folder.path), counted(execution.store.count, "run"))
-            of_sample |= execution.store.plan.warnings_of_sample()
-            for warning in (*of_sample.values(), *execution.store.plan.notes()):
+            store: RunStore[Any] = (RunBlocks if spec.in_blocks else RunFiles)(spec, folder)
+            folder.check(spec, overwrite=options.overwrite)
+            _LOG.info("study in %s begins: %s", shown(folder.path), counted(store.count, "run"))
+            of_sample |= store.plan.warnings_of_sample()
+            for warning in (*of_sample.values(), *store.plan.notes()):
                 _LOG.warning("%s", warning)
                 options.notify(f"warning: {warning}")
-            execution.run(engine)
-            _LOG.info(
-                "study in %s ends: %d computed, %d failed", shown(folder.path), execution.computed, execution.failed
-            )
+            execute(store, replace(options, progress=options.progress or bar, notify=notify), engine)
+            _LOG.info("study in %s ends: %d computed, %d failed", shown(folder.path), store.computed, store.failed)
     except SpecError as error:
         raise advised(error, sorted(folder.path.glob("runs/*.h5"))) from None
-    return Study(folder.path, computed=execution.computed, unfinished=execution.unfinished, keep=keep)
+    return Study(folder.path, computed=store.computed, unfinished=store.unfinished, keep=keep)
 
 
 def _spec_of(source: RunSource, columns: dict[str, np.ndarray], store: Store, keys: Mapping[str, Any]) -> StudySpec:

@@ -57,12 +57,6 @@ class BlockMeasures:
     def __init__(self, plan: StudyPlan):
         self.plan, self.spec = plan, plan.spec
 
-    @property
-    def built_in(self) -> list[str]:
-        """Names of the built-in measures to compute."""
-        wanted = tuple(MEASURES) if self.spec.built_in_measures is None else self.spec.built_in_measures
-        return [name for name in wanted if name in MEASURES and not MEASURES[name].needs]
-
     @cached_property
     def _defined_measures(self) -> tuple[DefinedMeasure, ...]:
         return self.spec.defined_measures()
@@ -70,7 +64,8 @@ class BlockMeasures:
     @cached_property
     def described(self) -> dict[str, tuple[str, str]]:
         """Unit and description of each measure."""
-        built_in = {name: MEASURES[name] for name in self.built_in if name != MISALIGNMENT}  # it has its own column
+        # the misalignment has its own column
+        built_in = {name: MEASURES[name] for name in self.plan.built_in if name != MISALIGNMENT}
         checked = OF_CHECKED_RUNS if self.is_checked else {}
         measures: dict[str, Measure | Description] = {**built_in, **self.plan.defined, **checked}
         return {name: (measure.units, measure.long_name) for name, measure in measures.items()}
@@ -86,7 +81,7 @@ class BlockMeasures:
         taken: list[dict[str, float] | Refused] = [Refused("", "")] * len(runs)
         for places in places_by_group([finished for finished, _ in results]):
             group = RunGroup([runs[place] for place in places], recorded=[results[place][0].arrays for place in places])
-            columns = {name: MEASURES[name].take(group).tolist() for name in self.built_in if name != MISALIGNMENT}
+            columns = {name: MEASURES[name].take(group).tolist() for name in self.plan.built_in if name != MISALIGNMENT}
             for number, place in enumerate(places):
                 built_in = {name: column[number] for name, column in columns.items()}
                 try:

@@ -11,11 +11,7 @@ from mbdkit.base.interrupts import interrupts_delayed
 from mbdkit_studies import study_index
 from mbdkit_studies.executor_pool import Engine
 from mbdkit_studies.folder_lock import Shard
-from mbdkit_studies.run_blocks import RunBlocks
-from mbdkit_studies.run_files import RunFiles
 from mbdkit_studies.run_store import RunStore
-from mbdkit_studies.study_folder import StudyFolder
-from mbdkit_studies.study_spec import StudySpec
 
 #: Function called with the number of computations that are done, their total number, and the number of failed runs. A
 #: run, a second run and a set of repeated timings count as one computation each.
@@ -55,60 +51,36 @@ class Options:
             )
 
 
-class Execution:
-    """One execution of a study in a folder, which may contain results of earlier ones.
+def execute(store: RunStore[Any], options: Options, engine: Engine) -> None:
+    """Compute the missing runs of a study and write the index; after Ctrl-C, the index contains the results so far.
 
-    Attributes
+    Parameters
     ----------
-    computed, failed
-        Number of runs that were computed, and number of these that failed.
-    unfinished
-        External reasons why runs were not computed.
-
-    Raises
-    ------
-    SpecError
-        If the study is invalid, or the folder belongs to another study. Nothing is written in this case.
+    engine
+        Processes or executor that compute the runs.
     """
+    folder = store.folder
+    if options.overwrite:
+        folder.clear()
+    folder.prepare(store.spec)
+    with folder.locked(options.shard):
+        total = store.begin(options.shard, options.notify)
+        try:
+            _compute(store, options, engine, total)
+        finally:
+            with interrupts_delayed(), folder.indexing():
+                study_index.write(folder.index, store.spec, store.index())
 
-    def __init__(self, spec: StudySpec, folder: StudyFolder, options: Options):
-        self.spec, self.folder, self.options = spec, folder, options
-        self.computed = self.failed = 0
-        self.unfinished: list[str] = []
-        self.store: RunStore[Any] = (RunBlocks if spec.in_blocks else RunFiles)(spec, folder)
-        folder.check(spec, overwrite=options.overwrite)
 
-    def run(self, engine: Engine) -> None:
-        """Compute the missing results and write the index; after Ctrl-C, the index contains the results so far.
-
-        Parameters
-        ----------
-        engine
-            Processes or executor that compute the runs.
-        """
-        if self.options.overwrite:
-            self.folder.clear()
-        self.folder.prepare(self.spec)
-        with self.folder.locked(self.options.shard):
-            total = self.store.begin(self.options.shard, self.options.notify)
-            try:
-                self._compute(engine, total)
-            finally:
-                with interrupts_delayed(), self.folder.indexing():
-                    study_index.write(self.folder.index, self.spec, self.store.index())
-
-    def _compute(self, engine: Engine, total: int) -> None:
-        """Compute the missing results."""
-        ended = 0  # number of runs that were planned for this round and the rounds before
-        for some in self.store.rounds():
-            ended += some.planned
-            done = ended - sum(task.runs for task in some.tasks)  # planned runs without a task count as done
-            with (Engine() if some.one_by_one else engine).pool(self.options.notify) as pool:
-                for task, outcome in pool.work(some.tasks):
-                    noted = self.store.note(task, outcome)
-                    self.computed += noted.runs
-                    self.failed += noted.failed
-                    self.unfinished += noted.unfinished
-                    done += task.runs
-                    if self.options.progress is not None:
-                        self.options.progress(done, total, self.failed)
+def _compute(store: RunStore[Any], options: Options, engine: Engine, total: int) -> None:
+    """Compute the missing results."""
+    ended = 0  # number of runs that were planned for this round and the rounds before
+    for some in store.rounds():
+        ended += some.planned
+        done = ended - sum(task.runs for task in some.tasks)  # planned runs without a task count as done
+        with (Engine() if some.one_by_one else engine).pool(options.notify) as pool:
+            for task, outcome in pool.work(some.tasks):
+                store.note(task, outcome)
+                done += task.runs
+                if options.progress is not None:
+                    options.progress(done, total, store.failed)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import suppress
 from functools import cached_property
 from itertools import islice
@@ -21,6 +21,7 @@ from mbdkit.spec.reading import parse_key
 from mbdkit.spec.study_measures import DefinedMeasure, expressions_of
 from mbdkit.spec.varied_specs import VariedSpecs
 from mbdkit_studies.judge import check_verdict
+from mbdkit_studies.measures import MEASURES
 from mbdkit_studies.planned_points import PlannedPoint, PlannedPoints, distinct_runs, grids, plan_points
 from mbdkit_studies.sample_section import typical_values
 from mbdkit_studies.study_blocks import StudyBlocks
@@ -79,6 +80,13 @@ class StudyPlan:
         return StudyBlocks.of(self.spec, self.points)
 
     @cached_property
+    def built_in(self) -> list[str]:
+        """Names of the built-in measures to compute from the results of each run."""
+        wanted = tuple(MEASURES) if self.spec.built_in_measures is None else self.spec.built_in_measures
+        compared = any(grid.reference for grid in self.points.grids)
+        return [name for name in wanted if name in MEASURES and (compared or not MEASURES[name].needs)]
+
+    @cached_property
     def samples(self) -> list[PlannedPoint]:
         """Up to `SAMPLES` points, at equal distances from the first to the last."""
         last = len(self.points) - 1
@@ -106,14 +114,17 @@ class StudyPlan:
             if not point.lacking:
                 point.spec  # noqa: B018  # raises the error
 
+    def _specs(self) -> Iterator[RunSpec]:
+        """Return the specs that are known before the first run: for a study in blocks, those of the samples."""
+        return (spec for _, spec in self.valid_samples) if self.spec.in_blocks else iter(self.runs.values())
+
     def warnings(self) -> list[str]:
         """Return the warnings about the validated specs of runs, and about values that the runs vary.
 
         If several differ only in numbers, the first one is returned.
         """
-        specs = [spec for _, spec in self.valid_samples] if self.spec.in_blocks else self.runs.values()
         found: dict[str, str] = {}
-        for warning in (one for spec in specs for one in caution(spec, measures=self.expressions)):
+        for warning in (one for spec in self._specs() for one in caution(spec, measures=self.expressions)):
             found.setdefault(without_numbers(warning), warning)
         of_starts = start_warnings_of_study(spec for _, spec in self.valid_samples)
         of_sample = self.warnings_of_sample()
@@ -124,9 +135,8 @@ class StudyPlan:
         """Return notes that the single runs do not give: on reactions that are always zero in measures of the study,
         and on values that the study varies.
         """
-        specs = (spec for _, spec in self.valid_samples) if self.spec.in_blocks else iter(self.runs.values())
         own = [measure for measure in self.spec.defined_measures() if not measure.of_base]
-        of_measures = [note for spec in islice(specs, 1) for note in zero_reactions(spec, own)]
+        of_measures = [note for spec in islice(self._specs(), 1) for note in zero_reactions(spec, own)]
         return [*of_measures, *notes_on_varied_values(self.spec)]
 
     def warnings_of_sample(self) -> dict[str, str]:
@@ -135,8 +145,7 @@ class StudyPlan:
         Limits and means of the distributions are checked, because drawn values have many decimals. The keys are the
         warnings about single runs, without their numbers.
         """
-        specs = (spec for _, spec in self.valid_samples) if self.spec.in_blocks else iter(self.runs.values())
-        if self.spec.sample is None or (spec := next(specs, None)) is None:
+        if self.spec.sample is None or (spec := next(self._specs(), None)) is None:
             return {}
         varied = VariedSpecs(spec.canonical_json())
         found: dict[str, str] = {}
