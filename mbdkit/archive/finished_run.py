@@ -39,8 +39,6 @@ class FinishedRun(Ending):
         Hash of the arrays, equal to that of the archive of this run.
     assembly
         Sentence on how the start was made consistent.
-    cause
-        The exception of a plugin that ended the run; None if there was none.
     """
 
     names: ArchiveNames
@@ -49,7 +47,6 @@ class FinishedRun(Ending):
     shared: SharedForces | None
     data_sha256: str
     assembly: str = ""
-    cause: BaseException | None = None
 
     def rows(self, dim: str) -> int:
         """Return the number of rows along a growing axis of the layout; 0 if there is no such array."""
@@ -166,6 +163,7 @@ class ArrayHash:
         #: For each hashed array, in the order of their paths: lines of names that precede its line, path, key and type.
         self._arrays: list[tuple[str, str, str, str]] = []
         self._rest = ""
+        self._shared: dict[str, tuple[np.ndarray, str]] | None = None
         self._latest: tuple[tuple[tuple[int, ...], ...] | None, Sequence[tuple[str, str, bool]]] = None, []
         for name, one in sorted(lines, key=lambda item: item[0]):
             if one is None:
@@ -177,6 +175,27 @@ class ArrayHash:
     def digest(self, array: np.ndarray) -> str:
         """Return the digest of the numbers in a contiguous array."""
         return sha256(array.data).hexdigest()
+
+    def shared_digests(self, arrays: Mapping[str, np.ndarray]) -> dict[str, str]:
+        """Return the digests of arrays that are equal in all of several runs, such as the times; they are computed only
+        once.
+
+        Parameters
+        ----------
+        arrays
+            Contiguous numbers (R, ...) of the R runs by `Array.key`, with the same keys in every call. Arrays that
+            differed between runs in the first call are not compared again.
+        """
+        first, self._shared = self._shared is None, self._shared or {}
+        for key in list(arrays if first else self._shared):
+            bits = arrays[key].view(np.int64)  # compared bitwise: nan equals itself, and 0.0 differs from -0.0
+            if key in self._shared and (bits == self._shared[key][0]).all():
+                continue
+            if (first or len(bits) > 1) and (bits == bits[:1]).all():
+                self._shared[key] = bits[0].copy(), self.digest(arrays[key][0])
+            else:
+                self._shared.pop(key, None)
+        return {key: digest for key, (_, digest) in self._shared.items()}
 
     def of(self, arrays: Mapping[str, np.ndarray], known: Mapping[str, str] = MappingProxyType({})) -> str:
         """Return the hash of a run from its contiguous arrays by `Array.key`.

@@ -219,7 +219,9 @@ class ArchiveContents(RunContents):
         header = Header.of(writer.head, writer.origin.provenance, ending, writer.shared)
         with reading("its header", path):
             file = h5py.File(path, "r", locking="best-effort")
-        return cls(file, path, header)
+        contents = cls(file, path, header)
+        contents.cause = ending.cause
+        return contents
 
     def _read_header(self) -> Header:
         file = self._file

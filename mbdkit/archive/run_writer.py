@@ -62,6 +62,8 @@ class Ending:
         Estimated errors of the rows, if the run was checked.
     integrals
         Integrals over time and extrema, by expression, in SI units; see `mbdkit.archive.measured_values.Integrals`.
+    cause
+        The exception of a plugin that ended the run; None if there was none.
     """
 
     status: str
@@ -72,6 +74,7 @@ class Ending:
     warnings: tuple[str, ...] = ()
     accuracy: Accuracy | None = None
     integrals: Integrals = field(default_factory=dict)
+    cause: BaseException | None = None
 
 
 class AnySpec(Protocol):

@@ -7,7 +7,7 @@ import math
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import AbstractContextManager, contextmanager, nullcontext
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import Unpack
@@ -175,7 +175,7 @@ def simulate_arrays(spec: RunSpec, *, starts: Starts | None = None, measures: Se
     simulation = _ended(spec, preparation, None)
     assert isinstance(simulation.writer, ArrayWriter)
     assert simulation.writer.finished is not None
-    return replace(simulation.writer.finished, cause=simulation.cause)
+    return simulation.writer.finished
 
 
 @dataclass(frozen=True)

@@ -11,10 +11,12 @@ import numpy as np
 from mbdkit.archive.group_table import data_frame
 from mbdkit.base.errors import MbdkitError
 from mbdkit.measures.measure_expression import SeriesExpression
-from mbdkit_studies.sample_groups import SampledStudy, groups_where, is_bad, one_group
+from mbdkit_studies.sample_groups import groups_where, is_bad, one_group
 
 if TYPE_CHECKING:
     import pandas
+
+    from mbdkit_studies.study import Study
 
 
 QUANTILES = (0.05, 0.25, 0.5, 0.75, 0.95)
@@ -62,7 +64,7 @@ class QuantileBands:
 
 
 def quantiles(
-    study: SampledStudy,
+    study: Study,
     quantity: str,
     q: float | Sequence[float] = QUANTILES,
     *,
@@ -128,7 +130,7 @@ class _Grid:
     step: int = 1
 
     @classmethod
-    def of(cls, study: SampledStudy, places: Set[int]) -> _Grid:
+    def of(cls, study: Study, places: Set[int]) -> _Grid:
         """Return the recorded times of the runs if all runs have the same times, otherwise equally spaced times."""
         longest = np.empty(0)
         start, end, same = np.inf, -np.inf, True

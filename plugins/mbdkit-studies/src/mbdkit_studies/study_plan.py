@@ -27,8 +27,7 @@ from mbdkit_studies.sample_section import typical_values
 from mbdkit_studies.study_blocks import StudyBlocks
 from mbdkit_studies.study_index import COLUMNS, axis_column
 from mbdkit_studies.study_spec import StudySpec
-from mbdkit_studies.varied_starts import start_warnings_of_study
-from mbdkit_studies.varied_values import notes_on_varied_values
+from mbdkit_studies.varied_values import notes_on_varied_values, start_warnings_of_study
 
 SAMPLES = 8
 """Number of runs, of a study stored in blocks (files of many runs), whose specs are validated before the first run.
