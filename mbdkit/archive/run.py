@@ -184,7 +184,7 @@ class Run(RecordedData, HtmlView, Extensible):
 
         See `mbdkit.runs.integrals`.
         """
-        return self._contents.integrals()
+        return self._contents.integrals
 
     @cached_property
     def measures(self) -> MeasuredValues:
@@ -200,7 +200,7 @@ class Run(RecordedData, HtmlView, Extensible):
         >>> run.measures.units["pull"]
         'kN'
         """
-        return self._contents.measures()
+        return self._contents.measures
 
     @property
     def measure_errors(self) -> Mapping[str, float]:
@@ -219,7 +219,7 @@ class Run(RecordedData, HtmlView, Extensible):
         ``errors`` by name of the parameter, and a ``check`` by differences of runs. If there are no derivatives, it has
         a ``reason`` instead. The mapping is empty if the spec has no `gradients`.
         """
-        return self._contents.gradients()
+        return self._contents.gradients
 
     def moment_arms(self, muscle: str, coordinate: str) -> np.ndarray:
         """Return the moment arm of a muscle about a coordinate, -dL/dq, at the recorded rows.
@@ -265,7 +265,7 @@ class Run(RecordedData, HtmlView, Extensible):
         """Estimated errors of the recorded rows; None if the run was not checked (``check: true``), or if a study does
         not keep the errors.
         """
-        return self._contents.accuracy()
+        return self._contents.accuracy
 
     @property
     def file(self) -> h5py.File:

@@ -108,6 +108,14 @@ class RunContents(ABC):
         The exception of a plugin that ended the run in this process.
     whole_rows
         For a crashed run, the number of complete rows along each growing axis, by name of the axis.
+    measures
+        Values of the measures in the spec.
+    integrals
+        Integrals over time and extrema by their expressions.
+    gradients
+        Gradients of the measures; see `Run.gradients`.
+    accuracy
+        Estimated errors; None if there are none, or if a study did not store them.
     """
 
     header: Header
@@ -116,22 +124,14 @@ class RunContents(ABC):
     run_spec: RunSpec | None = None
     cause: BaseException | None = None
     whole_rows: Mapping[str, int] = MappingProxyType({})
+    measures: MeasuredValues
+    integrals: Integrals
+    gradients: Mapping[str, Mapping[str, Any]]
+    accuracy: Accuracy | None
 
     @abstractmethod
     def dataset(self, path: str) -> h5py.Dataset | np.ndarray:
         """Return an array; see `Run.dataset`."""
-
-    @abstractmethod
-    def measures(self) -> MeasuredValues:
-        """Return the values of the measures in the spec."""
-
-    @abstractmethod
-    def integrals(self) -> Integrals:
-        """Return the integrals over time and extrema by their expressions."""
-
-    @abstractmethod
-    def gradients(self) -> Mapping[str, Mapping[str, Any]]:
-        """Return the gradients of the measures; see `Run.gradients`."""
 
     @abstractmethod
     def mechanism(self) -> StoredMechanism:
@@ -141,10 +141,6 @@ class RunContents(ABC):
     @abstractmethod
     def files(self) -> Sequence[FileRead] | None:
         """The files that were read for the run; None if they are not known, as in archives of earlier versions."""
-
-    @abstractmethod
-    def accuracy(self) -> Accuracy | None:
-        """Return the estimated errors; None if there are none, or if a study did not store them."""
 
     @property
     @abstractmethod
@@ -284,18 +280,21 @@ class ArchiveContents(RunContents):
             raise NotRecordedError(array.path, version)
         return np.empty((0, *(len(group[dim]) for dim in array.dims[1:])), array.dtype)
 
-    def measures(self) -> MeasuredValues:
-        """Return the values of the measures in the spec."""
+    @cached_property
+    def measures(self) -> MeasuredValues:  # type: ignore[override]
+        """See `RunContents`."""
         with reading("the measures", self.path):
             return MeasuredValues.from_json(str(self.file.attrs.get(layout.MEASURES, "{}")))
 
-    def integrals(self) -> Integrals:
-        """Return the integrals over time and extrema by their expressions."""
+    @cached_property
+    def integrals(self) -> Integrals:  # type: ignore[override]
+        """See `RunContents`."""
         with reading("the integrals", self.path):
             return integrals_from_json(str(self.file.attrs.get(layout.INTEGRALS, "{}")))
 
-    def gradients(self) -> Mapping[str, Mapping[str, Any]]:
-        """Return the gradients of the measures."""
+    @cached_property
+    def gradients(self) -> Mapping[str, Mapping[str, Any]]:  # type: ignore[override]
+        """See `RunContents`."""
         with reading("the gradients", self.path):
             return ReadOnlyDict(json.loads(str(self.file.attrs.get(layout.GRADIENTS, "{}"))))
 
@@ -315,8 +314,9 @@ class ArchiveContents(RunContents):
             is_earlier = layout.MECHANISM not in self.file.attrs
             return None if is_earlier else read_files(str(self.file.attrs.get(layout.FILES, "[]")))
 
-    def accuracy(self) -> Accuracy | None:
-        """Return the estimated errors."""
+    @cached_property
+    def accuracy(self) -> Accuracy | None:  # type: ignore[override]
+        """See `RunContents`."""
         with reading("accuracy", self.path):
             group = self.file.get("accuracy")
             return None if group is None else Accuracy.read(group)
@@ -377,7 +377,9 @@ class ArrayContents(RunContents):
         gradients: str = "",
     ):
         self._finished, self._spec, self._mechanism, self._store = finished, spec, mechanism, store
-        self._measured, self._gradients = measured or MeasuredValues({}, {}), gradients
+        self.measures = measured or MeasuredValues({}, {})
+        self.integrals, self.accuracy = finished.integrals, finished.accuracy
+        self.gradients, self._gradients = ReadOnlyDict(json.loads(gradients or "{}")), gradients
         self._closed = False
         self.run_spec, self.cause = spec if isinstance(spec, RunSpec) else None, finished.cause
         attributes = {
@@ -426,18 +428,6 @@ class ArrayContents(RunContents):
             raise NotStoredError(path, self._store)
         raise NotRecordedError(path, layout.FORMAT_VERSION)
 
-    def measures(self) -> MeasuredValues:
-        """Return the values of the measures in the spec."""
-        return self._measured
-
-    def integrals(self) -> Integrals:
-        """Return the integrals over time and extrema by their expressions."""
-        return self._finished.integrals
-
-    def gradients(self) -> Mapping[str, Mapping[str, Any]]:
-        """Return the gradients of the measures; empty for runs in blocks, which do not store them."""
-        return ReadOnlyDict(json.loads(self._gradients or "{}"))
-
     def mechanism(self) -> StoredMechanism:
         """Return the mechanism that was run."""
         return self._mechanism or StoredMechanism(self._spec.mechanism())
@@ -446,10 +436,6 @@ class ArrayContents(RunContents):
     def files(self) -> Sequence[FileRead] | None:
         """The files that were read for the run."""
         return self._spec.files_read
-
-    def accuracy(self) -> Accuracy | None:
-        """Return the estimated errors."""
-        return self._finished.accuracy
 
     @cached_property
     def file(self) -> h5py.File:
@@ -467,7 +453,7 @@ class ArrayContents(RunContents):
             shared=finished.shared,
         )
         finished.write(writer)
-        file = writer.finish(finished, measured=self._write_measures if self._measured else None)
+        file = writer.finish(finished, measured=self._write_measures if self.measures else None)
         assert file is not None
         file.attrs.modify("data_sha256", finished.data_sha256)
         file["stats"].attrs.modify("finish_s", finished.stats["finish_s"])
@@ -476,7 +462,7 @@ class ArrayContents(RunContents):
     def _write_measures(self, file: h5py.File) -> str:
         if self._gradients:
             set_text(file, layout.GRADIENTS, self._gradients)
-        return self._measured.to_json()
+        return self.measures.to_json()
 
     def _check_open(self) -> None:
         if self._closed:

@@ -8,7 +8,7 @@ import tempfile
 import weakref
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Executor
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +16,7 @@ import numpy as np
 
 from mbdkit.archive.missing_plugins import advised
 from mbdkit.base.errors import SpecError
+from mbdkit.base.interrupts import interrupts_delayed
 from mbdkit.base.logs import logger_of
 from mbdkit.base.plain_data import plain, value_text
 from mbdkit.base.progress_bars import count_bar, in_notebook
@@ -23,11 +24,10 @@ from mbdkit.base.terminal import say
 from mbdkit.base.text import counted, shown, without_numbers
 from mbdkit.spec.loading import RunSource, load_spec, read_source
 from mbdkit.spec.reading import parse_key
-from mbdkit_studies import member_table
+from mbdkit_studies import member_table, study_index
 from mbdkit_studies.block_writer import Store
-from mbdkit_studies.execute import Options, Progress, execute
 from mbdkit_studies.executor_pool import Engine, checked_executor
-from mbdkit_studies.folder_lock import Shard
+from mbdkit_studies.folder_lock import Shard, alone
 from mbdkit_studies.run_blocks import RunBlocks
 from mbdkit_studies.run_files import RunFiles
 from mbdkit_studies.run_store import RunStore
@@ -39,6 +39,43 @@ from mbdkit_studies.study_loading import StudySource, load_study_spec
 from mbdkit_studies.study_spec import Storing, StudySpec
 
 _LOG = logger_of(__name__)
+
+#: Function called with the number of computations that are done, their total number, and the number of failed runs. A
+#: run, a second run and a set of repeated timings count as one computation each.
+Progress = Callable[[int, int, int], None]
+
+
+@dataclass(frozen=True)
+class Options:
+    """Settings of the execution of a study.
+
+    Parameters
+    ----------
+    shard
+        Part of the study to compute, or None for all of it.
+    progress
+        Called after each task; None for no calls.
+    notify
+        Called with messages for the user, such as warnings.
+    overwrite
+        Whether to remove the study that the folder contains; not allowed with a shard.
+
+    Raises
+    ------
+    SpecError
+        If `overwrite` is set for a part of a study, which shares the folder with other parts.
+    """
+
+    shard: Shard | None
+    progress: Progress | None
+    notify: Callable[[str], None]
+    overwrite: bool = False
+
+    def __post_init__(self) -> None:
+        if self.overwrite and self.shard is not None:
+            raise SpecError(
+                "--overwrite cannot be combined with --shard: it would remove the results of calls for other parts"
+            )
 
 
 class _TemporaryFolder:
@@ -260,11 +297,46 @@ def _carried_out(spec: StudySpec, out: str | Path | None, engine: Engine, option
             for warning in (*of_sample.values(), *store.plan.notes()):
                 _LOG.warning("%s", warning)
                 options.notify(f"warning: {warning}")
-            execute(store, replace(options, progress=options.progress or bar, notify=notify), engine)
+            _execute(store, replace(options, progress=options.progress or bar, notify=notify), engine)
             _LOG.info("study in %s ends: %d computed, %d failed", shown(folder.path), store.computed, store.failed)
     except SpecError as error:
         raise advised(error, sorted(folder.path.glob("runs/*.h5"))) from None
     return Study(folder.path, computed=store.computed, unfinished=store.unfinished, keep=keep)
+
+
+def _execute(store: RunStore[Any], options: Options, engine: Engine) -> None:
+    """Compute the missing runs of a study and write the index; after Ctrl-C, the index contains the results so far.
+
+    Parameters
+    ----------
+    engine
+        Processes or executor that compute the runs.
+    """
+    folder = store.folder
+    if options.overwrite:
+        folder.clear()
+    folder.prepare(store.spec)
+    with folder.locked(options.shard):
+        total = store.begin(options.shard, options.notify)
+        try:
+            _compute(store, options, engine, total)
+        finally:
+            with interrupts_delayed(), alone(folder.runs):  # other calls may write the index
+                study_index.write(folder.index, store.spec, store.index())
+
+
+def _compute(store: RunStore[Any], options: Options, engine: Engine, total: int) -> None:
+    """Compute the missing results."""
+    ended = 0  # number of runs that were planned for this round and the rounds before
+    for some in store.rounds():
+        ended += some.planned
+        done = ended - sum(task.runs for task in some.tasks)  # planned runs without a task count as done
+        with (Engine() if some.one_by_one else engine).pool(options.notify) as pool:
+            for task, outcome in pool.work(some.tasks):
+                store.note(task, outcome)
+                done += task.runs
+                if options.progress is not None:
+                    options.progress(done, total, store.failed)
 
 
 def _spec_of(source: RunSource, columns: dict[str, np.ndarray], store: Store, keys: Mapping[str, Any]) -> StudySpec:

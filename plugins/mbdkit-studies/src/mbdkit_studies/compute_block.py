@@ -264,21 +264,15 @@ def _block_run(
     store: Store, member: _Member, result: FinishedRun | Outcome, measured: dict[str, float] | Outcome
 ) -> BlockRun:
     """Return the data that the block stores for one run."""
-    point, spec = member.point, member.spec
-    if not isinstance(spec, RunSpec):
-        assert isinstance(result, Outcome)
-        return BlockRun(point.number, member.base, member.values, result.status, result.reason)
-    hashes = spec.sha256(), spec.run_id()
+    spec, ended = member.spec, measured if isinstance(measured, Outcome) else result
+    run = BlockRun(member.point.number, member.base, member.values, ended.status, ended.reason)
+    if isinstance(spec, Outcome):
+        return run
+    run = replace(run, spec_sha256=spec.sha256(), run_id=spec.run_id())
     if isinstance(result, Outcome):
-        return BlockRun(point.number, member.base, member.values, result.status, result.reason, *hashes)
-    ending = measured if isinstance(measured, Outcome) else result
-    return BlockRun(
-        point.number,
-        member.base,
-        member.values,
-        ending.status,
-        ending.reason,
-        *hashes,
+        return run
+    return replace(
+        run,
         plugins=_plugins_json(tuple(plugins_of(spec).items())),
         result=kept(result, store),
         measures=None if isinstance(measured, Outcome) else measured,

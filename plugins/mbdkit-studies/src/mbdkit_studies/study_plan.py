@@ -20,7 +20,7 @@ from mbdkit.spec import RunSpec
 from mbdkit.spec.reading import parse_key
 from mbdkit.spec.study_measures import DefinedMeasure, expressions_of
 from mbdkit.spec.varied_specs import VariedSpecs
-from mbdkit_studies.judge import check_verdict
+from mbdkit_studies.judge import find_verdict
 from mbdkit_studies.measures import MEASURES
 from mbdkit_studies.planned_points import PlannedPoint, PlannedPoints, distinct_runs, grids, plan_points
 from mbdkit_studies.sample_section import typical_values
@@ -175,7 +175,8 @@ def plan_study(spec: StudySpec) -> StudyPlan:
     SpecError
         If the study, one of the runs that are validated (for an ensemble, all of them) or a measure is invalid.
     """
-    check_verdict(spec)
+    if spec.verdict:
+        find_verdict(spec)
     check_column_names(spec)
     plan = StudyPlan(spec)
     if spec.in_blocks and (spec.members is None or spec.sample is not None):
@@ -261,6 +262,15 @@ def check_column_names(spec: StudySpec) -> None:
             message = f"'{name}' is the column of the error of '{name.removesuffix(ERROR)}'; choose another name"
             raise spec.placed(SpecError(message, key=path_text(where)))
     columns: dict[str, str] = {}
+
+    def check_key(key: str, place: Path, word: str) -> None:
+        """Check the key of an axis or of a variable."""
+        if axis_column(key) in measures:
+            message = f"'{key}' is also {word} of this study; choose another name for the measure"
+            raise spec.placed(SpecError(message, key=path_text(measures[axis_column(key)])))
+        if why := _refusal(key, columns.setdefault(axis_column(key), key)):
+            raise spec.placed(SpecError(why, key=path_text(place)))
+
     for grid in grids(spec):
         _check_text(spec, grid.name, ("families",), _CONTROL)
         for number, axis in enumerate(grid.axes):
@@ -271,21 +281,12 @@ def check_column_names(spec: StudySpec) -> None:
                     for changed in value.value if value.together else (key,):
                         _check_sets_no_measure(spec, changed, (*place, *value.place))
                     _check_text(spec, str(value.label), (*place, *value.place), _UNSTORED)
-                other = columns.setdefault(axis_column(key), key)
-                if axis_column(key) in measures:
-                    message = f"'{key}' is also a measure of this study; choose another name for the measure"
-                    raise spec.placed(SpecError(message, key=path_text(measures[axis_column(key)])))
-                if why := _refusal(key, other):
-                    raise spec.placed(SpecError(why, key=path_text(place)))
+                check_key(key, place, "a measure")
         for key in grid.table:
             place = (*grid.table_place, key)
             _check_sets_no_measure(spec, key, place)
             _check_text(spec, key, place, _CONTROL)
-            if axis_column(key) in measures:
-                message = f"'{key}' is also a variable of this study; choose another name for the measure"
-                raise spec.placed(SpecError(message, key=path_text(measures[axis_column(key)])))
-            if why := _refusal(key, columns.setdefault(axis_column(key), key)):
-                raise spec.placed(SpecError(why, key=path_text(place)))
+            check_key(key, place, "a variable")
 
 
 def _check_sets_no_measure(spec: StudySpec, key: str, place: Path) -> None:
