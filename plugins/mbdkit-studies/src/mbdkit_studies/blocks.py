@@ -7,7 +7,6 @@ from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import cached_property
 from pathlib import Path
-from types import TracebackType
 from typing import Any
 
 import h5py
@@ -38,6 +37,10 @@ OBJECTS = 100_000
 """Largest number of groups and arrays in a block, about 60 for each structure."""
 
 
+class AnotherStudyError(SpecError):
+    """A block belongs to another study than its folder."""
+
+
 class Block:
     """A block file that is open for reading.
 
@@ -45,16 +48,20 @@ class Block:
     ----------
     path
         The file, which may be untrusted.
+    of_study
+        Hash of the study to which the block must belong; empty if it may belong to any study.
 
     Raises
     ------
+    AnotherStudyError
+        If the block belongs to another study.
     SpecError
         If the file is not a block that this version can read.
     ResourceError
         If the file is in use, or the system refuses to read it.
     """
 
-    def __init__(self, path: Path):
+    def __init__(self, path: Path, of_study: str = ""):
         self.path = path
         self.file = open_hdf5(path, "block of a study", objects=OBJECTS)
         try:
@@ -70,6 +77,8 @@ class Block:
                 self.created_utc = str(self.file.attrs["created_utc"])
                 self.store = next(name for name in STORES if name == str(self.file.attrs["store"]))
                 self.numbers = np.asarray(self.file["runs/run"][:])
+                if of_study and self.study_sha256 != of_study:
+                    raise AnotherStudyError("this is a block of another study; move it to another folder", file=path)
         except BaseException:
             self.file.close()
             raise
@@ -314,9 +323,7 @@ class Block:
     def __enter__(self) -> Block:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.close()
 
 

@@ -13,12 +13,11 @@ import numpy as np
 from mbdkit.archive.layout import COUNTERS, TIMINGS
 from mbdkit.base.errors import MbdkitError, ResourceError, SpecError
 from mbdkit.measures.take import Description
-from mbdkit_studies.blocks import Block
+from mbdkit_studies.blocks import AnotherStudyError, Block
 from mbdkit_studies.compute_block import MISALIGNMENT
 from mbdkit_studies.folder_lock import Shard
 from mbdkit_studies.lane_runs import why_alone
 from mbdkit_studies.run_store import MISSING, Round, RunStore
-from mbdkit_studies.study_blocks import AnotherStudyError
 from mbdkit_studies.study_folder import StudyFolder
 from mbdkit_studies.study_index import BETWEEN_REASONS, Index, describe_column
 from mbdkit_studies.study_plan import plan_study
@@ -144,7 +143,7 @@ class RunBlocks(RunStore[int]):
         if state == UNKNOWN:
             return MISSING
         try:
-            with self.plan.blocks.open(path, self.spec.sha256()) as block:
+            with Block(path, self.spec.sha256()) as block:
                 whole = block.numbers.tolist() == [place + 1 for place in self.plan.blocks.places(key)]
                 if not (whole and block.is_sound()):
                     return MISSING
@@ -168,8 +167,8 @@ class RunBlocks(RunStore[int]):
         """
         count = len(self.plan.blocks.places(block))
         try:
-            with Block(self.folder.block(block)) as file:
-                if file.study_sha256 != self.spec.sha256() or len(file.numbers) != count:
+            with Block(self.folder.block(block), self.spec.sha256()) as file:
+                if len(file.numbers) != count:
                     return None
                 columns = file.columns("runs", {*OF_BLOCKS, MISALIGNMENT})
                 reasons = columns.get("verdict_reasons", np.full(count, "[]", object))  # lists in JSON

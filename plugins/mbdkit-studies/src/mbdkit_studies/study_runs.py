@@ -100,7 +100,7 @@ class StudyRuns:
         if path is None or (self.spec.in_blocks and not chosen.row.data_sha256):
             return None
         if self.spec.in_blocks:
-            with self._blocks.open(path, self._sha256) as block:
+            with Block(path, self._sha256) as block:
                 run = block.run(chosen.number)
         else:
             run = load(path)
@@ -240,7 +240,7 @@ class StudyRuns:
         if self.spec.store not in KEEPING_TIMES:
             raise NotStoredError("values over time", str(self.spec.store))
         for path in filter(Path.exists, map(self._files.block, range(self._blocks.count))):
-            with self._blocks.open(path, self._sha256) as block:
+            with Block(path, self._sha256) as block:
                 for run, numbers, counts in block.joined_runs():
                     yield run, numbers.tolist(), counts
 
