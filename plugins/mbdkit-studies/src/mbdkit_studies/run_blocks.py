@@ -19,7 +19,7 @@ from mbdkit_studies.folder_lock import Shard
 from mbdkit_studies.lane_runs import why_alone
 from mbdkit_studies.run_store import MISSING, Round, RunStore
 from mbdkit_studies.study_folder import StudyFolder
-from mbdkit_studies.study_index import BETWEEN_REASONS, Index, describe_column
+from mbdkit_studies.study_index import BETWEEN_REASONS, NUMBERS, Index
 from mbdkit_studies.study_plan import plan_study
 from mbdkit_studies.study_spec import StudySpec
 from mbdkit_studies.tasks import Outcome, Task, forget_run_at_work
@@ -108,7 +108,7 @@ class RunBlocks(RunStore[int]):
         count = len(points)
         found = {name: np.full(count, "", object) for name in OF_BLOCKS} | {MISALIGNMENT: np.full(count, np.nan)}
         found["status"][:] = "missing"
-        described = {name: describe_column(name) for name in (MISALIGNMENT, *COUNTERS, *TIMINGS)}
+        described = {name: NUMBERS[name] for name in (MISALIGNMENT, *COUNTERS, *TIMINGS)}
         for number in range(blocks.count):
             places = blocks.places(number)
             rows = slice(places.start, places.stop)
