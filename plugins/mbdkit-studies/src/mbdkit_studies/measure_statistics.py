@@ -4,17 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from mbdkit.base.errors import MbdkitError
 from mbdkit_studies import sample_statistics
-from mbdkit_studies.sample_groups import SampleGroup, measured, one_group
+from mbdkit_studies.sample_groups import SampledStudy, SampleGroup, measured, one_group
 from mbdkit_studies.sample_statistics import CONFIDENCE, Estimate
-
-if TYPE_CHECKING:
-    from mbdkit_studies.study import Study
 
 QUANTILES = (0.05, 0.5, 0.95)
 FEWEST = 3
@@ -61,7 +58,7 @@ class MeasureStatistics:
 
 
 def statistics(
-    study: Study,
+    study: SampledStudy,
     measure: str,
     *,
     where: Mapping[str, Any] | None = None,
@@ -81,7 +78,7 @@ def statistics(
 
 
 def statistics_of_group(
-    study: Study, group: SampleGroup, measure: str, confidence: float = CONFIDENCE
+    study: SampledStudy, group: SampleGroup, measure: str, confidence: float = CONFIDENCE
 ) -> MeasureStatistics | None:
     """Return the statistics of a measure over the runs of one sample; None if fewer than `FEWEST` runs have a value."""
     values = by_member(study, measured(study, measure, group.places))
@@ -103,7 +100,7 @@ def statistics_of_group(
     )
 
 
-def by_member(study: Study, values: np.ndarray) -> np.ndarray:
+def by_member(study: SampledStudy, values: np.ndarray) -> np.ndarray:
     """Return the values (N,) of the runs of a sample with one row for each member."""
     sample = study.spec.sample
     return values.reshape(-1, 1 if sample is None else sample.runs_of_member)

@@ -11,12 +11,10 @@ import numpy as np
 from mbdkit.archive.group_table import data_frame
 from mbdkit.base.errors import MbdkitError
 from mbdkit.measures.measure_expression import SeriesExpression
-from mbdkit_studies.sample_groups import groups_where, is_bad, one_group
+from mbdkit_studies.sample_groups import SampledStudy, groups_where, is_bad, one_group
 
 if TYPE_CHECKING:
     import pandas
-
-    from mbdkit_studies.study import Study
 
 
 QUANTILES = (0.05, 0.25, 0.5, 0.75, 0.95)
@@ -64,7 +62,7 @@ class QuantileBands:
 
 
 def quantiles(
-    study: Study,
+    study: SampledStudy,
     quantity: str,
     q: float | Sequence[float] = QUANTILES,
     *,
@@ -130,7 +128,7 @@ class _Grid:
     step: int = 1
 
     @classmethod
-    def of(cls, study: Study, places: Set[int]) -> _Grid:
+    def of(cls, study: SampledStudy, places: Set[int]) -> _Grid:
         """Return the recorded times of the runs if all runs have the same times, otherwise equally spaced times."""
         longest = np.empty(0)
         start, end, same = np.inf, -np.inf, True

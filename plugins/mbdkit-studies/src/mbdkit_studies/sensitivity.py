@@ -14,14 +14,12 @@ from mbdkit.archive.measured_values import ERROR
 from mbdkit.base.errors import MbdkitError, SpecError
 from mbdkit.base.text import listed
 from mbdkit_report.key_words import key_words
-from mbdkit_studies.sample_groups import measured, one_group
+from mbdkit_studies.sample_groups import SampledStudy, measured, one_group
 from mbdkit_studies.sample_statistics import CONFIDENCE
 from mbdkit_studies.sobol_indices import RESAMPLES, SobolIndices, members_for, sobol_indices
 
 if TYPE_CHECKING:
     import pandas
-
-    from mbdkit_studies.study import Study
 
 NARROW = 0.05
 """Width of the intervals of indices for which a note says how many members are needed."""
@@ -118,7 +116,7 @@ def _shown(index: float) -> str:
 
 
 def sensitivity(
-    study: Study,
+    study: SampledStudy,
     measure: str,
     *,
     where: Mapping[str, Any] | None = None,
@@ -153,7 +151,7 @@ def sensitivity(
     )
 
 
-def _within_errors(study: Study, measure: str, places: range, values: np.ndarray) -> str:
+def _within_errors(study: SampledStudy, measure: str, places: range, values: np.ndarray) -> str:
     """Return a sentence if the variation of values (n, d + 2) can be explained by their errors; otherwise an empty
     text.
     """
