@@ -27,7 +27,6 @@ from mbdkit.base.errors import MbdkitError, ResourceError
 from mbdkit.quantities.array import FLOAT, GROWING, Array
 from mbdkit.quantities.names import ArchiveNames
 from mbdkit.quantities.table import sizes_of
-from mbdkit.trust.criteria import Judgement
 
 #: Time between flushes [s]. A crash loses only rows recorded after the last flush.
 FLUSH_INTERVAL = 1.0
@@ -210,7 +209,6 @@ class ArchiveWriter(RunWriter):
                 if accuracy is not None:
                     accuracy.write(file, self.names.bodies, self.names.joints)
                 self._write_end(file, ending)
-                self._write_verdict(file, ending.judgement, ending.warnings)
                 if ending.integrals:
                     set_text(file, layout.INTEGRALS, integrals_json(ending.integrals))
                 self.head = self._root_attributes(ending)
@@ -345,10 +343,9 @@ class ArchiveWriter(RunWriter):
                 names = self.shared.drivers if path == "joints/driver_power" else self.shared.joints
                 if path in file and names:
                     self._add(file, path, {"not_unique": ", ".join(names)})
-
-    def _write_verdict(self, file: h5py.File, judgement: Judgement, warnings: Sequence[str]) -> None:
-        reasons = tuple(judgement.reasons)
-        self._add(file, "", {"verdict": judgement.level, "verdict_reasons": reasons, "warnings": tuple(warnings)})
+        reasons = tuple(ending.judgement.reasons)
+        verdict = {"verdict": ending.judgement.level, "verdict_reasons": reasons, "warnings": ending.warnings}
+        self._add(file, "", verdict)
 
     def _write_duration(self, file: h5py.File, started: float, ending: Ending) -> None:
         """Store the duration of `finish` so far."""
@@ -376,11 +373,8 @@ class ArchiveWriter(RunWriter):
         """
         if self._target is not None:
             file.flush()
-            file["trajectory"].attrs.modify(layout.ROWS_FLUSHED, self._row_counts())
-
-    def _row_counts(self) -> np.ndarray:
-        counts = [self._tables[dim].written if dim in self._tables else 0 for dim in GROWING]
-        return np.array(counts, np.int64)
+            counts = [self._tables[dim].written if dim in self._tables else 0 for dim in GROWING]
+            file["trajectory"].attrs.modify(layout.ROWS_FLUSHED, np.array(counts, np.int64))
 
     def _room(self, *, more: bool, also: int = 0) -> contextlib.AbstractContextManager[None]:
         """Return a context that reserves disk space for the buffered rows and flushes the file on exit."""

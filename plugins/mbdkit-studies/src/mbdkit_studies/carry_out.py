@@ -8,7 +8,6 @@ import tempfile
 import weakref
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Executor
-from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -43,39 +42,6 @@ _LOG = logger_of(__name__)
 #: Function called with the number of computations that are done, their total number, and the number of failed runs. A
 #: run, a second run and a set of repeated timings count as one computation each.
 Progress = Callable[[int, int, int], None]
-
-
-@dataclass(frozen=True)
-class Options:
-    """Settings of the execution of a study.
-
-    Parameters
-    ----------
-    shard
-        Part of the study to compute, or None for all of it.
-    progress
-        Called after each task; None for no calls.
-    notify
-        Called with messages for the user, such as warnings.
-    overwrite
-        Whether to remove the study that the folder contains; not allowed with a shard.
-
-    Raises
-    ------
-    SpecError
-        If `overwrite` is set for a part of a study, which shares the folder with other parts.
-    """
-
-    shard: Shard | None
-    progress: Progress | None
-    notify: Callable[[str], None]
-    overwrite: bool = False
-
-    def __post_init__(self) -> None:
-        if self.overwrite and self.shard is not None:
-            raise SpecError(
-                "--overwrite cannot be combined with --shard: it would remove the results of calls for other parts"
-            )
 
 
 class _TemporaryFolder:
@@ -188,9 +154,14 @@ def study(
     >>> [point.status for point in study.points]
     ['complete', 'complete', 'complete', 'complete']
     """
-    engine, options = Engine(workers, checked_executor(executor)), Options(shard, progress, notify, overwrite)
+    engine = Engine(workers, checked_executor(executor))
+    if overwrite and shard is not None:
+        raise SpecError(
+            "--overwrite cannot be combined with --shard: it would remove the results of calls for other parts"
+        )
     spec = load_study_spec(source, assignments)
-    return _carried_out(spec if store is None else spec.stored_as(store), out, engine, options)
+    spec = spec if store is None else spec.stored_as(store)
+    return _carried_out(spec, out, engine, shard, progress, notify, overwrite=overwrite)
 
 
 def ensemble(
@@ -268,75 +239,82 @@ def ensemble(
     columns = _columns_of(variables)
     keys = {"block": block, "compress": compress or None, "measures": None if measures == "all" else measures}
     spec = _spec_of(source, columns, store, {name: value for name, value in keys.items() if value is not None})
-    engine, options = Engine(workers, checked_executor(executor)), Options(None, progress, notify, overwrite)
-    return _carried_out(load_study_spec(spec), out, engine, options)
+    engine = Engine(workers, checked_executor(executor))
+    return _carried_out(load_study_spec(spec), out, engine, None, progress, notify, overwrite=overwrite)
 
 
-def _carried_out(spec: StudySpec, out: str | Path | None, engine: Engine, options: Options) -> Study:
+def _carried_out(
+    spec: StudySpec,
+    out: str | Path | None,
+    engine: Engine,
+    shard: Shard | None,
+    progress: Progress | None,
+    notify: Callable[[str], None],
+    *,
+    overwrite: bool,
+) -> Study:
     """Compute the missing runs of a study, in a temporary folder unless `out` is given, and open the study."""
     keep = None
     if out is None:
         keep = _TemporaryFolder()
         out = keep.path
     folder = StudyFolder(Path(out))
-    spec = with_sample_values(spec, folder, overwrite=options.overwrite)
-    spec = with_store(spec, folder, overwrite=options.overwrite)
+    spec = with_sample_values(spec, folder, overwrite=overwrite)
+    spec = with_store(spec, folder, overwrite=overwrite)
     try:
-        is_shown = options.progress is None and in_notebook()
+        is_shown = progress is None and in_notebook()
         with count_bar(spec.title or folder.path.name, quiet=not is_shown) as bar:
             of_sample: dict[str, str] = {}
 
-            def notify(text: str) -> None:
+            def notify_unless_told(text: str) -> None:
                 if without_numbers(text.removeprefix("warning: ")) not in of_sample:
-                    options.notify(text)
+                    notify(text)
 
             store: RunStore[Any] = (RunBlocks if spec.in_blocks else RunFiles)(spec, folder)
-            folder.check(spec, overwrite=options.overwrite)
+            folder.check(spec, overwrite=overwrite)
             _LOG.info("study in %s begins: %s", shown(folder.path), counted(store.count, "run"))
             of_sample |= store.plan.warnings_of_sample()
             for warning in (*of_sample.values(), *store.plan.notes()):
                 _LOG.warning("%s", warning)
-                options.notify(f"warning: {warning}")
-            _execute(store, replace(options, progress=options.progress or bar, notify=notify), engine)
+                notify(f"warning: {warning}")
+            if overwrite:
+                folder.clear()
+            _execute(store, engine, shard, progress or bar, notify_unless_told)
             _LOG.info("study in %s ends: %d computed, %d failed", shown(folder.path), store.computed, store.failed)
     except SpecError as error:
         raise advised(error, sorted(folder.path.glob("runs/*.h5"))) from None
     return Study(folder.path, computed=store.computed, unfinished=store.unfinished, keep=keep)
 
 
-def _execute(store: RunStore[Any], options: Options, engine: Engine) -> None:
-    """Compute the missing runs of a study and write the index; after Ctrl-C, the index contains the results so far.
-
-    Parameters
-    ----------
-    engine
-        Processes or executor that compute the runs.
-    """
+def _execute(
+    store: RunStore[Any], engine: Engine, shard: Shard | None, progress: Progress | None, notify: Callable[[str], None]
+) -> None:
+    """Compute the missing runs of a study and write the index; after Ctrl-C, the index contains the results so far."""
     folder = store.folder
-    if options.overwrite:
-        folder.clear()
     folder.prepare(store.spec)
-    with folder.locked(options.shard):
-        total = store.begin(options.shard, options.notify)
+    with folder.locked(shard):
+        total = store.begin(shard, notify)
         try:
-            _compute(store, options, engine, total)
+            _compute(store, engine, total, progress, notify)
         finally:
             with interrupts_delayed(), alone(folder.runs):  # other calls may write the index
                 study_index.write(folder.index, store.spec, store.index())
 
 
-def _compute(store: RunStore[Any], options: Options, engine: Engine, total: int) -> None:
+def _compute(
+    store: RunStore[Any], engine: Engine, total: int, progress: Progress | None, notify: Callable[[str], None]
+) -> None:
     """Compute the missing results."""
     ended = 0  # number of runs that were planned for this round and the rounds before
     for some in store.rounds():
         ended += some.planned
         done = ended - sum(task.runs for task in some.tasks)  # planned runs without a task count as done
-        with (Engine() if some.one_by_one else engine).pool(options.notify) as pool:
+        with (Engine() if some.one_by_one else engine).pool(notify) as pool:
             for task, outcome in pool.work(some.tasks):
                 store.note(task, outcome)
                 done += task.runs
-                if options.progress is not None:
-                    options.progress(done, total, store.failed)
+                if progress is not None:
+                    progress(done, total, store.failed)
 
 
 def _spec_of(source: RunSource, columns: dict[str, np.ndarray], store: Store, keys: Mapping[str, Any]) -> StudySpec:

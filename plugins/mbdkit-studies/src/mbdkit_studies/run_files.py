@@ -6,6 +6,7 @@ import hashlib
 import math
 from collections import Counter
 from collections.abc import Callable, Iterator
+from contextlib import nullcontext
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -161,19 +162,14 @@ class RunFiles(RunStore[str]):
         SpecError, ResourceError
             If an archive cannot be read.
         """
-        with load(archive) as run:
-            if reference is None:
-                values = self._values(run, None, spec)
-            else:
-                with load(reference) as compared:
-                    values = self._values(run, compared, spec)
+        with load(archive) as run, nullcontext() if reference is None else load(reference) as compared:
             return Row(
                 run.run_id,
                 run.status,
                 run.status_reason,
                 worst_joint=worst_joint(run),
                 data_sha256=run.data_sha256,
-                values=values,
+                values=self._values(run, compared, spec),
                 verdict=run.verdict,
                 verdict_reasons=BETWEEN_REASONS.join(run.verdict_reasons),
             )
