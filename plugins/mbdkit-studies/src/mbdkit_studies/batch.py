@@ -20,18 +20,30 @@ CHUNK = 8 * WIDTH
 """Number of runs that are prepared before any of them is advanced; similar runs among them are vectorized together."""
 
 
-def simulate_batch(
+def simulate_batch(specs: Iterable[RunSpec], *, lanes: LaneRuns | None = None) -> Iterator[FinishedRun | Outcome]:
+    """Run validated specs, and yield the result of each, in the order of `specs`; see `simulate_in_any_order`."""
+    waiting: dict[int, FinishedRun | Outcome] = {}
+    following = 0
+    for some in simulate_in_any_order(specs, lanes=lanes):
+        waiting.update(some)
+        while following in waiting:
+            yield waiting.pop(following)
+            following += 1
+
+
+def simulate_in_any_order(
     specs: Iterable[RunSpec],
     *,
-    begun: Callable[[int], None] | None = None,
+    begun: Callable[[int], None] = lambda place: None,
     measures: Sequence[str] = (),
     lanes: LaneRuns | None = None,
-) -> Iterator[FinishedRun | Outcome]:
-    """Run validated specs, and yield the result of each, in the order of `specs`.
+) -> Iterator[list[tuple[int, FinishedRun | Outcome]]]:
+    """Run validated specs, and yield indices and results of runs as soon as they are known.
 
     The numbers, and therefore `FinishedRun.data_sha256`, are equal to those of `simulate` for the same spec. Runs on
     index-1 equations with explicit, Gauss and Radau IIA methods are vectorized; see `mbdkit_studies.lane_runs` for the
-    exceptions. All others are computed one after another.
+    exceptions. All others are computed one after another. The runs of a vector are yielded together, other runs one by
+    one.
 
     Parameters
     ----------
@@ -43,27 +55,6 @@ def simulate_batch(
     lanes
         Loops and compiled mechanisms of earlier batches with the same `measures`; by default, new ones.
     """
-    waiting: dict[int, FinishedRun | Outcome] = {}
-    following = 0
-    for some in simulate_in_any_order(specs, begun=begun, measures=measures, lanes=lanes):
-        waiting.update(some)
-        while following in waiting:
-            yield waiting.pop(following)
-            following += 1
-
-
-def simulate_in_any_order(
-    specs: Iterable[RunSpec],
-    *,
-    begun: Callable[[int], None] | None = None,
-    measures: Sequence[str] = (),
-    lanes: LaneRuns | None = None,
-) -> Iterator[list[tuple[int, FinishedRun | Outcome]]]:
-    """Run specs as `simulate_batch` does, and yield indices and results of runs as soon as they are known.
-
-    The runs of a vector are yielded together, other runs one by one.
-    """
-    begun = begun or _ignored
     lanes, remaining = lanes or LaneRuns(Starts(), measures), iter(enumerate(specs))
     while chunk := list(islice(remaining, CHUNK)):
         with one_thread_of_linear_algebra():
@@ -82,10 +73,6 @@ def simulate_in_any_order(
             place, spec = chunk[index]
             begun(place)
             yield [(place, _alone(spec, lanes.starts, measures))]
-
-
-def _ignored(place: int) -> None:
-    """Default for `begun`: do nothing."""
 
 
 def _noted(chunk: Iterable[tuple[int, RunSpec]], begun: Callable[[int], None]) -> Iterator[RunSpec]:

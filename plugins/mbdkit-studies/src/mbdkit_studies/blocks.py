@@ -125,11 +125,6 @@ class Block:
                 if name != "run"
             }
 
-    @property
-    def version(self) -> str:
-        """Version of mbdkit that wrote the block."""
-        return str(self.file["provenance"].attrs.get("mbdkit", "unknown"))
-
     def row(self, number: int) -> int:
         """Return the index of a run in the block from its number in the study; raise SpecError if the block lacks the
         run.

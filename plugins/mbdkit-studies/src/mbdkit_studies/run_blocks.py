@@ -118,7 +118,9 @@ class RunBlocks(RunStore[int]):
                 continue
             described = {**block.described, **described}
             for name, column in block.runs.items():
-                found.setdefault(name, np.full(count, np.nan))[rows] = column
+                if name not in found:
+                    found[name] = np.full(count, np.nan)
+                found[name][rows] = column
         last = (*COUNTERS, *TIMINGS)
         numbers = [name for name in found if name not in OF_BLOCKS]
         ordered = sorted(numbers, key=lambda name: last.index(name) if name in last else -1)
