@@ -107,12 +107,6 @@ class StudyPlan:
             raise errors[0]
         return valid
 
-    def require_valid_samples(self) -> None:
-        """Raise SpecError if a sample is invalid."""
-        for point in self.samples:
-            if not point.lacking:
-                point.spec  # noqa: B018  # raises the error
-
     def _specs(self) -> Iterator[RunSpec]:
         """Return the specs that are known before the first run: for a study in blocks, those of the samples."""
         return (spec for _, spec in self.valid_samples) if self.spec.in_blocks else iter(self.runs.values())
@@ -180,7 +174,9 @@ def plan_study(spec: StudySpec) -> StudyPlan:
     check_column_names(spec)
     plan = StudyPlan(spec)
     if spec.in_blocks and (spec.members is None or spec.sample is not None):
-        plan.require_valid_samples()
+        for point in plan.samples:
+            if not point.lacking:
+                point.spec  # noqa: B018  # raises an error if it is invalid
     return plan
 
 
