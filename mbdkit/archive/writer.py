@@ -27,6 +27,7 @@ from mbdkit.base.errors import MbdkitError, ResourceError
 from mbdkit.quantities.array import FLOAT, GROWING, Array
 from mbdkit.quantities.names import ArchiveNames
 from mbdkit.quantities.table import sizes_of
+from mbdkit.trust.criteria import Judgement
 
 #: Time between flushes [s]. A crash loses only rows recorded after the last flush.
 FLUSH_INTERVAL = 1.0
@@ -209,6 +210,7 @@ class ArchiveWriter(RunWriter):
                 if accuracy is not None:
                     accuracy.write(file, self.names.bodies, self.names.joints)
                 self._write_end(file, ending)
+                self._write_verdict(file, ending.judgement, ending.warnings)
                 if ending.integrals:
                     set_text(file, layout.INTEGRALS, integrals_json(ending.integrals))
                 self.head = self._root_attributes(ending)
@@ -343,9 +345,10 @@ class ArchiveWriter(RunWriter):
                 names = self.shared.drivers if path == "joints/driver_power" else self.shared.joints
                 if path in file and names:
                     self._add(file, path, {"not_unique": ", ".join(names)})
-        reasons = tuple(ending.judgement.reasons)
-        verdict = {"verdict": ending.judgement.level, "verdict_reasons": reasons, "warnings": ending.warnings}
-        self._add(file, "", verdict)
+
+    def _write_verdict(self, file: h5py.File, judgement: Judgement, warnings: tuple[str, ...]) -> None:
+        reasons = tuple(judgement.reasons)
+        self._add(file, "", {"verdict": judgement.level, "verdict_reasons": reasons, "warnings": warnings})
 
     def _write_duration(self, file: h5py.File, started: float, ending: Ending) -> None:
         """Store the duration of `finish` so far."""
