@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass
 from functools import lru_cache
 from hashlib import sha256
 from types import MappingProxyType
@@ -13,20 +13,17 @@ import h5py
 import numpy as np
 
 from mbdkit.archive import layout
-from mbdkit.archive.accuracy import Accuracy
 from mbdkit.archive.fingerprint import beginning, text_bytes
-from mbdkit.archive.measured_values import Integrals
 from mbdkit.archive.run_writer import Ending, RunWriter, SharedForces, name_lines
 from mbdkit.archive.writer import ArchiveWriter
-from mbdkit.quantities.array import FLOAT, GROWING, TEXT, Array
+from mbdkit.quantities.array import GROWING, TEXT, Array
 from mbdkit.quantities.names import ArchiveNames
 from mbdkit.quantities.table import sizes_of
-from mbdkit.trust.criteria import Judgement
 
 
-@dataclass(frozen=True, eq=False)
-class FinishedRun:
-    """A finished run.
+@dataclass(frozen=True, eq=False, kw_only=True)
+class FinishedRun(Ending):
+    """A finished run: how it has ended, and what it has recorded.
 
     Parameters
     ----------
@@ -38,55 +35,18 @@ class FinishedRun:
         Values of the arrays with rows, by `Array.key`: ``time`` (T,), ``trajectory/position`` (T, B, 3), ...
     shared
         Description of the reactions of redundant joints; None without redundant joints.
-    status, reason
-        ``complete``, ``failed`` or ``interrupted``, and the reason; see `Ending`.
-    stats
-        Counters and times [s].
-    misalignment_max
-        (J,) largest misalignment of each joint over all steps [m].
-    judgement, warnings
-        Verdict, its reasons, and warnings.
     data_sha256
         Hash of the arrays, equal to that of the archive of this run.
     assembly
         Sentence on how the start was made consistent.
-    accuracy
-        Estimated errors, if the run was checked.
-    cause
-        The exception of a plugin that ended the run; None if there was none.
-    integrals
-        See `Ending`.
     """
 
     names: ArchiveNames
     layout: tuple[Array, ...]
     arrays: Mapping[str, np.ndarray]
     shared: SharedForces | None
-    status: str
-    reason: str
-    stats: Mapping[str, int | float]
-    misalignment_max: np.ndarray
-    judgement: Judgement
-    warnings: tuple[str, ...]
     data_sha256: str
     assembly: str = ""
-    accuracy: Accuracy | None = None
-    cause: BaseException | None = None
-    integrals: Integrals = field(default_factory=dict)
-
-    @property
-    def ending(self) -> Ending:
-        """The way in which the run has ended."""
-        return Ending(
-            self.status,
-            self.reason,
-            self.stats,
-            self.misalignment_max,
-            self.judgement,
-            self.warnings,
-            self.accuracy,
-            self.integrals,
-        )
 
     def rows(self, dim: str) -> int:
         """Return the number of rows along a growing axis of the layout; 0 if there is no such array."""
@@ -173,23 +133,16 @@ class ArrayWriter(RunWriter):
         for dim, rows in self._rows.items():
             self._resize(dim, rows)
         arrays, self._buffers = self._buffers, {}
-        made = FinishedRun(
-            self.names,
-            self.arrays,
-            arrays,
-            self._shared,
-            ending.status,
-            ending.reason,
-            ending.stats,
-            np.asarray(ending.misalignment_max, FLOAT),
-            ending.judgement,
-            tuple(ending.warnings),
-            array_hash(self.names, self.arrays).of(arrays),
-            self._assembly,
-            ending.accuracy,
-            integrals=ending.integrals,
+        of_data = array_hash(self.names, self.arrays).of(arrays)
+        self.finished = FinishedRun(
+            **vars(ending) | {"stats": {**ending.stats, "finish_s": time.perf_counter() - started}},
+            names=self.names,
+            layout=self.arrays,
+            arrays=arrays,
+            shared=self._shared,
+            data_sha256=of_data,
+            assembly=self._assembly,
         )
-        self.finished = replace(made, stats={**ending.stats, "finish_s": time.perf_counter() - started})
 
 
 class ArrayHash:
@@ -210,6 +163,7 @@ class ArrayHash:
         #: For each hashed array, in the order of their paths: lines of names that precede its line, path, key and type.
         self._arrays: list[tuple[str, str, str, str]] = []
         self._rest = ""
+        self._shared: dict[str, tuple[np.ndarray, str]] | None = None
         self._latest: tuple[tuple[tuple[int, ...], ...] | None, Sequence[tuple[str, str, bool]]] = None, []
         for name, one in sorted(lines, key=lambda item: item[0]):
             if one is None:
@@ -221,6 +175,27 @@ class ArrayHash:
     def digest(self, array: np.ndarray) -> str:
         """Return the digest of the numbers in a contiguous array."""
         return sha256(array.data).hexdigest()
+
+    def shared_digests(self, arrays: Mapping[str, np.ndarray]) -> dict[str, str]:
+        """Return the digests of arrays that are equal in all of several runs, such as the times; they are computed only
+        once.
+
+        Parameters
+        ----------
+        arrays
+            Contiguous numbers (R, ...) of the R runs by `Array.key`, with the same keys in every call. Arrays that
+            differed between runs in the first call are not compared again.
+        """
+        first, self._shared = self._shared is None, self._shared or {}
+        for key in list(arrays if first else self._shared):
+            bits = arrays[key].view(np.int64)  # compared bitwise: nan equals itself, and 0.0 differs from -0.0
+            if key in self._shared and (bits == self._shared[key][0]).all():
+                continue
+            if (first or len(bits) > 1) and (bits == bits[:1]).all():
+                self._shared[key] = bits[0].copy(), self.digest(arrays[key][0])
+            else:
+                self._shared.pop(key, None)
+        return {key: digest for key, (_, digest) in self._shared.items()}
 
     def of(self, arrays: Mapping[str, np.ndarray], known: Mapping[str, str] = MappingProxyType({})) -> str:
         """Return the hash of a run from its contiguous arrays by `Array.key`.

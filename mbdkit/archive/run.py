@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Mapping
 from functools import cached_property
 from pathlib import Path
-from types import TracebackType
 from typing import TYPE_CHECKING, Any
 
 import h5py
@@ -184,7 +183,7 @@ class Run(RecordedData, HtmlView, Extensible):
 
         See `mbdkit.runs.integrals`.
         """
-        return self._contents.integrals()
+        return self._contents.integrals
 
     @cached_property
     def measures(self) -> MeasuredValues:
@@ -200,7 +199,7 @@ class Run(RecordedData, HtmlView, Extensible):
         >>> run.measures.units["pull"]
         'kN'
         """
-        return self._contents.measures()
+        return self._contents.measures
 
     @property
     def measure_errors(self) -> Mapping[str, float]:
@@ -219,7 +218,7 @@ class Run(RecordedData, HtmlView, Extensible):
         ``errors`` by name of the parameter, and a ``check`` by differences of runs. If there are no derivatives, it has
         a ``reason`` instead. The mapping is empty if the spec has no `gradients`.
         """
-        return self._contents.gradients()
+        return self._contents.gradients
 
     def moment_arms(self, muscle: str, coordinate: str) -> np.ndarray:
         """Return the moment arm of a muscle about a coordinate, -dL/dq, at the recorded rows.
@@ -265,7 +264,7 @@ class Run(RecordedData, HtmlView, Extensible):
         """Estimated errors of the recorded rows; None if the run was not checked (``check: true``), or if a study does
         not keep the errors.
         """
-        return self._contents.accuracy()
+        return self._contents.accuracy
 
     @property
     def file(self) -> h5py.File:
@@ -409,9 +408,7 @@ class Run(RecordedData, HtmlView, Extensible):
     def __enter__(self) -> Run:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.close()
 
     def __reduce__(self) -> tuple[Any, ...]:

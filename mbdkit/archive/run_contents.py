@@ -26,7 +26,7 @@ from mbdkit.archive.named_columns import NotRecordedError
 from mbdkit.archive.plain_spec import PlainSpec
 from mbdkit.archive.read_only_dict import ReadOnlyDict
 from mbdkit.archive.run_header import open_archive
-from mbdkit.archive.run_writer import Origin
+from mbdkit.archive.run_writer import Ending, Origin, SharedForces
 from mbdkit.archive.stored_mechanism import StoredMechanism, built_mechanism, read_mechanism
 from mbdkit.archive.writer import ArchiveWriter
 from mbdkit.base.errors import MbdkitError, SpecError, UnknownNameError
@@ -70,6 +70,26 @@ class Header:
     misalignment_max: np.ndarray | None = None
     redundancy: str = ""
 
+    @classmethod
+    def of(
+        cls,
+        attributes: Mapping[str, str],
+        provenance: Mapping[str, str | int | float],
+        ending: Ending,
+        shared: SharedForces | None,
+    ) -> Header:
+        """Return the header of a run that has ended."""
+        return cls(
+            attributes,
+            ReadOnlyDict(provenance),
+            ending.judgement.level,
+            tuple(ending.judgement.reasons),
+            ending.warnings,
+            ReadOnlyDict(ending.stats),
+            np.asarray(ending.misalignment_max, FLOAT),
+            "" if shared is None else shared.redundancy,
+        )
+
 
 class RunContents(ABC):
     """Interface through which a `Run` reads its data.
@@ -88,6 +108,14 @@ class RunContents(ABC):
         The exception of a plugin that ended the run in this process.
     whole_rows
         For a crashed run, the number of complete rows along each growing axis, by name of the axis.
+    measures
+        Values of the measures in the spec.
+    integrals
+        Integrals over time and extrema by their expressions.
+    gradients
+        Gradients of the measures; see `Run.gradients`.
+    accuracy
+        Estimated errors; None if there are none, or if a study did not store them.
     """
 
     header: Header
@@ -96,22 +124,14 @@ class RunContents(ABC):
     run_spec: RunSpec | None = None
     cause: BaseException | None = None
     whole_rows: Mapping[str, int] = MappingProxyType({})
+    measures: MeasuredValues
+    integrals: Integrals
+    gradients: Mapping[str, Mapping[str, Any]]
+    accuracy: Accuracy | None
 
     @abstractmethod
     def dataset(self, path: str) -> h5py.Dataset | np.ndarray:
         """Return an array; see `Run.dataset`."""
-
-    @abstractmethod
-    def measures(self) -> MeasuredValues:
-        """Return the values of the measures in the spec."""
-
-    @abstractmethod
-    def integrals(self) -> Integrals:
-        """Return the integrals over time and extrema by their expressions."""
-
-    @abstractmethod
-    def gradients(self) -> Mapping[str, Mapping[str, Any]]:
-        """Return the gradients of the measures; see `Run.gradients`."""
 
     @abstractmethod
     def mechanism(self) -> StoredMechanism:
@@ -121,10 +141,6 @@ class RunContents(ABC):
     @abstractmethod
     def files(self) -> Sequence[FileRead] | None:
         """The files that were read for the run; None if they are not known, as in archives of earlier versions."""
-
-    @abstractmethod
-    def accuracy(self) -> Accuracy | None:
-        """Return the estimated errors; None if there are none, or if a study did not store them."""
 
     @property
     @abstractmethod
@@ -193,22 +209,15 @@ class ArchiveContents(RunContents):
     @classmethod
     def just_written(cls, writer: ArchiveWriter) -> ArchiveContents:
         """Open an archive that this process has just written; the header is taken from the writer."""
-        path, ending, origin = writer.path, writer.ending, writer.origin
+        path, ending = writer.path, writer.ending
         assert path is not None
         assert ending is not None
-        header = Header(
-            writer.head,
-            ReadOnlyDict(origin.provenance),
-            ending.judgement.level,
-            tuple(ending.judgement.reasons),
-            tuple(ending.warnings),
-            ReadOnlyDict(ending.stats),
-            np.asarray(ending.misalignment_max, FLOAT),
-            "" if writer.shared is None else writer.shared.redundancy,
-        )
+        header = Header.of(writer.head, writer.origin.provenance, ending, writer.shared)
         with reading("its header", path):
             file = h5py.File(path, "r", locking="best-effort")
-        return cls(file, path, header)
+        contents = cls(file, path, header)
+        contents.cause = ending.cause
+        return contents
 
     def _read_header(self) -> Header:
         file = self._file
@@ -271,18 +280,21 @@ class ArchiveContents(RunContents):
             raise NotRecordedError(array.path, version)
         return np.empty((0, *(len(group[dim]) for dim in array.dims[1:])), array.dtype)
 
-    def measures(self) -> MeasuredValues:
-        """Return the values of the measures in the spec."""
+    @cached_property
+    def measures(self) -> MeasuredValues:  # type: ignore[override]
+        """See `RunContents`."""
         with reading("the measures", self.path):
             return MeasuredValues.from_json(str(self.file.attrs.get(layout.MEASURES, "{}")))
 
-    def integrals(self) -> Integrals:
-        """Return the integrals over time and extrema by their expressions."""
+    @cached_property
+    def integrals(self) -> Integrals:  # type: ignore[override]
+        """See `RunContents`."""
         with reading("the integrals", self.path):
             return integrals_from_json(str(self.file.attrs.get(layout.INTEGRALS, "{}")))
 
-    def gradients(self) -> Mapping[str, Mapping[str, Any]]:
-        """Return the gradients of the measures."""
+    @cached_property
+    def gradients(self) -> Mapping[str, Mapping[str, Any]]:  # type: ignore[override]
+        """See `RunContents`."""
         with reading("the gradients", self.path):
             return ReadOnlyDict(json.loads(str(self.file.attrs.get(layout.GRADIENTS, "{}"))))
 
@@ -302,8 +314,9 @@ class ArchiveContents(RunContents):
             is_earlier = layout.MECHANISM not in self.file.attrs
             return None if is_earlier else read_files(str(self.file.attrs.get(layout.FILES, "[]")))
 
-    def accuracy(self) -> Accuracy | None:
-        """Return the estimated errors."""
+    @cached_property
+    def accuracy(self) -> Accuracy | None:  # type: ignore[override]
+        """See `RunContents`."""
         with reading("accuracy", self.path):
             group = self.file.get("accuracy")
             return None if group is None else Accuracy.read(group)
@@ -318,31 +331,6 @@ class ArchiveContents(RunContents):
     def close(self) -> None:
         """Close the archive."""
         self._file.close()
-
-
-@dataclass(frozen=True)
-class Heading:
-    """Spec and provenance of a run.
-
-    Parameters
-    ----------
-    spec
-        Spec of the run.
-    run_id
-        Identifier of the run.
-    created_utc
-        Time at which the run was stored, ISO 8601.
-    provenance
-        Attributes of ``/provenance``.
-    mechanism
-        The mechanism; None for that of `spec`.
-    """
-
-    spec: RunSpec | PlainSpec
-    run_id: str = ""
-    created_utc: str = ""
-    provenance: Mapping[str, str | int | float] = field(default_factory=dict)
-    mechanism: StoredMechanism | None = None
 
 
 class NotStoredError(NotRecordedError):
@@ -361,8 +349,12 @@ class ArrayContents(RunContents):
     ----------
     finished
         The results; `FinishedRun.layout` lists only the arrays that are stored.
-    heading
-        Spec and provenance.
+    spec
+        Spec of the run.
+    run_id, created_utc, provenance
+        See `Origin`.
+    mechanism
+        The mechanism; None for that of `spec`.
     store
         Which arrays the study stores of each run; empty if it stores all.
     measured
@@ -374,34 +366,34 @@ class ArrayContents(RunContents):
     def __init__(
         self,
         finished: FinishedRun,
-        heading: Heading,
+        spec: RunSpec | PlainSpec,
+        *,
+        run_id: str = "",
+        created_utc: str = "",
+        provenance: Mapping[str, str | int | float] = MappingProxyType({}),
+        mechanism: StoredMechanism | None = None,
         store: str = "",
         measured: MeasuredValues | None = None,
         gradients: str = "",
     ):
-        self._finished, self._heading, self._store = finished, heading, store
-        self._measured, self._gradients = measured or MeasuredValues({}, {}), gradients
+        self._finished, self._spec, self._mechanism, self._store = finished, spec, mechanism, store
+        self.measures = measured or MeasuredValues({}, {})
+        self.integrals, self.accuracy = finished.integrals, finished.accuracy
+        self.gradients, self._gradients = ReadOnlyDict(json.loads(gradients or "{}")), gradients
         self._closed = False
-        self.run_spec, self.cause = heading.spec if isinstance(heading.spec, RunSpec) else None, finished.cause
-        self.header = Header(
-            {
-                "format_version": layout.FORMAT_VERSION,
-                "status": finished.status,
-                "status_reason": finished.reason,
-                "run_id": heading.run_id,
-                "created_utc": heading.created_utc,
-                "spec": heading.spec.canonical_json(),
-                "spec_sha256": heading.spec.sha256(),
-                "data_sha256": finished.data_sha256,
-            },
-            ReadOnlyDict({**heading.provenance, **({"assembly": finished.assembly} if finished.assembly else {})}),
-            finished.judgement.level,
-            tuple(finished.judgement.reasons),
-            finished.warnings,
-            ReadOnlyDict(finished.stats),
-            finished.misalignment_max,
-            "" if finished.shared is None else finished.shared.redundancy,
-        )
+        self.run_spec, self.cause = spec if isinstance(spec, RunSpec) else None, finished.cause
+        attributes = {
+            "format_version": layout.FORMAT_VERSION,
+            "status": finished.status,
+            "status_reason": finished.reason,
+            "run_id": run_id,
+            "created_utc": created_utc,
+            "spec": spec.canonical_json(),
+            "spec_sha256": spec.sha256(),
+            "data_sha256": finished.data_sha256,
+        }
+        assembly = {"assembly": finished.assembly} if finished.assembly else {}
+        self.header = Header.of(attributes, {**provenance, **assembly}, finished, finished.shared)
 
     @cached_property
     def _texts(self) -> Mapping[str, tuple[str, ...]]:
@@ -436,30 +428,14 @@ class ArrayContents(RunContents):
             raise NotStoredError(path, self._store)
         raise NotRecordedError(path, layout.FORMAT_VERSION)
 
-    def measures(self) -> MeasuredValues:
-        """Return the values of the measures in the spec."""
-        return self._measured
-
-    def integrals(self) -> Integrals:
-        """Return the integrals over time and extrema by their expressions."""
-        return self._finished.integrals
-
-    def gradients(self) -> Mapping[str, Mapping[str, Any]]:
-        """Return the gradients of the measures; empty for runs in blocks, which do not store them."""
-        return ReadOnlyDict(json.loads(self._gradients or "{}"))
-
     def mechanism(self) -> StoredMechanism:
         """Return the mechanism that was run."""
-        return self._heading.mechanism or StoredMechanism(self._heading.spec.mechanism())
+        return self._mechanism or StoredMechanism(self._spec.mechanism())
 
     @property
     def files(self) -> Sequence[FileRead] | None:
         """The files that were read for the run."""
-        return self._heading.spec.files_read
-
-    def accuracy(self) -> Accuracy | None:
-        """Return the estimated errors."""
-        return self._finished.accuracy
+        return self._spec.files_read
 
     @cached_property
     def file(self) -> h5py.File:
@@ -467,17 +443,17 @@ class ArrayContents(RunContents):
         self._check_open()
         if self._store:
             raise NotStoredError("complete archive", self._store)
-        finished, heading = self._finished, self._heading
-        origin = Origin.of(heading.spec, self.header.provenance)
+        finished, head = self._finished, self.header.attributes
+        origin = Origin.of(self._spec, self.header.provenance)
         writer = ArchiveWriter(
             None,
             finished.names,
-            replace(origin, run_id=heading.run_id, created_utc=heading.created_utc),
+            replace(origin, run_id=head["run_id"], created_utc=head["created_utc"]),
             arrays=finished.layout,
             shared=finished.shared,
         )
         finished.write(writer)
-        file = writer.finish(finished.ending, measured=self._write_measures if self._measured else None)
+        file = writer.finish(finished, measured=self._write_measures if self.measures else None)
         assert file is not None
         file.attrs.modify("data_sha256", finished.data_sha256)
         file["stats"].attrs.modify("finish_s", finished.stats["finish_s"])
@@ -486,7 +462,7 @@ class ArrayContents(RunContents):
     def _write_measures(self, file: h5py.File) -> str:
         if self._gradients:
             set_text(file, layout.GRADIENTS, self._gradients)
-        return self._measured.to_json()
+        return self.measures.to_json()
 
     def _check_open(self) -> None:
         if self._closed:

@@ -9,7 +9,7 @@ from datetime import UTC, datetime
 from functools import lru_cache
 from hashlib import sha256
 from pathlib import Path
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING
 
 import h5py
 import numpy as np
@@ -19,13 +19,14 @@ from mbdkit.archive.accuracy import Accuracy
 from mbdkit.archive.fingerprint import line, text_bytes
 from mbdkit.archive.measured_values import Integrals
 from mbdkit.archive.stored_mechanism import mechanism_json
-from mbdkit.base.files_read import FileRead, files_json
+from mbdkit.base.files_read import files_json
 from mbdkit.quantities.array import FLOAT, TEXT, Array
 from mbdkit.quantities.names import ArchiveNames
 from mbdkit.trust.criteria import Judgement
 
 if TYPE_CHECKING:
-    from mbdkit.mechanism.mechanism import Mechanism
+    from mbdkit.archive.plain_spec import PlainSpec
+    from mbdkit.spec.model_spec import ModelSpec
 
 
 def utc_now() -> str:
@@ -39,7 +40,7 @@ _KEYS = frozenset(array.key for array in layout.LAYOUT)
 UNJUDGED = Judgement("unknown")
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Ending:
     """How a run has ended.
 
@@ -62,6 +63,8 @@ class Ending:
         Estimated errors of the rows, if the run was checked.
     integrals
         Integrals over time and extrema, by expression, in SI units; see `mbdkit.archive.measured_values.Integrals`.
+    cause
+        The exception of a plugin that ended the run; None if there was none.
     """
 
     status: str
@@ -69,33 +72,10 @@ class Ending:
     stats: Mapping[str, int | float]
     misalignment_max: np.ndarray
     judgement: Judgement = UNJUDGED
-    warnings: Sequence[str] = ()
+    warnings: tuple[str, ...] = ()
     accuracy: Accuracy | None = None
     integrals: Integrals = field(default_factory=dict)
-
-    def __post_init__(self) -> None:
-        if self.status not in layout.STATUSES[1:]:
-            raise ValueError(f"a run ends as complete, failed or interrupted, not {self.status!r}")
-
-
-class AnySpec(Protocol):
-    """The part of a spec that an archive stores."""
-
-    def canonical_json(self) -> str:
-        """Return its canonical JSON."""
-
-    def sha256(self) -> str:
-        """Return the SHA-256 of the UTF-8 bytes of its canonical JSON."""
-
-    def run_id(self) -> str:
-        """Return the name of the run."""
-
-    def mechanism(self) -> Mechanism:
-        """Return its mechanism."""
-
-    @property
-    def files_read(self) -> Sequence[FileRead]:
-        """The files that were read for it so far."""
+    cause: BaseException | None = None
 
 
 @dataclass(frozen=True)
@@ -127,7 +107,7 @@ class Origin:
     texts: Mapping[str, str] = field(default_factory=dict)
 
     @classmethod
-    def of(cls, spec: AnySpec, provenance: Mapping[str, str | int | float]) -> Origin:
+    def of(cls, spec: ModelSpec | PlainSpec, provenance: Mapping[str, str | int | float]) -> Origin:
         """Return the origin of a run of a spec."""
         mechanism = spec.mechanism()
         bodies = mechanism.bodies.values()

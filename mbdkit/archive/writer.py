@@ -198,6 +198,8 @@ class ArchiveWriter(RunWriter):
 
     def finish(self, ending: Ending, *, measured: Callable[[h5py.File], str] | None = None) -> h5py.File | None:
         """Write the remaining rows, the hash and the status, and rename the archive to its final name."""
+        if ending.status not in layout.STATUSES[1:]:
+            raise ValueError(f"a run ends as complete, failed or interrupted, not {ending.status!r}")
         started = time.perf_counter()
         accuracy = ending.accuracy
         with self._storing():
@@ -344,9 +346,9 @@ class ArchiveWriter(RunWriter):
                 if path in file and names:
                     self._add(file, path, {"not_unique": ", ".join(names)})
 
-    def _write_verdict(self, file: h5py.File, judgement: Judgement, warnings: Sequence[str]) -> None:
+    def _write_verdict(self, file: h5py.File, judgement: Judgement, warnings: tuple[str, ...]) -> None:
         reasons = tuple(judgement.reasons)
-        self._add(file, "", {"verdict": judgement.level, "verdict_reasons": reasons, "warnings": tuple(warnings)})
+        self._add(file, "", {"verdict": judgement.level, "verdict_reasons": reasons, "warnings": warnings})
 
     def _write_duration(self, file: h5py.File, started: float, ending: Ending) -> None:
         """Store the duration of `finish` so far."""
@@ -374,11 +376,8 @@ class ArchiveWriter(RunWriter):
         """
         if self._target is not None:
             file.flush()
-            file["trajectory"].attrs.modify(layout.ROWS_FLUSHED, self._row_counts())
-
-    def _row_counts(self) -> np.ndarray:
-        counts = [self._tables[dim].written if dim in self._tables else 0 for dim in GROWING]
-        return np.array(counts, np.int64)
+            counts = [self._tables[dim].written if dim in self._tables else 0 for dim in GROWING]
+            file["trajectory"].attrs.modify(layout.ROWS_FLUSHED, np.array(counts, np.int64))
 
     def _room(self, *, more: bool, also: int = 0) -> contextlib.AbstractContextManager[None]:
         """Return a context that reserves disk space for the buffered rows and flushes the file on exit."""

@@ -7,7 +7,7 @@ from functools import partial
 from mbdkit.archive.finished_run import FinishedRun
 from mbdkit.archive.measured_values import MeasuredValues
 from mbdkit.archive.run import Run
-from mbdkit.archive.run_contents import ArrayContents, Heading
+from mbdkit.archive.run_contents import ArrayContents
 from mbdkit.base.logs import logger_of
 from mbdkit.measures.take import take_all
 from mbdkit.runs.provenance import provenance
@@ -28,7 +28,9 @@ def run_in_memory(finished: FinishedRun, spec: RunSpec, created_utc: str, gradie
     gradients
         Gradients of the measures as JSON; empty if there are none.
     """
-    contents = partial(ArrayContents, finished, Heading(spec, spec.run_id(), created_utc, provenance(spec)))
+    contents = partial(
+        ArrayContents, finished, spec, run_id=spec.run_id(), created_utc=created_utc, provenance=provenance(spec)
+    )
     if not spec.measures:
         return Run(contents())
     return Run(contents(measured=measured_values(Run(contents()), spec), gradients=gradients))

@@ -478,18 +478,16 @@ class SimulatedRun:
             (*map(str, found), *notes),  # notes about the treatment of contacts do not question the result
             self.accuracy,
             totals,
+            self.cause,
         )
         self.writer.finish(ended, measured=self.measured if self.spec.measures else None)
         if self.becomes_run and isinstance(self.writer, ArrayWriter):
             assert self.writer.finished is not None
-            finished = replace(self.writer.finished, cause=self.cause)
-            self.in_memory = run_in_memory(finished, self.spec, self.created, self.gradients)
+            self.in_memory = run_in_memory(self.writer.finished, self.spec, self.created, self.gradients)
 
     def run(self) -> Run:
         """Return the run, once it is finished."""
         if self.in_memory is not None:
             return self.in_memory
         assert isinstance(self.writer, ArchiveWriter)
-        run = Run(ArchiveContents.just_written(self.writer))
-        run.cause = self.cause
-        return run
+        return Run(ArchiveContents.just_written(self.writer))

@@ -7,7 +7,7 @@ import math
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import AbstractContextManager, contextmanager, nullcontext
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import Unpack
@@ -15,7 +15,7 @@ from typing import Unpack
 from mbdkit.archive.finished_run import ArrayWriter, FinishedRun
 from mbdkit.archive.part_file import check_target
 from mbdkit.archive.run import Run
-from mbdkit.archive.run_contents import ArrayContents, Heading
+from mbdkit.archive.run_contents import ArrayContents
 from mbdkit.archive.run_writer import Origin, RunWriter
 from mbdkit.archive.writer import ArchiveWriter
 from mbdkit.base import higher_layers
@@ -176,7 +176,7 @@ def simulate_arrays(spec: RunSpec, *, starts: Starts | None = None, measures: Se
     simulation = _ended(spec, preparation, None)
     assert isinstance(simulation.writer, ArrayWriter)
     assert simulation.writer.finished is not None
-    return replace(simulation.writer.finished, cause=simulation.cause)
+    return simulation.writer.finished
 
 
 @dataclass(frozen=True)
@@ -324,7 +324,7 @@ def measured_in(expressions: Sequence[str], spec: RunSpec) -> Sequence[float] | 
     """Return the values of expressions in a comparison run, in SI units; None if the run fails."""
     try:
         found = simulate_arrays(spec, measures=expressions)
-        run = Run(ArrayContents(found, Heading(spec)))
+        run = Run(ArrayContents(found, spec))
         return [MeasureExpression.in_si(text, run) for text in expressions] if run.status == "complete" else None
     except (MbdkitError, ArithmeticError):
         return None

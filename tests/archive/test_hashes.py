@@ -19,7 +19,6 @@ from mbdkit.archive.finished_run import ArrayHash
 from mbdkit.archive.layout import LAYOUT, is_timing
 from mbdkit.archive.run_writer import Ending, SharedForces
 from mbdkit.quantities.array import TEXT
-from mbdkit_studies.shared_digests import SharedDigests
 
 from .making import fill, largest, make, names, rows, steps, writer
 from .test_layout import DOCUMENT
@@ -146,11 +145,13 @@ def test_attributes_of_arrays_with_redundant_joints_are_covered(tmp_path: Path) 
 
 
 def test_only_digests_of_arrays_with_equal_bits_are_shared() -> None:
-    shared = SharedDigests(ArrayHash(names(1, 1, 1), ()))
+    shared = ArrayHash(names(1, 1, 1), ())
 
     def digests(**values: list[float]) -> dict[str, str]:
         """Return the digests shared by runs, of which each recorded one of the `values` of each array five times."""
-        return shared.of({key: np.repeat(np.array(value)[:, None], 5, axis=1) for key, value in values.items()})
+        return shared.shared_digests(
+            {key: np.repeat(np.array(value)[:, None], 5, axis=1) for key, value in values.items()}
+        )
 
     def digest(value: float) -> str:
         return hashlib.sha256(np.full(5, value).tobytes()).hexdigest()

@@ -83,7 +83,7 @@ def design(
 
     folder = output if output is not None else Path(stem(spec))
     notify = silence if printing.quiet or printing.as_json else say
-    with opened(cluster.asked(workers), folder, notify) as executor, tally_bar(folder.name, printing.quiet) as progress:
+    with opened(cluster, workers, folder, notify) as executor, tally_bar(folder.name, printing.quiet) as progress:
         loaded = load_design_spec(spec, assignments or ())
         there, engine = DesignFolder(folder), Engine(workers or cores(), executor, WORKER)
         further = 0 if optimum_only else 1

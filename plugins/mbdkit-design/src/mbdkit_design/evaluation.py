@@ -13,7 +13,7 @@ import numpy as np
 
 from mbdkit.archive.finished_run import FinishedRun
 from mbdkit.archive.run import Run
-from mbdkit.archive.run_contents import ArrayContents, Heading
+from mbdkit.archive.run_contents import ArrayContents
 from mbdkit.base.errors import MbdkitError, ResourceError, SpecError
 from mbdkit.base.one_thread import one_thread_of_linear_algebra
 from mbdkit.base.plain_data import Path, path_text, plain
@@ -143,7 +143,7 @@ class ScenarioRuns:
                     raise ResourceError(result.reason)
                 found[place] = self._failed(result.reason)
                 continue
-            stored = Run(ArrayContents(result, Heading(spec)))
+            stored = Run(ArrayContents(result, spec))
             values = tuple(take(measure, stored, spec) for measure in self._measures)
             errors = tuple(map(partial(error_of, run=stored, spec=spec), self._measures, values)) if spec.check else ()
             found[place] = replace(_judged(values, result.judgement.level, result.judgement.reasons), errors=errors)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass
 from itertools import islice
 
 from mbdkit.archive.finished_run import FinishedRun
@@ -15,41 +14,36 @@ from mbdkit.engine.native.levels import WIDTH
 from mbdkit.runs.simulation import simulate_arrays
 from mbdkit.spec import RunSpec
 from mbdkit_studies.lane_runs import LaneRuns
-
-
-@dataclass(frozen=True)
-class Refused:
-    """A run without results, because it raised an exception.
-
-    Parameters
-    ----------
-    status
-        ``failed`` if the run is the cause; ``missing`` if a resource was not available, so that a second attempt may
-        succeed.
-    reason
-        Code and sentence.
-    """
-
-    status: str
-    reason: str
-
+from mbdkit_studies.tasks import Outcome
 
 CHUNK = 8 * WIDTH
 """Number of runs that are prepared before any of them is advanced; similar runs among them are vectorized together."""
 
 
-def simulate_batch(
+def simulate_batch(specs: Iterable[RunSpec], *, lanes: LaneRuns | None = None) -> Iterator[FinishedRun | Outcome]:
+    """Run validated specs, and yield the result of each, in the order of `specs`; see `simulate_in_any_order`."""
+    waiting: dict[int, FinishedRun | Outcome] = {}
+    following = 0
+    for some in simulate_in_any_order(specs, lanes=lanes):
+        waiting.update(some)
+        while following in waiting:
+            yield waiting.pop(following)
+            following += 1
+
+
+def simulate_in_any_order(
     specs: Iterable[RunSpec],
     *,
-    begun: Callable[[int], None] | None = None,
+    begun: Callable[[int], None] = lambda place: None,
     measures: Sequence[str] = (),
     lanes: LaneRuns | None = None,
-) -> Iterator[FinishedRun | Refused]:
-    """Run validated specs, and yield the result of each, in the order of `specs`.
+) -> Iterator[list[tuple[int, FinishedRun | Outcome]]]:
+    """Run validated specs, and yield indices and results of runs as soon as they are known.
 
     The numbers, and therefore `FinishedRun.data_sha256`, are equal to those of `simulate` for the same spec. Runs on
     index-1 equations with explicit, Gauss and Radau IIA methods are vectorized; see `mbdkit_studies.lane_runs` for the
-    exceptions. All others are computed one after another.
+    exceptions. All others are computed one after another. The runs of a vector are yielded together, other runs one by
+    one.
 
     Parameters
     ----------
@@ -61,27 +55,6 @@ def simulate_batch(
     lanes
         Loops and compiled mechanisms of earlier batches with the same `measures`; by default, new ones.
     """
-    waiting: dict[int, FinishedRun | Refused] = {}
-    following = 0
-    for some in simulate_in_any_order(specs, begun=begun, measures=measures, lanes=lanes):
-        waiting.update(some)
-        while following in waiting:
-            yield waiting.pop(following)
-            following += 1
-
-
-def simulate_in_any_order(
-    specs: Iterable[RunSpec],
-    *,
-    begun: Callable[[int], None] | None = None,
-    measures: Sequence[str] = (),
-    lanes: LaneRuns | None = None,
-) -> Iterator[list[tuple[int, FinishedRun | Refused]]]:
-    """Run specs as `simulate_batch` does, and yield indices and results of runs as soon as they are known.
-
-    The runs of a vector are yielded together, other runs one by one.
-    """
-    begun = begun or _ignored
     lanes, remaining = lanes or LaneRuns(Starts(), measures), iter(enumerate(specs))
     while chunk := list(islice(remaining, CHUNK)):
         with one_thread_of_linear_algebra():
@@ -102,10 +75,6 @@ def simulate_in_any_order(
             yield [(place, _alone(spec, lanes.starts, measures))]
 
 
-def _ignored(place: int) -> None:
-    """Default for `begun`: do nothing."""
-
-
 def _noted(chunk: Iterable[tuple[int, RunSpec]], begun: Callable[[int], None]) -> Iterator[RunSpec]:
     """Yield the specs of runs; before each, call `begun` with its index."""
     for place, spec in chunk:
@@ -113,7 +82,7 @@ def _noted(chunk: Iterable[tuple[int, RunSpec]], begun: Callable[[int], None]) -
         yield spec
 
 
-def _alone(spec: RunSpec, starts: Starts, measures: Sequence[str]) -> FinishedRun | Refused:
+def _alone(spec: RunSpec, starts: Starts, measures: Sequence[str]) -> FinishedRun | Outcome:
     """Run one spec without vectorization."""
     try:
         return simulate_arrays(spec, starts=starts, measures=measures)
@@ -121,17 +90,21 @@ def _alone(spec: RunSpec, starts: Starts, measures: Sequence[str]) -> FinishedRu
         return refusal(error)
 
 
-def refusal(error: BaseException) -> Refused:
-    """Return status and reason of a run that raised an exception."""
+def refusal(error: BaseException) -> Outcome:
+    """Return the outcome of a run that raised an exception.
+
+    It is ``failed`` if the run is the cause, and ``missing`` if a resource was not available, so that a second attempt
+    may succeed.
+    """
     match error:
         case SpecError():
-            return Refused("failed", f"wrong-input: {joined_lines(str(error))}")
+            return Outcome("failed", f"wrong-input: {joined_lines(str(error))}")
         case ResourceError() | OSError():
-            return Refused("missing", f"no-resources: {error}")
+            return Outcome("missing", f"no-resources: {error}")
         case MemoryError():
-            return Refused("missing", "no-resources: there is not enough memory.")
+            return Outcome("missing", "no-resources: there is not enough memory.")
         case PluginError():
-            return Refused("failed", f"plugin-error: {error}")
+            return Outcome("failed", f"plugin-error: {error}")
         case MbdkitError():
-            return Refused("failed", f"error: {error}")
-    return Refused("failed", f"error: {one_line(error)}")
+            return Outcome("failed", f"error: {error}")
+    return Outcome("failed", f"error: {one_line(error)}")

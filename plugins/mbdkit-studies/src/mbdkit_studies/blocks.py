@@ -7,7 +7,6 @@ from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import cached_property
 from pathlib import Path
-from types import TracebackType
 from typing import Any
 
 import h5py
@@ -21,7 +20,7 @@ from mbdkit.archive.layout import COUNTERS, TIMINGS
 from mbdkit.archive.measured_values import ERROR, MeasuredValues
 from mbdkit.archive.plain_spec import PlainSpec
 from mbdkit.archive.run import Run
-from mbdkit.archive.run_contents import ArrayContents, Heading
+from mbdkit.archive.run_contents import ArrayContents
 from mbdkit.archive.run_writer import SharedForces
 from mbdkit.archive.stored_mechanism import StoredMechanism, built_mechanism, is_determined, read_mechanism
 from mbdkit.archive.untrusted_file import open_hdf5
@@ -38,6 +37,10 @@ OBJECTS = 100_000
 """Largest number of groups and arrays in a block, about 60 for each structure."""
 
 
+class AnotherStudyError(SpecError):
+    """A block belongs to another study than its folder."""
+
+
 class Block:
     """A block file that is open for reading.
 
@@ -45,16 +48,20 @@ class Block:
     ----------
     path
         The file, which may be untrusted.
+    of_study
+        Hash of the study to which the block must belong; empty if it may belong to any study.
 
     Raises
     ------
+    AnotherStudyError
+        If the block belongs to another study.
     SpecError
         If the file is not a block that this version can read.
     ResourceError
         If the file is in use, or the system refuses to read it.
     """
 
-    def __init__(self, path: Path):
+    def __init__(self, path: Path, of_study: str = ""):
         self.path = path
         self.file = open_hdf5(path, "block of a study", objects=OBJECTS)
         try:
@@ -70,6 +77,8 @@ class Block:
                 self.created_utc = str(self.file.attrs["created_utc"])
                 self.store = next(name for name in STORES if name == str(self.file.attrs["store"]))
                 self.numbers = np.asarray(self.file["runs/run"][:])
+                if of_study and self.study_sha256 != of_study:
+                    raise AnotherStudyError("this is a block of another study; move it to another folder", file=path)
         except BaseException:
             self.file.close()
             raise
@@ -115,11 +124,6 @@ class Block:
                 for name, item in members.items()
                 if name != "run"
             }
-
-    @property
-    def version(self) -> str:
-        """Version of mbdkit that wrote the block."""
-        return str(self.file["provenance"].attrs.get("mbdkit", "unknown"))
 
     def row(self, number: int) -> int:
         """Return the index of a run in the block from its number in the study; raise SpecError if the block lacks the
@@ -230,13 +234,6 @@ class Block:
         spec, stored = self._spec_and_mechanism(number, finished.names.bodies)
         with reading(f"run {number}", self.path, hint=_HINT):
             common = {name: _plain(value) for name, value in self.file["provenance"].attrs.items()}
-            heading = Heading(
-                spec,
-                str(self.runs["run_id"][row]),
-                self.created_utc,
-                {**common, **json.loads(self.runs["plugins"][row])},
-                stored,
-            )
             columns, described = self.columns("measures"), self.described()
             names = [name for name in spec.measures if name in columns]
             measured = MeasuredValues(
@@ -244,7 +241,16 @@ class Block:
                 {name: described[name][0] for name in names},
                 errors={name: float(columns[name + ERROR][row]) for name in names if name + ERROR in columns},
             )
-        return ArrayContents(finished, heading, "" if self.store == "all" else self.store, measured)
+            return ArrayContents(
+                finished,
+                spec,
+                run_id=str(self.runs["run_id"][row]),
+                created_utc=self.created_utc,
+                provenance={**common, **json.loads(self.runs["plugins"][row])},
+                mechanism=stored,
+                store="" if self.store == "all" else self.store,
+                measured=measured,
+            )
 
     def results(self, number: int) -> FinishedRun:
         """Return the results of a run, with the arrays that the study has stored.
@@ -291,18 +297,18 @@ class Block:
         )
         by_joint = np.asarray(largest[place]) if largest is not None else np.full(joints, runs["misalignment_max"][row])
         return FinishedRun(
-            ArchiveNames(**names),
-            tuple(present),
-            arrays,
-            None if shared is None else SharedForces(**shared),
             str(runs["status"][row]),
             str(runs["status_reason"][row]),
             {name: int(value) if name in COUNTERS else value for name, value in stats.items()},
             by_joint,
             Judgement(level, reasons),
             warnings,
-            str(runs["data_sha256"][row]),
-            str(runs["assembly"][row]) if "assembly" in runs else "",
+            names=ArchiveNames(**names),
+            layout=tuple(present),
+            arrays=arrays,
+            shared=None if shared is None else SharedForces(**shared),
+            data_sha256=str(runs["data_sha256"][row]),
+            assembly=str(runs["assembly"][row]) if "assembly" in runs else "",
         )
 
     def close(self) -> None:
@@ -312,9 +318,7 @@ class Block:
     def __enter__(self) -> Block:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.close()
 
 

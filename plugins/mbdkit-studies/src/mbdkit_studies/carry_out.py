@@ -8,7 +8,6 @@ import tempfile
 import weakref
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Executor
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +15,7 @@ import numpy as np
 
 from mbdkit.archive.missing_plugins import advised
 from mbdkit.base.errors import SpecError
+from mbdkit.base.interrupts import interrupts_delayed
 from mbdkit.base.logs import logger_of
 from mbdkit.base.plain_data import plain, value_text
 from mbdkit.base.progress_bars import count_bar, in_notebook
@@ -23,11 +23,13 @@ from mbdkit.base.terminal import say
 from mbdkit.base.text import counted, shown, without_numbers
 from mbdkit.spec.loading import RunSource, load_spec, read_source
 from mbdkit.spec.reading import parse_key
-from mbdkit_studies import member_table
+from mbdkit_studies import member_table, study_index
 from mbdkit_studies.block_writer import Store
-from mbdkit_studies.execute import Execution, Options, Progress
 from mbdkit_studies.executor_pool import Engine, checked_executor
-from mbdkit_studies.folder_lock import Shard
+from mbdkit_studies.folder_lock import Shard, alone
+from mbdkit_studies.run_blocks import RunBlocks
+from mbdkit_studies.run_files import RunFiles
+from mbdkit_studies.run_store import RunStore
 from mbdkit_studies.sampled_values import with_sample_values
 from mbdkit_studies.study import Study
 from mbdkit_studies.study_blocks import with_store
@@ -36,6 +38,10 @@ from mbdkit_studies.study_loading import StudySource, load_study_spec
 from mbdkit_studies.study_spec import Storing, StudySpec
 
 _LOG = logger_of(__name__)
+
+#: Function called with the number of computations that are done, their total number, and the number of failed runs. A
+#: run, a second run and a set of repeated timings count as one computation each.
+Progress = Callable[[int, int, int], None]
 
 
 class _TemporaryFolder:
@@ -148,9 +154,14 @@ def study(
     >>> [point.status for point in study.points]
     ['complete', 'complete', 'complete', 'complete']
     """
-    engine, options = Engine(workers, checked_executor(executor)), Options(shard, progress, notify, overwrite)
+    engine = Engine(workers, checked_executor(executor))
+    if overwrite and shard is not None:
+        raise SpecError(
+            "--overwrite cannot be combined with --shard: it would remove the results of calls for other parts"
+        )
     spec = load_study_spec(source, assignments)
-    return _carried_out(spec if store is None else spec.stored_as(store), out, engine, options)
+    spec = spec if store is None else spec.stored_as(store)
+    return _carried_out(spec, out, engine, shard, progress, notify, overwrite=overwrite)
 
 
 def ensemble(
@@ -228,41 +239,82 @@ def ensemble(
     columns = _columns_of(variables)
     keys = {"block": block, "compress": compress or None, "measures": None if measures == "all" else measures}
     spec = _spec_of(source, columns, store, {name: value for name, value in keys.items() if value is not None})
-    engine, options = Engine(workers, checked_executor(executor)), Options(None, progress, notify, overwrite)
-    return _carried_out(load_study_spec(spec), out, engine, options)
+    engine = Engine(workers, checked_executor(executor))
+    return _carried_out(load_study_spec(spec), out, engine, None, progress, notify, overwrite=overwrite)
 
 
-def _carried_out(spec: StudySpec, out: str | Path | None, engine: Engine, options: Options) -> Study:
+def _carried_out(
+    spec: StudySpec,
+    out: str | Path | None,
+    engine: Engine,
+    shard: Shard | None,
+    progress: Progress | None,
+    notify: Callable[[str], None],
+    *,
+    overwrite: bool,
+) -> Study:
     """Compute the missing runs of a study, in a temporary folder unless `out` is given, and open the study."""
     keep = None
     if out is None:
         keep = _TemporaryFolder()
         out = keep.path
     folder = StudyFolder(Path(out))
-    spec = with_sample_values(spec, folder, overwrite=options.overwrite)
-    spec = with_store(spec, folder, overwrite=options.overwrite)
+    spec = with_sample_values(spec, folder, overwrite=overwrite)
+    spec = with_store(spec, folder, overwrite=overwrite)
     try:
-        is_shown = options.progress is None and in_notebook()
+        is_shown = progress is None and in_notebook()
         with count_bar(spec.title or folder.path.name, quiet=not is_shown) as bar:
             of_sample: dict[str, str] = {}
 
-            def notify(text: str) -> None:
+            def notify_unless_told(text: str) -> None:
                 if without_numbers(text.removeprefix("warning: ")) not in of_sample:
-                    options.notify(text)
+                    notify(text)
 
-            execution = Execution(spec, folder, replace(options, progress=options.progress or bar, notify=notify))
-            _LOG.info("study in %s begins: %s", shown(folder.path), counted(execution.store.count, "run"))
-            of_sample |= execution.store.plan.warnings_of_sample()
-            for warning in (*of_sample.values(), *execution.store.plan.notes()):
+            store: RunStore[Any] = (RunBlocks if spec.in_blocks else RunFiles)(spec, folder)
+            folder.check(spec, overwrite=overwrite)
+            _LOG.info("study in %s begins: %s", shown(folder.path), counted(store.count, "run"))
+            of_sample |= store.plan.warnings_of_sample()
+            for warning in (*of_sample.values(), *store.plan.notes()):
                 _LOG.warning("%s", warning)
-                options.notify(f"warning: {warning}")
-            execution.run(engine)
-            _LOG.info(
-                "study in %s ends: %d computed, %d failed", shown(folder.path), execution.computed, execution.failed
-            )
+                notify(f"warning: {warning}")
+            if overwrite:
+                folder.clear()
+            _execute(store, engine, shard, progress or bar, notify_unless_told)
+            _LOG.info("study in %s ends: %d computed, %d failed", shown(folder.path), store.computed, store.failed)
     except SpecError as error:
         raise advised(error, sorted(folder.path.glob("runs/*.h5"))) from None
-    return Study(folder.path, computed=execution.computed, unfinished=execution.unfinished, keep=keep)
+    return Study(folder.path, computed=store.computed, unfinished=store.unfinished, keep=keep)
+
+
+def _execute(
+    store: RunStore[Any], engine: Engine, shard: Shard | None, progress: Progress | None, notify: Callable[[str], None]
+) -> None:
+    """Compute the missing runs of a study and write the index; after Ctrl-C, the index contains the results so far."""
+    folder = store.folder
+    folder.prepare(store.spec)
+    with folder.locked(shard):
+        total = store.begin(shard, notify)
+        try:
+            _compute(store, engine, total, progress, notify)
+        finally:
+            with interrupts_delayed(), alone(folder.runs):  # other calls may write the index
+                study_index.write(folder.index, store.spec, store.index())
+
+
+def _compute(
+    store: RunStore[Any], engine: Engine, total: int, progress: Progress | None, notify: Callable[[str], None]
+) -> None:
+    """Compute the missing results."""
+    ended = 0  # number of runs that were planned for this round and the rounds before
+    for some in store.rounds():
+        ended += some.planned
+        done = ended - sum(task.runs for task in some.tasks)  # planned runs without a task count as done
+        with (Engine() if some.one_by_one else engine).pool(notify) as pool:
+            for task, outcome in pool.work(some.tasks):
+                store.note(task, outcome)
+                done += task.runs
+                if progress is not None:
+                    progress(done, total, store.failed)
 
 
 def _spec_of(source: RunSource, columns: dict[str, np.ndarray], store: Store, keys: Mapping[str, Any]) -> StudySpec:

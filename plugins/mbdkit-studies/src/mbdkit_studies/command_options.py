@@ -5,12 +5,9 @@ from __future__ import annotations
 import os
 import sys
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import Annotated, Literal
 
 import typer
-
-if TYPE_CHECKING:
-    from mbdkit_studies.executors import Asked
 
 StudyName = Annotated[
     str,
@@ -61,17 +58,11 @@ Slurm = Annotated[
 
 @dataclass
 class Cluster:
-    """Options of a command whose runs may be computed on other machines."""
+    """Options of a command whose runs may be computed on other machines, see `mbdkit_studies.executors.opened`."""
 
     executor: ExecutorName = "local"
     scheduler: Scheduler = None
     slurm: Slurm = None
-
-    def asked(self, workers: int | None) -> Asked:
-        """Return these options in the form required by `mbdkit_studies.executors`."""
-        from mbdkit_studies.executors import Asked
-
-        return Asked(self.executor, self.scheduler, tuple(self.slurm or ()), workers)
 
 
 def cores() -> int:

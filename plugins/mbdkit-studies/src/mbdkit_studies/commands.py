@@ -121,7 +121,7 @@ def study(
     notify = silence if printing.quiet else say
     with (
         _saying_how_to_continue(stored.overwrite),
-        opened(cluster.asked(workers), path, notify) as executor,
+        opened(cluster, workers, path, notify) as executor,
         count_bar(path.name, printing.quiet) as progress,
     ):
         result = carry_out(

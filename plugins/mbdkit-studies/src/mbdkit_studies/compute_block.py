@@ -14,7 +14,7 @@ from typing import Any
 
 from mbdkit.archive.finished_run import FinishedRun
 from mbdkit.archive.run import Run
-from mbdkit.archive.run_contents import ArrayContents, Heading
+from mbdkit.archive.run_contents import ArrayContents
 from mbdkit.archive.stored_mechanism import is_determined, mechanism_json
 from mbdkit.base.errors import ResourceError, SpecError
 from mbdkit.base.files_read import files_json
@@ -27,7 +27,7 @@ from mbdkit.runs.provenance import plugins_of, surroundings
 from mbdkit.spec import RunSpec
 from mbdkit.spec.study_measures import DefinedMeasure
 from mbdkit.spec.varied_specs import VariedSpecs
-from mbdkit_studies.batch import CHUNK, Refused, refusal, simulate_in_any_order
+from mbdkit_studies.batch import CHUNK, refusal, simulate_in_any_order
 from mbdkit_studies.block_writer import BlockHeading, BlockRun, Store, kept, write_block
 from mbdkit_studies.measures import MEASURES, OF_CHECKED_RUNS, Measure, RunGroup, places_by_group
 from mbdkit_studies.planned_points import PlannedPoint
@@ -35,7 +35,7 @@ from mbdkit_studies.study_blocks import stored
 from mbdkit_studies.study_folder import StudyFolder
 from mbdkit_studies.study_loading import load_study_spec
 from mbdkit_studies.study_plan import StudyPlan
-from mbdkit_studies.tasks import mark_of
+from mbdkit_studies.tasks import Outcome, mark_of
 from mbdkit_studies.unfinished_block import UnfinishedBlock
 
 MISALIGNMENT = "misalignment_max"
@@ -57,12 +57,6 @@ class BlockMeasures:
     def __init__(self, plan: StudyPlan):
         self.plan, self.spec = plan, plan.spec
 
-    @property
-    def built_in(self) -> list[str]:
-        """Names of the built-in measures to compute."""
-        wanted = tuple(MEASURES) if self.spec.built_in_measures is None else self.spec.built_in_measures
-        return [name for name in wanted if name in MEASURES and not MEASURES[name].needs]
-
     @cached_property
     def _defined_measures(self) -> tuple[DefinedMeasure, ...]:
         return self.spec.defined_measures()
@@ -70,7 +64,8 @@ class BlockMeasures:
     @cached_property
     def described(self) -> dict[str, tuple[str, str]]:
         """Unit and description of each measure."""
-        built_in = {name: MEASURES[name] for name in self.built_in if name != MISALIGNMENT}  # it has its own column
+        # the misalignment has its own column
+        built_in = {name: MEASURES[name] for name in self.plan.built_in if name != MISALIGNMENT}
         checked = OF_CHECKED_RUNS if self.is_checked else {}
         measures: dict[str, Measure | Description] = {**built_in, **self.plan.defined, **checked}
         return {name: (measure.units, measure.long_name) for name, measure in measures.items()}
@@ -80,13 +75,13 @@ class BlockMeasures:
         """Whether the spec of the first valid sample of the plan requests error estimates."""
         return any(spec.estimates_errors for _, spec in self.plan.valid_samples[:1])
 
-    def of(self, results: Sequence[tuple[FinishedRun, RunSpec]]) -> list[dict[str, float] | Refused]:
+    def of(self, results: Sequence[tuple[FinishedRun, RunSpec]]) -> list[dict[str, float] | Outcome]:
         """Return, for each run, its measures by name or the reason why they could not be computed."""
-        runs = [Run(ArrayContents(finished, Heading(spec))) for finished, spec in results]
-        taken: list[dict[str, float] | Refused] = [Refused("", "")] * len(runs)
+        runs = [Run(ArrayContents(finished, spec)) for finished, spec in results]
+        taken: list[dict[str, float] | Outcome] = [Outcome("", "")] * len(runs)
         for places in places_by_group([finished for finished, _ in results]):
             group = RunGroup([runs[place] for place in places], recorded=[results[place][0].arrays for place in places])
-            columns = {name: MEASURES[name].take(group).tolist() for name in self.built_in if name != MISALIGNMENT}
+            columns = {name: MEASURES[name].take(group).tolist() for name in self.plan.built_in if name != MISALIGNMENT}
             for number, place in enumerate(places):
                 built_in = {name: column[number] for name, column in columns.items()}
                 try:
@@ -123,7 +118,7 @@ class _Member:
     point: PlannedPoint
     base: str
     values: Mapping[str, Any]
-    spec: RunSpec | Refused
+    spec: RunSpec | Outcome
 
 
 def compute_block(
@@ -170,7 +165,7 @@ def compute_block(
         varied = {grid.base_json: VariedSpecs(grid.base_json) for grid in plan.points.grids}
         members = [_member(plan.points[place], varied, skip, mark) for place in plan.blocks.places(block)]
         runs = _taken_over(unfinished.saved(), members)
-        pending: list[tuple[_Member, FinishedRun | Refused]] = []
+        pending: list[tuple[_Member, FinishedRun | Outcome]] = []
 
         def add() -> None:
             new = _stored(measures, pending)
@@ -214,9 +209,9 @@ def _member(point: PlannedPoint, varied: Mapping[str, VariedSpecs], skip: Mappin
     base, values = point.grid.base_json, {path_text(setting.path): setting.value for setting in point.settings}
     if point.lacking:
         reason = f"not-installed: the distribution {point.lacking} is not installed."
-        return _Member(point, base, values, Refused("left-out", reason))
+        return _Member(point, base, values, Outcome("left-out", reason))
     if point.number in skip:
-        return _Member(point, base, values, Refused("failed", skip[point.number]))
+        return _Member(point, base, values, Outcome("failed", skip[point.number]))
     mark.note(point.number)  # before the mechanism is built, because a model of a plugin may end the process
     try:
         spec = varied[base].spec([(setting.path, setting.value) for setting in point.settings])
@@ -227,7 +222,7 @@ def _member(point: PlannedPoint, varied: Mapping[str, VariedSpecs], skip: Mappin
             return _Member(point, base, values, point.spec)
         except SpecError as error:  # stored without the file name, which depends on the folder
             text = f"{error.key}: {error.message}" if error.key else error.message
-            return _Member(point, base, values, Refused("failed", f"wrong-input: {joined_lines(text)}"))
+            return _Member(point, base, values, Outcome("failed", f"wrong-input: {joined_lines(text)}"))
     except Exception as error:
         return _Member(point, base, values, refusal(error))
     return _Member(point, base, values, spec)
@@ -235,7 +230,7 @@ def _member(point: PlannedPoint, varied: Mapping[str, VariedSpecs], skip: Mappin
 
 def _results(
     plan: StudyPlan, members: Sequence[_Member], mark: _Mark, notify: Callable[[str], None]
-) -> Iterator[list[tuple[_Member, FinishedRun | Refused]]]:
+) -> Iterator[list[tuple[_Member, FinishedRun | Outcome]]]:
     """Yield members with their results as soon as these are known."""
     computed = [member for member in members if isinstance(member.spec, RunSpec)]
     results = simulate_in_any_order(
@@ -248,10 +243,10 @@ def _results(
             for warning in result.warnings if isinstance(result, FinishedRun) else ():
                 notify(f"warning: {warning}")
         yield [(computed[place], result) for place, result in some]
-    yield [(member, member.spec) for member in members if isinstance(member.spec, Refused)]
+    yield [(member, member.spec) for member in members if isinstance(member.spec, Outcome)]
 
 
-def _stored(measures: BlockMeasures, some: Sequence[tuple[_Member, FinishedRun | Refused]]) -> list[BlockRun]:
+def _stored(measures: BlockMeasures, some: Sequence[tuple[_Member, FinishedRun | Outcome]]) -> list[BlockRun]:
     """Return the data that the block stores for several runs."""
     finished = [
         (result, member.spec)
@@ -266,27 +261,21 @@ def _stored(measures: BlockMeasures, some: Sequence[tuple[_Member, FinishedRun |
 
 
 def _block_run(
-    store: Store, member: _Member, result: FinishedRun | Refused, measured: dict[str, float] | Refused
+    store: Store, member: _Member, result: FinishedRun | Outcome, measured: dict[str, float] | Outcome
 ) -> BlockRun:
     """Return the data that the block stores for one run."""
-    point, spec = member.point, member.spec
-    if not isinstance(spec, RunSpec):
-        assert isinstance(result, Refused)
-        return BlockRun(point.number, member.base, member.values, result.status, result.reason)
-    hashes = spec.sha256(), spec.run_id()
-    if isinstance(result, Refused):
-        return BlockRun(point.number, member.base, member.values, result.status, result.reason, *hashes)
-    ending = measured if isinstance(measured, Refused) else result
-    return BlockRun(
-        point.number,
-        member.base,
-        member.values,
-        ending.status,
-        ending.reason,
-        *hashes,
+    spec, ended = member.spec, measured if isinstance(measured, Outcome) else result
+    run = BlockRun(member.point.number, member.base, member.values, ended.status, ended.reason)
+    if isinstance(spec, Outcome):
+        return run
+    run = replace(run, spec_sha256=spec.sha256(), run_id=spec.run_id())
+    if isinstance(result, Outcome):
+        return run
+    return replace(
+        run,
         plugins=_plugins_json(tuple(plugins_of(spec).items())),
         result=kept(result, store),
-        measures=None if isinstance(measured, Refused) else measured,
+        measures=None if isinstance(measured, Outcome) else measured,
         # That of a packaged model is not stored for each run, because its spec alone determines it.
         mechanism="" if is_determined(spec) else mechanism_json(spec.mechanism()),
         files=files_json(spec.files_read) if spec.files_read else "",

@@ -11,7 +11,6 @@ from dataclasses import dataclass
 from importlib import import_module
 from importlib.metadata import version
 from pathlib import Path
-from types import TracebackType
 from typing import Any
 
 from mbdkit.base.errors import SpecError
@@ -201,9 +200,7 @@ class ExecutorPool:
     def __enter__(self) -> ExecutorPool:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         for future in self._begun:
             future.cancel()  # running tasks are not cancelled; they end by themselves
 

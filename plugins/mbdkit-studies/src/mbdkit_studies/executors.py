@@ -11,14 +11,16 @@ import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Executor, Future
-from dataclasses import dataclass
 from importlib import import_module
 from pathlib import Path
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any
 
 from mbdkit.base.errors import SpecError
 from mbdkit.base.text import counted, one_line, shown
 from mbdkit_studies.owned_folder import JOBS
+
+if TYPE_CHECKING:
+    from mbdkit_studies.command_options import Cluster
 
 MOST_JOBS = 100
 """Default of the largest number of jobs into which the tasks of a study are divided."""
@@ -128,46 +130,30 @@ _LISTS = ("setup", "teardown", "srun_args")
 _FLAGS = {"true": True, "false": False}
 
 
-@dataclass(frozen=True)
-class Asked:
-    """The options of a command that concern its executor.
-
-    Parameters
-    ----------
-    scheduler
-        Address or file of the Dask scheduler, by default a new one on this machine. For submitit, ``slurm`` (the
-        default) or ``local``.
-    slurm
-        Options of sbatch, each as ``key=value``.
-    workers
-        Number of processes, or of jobs; None for the default.
-    """
-
-    name: Literal["local", "dask", "submitit"]
-    scheduler: str | None = None
-    slurm: tuple[str, ...] = ()
-    workers: int | None = None
-
-    def check(self) -> None:
-        """Raise SpecError if options are inconsistent."""
-        if self.slurm and self.name != "submitit":
-            raise SpecError("--slurm is for --executor submitit")
-        if self.scheduler is not None and self.name == "local":
-            raise SpecError("--scheduler is for --executor dask or submitit")
-        if self.name == "dask" and self.scheduler and self.workers is not None:
-            raise SpecError(
-                "--workers cannot be combined with --scheduler and --executor dask: start the workers by `dask worker`"
-            )
-        if self.name == "submitit" and self.scheduler not in (None, "slurm", "local"):
-            raise SpecError(f"with submitit, --scheduler is slurm or local, not {shown(self.scheduler)}")
+def _check(cluster: Cluster, workers: int | None) -> None:
+    """Raise SpecError if options are inconsistent."""
+    if cluster.slurm and cluster.executor != "submitit":
+        raise SpecError("--slurm is for --executor submitit")
+    if cluster.scheduler is not None and cluster.executor == "local":
+        raise SpecError("--scheduler is for --executor dask or submitit")
+    if cluster.executor == "dask" and cluster.scheduler and workers is not None:
+        raise SpecError(
+            "--workers cannot be combined with --scheduler and --executor dask: start the workers by `dask worker`"
+        )
+    if cluster.executor == "submitit" and cluster.scheduler not in (None, "slurm", "local"):
+        raise SpecError(f"with submitit, --scheduler is slurm or local, not {shown(cluster.scheduler)}")
 
 
 @contextlib.contextmanager
-def opened(asked: Asked, folder: Path, notify: Callable[[str], None]) -> Iterator[Executor | None]:
+def opened(
+    cluster: Cluster, workers: int | None, folder: Path, notify: Callable[[str], None]
+) -> Iterator[Executor | None]:
     """Yield the requested executor, or None for processes on this machine, and close the executor at the end.
 
     Parameters
     ----------
+    workers
+        Number of processes, or of jobs; None for the default.
     folder
         Folder of the study.
     notify
@@ -179,15 +165,15 @@ def opened(asked: Asked, folder: Path, notify: Callable[[str], None]) -> Iterato
         If options are inconsistent, a package is not installed, no Dask scheduler answers, or there is no Slurm on this
         machine.
     """
-    asked.check()
-    match asked.name:
+    _check(cluster, workers)
+    match cluster.executor:
         case "local":
             yield None
         case "dask":
-            with _dask(asked, notify) as executor:
+            with _dask(cluster.scheduler, workers, notify) as executor:
                 yield executor
         case "submitit":
-            with _submitit(asked, folder, notify) as executor:
+            with _submitit(cluster, workers, folder, notify) as executor:
                 yield executor
 
 
@@ -201,12 +187,11 @@ def _package(name: str, extra: str) -> Any:
 
 
 @contextlib.contextmanager
-def _dask(asked: Asked, notify: Callable[[str], None]) -> Iterator[Executor]:
+def _dask(scheduler: str | None, workers: int | None, notify: Callable[[str], None]) -> Iterator[Executor]:
     distributed = _package("distributed", "dask")
     with contextlib.ExitStack() as stack:
-        scheduler = asked.scheduler
         if not scheduler:
-            count = asked.workers or os.cpu_count() or 1
+            count = workers or os.cpu_count() or 1
             local = distributed.LocalCluster(
                 count, 1, host="127.0.0.1", dashboard_address=None, silence_logs=logging.ERROR
             )
@@ -245,10 +230,12 @@ def _without_logs(*packages: str) -> Iterator[None]:
 
 
 @contextlib.contextmanager
-def _submitit(asked: Asked, folder: Path, notify: Callable[[str], None]) -> Iterator[SubmititExecutor]:
+def _submitit(
+    given: Cluster, workers: int | None, folder: Path, notify: Callable[[str], None]
+) -> Iterator[SubmititExecutor]:
     submitit = _package("submitit", "submitit")
-    cluster = asked.scheduler or "slurm"
-    options = _sbatch_options(asked.slurm)
+    cluster = given.scheduler or "slurm"
+    options = _sbatch_options(given.slurm or ())
     if cluster == "slurm" and shutil.which("sbatch") is None:
         raise SpecError(
             "there is no Slurm on this machine: the command sbatch is not found; "
@@ -267,7 +254,7 @@ def _submitit(asked: Asked, folder: Path, notify: Callable[[str], None]) -> Iter
         executor.update_parameters(name="mbdkit", timeout_min=MINUTES, **given)
         return executor
 
-    executor = SubmititExecutor(begin, asked.workers or MOST_JOBS)
+    executor = SubmititExecutor(begin, workers or MOST_JOBS)
     try:
         yield executor
     finally:
@@ -279,7 +266,7 @@ def _submitit(asked: Asked, folder: Path, notify: Callable[[str], None]) -> Iter
                 shutil.rmtree(path, ignore_errors=True)
 
 
-def _sbatch_options(texts: tuple[str, ...]) -> dict[str, Any]:
+def _sbatch_options(texts: Sequence[str]) -> dict[str, Any]:
     """Return options of sbatch by name, with the underscores and types that submitit expects."""
     options: dict[str, Any] = {}
     for text in texts:

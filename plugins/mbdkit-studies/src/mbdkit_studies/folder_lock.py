@@ -173,7 +173,7 @@ def locked(folder: Path, mutex: Path, shard: Shard = WHOLE, command: str = "stud
     owner = Owner.this_process()
     held = None
     try:
-        with _alone(mutex):
+        with alone(mutex):
             for path in sorted(folder.glob(f"{LOCK}*")):
                 name = _NAME.fullmatch(path.name)
                 if name is None:  # a temporary file of a call that was killed while it created its lock
@@ -248,14 +248,20 @@ def _remove_stale(lock: Path, command: str) -> None:
 
 
 @contextlib.contextmanager
-def _alone(path: Path) -> Iterator[None]:
-    """Open a file and hold an exclusive `flock` on it, after waiting until other processes release it.
+def alone(path: Path) -> Iterator[None]:
+    """Hold an exclusive `flock` on a file or folder, after waiting until other processes release it.
 
-    The file is not locked if the file system does not support locks.
+    There is no lock on Windows, and on file systems that do not support locks.
     """
+    if sys.platform == "win32":
+        yield
+        return
     import fcntl
 
-    with path.open("rb") as handle:
+    handle = os.open(path, os.O_RDONLY)
+    try:
         with contextlib.suppress(OSError):
             fcntl.flock(handle, fcntl.LOCK_EX)
         yield
+    finally:
+        os.close(handle)

@@ -67,23 +67,6 @@ def _checked(verdict: Any, item: Registered) -> Verdict:
     return verdict
 
 
-def check_verdict(spec: StudySpec) -> None:
-    """Check that the verdict named in a study spec exists.
-
-    Parameters
-    ----------
-    spec
-        The study spec; its ``verdict`` is the name of a packaged study with a verdict function, or empty.
-
-    Raises
-    ------
-    SpecError
-        If there is no such verdict.
-    """
-    if spec.verdict:
-        find_verdict(spec)
-
-
 def find_verdict(spec: StudySpec) -> tuple[Registered, Callable[[Any], Any]]:
     """Return the packaged study that a spec names as its verdict, and the verdict function of that study.
 

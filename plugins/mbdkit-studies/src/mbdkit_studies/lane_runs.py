@@ -51,7 +51,6 @@ from mbdkit_studies.lane_stepper import (
     suits_lanes,
     topology_of,
 )
-from mbdkit_studies.shared_digests import SharedDigests
 
 _LOG = logger_of(__name__)
 
@@ -360,7 +359,6 @@ class _Group:
         self.row_keys = tuple(dict.fromkeys(one.key for one in self.layout if one.grows and one.dims[0] == "time"))
         self.types = {one.key: np.dtype(one.dtype) for one in self.layout if one.grows}
         self.hash = ArrayHash(self.names, self.layout)
-        self._digests = SharedDigests(self.hash)
 
     def finished(self, members: Sequence[LaneMember]) -> list[FinishedRun | None]:
         """Carry out at most `WIDTH` runs of the group together."""
@@ -374,7 +372,7 @@ class _Group:
             arrays = {key: self._by_run(RECORDED[key].take(states), key, len(members)) for key in self.row_keys}
             intervals = self._intervals(tables, results)
             recorded = self._recorded(members, results, states)
-            digests = self._digests.of(arrays | intervals) if results.work is None else {}
+            digests = self.hash.shared_digests(arrays | intervals) if results.work is None else {}
         finished: list[FinishedRun | None] = []
         for lane, (member, rows) in enumerate(zip(members, results.rows.tolist(), strict=True)):
             if lost[lane]:
@@ -492,7 +490,7 @@ class _Group:
             _LOG.info("run %s ends: complete, verdict %s", member.spec.run_id(), judgement.level)
         data_sha256 = self.hash.of(arrays, digests)
         return FinishedRun(
-            self.names, self.layout, arrays, None, *ending,
-            {**counters, "setup_s": member.seconds, "finish_s": time.perf_counter() - begin},
-            np.asarray(worst, FLOAT), judgement, tuple(map(str, told)), data_sha256, member.start.assembled.describe(),
+            *ending, {**counters, "setup_s": member.seconds, "finish_s": time.perf_counter() - begin},
+            np.asarray(worst, FLOAT), judgement, tuple(map(str, told)), names=self.names, layout=self.layout,
+            arrays=arrays, shared=None, data_sha256=data_sha256, assembly=member.start.assembled.describe(),
         )  # fmt: skip

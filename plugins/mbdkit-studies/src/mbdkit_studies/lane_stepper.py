@@ -8,11 +8,12 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, NamedTuple, Protocol
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from mbdkit.engine.compiled_mechanism import CompiledMechanism
+from mbdkit.engine.consistent_start import MechanismAtStart
 from mbdkit.engine.counters import Counters
 from mbdkit.engine.elimination_order import SingularSystemError
 from mbdkit.engine.kernels.engine_bundles import Topology
@@ -80,23 +81,8 @@ class LaneResults:
     counters: tuple[Counters, ...]
 
 
-class AtStart(Protocol):
-    """A mechanism at its consistent initial state; `Workspace` has these attributes."""
-
-    @property
-    def mechanism(self) -> CompiledMechanism:
-        """The compiled mechanism."""
-        ...
-
-    @property
-    def q0(self) -> np.ndarray:
-        """(3 (B + 1),) positions, ground last."""
-        ...
-
-    @property
-    def v0(self) -> np.ndarray:
-        """(3 (B + 1),) velocities, ground last."""
-        ...
+AtStart = MechanismAtStart | Workspace
+"""A mechanism at its consistent initial state."""
 
 
 def topology_of(mechanism: CompiledMechanism) -> tuple[object, ...]:

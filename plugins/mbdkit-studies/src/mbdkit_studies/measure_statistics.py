@@ -58,11 +58,7 @@ class MeasureStatistics:
 
 
 def statistics(
-    study: SampledStudy,
-    measure: str,
-    *,
-    where: Mapping[str, Any] | None = None,
-    confidence: float = CONFIDENCE,
+    study: SampledStudy, measure: str, *, where: Mapping[str, Any] | None, confidence: float
 ) -> MeasureStatistics:
     """Return the statistics of a measure; see `Study.statistics`."""
     if not study.spec.has_table:

@@ -348,8 +348,9 @@ MEASURES: Mapping[str, Measure] = {
 }
 
 
-def _known_until(run: Run, reference: Run | None) -> float:
-    return math.nan if run.accuracy is None else run.accuracy.known_until
+def _estimated(name: str) -> Callable[[RunGroup], np.ndarray]:
+    """Return a function for `Measure.take`: an attribute of `Accuracy`; nan for a run that was not checked."""
+    return _one_by_one(lambda run, _: math.nan if run.accuracy is None else getattr(run.accuracy, name))
 
 
 def _reaction_error_share(run: Run, reference: Run | None) -> float:
@@ -362,27 +363,19 @@ def _reaction_error_share(run: Run, reference: Run | None) -> float:
     return 0.0 if worst is None else worst.share
 
 
-def _position_error(run: Run, reference: Run | None) -> float:
-    return math.nan if run.accuracy is None else run.accuracy.position_error_max
-
-
-def _angle_error(run: Run, reference: Run | None) -> float:
-    return math.nan if run.accuracy is None else run.accuracy.angle_error_max
-
-
 #: Measures of runs whose spec has ``check: true``, in addition to those that the study requests.
 OF_CHECKED_RUNS: Mapping[str, Measure] = {
-    "known_until": Measure("s", "time until which the estimated errors are known", _one_by_one(_known_until)),
+    "known_until": Measure("s", "time until which the estimated errors are known", _estimated("known_until")),
     "reaction_error_share": Measure(
         "1",
         "largest estimated error of a reaction force up to known_until, relative to the joint's largest force",
         _one_by_one(_reaction_error_share),
     ),
     "position_error_estimate": Measure(
-        "m", "largest estimated error of the position of a body up to known_until", _one_by_one(_position_error)
+        "m", "largest estimated error of the position of a body up to known_until", _estimated("position_error_max")
     ),
     "angle_error_estimate": Measure(
-        "rad", "largest estimated error of the angle of a body up to known_until", _one_by_one(_angle_error)
+        "rad", "largest estimated error of the angle of a body up to known_until", _estimated("angle_error_max")
     ),
 }
 #: Measures that need a second run: units and description.

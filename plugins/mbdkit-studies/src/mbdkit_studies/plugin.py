@@ -53,7 +53,7 @@ def mbdkit_items() -> Iterable[Item]:
             name="study",
             summary="Settings, answers and runs of a study.",
             of="mbdkit_studies.study:Study",
-            make=Target("mbdkit_studies.views:study_view"),
+            make=Target("mbdkit_studies.study_report:study_view"),
         ),
         *GuidePage.folder(Path(__file__).parent / "guide"),
     ]

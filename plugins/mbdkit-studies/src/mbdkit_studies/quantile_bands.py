@@ -64,10 +64,10 @@ class QuantileBands:
 def quantiles(
     study: SampledStudy,
     quantity: str,
-    q: float | Sequence[float] = QUANTILES,
+    q: float | Sequence[float],
     *,
-    where: Mapping[str, Any] | None = None,
-    times: Sequence[float] | np.ndarray | None = None,
+    where: Mapping[str, Any] | None,
+    times: Sequence[float] | np.ndarray | None,
 ) -> QuantileBands:
     """Return quantiles of a quantity at each time; see `Study.quantiles`."""
     probabilities = np.atleast_1d(np.asarray(q, float))

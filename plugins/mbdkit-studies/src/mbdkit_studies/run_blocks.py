@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import json
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from contextlib import suppress
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -14,14 +13,13 @@ import numpy as np
 from mbdkit.archive.layout import COUNTERS, TIMINGS
 from mbdkit.base.errors import MbdkitError, ResourceError, SpecError
 from mbdkit.measures.take import Description
-from mbdkit_studies.blocks import Block
+from mbdkit_studies.blocks import AnotherStudyError, Block
 from mbdkit_studies.compute_block import MISALIGNMENT
 from mbdkit_studies.folder_lock import Shard
 from mbdkit_studies.lane_runs import why_alone
-from mbdkit_studies.run_store import MISSING, Noted, Round, RunStore
-from mbdkit_studies.study_blocks import AnotherStudyError
+from mbdkit_studies.run_store import MISSING, Round, RunStore
 from mbdkit_studies.study_folder import StudyFolder
-from mbdkit_studies.study_index import BETWEEN_REASONS, Index, describe_column
+from mbdkit_studies.study_index import BETWEEN_REASONS, NUMBERS, Index
 from mbdkit_studies.study_plan import plan_study
 from mbdkit_studies.study_spec import StudySpec
 from mbdkit_studies.tasks import Outcome, Task, forget_run_at_work
@@ -57,7 +55,7 @@ class RunBlocks(RunStore[int]):
         self.plan = plan_study(spec)
         self.count = len(self.plan.points)
         self._sound: dict[int, tuple[int, ...]] = {}  # states of the files that are known to be valid
-        self._read: dict[int, tuple[tuple[int, ...], BlockRows | None]] = {}  # rows of the index, with the file's state
+        self._read: dict[int, tuple[tuple[int, ...], Index | None]] = {}  # rows of the index, with the file's state
 
     def begin(self, shard: Shard | None, notify: Callable[[str], None]) -> int:
         """See `RunStore.begin`."""
@@ -94,44 +92,43 @@ class RunBlocks(RunStore[int]):
         """Yield the missing blocks."""
         yield Round(self._tasks, sum(task.runs for task in self._tasks))
 
-    def note(self, task: Task, outcome: Outcome) -> Noted:
+    def note(self, task: Task, outcome: Outcome) -> None:
         """See `RunStore.note`."""
         self.note_file(task.key, outcome)
         if outcome.status == "complete":
             self._sound[task.key] = state = _state(task.path)
             self._read[task.key] = state, self._from_file(task.key)  # while further blocks are computed
-        unfinished = [*task.skip.values(), *([] if outcome.status == "complete" else [outcome.reason])]
-        return Noted(task.runs, int(outcome.values.get("failed", 0)), unfinished)
+        self.unfinished += [*task.skip.values(), *([] if outcome.status == "complete" else [outcome.reason])]
+        self.computed += task.runs
+        self.failed += int(outcome.values.get("failed", 0))
 
     def index(self) -> Index:
         """Return the index of the blocks that exist; runs of other blocks are missing."""
         points, blocks = self.plan.points, self.plan.blocks
         count = len(points)
-        texts = {name: np.full(count, "", object) for name in OF_BLOCKS}
-        texts["status"][:] = "missing"
-        numbers = {MISALIGNMENT: np.full(count, np.nan)}
-        described = {name: describe_column(name) for name in (MISALIGNMENT, *COUNTERS, *TIMINGS)}
+        found = {name: np.full(count, "", object) for name in OF_BLOCKS} | {MISALIGNMENT: np.full(count, np.nan)}
+        found["status"][:] = "missing"
+        described = {name: NUMBERS[name] for name in (MISALIGNMENT, *COUNTERS, *TIMINGS)}
         for number in range(blocks.count):
             places = blocks.places(number)
             rows = slice(places.start, places.stop)
             block = self._rows(number)
             if block is None:
-                texts["status_reason"][rows] = self._outcomes.get(number, MISSING).reason
+                found["status_reason"][rows] = self._outcomes.get(number, MISSING).reason
                 continue
             described = {**block.described, **described}
-            for name, column in block.texts.items():
-                texts[name][rows] = column
-            for name, column in block.numbers.items():
-                numbers.setdefault(name, np.full(count, np.nan))[rows] = column
+            for name, column in block.runs.items():
+                if name not in found:
+                    found[name] = np.full(count, np.nan)
+                found[name][rows] = column
         last = (*COUNTERS, *TIMINGS)
+        numbers = [name for name in found if name not in OF_BLOCKS]
         ordered = sorted(numbers, key=lambda name: last.index(name) if name in last else -1)
         labels, families = points.labels(), points.families()
         columns = {
             **({"family": families} if any(families) else {}),
             **labels,
-            **{name: column for name, column in texts.items() if name != "data_sha256"},
-            **{name: numbers[name] for name in ordered},
-            "data_sha256": texts["data_sha256"],
+            **{name: found[name] for name in (*OF_BLOCKS[:-1], *ordered, OF_BLOCKS[-1])},
         }
         of_numbers = {name: described[name] for name in ordered}
         return Index(columns, of_numbers, axes=frozenset(labels), states=self._states())
@@ -139,7 +136,7 @@ class RunBlocks(RunStore[int]):
     def indexed(self, key: int) -> Outcome | None:
         """See `RunStore.indexed`."""
         rows = self._indexed(key)
-        return None if rows is None else _ended(rows.texts["status"], rows.texts["status_reason"])
+        return None if rows is None else _ended(rows.runs["status"], rows.runs["status_reason"])
 
     def read(self, key: int) -> Outcome:
         """See `RunStore.read`."""
@@ -148,7 +145,7 @@ class RunBlocks(RunStore[int]):
         if state == UNKNOWN:
             return MISSING
         try:
-            with self.plan.blocks.open(path, self.spec.sha256()) as block:
+            with Block(path, self.spec.sha256()) as block:
                 whole = block.numbers.tolist() == [place + 1 for place in self.plan.blocks.places(key)]
                 if not (whole and block.is_sound()):
                     return MISSING
@@ -159,16 +156,30 @@ class RunBlocks(RunStore[int]):
         except (SpecError, ResourceError):
             return MISSING
 
-    def _rows(self, block: int) -> BlockRows | None:
+    def _rows(self, block: int) -> Index | None:
         """Return the rows of the index for the runs of a block; None if its file cannot be read."""
         state, rows = self._read.get(block, (UNKNOWN, None))
         if rows is not None and state == _state(self.folder.block(block)):
             return rows
         return self._indexed(block) or self._from_file(block)
 
-    def _from_file(self, block: int) -> BlockRows | None:
-        """Return the rows of the index for the runs of a block, read from its file; None if it cannot be read."""
-        return BlockRows.read(self.folder.block(block), self.spec.sha256(), len(self.plan.blocks.places(block)))
+    def _from_file(self, block: int) -> Index | None:
+        """Return the rows of the index for the runs of a block, read from its file; None if it does not exist or cannot
+        be read.
+        """
+        count = len(self.plan.blocks.places(block))
+        try:
+            with Block(self.folder.block(block), self.spec.sha256()) as file:
+                if len(file.numbers) != count:
+                    return None
+                columns = file.columns("runs", {*OF_BLOCKS, MISALIGNMENT})
+                reasons = columns.get("verdict_reasons", np.full(count, "[]", object))  # lists in JSON
+                joined = {text: BETWEEN_REASONS.join(json.loads(text)) for text in dict.fromkeys(reasons)}
+                columns["verdict_reasons"] = np.array([joined[text] for text in reasons], object)
+                described = {name: Description(*column) for name, column in file.described().items()}
+                return Index({**columns, **file.columns("measures"), **file.columns("stats")}, described)
+        except (MbdkitError, OSError):
+            return None
 
     def _states(self) -> np.ndarray:
         """Return (B, 4) the states of those valid files whose changes would be detected; zeros for other files."""
@@ -182,7 +193,7 @@ class RunBlocks(RunStore[int]):
                 states[block] = state
         return states
 
-    def _indexed(self, block: int) -> BlockRows | None:
+    def _indexed(self, block: int) -> Index | None:
         """Return the rows of a block from the index if its file has not changed since it was indexed."""
         if self._before is None or self._before.states is None:
             return None
@@ -191,46 +202,8 @@ class RunBlocks(RunStore[int]):
             return None
         places, columns = self.plan.blocks.places(block), self._before.runs
         rows = slice(places.start, places.stop)
-        texts = {name: columns[name][rows] for name in OF_BLOCKS}
-        numbers = {name: columns[name][rows] for name in self._before.described}
-        return BlockRows(texts, numbers, self._before.described)
-
-
-@dataclass(frozen=True, eq=False)
-class BlockRows:
-    """The columns of the runs of one block: texts and hashes, numbers, and descriptions of the numbers."""
-
-    texts: Mapping[str, np.ndarray]
-    numbers: Mapping[str, np.ndarray]
-    described: Mapping[str, Description]
-
-    @classmethod
-    def read(cls, path: Path, study_sha256: str, count: int) -> BlockRows | None:
-        """Return the columns of a block of `count` runs; None if the file does not exist or cannot be read."""
-        try:
-            with Block(path) as block:
-                if block.study_sha256 != study_sha256 or len(block.numbers) != count:
-                    return None
-                runs = block.columns("runs", {*OF_BLOCKS, MISALIGNMENT})
-                texts = {name: runs[name] for name in OF_BLOCKS if name in runs}
-                texts["verdict_reasons"] = _joined(texts.get("verdict_reasons"), count)
-                numbers = {
-                    MISALIGNMENT: runs[MISALIGNMENT],
-                    **block.columns("measures"),
-                    **block.columns("stats"),
-                }
-                described = {name: Description(*column) for name, column in block.described().items()}
-                return cls(texts, numbers, described)
-        except (MbdkitError, OSError):
-            return None
-
-
-def _joined(texts: np.ndarray | None, count: int) -> np.ndarray:
-    """Return the reasons for verdicts as texts, from lists of reasons in JSON."""
-    if texts is None:
-        return np.full(count, "", object)
-    known = {text: BETWEEN_REASONS.join(json.loads(text)) for text in dict.fromkeys(texts)}
-    return np.array([known[text] for text in texts], object)
+        names = (*OF_BLOCKS, *self._before.described)
+        return Index({name: columns[name][rows] for name in names}, self._before.described)
 
 
 def _ended(statuses: np.ndarray, reasons: np.ndarray) -> Outcome:

@@ -3,24 +3,30 @@
 from __future__ import annotations
 
 import hashlib
+import math
 from collections import Counter
 from collections.abc import Callable, Iterator
+from contextlib import nullcontext
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 from mbdkit.archive.fingerprint import data_sha256
 from mbdkit.archive.hdf5_errors import DAMAGE
+from mbdkit.archive.layout import COUNTERS, TIMINGS
 from mbdkit.archive.reader import load
 from mbdkit.archive.run import Run
 from mbdkit.archive.untrusted_file import is_sparse
 from mbdkit.base.errors import ResourceError, SpecError
 from mbdkit.base.text import counted
+from mbdkit.measures.take import with_error
 from mbdkit.runs.integrals import functionals_of
-from mbdkit_studies.archive_rows import ArchiveRows
+from mbdkit.spec import RunSpec
 from mbdkit_studies.folder_lock import Shard
-from mbdkit_studies.run_store import MISSING, Noted, Round, RunStore
+from mbdkit_studies.measures import MEASURES, OF_CHECKED_RUNS, SECOND, RunGroup, worst_joint
+from mbdkit_studies.run_store import MISSING, Round, RunStore
 from mbdkit_studies.study_folder import StudyFolder
-from mbdkit_studies.study_index import Index, Row
+from mbdkit_studies.study_index import BETWEEN_REASONS, Index, Row, quartiles
 from mbdkit_studies.study_plan import plan_study
 from mbdkit_studies.study_spec import StudySpec
 from mbdkit_studies.tasks import Outcome, Task
@@ -37,6 +43,11 @@ class RunFiles(RunStore[str]):
         super().__init__(spec, folder)
         self.plan = plan_study(spec)
         self.count = len(self.plan.runs)
+        self._defined = spec.defined_measures()
+        self._is_timed = any(grid.repeats > 1 for grid in self.plan.points.grids)
+        self._of_second_runs = [name for name in spec.built_in_measures or () if name in SECOND]
+        #: Names of the numeric columns that are computed from every archive; checked runs have further columns.
+        self._columns = (*self.plan.built_in, *(measure.name for measure in self._defined), *COUNTERS, *TIMINGS)
         self._hashes: dict[str, str] = {}
         self._timings: dict[str, tuple[float, ...]] = {}
         self._second: dict[str, Outcome] = {}
@@ -91,55 +102,102 @@ class RunFiles(RunStore[str]):
     def _is_complete(self, run_id: str) -> bool:
         return self.outcome(run_id).status == "complete"
 
-    def note(self, task: Task, outcome: Outcome) -> Noted:
+    def note(self, task: Task, outcome: Outcome) -> None:
         """See `RunStore.note`."""
-        unfinished = [outcome.reason] if outcome.is_passing else []
+        self.unfinished += [outcome.reason] if outcome.is_passing else []
         if "second" in task.content:
             self._second[task.key] = outcome
         elif "repeats" in task.content:
             self._timings[task.key] = outcome.seconds
         else:
             self.note_file(task.key, outcome)
-            return Noted(1, int(outcome.status == "failed" or outcome.is_passing), unfinished)
-        return Noted(unfinished=unfinished)
+            self.computed += 1
+            self.failed += int(outcome.status == "failed" or outcome.is_passing)
 
     def index(self) -> Index:
         """Return the index of the archives that exist; rows of unchanged archives are copied from the previous
         index.
         """
-        points = self.plan.points
-        archives = ArchiveRows.of(self.spec, points)
         known: dict[tuple[str, str], Row] = {}
         rows = []
-        for point in points:
+        for point in self.plan.points:
             if point.lacking:
-                row = archives.left_out(point.lacking)
+                reason = f"not-installed: the distribution {point.lacking} is not installed."
+                values = dict.fromkeys((*self._columns, *self._of_second_runs), math.nan)
+                row = Row("", "left-out", reason, values=values)
             else:
                 key = point.run_id, point.reference_id
                 if key not in known:
-                    known[key] = self._row(archives, *key)
+                    known[key] = self._row(*key)
                 row = known[key]
             rows.append(replace(row, family=point.family, axes=point.axes))
         references = dict.fromkeys(reference_id for _, reference_id in known if reference_id)
-        return Index.of_rows(rows, [self._row(archives, run_id, "") for run_id in references], self.plan.defined)
+        return Index.of_rows(rows, [self._row(run_id, "") for run_id in references], self.plan.defined)
 
-    def _row(self, archives: ArchiveRows, run_id: str, reference_id: str) -> Row:
+    def _row(self, run_id: str, reference_id: str) -> Row:
         """Return the row of a run, without its family and axes."""
         path, outcome = self.folder.archive(run_id), self.outcome(run_id)
-        row = None if archives.use_plugins else self._measured_before(run_id, reference_id)
-        if row is None and (outcome.status == "missing" or not path.exists()):
-            row = archives.without_archive(run_id, outcome)
-        if row is None:
+        # A plugin that computes a measure may have changed since the previous index.
+        use_plugins = any(measure.item is not None for measure in self._defined)
+        row = None if use_plugins else self._measured_before(run_id, reference_id)
+        if row is None and outcome.status != "missing" and path.exists():
             is_compared = bool(reference_id) and self._is_complete(reference_id)
             sha256 = self._file_sha256(run_id)
             try:
                 reference = self.folder.archive(reference_id) if is_compared else None
-                row = replace(archives.row(path, reference, self.plan.runs[run_id]), file_sha256=sha256)
+                row = replace(self._row_of(path, reference, self.plan.runs[run_id]), file_sha256=sha256)
             except (SpecError, ResourceError) as error:  # the archive was damaged after it was computed
-                row = archives.without_archive(run_id, Outcome("missing", f"error: {error}"))
-        row = archives.with_second_run(row, self._second.get(run_id), self._run_twice(run_id))
+                outcome = Outcome("missing", f"error: {error}")
+        row = row or Row(run_id, outcome.status, outcome.reason, values=dict.fromkeys(self._columns, math.nan))
+        row = self._with_second_run(row, self._second.get(run_id), self._run_twice(run_id))
         seconds = tuple(self._timings.get(run_id) or self._repeats_before(run_id))
-        return replace(archives.with_timings(row, seconds), reference_id=reference_id)
+        values = {**row.values, **quartiles(seconds)} if self._is_timed else row.values
+        return replace(row, values=values, repeats=seconds, reference_id=reference_id)
+
+    def _row_of(self, archive: Path, reference: Path | None, spec: RunSpec) -> Row:
+        """Return the row of a run, with values computed from its archive and from that of its reference run, if any.
+
+        Raises
+        ------
+        SpecError, ResourceError
+            If an archive cannot be read.
+        """
+        with load(archive) as run, nullcontext() if reference is None else load(reference) as compared:
+            return Row(
+                run.run_id,
+                run.status,
+                run.status_reason,
+                worst_joint=worst_joint(run),
+                data_sha256=run.data_sha256,
+                values=self._values(run, compared, spec),
+                verdict=run.verdict,
+                verdict_reasons=BETWEEN_REASONS.join(run.verdict_reasons),
+            )
+
+    def _values(self, run: Run, reference: Run | None, spec: RunSpec) -> dict[str, float]:
+        group = RunGroup([run], reference)
+        taken = {name: float(MEASURES[name].take(group)[0]) for name in self.plan.built_in}
+        for measure in self._defined:
+            taken |= with_error(measure, run, spec)
+        if run.accuracy is not None:
+            taken |= {name: float(measure.take(group)[0]) for name, measure in OF_CHECKED_RUNS.items()}
+        return taken | {name: float(run.stats.get(name, math.nan)) for name in (*COUNTERS, *TIMINGS)}
+
+    def _with_second_run(self, row: Row, made: Outcome | None, before: Row | None) -> Row:
+        """Return a row to which the measures that need a second run are added.
+
+        The measures are taken from `made`, the outcome of the second run in this call. If this call has made no second
+        run, or if the second run failed for an external reason, they are taken from `before`, the row of the run in the
+        previous index.
+        """
+        if made is not None and not made.is_passing:
+            values, note = made.values, made.reason or made.status
+        elif before is not None and self._of_second_runs:
+            values, note = before.values, before.second_run
+        else:
+            values, note = {}, ""
+        second = {name: values.get(name, math.nan) for name in self._of_second_runs}
+        return replace(row, values={**row.values, **second}, second_run=note)
 
     def _is_unchanged(self, run_id: str) -> bool:
         """Return whether the archive of a run has the same bytes as when it was indexed."""

@@ -44,25 +44,6 @@ class Round:
     one_by_one: bool = False
 
 
-@dataclass(frozen=True)
-class Noted:
-    """What the outcome of a task adds to the numbers and reasons that a study reports.
-
-    Parameters
-    ----------
-    runs
-        Number of runs that the task has computed.
-    failed
-        Number of these runs that failed.
-    unfinished
-        External reasons why runs were not computed.
-    """
-
-    runs: int = 0
-    failed: int = 0
-    unfinished: Sequence[str] = ()
-
-
 class RunStore(ABC, Generic[Key]):
     """The runs of a study in its folder: those that exist, those that are missing, and the index.
 
@@ -76,6 +57,10 @@ class RunStore(ABC, Generic[Key]):
         Number of distinct runs of the study, including reference runs; for a study in blocks, number of its points.
     plan
         The plan of the study.
+    computed, failed
+        Number of runs that were computed, and number of these that failed.
+    unfinished
+        External reasons why runs were not computed.
     """
 
     count: int
@@ -84,6 +69,8 @@ class RunStore(ABC, Generic[Key]):
     def __init__(self, spec: StudySpec, folder: StudyFolder):
         self.spec, self.folder = spec, folder
         self._outcomes: dict[Key, Outcome] = {}
+        self.computed = self.failed = 0
+        self.unfinished: list[str] = []
 
     @abstractmethod
     def begin(self, shard: Shard | None, notify: Callable[[str], None]) -> int:
@@ -102,8 +89,8 @@ class RunStore(ABC, Generic[Key]):
         """Yield the tasks to be computed; each round depends on the outcomes of the rounds before."""
 
     @abstractmethod
-    def note(self, task: Task, outcome: Outcome) -> Noted:
-        """Record the outcome of a task."""
+    def note(self, task: Task, outcome: Outcome) -> None:
+        """Record the outcome of a task, and count its runs."""
 
     @abstractmethod
     def index(self) -> Index:

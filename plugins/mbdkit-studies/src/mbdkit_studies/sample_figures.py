@@ -59,13 +59,6 @@ class _Measured:
         return replace(self.quantity.axis, log=is_wide(self.values))
 
     @property
-    def where(self) -> dict[str, int | float | str] | None:
-        """Labels that select the runs of the sample; None in a study with a single sample."""
-        if not self.group.words:
-            return None
-        return ({"family": self.group.family} if self.group.family else {}) | dict(self.group.axes)
-
-    @property
     def told(self) -> str:
         """Sentence that says which runs belong to the sample; empty in a study with a single sample."""
         return f" Runs with: {self.group.words}." if self.group.words else ""
@@ -82,7 +75,7 @@ class _Measured:
         if sample is None or sample.design != "saltelli":
             return None
         try:
-            return self.study.sensitivity(self.name, where=self.where, members=members, **options)
+            return self.study.sensitivity(self.name, where=self.group.where or None, members=members, **options)
         except MbdkitError:  # too few members have a value
             return None
 
@@ -242,7 +235,7 @@ def _bands(study: Study, group: SampleGroup) -> Iterator[Figure]:
     one = _Measured(study, group, Quantity(("time",), "", Axis("")), np.empty(0))
     for text in _quantities(study):
         try:
-            bands = study.quantiles(text, _BANDS, where=one.where)
+            bands = study.quantiles(text, _BANDS, where=group.where or None)
         except MbdkitError:  # the quantity is not stored, has parameters, or is a vector
             continue
         lowest, low, middle, high, highest = bands.values

@@ -71,6 +71,11 @@ class SampleGroup:
         told = [f"{key} {label}" for key, label in self.axes.items()]
         return ", ".join(filter(None, [self.family, *told]))
 
+    @property
+    def where(self) -> dict[str, Label]:
+        """Labels that select the runs of the group, as for `groups_where`; empty in a study with a single group."""
+        return ({"family": self.family} if self.family else {}) | dict(self.axes)
+
 
 def sample_groups(study: SampledStudy) -> list[SampleGroup]:
     """Return the groups of a study in the order of its points; a study without axes has a single group."""
@@ -122,10 +127,9 @@ def one_group(study: SampledStudy, where: Mapping[str, Any] | None) -> SampleGro
     """
     groups = groups_where(study, where)
     if len(groups) > 1:
-        group = groups[0]
-        labels = ({"family": group.family} if group.family else {}) | dict(group.axes)
+        example = f"where={groups[0].where!r}"
         raise MbdkitError(
-            f"the study has {len(groups)} samples; choose one by `where`, such as where={labels!r}: {_told(groups)}"
+            f"the study has {len(groups)} samples; choose one by `where`, such as {example}: {_told(groups)}"
         )
     return groups[0]
 

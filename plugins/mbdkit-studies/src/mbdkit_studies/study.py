@@ -20,7 +20,7 @@ from mbdkit_studies.selection import select_rows
 from mbdkit_studies.sensitivity import Sensitivity, sensitivity
 from mbdkit_studies.sobol_indices import RESAMPLES
 from mbdkit_studies.study_folder import StudyFolder
-from mbdkit_studies.study_index import TEXTS, describe_column
+from mbdkit_studies.study_index import NUMBERS, TEXTS
 from mbdkit_studies.study_loading import load_study_spec
 from mbdkit_studies.study_point import Points, StudyPoint, archive_of
 from mbdkit_studies.study_runs import StudyRuns
@@ -83,7 +83,7 @@ class Study(StudyRuns, HtmlView):
         KeyError
             If there is no such column.
         """
-        column = self._index.described.get(name) or describe_column(name)
+        column = self._index.described.get(name) or NUMBERS[name]
         return column.units, column.long_name
 
     @property

@@ -1,19 +1,17 @@
-"""The blocks of a study: the assignment of runs to blocks, and the validity of their files."""
+"""The blocks of a study: the assignment of runs to blocks."""
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from pathlib import Path
 
 from mbdkit.archive.disk_space import row_bytes
-from mbdkit.base.errors import MbdkitError, SpecError
+from mbdkit.base.errors import MbdkitError
 from mbdkit.engine.compile_mechanism import compile_mechanism
 from mbdkit.quantities.names import archive_names
 from mbdkit.runs.preparation import rows_expected
 from mbdkit.spec import RunSpec
 from mbdkit_studies.block_writer import HISTORIES, Store
-from mbdkit_studies.blocks import Block
 from mbdkit_studies.planned_points import PlannedPoints, number_of_points
 from mbdkit_studies.study_folder import StudyFolder
 from mbdkit_studies.study_loading import load_study_spec
@@ -55,10 +53,6 @@ def is_for_blocks(spec: StudySpec) -> bool:
     if spec.store is not None:
         return spec.in_blocks
     return spec.has_table or (number_of_points(spec) > MOST_FILES and not spec.needs_files)
-
-
-class AnotherStudyError(SpecError):
-    """A block belongs to another study than its folder."""
 
 
 @dataclass(frozen=True)
@@ -107,22 +101,6 @@ class StudyBlocks:
     def block_of(self, place: int) -> int:
         """Return the number of the block that contains the run with this index; both are counted from 0."""
         return place // self.size
-
-    def open(self, path: Path, study_sha256: str) -> Block:
-        """Open a block of a study.
-
-        Raises
-        ------
-        AnotherStudyError
-            If the block belongs to another study.
-        SpecError
-            If the file is not a block that this version can read.
-        """
-        block = Block(path)
-        if block.study_sha256 != study_sha256:
-            block.close()
-            raise AnotherStudyError("this is a block of another study; move it to another folder", file=path)
-        return block
 
 
 def stored(spec: StudySpec) -> Store:

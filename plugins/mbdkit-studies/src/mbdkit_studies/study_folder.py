@@ -2,11 +2,8 @@
 
 from __future__ import annotations
 
-import contextlib
 import os
 import re
-import sys
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -82,21 +79,3 @@ class StudyFolder(OwnedFolder[StudySpec]):
         if spec.members is not None and not (self.path / member_table.FILE).exists():
             member_table.write_members(spec, self.path)
         self.runs.mkdir(exist_ok=True)
-
-    @contextlib.contextmanager
-    def indexing(self) -> Iterator[None]:
-        """Hold an exclusive lock for writing the index, after waiting for other calls that write it.
-
-        There is no lock on Windows.
-        """
-        if sys.platform == "win32":
-            yield
-            return
-        import fcntl
-
-        handle = os.open(self.runs, os.O_RDONLY)
-        try:
-            fcntl.flock(handle, fcntl.LOCK_EX)
-            yield
-        finally:
-            os.close(handle)

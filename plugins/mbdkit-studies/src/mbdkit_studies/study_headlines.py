@@ -149,10 +149,9 @@ def _explained(study: Study, group: SampleGroup, name: str, values: np.ndarray) 
     The text is empty if no variable explains a sufficient share, or if this is unknown.
     """
     sample = study.spec.sample
-    where = ({"family": group.family} if group.family else {}) | dict(group.axes)
     if sample is not None and sample.design == "saltelli":
         try:
-            sobol = study.sensitivity(name, where=where or None)
+            sobol = study.sensitivity(name, where=group.where or None)
         except MbdkitError as error:  # too few members have a value
             return str(error)
         return _sobol_words(sobol)

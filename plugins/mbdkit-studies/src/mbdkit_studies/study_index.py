@@ -58,8 +58,18 @@ TEXTS = {
     "file_sha256": "hash of the bytes of the archive",
 }
 
-#: Numeric columns that the index of any study may have, in addition to measures that the study defines.
-NUMBERS = (*MEASURES, *OF_CHECKED_RUNS, *SECOND, *COUNTERS, *TIMINGS, *QUARTILES)
+#: Units and descriptions of the numeric columns that the index of any study may have, in addition to measures that the
+#: study defines.
+NUMBERS: Mapping[str, Description] = {
+    **{name: Description(one.units, one.long_name) for name, one in {**MEASURES, **OF_CHECKED_RUNS}.items()},
+    **{name: Description(*told) for name, told in SECOND.items()},
+    **{name: Description("1", f"counter of the run: {name.replace('_', ' ')}") for name in COUNTERS},
+    **{name: Description("s", f"time of the run: {name.removesuffix('_s')}") for name in TIMINGS},
+    **{
+        name: Description("s", f"wall time of the steps, {name.split('_')[1]} of the serial timings")
+        for name in QUARTILES
+    },
+}
 
 HASHES = ("run_id", "data_sha256")
 """Columns of hashes in the index of a study in blocks."""
@@ -157,7 +167,7 @@ class Index:
             Units and descriptions of the measures that the study defines.
         """
         names = dict.fromkeys(name for row in (*runs, *references) for name in row.values)
-        described = {name: defined.get(name) or describe_column(name) for name in names}
+        described = {name: defined.get(name) or NUMBERS[name] for name in names}
         axes = frozenset(key for row in runs for key in row.axes)
         return cls(_columns(runs), described, _columns(references), axes, frozenset(defined))
 
@@ -319,23 +329,6 @@ def _texts(values: np.ndarray) -> list[str]:
     return ["" if value is None else str(value) for value in values]
 
 
-def describe_column(name: str) -> Description:
-    """Return units and description of a numeric column that any study may have; raise KeyError for other columns."""
-    if name in MEASURES:
-        return Description(MEASURES[name].units, MEASURES[name].long_name)
-    if name in OF_CHECKED_RUNS:
-        return Description(OF_CHECKED_RUNS[name].units, OF_CHECKED_RUNS[name].long_name)
-    if name in SECOND:
-        return Description(*SECOND[name])
-    if name in COUNTERS:
-        return Description("1", f"counter of the run: {name.replace('_', ' ')}")
-    if name in QUARTILES:
-        return Description("s", f"wall time of the steps, {name.split('_')[1]} of the serial timings")
-    if name in TIMINGS:
-        return Description("s", f"time of the run: {name.removesuffix('_s')}")
-    raise KeyError(name)
-
-
 def read(path: Path) -> Index:
     """Read an index of format 1.x or 2.x; an index of format 1.x is returned without axis labels.
 
@@ -377,7 +370,7 @@ def _read_plain(file: h5py.File) -> Index:
     described = {
         name: Description(str(runs[name].attrs["units"]), str(runs[name].attrs["long_name"]))
         if name in defined
-        else describe_column(name)
+        else NUMBERS[name]
         for name in (*defined, *NUMBERS)
         if name in runs or name in file["references"]
     }

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import suppress
 from functools import cached_property
 from itertools import islice
@@ -20,14 +20,14 @@ from mbdkit.spec import RunSpec
 from mbdkit.spec.reading import parse_key
 from mbdkit.spec.study_measures import DefinedMeasure, expressions_of
 from mbdkit.spec.varied_specs import VariedSpecs
-from mbdkit_studies.judge import check_verdict
+from mbdkit_studies.judge import find_verdict
+from mbdkit_studies.measures import MEASURES
 from mbdkit_studies.planned_points import PlannedPoint, PlannedPoints, distinct_runs, grids, plan_points
 from mbdkit_studies.sample_section import typical_values
 from mbdkit_studies.study_blocks import StudyBlocks
 from mbdkit_studies.study_index import COLUMNS, axis_column
 from mbdkit_studies.study_spec import StudySpec
-from mbdkit_studies.varied_starts import start_warnings_of_study
-from mbdkit_studies.varied_values import notes_on_varied_values
+from mbdkit_studies.varied_values import notes_on_varied_values, start_warnings_of_study
 
 SAMPLES = 8
 """Number of runs, of a study stored in blocks (files of many runs), whose specs are validated before the first run.
@@ -79,6 +79,13 @@ class StudyPlan:
         return StudyBlocks.of(self.spec, self.points)
 
     @cached_property
+    def built_in(self) -> list[str]:
+        """Names of the built-in measures to compute from the results of each run."""
+        wanted = tuple(MEASURES) if self.spec.built_in_measures is None else self.spec.built_in_measures
+        compared = any(grid.reference for grid in self.points.grids)
+        return [name for name in wanted if name in MEASURES and (compared or not MEASURES[name].needs)]
+
+    @cached_property
     def samples(self) -> list[PlannedPoint]:
         """Up to `SAMPLES` points, at equal distances from the first to the last."""
         last = len(self.points) - 1
@@ -100,20 +107,17 @@ class StudyPlan:
             raise errors[0]
         return valid
 
-    def require_valid_samples(self) -> None:
-        """Raise SpecError if a sample is invalid."""
-        for point in self.samples:
-            if not point.lacking:
-                point.spec  # noqa: B018  # raises the error
+    def _specs(self) -> Iterator[RunSpec]:
+        """Return the specs that are known before the first run: for a study in blocks, those of the samples."""
+        return (spec for _, spec in self.valid_samples) if self.spec.in_blocks else iter(self.runs.values())
 
     def warnings(self) -> list[str]:
         """Return the warnings about the validated specs of runs, and about values that the runs vary.
 
         If several differ only in numbers, the first one is returned.
         """
-        specs = [spec for _, spec in self.valid_samples] if self.spec.in_blocks else self.runs.values()
         found: dict[str, str] = {}
-        for warning in (str(one) for spec in specs for one in caution(spec, measures=self.expressions)):
+        for warning in (str(one) for spec in self._specs() for one in caution(spec, measures=self.expressions)):
             found.setdefault(without_numbers(warning), warning)
         of_starts = start_warnings_of_study(spec for _, spec in self.valid_samples)
         of_sample = self.warnings_of_sample()
@@ -124,9 +128,8 @@ class StudyPlan:
         """Return notes that the single runs do not give: on reactions that are always zero in measures of the study,
         and on values that the study varies.
         """
-        specs = (spec for _, spec in self.valid_samples) if self.spec.in_blocks else iter(self.runs.values())
         own = [measure for measure in self.spec.defined_measures() if not measure.of_base]
-        of_measures = [note for spec in islice(specs, 1) for note in zero_reactions(spec, own)]
+        of_measures = [note for spec in islice(self._specs(), 1) for note in zero_reactions(spec, own)]
         return [*of_measures, *notes_on_varied_values(self.spec)]
 
     def warnings_of_sample(self) -> dict[str, str]:
@@ -135,8 +138,7 @@ class StudyPlan:
         Limits and means of the distributions are checked, because drawn values have many decimals. The keys are the
         warnings about single runs, without their numbers.
         """
-        specs = (spec for _, spec in self.valid_samples) if self.spec.in_blocks else iter(self.runs.values())
-        if self.spec.sample is None or (spec := next(specs, None)) is None:
+        if self.spec.sample is None or (spec := next(self._specs(), None)) is None:
             return {}
         varied = VariedSpecs(spec.canonical_json())
         found: dict[str, str] = {}
@@ -167,11 +169,14 @@ def plan_study(spec: StudySpec) -> StudyPlan:
     SpecError
         If the study, one of the runs that are validated (for an ensemble, all of them) or a measure is invalid.
     """
-    check_verdict(spec)
+    if spec.verdict:
+        find_verdict(spec)
     check_column_names(spec)
     plan = StudyPlan(spec)
     if spec.in_blocks and (spec.members is None or spec.sample is not None):
-        plan.require_valid_samples()
+        for point in plan.samples:
+            if not point.lacking:
+                point.spec  # noqa: B018  # raises an error if it is invalid
     return plan
 
 
@@ -253,6 +258,15 @@ def check_column_names(spec: StudySpec) -> None:
             message = f"'{name}' is the column of the error of '{name.removesuffix(ERROR)}'; choose another name"
             raise spec.placed(SpecError(message, key=path_text(where)))
     columns: dict[str, str] = {}
+
+    def check_key(key: str, place: Path, word: str) -> None:
+        """Check the key of an axis or of a variable."""
+        if axis_column(key) in measures:
+            message = f"'{key}' is also {word} of this study; choose another name for the measure"
+            raise spec.placed(SpecError(message, key=path_text(measures[axis_column(key)])))
+        if why := _refusal(key, columns.setdefault(axis_column(key), key)):
+            raise spec.placed(SpecError(why, key=path_text(place)))
+
     for grid in grids(spec):
         _check_text(spec, grid.name, ("families",), _CONTROL)
         for number, axis in enumerate(grid.axes):
@@ -263,21 +277,12 @@ def check_column_names(spec: StudySpec) -> None:
                     for changed in value.value if value.together else (key,):
                         _check_sets_no_measure(spec, changed, (*place, *value.place))
                     _check_text(spec, str(value.label), (*place, *value.place), _UNSTORED)
-                other = columns.setdefault(axis_column(key), key)
-                if axis_column(key) in measures:
-                    message = f"'{key}' is also a measure of this study; choose another name for the measure"
-                    raise spec.placed(SpecError(message, key=path_text(measures[axis_column(key)])))
-                if why := _refusal(key, other):
-                    raise spec.placed(SpecError(why, key=path_text(place)))
+                check_key(key, place, "a measure")
         for key in grid.table:
             place = (*grid.table_place, key)
             _check_sets_no_measure(spec, key, place)
             _check_text(spec, key, place, _CONTROL)
-            if axis_column(key) in measures:
-                message = f"'{key}' is also a variable of this study; choose another name for the measure"
-                raise spec.placed(SpecError(message, key=path_text(measures[axis_column(key)])))
-            if why := _refusal(key, columns.setdefault(axis_column(key), key)):
-                raise spec.placed(SpecError(why, key=path_text(place)))
+            check_key(key, place, "a variable")
 
 
 def _check_sets_no_measure(spec: StudySpec, key: str, place: Path) -> None:

@@ -18,6 +18,7 @@ from mbdkit_report.analysis.verdict import Verdict, columns_of
 from mbdkit_report.figures.page_model import Cell, Column, Table
 from mbdkit_report.figures.player_data import film_data
 from mbdkit_report.figures.quantity_text import count
+from mbdkit_report.notebook.result_views import View
 from mbdkit_report.pages.methods_used import methods
 from mbdkit_report.pages.report_page import NO_FAILURES, ReportPage
 from mbdkit_report.pages.run_report import environment
@@ -87,6 +88,13 @@ def study_report(study: Study) -> ReportPage:
         spec=(study.folder / "study.yaml").read_text(encoding="utf-8"),
         spec_file="study.yaml",
     )
+
+
+def study_view(study: Study) -> View:
+    """Return the view of a study."""
+    title = " ".join(study.spec.title.split()) or study.folder.resolve().name
+    answers = [f"{name}: {told}" for name, told in (*headlines(study, "±"), *notes(study))]
+    return View(f"Study: {title}", (settings(study), *answers), tables=(runs_table(study),))
 
 
 def _again(study: Study) -> str:
