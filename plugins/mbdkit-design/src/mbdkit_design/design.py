@@ -148,18 +148,15 @@ class Design:
     def summary(self) -> str:
         """Return the result as text for a terminal."""
         rows = [("", "START", "BEST", "ERROR")]
+        told = {name: "unknown" if np.isnan(one) else f"{one:.1g}" for name, one in self.trust.errors.items()}
         for name, value in self.best.variables.items():
             rows.append((name, f"{self.start.variables[name]:.6g}", f"{value:.6g}", ""))
         for name, value in self.best.goals.items():
-            error = self.trust.errors[name]
-            told = "unknown" if np.isnan(error) else f"{error:.1g}"
-            rows.append((name, f"{self.start.goals[name]:.6g}", f"{value:.6g}", told))
+            rows.append((name, f"{self.start.goals[name]:.6g}", f"{value:.6g}", told[name]))
         for name in self.spec.subject_to:
             for scenario, measures in self.best.measures.items():
                 label = f"{scenario}: {name}" if scenario else name
-                error = self.trust.errors[name]
-                told = "unknown" if np.isnan(error) else f"{error:.1g}"
-                rows.append((label, f"{self.start.measures[scenario][name]:.6g}", f"{measures[name]:.6g}", told))
+                rows.append((label, f"{self.start.measures[scenario][name]:.6g}", f"{measures[name]:.6g}", told[name]))
         at_best, every = self.searches
         lines = [*filter(None, [self.doubt]), self.trust.judgement]
         lines += [*(f"{goal_words(one.name)}: {one.text()}" for one in self.gains), table(rows)]

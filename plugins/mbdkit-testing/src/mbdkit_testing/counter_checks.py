@@ -16,7 +16,7 @@ from mbdkit.engine.iteration_matrix import IterationMatrix
 from mbdkit.integrators.python_stepper import PythonStepper
 from mbdkit_testing.check import check
 from mbdkit_testing.check_result import Result, failed, passed, skipped, warned
-from mbdkit_testing.integrator_under_test import IntegratorUnderTest, drive
+from mbdkit_testing.integrator_under_test import IntegratorUnderTest, drive, require_complete
 from mbdkit_testing.trial_models import COASTING, FORCED_PENDULUM
 
 STEPS = 17
@@ -147,8 +147,7 @@ def rows(integrator: IntegratorUnderTest) -> Result:
 def needs(integrator: IntegratorUnderTest) -> Result:
     """The method uses tangents if and only if its claims name them in `needs`."""
     with integrator.run(FORCED_PENDULUM, {"end": 0.2, "step": 0.01}) as run:
-        if run.status != "complete":
-            return skipped(f"the run did not complete: {run.status_reason}".rstrip("."))
+        require_complete(run)
         used = run.stats["jacobian_evaluations"] > 0
     said = "tangents" in integrator.claims.needs
     if used and not said:
@@ -166,8 +165,7 @@ def projections(integrator: IntegratorUnderTest) -> Result:
     if integrator.method().traits.family != "python":
         return skipped("it is not a class with `step`, so it cannot project")
     with integrator.run(FORCED_PENDULUM, {"end": 0.2, "step": 0.01}) as run:
-        if run.status != "complete":
-            return skipped(f"the run did not complete: {run.status_reason}".rstrip("."))
+        require_complete(run)
         count, steps = int(run.stats["projections"]), int(run.stats["steps"])
     if count >= steps and not FORMULATIONS[integrator.formulation].solves_multipliers:
         return failed("it projects in every step, a stabilization that the spec did not request", projections=count)
@@ -182,8 +180,7 @@ def cost_of_a_step(integrator: IntegratorUnderTest) -> Result:
     best, stats = float("inf"), {}
     for _ in range(3):
         with integrator.run(COASTING, time, output={"every": 10**6}) as run:
-            if run.status != "complete":
-                return skipped(f"the run did not complete: {run.status_reason}".rstrip("."))
+            require_complete(run)
             stats = dict(run.stats)
             best = min(best, float(stats["wall_s"]))
     count = int(stats["steps"])

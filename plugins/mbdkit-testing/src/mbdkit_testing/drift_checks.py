@@ -12,7 +12,7 @@ from mbdkit_report.analysis.growth import growth_law, worst_history
 from mbdkit_report.analysis.order import observed_order
 from mbdkit_testing.check import Check, Skip, check
 from mbdkit_testing.check_result import Figure, Result, failed, passed
-from mbdkit_testing.integrator_under_test import IntegratorUnderTest
+from mbdkit_testing.integrator_under_test import IntegratorUnderTest, require_complete
 from mbdkit_testing.invariant_checks import coarse_step
 from mbdkit_testing.order_checks import BELOW, BELOW_HIGH, HIGH
 from mbdkit_testing.trial_models import DRIVEN_PENDULUM, SWINGING, Model
@@ -108,8 +108,7 @@ def growth(integrator: IntegratorUnderTest) -> Result:
     step = coarse_step(integrator) / 2
     time = {"end": 30.0} if integrator.claims.adaptive else {"end": 30.0, "step": step}
     with integrator.run(SWINGING, time) as run:
-        if run.status != "complete":
-            raise Skip(f"the run did not complete: {run.status_reason}".rstrip("."))
+        require_complete(run)
         history = worst_history(run)
         if np.max(history) < EXACT:
             return passed(growth="exact", largest_m=float(np.max(history)))

@@ -212,3 +212,9 @@ def final_state(run: Run) -> np.ndarray:
         [np.asarray(run.array(f"trajectory/{name}")[-1]).ravel() for name in ("position", "velocity")]
     )
     return state if run.status == "complete" else np.full_like(state, np.nan)
+
+
+def require_complete(run: Run) -> None:
+    """Raise Skip if a run did not complete."""
+    if run.status != "complete":
+        raise Skip(f"the run did not complete: {run.status_reason}".rstrip("."))

@@ -9,9 +9,9 @@ import numpy as np
 
 from mbdkit.engine.workspace import Workspace
 from mbdkit_report.analysis.energy import Trend, trend
-from mbdkit_testing.check import Check, Skip, check
+from mbdkit_testing.check import Check, check
 from mbdkit_testing.check_result import Figure, Result, failed, passed, skipped, unclaimed, warned
-from mbdkit_testing.integrator_under_test import IntegratorUnderTest
+from mbdkit_testing.integrator_under_test import IntegratorUnderTest, require_complete
 from mbdkit_testing.trial_models import FREE_FOUR_BAR, HARMONIC, ORBIT, SWINGING, Model
 
 REVERSED = 1e-9
@@ -71,11 +71,11 @@ def quadratic_invariants(integrator: IntegratorUnderTest) -> Result:
     step = 2 * coarse_step(integrator)
     time = {"end": 40.0} if integrator.claims.adaptive else {"steps": 400, "step": step}
     with integrator.run(ORBIT, time) as run:
-        _require_complete(run.status, run.status_reason)
+        require_complete(run)
         x, u = run["mass"].position, run["mass"].velocity
         momentum = x[:, 0] * u[:, 1] - x[:, 1] * u[:, 0]
     with integrator.run(HARMONIC, time) as run:
-        _require_complete(run.status, run.status_reason)
+        require_complete(run)
         energy = run.energy.total
     figures: dict[str, Figure] = {
         "momentum_change": float(np.max(np.abs(momentum / momentum[0] - 1))),
@@ -156,13 +156,8 @@ def energy_trend(integrator: IntegratorUnderTest, model: Model) -> tuple[Trend, 
     duration = 1000 * step
     time = {"end": duration} if integrator.claims.adaptive else {"steps": 1000, "step": step}
     with integrator.run(model, time) as run:
-        _require_complete(run.status, run.status_reason)
+        require_complete(run)
         return trend(run.time, run.energy.balance), duration
-
-
-def _require_complete(status: str, reason: str) -> None:
-    if status != "complete":
-        raise Skip(f"the run did not complete: {reason}".rstrip("."))
 
 
 CHECKS = (
