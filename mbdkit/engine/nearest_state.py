@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Protocol
 
 import numpy as np
@@ -46,11 +47,16 @@ def nearest_positions(p: ConstrainedSystem, t: float, q: np.ndarray) -> np.ndarr
     StepError
         ``newton-failed`` if the iteration does not converge.
     """
-    given, before = q, np.inf
+    return converged(p, q, lambda at: p.solve(t, at, p.mass * (q - at), -p.constraints(t, at))[0])
+
+
+def converged(p: ConstrainedSystem, q: np.ndarray, step: Callable[[np.ndarray], np.ndarray]) -> np.ndarray:
+    """Return the positions (n,) to which Newton's method with these steps converges from `q`; raises StepError."""
+    before = np.inf
     for _ in range(MOST_ITERATIONS):
-        step, _ = p.solve(t, q, p.mass * (given - q), -p.constraints(t, q))
-        q = q + step
-        now = p.relative_change(q, step)
+        change = step(q)
+        q = q + change
+        now = p.relative_change(q, change)
         if now <= ROUND_OFF or (now >= 0.5 * before and now < STAGNANT):
             return q
         before = now

@@ -10,8 +10,7 @@ from scipy.sparse.linalg import splu
 
 from mbdkit.base.errors import StepError
 from mbdkit.engine.equations_of_motion import EquationsOfMotion
-from mbdkit.engine.kernels.projection import STAGNANT
-from mbdkit.engine.nearest_state import ROUND_OFF
+from mbdkit.engine.nearest_state import converged
 from mbdkit_statics.prepared_mechanism import PreparedMechanism
 from mbdkit_statics.reduced import DENSE, at_rest, softest_motion, stiffness_scale
 from mbdkit_statics.states_at_rest import StaticEquations
@@ -52,9 +51,6 @@ error.
 PLACES = 1e-6
 """Weight of a translation by the size of the mechanism, relative to the weight of a rotation by 1 rad, in the norm
 that corrections of open joints minimise."""
-
-MOST_CLOSINGS = 20
-"""Largest number of Newton steps for closing the joints."""
 
 MOST_SADDLES = 10
 """Largest number of saddle points from which a search continues."""
@@ -264,18 +260,15 @@ class _Search:
 
         Translations have the small weight `PLACES`, so that bodies are translated rather than rotated.
         """
-        p, before = self.p, np.inf
+        p = self.p
         weight = np.tile([PLACES / self.extent**2, PLACES / self.extent**2, 1.0], len(p.bodies))
-        for _ in range(MOST_CLOSINGS):
-            jacobian = p.constraint_jacobian(p.t0, q)
+
+        def step(at: np.ndarray) -> np.ndarray:
+            jacobian = p.constraint_jacobian(p.t0, at)
             matrix = block_array([[diags_array(weight), jacobian.T], [jacobian, None]], format="csc")
-            change = splu(matrix).solve(np.concatenate([self.none, -p.constraints(p.t0, q)]))[: p.n]
-            q = q + change
-            now = p.relative_change(q, change)
-            if now <= ROUND_OFF or (now >= 0.5 * before and now < STAGNANT):
-                return q
-            before = now
-        raise StepError("newton-failed", "the joints cannot be closed")
+            return np.asarray(splu(matrix).solve(np.concatenate([self.none, -p.constraints(p.t0, at)]))[: p.n])
+
+        return converged(p, q, step)
 
     def work(self, start: np.ndarray, half: np.ndarray, end: np.ndarray) -> float:
         """Return the work of the forces along the parabola through three positions, by Simpson's rule [J]."""
