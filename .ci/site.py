@@ -37,8 +37,11 @@ class Stubs(griffe.Extension):
         if pkg.name == "mbdkit":
             path = ROOT / "mbdkit/mechanism/element_methods.pyi"
             stub = griffe.visit(path.stem, path, path.read_text(encoding="utf-8"))
+            own = pkg["mechanism.element_methods.ElementMethods"]
             for name, method in stub["ElementMethods"].members.items():
-                pkg["mechanism.element_methods.ElementMethods"].set_member(name, method)
+                examples = own.members[name].docstring.value.partition("\n\n")[2]
+                method.docstring.value += f"\n\nExamples\n--------\n{examples}" if examples else ""
+                own.set_member(name, method)
 
 
 def on_files(files: Files, config: MkDocsConfig) -> Files:

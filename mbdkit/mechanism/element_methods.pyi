@@ -22,15 +22,8 @@ class ElementMethods(NamedElements):
     """The part of `Mechanism` that adds its elements."""
 
     def body(
-        self,
-        name: str,
-        *,
-        mass: float,
-        inertia: float | None = None,
-        position: Sequence[float] = (0.0, 0.0),
-        angle: float = 0.0,
-        velocity: Sequence[float] = (0.0, 0.0),
-        angular_velocity: float = 0.0
+        self, name: str, *, mass: float, inertia: float | None = None, position: Sequence[float] = (0.0, 0.0),
+        angle: float = 0.0, velocity: Sequence[float] = (0.0, 0.0), angular_velocity: float = 0.0
     ) -> str:
         """Add a body and return its name.
 
@@ -54,40 +47,18 @@ class ElementMethods(NamedElements):
             Initial velocity of the centre of mass (x, y) [m/s].
         angular_velocity
             Initial angular velocity [rad/s].
-
-        Examples
-        --------
-        >>> m = Mechanism()
-        >>> m.body("rod", mass=2.0, inertia=2.0 * 1.5**2 / 12, position=(0.75, 0.0))
-        'rod'
         """
 
     def beam(
-        self,
-        name: str,
-        *,
-        a: Sequence[float] | None = None,
-        b: Sequence[float] | None = None,
-        points: Sequence[Sequence[float]] | None = None,
-        elements: int = 16,
-        nodes: Literal[2, 3] = 2,
-        corrected: bool = False,
-        E: float | None = None,
-        G: float | None = None,
-        nu: float | None = None,
-        A: float | None = None,
-        I: float | None = None,
-        shear_factor: float = 0.8333333333333334,
-        density: float | None = None,
-        stiffness: Mapping[str, Any] | BeamStiffness | None = None,
-        mass_per_length: float | None = None,
-        rotary_inertia: float | None = None,
-        damping: float = 0.0,
-        velocity: Sequence[float] = (0.0, 0.0),
-        angular_velocity: float = 0.0,
+        self, name: str, *, a: Sequence[float] | None = None, b: Sequence[float] | None = None,
+        points: Sequence[Sequence[float]] | None = None, elements: int = 16, nodes: Literal[2, 3] = 2,
+        corrected: bool = False, E: float | None = None, G: float | None = None, nu: float | None = None,
+        A: float | None = None, I: float | None = None, shear_factor: float = 0.8333333333333334,
+        density: float | None = None, stiffness: Mapping[str, Any] | BeamStiffness | None = None,
+        mass_per_length: float | None = None, rotary_inertia: float | None = None, damping: float = 0.0,
+        velocity: Sequence[float] = (0.0, 0.0), angular_velocity: float = 0.0,
         load: Sequence[float | str | Mapping[str, Any] | Table] | None = None,
-        load_frame: Literal["global", "body"] = 'global',
-        start: Sequence[Sequence[float]] | None = None
+        load_frame: Literal["global", "body"] = 'global', start: Sequence[Sequence[float]] | None = None
     ) -> tuple[str, ...]:
         """Add a flexible beam and return the names of its nodes, which are bodies: ``name.0``, ``name.1``, ...
         Connect its ends, or any other node, with joints: a weld clamps it, a revolute joint pins it.
@@ -157,28 +128,11 @@ class ElementMethods(NamedElements):
         start
             Initial x, y and angle [m, m, rad] of every node, if the beam starts under stress; by default, it starts
             in its stress-free shape.
-
-        Examples
-        --------
-        A cantilever of steel, 2 m long:
-
-        >>> m = Mechanism()
-        >>> steel = {"E": 2.1e11, "nu": 0.3, "density": 7850.0}
-        >>> nodes = m.beam("arm", a=(0, 0), b=(2, 0), elements=8, A=1e-4, I=8.3e-10, **steel)
-        >>> nodes[0], nodes[-1]
-        ('arm.0', 'arm.8')
-        >>> m.weld("clamp", m.ground, nodes[0], at=(0, 0))
         """
 
     def revolute(
-        self,
-        name: str,
-        a: str,
-        b: str,
-        *,
-        points: Sequence[Sequence[float]] | None = None,
-        at: Sequence[float] | None = None,
-        center: Mapping[str, Any] | Center | None = None,
+        self, name: str, a: str, b: str, *, points: Sequence[Sequence[float]] | None = None,
+        at: Sequence[float] | None = None, center: Mapping[str, Any] | Center | None = None,
         friction: Mapping[str, Any] | PinFriction | None = None
     ) -> None:
         """Connect bodies `a` and `b` by a revolute joint.
@@ -211,29 +165,11 @@ class ElementMethods(NamedElements):
         friction
             Dry friction of the pin, ``{coefficient: number, radius: length}``; by default, there is none. Keys of
             `PinFriction`: coefficient, static, kinetic, transition_speed, radius.
-
-        Examples
-        --------
-        >>> m = Mechanism()
-        >>> rod = m.body("rod", mass=2.0, inertia=0.375, position=(0.75, 0.0))
-        >>> m.revolute("A", m.ground, rod, at=(0.0, 0.0))
-
-        A wheel of radius 0.3 m that rolls on the x axis:
-
-        >>> wheel = m.body("wheel", mass=1.0, inertia=0.045, position=(0.0, 0.3))
-        >>> m.revolute("rolls", m.ground, wheel, at=(0.0, 0.3), center={"x": "-0.3*angle"})
         """
 
     def prismatic(
-        self,
-        name: str,
-        a: str,
-        b: str,
-        *,
-        points: Sequence[Sequence[float]] | None = None,
-        at: Sequence[float] | None = None,
-        axis: Sequence[float],
-        angle: float | None = None,
+        self, name: str, a: str, b: str, *, points: Sequence[Sequence[float]] | None = None,
+        at: Sequence[float] | None = None, axis: Sequence[float], angle: float | None = None,
         friction: Mapping[str, Any] | SlideFriction | None = None
     ) -> None:
         """Connect bodies `a` and `b` by a prismatic joint.
@@ -260,23 +196,11 @@ class ElementMethods(NamedElements):
         friction
             Dry friction of the slide, ``{coefficient: number, length: length}``; by default, there is none. Keys of
             `SlideFriction`: coefficient, static, kinetic, transition_speed, length.
-
-        Examples
-        --------
-        >>> m = Mechanism()
-        >>> slider = m.body("slider", mass=1.0, inertia=0.1, position=(2.0, 0.0))
-        >>> m.prismatic("guide", m.ground, slider, at=(2.0, 0.0), axis=(1, 0))
         """
 
     def point_on_line(
-        self,
-        name: str,
-        a: str,
-        b: str,
-        *,
-        points: Sequence[Sequence[float]] | None = None,
-        at: Sequence[float] | None = None,
-        axis: Sequence[float],
+        self, name: str, a: str, b: str, *, points: Sequence[Sequence[float]] | None = None,
+        at: Sequence[float] | None = None, axis: Sequence[float],
         friction: Mapping[str, Any] | JointFriction | None = None
     ) -> None:
         """Hold a point of `b` on a line of `a`.
@@ -304,14 +228,8 @@ class ElementMethods(NamedElements):
         """
 
     def weld(
-        self,
-        name: str,
-        a: str,
-        b: str,
-        *,
-        points: Sequence[Sequence[float]] | None = None,
-        at: Sequence[float] | None = None,
-        angle: float | None = None
+        self, name: str, a: str, b: str, *, points: Sequence[Sequence[float]] | None = None,
+        at: Sequence[float] | None = None, angle: float | None = None
     ) -> None:
         """Connect bodies `a` and `b` rigidly.
 
@@ -335,15 +253,8 @@ class ElementMethods(NamedElements):
         """
 
     def distance(
-        self,
-        name: str,
-        a: str,
-        b: str,
-        *,
-        points: Sequence[Sequence[float]] | None = None,
-        from_: Sequence[float] | None = None,
-        to: Sequence[float] | None = None,
-        length: float | None = None
+        self, name: str, a: str, b: str, *, points: Sequence[Sequence[float]] | None = None,
+        from_: Sequence[float] | None = None, to: Sequence[float] | None = None, length: float | None = None
     ) -> None:
         """Hold a point of `a` and a point of `b` at a constant distance.
 
@@ -370,14 +281,8 @@ class ElementMethods(NamedElements):
         """
 
     def driver(
-        self,
-        name: str,
-        a: str,
-        b: str,
-        *,
-        coordinate: Literal["angle", "x", "y"],
-        motion: float | str | Mapping[str, Any] | Table,
-        points: Sequence[Sequence[float]] | None = None
+        self, name: str, a: str, b: str, *, coordinate: Literal["angle", "x", "y"],
+        motion: float | str | Mapping[str, Any] | Table, points: Sequence[Sequence[float]] | None = None
     ) -> None:
         """Prescribe the motion of `b` relative to `a`.
 
@@ -401,27 +306,12 @@ class ElementMethods(NamedElements):
             table, interpolation, ends.
         points
             For `x` and `y`: ``[[0, 0], b's point in b's frame]`` [m]; by default, b's origin is driven.
-
-        Examples
-        --------
-        >>> m = Mechanism()
-        >>> crank = m.body("crank", mass=1.0, inertia=0.1)
-        >>> m.revolute("A", m.ground, crank, at=(0.0, 0.0))
-        >>> m.driver("motor", m.ground, crank, coordinate="angle", motion="2*pi*t")
         """
 
     def spring_damper(
-        self,
-        name: str,
-        a: str,
-        b: str,
-        *,
-        points: Sequence[Sequence[float]] | None = None,
-        from_: Sequence[float] | None = None,
-        to: Sequence[float] | None = None,
-        stiffness: float = 0.0,
-        damping: float = 0.0,
-        free_length: float = 0.0
+        self, name: str, a: str, b: str, *, points: Sequence[Sequence[float]] | None = None,
+        from_: Sequence[float] | None = None, to: Sequence[float] | None = None, stiffness: float = 0.0,
+        damping: float = 0.0, free_length: float = 0.0
     ) -> None:
         """Add a linear spring and damper between a point of `a` and a point of `b`.
 
@@ -450,23 +340,10 @@ class ElementMethods(NamedElements):
             Damping [N s/m].
         free_length
             Length at which the spring exerts no force [m].
-
-        Examples
-        --------
-        >>> m = Mechanism()
-        >>> ball = m.body("ball", mass=1.0, position=(0.0, -1.0))
-        >>> m.spring_damper("s", m.ground, ball, from_=(0, 0), to=(0, -1), stiffness=100, damping=0.5, free_length=0.9)
         """
 
     def torsion_spring(
-        self,
-        name: str,
-        a: str,
-        b: str,
-        *,
-        stiffness: float = 0.0,
-        damping: float = 0.0,
-        free_angle: float = 0.0
+        self, name: str, a: str, b: str, *, stiffness: float = 0.0, damping: float = 0.0, free_angle: float = 0.0
     ) -> None:
         """Add a linear torsion spring and damper between `a` and `b`, acting on angle_b - angle_a.
 
@@ -489,26 +366,12 @@ class ElementMethods(NamedElements):
             Damping [N m s/rad].
         free_angle
             Relative angle at which the spring exerts no torque [rad].
-
-        Examples
-        --------
-        >>> m = Mechanism()
-        >>> shank = m.body("shank", mass=3.0, inertia=0.05)
-        >>> m.torsion_spring("knee", m.ground, shank, stiffness=20.0, damping=0.1)
         """
 
     def law(
-        self,
-        name: str,
-        a: str,
-        b: str,
-        *,
-        law: str,
-        along: Literal['line', 'angle', 'x', 'y'] = 'line',
-        from_: Sequence[float] | None = None,
-        to: Sequence[float] | None = None,
-        points: Sequence[Sequence[float]] | None = None,
-        **options: Any
+        self, name: str, a: str, b: str, *, law: str, along: Literal['line', 'angle', 'x', 'y'] = 'line',
+        from_: Sequence[float] | None = None, to: Sequence[float] | None = None,
+        points: Sequence[Sequence[float]] | None = None, **options: Any
     ) -> None:
         """Add a force given by a force law along a pathway between `a` and `b`.
 
@@ -540,24 +403,10 @@ class ElementMethods(NamedElements):
             One point of each body, [[x, y], [x, y]], in the frame of that body [m].
         **options
             Options of the force law; ``mbdkit plugins show LAW`` lists them.
-
-        Examples
-        --------
-        A rope, which only pulls:
-
-        >>> m = Mechanism()
-        >>> ball = m.body("ball", mass=1.0, position=(0.0, -1.0))
-        >>> m.law("rope", m.ground, ball, law="one-sided", from_=(0, 0), to=(0, -1), stiffness=1e4, acts="tension")
         """
 
     def cable(
-        self,
-        name: str,
-        radii: Mapping[str, float],
-        *,
-        law: str = 'one-sided',
-        length: float = 0.0,
-        **options: Any
+        self, name: str, radii: Mapping[str, float], *, law: str = 'one-sided', length: float = 0.0, **options: Any
     ) -> None:
         """Add a cable over pulleys at one or several joints, which exist already, with a force law.
 
@@ -580,21 +429,10 @@ class ElementMethods(NamedElements):
             Length where all angles are zero [m]; only its difference from the free length of the law matters.
         **options
             Options of the force law; ``mbdkit plugins show LAW`` lists them.
-
-        Examples
-        --------
-        >>> m = Mechanism()
-        >>> shank = m.body("shank", mass=3.0, inertia=0.05, position=(0.0, -0.2))
-        >>> m.revolute("knee", m.ground, shank, at=(0, 0))
-        >>> m.cable("tendon", {"knee": 0.04}, stiffness=1e4, free_length=-0.01, acts="tension")
         """
 
     def torque(
-        self,
-        name: str,
-        body: str,
-        *,
-        value: float | str | Mapping[str, Any] | Table,
+        self, name: str, body: str, *, value: float | str | Mapping[str, Any] | Table,
         reaction_body: str | None = None
     ) -> None:
         """Apply a torque to a body.
@@ -612,23 +450,11 @@ class ElementMethods(NamedElements):
             ends.
         reaction_body
             Name of the body that the opposite torque acts on; none by default.
-
-        Examples
-        --------
-        >>> m = Mechanism()
-        >>> crank = m.body("crank", mass=1.0, inertia=0.1)
-        >>> m.torque("motor", crank, value="5*sin(2*t)")
         """
 
     def force(
-        self,
-        name: str,
-        body: str,
-        *,
-        point: Sequence[float] | None = None,
-        at: Sequence[float] | None = None,
-        value: Sequence[float | str | Mapping[str, Any] | Table],
-        frame: Literal["global", "body"] = 'global'
+        self, name: str, body: str, *, point: Sequence[float] | None = None, at: Sequence[float] | None = None,
+        value: Sequence[float | str | Mapping[str, Any] | Table], frame: Literal["global", "body"] = 'global'
     ) -> None:
         """Apply a force to a point of a body.
 
@@ -650,21 +476,10 @@ class ElementMethods(NamedElements):
             interpolation, ends.
         frame
             Frame of the components of the force: `global`, or `body`, in which case the force turns with the body.
-
-        Examples
-        --------
-        >>> m = Mechanism()
-        >>> foot = m.body("foot", mass=1.0, inertia=0.01)
-        >>> m.force("ground reaction", foot, value=(0.0, "700*sin(pi*t)"), point=(0.1, -0.05))
         """
 
     def marker(
-        self,
-        name: str,
-        body: str,
-        *,
-        point: Sequence[float] | None = None,
-        at: Sequence[float] | None = None
+        self, name: str, body: str, *, point: Sequence[float] | None = None, at: Sequence[float] | None = None
     ) -> None:
         """Add a marker.
 
@@ -681,31 +496,16 @@ class ElementMethods(NamedElements):
         at
             The point (x, y) [m] in the global frame, for the given initial position of the body (before assembly);
             an alternative to `point`.
-
-        Examples
-        --------
-        >>> m = Mechanism()
-        >>> foot = m.body("foot", mass=1.0, inertia=0.01, position=(1.0, 0.0))
-        >>> m.marker("toe", foot, at=(1.15, -0.04))
         """
 
     def muscle(
-        self,
-        name: str,
-        path: Sequence[Mapping[str, Any] | PathItem],
-        *,
-        max_force: float,
-        optimal_length: float,
-        tendon_length: float,
-        pennation: float = 0.0,
+        self, name: str, path: Sequence[Mapping[str, Any] | PathItem], *, max_force: float, optimal_length: float,
+        tendon_length: float, pennation: float = 0.0,
         curves: Literal["de-groote-fregly", "millard"] = 'de-groote-fregly',
-        tendon: Literal["rigid", "elastic"] = 'rigid',
-        damping: float = 0.1,
+        tendon: Literal["rigid", "elastic"] = 'rigid', damping: float = 0.1,
         activation: Mapping[str, Any] | Activation = Activation(rise=0.01, fall=0.04, initial=0.05),
-        excitation: float | str | Mapping[str, Any] | Table | None = None,
-        max_velocity: float = 10.0,
-        weight: float = 1.0,
-        metabolics: Mapping[str, Any] | Metabolics | Literal["umberger"] | None = None
+        excitation: float | str | Mapping[str, Any] | Table | None = None, max_velocity: float = 10.0,
+        weight: float = 1.0, metabolics: Mapping[str, Any] | Metabolics | Literal["umberger"] | None = None
     ) -> None:
         """Add a muscle. In runs it exerts a force; in inverse dynamics, `recruitment` computes its share of the
         moments.
@@ -749,26 +549,12 @@ class ElementMethods(NamedElements):
         metabolics
             Model of the energy that the muscle consumes: a name, or a name and its options; none by default. Keys
             of `Metabolics`: model, slow_fibers, aerobic_factor, specific_tension, density, mass.
-
-        Examples
-        --------
-        >>> m = Mechanism()
-        >>> shank = m.body("shank", mass=3.0, inertia=0.05, position=(0.0, -0.2))
-        >>> m.revolute("knee", m.ground, shank, at=(0.0, 0.0))
-        >>> path = [{"body": "ground", "point": (-0.03, 0.3)}, {"body": shank, "point": (-0.03, 0.1)}]
-        >>> m.muscle("flexor", path, max_force=2000.0, optimal_length=0.11, tendon_length=0.3)
         """
 
     def contact(
-        self,
-        name: str,
-        a: str | None = None,
-        b: str | None = None,
-        *,
-        among: Sequence[str] | None = None,
+        self, name: str, a: str | None = None, b: str | None = None, *, among: Sequence[str] | None = None,
         shapes: Sequence[Mapping[str, Any] | Shape] | Mapping[str, Mapping[str, Any] | Shape],
-        restitution: float = 0.0,
-        friction: float | Mapping[str, Any] | Friction = 0.0,
+        restitution: float = 0.0, friction: float | Mapping[str, Any] | Friction = 0.0,
         compliance: Mapping[str, Any] | Compliance | None = None
     ) -> None:
         """Add a contact.
@@ -799,23 +585,10 @@ class ElementMethods(NamedElements):
         compliance
             Law of the normal force, which the compliant treatment needs. Keys of `Compliance`: law, stiffness,
             dissipation, impact_speed, transition_speed.
-
-        Examples
-        --------
-        >>> m = Mechanism()
-        >>> ball = m.body("ball", mass=0.5, inertia=2e-4, position=(0.0, 1.0))
-        >>> floor, outline = {"line": {"normal": (0, 1)}}, {"circle": {"radius": 0.03}}
-        >>> m.contact("floor", m.ground, ball, shapes=[floor, outline], friction=0.4, compliance={"stiffness": 1e6})
         """
 
     def coordinate(
-        self,
-        name: str,
-        of: str,
-        *,
-        relative_to: str | None = None,
-        scale: float = 1.0,
-        offset: float = 0.0
+        self, name: str, of: str, *, relative_to: str | None = None, scale: float = 1.0, offset: float = 0.0
     ) -> None:
         """Define a named coordinate, for example one of a measured file.
 
@@ -837,22 +610,10 @@ class ElementMethods(NamedElements):
             Ratio of the change of the coordinate to the change of the quantity; must not be zero.
         offset
             Value of the coordinate when the quantity is zero [m or rad].
-
-        Examples
-        --------
-        >>> m = Mechanism()
-        >>> shank = m.body("shank", mass=3.0, inertia=0.05, position=(0.0, -0.2))
-        >>> m.revolute("knee", m.ground, shank, at=(0.0, 0.0))
-        >>> m.coordinate("knee_flexion", "knee.angle", scale=-1.0)
         """
 
     def state(
-        self,
-        name: str,
-        *,
-        initial: float = 0.0,
-        rate: str | float,
-        unit: str = '1'
+        self, name: str, *, initial: float = 0.0, rate: str | float, unit: str = '1'
     ) -> None:
         """Add a first-order state.
 
@@ -869,22 +630,11 @@ class ElementMethods(NamedElements):
             such as `states.NAME`.
         unit
             Unit of the state.
-
-        Examples
-        --------
-        >>> m = Mechanism()
-        >>> leg = m.body("leg", mass=3.0, inertia=0.05)
-        >>> m.state("lagged", rate="(bodies.leg.angle - states.lagged)/0.05", unit="rad")
         """
 
     def controller(
-        self,
-        name: str,
-        *,
-        states: Mapping[str, Mapping[str, Any] | ControllerState] | None = None,
-        period: float,
-        delay: float = 0.0,
-        outputs: Mapping[str, str | float]
+        self, name: str, *, states: Mapping[str, Mapping[str, Any] | ControllerState] | None = None, period: float,
+        delay: float = 0.0, outputs: Mapping[str, str | float]
     ) -> None:
         """Add a sampled controller.
 
@@ -905,11 +655,4 @@ class ElementMethods(NamedElements):
         outputs
             Outputs by name: expressions of the state at a sample. Loads refer to an output as
             ``controllers.NAME.OUTPUT``.
-
-        Examples
-        --------
-        >>> m = Mechanism()
-        >>> leg = m.body("leg", mass=3.0, inertia=0.05)
-        >>> m.controller("pd", period=0.01, outputs={"u": "-20*leg.angle - 2*leg.angular_velocity"})
-        >>> m.torque("motor", leg, value="controllers.pd.u")
         """

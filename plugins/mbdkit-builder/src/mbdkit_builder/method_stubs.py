@@ -46,5 +46,8 @@ def _method(name: str, method: Any) -> str:
     kinds = [one.kind for one in signature.parameters.values()]
     if inspect.Parameter.KEYWORD_ONLY in kinds:
         arguments.insert(kinds.index(inspect.Parameter.KEYWORD_ONLY), "*")
-    head = f"def {name}(\n    " + ",\n    ".join(arguments) + f"\n) -> {signature.return_annotation}:"
-    return textwrap.indent(f'{head}\n    """{textwrap.indent(method.__doc__, "    ").strip()}\n    """', "    ")
+    joined = ", ".join(one.replace(" ", "\0") for one in arguments)  # lines end between arguments only
+    filled = textwrap.fill(joined, 108, break_long_words=False, break_on_hyphens=False).replace("\0", " ")
+    head = f"def {name}(\n{textwrap.indent(filled, '    ')}\n) -> {signature.return_annotation}:"
+    about = method.__doc__.partition("\n\nExamples\n")[0]  # `help` shows the examples
+    return textwrap.indent(f'{head}\n    """{textwrap.indent(about, "    ").strip()}\n    """', "    ")
