@@ -1,48 +1,11 @@
-"""Cost of a run, in machine-independent counts and in wall time, and comparison of runs at equal cost."""
+"""Comparison of runs at equal cost."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
-
-from mbdkit.archive.run import Run
-
-
-@dataclass(frozen=True)
-class Cost:
-    """Cost of a run.
-
-    Attributes
-    ----------
-    steps, evaluations, jacobians, factorizations, iterations
-        Numbers of steps, of evaluations of the right-hand side or of the stage equations, of evaluations of the
-        Jacobian, of matrix factorizations, and of Newton iterations.
-    wall_s
-        Wall time from the first step to the last [s].
-    """
-
-    steps: int
-    evaluations: int
-    jacobians: int
-    factorizations: int
-    iterations: int
-    wall_s: float
-
-
-def cost(run: Run) -> Cost:
-    """Return the cost of a run from the counters in its archive."""
-    stats = run.stats
-    return Cost(
-        steps=int(stats["steps"]),
-        evaluations=int(stats["rhs_evaluations"]),
-        jacobians=int(stats["jacobian_evaluations"]),
-        factorizations=int(stats["factorizations"]),
-        iterations=int(stats["newton_iterations"]),
-        wall_s=float(stats["wall_s"]),
-    )
 
 
 def at_equal_work(work: Sequence[float], result: Sequence[float], wanted: float) -> float:

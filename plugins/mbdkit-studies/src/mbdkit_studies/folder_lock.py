@@ -173,7 +173,7 @@ def locked(folder: Path, mutex: Path, shard: Shard = WHOLE, command: str = "stud
     owner = Owner.this_process()
     held = None
     try:
-        with alone(mutex):
+        with alone(mutex, is_needed=False):
             for path in sorted(folder.glob(f"{LOCK}*")):
                 name = _NAME.fullmatch(path.name)
                 if name is None:  # a temporary file of a call that was killed while it created its lock
@@ -248,10 +248,11 @@ def _remove_stale(lock: Path, command: str) -> None:
 
 
 @contextlib.contextmanager
-def alone(path: Path) -> Iterator[None]:
+def alone(path: Path, *, is_needed: bool = True) -> Iterator[None]:
     """Hold an exclusive `flock` on a file or folder, after waiting until other processes release it.
 
-    There is no lock on Windows, and on file systems that do not support locks.
+    There is no lock on Windows. If the file system does not support locks, ResourceError is raised if the lock
+    `is_needed`; otherwise, the block runs without it.
     """
     if sys.platform == "win32":
         yield
@@ -260,8 +261,11 @@ def alone(path: Path) -> Iterator[None]:
 
     handle = os.open(path, os.O_RDONLY)
     try:
-        with contextlib.suppress(OSError):
+        try:
             fcntl.flock(handle, fcntl.LOCK_EX)
+        except OSError as error:
+            if is_needed:
+                raise ResourceError(f"it cannot be locked: {error.strerror or error}", file=path) from error
         yield
     finally:
         os.close(handle)

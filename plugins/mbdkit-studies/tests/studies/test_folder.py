@@ -244,3 +244,15 @@ def test_the_temporary_folder_of_a_study_is_deleted_with_it_without_a_warning() 
         del study
         gc.collect()
     assert not folder.exists()
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="there are no locks on Windows")
+def test_a_file_system_without_locks_is_refused_where_a_lock_is_needed(tmp_path, monkeypatch):
+    def refuse(*_):
+        raise OSError(95, "Operation not supported")
+
+    monkeypatch.setattr("fcntl.flock", refuse)
+    with folder_lock.alone(tmp_path, is_needed=False):
+        pass
+    with pytest.raises(ResourceError, match="cannot be locked: Operation not supported"), folder_lock.alone(tmp_path):
+        pass
