@@ -49,10 +49,11 @@ if TYPE_CHECKING:
         stem,
     )
     from mbdkit.engine.compiled_mechanism import CompiledMechanism
-    from mbdkit.engine.equations_of_motion import EquationsOfMotion, Tangents
+    from mbdkit.engine.equations_of_motion import EquationsOfMotion
     from mbdkit.engine.kernels.observe import Observed
     from mbdkit.engine.nearest_state import nearest_positions, nearest_velocities
     from mbdkit.engine.observed_states import StateObserver
+    from mbdkit.engine.tangents import Tangents
     from mbdkit.engine.workspace import Workspace
     from mbdkit.mechanism.bodies import GROUND, Body
     from mbdkit.mechanism.coordinate_function import CoordinateFunction
@@ -145,7 +146,8 @@ _STABLE = {
     "StepMethod StepState Tolerances Traits",
     "mbdkit.methods.tableau": "ButcherTableau EmbeddedPair TableauError collocation",
     "mbdkit.methods.method_options": "ImplicitOptions Options",
-    "mbdkit.engine.equations_of_motion": "EquationsOfMotion Tangents",
+    "mbdkit.engine.equations_of_motion": "EquationsOfMotion",
+    "mbdkit.engine.tangents": "Tangents",
     "mbdkit.mechanism.mechanism": "Mechanism",
     "mbdkit.mechanism.bodies": "GROUND Body",
     "mbdkit.mechanism.joints": "Driver Joint Revolute",

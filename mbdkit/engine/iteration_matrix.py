@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypedDict, cast
 
 import numpy as np
 
@@ -24,6 +25,7 @@ from mbdkit.engine.kernels.equations import (
     solve_real,
 )
 from mbdkit.engine.native.bundle import PinnedBundle
+from mbdkit.engine.stored_arrays import pattern_of, restore, stored
 
 if TYPE_CHECKING:
     from mbdkit.engine.counters import Counters
@@ -32,6 +34,28 @@ if TYPE_CHECKING:
 
 
 REAL, COMPLEX = np.dtype(float), np.dtype(complex)
+
+
+class Coefficients(TypedDict, total=False):
+    """Coefficients of the tangents in `EquationsOfMotion.iteration_matrix`."""
+
+    mass: complex
+    damping: complex
+    stiffness: complex
+    gamma_v: complex
+    residual_q: complex
+
+
+_DEFAULTS: dict[str, complex] = {"mass": 1.0, "damping": 0.0, "stiffness": 0.0, "gamma_v": 0.0, "residual_q": 0.0}
+
+
+def coefficients_of(given: Coefficients) -> np.ndarray:
+    """Return the coefficients (6,) of all classes of terms; raise TypeError if there is no coefficient of that name."""
+    known = {**_DEFAULTS, **cast("dict[str, complex]", given)}
+    if unknown := known.keys() - _DEFAULTS.keys():
+        raise TypeError(f"iteration_matrix() got an unexpected keyword argument {min(unknown)!r}")
+    dtype = complex if any(isinstance(x, complex) for x in known.values()) else float
+    return np.array([known.pop("mass"), 1.0, *known.values()], dtype=dtype)
 
 
 def vector(x: np.ndarray, size: int, dtype: np.dtype[Any] = REAL) -> np.ndarray:
@@ -138,3 +162,89 @@ class IterationMatrix:
     def lost(self) -> SingularSystemError:
         """Return the error that names the unknown at which the factorization failed."""
         return SingularSystemError(int(self._pivots.pattern.column_of[self.failed_at]))
+
+
+class IterationMatrices:
+    """The iteration matrices of one mechanism, and the pivots for each choice of coefficients that are not zero.
+
+    Parameters
+    ----------
+    workspace
+        The workspace that evaluates the terms of the matrices.
+
+    Attributes
+    ----------
+    classes
+        Class of each term; see `classes_of`.
+    """
+
+    def __init__(self, workspace: Workspace):
+        self._workspace, self.classes = workspace, classes_of(workspace)
+        self._pivots: dict[tuple[bool, ...], Pivots] = {}
+
+    def factorized(
+        self,
+        coefficients: np.ndarray,
+        evaluate_at_start: Callable[[], None],
+        evaluate: Callable[[], None],
+        factorize: Callable[[Pivots, np.ndarray], IterationMatrix],
+    ) -> IterationMatrix:
+        """Return a factorized matrix.
+
+        The first pivots are chosen from the values at the start, if possible. This choice does not depend on where the
+        run was interrupted, so that a resumed run has the same pivots as an uninterrupted one.
+
+        Parameters
+        ----------
+        coefficients
+            (6,) coefficient of each class of terms, real or complex.
+        evaluate_at_start, evaluate
+            Functions that evaluate the terms at the start, and where the matrix is wanted.
+        factorize
+            Function that factorizes the terms last evaluated, for given pivots and coefficients.
+
+        Raises
+        ------
+        SingularSystemError
+            If the matrix is singular.
+        """
+        key = (coefficients.dtype == COMPLEX, *(coefficients != 0).tolist())
+        if key not in self._pivots:
+            try:
+                evaluate_at_start()
+                self._pivots[key] = chosen_pivots(self._workspace, self.classes, coefficients)
+            except (StepError, SingularSystemError):
+                pass
+            else:
+                factorize(self._pivots[key], coefficients)
+        evaluate()
+        if key in self._pivots:
+            matrix = factorize(self._pivots[key], coefficients)
+            if matrix.failed_at < 0:
+                return matrix
+        self._pivots[key] = chosen_pivots(self._workspace, self.classes, coefficients)
+        matrix = factorize(self._pivots[key], coefficients)
+        if matrix.failed_at >= 0:
+            raise matrix.lost()
+        return matrix
+
+    def stored(self) -> list[dict[str, Any]]:
+        """Return all pivots as plain values for a checkpoint."""
+        return [
+            {"matrix": list(key), "pattern": stored(one.pattern), "scatter": one.scatter, "reference": one.reference}
+            for key, one in self._pivots.items()
+        ]
+
+    def restore(self, state: Any) -> None:
+        """Use stored pivots; raise ValueError if they are not valid."""
+        workspace = self._workspace
+        unknowns, sources, n = workspace.unknowns, len(workspace.scratch.source), 3 * len(workspace.mechanism.bodies)
+        for one in state:
+            pattern = pattern_of(one["pattern"], unknowns)
+            scatter, reference = np.zeros((len(one["scatter"]), 3), np.int64), np.zeros(len(pattern.row_of))
+            restore(
+                {"scatter": scatter, "reference": reference}, {name: one[name] for name in ("scatter", "reference")}
+            )
+            if np.any(scatter >= [sources, len(pattern.a_column), len(_DEFAULTS) + 1]):
+                raise ValueError("a term of a matrix does not exist")
+            self._pivots[tuple(map(bool, one["matrix"]))] = Pivots((n, unknowns - n), pattern, scatter, reference)
