@@ -14,6 +14,7 @@ from mbdkit.engine.consistent_start import workspace_at_start
 from mbdkit.engine.contact_forces import ActingContact
 from mbdkit.engine.counters import Counters
 from mbdkit.engine.elimination_order import SingularSystemError
+from mbdkit.engine.equation_calls import EquationCalls
 from mbdkit.engine.iteration_matrix import (
     Coefficients,
     IterationMatrices,
@@ -29,7 +30,6 @@ from mbdkit.engine.kernels.equations import DAMPING, GAMMA_V, JACOBIAN, MASS, RE
 from mbdkit.engine.kernels.frames import Reactions, reactions_in_frames
 from mbdkit.engine.kernels.observe import baumgarte_at
 from mbdkit.engine.kernels.system import NOT_FINITE, OK
-from mbdkit.engine.native.bundle import PinnedBundle
 from mbdkit.engine.nearest_state import nearest_positions, nearest_velocities
 from mbdkit.engine.observed_states import GivenForces, StateObserver
 from mbdkit.engine.state_derivatives import Rates, StateDerivatives
@@ -94,9 +94,8 @@ class EquationsOfMotion:
     def __init__(self, workspace: Workspace, z0: np.ndarray | None = None):
         mechanism = workspace.mechanism
         self._workspace, self._forms = workspace, StateDerivatives(workspace)
-        top, scratch = workspace.stepping_topology, workspace.scratch
-        self._pinned = PinnedBundle(equations.new_equations(top, scratch, workspace.solver))
-        self.address = self._pinned.address
+        self._calls = EquationCalls(workspace)
+        self.address = self._calls.address
         self.n, self.m = 3 * len(mechanism.bodies), len(mechanism.solved_rows)
         self.bodies = mechanism.bodies
         self.constraint_names = tuple(row.label for row in mechanism.solved_rows)
@@ -159,7 +158,7 @@ class EquationsOfMotion:
     def accelerations(self, t: float, q: np.ndarray, v: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return the index-1 accelerations (n,) and multipliers (m,) at a state."""
         self.counters.rhs_evaluations += 1
-        return self._solved(t, q, v, False, self._no_force, self._no_rows)
+        return self._solved(self._calls.accelerations, t, q, v)
 
     def derivatives(self, t: float, q: np.ndarray, v: np.ndarray, z: np.ndarray) -> Rates:
         """Return the index-1 accelerations, the multipliers, and the rates of the first-order states.
@@ -216,7 +215,7 @@ class EquationsOfMotion:
         if z is not None:
             self.hold(z)
         q = vector(q, self.n)
-        self._residual(t, q, self._no_force, self._no_force, self._no_rows, with_forces=True)
+        self._residual(self._calls.residual, t, q, self._no_force, self._no_force, self._no_rows)
         return float(potential_energy(self._workspace.mechanism.topology, self._workspace.scratch, with_ground(q))[0])
 
     def kinetic(self, v: np.ndarray) -> float:
@@ -239,7 +238,8 @@ class EquationsOfMotion:
         x, mu
             (n,) and (m,) solution.
         """
-        return self._solved(t, q, self._no_force, True, vector(force, self.n), vector(rows, self.m))
+        self._calls.with_right_side(force, rows)
+        return self._solved(self._calls.solution, t, q, self._no_force)
 
     def forces(self, t: float, q: np.ndarray, v: np.ndarray) -> np.ndarray:
         """Return the generalized applied forces Q (n,), gravity included."""
@@ -248,23 +248,26 @@ class EquationsOfMotion:
     def residual(self, t: float, q: np.ndarray, v: np.ndarray, a: np.ndarray, lam: np.ndarray) -> np.ndarray:
         """Return the residual of the equations of motion, ``M a + Phi_q^T lam - Q(t, q, v)`` (n,)."""
         self.counters.rhs_evaluations += 1
-        return self._residual(t, q, v, a, lam, with_forces=True)
+        return self._residual(self._calls.residual, t, q, v, a, lam)
 
     def constraint_forces(self, t: float, q: np.ndarray, lam: np.ndarray) -> np.ndarray:
         """Return ``Phi_q^T lam`` (n,)."""
-        return self._residual(t, q, self._no_force, self._no_force, lam, with_forces=False)
+        return self._residual(self._calls.constraint_forces, t, q, self._no_force, self._no_force, lam)
 
     def constraints(self, t: float, q: np.ndarray) -> np.ndarray:
         """Return Phi (m,) [m, rad]."""
-        return self._rows(t, q, self._no_force)[0]
+        self._rows(t, q, self._no_force)
+        return self._calls.phi.copy()
 
     def constraint_rates(self, t: float, q: np.ndarray, v: np.ndarray) -> np.ndarray:
         """Return the time derivative of the constraints, ``Phi_q v + Phi_t`` (m,) [m/s, rad/s]."""
-        return self._rows(t, q, v)[1]
+        self._rows(t, q, v)
+        return self._calls.rate.copy()
 
     def gamma(self, t: float, q: np.ndarray, v: np.ndarray) -> np.ndarray:
         """Return the right-hand side of ``Phi_q a = gamma`` (m,) [m/s^2, rad/s^2], Baumgarte's terms included."""
-        return self._rows(t, q, v)[2]
+        self._rows(t, q, v)
+        return self._calls.gamma.copy()
 
     def constraint_jacobian(self, t: float, q: np.ndarray) -> csr_array:
         """Return Phi_q, a sparse (m, n) array."""
@@ -396,35 +399,27 @@ class EquationsOfMotion:
         """See `derivatives`; the evaluation is not counted."""
         z = vector(z, len(self.z0))
         if not len(z):
-            return *self._solved(t, q, v, False, self._no_force, self._no_rows), z.copy()
+            return *self._solved(self._calls.accelerations, t, q, v), z.copy()
         found = self._forms.evaluated(float(t), vector(q, self.n), vector(v, self.n), z, self._checked)
         if not all(np.all(np.isfinite(x)) for x in found):
             raise self._not_finite()
         return found
 
     def _solved(
-        self, t: float, q: np.ndarray, v: np.ndarray, given: bool, force: np.ndarray, rows: np.ndarray
+        self, solve: Callable[[float], int], t: float, q: np.ndarray, v: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Solve a system with the index-1 matrix; choose new pivots if the current ones fail."""
-        x, mu = np.empty(self.n), np.empty(self.m)
-        state = float(t), vector(q, self.n), vector(v, self.n)
-        workspace = self._workspace
-
-        def solve() -> int:
-            # The solvers differ if the workspace has new pivots, chosen here or by the recorder.
-            if self._pinned.bundle.solver is not workspace.solver:
-                self._pinned.replace(self._pinned.bundle._replace(solver=workspace.solver))
-                self.address = self._pinned.address
-            return int(equations.solution_of(self.address, *state, given, force, rows, x, mu))
-
-        self._checked(solve)
-        return x, mu
+        """Solve a system with the index-1 matrix."""
+        calls = self._calls
+        calls.at(q, v)
+        self._checked(partial(solve, float(t)))
+        return calls.x.copy(), calls.mu.copy()
 
     def _checked(self, solve: Callable[[], int]) -> None:
         """Call `solve`, with new pivots if the current ones fail; raise StepError if there is no solution."""
 
         def counted() -> int:
             self.counters.factorizations += 1
+            self._calls.use_pivots()
             return solve()
 
         workspace = self._workspace
@@ -439,25 +434,25 @@ class EquationsOfMotion:
         raise self._singular(SingularSystemError(workspace.failed_unknown))
 
     def _residual(
-        self, t: float, q: np.ndarray, v: np.ndarray, a: np.ndarray, lam: np.ndarray, *, with_forces: bool
+        self, evaluate: Callable[[float], int], t: float, q: np.ndarray, v: np.ndarray, a: np.ndarray, lam: np.ndarray
     ) -> np.ndarray:
-        out = np.empty(self.n)
-        q, v, a = vector(q, self.n), vector(v, self.n), vector(a, self.n)
-        if equations.residual_of(self.address, float(t), q, v, a, vector(lam, self.m), with_forces, out) != OK:
+        self._calls.at(q, v)
+        self._calls.with_forces(a, lam)
+        if evaluate(float(t)) != OK:
             raise self._not_finite()
-        return out
+        return self._calls.x.copy()
 
-    def _rows(self, t: float, q: np.ndarray, v: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return Phi, its rate and gamma, each (m,)."""
-        phi, rate, gamma = np.empty(self.m), np.empty(self.m), np.empty(self.m)
-        if equations.rows_of(self.address, float(t), vector(q, self.n), vector(v, self.n), phi, rate, gamma) != OK:
+    def _rows(self, t: float, q: np.ndarray, v: np.ndarray) -> None:
+        """Evaluate Phi, its rate and gamma, and leave Phi_q among the terms."""
+        self._calls.at(q, v)
+        if self._calls.rows(float(t)) != OK:
             raise self._not_finite()
-        return phi, rate, gamma
 
     def _evaluate_tangents(self, t: float, q: np.ndarray, v: np.ndarray, a: np.ndarray, lam: np.ndarray) -> None:
         self.counters.jacobian_evaluations += 1
-        q, v, a = vector(q, self.n), vector(v, self.n), vector(a, self.n)
-        if equations.tangents_of(self.address, float(t), q, v, a, vector(lam, self.m)) != OK:
+        self._calls.at(q, v)
+        self._calls.with_forces(a, lam)
+        if self._calls.tangents(float(t)) != OK:
             raise self._not_finite()
 
     @cached_property

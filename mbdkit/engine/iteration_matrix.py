@@ -25,6 +25,7 @@ from mbdkit.engine.kernels.equations import (
     solve_real,
 )
 from mbdkit.engine.native.bundle import PinnedBundle
+from mbdkit.engine.repeated_call import RepeatedCall
 from mbdkit.engine.stored_arrays import pattern_of, restore, stored
 
 if TYPE_CHECKING:
@@ -68,6 +69,11 @@ def vector(x: np.ndarray, size: int, dtype: np.dtype[Any] = REAL) -> np.ndarray:
     return array
 
 
+def put(storage: np.ndarray, x: np.ndarray) -> None:
+    """Copy the vector `x` to `storage`; raise ValueError unless their shapes are equal."""
+    storage[:] = x if type(x) is np.ndarray and x.shape == storage.shape else vector(x, len(storage), storage.dtype)
+
+
 def classes_of(workspace: Workspace) -> np.ndarray:
     """Return the class of each matrix term of a workspace: M, Phi_q, C, K, gamma_v or residual_q."""
     terms, n = workspace.terms, 3 * len(workspace.mechanism.bodies)
@@ -86,15 +92,36 @@ class Pivots:
     scatter: np.ndarray
     reference: np.ndarray
     """(n + m,) sizes of the pivots when they were chosen."""
-    free: list[PinnedBundle] = field(default_factory=list)
-    """Matrices that are no longer in use."""
+    free: list[Storage] = field(default_factory=list)
+    """Storage of matrices that are no longer in use."""
 
-    def take(self, dtype: type) -> PinnedBundle:
+    def take(self, dtype: np.dtype[Any]) -> Storage:
         """Return storage for a matrix, reusing that of an earlier one if possible."""
-        if self.free:
-            return self.free.pop()
-        factors = new_factors(self.pattern, dtype)._replace(reference=self.reference)
-        return PinnedBundle(new_matrix(self.pattern, factors, self.scatter))
+        return self.free.pop() if self.free else Storage(self, dtype)
+
+
+class Storage:
+    """Storage for a matrix and for the vectors of its solution, with the kernels that use them.
+
+    Attributes
+    ----------
+    force, rows, x, mu
+        (n,) and (m,) right-hand side and solution.
+    factorize
+        Takes the values of all terms and the coefficients; see `factorize_real`.
+    solve
+        Solves the system and returns the largest relative residual.
+    """
+
+    def __init__(self, pivots: Pivots, dtype: np.dtype[Any]):
+        factors = new_factors(pivots.pattern, dtype.type)._replace(reference=pivots.reference)
+        self._pinned = PinnedBundle(new_matrix(pivots.pattern, factors, pivots.scatter))
+        n, m = pivots.shape
+        self.force, self.x, self.rows, self.mu = (np.zeros(size, dtype) for size in (n, n, m, m))
+        factorize, solve = (factorize_real, solve_real) if dtype == REAL else (factorize_complex, solve_complex)
+        address = self._pinned.address
+        self.factorize = RepeatedCall(factorize, None, address, None)
+        self.solve = RepeatedCall(solve, address, self.force, self.rows, self.x, self.mu)
 
 
 def chosen_pivots(workspace: Workspace, classes: np.ndarray, coefficients: np.ndarray) -> Pivots:
@@ -116,14 +143,12 @@ class IterationMatrix:
     def __init__(self, source: np.ndarray, pivots: Pivots, coefficients: np.ndarray, counters: Counters):
         """Factorize a matrix; `source` holds the values of all terms, and `counters` counts the solves."""
         self._pivots, self._counters = pivots, counters
-        self._complex = coefficients.dtype == complex
-        self._pinned = pivots.take(coefficients.dtype.type)
-        kernel = factorize_complex if self._complex else factorize_real
-        self.failed_at: int = kernel(source, self._pinned.address, coefficients)
+        self._storage = pivots.take(coefficients.dtype)
+        self.failed_at: int = self._storage.factorize(source, coefficients)
         """Position of the pivot at which the factorization failed, -1 if none."""
 
     def __del__(self) -> None:
-        self._pivots.free.append(self._pinned)
+        self._pivots.free.append(self._storage)
 
     def solve(self, force: np.ndarray, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Solve the system, with one step of refinement; counts as one Newton iteration.
@@ -147,17 +172,15 @@ class IterationMatrix:
         StepError
             If the right-hand side is not finite, or if the matrix is so close to singular that a residual remains.
         """
-        dtype = COMPLEX if self._complex else REAL
-        n, m = self._pivots.shape
-        x, mu = np.empty(n, dtype), np.empty(m, dtype)
-        force, rows = vector(force, n, dtype), vector(rows, m, dtype)
-        kernel = solve_complex if self._complex else solve_real
+        storage = self._storage
+        put(storage.force, force)
+        put(storage.rows, rows)
         self._counters.newton_iterations += 1
-        if not kernel(self._pinned.address, force, rows, x, mu) < KKT_TOLERANCE:
+        if not storage.solve() < KKT_TOLERANCE:
             if not (np.all(np.isfinite(force)) and np.all(np.isfinite(rows))):
                 raise StepError("not-finite", "the right-hand side of an iteration is not finite")
             raise StepError("singular", "the matrix of the iteration is too close to singular")
-        return x, mu
+        return storage.x.copy(), storage.mu.copy()
 
     def lost(self) -> SingularSystemError:
         """Return the error that names the unknown at which the factorization failed."""
