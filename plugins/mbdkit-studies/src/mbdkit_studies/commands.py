@@ -49,6 +49,17 @@ class Stored:
         ),
     ] = None
     assignments: BaseSet = None
+    methods: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--with",
+            metavar="METHOD",
+            help=(
+                "Compare one more method, in a study of methods such as paper or drift: the name of an integrator, or "
+                "a mapping such as '{name: gauss, stages: 4}'; may be repeated."
+            ),
+        ),
+    ] = None
     overwrite: Annotated[
         bool,
         typer.Option(
@@ -133,6 +144,7 @@ def study(
             progress=progress,
             notify=notify,
             assignments=stored.assignments or (),
+            with_=stored.methods or (),
             overwrite=stored.overwrite,
             store=stored.store,
         )
