@@ -12,18 +12,27 @@ from typing import Any, TypeAlias
 
 from pydantic import ValidationError
 
-from mbdkit.base.errors import MbdkitError, PluginError, SpecError, blaming
-from mbdkit.base.plain_data import canonical, value_text
-from mbdkit.base.text import listed
+from mbdkit.base.errors import blaming
 from mbdkit.integrators.start import require_support
 from mbdkit.mechanism.validation_errors import spec_error
+from mbdkit.plugin import (
+    Claims,
+    IntegratorPlugin,
+    MbdkitError,
+    RunSpec,
+    SpecError,
+    build,
+    listed,
+    parse_key,
+    plain,
+    put,
+    value_text,
+)
 from mbdkit.registry.item_options import named_options
-from mbdkit.registry.items import Claims, IntegratorPlugin
 from mbdkit.registry.manager import registry
-from mbdkit.runs.preparation import build, make_method
-from mbdkit.spec import RunSpec
+from mbdkit.runs.preparation import make_method
 from mbdkit.spec.formulation_choice import choice_of
-from mbdkit.spec.reading import parse_key, put, read_value
+from mbdkit.spec.reading import read_value
 from mbdkit_studies.planned_points import Grid, Setting, grids
 from mbdkit_studies.point_selection import IN_TOLERANCES, METHOD
 from mbdkit_studies.study_spec import StudySpec
@@ -86,15 +95,13 @@ class AddedMethod:
             chosen = settings.get(METHOD) if isinstance(settings, Mapping) else None
             chosen = {"name": chosen} if isinstance(chosen, str) else chosen
             if not isinstance(chosen, Mapping) or not isinstance(chosen.get("name"), str):
-                forms = (
-                    "the name of an integrator, or a mapping of its name and options such as {name: gauss, stages: 4}"
-                )
+                forms = "the name of an integrator, or a mapping of its name and options"
                 raise SpecError(f"should be {forms}, not {value_text(chosen if labelled else data)}")
             item = registry().get("integrator", chosen["name"])
             plugin, model = item.plugin, named_options(item)
             assert isinstance(plugin, IntegratorPlugin)
             with blaming(f"{item.id} failed to return its claims", ValidationError):
-                claims = plugin.claims(model.model_validate_json(json.dumps(dict(chosen))))
+                claims = plugin.claims(model.model_validate_json(json.dumps(plain(chosen))))
         except ValidationError as error:
             raise spec_error(error, model).located(file=where) from None
         except SpecError as error:
@@ -265,7 +272,7 @@ class _Attempt:
                 continue  # it joins the families of its kind
             try:
                 self._try(place)
-            except (MbdkitError, PluginError) as error:
+            except MbdkitError as error:
                 self.refused[place.grid.name] = getattr(error, "message", str(error))
 
     def _try(self, place: _Place) -> None:
@@ -326,7 +333,8 @@ def _first(place: _Place, value: Value) -> RunSpec | None:
 
 def _words(spec: RunSpec) -> str:
     """Return what makes a method another one: integrator, formulation and stabilization."""
-    return json.dumps([canonical(one) for one in (spec.integrator, spec.formulation, spec.stabilization)])
+    data = json.loads(spec.canonical_json())
+    return json.dumps([data.get(key) for key in (METHOD, *_HOW)])
 
 
 def _without_step(base: Mapping[str, Any], spec: RunSpec, others: set[str]) -> dict[str, Any]:

@@ -9,9 +9,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from mbdkit.trust.criteria import ROUND_OFF
 from mbdkit_report.analysis.order import observed_order
 from mbdkit_report.analysis.verdict import Cell, Table, Verdict, columns_of
 from mbdkit_studies.cost_at_error import ERROR, wall_time
+from mbdkit_studies.general_verdict import size_at_start
 from mbdkit_studies.point_selection import IN_TOLERANCES, STEP, Points, value
 
 if TYPE_CHECKING:
@@ -26,8 +28,8 @@ COLUMNS = columns_of(
 )
 NOTE = (
     "Errors are those at the end, in families with a reference. Place: by misalignment, among all methods at the same "
-    "values of the other axes. Orders are observed where only the step varies. Evaluations and times are means of the "
-    "complete runs; times are those of this machine."
+    "values of the other axes; misalignments near rounding errors are equal. Orders are observed where only the step "
+    "varies. Evaluations and times are means of the complete runs; times are those of this machine."
 )
 
 
@@ -54,13 +56,16 @@ def with_added_methods(verdict: Verdict, study: Study) -> Verdict:
 def _place(study: Study, point: StudyPoint, method: str) -> tuple[int, int] | None:
     """Return the place of a run by misalignment, and the number of complete runs that differ only in the method.
 
-    The result is None if the run is not complete, or if there is no other.
+    Misalignments near rounding errors share a place. The result is None if the run is not complete, or is the only one.
     """
     others = {key: label for key, label in point.axes.items() if label != method}
     rivals = Points(study.family(point.family)).at(others)
-    found = [drift for rival in rivals if math.isfinite(drift := value(rival, DRIFT))]
-    mine = value(point, DRIFT)
-    return (1 + sum(drift < mine for drift in found), len(found)) if math.isfinite(mine) and len(found) > 1 else None
+    floor = ROUND_OFF * size_at_start(point)
+    found = [max(drift, floor) for rival in rivals if math.isfinite(drift := value(rival, DRIFT))]
+    mine = max(value(point, DRIFT), floor)
+    if math.isnan(value(point, DRIFT)) or len(found) < 2:
+        return None
+    return 1 + sum(drift < mine for drift in found), len(found)
 
 
 def _row(method: str, name: str, points: Sequence[StudyPoint], places: dict[int, tuple[int, int]]) -> tuple[Cell, ...]:
@@ -99,7 +104,7 @@ def _sentence(
         told += f"; the observed order of its error is {' to '.join(ends)}"
     if places:
         first = sum(place == 1 for place, _ in places.values())
-        told += f"; its misalignment is the smallest of all methods in {first} of {len(places)} comparisons"
+        told += f"; no other method has a smaller misalignment in {first} of {len(places)} comparisons"
     if any(point.family.endswith(IN_TOLERANCES) for point in points):
         told += "; it has tolerances in place of steps"
     return told + "."
