@@ -113,6 +113,10 @@ def study(
     --set changes the base of every run, like the overrides of the study; keys that an
     axis or a sample varies cannot be set.
 
+    --with adds a method to a study that compares methods, with its own formulation; an
+    adaptive one has tolerances where the others have steps. The report shows it beside
+    the methods of the study.
+
     For a study with a sample, --report shows histograms, Sobol indices and quantiles
     over time; `mbdkit guide studies` explains these.
 
