@@ -375,7 +375,7 @@ def _joined(spec: StudySpec, attempt: _Attempt) -> StudySpec:
         else:
             axes[place.number] = {place.key: [new]}
             tolerances = {f"{METHOD}.{key}": TOLERANCES for key in ("rtol", "atol") if key in attempt.method.options}
-            title = f"{family.get('title', name) or data.get('title', '')}, tolerances in place of steps"
+            title = ", ".join(filter(None, (family.get("title", name), "tolerances in place of steps")))
             axes = [axis for number, axis in enumerate(axes) if number != without] + [tolerances]
             made[(name or _ONLY_FAMILY) + IN_TOLERANCES] = {**family, "title": title, "axes": axes}
     added = list(dict.fromkeys((*spec.added, attempt.label)))

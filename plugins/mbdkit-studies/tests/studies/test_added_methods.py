@@ -12,6 +12,7 @@ from mbdkit_studies.added_methods import with_methods
 from mbdkit_studies.judge import judge
 from mbdkit_studies.planned_points import PlannedPoints
 from mbdkit_studies.point_selection import IN_TOLERANCES, Points
+from mbdkit_studies.study_figures import study_figures
 from mbdkit_studies.study_loading import load_study_spec
 
 METHODS: dict[str, Any] = {
@@ -77,6 +78,11 @@ def test_an_adaptive_method_has_tolerances_where_others_have_steps(both: tuple[m
     tolerances, errors = points.along("integrator.rtol", "end_error")
     assert tolerances[-1] / tolerances[0] == pytest.approx(1e7)
     assert errors[0] < 1e-5 * errors[-1]
+    figures = {figure.name: figure for figure in study_figures(both[1])}
+    drawn = figures["steps-error-at-the-end-over-operations"].lines
+    assert [(line.label, len(line.x)) for line in drawn][-2:] == [("gauss, stages 3", 4), ("scipy-dop853", 8)]
+    names = [row[0] for row in judge(both[1]).table("cost-at-error").rows]
+    assert "steps-tolerances, scipy-dop853" in names
 
 
 @pytest.mark.parametrize(("method", "family"), [("scipy-lsoda", "tolerance"), ("dopri5", "fixed")])
