@@ -83,6 +83,9 @@ def claims(options: GaussOptions) -> Claims:
         drift=(ORDER_DRIFT if fixed else TOLERANCE_DRIFT) + OF_TREES,
         needs=("tangents",) if options.stage_solver == "newton" else ("accelerations",),
         formulations=ORDINARY,
+        states=True,
+        conserves=("linear-momentum", "angular-momentum"),
+        a_stable=options.stage_solver == "newton",
     )
 
 

@@ -106,7 +106,13 @@ class ImplicitOptions(ControlledOptions):
 def explicit_claims(order: int, stages: int) -> Callable[[ExplicitOptions], Claims]:
     """Return the claims of an explicit method in fixed steps."""
     return lambda options: Claims(
-        order=order, stages=stages, drift=ORDER_DRIFT + OF_TREES, needs=("accelerations",), formulations=ORDINARY
+        order=order,
+        stages=stages,
+        drift=ORDER_DRIFT + OF_TREES,
+        needs=("accelerations",),
+        formulations=ORDINARY,
+        states=True,
+        conserves=("linear-momentum",),
     )
 
 
@@ -121,6 +127,8 @@ def embedded_claims(order: int, stages: int) -> Callable[[ControlledOptions], Cl
             drift=(TOLERANCE_DRIFT if options.adaptive else ORDER_DRIFT) + OF_TREES,
             needs=("accelerations",),
             formulations=ORDINARY,
+            states=True,
+            conserves=("linear-momentum",),
         )
 
     return claims
