@@ -166,6 +166,15 @@ class Endless(RungeKutta):
                 continue
 
 
+class Idle(RungeKutta):
+    """It waits for ever for something that does not change."""
+
+    def step(self, equations: EquationsOfMotion, t: float, state: StepState, h: float) -> StepState:
+        while h > 0.0:
+            pass
+        return state
+
+
 class Stabilized(RungeKutta):
     """It projects after each step although the spec does not ask for it."""
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import time
 from typing import Any
 
 import pytest
@@ -10,6 +11,7 @@ import pytest
 import mbdkit
 from mbdkit.registry.catalogue import Registry
 from mbdkit_testing import Result, checks_of, verify
+from mbdkit_testing.check import Check
 from mbdkit_testing.kit import plugin_under_test
 
 from . import corpus, subtle
@@ -202,10 +204,31 @@ def test_what_is_wrong_is_caught_by_the_check_that_says_so(name: str) -> None:
 
 
 def test_a_method_that_tries_for_ever_is_cut_short(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("mbdkit_testing.check.TIME_LIMIT", 1.0)
+    monkeypatch.setattr("mbdkit_testing.check.WORK_LIMIT", 10_000)
     found = outcome("integrator", corpus.offer_method(corpus.Endless, **RK4), "failure.not-a-number")
     assert found.outcome == "fail"
-    assert found.cause == "it did not finish within 1 s"
+    assert found.cause == "it did not finish within 10000 evaluations of the equations"
+
+
+def test_a_method_that_loops_without_evaluations_is_cut_short_by_its_processor_time(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr("mbdkit_testing.check.PROCESSOR_LIMIT", 0.5)
+    found = outcome("integrator", corpus.offer_method(corpus.Idle, **RK4), "state.free-fall")
+    assert found.outcome == "fail"
+    assert found.cause == "it did not finish within 0.5 s of processor time"
+
+
+def test_waiting_does_not_count_against_a_check(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("mbdkit_testing.check.PROCESSOR_LIMIT", 0.2)
+
+    def wait(method: str) -> Result:
+        time.sleep(0.4)
+        return Result("pass")
+
+    found = Check("state.slow", wait).run("a method")
+    assert found.outcome == "pass"
+    assert found.seconds < 0.2
 
 
 def test_an_under_claim_is_a_warning_and_no_failure() -> None:
