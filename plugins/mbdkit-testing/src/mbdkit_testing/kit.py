@@ -10,6 +10,7 @@ from mbdkit.base.logs import to_stderr
 from mbdkit.registry.catalogue import Kind, Registered, Registry
 from mbdkit.registry.manager import registry
 from mbdkit_testing import (
+    conservation_checks,
     contract_checks,
     counter_checks,
     drift_checks,
@@ -23,6 +24,7 @@ from mbdkit_testing import (
     option_effect_checks,
     order_checks,
     restart_checks,
+    stability_checks,
     study_checks,
     tableau_checks,
 )
@@ -38,6 +40,8 @@ INTEGRATOR_CHECKS: tuple[Check[IntegratorUnderTest], ...] = (
     *final_state_checks.CHECKS,
     *newton_checks.CHECKS,
     *invariant_checks.CHECKS,
+    *conservation_checks.CHECKS,
+    *stability_checks.CHECKS,
     *drift_checks.CHECKS,
     *counter_checks.CHECKS,
     *failure_checks.CHECKS,

@@ -14,7 +14,7 @@ from mbdkit_testing import Result, checks_of, verify
 from mbdkit_testing.check import Check
 from mbdkit_testing.kit import plugin_under_test
 
-from . import corpus, subtle
+from . import corpus, overclaims, subtle
 
 RK4 = {"order": 4, "needs": ("accelerations",)}
 MIDPOINT = {"order": 2, "needs": ("tangents",), "symmetric": True, "symplectic": True, "quadratic_invariants": True}
@@ -201,6 +201,22 @@ def test_what_is_wrong_is_caught_by_the_check_that_says_so(name: str) -> None:
     found = outcome(kind, installed, expected)
     assert found.outcome == "fail", found
     assert found.cause
+
+
+@pytest.mark.parametrize("name", overclaims.WRONG)
+def test_what_claims_too_much_is_refused_for_the_right_reason(name: str) -> None:
+    installed, check, cause = overclaims.WRONG[name]
+    found = outcome("integrator", installed, check)
+    assert found.outcome == "fail", found
+    assert cause in found.cause
+
+
+@pytest.mark.parametrize(
+    "check", [pytest.param(x, marks=[pytest.mark.slow] * (x == "geometry.conserved-energy")) for x in overclaims.RIGHT]
+)
+def test_a_claim_that_holds_is_not_refused(check: str) -> None:
+    found = outcome("integrator", overclaims.RIGHT[check], check)
+    assert found.outcome == ("skip" if check == "restart.state" else "pass"), found
 
 
 def test_a_method_that_tries_for_ever_is_cut_short(monkeypatch: pytest.MonkeyPatch) -> None:
