@@ -84,6 +84,7 @@ def claims(options: GaussOptions) -> Claims:
         needs=("tangents",) if options.stage_solver == "newton" else ("accelerations",),
         formulations=ORDINARY,
         states=True,
+        dense_order=options.stages,
         conserves=("linear-momentum", *(("angular-momentum",) if fixed else ())),
         a_stable=options.stage_solver == "newton",
     )

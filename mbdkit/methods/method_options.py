@@ -116,7 +116,7 @@ def explicit_claims(order: int, stages: int) -> Callable[[ExplicitOptions], Clai
     )
 
 
-def embedded_claims(order: int, stages: int) -> Callable[[ControlledOptions], Claims]:
+def embedded_claims(order: int, stages: int, dense_order: int) -> Callable[[ControlledOptions], Claims]:
     """Return the claims of an explicit method with an error estimate, in fixed or adaptive steps."""
 
     def claims(options: ControlledOptions) -> Claims:
@@ -128,6 +128,7 @@ def embedded_claims(order: int, stages: int) -> Callable[[ControlledOptions], Cl
             needs=("accelerations",),
             formulations=ORDINARY,
             states=True,
+            dense_order=dense_order,
             conserves=("linear-momentum",),
         )
 

@@ -85,6 +85,7 @@ def claims(options: RadauOptions) -> Claims:
         formulations=tuple(FORMULATIONS) if newton else ORDINARY,
         orders=orders if newton and fixed else {},
         states=True,
+        dense_order=s,
         conserves=("linear-momentum",),
         a_stable=newton,
         l_stable=newton,

@@ -329,7 +329,7 @@ def no_number(length: float, rate: float, time: float, p: Any) -> tuple[float, f
 # --- the registry ----------------------------------------------------------------------------------------------------
 
 
-def offer(create: Any, options: type[BaseModel] = NoOptions, **claims: Any) -> Registry:
+def offer(create: Any, options: type[BaseModel] = NoOptions, *, dense_output: bool = False, **claims: Any) -> Registry:
     """Return what mbdkit ships and one integrator more, ``acme:mine``."""
     item = mbdkit.IntegratorPlugin(
         name="mine",
@@ -338,6 +338,7 @@ def offer(create: Any, options: type[BaseModel] = NoOptions, **claims: Any) -> R
         create=create,
         claims=lambda options: Claims(**{"drift": "of the method's order"} | claims),
         references=("@misc{acme}",),
+        dense_output=dense_output,
     )
     return _with(mbdkit_integrators=item)
 

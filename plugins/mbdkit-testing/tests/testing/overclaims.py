@@ -8,6 +8,7 @@ import numpy as np
 
 import mbdkit
 from mbdkit import EquationsOfMotion, StepError, StepMethod, StepState
+from mbdkit.methods import dopri5
 
 from . import corpus
 from .corpus import Midpoint, RungeKutta
@@ -157,6 +158,18 @@ def gauss(**claims: Any) -> Any:
     return corpus.offer(lambda options: mbdkit.ImplicitRungeKutta(tableau), **corpus.GAUSS_3, **claims)
 
 
+def pair(*, dense: float = 1.0, error: Any = 1.0, order: int = 5, dense_order: float | None = None) -> Any:
+    """Return the pair of Dormand and Prince of order 5, with factors of the weights of dense output and error, and with
+    another order of the error.
+    """
+    ours = dopri5.pair()
+    wrong = mbdkit.EmbeddedPair(error * ours.error, order, ours.a, ours.c, dense * ours.dense)
+    return corpus.offer(
+        lambda options: mbdkit.ExplicitRungeKutta(dopri5.tableau(), wrong),
+        dense_output=True, order=5, stages=7, dense_order=dense_order,
+    )  # fmt: skip
+
+
 RK4: dict[str, Any] = {"order": 4, "needs": ("accelerations",)}
 MIDPOINT: dict[str, Any] = {
     "order": 2, "needs": ("tangents",), "symmetric": True, "symplectic": True, "quadratic_invariants": True,
@@ -252,6 +265,41 @@ WRONG = {
         _method(RungeKutta, **RK4, states=True),
         "contract.states",
         "it claims to integrate first-order states, but",
+    ),
+    "rows at an interval": (
+        _method(RungeKutta, **RK4, dense_output=True),
+        "order.dense-output",
+        "it ignores output.interval",
+    ),
+    "dense output that the plugin has not": (
+        _method(RungeKutta, **RK4, dense_order=3),
+        "order.dense-output",
+        "it claims an order of dense output, but the plugin says that it has none",
+    ),
+    "an order of dense output that is too high": (
+        pair(dense_order=5),
+        "order.dense-output",
+        "it claims dense output of order 5, but it has the order 3.",
+    ),
+    "dense output with weights that are too large": (
+        pair(dense=1.3),
+        "order.dense-output",
+        "its dense output has the order",
+    ),
+    "an error estimate that does not vanish in a steady motion": (
+        pair(error=np.array([1.0, 1.0, 1.0, 1.0, 1.0, 1.0, 1.1])),
+        "tolerance.error-estimate",
+        "its error estimate should be of order 5, but has order 0.",
+    ),
+    "an error estimate that is a hundredth of the right one": (
+        pair(error=0.01),
+        "tolerance.error-estimate",
+        "times its estimate",
+    ),
+    "an order of the error estimate that is too high": (
+        pair(order=6),
+        "tolerance.error-estimate",
+        "its error estimate should be of order 6, but has order 4.9",
     ),
     "a memory that can be stored": (
         _method(Unstorable, **RK4),
