@@ -28,7 +28,8 @@ if TYPE_CHECKING:
     from mbdkit.gradients.gradient import Gradient, gradient
     from mbdkit.mechanism.force_law import ExpressionLaw, FunctionLaw
     from mbdkit.mechanism.mechanism import Mechanism
-    from mbdkit.methods.kinds import ExplicitRungeKutta, ImplicitRungeKutta, StepMethod, StepState, Tolerances
+    from mbdkit.methods.kinds import ExplicitRungeKutta, ImplicitRungeKutta, Tolerances
+    from mbdkit.methods.step_methods import ExternalMethod, Step, StepMethod, StepState
     from mbdkit.methods.tableau import ButcherTableau, EmbeddedPair
     from mbdkit.registry.hookspecs import hookimpl
     from mbdkit.registry.items import Claims, ForceLawPlugin, IntegratorPlugin, MeasurePlugin, ModelPlugin, StudyPlugin
@@ -64,6 +65,7 @@ __all__ = [
     "EquilibriumPath",
     "ExplicitRungeKutta",
     "ExpressionLaw",
+    "ExternalMethod",
     "ForceLawPlugin",
     "FunctionLaw",
     "Gradient",
@@ -84,6 +86,7 @@ __all__ = [
     "RunError",
     "RunSpec",
     "SpecError",
+    "Step",
     "StepError",
     "StepMethod",
     "StepState",
@@ -131,6 +134,7 @@ _HOME = {
     "ExplicitRungeKutta": "mbdkit.methods.kinds",
     "ExpressionLaw": "mbdkit.mechanism.force_law",
     "ForceLawPlugin": "mbdkit.registry.items",
+    "ExternalMethod": "mbdkit.methods.step_methods",
     "FunctionLaw": "mbdkit.mechanism.force_law",
     "Gradient": "mbdkit.gradients.gradient",
     "ImplicitRungeKutta": "mbdkit.methods.kinds",
@@ -152,9 +156,10 @@ _HOME = {
     "RunSpec": "mbdkit.spec",
     "SpecError": "mbdkit.base.errors",
     "StepError": "mbdkit.base.errors",
-    "StepMethod": "mbdkit.methods.kinds",
+    "Step": "mbdkit.methods.step_methods",
+    "StepMethod": "mbdkit.methods.step_methods",
     "EquationsOfMotion": "mbdkit.engine.equations_of_motion",
-    "StepState": "mbdkit.methods.kinds",
+    "StepState": "mbdkit.methods.step_methods",
     "Study": "mbdkit_studies.study",
     "StudyPlugin": "mbdkit.registry.items",
     "StudySpec": "mbdkit.spec",

@@ -49,10 +49,11 @@ if TYPE_CHECKING:
         stem,
     )
     from mbdkit.engine.compiled_mechanism import CompiledMechanism
-    from mbdkit.engine.equations_of_motion import EquationsOfMotion, Tangents
+    from mbdkit.engine.equations_of_motion import EquationsOfMotion
     from mbdkit.engine.kernels.observe import Observed
     from mbdkit.engine.nearest_state import nearest_positions, nearest_velocities
     from mbdkit.engine.observed_states import StateObserver
+    from mbdkit.engine.tangents import Tangents
     from mbdkit.engine.workspace import Workspace
     from mbdkit.mechanism.bodies import GROUND, Body
     from mbdkit.mechanism.coordinate_function import CoordinateFunction
@@ -67,13 +68,12 @@ if TYPE_CHECKING:
         ExplicitRungeKutta,
         ImplicitRungeKutta,
         Method,
-        SciPySolver,
-        StepMethod,
-        StepState,
         Tolerances,
         Traits,
     )
     from mbdkit.methods.method_options import ImplicitOptions, Options
+    from mbdkit.methods.scipy_solver import SciPySolver
+    from mbdkit.methods.step_methods import ExternalMethod, Step, StepMethod, StepState
     from mbdkit.methods.tableau import ButcherTableau, EmbeddedPair, TableauError, collocation
     from mbdkit.quantities.array import Array, Chart, Kind, Recorded
     from mbdkit.quantities.names import archive_names
@@ -141,11 +141,13 @@ _STABLE = {
     "mbdkit.base.units": "Unit read_quantity read_unit",
     "mbdkit.base.strict_model": "StrictModel",
     "mbdkit.mechanism.values": "Number Point Positive Table",
-    "mbdkit.methods.kinds": "ExplicitRungeKutta ImplicitRungeKutta Method SciPySolver "
-    "StepMethod StepState Tolerances Traits",
+    "mbdkit.methods.kinds": "ExplicitRungeKutta ImplicitRungeKutta Method Tolerances Traits",
+    "mbdkit.methods.scipy_solver": "SciPySolver",
+    "mbdkit.methods.step_methods": "ExternalMethod Step StepMethod StepState",
     "mbdkit.methods.tableau": "ButcherTableau EmbeddedPair TableauError collocation",
     "mbdkit.methods.method_options": "ImplicitOptions Options",
-    "mbdkit.engine.equations_of_motion": "EquationsOfMotion Tangents",
+    "mbdkit.engine.equations_of_motion": "EquationsOfMotion",
+    "mbdkit.engine.tangents": "Tangents",
     "mbdkit.mechanism.mechanism": "Mechanism",
     "mbdkit.mechanism.bodies": "GROUND Body",
     "mbdkit.mechanism.joints": "Driver Joint Revolute",
@@ -226,6 +228,7 @@ __all__ = [
     "Example",
     "ExplicitRungeKutta",
     "ExpressionLaw",
+    "ExternalMethod",
     "FileFormat",
     "Finding",
     "FinishedRun",
@@ -276,6 +279,7 @@ __all__ = [
     "SpecKind",
     "StateObserver",
     "States",
+    "Step",
     "StepError",
     "StepMethod",
     "StepState",

@@ -166,11 +166,10 @@ def validate_run(source: Document, spec: str, assignments: list[str]) -> None:
     checked = load_spec(source, assignments)
     from mbdkit.base.errors import SpecError
     from mbdkit.engine.spanning_tree import cut_joints
-    from mbdkit.integrators.start import require_support
     from mbdkit.mechanism.mechanism import gravity_text
     from mbdkit.runs.corners import check_jumps
     from mbdkit.runs.findings import findings
-    from mbdkit.runs.preparation import build, caution, make_method
+    from mbdkit.runs.preparation import build, caution, make_method, require_support
 
     mechanism = checked.mechanism()
     check_jumps(checked)
@@ -180,7 +179,7 @@ def validate_run(source: Document, spec: str, assignments: list[str]) -> None:
         check_gradients(checked, make_method(checked))
     problem, start = build(checked)
     try:
-        require_support(make_method(checked), problem.mechanism)
+        require_support(checked, make_method(checked), problem.mechanism)
     except SpecError as error:
         raise checked.placed(error) from None
     for warning in (*caution(checked), *findings("start", checked, start)):

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, TypedDict, Unpack, cast
+from collections.abc import Callable
+from functools import cached_property, partial
+from typing import TYPE_CHECKING, Any, Unpack
 
 import numpy as np
 
@@ -13,50 +14,32 @@ from mbdkit.engine.consistent_start import workspace_at_start
 from mbdkit.engine.contact_forces import ActingContact
 from mbdkit.engine.counters import Counters
 from mbdkit.engine.elimination_order import SingularSystemError
-from mbdkit.engine.iteration_matrix import IterationMatrix, Pivots, chosen_pivots, classes_of, vector
+from mbdkit.engine.equation_calls import EquationCalls
+from mbdkit.engine.iteration_matrix import (
+    Coefficients,
+    IterationMatrices,
+    IterationMatrix,
+    Pivots,
+    coefficients_of,
+    vector,
+)
 from mbdkit.engine.joint_sums import joint_sums
 from mbdkit.engine.kernels import equations
-from mbdkit.engine.kernels.equations import MASS
+from mbdkit.engine.kernels.applied_forces import potential_energy
+from mbdkit.engine.kernels.equations import DAMPING, GAMMA_V, JACOBIAN, MASS, RESIDUAL_Q, STIFFNESS
 from mbdkit.engine.kernels.frames import Reactions, reactions_in_frames
 from mbdkit.engine.kernels.observe import baumgarte_at
 from mbdkit.engine.kernels.system import NOT_FINITE, OK
-from mbdkit.engine.native.bundle import PinnedBundle
 from mbdkit.engine.nearest_state import nearest_positions, nearest_velocities
 from mbdkit.engine.observed_states import GivenForces, StateObserver
-from mbdkit.engine.stored_arrays import pattern_of, restore, stored
+from mbdkit.engine.state_derivatives import Rates, StateDerivatives
+from mbdkit.engine.tangents import SparseParts, Tangents
 from mbdkit.engine.workspace import Workspace
 
 if TYPE_CHECKING:
     from scipy.sparse import csr_array
 
     from mbdkit.mechanism.mechanism import Mechanism
-
-
-@dataclass(frozen=True)
-class Tangents:
-    """Derivatives of the equations of motion for implicit methods, as sparse arrays."""
-
-    stiffness: csr_array
-    """(n, n) K = d(Phi_q^T lam - Q)/dq."""
-    damping: csr_array
-    """(n, n) C = -dQ/dv."""
-    gamma_v: csr_array
-    """(m, n) d gamma/dv = -2 d(Phi_q v + Phi_t)/dq, minus 2 alpha Phi_q with Baumgarte's terms."""
-    residual_q: csr_array
-    """(m, n) d(Phi_q a - gamma)/dq."""
-
-
-class Coefficients(TypedDict, total=False):
-    """Coefficients of the tangents in `EquationsOfMotion.iteration_matrix`."""
-
-    mass: complex
-    damping: complex
-    stiffness: complex
-    gamma_v: complex
-    residual_q: complex
-
-
-_DEFAULTS: dict[str, complex] = {"mass": 1.0, "damping": 0.0, "stiffness": 0.0, "gamma_v": 0.0, "residual_q": 0.0}
 
 
 class EquationsOfMotion:
@@ -80,6 +63,9 @@ class EquationsOfMotion:
     ----------
     workspace
         The compiled mechanism at its consistent initial state.
+    z0
+        (Z,) first-order states at the start, after the first samples of controllers; if left out, those of the
+        mechanism before these samples.
 
     Attributes
     ----------
@@ -93,33 +79,41 @@ class EquationsOfMotion:
         Start time [s].
     q0, v0 : (n,) arrays
         Consistent positions and velocities at the start.
+    z0 : (Z,) array
+        First-order states of elements (muscles, motors, controllers, force laws with states) at the start, each in its
+        own unit.
     formulation, stabilization
         Name of the formulation and stabilization requested for the run. Baumgarte's terms are included in gamma, in the
         accelerations and in the tangents. Projections are performed outside `step`, by the framework.
     counters
         Counters of the work done so far.
+    has_power
+        Whether loads, drivers or dampers are present, so that work is done or energy is dissipated.
+    first_step
+        Size of the first step that the user asks for [s]; None if the method chooses it.
     address
         Address of the data for the kernels; for internal use.
     """
 
-    def __init__(self, workspace: Workspace):
+    def __init__(self, workspace: Workspace, z0: np.ndarray | None = None):
         mechanism = workspace.mechanism
-        self._workspace = workspace
-        top, scratch = workspace.stepping_topology, workspace.scratch
-        self._pinned = PinnedBundle(equations.new_equations(top, scratch, workspace.solver))
-        self.address = self._pinned.address
+        self._workspace, self._forms = workspace, StateDerivatives(workspace)
+        self._calls = EquationCalls(workspace)
+        self.address = self._calls.address
         self.n, self.m = 3 * len(mechanism.bodies), len(mechanism.solved_rows)
         self.bodies = mechanism.bodies
         self.constraint_names = tuple(row.label for row in mechanism.solved_rows)
         self.formulation, self.stabilization = workspace.formulation, workspace.stabilization
         self.mass = mechanism.topology.mass[:-1].ravel()  # a view of the array that the kernels read
         self.t0, self.q0, self.v0 = workspace.t0, workspace.q0[: self.n].copy(), workspace.v0[: self.n].copy()
-        for array in (self.mass, self.q0, self.v0):
+        self.z0 = np.array(mechanism.initial_states if z0 is None else z0)
+        for array in (self.mass, self.q0, self.v0, self.z0):
             array.flags.writeable = False
         self.counters = Counters()
+        self.has_power = mechanism.has_power
+        self.first_step: float | None = None
         self._no_force, self._no_rows = np.zeros(self.n), np.zeros(self.m)
-        self._classes = classes_of(workspace)
-        self._pivots: dict[tuple[bool, ...], Pivots] = {}
+        self._matrices = IterationMatrices(workspace)
 
     @classmethod
     def of(cls, mechanism: Mechanism, t0: float = 0.0) -> EquationsOfMotion:
@@ -145,7 +139,7 @@ class EquationsOfMotion:
         Such a body has no joint, and no force on it, except those of rigid contacts, depends on a position or velocity.
         """
         terms = self._workspace.terms
-        coupled = (self._classes != MASS) & (self.terms_now[terms.source] != 0.0)
+        coupled = (self._matrices.classes != MASS) & (self.terms_now[terms.source] != 0.0)
         free = np.ones(self.n // 3, dtype=bool)
         for places in (terms.row[coupled], terms.column[coupled]):
             free[places[places < self.n] // 3] = False
@@ -153,7 +147,7 @@ class EquationsOfMotion:
 
     def hold(self, z: np.ndarray) -> None:
         """Use the values `z` (Z,) of first-order states in later evaluations."""
-        self._workspace.take_states(z)
+        self._workspace.take_states(vector(z, len(self.z0)))
 
     @property
     def contacts(self) -> tuple[ActingContact, ...]:
@@ -170,7 +164,70 @@ class EquationsOfMotion:
     def accelerations(self, t: float, q: np.ndarray, v: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return the index-1 accelerations (n,) and multipliers (m,) at a state."""
         self.counters.rhs_evaluations += 1
-        return self._solved(t, q, v, False, self._no_force, self._no_rows)
+        return self._solved(self._calls.accelerations, t, q, v)
+
+    def derivatives(self, t: float, q: np.ndarray, v: np.ndarray, z: np.ndarray) -> Rates:
+        """Return the index-1 accelerations, the multipliers, and the rates of the first-order states.
+
+        Counts as one evaluation of the right-hand side. Later calls without `z` use the states `z` too.
+
+        Parameters
+        ----------
+        t, q, v, z
+            Time [s], position and velocity (n,), and first-order states (Z,).
+
+        Returns
+        -------
+        a, lam, rates
+            (n,), (m,) and (Z,) arrays; rates in the units of the states per second.
+        """
+        self.counters.rhs_evaluations += 1
+        return self._derivatives(t, q, v, z)
+
+    def time_derivative(self, t: float, q: np.ndarray, v: np.ndarray, z: np.ndarray) -> Rates:
+        """Return the partial derivatives with respect to time of what `derivatives` returns, at a fixed state.
+
+        They are differences, within the times between two discontinuities; each of their two or three evaluations is
+        counted. For a mechanism without motions and laws, they are zero and cost nothing.
+        """
+        return self._forms.by_time(float(t), lambda at: self.derivatives(at, q, v, z))
+
+    def jacobian(self, t: float, q: np.ndarray, v: np.ndarray, z: np.ndarray) -> np.ndarray:
+        """Return the derivatives of (v, a, rates) with respect to (q, v, z), a (2 n + Z, 2 n + Z) array.
+
+        The derivatives of a with respect to q and v are exact, except with friction in joints; they and all others that
+        involve z are central differences. Counts as one Jacobian.
+        """
+        q, v, z = vector(q, self.n), vector(v, self.n), vector(z, len(self.z0))
+        a, lam, _ = self._derivatives(t, q, v, z)
+        self._evaluate_tangents(t, q, v, a, lam)
+        try:
+            found = self._forms.jacobian(q, v, z, partial(self._derivatives, t))
+        except np.linalg.LinAlgError:
+            raise StepError("singular", "the system of equations is singular") from None
+        self.hold(z)
+        return found
+
+    def potential(self, t: float, q: np.ndarray, z: np.ndarray | None = None) -> float:
+        """Return the potential energy of gravity, springs and beams [J], as recorded in the archive.
+
+        Parameters
+        ----------
+        t, q
+            Time [s] and position (n,).
+        z
+            (Z,) first-order states; if left out, those last used.
+        """
+        if z is not None:
+            self.hold(z)
+        q = vector(q, self.n)
+        self._residual(self._calls.residual, t, q, self._no_force, self._no_force, self._no_rows)
+        return float(potential_energy(self._workspace.mechanism.topology, self._workspace.scratch, with_ground(q))[0])
+
+    def kinetic(self, v: np.ndarray) -> float:
+        """Return the kinetic energy at the velocity `v` (n,) [J]."""
+        v = vector(v, self.n)
+        return float(0.5 * (self.mass * v) @ v)
 
     def solve(self, t: float, q: np.ndarray, force: np.ndarray, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Solve ``M x + Phi_q^T mu = force``, ``Phi_q x = rows`` at the position `q`.
@@ -187,7 +244,8 @@ class EquationsOfMotion:
         x, mu
             (n,) and (m,) solution.
         """
-        return self._solved(t, q, self._no_force, True, vector(force, self.n), vector(rows, self.m))
+        self._calls.with_right_side(force, rows)
+        return self._solved(self._calls.solution, t, q, self._no_force)
 
     def forces(self, t: float, q: np.ndarray, v: np.ndarray) -> np.ndarray:
         """Return the generalized applied forces Q (n,), gravity included."""
@@ -196,40 +254,36 @@ class EquationsOfMotion:
     def residual(self, t: float, q: np.ndarray, v: np.ndarray, a: np.ndarray, lam: np.ndarray) -> np.ndarray:
         """Return the residual of the equations of motion, ``M a + Phi_q^T lam - Q(t, q, v)`` (n,)."""
         self.counters.rhs_evaluations += 1
-        return self._residual(t, q, v, a, lam, with_forces=True)
+        return self._residual(self._calls.residual, t, q, v, a, lam)
 
     def constraint_forces(self, t: float, q: np.ndarray, lam: np.ndarray) -> np.ndarray:
         """Return ``Phi_q^T lam`` (n,)."""
-        return self._residual(t, q, self._no_force, self._no_force, lam, with_forces=False)
+        return self._residual(self._calls.constraint_forces, t, q, self._no_force, self._no_force, lam)
 
     def constraints(self, t: float, q: np.ndarray) -> np.ndarray:
         """Return Phi (m,) [m, rad]."""
-        return self._rows(t, q, self._no_force)[0]
+        self._rows(t, q, self._no_force)
+        return self._calls.phi.copy()
 
     def constraint_rates(self, t: float, q: np.ndarray, v: np.ndarray) -> np.ndarray:
         """Return the time derivative of the constraints, ``Phi_q v + Phi_t`` (m,) [m/s, rad/s]."""
-        return self._rows(t, q, v)[1]
+        self._rows(t, q, v)
+        return self._calls.rate.copy()
 
     def gamma(self, t: float, q: np.ndarray, v: np.ndarray) -> np.ndarray:
         """Return the right-hand side of ``Phi_q a = gamma`` (m,) [m/s^2, rad/s^2], Baumgarte's terms included."""
-        return self._rows(t, q, v)[2]
+        self._rows(t, q, v)
+        return self._calls.gamma.copy()
 
     def constraint_jacobian(self, t: float, q: np.ndarray) -> csr_array:
         """Return Phi_q, a sparse (m, n) array."""
         self._rows(t, q, self._no_force)
-        terms, n = self._workspace.terms, self.n
-        return self._sparse((terms.factor == 0) & (terms.row >= n), below=True)
+        return self._jacobian_part.arrays(self.terms_now)[0]
 
     def tangents(self, t: float, q: np.ndarray, v: np.ndarray, a: np.ndarray, lam: np.ndarray) -> Tangents:
         """Return all tangents at a state with accelerations `a` (n,) and multipliers `lam` (m,)."""
         self._evaluate_tangents(t, q, v, a, lam)
-        classes = self._classes
-        return Tangents(
-            stiffness=self._sparse(classes == equations.STIFFNESS),
-            damping=self._sparse(classes == equations.DAMPING),
-            gamma_v=self._sparse(classes == equations.GAMMA_V, below=True),
-            residual_q=self._sparse(classes == equations.RESIDUAL_Q, below=True),
-        )
+        return Tangents(*self._tangent_parts.arrays(self.terms_now))
 
     def evaluated_terms(self, t: float, q: np.ndarray, v: np.ndarray, a: np.ndarray, lam: np.ndarray) -> np.ndarray:
         """Return the values of all terms of the tangents at a state, in the order of the workspace's list of terms."""
@@ -269,27 +323,12 @@ class EquationsOfMotion:
             `mass` (default 1), `damping`, `stiffness`, `gamma_v`, `residual_q` (default 0). The matrix is complex if
             any of them is complex.
         """
-        given = {**_DEFAULTS, **cast("dict[str, complex]", coefficients)}
-        if unknown := given.keys() - _DEFAULTS.keys():
-            raise TypeError(f"iteration_matrix() got an unexpected keyword argument {min(unknown)!r}")
-        dtype = complex if any(isinstance(x, complex) for x in given.values()) else float
-        factors = np.array([given.pop("mass"), 1.0, *given.values()], dtype=dtype)
-        key = (dtype is complex, *(factors != 0).tolist())
-        if key not in self._pivots:
-            self._choose_at_start(key, factors)
-        self._evaluate_tangents(t, q, v, a, lam)
-        if key in self._pivots:
-            matrix = self._factorized(key, factors)
-            if matrix.failed_at < 0:
-                return matrix
+        factors = coefficients_of(coefficients)
         try:
-            self._pivots[key] = chosen_pivots(self._workspace, self._classes, factors)
+            tangents = partial(self._evaluate_tangents, t, q, v, a, lam)
+            return self._matrices.factorized(factors, self._evaluate_at_start, tangents, self._factorized)
         except SingularSystemError as error:
             raise self._singular(error) from None
-        matrix = self._factorized(key, factors)
-        if matrix.failed_at >= 0:
-            raise self._singular(matrix.lost())
-        return matrix
 
     def project_positions(self, t: float, q: np.ndarray) -> np.ndarray:
         """Return the positions (n,) nearest to `q` in the mass metric that satisfy all constraints at time `t`.
@@ -362,101 +401,88 @@ class EquationsOfMotion:
         finite: bool = equations.arrive_at(self.address, float(t), vector(q, self.n), vector(v, self.n), worst)
         return finite
 
+    def _derivatives(self, t: float, q: np.ndarray, v: np.ndarray, z: np.ndarray) -> Rates:
+        """See `derivatives`; the evaluation is not counted."""
+        z = vector(z, len(self.z0))
+        if not len(z):
+            return *self._solved(self._calls.accelerations, t, q, v), z.copy()
+        found = self._forms.evaluated(float(t), vector(q, self.n), vector(v, self.n), z, self._checked)
+        if not all(np.all(np.isfinite(x)) for x in found):
+            raise self._not_finite()
+        return found
+
     def _solved(
-        self, t: float, q: np.ndarray, v: np.ndarray, given: bool, force: np.ndarray, rows: np.ndarray
+        self, solve: Callable[[float], int], t: float, q: np.ndarray, v: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Solve a system with the index-1 matrix; choose new pivots if the current ones fail."""
-        x, mu = np.empty(self.n), np.empty(self.m)
-        state = float(t), vector(q, self.n), vector(v, self.n)
-        workspace = self._workspace
+        """Solve a system with the index-1 matrix."""
+        calls = self._calls
+        calls.at(q, v)
+        self._checked(partial(solve, float(t)))
+        return calls.x.copy(), calls.mu.copy()
 
-        def solve() -> int:
+    def _checked(self, solve: Callable[[], int]) -> None:
+        """Call `solve`, with new pivots if the current ones fail; raise StepError if there is no solution."""
+
+        def counted() -> int:
             self.counters.factorizations += 1
-            # The solvers differ if the workspace has new pivots, chosen here or by the recorder.
-            if self._pinned.bundle.solver is not workspace.solver:
-                self._pinned.replace(self._pinned.bundle._replace(solver=workspace.solver))
-                self.address = self._pinned.address
-            return int(equations.solution_of(self.address, *state, given, force, rows, x, mu))
+            self._calls.use_pivots()
+            return solve()
 
+        workspace = self._workspace
         try:
-            status = workspace.retry_with_new_pivots(solve)
+            status = workspace.retry_with_new_pivots(counted)
         except SingularSystemError as error:
             raise self._singular(error) from None
         if status == OK:
-            return x, mu
+            return
         if status == NOT_FINITE or not workspace.is_finite(tangents=False):
             raise self._not_finite()
         raise self._singular(SingularSystemError(workspace.failed_unknown))
 
     def _residual(
-        self, t: float, q: np.ndarray, v: np.ndarray, a: np.ndarray, lam: np.ndarray, *, with_forces: bool
+        self, evaluate: Callable[[float], int], t: float, q: np.ndarray, v: np.ndarray, a: np.ndarray, lam: np.ndarray
     ) -> np.ndarray:
-        out = np.empty(self.n)
-        q, v, a = vector(q, self.n), vector(v, self.n), vector(a, self.n)
-        if equations.residual_of(self.address, float(t), q, v, a, vector(lam, self.m), with_forces, out) != OK:
+        self._calls.at(q, v)
+        self._calls.with_forces(a, lam)
+        if evaluate(float(t)) != OK:
             raise self._not_finite()
-        return out
+        return self._calls.x.copy()
 
-    def _rows(self, t: float, q: np.ndarray, v: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return Phi, its rate and gamma, each (m,)."""
-        phi, rate, gamma = np.empty(self.m), np.empty(self.m), np.empty(self.m)
-        if equations.rows_of(self.address, float(t), vector(q, self.n), vector(v, self.n), phi, rate, gamma) != OK:
+    def _rows(self, t: float, q: np.ndarray, v: np.ndarray) -> None:
+        """Evaluate Phi, its rate and gamma, and leave Phi_q among the terms."""
+        self._calls.at(q, v)
+        if self._calls.rows(float(t)) != OK:
             raise self._not_finite()
-        return phi, rate, gamma
 
     def _evaluate_tangents(self, t: float, q: np.ndarray, v: np.ndarray, a: np.ndarray, lam: np.ndarray) -> None:
         self.counters.jacobian_evaluations += 1
-        q, v, a = vector(q, self.n), vector(v, self.n), vector(a, self.n)
-        if equations.tangents_of(self.address, float(t), q, v, a, vector(lam, self.m)) != OK:
+        self._calls.at(q, v)
+        self._calls.with_forces(a, lam)
+        if self._calls.tangents(float(t)) != OK:
             raise self._not_finite()
 
-    def _sparse(self, keep: np.ndarray, *, below: bool = False) -> csr_array:
-        """Return the sum of the selected terms of the last evaluation, (n, n), or (m, n) if they are `below` row n."""
-        from scipy.sparse import csr_array
+    @cached_property
+    def _jacobian_part(self) -> SparseParts:
+        return SparseParts(self._workspace, [JACOBIAN])
 
-        terms = self._workspace.terms.kept(keep)
-        values = self._workspace.scratch.source[terms.source]
-        row, rows = (terms.row - self.n, self.m) if below else (terms.row, self.n)
-        return csr_array((values, (row, terms.column)), shape=(rows, self.n))
+    @cached_property
+    def _tangent_parts(self) -> SparseParts:
+        return SparseParts(self._workspace, [STIFFNESS, DAMPING, GAMMA_V, RESIDUAL_Q])
 
     def stored_pivots(self) -> list[dict[str, Any]]:
         """Return the pivots of all iteration matrices used so far, as plain values for a checkpoint."""
-        return [
-            {"matrix": list(key), "pattern": stored(one.pattern), "scatter": one.scatter, "reference": one.reference}
-            for key, one in self._pivots.items()
-        ]
+        return self._matrices.stored()
 
     def restore_pivots(self, state: Any) -> None:
         """Use stored pivots; raise ValueError if they are not valid."""
-        unknowns, sources = self._workspace.unknowns, len(self._workspace.scratch.source)
-        for one in state:
-            pattern = pattern_of(one["pattern"], unknowns)
-            scatter, reference = np.zeros((len(one["scatter"]), 3), np.int64), np.zeros(len(pattern.row_of))
-            restore(
-                {"scatter": scatter, "reference": reference}, {name: one[name] for name in ("scatter", "reference")}
-            )
-            if np.any(scatter >= [sources, len(pattern.a_column), len(_DEFAULTS) + 1]):
-                raise ValueError("a term of a matrix does not exist")
-            key = tuple(map(bool, one["matrix"]))
-            self._pivots[key] = Pivots((self.n, unknowns - self.n), pattern, scatter, reference)
+        self._matrices.restore(state)
 
-    def _choose_at_start(self, key: tuple[bool, ...], coefficients: np.ndarray) -> None:
-        """Choose pivots from the values at the start, if possible.
+    def _evaluate_at_start(self) -> None:
+        self._evaluate_tangents(self.t0, self.q0, self.v0, *self.accelerations(self.t0, self.q0, self.v0))
 
-        This choice does not depend on where the run was interrupted, so that a resumed run has the same
-        pivots as an uninterrupted one.
-        """
-        try:
-            a, lam = self.accelerations(self.t0, self.q0, self.v0)
-            self._evaluate_tangents(self.t0, self.q0, self.v0, a, lam)
-            self._pivots[key] = chosen_pivots(self._workspace, self._classes, coefficients)
-        except (StepError, SingularSystemError):
-            return
-        self._factorized(key, coefficients)
-
-    def _factorized(self, key: tuple[bool, ...], coefficients: np.ndarray) -> IterationMatrix:
+    def _factorized(self, pivots: Pivots, coefficients: np.ndarray) -> IterationMatrix:
         self.counters.factorizations += 1
-        return IterationMatrix(self.terms_now, self._pivots[key], coefficients, self.counters)
+        return IterationMatrix(self.terms_now, pivots, coefficients, self.counters)
 
     def _singular(self, error: SingularSystemError) -> StepError:
         name = self._workspace.mechanism.unknown_name(error.index)

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypedDict, cast
 
 import numpy as np
 
@@ -24,6 +25,8 @@ from mbdkit.engine.kernels.equations import (
     solve_real,
 )
 from mbdkit.engine.native.bundle import PinnedBundle
+from mbdkit.engine.repeated_call import RepeatedCall
+from mbdkit.engine.stored_arrays import pattern_of, restore, stored
 
 if TYPE_CHECKING:
     from mbdkit.engine.counters import Counters
@@ -34,6 +37,28 @@ if TYPE_CHECKING:
 REAL, COMPLEX = np.dtype(float), np.dtype(complex)
 
 
+class Coefficients(TypedDict, total=False):
+    """Coefficients of the tangents in `EquationsOfMotion.iteration_matrix`."""
+
+    mass: complex
+    damping: complex
+    stiffness: complex
+    gamma_v: complex
+    residual_q: complex
+
+
+_DEFAULTS: dict[str, complex] = {"mass": 1.0, "damping": 0.0, "stiffness": 0.0, "gamma_v": 0.0, "residual_q": 0.0}
+
+
+def coefficients_of(given: Coefficients) -> np.ndarray:
+    """Return the coefficients (6,) of all classes of terms; raise TypeError if there is no coefficient of that name."""
+    known = {**_DEFAULTS, **cast("dict[str, complex]", given)}
+    if unknown := known.keys() - _DEFAULTS.keys():
+        raise TypeError(f"iteration_matrix() got an unexpected keyword argument {min(unknown)!r}")
+    dtype = complex if any(isinstance(x, complex) for x in known.values()) else float
+    return np.array([known.pop("mass"), 1.0, *known.values()], dtype=dtype)
+
+
 def vector(x: np.ndarray, size: int, dtype: np.dtype[Any] = REAL) -> np.ndarray:
     """Return `x` as a contiguous vector of the given dtype; raise ValueError unless its shape is ``(size,)``."""
     if type(x) is np.ndarray and x.dtype is dtype and x.flags.carray and x.shape == (size,):
@@ -42,6 +67,11 @@ def vector(x: np.ndarray, size: int, dtype: np.dtype[Any] = REAL) -> np.ndarray:
     if array.shape != (size,):
         raise ValueError(f"expected an array of shape ({size},), got shape {array.shape}")
     return array
+
+
+def put(storage: np.ndarray, x: np.ndarray) -> None:
+    """Copy the vector `x` to `storage`; raise ValueError unless their shapes are equal."""
+    storage[:] = x if type(x) is np.ndarray and x.shape == storage.shape else vector(x, len(storage), storage.dtype)
 
 
 def classes_of(workspace: Workspace) -> np.ndarray:
@@ -62,15 +92,36 @@ class Pivots:
     scatter: np.ndarray
     reference: np.ndarray
     """(n + m,) sizes of the pivots when they were chosen."""
-    free: list[PinnedBundle] = field(default_factory=list)
-    """Matrices that are no longer in use."""
+    free: list[Storage] = field(default_factory=list)
+    """Storage of matrices that are no longer in use."""
 
-    def take(self, dtype: type) -> PinnedBundle:
+    def take(self, dtype: np.dtype[Any]) -> Storage:
         """Return storage for a matrix, reusing that of an earlier one if possible."""
-        if self.free:
-            return self.free.pop()
-        factors = new_factors(self.pattern, dtype)._replace(reference=self.reference)
-        return PinnedBundle(new_matrix(self.pattern, factors, self.scatter))
+        return self.free.pop() if self.free else Storage(self, dtype)
+
+
+class Storage:
+    """Storage for a matrix and for the vectors of its solution, with the kernels that use them.
+
+    Attributes
+    ----------
+    force, rows, x, mu
+        (n,) and (m,) right-hand side and solution.
+    factorize
+        Takes the values of all terms and the coefficients; see `factorize_real`.
+    solve
+        Solves the system and returns the largest relative residual.
+    """
+
+    def __init__(self, pivots: Pivots, dtype: np.dtype[Any]):
+        factors = new_factors(pivots.pattern, dtype.type)._replace(reference=pivots.reference)
+        self._pinned = PinnedBundle(new_matrix(pivots.pattern, factors, pivots.scatter))
+        n, m = pivots.shape
+        self.force, self.x, self.rows, self.mu = (np.zeros(size, dtype) for size in (n, n, m, m))
+        factorize, solve = (factorize_real, solve_real) if dtype == REAL else (factorize_complex, solve_complex)
+        address = self._pinned.address
+        self.factorize = RepeatedCall(factorize, None, address, None)
+        self.solve = RepeatedCall(solve, address, self.force, self.rows, self.x, self.mu)
 
 
 def chosen_pivots(workspace: Workspace, classes: np.ndarray, coefficients: np.ndarray) -> Pivots:
@@ -92,14 +143,12 @@ class IterationMatrix:
     def __init__(self, source: np.ndarray, pivots: Pivots, coefficients: np.ndarray, counters: Counters):
         """Factorize a matrix; `source` holds the values of all terms, and `counters` counts the solves."""
         self._pivots, self._counters = pivots, counters
-        self._complex = coefficients.dtype == complex
-        self._pinned = pivots.take(coefficients.dtype.type)
-        kernel = factorize_complex if self._complex else factorize_real
-        self.failed_at: int = kernel(source, self._pinned.address, coefficients)
+        self._storage = pivots.take(coefficients.dtype)
+        self.failed_at: int = self._storage.factorize(source, coefficients)
         """Position of the pivot at which the factorization failed, -1 if none."""
 
     def __del__(self) -> None:
-        self._pivots.free.append(self._pinned)
+        self._pivots.free.append(self._storage)
 
     def solve(self, force: np.ndarray, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Solve the system, with one step of refinement; counts as one Newton iteration.
@@ -123,18 +172,102 @@ class IterationMatrix:
         StepError
             If the right-hand side is not finite, or if the matrix is so close to singular that a residual remains.
         """
-        dtype = COMPLEX if self._complex else REAL
-        n, m = self._pivots.shape
-        x, mu = np.empty(n, dtype), np.empty(m, dtype)
-        force, rows = vector(force, n, dtype), vector(rows, m, dtype)
-        kernel = solve_complex if self._complex else solve_real
+        storage = self._storage
+        put(storage.force, force)
+        put(storage.rows, rows)
         self._counters.newton_iterations += 1
-        if not kernel(self._pinned.address, force, rows, x, mu) < KKT_TOLERANCE:
+        if not storage.solve() < KKT_TOLERANCE:
             if not (np.all(np.isfinite(force)) and np.all(np.isfinite(rows))):
                 raise StepError("not-finite", "the right-hand side of an iteration is not finite")
             raise StepError("singular", "the matrix of the iteration is too close to singular")
-        return x, mu
+        return storage.x.copy(), storage.mu.copy()
 
     def lost(self) -> SingularSystemError:
         """Return the error that names the unknown at which the factorization failed."""
         return SingularSystemError(int(self._pivots.pattern.column_of[self.failed_at]))
+
+
+class IterationMatrices:
+    """The iteration matrices of one mechanism, and the pivots for each choice of coefficients that are not zero.
+
+    Parameters
+    ----------
+    workspace
+        The workspace that evaluates the terms of the matrices.
+
+    Attributes
+    ----------
+    classes
+        Class of each term; see `classes_of`.
+    """
+
+    def __init__(self, workspace: Workspace):
+        self._workspace, self.classes = workspace, classes_of(workspace)
+        self._pivots: dict[tuple[bool, ...], Pivots] = {}
+
+    def factorized(
+        self,
+        coefficients: np.ndarray,
+        evaluate_at_start: Callable[[], None],
+        evaluate: Callable[[], None],
+        factorize: Callable[[Pivots, np.ndarray], IterationMatrix],
+    ) -> IterationMatrix:
+        """Return a factorized matrix.
+
+        The first pivots are chosen from the values at the start, if possible. This choice does not depend on where the
+        run was interrupted, so that a resumed run has the same pivots as an uninterrupted one.
+
+        Parameters
+        ----------
+        coefficients
+            (6,) coefficient of each class of terms, real or complex.
+        evaluate_at_start, evaluate
+            Functions that evaluate the terms at the start, and where the matrix is wanted.
+        factorize
+            Function that factorizes the terms last evaluated, for given pivots and coefficients.
+
+        Raises
+        ------
+        SingularSystemError
+            If the matrix is singular.
+        """
+        key = (coefficients.dtype == COMPLEX, *(coefficients != 0).tolist())
+        if key not in self._pivots:
+            try:
+                evaluate_at_start()
+                self._pivots[key] = chosen_pivots(self._workspace, self.classes, coefficients)
+            except (StepError, SingularSystemError):
+                pass
+            else:
+                factorize(self._pivots[key], coefficients)
+        evaluate()
+        if key in self._pivots:
+            matrix = factorize(self._pivots[key], coefficients)
+            if matrix.failed_at < 0:
+                return matrix
+        self._pivots[key] = chosen_pivots(self._workspace, self.classes, coefficients)
+        matrix = factorize(self._pivots[key], coefficients)
+        if matrix.failed_at >= 0:
+            raise matrix.lost()
+        return matrix
+
+    def stored(self) -> list[dict[str, Any]]:
+        """Return all pivots as plain values for a checkpoint."""
+        return [
+            {"matrix": list(key), "pattern": stored(one.pattern), "scatter": one.scatter, "reference": one.reference}
+            for key, one in self._pivots.items()
+        ]
+
+    def restore(self, state: Any) -> None:
+        """Use stored pivots; raise ValueError if they are not valid."""
+        workspace = self._workspace
+        unknowns, sources, n = workspace.unknowns, len(workspace.scratch.source), 3 * len(workspace.mechanism.bodies)
+        for one in state:
+            pattern = pattern_of(one["pattern"], unknowns)
+            scatter, reference = np.zeros((len(one["scatter"]), 3), np.int64), np.zeros(len(pattern.row_of))
+            restore(
+                {"scatter": scatter, "reference": reference}, {name: one[name] for name in ("scatter", "reference")}
+            )
+            if np.any(scatter >= [sources, len(pattern.a_column), len(_DEFAULTS) + 1]):
+                raise ValueError("a term of a matrix does not exist")
+            self._pivots[tuple(map(bool, one["matrix"]))] = Pivots((n, unknowns - n), pattern, scatter, reference)

@@ -36,7 +36,7 @@ class LeastChange:
     def __init__(self, compiled: CompiledMechanism, t0: float, fixed: np.ndarray):
         self.compiled, self.t0 = compiled, float(t0)
         self.scratch = new_scratch(compiled)[0]
-        self._constraints = RepeatedCall(constraints_at, compiled.topology, self.scratch)
+        self._constraints = RepeatedCall(constraints_at, compiled.topology, self.scratch, None, None, None)
         self.n = len(fixed)
         self._at_rest = np.zeros(self.n + 3)
         self.mass = compiled.topology.mass[:-1].ravel()

@@ -1,8 +1,8 @@
-"""Repeated calls of a kernel with the same bundles, whose addresses and sizes are written into its argument block once.
+"""Repeated calls of a kernel, most of whose arguments are written into its argument block once.
 
 Checking a mechanism and its working arrays, and writing their arguments, takes a hundred times longer than running a
-kernel on a small mechanism. As with `PinnedBundle`, the bundles are not checked. `mbdkit.engine.native.kernel` defines
-the layout of the block.
+kernel on a small mechanism; writing arrays takes as long as running it. As with `PinnedBundle`, the arguments are not
+checked. `mbdkit.engine.native.kernel` defines the layout of the block.
 """
 
 from __future__ import annotations
@@ -20,38 +20,54 @@ _CALL = ctypes.CFUNCTYPE(ctypes.c_int64, ctypes.c_int64)
 
 
 class RepeatedCall:
-    """A kernel that returns no results, with fixed first arguments.
+    """A kernel with fixed arguments, for calls from one thread at a time.
 
     Parameters
     ----------
     kernel
-        The kernel.
-    bundles
-        The first arguments. Their arrays must not be replaced while this object is in use.
+        The kernel; it returns no result, or one number.
+    arguments
+        All arguments: integers, arrays and bundles, and None for each one that is given anew in each call. The arrays
+        must not be replaced while this object is in use.
     """
 
-    def __init__(self, kernel: Kernel, *bundles: Any):
-        self.kernel, self.bundles = kernel, bundles
-        self._block: np.ndarray | None = None
+    def __init__(self, kernel: Kernel, *arguments: Any):
+        self.kernel, self.arguments = kernel, arguments
+        self._address = 0
 
-    def __call__(self, *arguments: float | np.ndarray) -> None:
-        """Call the kernel with further arguments: floats, and arrays of the required types."""
+    def __call__(self, *given: float | np.ndarray) -> Any:
+        """Call the kernel with the arguments that are not fixed: floats, and arrays of the required types."""
         if IN_PYTHON:
-            self.kernel(*self.bundles, *arguments)
-            return
-        block = self._block if self._block is not None else self._block_for(len(arguments))
-        for place, one in enumerate(arguments, self._first):
+            return self._ordinary(given)
+        if not self._address:
+            self._prepare()
+        for place, one in zip(self._open, given, strict=True):
             if isinstance(one, float):
                 self._numbers[place] = one
             else:
-                block[place] = id(one) + HEAD
+                self._words[place] = id(one) + HEAD
         if self._call(self._address) != 0:
-            self.kernel(*self.bundles, *arguments)  # an ordinary call raises the error with its reason
+            return self._ordinary(given)  # raises the error with its reason
+        return self._results[-1]
 
-    def _block_for(self, count: int) -> np.ndarray:
-        words = [word for bundle in self.bundles for word in words_of(bundle)]
-        self._first = len(words)
-        self._block = np.array([*words, *[0] * count, *map(id, DTYPES)], dtype=np.int64)
-        self._numbers, self._address = self._block.view(np.float64), self._block.ctypes.data
+    def _ordinary(self, given: tuple[Any, ...]) -> Any:
+        rest = iter(given)
+        return self.kernel(*(next(rest) if one is None else one for one in self.arguments))
+
+    def _prepare(self) -> None:
+        words: list[int] = []
+        self._open = []
+        for one in self.arguments:
+            if one is None:
+                self._open.append(len(words))
+                words.append(0)
+            elif isinstance(one, tuple):
+                words += words_of(one)
+            else:
+                words.append(id(one) + HEAD if isinstance(one, np.ndarray) else int(one))
+        words += [*map(id, DTYPES), 0]
+        self._words = (ctypes.c_int64 * len(words))(*words)
+        self._numbers = (ctypes.c_double * len(words)).from_buffer(self._words)
+        self._results: Any = self._numbers if self.kernel.results == (float,) else self._words
+        self._address = ctypes.addressof(self._words)
         self._call = _CALL(address_of(self.kernel.symbol))
-        return self._block

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -10,7 +11,9 @@ import numpy as np
 
 from mbdkit.base.text import listed
 from mbdkit.engine.compiled_mechanism import CompiledMechanism
-from mbdkit.engine.contact_forces import HELD, held_coordinates
+from mbdkit.engine.contact_forces import HELD, ActingContact, held_coordinates
+from mbdkit.integrators.interface import StepTaken
+from mbdkit.methods.step_methods import Step, StepEvent, StepState
 
 SOLVED = 1e-6
 """`ContactState.remarks` mentions relative errors of the velocities of contacts that are larger than this."""
@@ -144,8 +147,8 @@ class ContactState:
 class HeldForces:
     """Forces and modes of rigid contacts as first-order states, which are constant within each step."""
 
-    def __init__(self, mechanism: CompiledMechanism):
-        rigid = [one for one in mechanism.contacts if one.first_state >= 0]
+    def __init__(self, contacts: Iterable[ActingContact]):
+        rigid = [one for one in contacts if one.first_state >= 0]
         self._first = rigid[0].first_state if rigid else 0
         self._contacts, self._coordinates = len(HELD) * len(rigid), held_coordinates(rigid)
         self.count = self._contacts + len(self._coordinates)
@@ -163,3 +166,28 @@ class HeldForces:
             z[: self._contacts] = np.stack([memory.normal, memory.tangent, np.abs(modes)], axis=1).ravel()
             z[self._contacts :] = memory.force[self._coordinates]
         return z
+
+
+def held_step(
+    contacts: Iterable[ActingContact],
+    times: tuple[float, float],
+    begin: StepState,
+    end: StepState,
+    event: StepEvent | None = None,
+) -> Step:
+    """Return a step from `begin` to `end`, whose memory is a `ContactState`, with the forces as first-order states.
+
+    The forces are constant within the step if they are means over the step, or not known at its start.
+    """
+    memory = end.memory
+    end = replace(end, z=HeldForces(contacts).of(memory))
+    if begin.memory is not None and not memory.is_over_step:
+        return Step(end, event=event)
+    taken = StepTaken(*times, begin.q, begin.v, end.q, end.v, end.z, end.z)
+    return Step(end, dense=taken.between, event=event)
+
+
+def contacts_of(stepper: object) -> ContactState | None:
+    """Return the data of rigid contacts with their impacts so far; None if the run of a stepper has none."""
+    memory = getattr(getattr(getattr(stepper, "now", None), "state", None), "memory", None)
+    return memory if isinstance(memory, ContactState) else None

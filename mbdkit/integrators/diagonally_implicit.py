@@ -24,7 +24,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from mbdkit.base.errors import StepError
-from mbdkit.methods.kinds import StepMethod, StepState
+from mbdkit.methods.step_methods import StepMethod, StepState
 
 if TYPE_CHECKING:
     from mbdkit.engine.equations_of_motion import EquationsOfMotion

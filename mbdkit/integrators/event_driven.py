@@ -20,11 +20,11 @@ from mbdkit.engine.nearest_state import nearest_positions, nearest_velocities
 from mbdkit.engine.workspace import Workspace
 from mbdkit.integrators.closed_contacts import ClosedSystem
 from mbdkit.integrators.contact_impacts import struck
-from mbdkit.integrators.contact_state import ContactImpact, ContactState, HeldForces
+from mbdkit.integrators.contact_state import ContactImpact, ContactState, HeldForces, held_step
 from mbdkit.integrators.interface import StepTaken
 from mbdkit.integrators.rigid_contacts import Forced, KnownContacts, RigidContacts
 from mbdkit.mechanism.contacts import OPEN, SLIP, STICK, Treatment
-from mbdkit.methods.kinds import StepMethod, StepState
+from mbdkit.methods.step_methods import Step, StepMethod, StepState, Why
 from mbdkit.methods.tableau import ButcherTableau
 
 MOST_EVENTS = 1000
@@ -80,8 +80,12 @@ class EventDriven(StepMethod):
         self.tableau: _Tableau = tuple(x.tolist() for x in tableau.floats())
         self._contacts = KnownContacts()
 
-    def step(self, equations: EquationsOfMotion, t: float, state: StepState, h: float) -> StepState:
-        """Take a step, or only its part before the first event. The event is applied later, by `after_event`.
+    def begin(self, equations: EquationsOfMotion, t: float, state: StepState, why: Why) -> ContactState | None:
+        """See `StepMethod.begin`: the modes are determined anew."""
+        return None if state.memory is None else state.memory.after_stop()
+
+    def step(self, equations: EquationsOfMotion, t: float, state: StepState, h: float) -> Step:
+        """Take a step, or only its part before the first event, which `after_event` applies later.
 
         The time reached is stored in `StepState.memory`, a `ContactState`.
         """
@@ -90,14 +94,29 @@ class EventDriven(StepMethod):
         streak = 0 if event is None else step.state.streak + 1
         if streak > MOST_EVENTS:
             raise StepError("zeno", f"contacts changed {MOST_EVENTS} times without a step between")
-        return step.reached(event, streak)
+        end = step.reached(event, streak)
+        happens = None if event is None else ContactEvent(self, end.memory.time)
+        return held_step(equations.contacts, (t, end.memory.time), state, end, happens)
 
     def after_event(self, equations: EquationsOfMotion, t: float, state: StepState) -> StepState:
         """Return the state after the event at which a step has ended."""
         step = _Step(self.treatment, self.tableau, self._contacts.on(equations), t, state)
         assert step.state.event is not None
         step.happen(step.state.event)
-        return step.reached(None, step.state.streak)
+        end = step.reached(None, step.state.streak)
+        return replace(end, z=HeldForces(equations.contacts).of(end.memory))
+
+
+@dataclass(frozen=True)
+class ContactEvent:
+    """An event of contacts at which a step has ended; see `mbdkit.methods.step_methods.StepEvent`."""
+
+    method: EventDriven
+    time: float
+
+    def apply(self, equations: EquationsOfMotion, t: float, state: StepState) -> StepState:
+        """See `StepEvent.apply`."""
+        return self.method.after_event(equations, t, state)
 
 
 def with_contact_forces(workspace: Workspace) -> Workspace:
@@ -111,7 +130,7 @@ def with_contact_forces(workspace: Workspace) -> Workspace:
         If no modes or forces of the contacts are possible.
     """
     mechanism = workspace.mechanism
-    top, held = mechanism.topology, HeldForces(mechanism)
+    top, held = mechanism.topology, HeldForces(mechanism.contacts)
     if others := held.others(mechanism):
         names = listed(others, "and")
         raise SpecError(f"runs with rigid contacts do not include other first-order states ({names})", key="model")

@@ -23,7 +23,7 @@ from mbdkit.engine.equations_of_motion import EquationsOfMotion
 from mbdkit.engine.nearest_state import nearest_velocities
 from mbdkit.integrators.step_impulses import SmoothStep
 from mbdkit.integrators.time_stepping import TimeStepping
-from mbdkit.methods.kinds import StepState
+from mbdkit.methods.step_methods import StepState
 
 MOST_ITERATIONS = 20
 """Largest number of Newton iterations in a step."""

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from mbdkit.methods.kinds import StepState
+from mbdkit.methods.step_methods import StepState
 
 
 def kept(value: Any) -> Any:

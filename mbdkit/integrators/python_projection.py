@@ -16,7 +16,7 @@ from mbdkit.base.errors import StepError
 from mbdkit.engine.kernels.projection import STAGNANT
 from mbdkit.engine.nearest_state import ROUND_OFF, nearest_positions, nearest_velocities
 from mbdkit.integrators.projected_step import MAX_TRIALS
-from mbdkit.methods.kinds import StepState
+from mbdkit.methods.step_methods import StepState
 
 if TYPE_CHECKING:
     from mbdkit.engine.equations_of_motion import EquationsOfMotion
@@ -29,14 +29,15 @@ class Taken:
     """A step with its projection.
 
     The state from which the step of the method starts (displaced if the projection is symmetric), the state in which
-    this step ends, and the state after projection. `correction` (4,) is a row of ``Stretch.corrections``
-    (`mbdkit.integrators.interface.Stretch`).
+    this step ends, the state after projection, and the time at the end [s]. `correction` (4,) is a row of
+    ``Stretch.corrections`` (`mbdkit.integrators.interface.Stretch`).
     """
 
     begin: StepState
     made: StepState
     reached: StepState
     correction: np.ndarray
+    end: float
 
 
 class StabilizedSteps:
@@ -58,13 +59,21 @@ class StabilizedSteps:
     Parameters
     ----------
     step
-        Function that takes a step of the method: (t, state, h) to the new state.
+        Function that takes a step of the method: (t, state, h, end) to the new state and the time at which it ends.
+    begun
+        Function that returns a state with the memory that the method needs after a projection, from the time and the
+        state.
     equations
         The equations, with their counters and the stabilization of the run.
     """
 
-    def __init__(self, step: Callable[[float, StepState, float], StepState], equations: EquationsOfMotion):
-        self.step, self.equations, self.wanted = step, equations, equations.stabilization
+    def __init__(
+        self,
+        step: Callable[[float, StepState, float, float], tuple[StepState, float]],
+        begun: Callable[[float, StepState], StepState],
+        equations: EquationsOfMotion,
+    ):
+        self.step, self.begun, self.equations, self.wanted = step, begun, equations, equations.stabilization
         self.weight = equations.mass / float(np.sum(equations.mass[::3]))
 
     def take(self, t: float, end: float, state: StepState, h: float, number: int) -> Taken:
@@ -72,13 +81,13 @@ class StabilizedSteps:
         wanted, p = self.wanted, self.equations
         if wanted.symmetric:
             return self._symmetric(t, end, state, h)
-        made = self.step(t, state, h)
+        made, end = self.step(t, state, h, end)
         if wanted.kind == "projection" and number % wanted.every == 0 and self._is_off(end, made):
             q = nearest_positions(p, end, made.q)
             v = nearest_velocities(p, end, q, made.v)
-            return self._corrected(state, made, q - made.q, v - made.v)
+            return self._corrected(end, state, made, q - made.q, v - made.v)
         term = p.baumgarte_terms(end, made.q, made.v) if wanted.kind == "baumgarte" else 0.0
-        return Taken(state, made, made, np.array([0.0, 0.0, 0.0, term]))
+        return Taken(state, made, made, np.array([0.0, 0.0, 0.0, term]), end)
 
     def _is_off(self, end: float, made: StepState) -> bool:
         bound, p = self.wanted.bound, self.equations
@@ -97,7 +106,7 @@ class StabilizedSteps:
             if at is not None:
                 pushed_q, pushed_v = self._push(t, state.q, mu), self._push(t, state.q, nu)
                 begin = state.moved(pushed_q, pushed_v, multipliers=state.multipliers, memory=state.memory)
-            made = self.step(t, begin, h)
+            made, end = self.step(t, begin, h, end)
             dq = none if at is None else self._push(end, at, mu)
             at = made.q + dq
             step_q, for_q = p.solve(end, at, none, -p.constraints(end, at))
@@ -108,7 +117,7 @@ class StabilizedSteps:
             now = max(p.relative_change(at, step_q), p.relative_change(v, step_v))
             idle = idle + 1 if now >= 0.5 * before else 0
             if now <= ROUND_OFF or (idle >= 2 and now < STAGNANT):
-                return self._corrected(begin, made, dq + step_q, dv + step_v, pushed_q, pushed_v)
+                return self._corrected(end, begin, made, dq + step_q, dv + step_v, pushed_q, pushed_v)
             mu, nu = mu - 0.5 * (for_q - 0.5 * h * for_v), nu - 0.5 * for_v
             before = now
         raise StepError("newton-failed", f"the symmetric projection did not converge in {MAX_TRIALS} iterations")
@@ -118,6 +127,7 @@ class StabilizedSteps:
 
     def _corrected(
         self,
+        end: float,
         begin: StepState,
         made: StepState,
         dq: np.ndarray,
@@ -131,4 +141,4 @@ class StabilizedSteps:
             dq, dv, multipliers=made.multipliers, memory=made.memory, work=made.work, dissipated=made.dissipated
         )
         moved_q, moved_v = (np.sqrt(self.weight @ x**2) for x in (before_q + dq, before_v + dv))
-        return Taken(begin, made, reached, np.array([1.0, moved_q, moved_v, 0.0]))
+        return Taken(begin, made, self.begun(end, reached), np.array([1.0, moved_q, moved_v, 0.0]), end)

@@ -20,9 +20,8 @@ from mbdkit.integrators.explicit import CompiledExplicit
 from mbdkit.integrators.generalized_alpha import GeneralizedAlphaSteps
 from mbdkit.integrators.interface import Stepper, Timetable
 from mbdkit.integrators.lobatto_iiia_iiib import CompiledLobattoPair
-from mbdkit.integrators.python_stepper import PythonStepper, refuse_states
-from mbdkit.integrators.scipy_bridge import SciPyStepper
 from mbdkit.integrators.step_control import Control, unit_of_length
+from mbdkit.integrators.step_host import StepHost
 from mbdkit.integrators.taylor_series import CompiledTaylor
 from mbdkit.integrators.time_stepping import MoreauJeanSteps
 from mbdkit.methods.kinds import Method, Traits
@@ -36,13 +35,10 @@ COMPILED: dict[str, Callable[[Any, Workspace, Control | None], CompiledMethod]] 
 """For each family of compiled methods, the function that prepares a method; `CompiledStepper` runs all of them."""
 
 IN_PYTHON: dict[str, Callable[[Any, Workspace, Timetable], Stepper]] = {
-    "diagonally-implicit": lambda method, *run: PythonStepper(DiagonallyImplicit(method), *run),
-    "scipy": SciPyStepper,
-    "python": PythonStepper,
-    "moreau-jean": lambda method, *run: PythonStepper(MoreauJeanSteps(method.theta), *run),
-    "nonsmooth-generalized-alpha": lambda method, *run: PythonStepper(
-        GeneralizedAlphaSteps(method.spectral_radius), *run
-    ),
+    "diagonally-implicit": lambda method, *run: StepHost(DiagonallyImplicit(method), *run),
+    "python": StepHost,
+    "moreau-jean": lambda method, *run: StepHost(MoreauJeanSteps(method.theta), *run),
+    "nonsmooth-generalized-alpha": lambda method, *run: StepHost(GeneralizedAlphaSteps(method.spectral_radius), *run),
 }
 """For each family whose steps are taken in Python, the function that creates the stepper."""
 
@@ -84,14 +80,6 @@ def compiled_method(method: Method, workspace: Workspace) -> tuple[CompiledMetho
     return COMPILED[method.traits.family](method, workspace, control), control
 
 
-def require_support(method: Method, mechanism: CompiledMechanism) -> None:
-    """Raise SpecError if a method does not support a mechanism, before a run is started."""
-    method.require_mechanism(mechanism)
-    family = method.traits.family
-    if mechanism.contact_treatment.kind == "event-driven" or (family in IN_PYTHON and family != "scipy"):
-        refuse_states(mechanism)
-
-
 def start_method(method: Method, workspace: Workspace, timetable: Timetable) -> Stepper:
     """Return a stepper that runs a method.
 
@@ -117,7 +105,7 @@ def start_method(method: Method, workspace: Workspace, timetable: Timetable) -> 
     treatment = workspace.mechanism.contact_treatment
     if treatment.kind == "event-driven":
         assert method.traits.tableau is not None
-        return PythonStepper(EventDriven(method.traits.tableau, treatment), workspace, timetable)
+        return StepHost(EventDriven(method.traits.tableau, treatment), workspace, timetable)
     if family in IN_PYTHON:
         method.require_formulation(FORMULATIONS[workspace.formulation])
         return IN_PYTHON[family](method, workspace, timetable)

@@ -28,9 +28,10 @@ from mbdkit.engine.equations_of_motion import EquationsOfMotion
 from mbdkit.engine.kernels.projection import MOST_ITERATIONS, STAGNANT
 from mbdkit.engine.nearest_state import ROUND_OFF
 from mbdkit.integrators.complementarity import PRECISION
+from mbdkit.integrators.contact_state import ContactState, held_step
 from mbdkit.integrators.rigid_contacts import KnownContacts, RigidContacts
 from mbdkit.integrators.step_impulses import MANY, SMALL, SmoothStep, StepImpulses
-from mbdkit.methods.kinds import StepMethod, StepState
+from mbdkit.methods.step_methods import Step, StepMethod, StepState, Why
 
 MOST_HALVINGS = 4
 """Largest number of times that a step is halved."""
@@ -54,9 +55,14 @@ class TimeStepping(StepMethod):
         `accelerations` are those that the previous step has returned for this one; () if there are none.
         """
 
-    def step(self, equations: EquationsOfMotion, t: float, state: StepState, h: float) -> StepState:
+    def begin(self, equations: EquationsOfMotion, t: float, state: StepState, why: Why) -> ContactState | None:
+        """See `StepMethod.begin`."""
+        return None if state.memory is None else state.memory.after_stop()
+
+    def step(self, equations: EquationsOfMotion, t: float, state: StepState, h: float) -> Step:
         """See `StepMethod.step`. If an iteration in a step does not converge, the step is taken as two half steps."""
-        return self._taken(equations, t, state, h, MOST_HALVINGS)
+        end = self._taken(equations, t, state, h, MOST_HALVINGS)
+        return held_step(equations.contacts, (t, t + h), state, end)
 
     def _taken(self, p: EquationsOfMotion, t: float, state: StepState, h: float, halvings: int) -> StepState:
         try:

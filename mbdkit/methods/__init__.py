@@ -119,7 +119,7 @@ INTEGRATORS = (
         "scipy_methods",
         "AdaptiveOptions",
         "create_radau",
-        "claims_with_jacobian",
+        "claims_of_radau",
         "REFERENCES_OF_RADAU",
     ),
     _integrator(
@@ -129,7 +129,7 @@ INTEGRATORS = (
         "scipy_methods",
         "AdaptiveOptions",
         "create_dop853",
-        "claims_without_jacobian",
+        "claims_of_dop853",
         "REFERENCES_OF_DOP853",
     ),
     _integrator(
@@ -139,7 +139,7 @@ INTEGRATORS = (
         "scipy_methods",
         "AdaptiveOptions",
         "create_lsoda",
-        "claims_with_jacobian",
+        "claims_of_lsoda",
         "REFERENCES_OF_LSODA",
     ),
     _integrator(

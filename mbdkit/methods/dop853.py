@@ -268,5 +268,5 @@ def create(options: ControlledOptions) -> ExplicitRungeKutta:
     return ExplicitRungeKutta(tableau(), pair(), options.tolerances())
 
 
-claims = embedded_claims(order=8, stages=12)
+claims = embedded_claims(order=8, stages=12, dense_order=7)
 REFERENCES = (HAIRER_NORSETT_WANNER,)

@@ -74,5 +74,5 @@ def create(options: ControlledOptions) -> ExplicitRungeKutta:
     return ExplicitRungeKutta(tableau(), pair(), options.tolerances())
 
 
-claims = embedded_claims(order=5, stages=7)
+claims = embedded_claims(order=5, stages=7, dense_order=4)
 REFERENCES = (REFERENCE,)

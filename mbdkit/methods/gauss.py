@@ -83,6 +83,10 @@ def claims(options: GaussOptions) -> Claims:
         drift=(ORDER_DRIFT if fixed else TOLERANCE_DRIFT) + OF_TREES,
         needs=("tangents",) if options.stage_solver == "newton" else ("accelerations",),
         formulations=ORDINARY,
+        states=True,
+        dense_order=options.stages,
+        conserves=("linear-momentum", *(("angular-momentum",) if fixed else ())),
+        a_stable=options.stage_solver == "newton",
     )
 
 

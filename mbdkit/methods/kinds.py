@@ -9,17 +9,14 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, ClassVar, Literal
+from typing import TYPE_CHECKING, Literal
 
 from mbdkit.engine.formulation import INDEX_1, Formulation
 from mbdkit.engine.known_series import require_series
 from mbdkit.methods.tableau import ButcherTableau, TableauError
 
 if TYPE_CHECKING:
-    import numpy as np
-
     from mbdkit.engine.compiled_mechanism import CompiledMechanism
-    from mbdkit.engine.equations_of_motion import EquationsOfMotion
     from mbdkit.methods.tableau import EmbeddedPair
 
 
@@ -84,6 +81,8 @@ class Traits:
         Whether states may be changed between the steps.
     is_time_stepping
         Whether velocities may jump in any step, so that the method integrates contacts without locating impacts.
+    integrates_states
+        Whether the method integrates first-order states of elements; None if its claims say so.
     why_no_checkpoint
         Reason why the state of a run cannot be stored, as a clause; empty if it can.
     """
@@ -100,6 +99,7 @@ class Traits:
     has_derivatives: bool = False
     can_be_projected: bool = True
     is_time_stepping: bool = False
+    integrates_states: bool | None = True
     why_no_checkpoint: str = ""
 
     def carries_multipliers(self, formulation: Formulation) -> bool:
@@ -236,7 +236,6 @@ class ImplicitRungeKutta(Method):
         """See `Method`."""
         tableau, is_controlled = self.tableau, self.tolerances is not None
         is_together = tableau.is_diagonalisable
-        in_python = f"the steps of {tableau.name} are taken in Python, and their state cannot be stored"
         return Traits(
             "collocation" if is_together else "diagonally-implicit",
             tableau=tableau,
@@ -247,7 +246,7 @@ class ImplicitRungeKutta(Method):
             own_multipliers="where solved for",
             has_lanes=is_together,
             has_derivatives=is_together,
-            why_no_checkpoint="" if is_together else in_python,
+            integrates_states=is_together,
         )
 
     def require_formulation(self, formulation: Formulation) -> None:
@@ -292,156 +291,3 @@ class LobattoPair(Method):
     def traits(self) -> Traits:
         """See `Method`."""
         return Traits("partitioned", suits_stiff=True, own_multipliers="always")
-
-
-@dataclass(frozen=True)
-class SciPySolver(Method):
-    """A solver class of ``scipy.integrate`` for the first-order form y = (q, v, work, dissipated).
-
-    Parameters
-    ----------
-    solver
-        Name of the `OdeSolver` subclass in ``scipy.integrate``, or the class itself.
-    needs_jacobian
-        Whether the solver uses the Jacobian of the right-hand side; it then receives the exact one.
-    max_step
-        Largest step [s], passed to the solver unless it is None.
-    by_size
-        See `Tolerances`.
-    """
-
-    solver: str | type[Any]
-    rtol: float
-    atol: float
-    needs_jacobian: bool = False
-    max_step: float | None = None
-    by_size: bool = False
-
-    @property
-    def traits(self) -> Traits:
-        """See `Method`."""
-        return Traits(
-            "scipy",
-            tolerances=Tolerances(self.rtol, self.atol or self.rtol, self.max_step, self.by_size),
-            suits_stiff=True,
-            can_be_projected=False,
-            why_no_checkpoint="SciPy offers no way to store the state of its solvers",
-        )
-
-
-@dataclass(frozen=True, slots=True)
-class StepState:
-    """The state between two steps: everything that the next step needs. It can be copied, pickled and resumed from.
-
-    Parameters
-    ----------
-    q, v
-        (n,) positions [m, rad] and velocities [m/s, rad/s], n = 3 B: x, y, theta of each body in turn.
-    multipliers
-        (m,) multipliers computed by the method itself, in the order of ``/constraints``; None before the first step,
-        before a step that begins at a discontinuity of a motion or load, and for methods that compute none.
-    memory
-        Any other data that the method needs in its next step; None before the first step, and before a step that begins
-        at a discontinuity of a motion or load. Must not be modified in place.
-    work, dissipated
-        Work of loads and drivers, and dissipated energy, during the step that ends in this state, integrated with the
-        weights of the method [J]. If None, the framework integrates them.
-    low
-        Compensation terms of the sums computed by `moved`; for internal use.
-    """
-
-    q: np.ndarray
-    v: np.ndarray
-    multipliers: np.ndarray | None = None
-    memory: Any = None
-    work: float | None = None
-    dissipated: float | None = None
-    low: tuple[Any, Any] = (0.0, 0.0)
-
-    def moved(
-        self,
-        dq: np.ndarray,
-        dv: np.ndarray,
-        *,
-        multipliers: np.ndarray | None = None,
-        memory: Any = None,
-        work: float | None = None,
-        dissipated: float | None = None,
-    ) -> StepState:
-        """Return the state at ``q + dq``, ``v + dv``, computed by compensated (Kahan) summation.
-
-        Parameters
-        ----------
-        dq, dv
-            (n,) increments.
-        multipliers, memory, work, dissipated
-            Values of the new state.
-        """
-        low_q, low_v = self.low
-        dq, dv = dq + low_q, dv + low_v
-        q, v = self.q + dq, self.v + dv
-        return StepState(q, v, multipliers, memory, work, dissipated, (dq - (q - self.q), dv - (v - self.v)))
-
-
-class StepMethod(Method):
-    """Base class of methods with fixed steps that are written in Python, one step at a time.
-
-    A subclass has its options as attributes, and no attributes that change: data that one step passes to the next
-    belong to the state. The method is used with the formulations named in its claims. If a run uses projection, the
-    framework changes positions and velocities between the steps, and does not change the other fields of the state,
-    including `memory`. A method that cannot work in this way must not claim projection among its `stabilizations`.
-
-    Attributes
-    ----------
-    carries_multipliers
-        Whether every state returned by `step` has `multipliers`. They are recorded as ``method_multiplier``; the
-        index-1 multipliers are recorded for the initial state.
-    hint
-        Advice to the user, added to the message when a step fails.
-
-    Examples
-    --------
-    >>> class SymplecticEuler(StepMethod):
-    ...     def step(self, equations, t, state, h):
-    ...         a, _ = equations.accelerations(t, state.q, state.v)
-    ...         return state.moved(h * (state.v + h * a), h * a)
-    """
-
-    carries_multipliers: ClassVar[bool] = False
-    hint: ClassVar[str] = "a smaller time.step may help"
-
-    @property
-    def traits(self) -> Traits:
-        """See `Method`."""
-        return Traits(
-            "python",
-            own_multipliers="always" if self.carries_multipliers else "never",
-            why_no_checkpoint="the state of a method written in Python cannot be stored",
-        )
-
-    @abstractmethod
-    def step(self, equations: EquationsOfMotion, t: float, state: StepState, h: float) -> StepState:
-        """Take one step.
-
-        Parameters
-        ----------
-        equations
-            The equations of motion of the mechanism; they count evaluations and solves.
-        t
-            Time at the beginning of the step [s].
-        state
-            State at `t`. It must not be changed, because it may be used for another step.
-        h
-            Size of the step [s]. Shorter steps occur at the end of a run, at discontinuities of motions or loads, and
-            when an event is located; in the last case they start from the beginning of the last step.
-
-        Returns
-        -------
-        StepState
-            The state at ``t + h``.
-
-        Raises
-        ------
-        mbdkit.StepError
-            If the step cannot be taken. Any other exception counts as a failure of the plugin.
-        """

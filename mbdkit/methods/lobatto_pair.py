@@ -78,6 +78,7 @@ def _claims(stages: int) -> Claims:
         constraints_hold=("position", "velocity"),
         needs=("accelerations",),
         formulations=("index-3",),
+        conserves=("linear-momentum", "angular-momentum"),
     )
 
 

@@ -106,11 +106,17 @@ class ImplicitOptions(ControlledOptions):
 def explicit_claims(order: int, stages: int) -> Callable[[ExplicitOptions], Claims]:
     """Return the claims of an explicit method in fixed steps."""
     return lambda options: Claims(
-        order=order, stages=stages, drift=ORDER_DRIFT + OF_TREES, needs=("accelerations",), formulations=ORDINARY
+        order=order,
+        stages=stages,
+        drift=ORDER_DRIFT + OF_TREES,
+        needs=("accelerations",),
+        formulations=ORDINARY,
+        states=True,
+        conserves=("linear-momentum",),
     )
 
 
-def embedded_claims(order: int, stages: int) -> Callable[[ControlledOptions], Claims]:
+def embedded_claims(order: int, stages: int, dense_order: int) -> Callable[[ControlledOptions], Claims]:
     """Return the claims of an explicit method with an error estimate, in fixed or adaptive steps."""
 
     def claims(options: ControlledOptions) -> Claims:
@@ -121,6 +127,9 @@ def embedded_claims(order: int, stages: int) -> Callable[[ControlledOptions], Cl
             drift=(TOLERANCE_DRIFT if options.adaptive else ORDER_DRIFT) + OF_TREES,
             needs=("accelerations",),
             formulations=ORDINARY,
+            states=True,
+            dense_order=dense_order,
+            conserves=("linear-momentum",),
         )
 
     return claims

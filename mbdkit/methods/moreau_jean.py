@@ -5,9 +5,8 @@ Their algorithms are in `mbdkit.integrators.time_stepping` and `mbdkit.integrato
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Annotated
+from typing import Annotated, Any
 
 from pydantic import Field
 
@@ -46,7 +45,7 @@ class MoreauJean(Method):
     @property
     def traits(self) -> Traits:
         """See `Method`."""
-        return Traits("moreau-jean", suits_stiff=True, is_time_stepping=True)
+        return Traits("moreau-jean", suits_stiff=True, is_time_stepping=True, integrates_states=False)
 
 
 class GeneralizedAlphaOptions(Options):
@@ -67,7 +66,7 @@ class GeneralizedAlpha(Method):
     def traits(self) -> Traits:
         """See `Method`."""
         family = "nonsmooth-generalized-alpha"
-        return Traits(family, suits_stiff=True, is_time_stepping=True)
+        return Traits(family, suits_stiff=True, is_time_stepping=True, integrates_states=False)
 
 
 def create_moreau_jean(options: MoreauJeanOptions) -> MoreauJean:
@@ -80,19 +79,27 @@ def create_generalized_alpha(options: GeneralizedAlphaOptions) -> GeneralizedAlp
     return GeneralizedAlpha(options.spectral_radius)
 
 
-def _claims(order: int) -> Callable[[Options], Claims]:
-    def claims(options: Options) -> Claims:
-        """Return the claims of the method."""
-        return Claims(
-            order=order,
-            drift="positions satisfy the constraints up to rounding errors, velocities up to errors of the order of "
-            "the step",
-            constraints_hold=("position",),
-            needs=("tangents",),
-        )
+def _claims(order: int, **claims: Any) -> Claims:
+    return Claims(
+        order=order,
+        drift="positions satisfy the constraints up to rounding errors, velocities up to errors of the order of "
+        "the step",
+        constraints_hold=("position",),
+        needs=("tangents",),
+        conserves=("linear-momentum",),
+        a_stable=True,
+        **claims,
+    )
 
-    return claims
+
+def claims_of_moreau_jean(options: MoreauJeanOptions) -> Claims:
+    """Return the claims of the method of Moreau and Jean."""
+    return _claims(1, l_stable=options.theta == 1.0)
 
 
-claims_of_moreau_jean, claims_of_generalized_alpha = _claims(1), _claims(2)
+def claims_of_generalized_alpha(options: GeneralizedAlphaOptions) -> Claims:
+    """Return the claims of the nonsmooth generalized-alpha method."""
+    return _claims(2)
+
+
 REFERENCES_OF_MOREAU_JEAN, REFERENCES_OF_GENERALIZED_ALPHA = (JEAN,), (CHEN,)

@@ -84,6 +84,11 @@ def claims(options: RadauOptions) -> Claims:
         needs=("tangents",) if newton else ("accelerations",),
         formulations=tuple(FORMULATIONS) if newton else ORDINARY,
         orders=orders if newton and fixed else {},
+        states=True,
+        dense_order=s,
+        conserves=("linear-momentum",),
+        a_stable=newton,
+        l_stable=newton,
     )
 
 

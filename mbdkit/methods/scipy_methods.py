@@ -8,8 +8,8 @@ from typing import Annotated, ClassVar
 
 from pydantic import Field
 
-from mbdkit.methods.kinds import SciPySolver
 from mbdkit.methods.method_options import HAIRER_NORSETT_WANNER, HAIRER_WANNER, TOLERANCE_DRIFT, MaxStep, Options
+from mbdkit.methods.scipy_solver import SciPySolver
 from mbdkit.registry.items import Claims
 
 SCIPY = """@article{scipy2020,
@@ -47,10 +47,18 @@ def _solver(solver: str, jacobian: bool, options: AdaptiveOptions) -> SciPySolve
     return SciPySolver(solver, options.rtol, atol, jacobian, options.max_step, by_size=options.atol is None)
 
 
-def _claims(*needs: str) -> Callable[[AdaptiveOptions], Claims]:
+def _claims(*needs: str, variable_order: bool = False) -> Callable[[AdaptiveOptions], Claims]:
     def claims(options: AdaptiveOptions) -> Claims:
         """Return the claims of the solver."""
-        return Claims(adaptive=True, drift=TOLERANCE_DRIFT, needs=needs, stabilizations=("none", "baumgarte"))
+        return Claims(
+            adaptive=True,
+            drift=TOLERANCE_DRIFT,
+            needs=needs,
+            stabilizations=("none", "baumgarte"),
+            states=True,
+            restartable=False,
+            variable_order=variable_order,
+        )
 
     return claims
 
@@ -58,7 +66,8 @@ def _claims(*needs: str) -> Callable[[AdaptiveOptions], Claims]:
 create_radau, create_dop853, create_lsoda = (
     partial(_solver, solver, jacobian) for solver, jacobian in (("Radau", True), ("DOP853", False), ("LSODA", True))
 )
-claims_with_jacobian, claims_without_jacobian = _claims("accelerations", "tangents"), _claims("accelerations")
+claims_of_radau, claims_of_dop853 = _claims("accelerations", "tangents"), _claims("accelerations")
+claims_of_lsoda = _claims("accelerations", "tangents", variable_order=True)
 REFERENCES_OF_RADAU = (SCIPY, HAIRER_WANNER)
 REFERENCES_OF_DOP853 = (SCIPY, HAIRER_NORSETT_WANNER)
 REFERENCES_OF_LSODA = (SCIPY, PETZOLD)

@@ -58,6 +58,7 @@ def claims(options: TaylorOptions) -> Claims:
         needs=("accelerations",),
         formulations=("joint-coordinates",),
         stabilizations=("none",),
+        dense_order=options.chosen_order(),
         mechanisms="trees of pins with linear springs, torques and point forces",
     )
 

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
 
 from mbdkit.base.errors import PluginError, SpecError
+from mbdkit.base.text import listed
 from mbdkit.registry.item import NAME, Given, Item, Plugin, described
 from mbdkit.registry.target import Target
 
@@ -19,6 +21,10 @@ if TYPE_CHECKING:
 
 LAW_KEYS = ("type", "law", "pathway", "name", "a", "b", "along", "from_", "to", "points")
 """Keys of every element of type ``law``, and arguments of `Mechanism.law`; options of a law must have other names."""
+
+
+CONSERVED = ("energy", "linear-momentum", "angular-momentum")
+"""What an integrator may claim to conserve."""
 
 
 class Orders(NamedTuple):
@@ -69,6 +75,29 @@ class Claims:
     orders
         Orders by formulation, where they differ from `order` and `multiplier_order`, which are those on the first
         formulation.
+    states
+        Whether the method integrates first-order states of elements, such as those of muscles and controllers.
+    variable_order
+        Whether the method, which is adaptive, changes its order during a run.
+    dense_order
+        Order of convergence of the dense output in the interior of steps; None if it is not claimed.
+    conserves
+        What every step conserves to round-off, whatever its size: some of ``energy`` (of bodies and joints under
+        conservative forces), ``linear-momentum`` and ``angular-momentum`` (of bodies on which only forces between them
+        act).
+    a_stable
+        Whether steps of any size are stable for linear systems of which all eigenvalues have real parts of at most
+        zero (Dahlquist 1963).
+    l_stable
+        Whether the method is A-stable and damps modes completely in one step as the eigenvalue times the step tends to
+        infinity (Ehle 1969).
+    restartable
+        Whether the memory of the method can be stored, so that an interrupted run is resumed to the same bits.
+
+    Raises
+    ------
+    PluginError
+        If one of the fields from `states` on has a value that is not possible.
     """
 
     order: float | None = None
@@ -85,6 +114,31 @@ class Claims:
     stabilizations: tuple[str, ...] = ("none", "baumgarte", "projection", "symmetric-projection")
     mechanisms: str = ""
     orders: Mapping[str, Orders] = field(default_factory=dict)
+    states: bool = False
+    variable_order: bool = False
+    dense_order: float | None = None
+    conserves: tuple[str, ...] = ()
+    a_stable: bool = False
+    l_stable: bool = False
+    restartable: bool = True
+
+    def __post_init__(self) -> None:
+        for name in ("states", "variable_order", "a_stable", "l_stable", "restartable"):
+            if not isinstance(getattr(self, name), bool):
+                raise PluginError(f"its claim `{name}` is {getattr(self, name)!r}, not True or False")
+        dense: Any = self.dense_order
+        if dense is not None and (
+            isinstance(dense, bool) or not isinstance(dense, int | float) or not 0 < dense < math.inf
+        ):
+            raise PluginError(f"its claim `dense_order` is {dense!r}, not a positive number or None")
+        if not isinstance(self.conserves, tuple) or any(one not in CONSERVED for one in self.conserves):
+            raise PluginError(
+                f"its claim `conserves` is {self.conserves!r}, not a tuple of some of {listed(CONSERVED)}"
+            )
+        if self.variable_order and not self.adaptive:
+            raise PluginError("it claims `variable_order`, but not `adaptive`, which changes of the order require")
+        if self.l_stable and not self.a_stable:
+            raise PluginError("it claims `l_stable`, but not `a_stable`, which every L-stable method is")
 
     def orders_on(self, formulation: str) -> Orders | None:
         """Return the orders claimed on a formulation; None for adaptive methods."""
@@ -167,6 +221,16 @@ class IntegratorPlugin(Plugin):
 
     def _check_claims(self) -> None:
         self._check_callable("claims")
+
+    def check_targets(self) -> None:
+        """Also check the claims with default options, if the options have defaults."""
+        super().check_targets()
+        try:
+            self.claims(self.options())
+        except PluginError:
+            raise
+        except (Exception, SystemExit):  # an option has no default; other errors are reported where claims are used
+            pass
 
     def claimed(self) -> Mapping[str, Any]:
         """Return the claims with default options, by name; empty if an option has no default, or if `claims` fails."""

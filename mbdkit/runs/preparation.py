@@ -10,16 +10,20 @@ from pathlib import Path
 from mbdkit.archive.disk_space import check_room, row_bytes
 from mbdkit.archive.layout import CORRECTIONS, EVENTS, FRICTION, IMPACTS, of_elements, recorded_by
 from mbdkit.base.errors import PluginError, SpecError, StepError, blaming, with_place
+from mbdkit.base.text import listed
 from mbdkit.engine.assembly import AssembledState
 from mbdkit.engine.compiled_mechanism import CompiledMechanism
 from mbdkit.engine.consistent_start import MechanismAtStart, Starts, within_double_precision, workspace_at_start
+from mbdkit.engine.formulation import FORMULATIONS
 from mbdkit.engine.redundancy import require_unique_start
 from mbdkit.engine.workspace import Workspace
+from mbdkit.integrators.contact_state import HeldForces
 from mbdkit.integrators.event_driven import with_contact_forces
 from mbdkit.integrators.interface import Failure, Guards, Timetable
 from mbdkit.measures.take import check_measures
 from mbdkit.mechanism.size import mechanism_size
 from mbdkit.methods.kinds import Method
+from mbdkit.methods.tableau import TableauError
 from mbdkit.quantities.array import Array
 from mbdkit.quantities.names import archive_names
 from mbdkit.runs.corners import stops_of
@@ -142,15 +146,44 @@ def make_method(spec: RunSpec) -> Method:
     if not isinstance(method, Method):
         raise PluginError(
             f"integrator {spec.integrator_item.id} created an object of type {type(method).__name__}; it must "
-            "create an ExplicitRungeKutta, an ImplicitRungeKutta, a SciPySolver or an instance of a StepMethod subclass"
+            "create an ExplicitRungeKutta, an ImplicitRungeKutta, a SciPySolver, or an instance of a subclass of "
+            "StepMethod or ExternalMethod"
         )
     _check_treatment(spec, method)
     if not method.traits.can_be_projected and spec.stabilized.kind == "projection":
         raise PluginError(
-            f"integrator {spec.integrator_item.id} claims to support projection, which SciPy's solvers do not: "
+            f"integrator {spec.integrator_item.id} claims to support projection, which libraries with a loop of their "
+            "own do not: "
             'it should claim `stabilizations=("none", "baumgarte")`'
         )
     return method
+
+
+def require_support(spec: RunSpec, method: Method, mechanism: CompiledMechanism) -> None:
+    """Check before a run that its method supports the formulation and the mechanism.
+
+    Raises
+    ------
+    SpecError
+        If the method takes its steps in Python and its claims do not include the first-order states of the mechanism.
+    UnsupportedMechanismError
+        If the method itself refuses the mechanism.
+    PluginError
+        If the method cannot be used with a formulation that it claims.
+    """
+    try:
+        method.require_formulation(FORMULATIONS[spec.formulated.name])
+    except TableauError as error:
+        raise PluginError(f"integrator {spec.integrator_item.id} claims {spec.formulated.name}, but {error}") from error
+    method.require_mechanism(mechanism)
+    own = HeldForces(mechanism.contacts).others(mechanism)
+    integrates = method.traits.integrates_states
+    if own and not (spec.claims.states if integrates is None else integrates):
+        message = (
+            f"the integrator {spec.integrator_item.name} does not integrate first-order states ({listed(own, 'and')})"
+            f"{', because it does not claim `states`' if integrates is None else ''}; gauss and dop853 do"
+        )
+        raise spec.placed(SpecError(message, key="integrator"))
 
 
 NEEDS_TIME_STEPPING = "the treatment time-stepping needs the integrator moreau-jean or nonsmooth-generalized-alpha"

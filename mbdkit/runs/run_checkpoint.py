@@ -17,12 +17,13 @@ import numpy as np
 
 from mbdkit.archive.writer import ArchiveWriter
 from mbdkit.base.errors import SpecError
+from mbdkit.base.logs import logger_of
 from mbdkit.base.text import one_line
 from mbdkit.engine.kernels.bundle_types import RECORD, STATE, kept
 from mbdkit.engine.stored_arrays import fill, pattern_of, restore, scatter_of, solver_of, stored, stored_solver
 from mbdkit.integrators.collocation_stages import new_systems
 from mbdkit.integrators.compiled_stepper import CompiledStepper
-from mbdkit.integrators.python_stepper import PythonStepper
+from mbdkit.integrators.step_host import StepHost
 from mbdkit.methods.kinds import Method
 from mbdkit.runs import stored_python_steps
 from mbdkit.runs.integrals import RunIntegrals
@@ -33,6 +34,8 @@ if TYPE_CHECKING:
     from mbdkit.engine.workspace import Workspace
     from mbdkit.events.watch import Watch
     from mbdkit.spec import RunSpec
+
+_LOG = logger_of(__name__)
 
 INTERVAL = 5.0
 """Smallest wall time between two checkpoints [s]."""
@@ -48,7 +51,7 @@ class Parts:
     """The objects of a run whose state a checkpoint contains."""
 
     workspace: Workspace
-    stepper: CompiledStepper | PythonStepper
+    stepper: CompiledStepper | StepHost
     watch: Watch | None
     recorder: Recorder
     integrals: RunIntegrals | None
@@ -64,7 +67,7 @@ class Parts:
             },
             "stepper": (
                 stored_python_steps.stored_stepper(self.stepper)
-                if isinstance(self.stepper, PythonStepper)
+                if isinstance(self.stepper, StepHost)
                 else _stored_stepper(self.stepper)
             ),
             "watch": None if self.watch is None else self.watch.stored(),
@@ -86,7 +89,7 @@ class Parts:
             workspace.use_solver(solver_of(workspace, kept["solver"]))
             fill(workspace.scratch.sides, kept["sides"])
             workspace.pivotings = int(kept["pivotings"])
-            if isinstance(self.stepper, PythonStepper):
+            if isinstance(self.stepper, StepHost):
                 stored_python_steps.restore_stepper(self.stepper, state["stepper"])
             else:
                 _restore_stepper(self.stepper, state["stepper"])
@@ -152,11 +155,16 @@ class Checkpoints:
 
     def __init__(self, writer: ArchiveWriter, state: Callable[[], Mapping[str, Any]]):
         self._writer, self._state = writer, state
-        self._due = time.monotonic() + INTERVAL
+        self._due, self._is_told = time.monotonic() + INTERVAL, False
 
     def write(self) -> None:
-        """Write a checkpoint."""
-        self._writer.keep_checkpoint(self._state())
+        """Write a checkpoint; if the memory of the method cannot be stored, say so once."""
+        try:
+            self._writer.keep_checkpoint(self._state())
+        except stored_python_steps.MemoryNotStoredError as error:
+            if not self._is_told:
+                _LOG.warning("this run cannot be resumed if it is interrupted: %s", error)
+            self._is_told = True
 
     def write_if_due(self) -> None:
         """Write a checkpoint if enough time has passed since the last one."""

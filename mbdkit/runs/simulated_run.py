@@ -30,12 +30,12 @@ from mbdkit.engine.counters import Counters
 from mbdkit.engine.elimination_order import SingularSystemError
 from mbdkit.engine.workspace import Workspace
 from mbdkit.integrators.compiled_stepper import CompiledStepper
-from mbdkit.integrators.contact_state import ContactState
+from mbdkit.integrators.contact_state import ContactState, contacts_of
 from mbdkit.integrators.impulse import DriverImpulse
 from mbdkit.integrators.interface import Advancing, Failure, Stretch
-from mbdkit.integrators.python_stepper import PythonStepper
 from mbdkit.integrators.sampled_control import states_at_start
 from mbdkit.integrators.start import start_method
+from mbdkit.integrators.step_host import StepHost
 from mbdkit.measures.reductions import Functional
 from mbdkit.methods.kinds import Method
 from mbdkit.quantities.names import archive_names
@@ -309,13 +309,12 @@ class SimulatedRun:
     @property
     def contacts(self) -> ContactState | None:
         """State of rigid contacts, with their impacts so far; None if there are none."""
-        stepper = self.inner_stepper
-        return stepper.contact_state if isinstance(stepper, PythonStepper) else None
+        return contacts_of(self.inner_stepper)
 
     def parts(self) -> Parts | None:
         """Return the parts of the run that a checkpoint stores; None if some of them cannot be stored."""
         stepper = self.inner_stepper
-        if why_without(self.spec, self.method) or not isinstance(stepper, CompiledStepper | PythonStepper):
+        if why_without(self.spec, self.method) or not isinstance(stepper, CompiledStepper | StepHost):
             return None
         return Parts(self.workspace, stepper, self.watch, self.recorder, self.integrals)
 

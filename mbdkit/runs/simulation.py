@@ -35,7 +35,7 @@ from mbdkit.runs.accuracy.chosen_method import MOST_ATTEMPTS, Choice, choose_met
 from mbdkit.runs.corners import check_jumps
 from mbdkit.runs.findings import findings
 from mbdkit.runs.integrals import expressions_of, functionals_of, largest_loads_of
-from mbdkit.runs.preparation import build, caution, check_disk_space, make_method, recorded_arrays
+from mbdkit.runs.preparation import build, caution, check_disk_space, make_method, recorded_arrays, require_support
 from mbdkit.runs.provenance import provenance
 from mbdkit.runs.recorder import shared_forces
 from mbdkit.runs.run_checkpoint import Continuation
@@ -216,6 +216,7 @@ class _Preparation:
         cautions = caution(spec, method, self.measures)
         _log(cautions)
         workspace, start = build(spec, self.starts)
+        require_support(spec, method, workspace.mechanism)
         moves = findings("start", spec, start)
         _log(moves)
         if _LOG.isEnabledFor(logging.DEBUG):

@@ -1,6 +1,4 @@
-"""Conversion of the state of a run with rigid contacts, whose steps are taken in Python, to plain values of a
-checkpoint.
-"""
+"""Conversion of the state of a run whose steps are taken in Python to plain values of a checkpoint, and back."""
 
 from __future__ import annotations
 
@@ -10,31 +8,56 @@ from typing import Any
 
 import numpy as np
 
+from mbdkit.base.errors import StepError
 from mbdkit.engine.stored_arrays import restore, stored
-from mbdkit.integrators.contact_state import ContactImpact, ContactState
+from mbdkit.integrators.contact_state import ContactImpact, ContactState, HeldForces
 from mbdkit.integrators.impulse import DriverImpulse
-from mbdkit.integrators.python_stepper import Interval, PythonStepper, Reached
-from mbdkit.methods.kinds import StepState
+from mbdkit.integrators.kept_state import kept
+from mbdkit.integrators.reached import Interval, Reached
+from mbdkit.integrators.step_host import StepHost
+from mbdkit.methods.step_methods import ExternalMethod, StepState
 
 _INTEGERS = ("modes", "features")
 """Arrays of contacts whose values are integers, which may be negative."""
 _NAMES = ("cut", "changed", "undetermined", "ordered")
 _REACHED = ("done", "whole", "passed", "restart", "time", "is_event", "energy", "energy_low")
-_INTERVAL = ("steps", "size", "iterations", "most_iterations", "correction")
+_LATER = {"why": None, "size": np.inf, "error": 0.0, "order": None}
+"""Further parts of a point of the run, which checkpoints of earlier versions lack; here with their values there."""
+_INTERVAL = ("steps", "size", "iterations", "most_iterations", "correction", "rejected")
 
 
-def stored_stepper(stepper: PythonStepper) -> dict[str, Any]:
-    """Return the state of a stepper between two stretches of steps as plain values."""
+class MemoryNotStoredError(Exception):
+    """The memory of a method cannot be stored, for the reason in the message."""
+
+
+def stored_stepper(stepper: StepHost) -> dict[str, Any]:
+    """Return the state of a stepper between two stretches of steps as plain values.
+
+    Raises
+    ------
+    MemoryNotStoredError
+        If the memory of the method cannot be stored.
+    """
+    try:
+        stepper.apply_event()  # an event that has not happened yet cannot be stored
+    except StepError as error:
+        raise MemoryNotStoredError(str(error)) from error
     now = stepper.now
     state = now.state
+    library = stepper.method.save() if isinstance(stepper.method, ExternalMethod) else None
     return {
-        "reached": {name: getattr(now, name) for name in _REACHED},
+        "reached": {name: getattr(now, name) for name in (*_REACHED, *_LATER)},
         "interval": {name: getattr(now.interval, name) for name in _INTERVAL},
         "q": state.q,
         "v": state.v,
         "energies": [state.work, state.dissipated],
         "low": list(state.low),
-        "contacts": None if state.memory is None else _stored_contacts(state.memory),
+        "z": state.z,
+        "multipliers": state.multipliers,
+        "next_row": stepper.next_row,
+        "sampler": stepper.sampler.stored(),
+        "library": None if library is None else library.hex(),
+        **_stored_memory(stepper, state.memory),
         "guards": stored(stepper.guards),
         "worst": stepper.worst_pairs,
         "counters": dict(vars(stepper.counters)),
@@ -43,11 +66,15 @@ def stored_stepper(stepper: PythonStepper) -> dict[str, Any]:
     }
 
 
-def restore_stepper(stepper: PythonStepper, state: Mapping[str, Any]) -> None:
+def restore_stepper(stepper: StepHost, state: Mapping[str, Any]) -> None:
     """Restore a stored state to the stepper of the same run at its start; raise ValueError if it is not valid."""
-    n, reached, interval = stepper.equations.n, dict(state["reached"]), dict(state["interval"])
-    if reached.keys() != set(_REACHED) or interval.keys() != set(_INTERVAL):
+    n, m, reached, interval = stepper.equations.n, stepper.equations.m, dict(state["reached"]), dict(state["interval"])
+    interval.setdefault("rejected", 0)
+    if not set(_REACHED) <= reached.keys() <= {*_REACHED, *_LATER} or interval.keys() != set(_INTERVAL):
         raise ValueError("it has other parts")
+    reached = {**_LATER, **reached}
+    if reached["why"] is None:
+        reached["why"] = "stop" if reached["restart"] is not None and not reached["is_event"] else ""
     if not 0 <= reached["passed"] <= len(stepper.timetable.stops):
         raise ValueError("it has passed more stops than exist")
     restore({"worst": stepper.worst_pairs}, {"worst": state["worst"]})
@@ -56,20 +83,91 @@ def restore_stepper(stepper: PythonStepper, state: Mapping[str, Any]) -> None:
         raise ValueError("it has other counters")
     vars(stepper.counters).update({name: int(count) for name, count in state["counters"].items()})
     stepper.equations.restore_pivots(state["pivots"])
-    contacts = state["contacts"]
-    memory = None if contacts is None else _contacts_of(contacts, n, len(stepper.equations.contacts), stepper)
+    memory = _memory_of(stepper, state)
+    z = (
+        _array(state["z"], stepper.now.state.z.shape)
+        if "z" in state
+        else HeldForces(stepper.equations.contacts).of(memory)
+    )
     energies = [None if x is None else float(x) for x in state["energies"]]
-    low = tuple(x if isinstance(x, float) else _array(x, (n,)) for x in state["low"])
-    if len(low) != 2:
+    low = tuple(x if isinstance(x, float) else _array(x, x.shape) for x in state["low"])
+    if len(low) not in (2, 3) or any(np.shape(x) not in ((), (n,), z.shape) for x in low):
         raise ValueError("it has other parts")
     work, dissipated = energies
     q, v = (_array(state[name], (n,)) for name in ("q", "v"))
-    begin = StepState(q, v, None, memory, work, dissipated, (low[0], low[1]))
+    multipliers = state.get("multipliers")
+    multipliers = None if multipliers is None else _array(multipliers, (m,))
+    begin = StepState(q, v, multipliers, memory, work, dissipated, low, z)
     for name in ("energy", "energy_low"):
         reached[name] = _array(reached[name], (2,))
     interval["correction"] = _array(interval["correction"], (4,))
     stepper.impacts[:] = impulses_of(state, len(stepper.workspace.mechanism.joints))
-    stepper.continue_from(Reached(**reached, state=begin, interval=Interval(**interval)))
+    if "sampler" in state:
+        stepper.sampler.restore(state["sampler"])
+    library = state.get("library")
+    stepper.continue_from(
+        Reached(**reached, state=begin, interval=Interval(**interval)),
+        int(state.get("next_row", 1)),
+        None if library is None else bytes.fromhex(library),
+    )
+
+
+def _stored_memory(stepper: StepHost, memory: Any) -> dict[str, Any]:
+    """Return the memory of a method as an entry of the state of its stepper."""
+    if isinstance(memory, ContactState):
+        return {"contacts": _stored_contacts(memory)}
+    try:
+        if not hasattr(memory, "stored"):
+            return {"memory": _plain(memory)}
+        if hasattr(stepper.first_memory, "restored"):
+            return {"restored": _plain(memory.stored())}
+        kind, reason = type(memory).__name__, "`begin` does not return one from which `restored` can be called"
+    except TypeError as error:
+        kind, reason = type(memory).__name__, str(error)
+    raise MemoryNotStoredError(f"the memory of the method, a {kind}, cannot be stored: {reason}")
+
+
+def _memory_of(stepper: StepHost, state: Mapping[str, Any]) -> Any:
+    """Return the memory in the stored state of a stepper."""
+    if state.get("contacts") is not None:
+        return _contacts_of(state["contacts"], stepper.equations.n, len(stepper.equations.contacts), stepper)
+    if "restored" in state:
+        first = stepper.first_memory
+        restored = first.restored(_unplain(state["restored"]))
+        return first if restored is None else restored
+    return kept(_unplain(state.get("memory")))
+
+
+def _plain(value: Any) -> Any:
+    """Return data with marks from which `_unplain` finds their types; raise TypeError for other objects."""
+    match value:
+        case np.ndarray():
+            return value if value.dtype == np.float64 else {"array": value.tolist(), "dtype": value.dtype.str}
+        case np.generic():
+            return {"array": value.item(), "dtype": value.dtype.str}
+        case bool() | int() | float() | str() | None:
+            return value
+        case list():
+            return [_plain(item) for item in value]
+        case tuple() if type(value) is tuple:
+            return {"tuple": [_plain(item) for item in value]}
+        case Mapping():
+            return {"items": [[_plain(key), _plain(item)] for key, item in value.items()]}
+    raise TypeError(f"it contains a {type(value).__name__}")
+
+
+def _unplain(value: Any) -> Any:
+    match value:
+        case {"dtype": str(kind), "array": array}:
+            found = np.array(array, dtype=np.dtype(kind))
+            return found if found.ndim else found[()]
+        case {"tuple": items}:
+            return tuple(_unplain(item) for item in items)
+        case {"items": items}:
+            return {_unplain(key): _unplain(item) for key, item in items}
+        case list():
+            return [_unplain(item) for item in value]
+    return value
 
 
 def stored_impulses(impulses: Sequence[DriverImpulse]) -> dict[str, Any]:
@@ -103,7 +201,7 @@ def _stored_contacts(memory: ContactState) -> dict[str, Any]:
     return values
 
 
-def _contacts_of(state: Mapping[str, Any], n: int, count: int, stepper: PythonStepper) -> ContactState:
+def _contacts_of(state: Mapping[str, Any], n: int, count: int, stepper: StepHost) -> ContactState:
     """Return the stored state of `count` contacts on n coordinates."""
     values = dict(state)
     joints = len(stepper.workspace.mechanism.joints)

@@ -13,7 +13,7 @@ import numpy as np
 
 import mbdkit
 from mbdkit.integrators.time_stepping import TimeStepping
-from mbdkit.methods.kinds import StepState
+from mbdkit.methods.step_methods import StepState
 from tests.witness.pit import pit
 
 PARTS = 10

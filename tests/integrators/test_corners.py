@@ -250,10 +250,9 @@ def test_solvers_of_scipy_refuse_a_load_that_is_no_number_after_a_corner(integra
     # without the check of the first rates, DOP853 chooses a step that is no number, and tries it for ever
     model = pushed("0*abs(t - 1) + sqrt(1 - t)")
     with mbdkit.run({"mbdkit": 1, "model": model, "integrator": integrator, "time": {"end": 2.0}}) as there:
-        assert (
-            there.status_reason
-            == "not-finite: the value of a driver, a load or a moving center is not finite after t = 1 s."
-        )
+        expected = "not-finite: the value of a driver, a load or a moving center is not finite in step "
+        assert there.status_reason.startswith(expected)
+        assert "from t = 1 s" in there.status_reason
         assert there.time[-1] == pytest.approx(1.0)
 
 

@@ -12,8 +12,8 @@ from tests.testing import corpus
 import mbdkit
 from mbdkit import ButcherTableau, ImplicitRungeKutta
 from mbdkit.integrators.interface import Timetable
-from mbdkit.integrators.python_stepper import PythonStepper
 from mbdkit.integrators.start import start_method
+from mbdkit.integrators.step_host import StepHost
 from mbdkit.methods import gauss
 from mbdkit.methods.tableau import TableauError
 from mbdkit.runs.preparation import build
@@ -110,7 +110,7 @@ def test_work_is_booked_by_the_weights_of_the_method() -> None:
     workspace = build(spec)[0]
     table = Timetable(start=0.0, end=1.0, step=0.01, steps=100, every=10**9, max_steps=1000, single=False)
     stepper = start_method(ImplicitRungeKutta(TABLEAUS["sdirk-4"]), workspace, table)
-    assert isinstance(stepper, PythonStepper)
+    assert isinstance(stepper, StepHost)
     stretch = stepper.advance()
     while not stepper.finished:
         stretch = stepper.advance()

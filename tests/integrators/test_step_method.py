@@ -207,7 +207,7 @@ def test_a_method_that_is_none_is_refused_by_name() -> None:
         def step(self, equations: Any, t: float, state: StepState, h: float) -> StepState:
             return state
 
-    with pytest.raises(mbdkit.PluginError, match=r"type Bare; .* StepMethod subclass"):
+    with pytest.raises(mbdkit.PluginError, match=r"type Bare; .* subclass of StepMethod or ExternalMethod"):
         run_with(Bare(), DOUBLE, {"steps": 3, "step": 0.01})
 
 

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import math
 import sys
 
 import pytest
+from pydantic import BaseModel
 
 import mbdkit
 from mbdkit.archive import export as exports
@@ -14,6 +16,7 @@ from mbdkit.plugin import (
     Accessor,
     CriterionItem,
     Finding,
+    IntegratorPlugin,
     PlotKind,
     ReportSection,
     SpecKind,
@@ -22,10 +25,15 @@ from mbdkit.plugin import (
     Target,
 )
 from mbdkit.registry import accessors, manager
+from mbdkit.registry.item_options import named_options
 from mbdkit.registry.manager import checked
 from mbdkit.spec.spec_kinds import kind_of
 from mbdkit_report.pages.section_items import added_sections
 from mbdkit_report.plot.plot_kinds import plot_kinds, plot_module
+
+
+class NoOptions(BaseModel):
+    pass
 
 
 def missing(*_):
@@ -197,3 +205,24 @@ def test_a_criterion_that_fails_is_named(stage, function, words, installed):
     installed(acme=[criterion(stage, function)])
     with pytest.raises(PluginError, match=f"the criterion 'acme:acme' failed: .*{words}"):
         mbdkit.run("pendulum", time={"end": 0.1, "step": 0.01})
+
+
+@pytest.mark.parametrize(
+    ("claims", "words"),
+    [
+        ({"states": 1}, "`states` is 1, not True or False"),
+        ({"restartable": None}, "`restartable` is None, not True or False"),
+        ({"dense_order": math.nan}, "`dense_order` is nan, not a positive number or None"),
+        ({"conserves": "energy"}, "`conserves` is 'energy', not a tuple of some of energy, linear-momentum"),
+        ({"conserves": ("mass",)}, "not a tuple of some of energy"),
+        ({"order": 3, "variable_order": True}, "it claims `variable_order`, but not `adaptive`"),
+        ({"l_stable": True}, "it claims `l_stable`, but not `a_stable`"),
+    ],
+)
+def test_impossible_claims_are_refused_in_one_sentence(claims, words, beside_ours):
+    method = IntegratorPlugin("mine", "Mine", NoOptions, print, lambda options: mbdkit.Claims(**{"order": 1} | claims))
+    loaded = checked(beside_ours(acme=[method]))
+    assert [report.id for report in loaded.failures] == ["acme:mine"]
+    assert words in loaded.failures[0].error
+    with pytest.raises(PluginError, match="plugin 'acme:mine' cannot be used: "):
+        named_options(next(item for item in beside_ours(acme=[method]).items if item.id == "acme:mine"))

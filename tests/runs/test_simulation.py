@@ -317,20 +317,19 @@ def scipy_counts(name: str, options: dict[str, Any]) -> dict[str, int]:
     """Return what SciPy itself says of the same run, on mbdkit's right side."""
     import scipy.integrate
 
-    from mbdkit.engine.consistent_start import workspace_at_start
-    from mbdkit.integrators.interface import Timetable
-    from mbdkit.integrators.start import start_method
-    from mbdkit.methods.kinds import SciPySolver
     from mbdkit.spec import load_spec
 
     solver = {"scipy-radau": "Radau", "scipy-dop853": "DOP853", "scipy-lsoda": "LSODA"}[name]
-    workspace, _ = workspace_at_start(load_spec(spec(), ()).mechanism())
-    stepper = start_method(SciPySolver(solver, **options), workspace, Timetable(0.0, 1.0))
-    jacobian = {"jac": stepper.jacobian} if name != "scipy-dop853" else {}  # type: ignore[attr-defined]
+    p = mbdkit.EquationsOfMotion.of(load_spec(spec(), ()).mechanism())
+
+    def rates(t: float, y: np.ndarray) -> np.ndarray:
+        return np.concatenate([y[p.n :], p.derivatives(t, y[: p.n], y[p.n :], p.z0)[0]])
+
+    jacobian = {"jac": lambda t, y: p.jacobian(t, y[: p.n], y[p.n :], p.z0)} if name != "scipy-dop853" else {}
     found = scipy.integrate.solve_ivp(
-        stepper.rates,  # type: ignore[attr-defined]
+        rates,
         (0.0, 1.0),
-        np.concatenate([workspace.q0[:-3], workspace.v0[:-3]]),
+        np.concatenate([p.q0, p.v0]),
         method=solver,
         **options,
         **jacobian,

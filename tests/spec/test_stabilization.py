@@ -10,7 +10,7 @@ import pytest
 import mbdkit
 from mbdkit.base.errors import SpecError
 from mbdkit.engine.stabilization import NONE, Stabilization
-from mbdkit.methods.kinds import SciPySolver
+from mbdkit.methods.scipy_solver import SciPySolver
 from mbdkit.runs.preparation import caution
 from mbdkit.spec import load_spec
 from mbdkit.spec.run_spec import spec_type

@@ -15,7 +15,7 @@ import mbdkit
 from mbdkit.archive.archive_check import check
 from mbdkit.archive.fingerprint import attributes_sha256, data_sha256
 from mbdkit.archive.info import describe
-from mbdkit.methods.kinds import StepMethod, StepState
+from mbdkit.methods.step_methods import StepMethod, StepState
 from mbdkit.runs.preparation import guards, size_at_start
 from mbdkit.spec import load_spec
 from mbdkit_report.analysis.verdict import Answer

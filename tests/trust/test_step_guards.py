@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import mbdkit
-from mbdkit.methods.kinds import StepState
+from mbdkit.methods.step_methods import StepState
 from tests.integrators.step_methods import RungeKutta, run_with
 
 from .mechanisms import cranks, spec

@@ -14,9 +14,8 @@ from mbdkit.base.text import one_line
 from mbdkit.engine.elimination_order import SingularSystemError
 from mbdkit.engine.stabilization import Stabilization
 from mbdkit.engine.workspace import Workspace
-from mbdkit.integrators.contact_state import ContactState
+from mbdkit.integrators.contact_state import ContactState, contacts_of
 from mbdkit.integrators.interface import SAME_TIME, Stepper, Stretch, Timetable
-from mbdkit.integrators.python_stepper import PythonStepper
 from mbdkit.integrators.sampled_control import states_at_start
 from mbdkit.integrators.start import start_method
 from mbdkit.mechanism.contacts import Treatment
@@ -131,8 +130,7 @@ def run_companion(
     except (Exception, SystemExit) as error:  # exception of a plugin
         failure = f"its method raised {one_line(error)}"
     rows = ObservedRows.at(own, times, states.q, states.v, states.z)
-    contacts = stepper.contact_state if isinstance(stepper, PythonStepper) else None
-    return CompanionRows(rows, failure.rstrip("."), contacts)
+    return CompanionRows(rows, failure.rstrip("."), contacts_of(stepper))
 
 
 class _States:

@@ -162,3 +162,19 @@ def test_symmetric_projection_and_baumgarte_are_refused() -> None:
 def test_a_spectral_radius_out_of_range_is_refused(rho_inf: Any) -> None:
     with pytest.raises(mbdkit.SpecError, match="rho_inf"):
         run("double pendulum", {"name": "generalized-alpha", "rho_inf": rho_inf}, 0.01, formulation="index-3")
+
+
+def test_a_study_of_methods_takes_it_with_its_formulation() -> None:
+    # expected: order 2, no drift of positions
+    spec: dict[str, Any] = {
+        "mbdkit_study": 1,
+        "base": {"model": MODELS["double pendulum"], "time": {"end": 1.0, "step": 0.01}},
+        "axes": [{"integrator": [{"name": "rk4"}]}, {"time.step": list(STEPS)}],
+        "reference": {"integrator": {"name": "gauss", "stages": 4}, "time.step": 0.0025},
+    }
+    study = mbdkit.study(spec, with_="generalized-alpha")
+    points = [point for point in study.points if point.axes["integrator"] == "generalized-alpha, index-3"]
+    errors = [point.values["end_error"] for point in points]
+    assert np.log2(errors[0] / errors[1]) == pytest.approx(2, abs=0.1)
+    assert np.log2(errors[1] / errors[2]) == pytest.approx(2, abs=0.1)
+    assert max(point.values["misalignment_max"] for point in points) < 1e-14

@@ -81,3 +81,17 @@ def test_the_order_on_a_forced_double_pendulum(kind: str, s: int) -> None:
 def test_two_stages_of_iiib_are_refused() -> None:
     with pytest.raises(mbdkit.SpecError, match="stages"):
         end_of({"name": "lobatto-iiib", "stages": 2}, 0.1)
+
+
+def test_a_study_of_methods_takes_them() -> None:
+    # expected: order 2 s - 2
+    spec: dict[str, Any] = {
+        "mbdkit_study": 1,
+        "base": {"model": FORCED, "time": {"end": 1.0, "step": 0.01}},
+        "axes": [{"integrator": [{"name": "rk4"}]}, {"time.step": [1 / 160, 1 / 320]}],
+        "reference": {"integrator": {"name": "gauss", "stages": 6}, "time.step": 1 / 160},
+    }
+    study = mbdkit.study(spec, with_=[{"name": "lobatto-iiic", "stages": 2}, "{name: lobatto-iiid, stages: 3}"])
+    for label, order in (("lobatto-iiic, stages 2", 2), ("lobatto-iiid, stages 3", 4)):
+        errors = [point.values["end_error"] for point in study.points if point.axes["integrator"] == label]
+        assert np.log2(errors[0] / errors[1]) == pytest.approx(order, abs=0.2)

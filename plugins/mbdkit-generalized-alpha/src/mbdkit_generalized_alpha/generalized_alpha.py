@@ -132,4 +132,6 @@ def claims(options: GeneralizedAlphaOptions) -> mbdkit.Claims:
         needs=("tangents",),
         formulations=("index-3",),
         stabilizations=("none", "projection"),
+        conserves=("linear-momentum",),
+        a_stable=True,
     )

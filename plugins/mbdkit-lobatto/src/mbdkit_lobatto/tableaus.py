@@ -80,16 +80,22 @@ def _create(kind: str) -> Callable[[LobattoOptions], mbdkit.ImplicitRungeKutta]:
     )
 
 
-def _claims(**claims: Any) -> Callable[[LobattoOptions], mbdkit.Claims]:
+def _claims(*, l_stable: bool = False, **claims: Any) -> Callable[[LobattoOptions], mbdkit.Claims]:
     return lambda options: mbdkit.Claims(
         order=2 * options.stages - 2,
         stages=options.stages,
         drift="constraints hold at acceleration level only: drift of the method's order, growing with time",
         needs=("tangents",) if options.stage_solver == "newton" else ("accelerations",),
+        states=True,
+        conserves=("linear-momentum", "angular-momentum")
+        if claims.get("quadratic_invariants")
+        else ("linear-momentum",),
+        a_stable=options.stage_solver == "newton",
+        l_stable=l_stable and options.stage_solver == "newton",
         **claims,
     )
 
 
 create_a, create_b, create_c, create_d = (_create(kind) for kind in "abcd")
-claims_a, claims_b, claims_c = _claims(symmetric=True), _claims(symmetric=True), _claims()
+claims_a, claims_b, claims_c = _claims(symmetric=True), _claims(symmetric=True), _claims(l_stable=True)
 claims_d = _claims(symmetric=True, symplectic=True, quadratic_invariants=True)

@@ -50,7 +50,8 @@ def method(
 
 def study(*points: Any) -> Any:
     every, families = list(points), {"rod": "", "rod-long": ""}
-    one = SimpleNamespace(points=every, families=families, run=lambda point: None)
+    spec = SimpleNamespace(added=())
+    one = SimpleNamespace(points=every, families=families, run=lambda point: None, spec=spec)
     one.family = lambda name: [point for point in every if point.family == name]
     return one
 

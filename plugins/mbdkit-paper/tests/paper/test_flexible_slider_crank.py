@@ -38,7 +38,7 @@ def study(*runs: tuple[str, str, float, float, float, str]) -> Any:
         for kind, method, step, error, gap, status in runs
     ]  # fmt: skip
     return SimpleNamespace(
-        points=points, spec=SimpleNamespace(title="Crank"), run=lambda point: opened(point.error, point.gap)
+        points=points, spec=SimpleNamespace(title="Crank", added=()), run=lambda point: opened(point.error, point.gap)
     )
 
 

@@ -26,7 +26,7 @@ def study(*runs: tuple[float, float, str]) -> Any:
         )
         for number, (position, velocity, status) in enumerate(runs, start=1)
     ]  # fmt: skip
-    return SimpleNamespace(points=points, spec=SimpleNamespace(title="Long runs"))
+    return SimpleNamespace(points=points, spec=SimpleNamespace(title="Long runs", added=()))
 
 
 @pytest.mark.parametrize(

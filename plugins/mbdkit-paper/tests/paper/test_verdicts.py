@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import shutil
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from types import SimpleNamespace
@@ -26,6 +27,7 @@ from mbdkit_studies.study_loading import load_study_spec
 
 YES, NO, PARTLY, OPEN = Answer.YES, Answer.NO, Answer.PARTLY, Answer.OPEN
 METHODS = ("RK-Gill", "Gauss 2", "Gauss 3")
+TIMED = ("time-bodies", "substitution")
 
 
 def study_of(family: str, points: Iterator[tuple[dict[str, Any], float]], status: str = "complete") -> Any:
@@ -164,14 +166,19 @@ def test_knee_prediction_fails_where_no_step_keeps_both() -> None:
     assert claims[-1].answer is NO
 
 
-@pytest.fixture(scope="module")
-def small(tmp_path_factory: pytest.TempPathFactory) -> mbdkit.Study:
+def part_of_the_paper() -> dict[str, Any]:
     """Return the packaged study `paper` without all families but the first, and bodies 1 and 2 of the third."""
-    spec = json.loads(load_study_spec("paper").canonical_json())
+    spec: dict[str, Any] = json.loads(load_study_spec("paper").canonical_json())
     families = {name: spec["families"][name] for name in ("published", "bodies")}
     families["bodies"]["axes"][0]["model.n"] = [1, 2]
     families["bodies"]["repeats"] = 2
-    return mbdkit.study(spec | {"families": families}, out=tmp_path_factory.mktemp("study") / "paper")
+    return spec | {"families": families}
+
+
+@pytest.fixture(scope="module")
+def small(tmp_path_factory: pytest.TempPathFactory) -> mbdkit.Study:
+    """Return a part of the packaged study `paper`."""
+    return mbdkit.study(part_of_the_paper(), out=tmp_path_factory.mktemp("study") / "paper")
 
 
 def test_part_of_the_paper_decides_what_it_can_and_leaves_the_rest_open(small: mbdkit.Study) -> None:
@@ -204,6 +211,23 @@ def test_paths_and_drifts_of_both_pendulums_are_drawn_over_150_steps(small: mbdk
         drift = verdict.figure(f"drift-{model}")
         assert len(drift.lines) == len(METHODS) * rods
         assert all(len(line.x) == 151 for line in drift.lines)
+
+
+def test_added_methods_stand_beside_the_papers_and_leave_its_claims_alone(small: mbdkit.Study, tmp_path: Path) -> None:
+    added = ("rattle, index-3", "scipy-dop853")
+    plain = judge(small)
+    study = mbdkit.study(part_of_the_paper(), out=tmp_path / "with", with_=["rattle", "scipy-dop853"])
+    shutil.copytree(small.folder / "measured", study.folder / "measured")
+    verdict = judge(study)
+    claims, same = ([one for one in each.claims if one.name not in TIMED] for each in (verdict, plain))
+    assert claims == same
+    assert [line.label for line in verdict.figure("trajectory-double").lines] == [*METHODS, *added]
+    assert [column.label for column in verdict.table("time-bodies").columns] == ["bodies", *METHODS, *added]
+    rows = verdict.table("added").rows
+    assert [(row[0], row[5]) for row in rows if row[1] == "published, single"] == [
+        ("rattle, index-3", "1 of 5"),  # it closes the joints
+        ("scipy-dop853", "3 of 5"),  # its misalignment lies between those of Gauss 3 and Gauss 2
+    ]
 
 
 def test_substitution_is_measured_once_for_a_folder(small: mbdkit.Study, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -18,10 +18,11 @@ import numpy as np
 from scipy.sparse import csr_array
 
 from mbdkit.base.errors import SpecError, StepError
-from mbdkit.engine.equations_of_motion import EquationsOfMotion, Tangents
+from mbdkit.engine.equations_of_motion import EquationsOfMotion
 from mbdkit.engine.kernels.observe import first_order_rates
 from mbdkit.engine.kernels.system import OK
 from mbdkit.engine.workspace import Workspace
+from mbdkit.plugin import Tangents
 
 MOST_ITERATIONS = 50
 """Largest number of Newton steps for the states at rest."""

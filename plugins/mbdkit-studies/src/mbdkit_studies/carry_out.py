@@ -24,6 +24,7 @@ from mbdkit.base.text import counted, shown, without_numbers
 from mbdkit.spec.loading import RunSource, load_spec, read_source
 from mbdkit.spec.reading import parse_key
 from mbdkit_studies import member_table, study_index
+from mbdkit_studies.added_methods import MethodSource, with_methods
 from mbdkit_studies.block_writer import Store
 from mbdkit_studies.executor_pool import Engine, checked_executor
 from mbdkit_studies.folder_lock import Shard, alone
@@ -90,6 +91,7 @@ def study(
     progress: Progress | None = None,
     notify: Callable[[str], None] = say,
     assignments: Sequence[str] = (),
+    with_: Sequence[MethodSource] | MethodSource = (),
     overwrite: bool = False,
     store: Storing | None = None,
 ) -> Study:
@@ -117,6 +119,11 @@ def study(
         Called with messages for the user, such as warnings.
     assignments
         Assignments such as ``"time.end=5"`` that are set in the base of every run.
+    with_
+        Further methods for a study that compares methods: names of integrators, or mappings of a name and options, such
+        as ``{"name": "gauss", "stages": 4}``. Each is one more value on every axis of methods, with the first
+        formulation of its claims that suits the mechanisms. Where the study varies the step, an adaptive method has a
+        family of its own, with tolerances in place of steps.
     overwrite
         Whether to replace an earlier study in the folder: its study.yaml, index, table of values, archives of runs,
         report and charts are removed once the new study has been validated. Other files remain.
@@ -133,9 +140,9 @@ def study(
     Raises
     ------
     SpecError
-        If an argument, the study or one of its runs is invalid, or if the folder belongs to another study or contains
-        other files. Nothing is written in this case. If runs are stored in files of many runs, up to eight of
-        them are checked beforehand; any other invalid run counts as a failed run.
+        If an argument, the study or one of its runs is invalid, if a method cannot be added, or if the folder belongs
+        to another study or contains other files. Nothing is written in this case. If runs are stored in files of many
+        runs, up to eight of them are checked beforehand; any other invalid run counts as a failed run.
     ResourceError
         If the folder cannot be written to, is in use by another call, or no process can be started.
 
@@ -159,7 +166,7 @@ def study(
         raise SpecError(
             "--overwrite cannot be combined with --shard: it would remove the results of calls for other parts"
         )
-    spec = load_study_spec(source, assignments)
+    spec = with_methods(load_study_spec(source, assignments), with_, notify)
     spec = spec if store is None else spec.stored_as(store)
     return _carried_out(spec, out, engine, shard, progress, notify, overwrite=overwrite)
 

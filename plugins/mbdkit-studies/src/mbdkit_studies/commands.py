@@ -49,6 +49,17 @@ class Stored:
         ),
     ] = None
     assignments: BaseSet = None
+    methods: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--with",
+            metavar="METHOD",
+            help=(
+                "Compare one more method, in a study of methods such as paper or drift: the name of an integrator, or "
+                "a mapping such as '{name: gauss, stages: 4}'; may be repeated."
+            ),
+        ),
+    ] = None
     overwrite: Annotated[
         bool,
         typer.Option(
@@ -102,6 +113,10 @@ def study(
     --set changes the base of every run, like the overrides of the study; keys that an
     axis or a sample varies cannot be set.
 
+    --with adds a method to a study that compares methods, with its own formulation; an
+    adaptive one has tolerances where the others have steps. The report shows it beside
+    the methods of the study.
+
     For a study with a sample, --report shows histograms, Sobol indices and quantiles
     over time; `mbdkit guide studies` explains these.
 
@@ -133,6 +148,7 @@ def study(
             progress=progress,
             notify=notify,
             assignments=stored.assignments or (),
+            with_=stored.methods or (),
             overwrite=stored.overwrite,
             store=stored.store,
         )

@@ -12,7 +12,7 @@ from mbdkit.trust.criteria import KNOWN_POSITION
 from mbdkit_report.analysis.verdict import Cell, Column, Table
 from mbdkit_studies.cost import at_equal_work, work_for
 from mbdkit_studies.point_selection import METHOD, OPERATIONS, value
-from mbdkit_studies.study_point import value_words
+from mbdkit_studies.study_point import others_than, value_words
 
 if TYPE_CHECKING:
     from mbdkit_studies.study import Study
@@ -128,7 +128,7 @@ def _groups(study: Study) -> dict[str, list[StudyPoint]]:
         if math.isnan(value(point, ERROR)):
             continue
         numbers = [key for key, label in point.axes.items() if key != METHOD and isinstance(label, int | float)]
-        others = [value_words(key, point) for key in point.axes if key != (numbers or [""])[-1]]
+        others = [value_words(key, point) for key in others_than((numbers or [""])[-1], point)]
         found.setdefault(", ".join(filter(None, [point.family, *others])), []).append(point)
     return {name: points for name, points in found.items() if len({value(one, ERROR) for one in points}) > 1}
 

@@ -62,7 +62,7 @@ def _extremes(points: list[StudyPoint]) -> str:
     if len(ranked) < 2:
         return ""
     (least, _, best), (most, _, worst) = ranked[0], ranked[-1]
-    small = [entry for entry in ranked if entry[0] <= ROUND_OFF * _size(entry[-1])]
+    small = [entry for entry in ranked if entry[0] <= ROUND_OFF * size_at_start(entry[-1])]
     if len(small) == len(ranked):
         return f"The joints stay closed to rounding errors in all runs: {most:.1e} m at most."
     if most <= MARGIN * least:
@@ -74,7 +74,7 @@ def _extremes(points: list[StudyPoint]) -> str:
     return f"The joint misalignment is smallest with {point_words(best)} ({least:.1e} m) and {largest}."
 
 
-def _size(point: StudyPoint) -> float:
+def size_at_start(point: StudyPoint) -> float:
     """Return the size of the mechanism of a run [m]; 0 if its model is not available."""
     try:
         mechanism = point.spec.mechanism()
@@ -94,7 +94,7 @@ def _orders(study: Study) -> Table:
     rows: list[tuple[Cell, ...]] = []
     for name, points in lines.items():
         orders = []
-        noise = _ROUNDINGS * EPS * max(map(_size, points))
+        noise = _ROUNDINGS * EPS * max(map(size_at_start, points))
         for column in ("end_error", "misalignment_max"):
             steps, values = Points(points).along(STEP, column)
             estimate = observed_order(steps, np.where(values > noise, values, np.nan))

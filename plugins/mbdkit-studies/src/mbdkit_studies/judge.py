@@ -21,7 +21,7 @@ def judge(study: Study) -> Verdict:
     """Return the verdict on a study.
 
     If the spec of the study names a packaged study as its ``verdict``, the verdict function of that study is called.
-    Otherwise, the general verdict is returned.
+    Otherwise, the general verdict is returned. Either is followed by the results of added methods.
 
     Parameters
     ----------
@@ -37,10 +37,12 @@ def judge(study: Study) -> Verdict:
         If the verdict function of another distribution fails or returns no Verdict.
     """
     name = study.spec.verdict
+    from mbdkit_studies.added_results import with_added_methods
+
     if not name:
         from mbdkit_studies.general_verdict import general_verdict
 
-        return general_verdict(study)
+        return with_added_methods(general_verdict(study), study)
     item, function = find_verdict(study.spec)
     try:
         verdict: Any = function(study)
@@ -53,7 +55,7 @@ def judge(study: Study) -> Verdict:
         if item.origin.distribution == "mbdkit":
             raise
         raise PluginError(f"the verdict of '{item.id}' raised {with_place(error)}") from error
-    return _checked(verdict, item)
+    return with_added_methods(_checked(verdict, item), study)
 
 
 def _checked(verdict: Any, item: Registered) -> Verdict:

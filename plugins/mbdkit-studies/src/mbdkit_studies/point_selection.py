@@ -14,6 +14,8 @@ if TYPE_CHECKING:
 
 
 MODEL, METHOD, STEP = "model", "integrator", "time.step"
+IN_TOLERANCES = "-tolerances"
+"""Suffix of the family in which an added method has tolerances in place of the steps of another family."""
 OPERATIONS = ("rhs_evaluations", "jacobian_evaluations", "factorizations")
 """Counters whose sum is the cost of a run in operations."""
 
@@ -48,9 +50,9 @@ class Points:
 
     def along(self, axis: str, column: str) -> tuple[np.ndarray, np.ndarray]:
         """Return the labels (K,) on a numeric axis, ascending, and a value of each point; nan for runs that are not
-        complete.
+        complete. Points that lack the axis are left out.
         """
-        pairs = sorted((float(point.axes[axis]), value(point, column)) for point in self.points)
+        pairs = sorted((float(point.axes[axis]), value(point, column)) for point in self.points if axis in point.axes)
         return np.array([pair[0] for pair in pairs]), np.array([pair[1] for pair in pairs])
 
 
@@ -60,5 +62,8 @@ def value(point: StudyPoint, column: str) -> float:
 
 
 def family(study: Study, name: str) -> Points:
-    """Return the points of a family; an empty selection if the study has no such family."""
-    return Points(point for point in study.points if point.family == name)
+    """Return the points of a family, and those that added methods have in its place with tolerances instead of steps.
+
+    The selection is empty if the study has no such family.
+    """
+    return Points(point for point in study.points if point.family in (name, name + IN_TOLERANCES))

@@ -15,8 +15,8 @@ from mbdkit_report.analysis.order import observed_order
 from mbdkit_report.figures.page_model import Axis, Column, Figure, Guide, Line
 from mbdkit_report.key_words import key_words
 from mbdkit_studies.cost_at_error import TIMED, TIMED_ONCE, is_timed
-from mbdkit_studies.point_selection import METHOD, OPERATIONS, STEP, value
-from mbdkit_studies.study_point import axis_unit, value_words
+from mbdkit_studies.point_selection import IN_TOLERANCES, METHOD, OPERATIONS, STEP, value
+from mbdkit_studies.study_point import axis_unit, others_than, value_words
 
 if TYPE_CHECKING:
     from mbdkit_studies.study import Study
@@ -81,20 +81,22 @@ _USUAL = ("misalignment_max", "end_error")
 
 def study_figures(study: Study) -> tuple[Figure, ...]:
     """Return the charts of every family of a study: each requested measure and the cost against the numeric axes, and
-    each measure of an error against the cost.
+    each measure of an error against the cost, there with added methods that have tolerances in place of steps.
     """
     figures: list[Figure] = []
     for name, title in study.families.items():
         points = study.family(name)
         costs = (_wall_time(points), _WORK)
+        beside = [study.family(name + IN_TOLERANCES)] if name + IN_TOLERANCES in study.families else []
+        is_beside = name.endswith(IN_TOLERANCES) and name.removesuffix(IN_TOLERANCES) in study.families
         for measure in asked_measures(study):
             if not np.any(np.nan_to_num(measure.of(points))):
                 continue
             measure = replace(measure, axis=replace(measure.axis, log=is_wide(measure.of(points))))
             for key in study.axes(name):
                 figures += _against_axis(measure, key, points, name, title)
-            for cost in costs if measure.is_error else ():
-                figures += _against_cost(measure, cost, points, name, title)
+            for cost in costs if measure.is_error and not is_beside else ():
+                figures += _against_cost(measure, cost, [points, *beside], name, title)
         for key in study.axes(name):
             for cost in costs:
                 figures += _against_axis(cost, key, points, name, title)
@@ -178,22 +180,23 @@ def _against_axis(quantity: Quantity, key: str, points: Sequence[StudyPoint], fa
 
 
 def _against_cost(
-    measure: Quantity, cost: Quantity, points: Sequence[StudyPoint], family: str, title: str
+    measure: Quantity, cost: Quantity, parts: Sequence[Sequence[StudyPoint]], family: str, title: str
 ) -> list[Figure]:
-    """Return the chart of a measure over the cost; empty if all runs have the same cost."""
-    costs = cost.of(points)
+    """Return the chart of a measure over the cost; empty if all runs of the first part have the same cost."""
+    costs = cost.of(parts[0])
     if len(np.unique(costs[np.isfinite(costs)])) < 2:
         return []
-    numbers = [
-        key
-        for key in points[0].axes
-        if key != METHOD and all(isinstance(point.axes[key], int | float) for point in points)
-    ]
     lines = []
-    for label, group, chosen in _lines(points, numbers[-1] if numbers else ""):
-        x, y, bounds = cost.of(chosen), measure.of(chosen), cost.bounds(chosen)
-        band = None if bounds is None else _band((bounds[0], y), (bounds[1], y))
-        lines.append(Line(label, x, y, "both", group, band))
+    for points in parts:
+        numbers = [
+            key
+            for key in points[0].axes
+            if key != METHOD and all(isinstance(point.axes[key], int | float) for point in points)
+        ]
+        for label, group, chosen in _lines(points, numbers[-1] if numbers else ""):
+            x, y, bounds = cost.of(chosen), measure.of(chosen), cost.bounds(chosen)
+            band = None if bounds is None else _band((bounds[0], y), (bounds[1], y))
+            lines.append(Line(label, x, y, "both", group, band))
     return [
         Figure(
             _slug(family, measure.title, "over", cost.title),
@@ -219,7 +222,7 @@ def _lines(points: Sequence[StudyPoint], along: str) -> list[tuple[str, str, lis
     """
     found: dict[tuple[str, str], list[StudyPoint]] = {}
     for point in points:
-        label = ", ".join(value_words(key, point) for key in point.axes if key != along)
+        label = ", ".join(value_words(key, point) for key in others_than(along, point))
         found.setdefault((label, str(point.axes.get(METHOD, label))), []).append(point)
     return [
         (label, group, sorted(chosen, key=lambda point: float(point.axes[along])) if along else chosen)

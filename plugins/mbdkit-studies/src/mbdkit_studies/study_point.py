@@ -152,6 +152,13 @@ def point_words(point: StudyPoint, units: Mapping[str, str] | None = None) -> st
     return ", ".join(value_words(key, point, None if units is None else units[key]) for key in point.axes)
 
 
+def others_than(key: str, point: StudyPoint) -> list[str]:
+    """Return the axes of a point without a key and the keys that vary together with it."""
+    axes = [[name for name, _ in axis] for axis in point.planned.grid.axes]
+    together = next((names for names in axes if key in names), [key])
+    return [name for name in point.axes if name not in together]
+
+
 def value_words(key: str, point: StudyPoint, unit: str | None = None) -> str:
     """Return the value of a point on an axis as text: a label unchanged, a number with the words and the unit of the
     key.

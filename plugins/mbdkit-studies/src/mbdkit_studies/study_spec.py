@@ -157,7 +157,7 @@ class StudySpec(StrictSpec):
     """
 
     model_config = ConfigDict(title="mbdkit study spec", defer_build=True)
-    ABSENT_BY_DEFAULT: ClassVar[tuple[str, ...]] = ("sample", "store", "block", "compress", "members")
+    ABSENT_BY_DEFAULT: ClassVar[tuple[str, ...]] = ("sample", "added", "store", "block", "compress", "members")
     """Keys that the canonical form omits if they have their default values.
 
     Studies written before these keys existed therefore keep their hash.
@@ -193,6 +193,9 @@ class StudySpec(StrictSpec):
     mappings."""
     verdict: str = ""
     """Name of the function that evaluates the results in the report; empty for none."""
+    added: tuple[str, ...] = ()
+    """Labels of methods that `mbdkit study ... --with` has added to the axes of methods. The report lists their results
+    in a table; the claims of a verdict are about the other methods."""
 
     store: Storing | None = None
     """What is stored of each run. `files` writes one archive per run. The other values write blocks of many runs: `all`
@@ -290,18 +293,18 @@ class StudySpec(StrictSpec):
 
     def stored_as(self, store: Storing | None) -> StudySpec:
         """Return this spec with another `store`."""
-        return self if store == self.store else self._changed("store", store)
+        return self if store == self.store else self.changed(store=store)
 
     def with_members(self, members: Members | None) -> StudySpec:
         """Return this spec with another table of members, which is read from the folder of the study when needed."""
-        spec = self._changed("members", members)
+        spec = self.changed(members=members)
         spec._columns = None
         return spec
 
-    def _changed(self, key: str, value: Any) -> StudySpec:
-        """Return this spec with another value of a key; if the value is None, the key is left out."""
-        sections = self.sections() | {key: value}
-        given = (self.model_fields_set | {key}) - ({key} if value is None else set())
+    def changed(self, **values: Any) -> StudySpec:
+        """Return this spec with other values of keys; a key whose value is None is left out."""
+        sections = self.sections() | values
+        given = (self.model_fields_set | values.keys()) - {key for key, value in values.items() if value is None}
         spec = type(self)(**{name: section for name, section in sections.items() if name in given})
         spec._document, spec._bases, spec._folder = self._document, self._bases, self._folder
         spec._columns = self._columns

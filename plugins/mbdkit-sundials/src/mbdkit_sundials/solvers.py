@@ -172,4 +172,7 @@ def claims(chosen: SundialsOptions) -> mbdkit.Claims:
         drift="constraints hold at acceleration level only: drift follows the tolerance and grows with time",
         needs=("accelerations", "tangents"),
         stabilizations=("none", "baumgarte"),
+        states=True,
+        variable_order=True,
+        restartable=False,
     )

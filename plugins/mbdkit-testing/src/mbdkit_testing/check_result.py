@@ -45,7 +45,7 @@ class Result:
     what
         What the check requires, in one sentence.
     seconds
-        Duration [s].
+        Processor time [s].
     limits
         Limits of the measured values by name: a number that the value may not exceed, or a phrase.
     """
@@ -143,7 +143,7 @@ class Report:
 
     @property
     def seconds(self) -> float:
-        """Duration of all checks [s]."""
+        """Processor time of all checks [s]."""
         return sum(result.seconds for result in self.results)
 
     def verdict(self, *, names: bool = True) -> str:
@@ -178,7 +178,7 @@ class Report:
         others = [cause for cause in shared if cause not in raised]
         told = {cause: _paragraph(cause, results) for cause, results in shared.items()}
         parts = [*(told[cause] for cause in raised), *([table(rows, indent="  ")] if len(rows) > 1 else [])]
-        verdict = f"{self.verdict(names=not shared)}, in {self.seconds:.0f} s"
+        verdict = f"{self.verdict(names=not shared)}, in {self.seconds:.0f} s of processor time"
         return "\n\n".join([head, *parts, *(told[cause] for cause in others), verdict])
 
     def _shared_causes(self) -> dict[str, list[Result]]:

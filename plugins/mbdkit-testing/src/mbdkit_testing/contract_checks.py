@@ -12,12 +12,13 @@ from pydantic import ValidationError
 from mbdkit.base.errors import PluginError, SpecError
 from mbdkit.base.text import counted, listed
 from mbdkit.engine.equations_of_motion import EquationsOfMotion
-from mbdkit.methods.kinds import Method, StepMethod, StepState
+from mbdkit.methods.kinds import Method
+from mbdkit.methods.step_methods import Step, StepMethod, StepState, Why
 from mbdkit_testing.check import Skip, check
 from mbdkit_testing.check_result import Result, failed, passed, skipped, warned
 from mbdkit_testing.integrator_under_test import IntegratorUnderTest, drive, final_state
 from mbdkit_testing.options_under_test import options_result, validated, variants
-from mbdkit_testing.trial_models import DRIVEN_PENDULUM, FORCED_PENDULUM, forced_pendulum
+from mbdkit_testing.trial_models import DRIVEN_PENDULUM, FORCED_PENDULUM, LAG_AT_1, WITH_STATE, forced_pendulum
 
 STEPS = 23
 START_TIMES = 0.0, 3.0, 1000.0, -8.0
@@ -27,6 +28,8 @@ SAME, SAME_ADAPTIVE = 1e-9, 1e-4
 
 The first is for fixed steps, the second for adaptive methods, whose step sizes depend on rounding.
 """
+STATE_ADAPTIVE = 1e-5
+"""Largest error of a first-order state of an adaptive method with its default tolerances."""
 
 
 @check("contract.options")
@@ -67,7 +70,7 @@ def inputs(integrator: IntegratorUnderTest) -> Result:
     made = integrator.plugin.create(given)
     workspace = integrator.workspace(FORCED_PENDULUM)
     start = workspace.q0.copy(), workspace.v0.copy()
-    watched = _Watched(made) if made.traits.family == "python" else made
+    watched = _Watched(made) if isinstance(made, StepMethod) else made
     try:
         drive(integrator.stepper(workspace, 0.5, STEPS, method=watched))
     except Exception:
@@ -87,7 +90,7 @@ def inputs(integrator: IntegratorUnderTest) -> Result:
     return passed()
 
 
-_PARTS = ("q", "v", "multipliers", "memory")
+_PARTS = ("q", "v", "z", "multipliers", "memory")
 
 
 class _Watched(StepMethod):
@@ -103,9 +106,12 @@ class _Watched(StepMethod):
         self.reused: set[str] = set()
         self.returned: tuple[StepState, StepState] | None = None
         self.carries_multipliers = method.carries_multipliers  # type: ignore[misc]
-        self.hint = method.hint  # type: ignore[misc]
+        self.hint, self.tolerances, self.error_order = method.hint, method.tolerances, method.error_order
 
-    def step(self, equations: EquationsOfMotion, t: float, state: StepState, h: float) -> StepState:
+    def begin(self, equations: EquationsOfMotion, t: float, state: StepState, why: Why) -> Any:
+        return self.method.begin(equations, t, state, why)
+
+    def step(self, equations: EquationsOfMotion, t: float, state: StepState, h: float) -> StepState | Step:
         before, state = copy.deepcopy(state), copy.deepcopy(state)
         try:
             after = self.method.step(equations, t, state, h)
@@ -113,7 +119,8 @@ class _Watched(StepMethod):
             self.changed |= {name for name in _PARTS if not _same(before, state, name)}
         if self.returned is not None:
             self.reused |= {name for name in _PARTS if not _same(*self.returned, name)}
-        self.returned = after, copy.deepcopy(after)
+        end = after.state if isinstance(after, Step) else after
+        self.returned = end, copy.deepcopy(end)
         return after
 
 
@@ -141,7 +148,7 @@ def repeatable(integrator: IntegratorUnderTest) -> Result:
 
 @check("contract.picklable")
 def picklable(integrator: IntegratorUnderTest) -> Result:
-    """Options, method, and the states of a method with `step` can be pickled, for studies and restarts."""
+    """Options and method can be pickled, for studies."""
     made = integrator.method()
     for what, thing in (
         ("its options", validated(integrator.plugin.options, integrator.options)),
@@ -151,13 +158,6 @@ def picklable(integrator: IntegratorUnderTest) -> Result:
             pickle.loads(pickle.dumps(thing))
         except Exception as error:
             return failed(f"{what} cannot be pickled: {error}")
-    if isinstance(made, StepMethod):
-        equations = EquationsOfMotion(integrator.workspace(FORCED_PENDULUM))
-        state = made.step(equations, equations.t0, StepState(equations.q0, equations.v0), 0.01)
-        try:
-            pickle.loads(pickle.dumps(state))
-        except Exception as error:
-            return failed(f"its state cannot be pickled: {error}")
     return passed()
 
 
@@ -212,6 +212,30 @@ def formulations(integrator: IntegratorUnderTest) -> Result:
     return passed(formulations=counted(len(others) + 1, "formulation"))
 
 
+@check("contract.states")
+def states(integrator: IntegratorUnderTest) -> Result:
+    """If the method claims to integrate first-order states, they converge to their closed form with the step or the
+    tolerance.
+    """
+    if not integrator.claims.states:
+        raise Skip("it does not claim to integrate first-order states")
+    errors = list[float]()
+    for steps in (20, 80):
+        time = {"end": 1.0} if integrator.claims.adaptive else {"end": 1.0, "step": 1.0 / steps}
+        try:
+            run = integrator.run(WITH_STATE, time)
+        except (SpecError, PluginError) as error:
+            return failed(f"it claims to integrate first-order states, but {error}".rstrip("."))
+        with run:
+            if run.status != "complete":
+                return failed(f"with a first-order state a run did not complete: {run.status_reason}".rstrip("."))
+            errors.append(abs(float(run.array("states/value")[-1, 0]) - LAG_AT_1))
+    limit = STATE_ADAPTIVE if integrator.claims.adaptive else max(errors[0] / 2, SAME)
+    if errors[1] > limit:
+        return failed("its first-order states do not converge", coarse=errors[0], fine=errors[1])
+    return passed(coarse=errors[0], fine=errors[1]).within({"fine": limit})
+
+
 @check("contract.other-options")
 def other_options(integrator: IntegratorUnderTest) -> Result:
     """With other values of each option within its bounds, the integrator creates a method that fits its claims, and a
@@ -237,4 +261,4 @@ def other_options(integrator: IntegratorUnderTest) -> Result:
     return passed(variants=tried)
 
 
-CHECKS = (options, other_options, method, inputs, repeatable, picklable, end_time, start_time, formulations)
+CHECKS = (options, other_options, method, inputs, repeatable, picklable, end_time, start_time, formulations, states)

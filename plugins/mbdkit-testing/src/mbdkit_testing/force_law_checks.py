@@ -21,7 +21,7 @@ from mbdkit.registry.items import ForceLawPlugin
 from mbdkit.runs.simulation import simulate
 from mbdkit.spec.choices import law_element
 from mbdkit.spec.run_spec import RunSpec, spec_type
-from mbdkit_testing.check import Skip, check
+from mbdkit_testing.check import STEP_LIMIT, Skip, check
 from mbdkit_testing.check_result import Result, failed, passed, warned
 from mbdkit_testing.options_under_test import options_result, validated, variants
 
@@ -406,7 +406,7 @@ def _mass_on(law: ForceLawUnderTest, step: float) -> RunSpec:
         "model": model,
         "integrator": {"name": "mbdkit:gauss", "stages": 2},
         "time": {"start": start, "end": start + 0.5, "step": step},
-        "limits": {"wall_time": 40},
+        "limits": {"max_steps": STEP_LIMIT},
     }
     return spec_type(law.installed)(**data)
 

@@ -23,12 +23,10 @@ from mbdkit.runs.simulated_run import Progress
 from mbdkit.runs.simulation import simulate
 from mbdkit.spec.formulation_choice import choice_of
 from mbdkit.spec.run_spec import RunSpec, spec_type
-from mbdkit_testing.check import Skip
+from mbdkit_testing.check import STEP_LIMIT, Skip
 from mbdkit_testing.options_under_test import validated
 
 Value = TypeVar("Value")
-WALL_TIME = 40.0
-"""Limit of the wall time of a run in a check [s]."""
 
 
 @dataclass
@@ -106,7 +104,7 @@ class IntegratorUnderTest:
             "model": model,
             "integrator": {"name": self.item.id, **self.options, **options},
             "time": time,
-            "limits": {"wall_time": WALL_TIME},
+            "limits": {"max_steps": STEP_LIMIT},
         }
         data["formulation"] = choice_of(sections.pop("formulation", self.formulation))
         return self.spec_type(**data | sections)
@@ -169,7 +167,7 @@ class IntegratorUnderTest:
         """
         step = None if self.claims.adaptive else (end - workspace.t0) / steps
         table = Timetable(
-            start=workspace.t0, end=end, step=step, steps=steps, every=every, max_steps=10**7, single=single
+            start=workspace.t0, end=end, step=step, steps=steps, every=every, max_steps=STEP_LIMIT, single=single
         )
         return start_method(method or self.method(), workspace, table)
 

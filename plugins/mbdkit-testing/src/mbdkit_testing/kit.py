@@ -10,12 +10,14 @@ from mbdkit.base.logs import to_stderr
 from mbdkit.registry.catalogue import Kind, Registered, Registry
 from mbdkit.registry.manager import registry
 from mbdkit_testing import (
+    conservation_checks,
     contract_checks,
     counter_checks,
     drift_checks,
     failure_checks,
     final_state_checks,
     force_law_checks,
+    inside_step_checks,
     invariant_checks,
     measure_checks,
     model_checks,
@@ -23,6 +25,7 @@ from mbdkit_testing import (
     option_effect_checks,
     order_checks,
     restart_checks,
+    stability_checks,
     study_checks,
     tableau_checks,
 )
@@ -35,9 +38,12 @@ INTEGRATOR_CHECKS: tuple[Check[IntegratorUnderTest], ...] = (
     *contract_checks.CHECKS,
     *tableau_checks.CHECKS,
     *order_checks.CHECKS,
+    *inside_step_checks.CHECKS,
     *final_state_checks.CHECKS,
     *newton_checks.CHECKS,
     *invariant_checks.CHECKS,
+    *conservation_checks.CHECKS,
+    *stability_checks.CHECKS,
     *drift_checks.CHECKS,
     *counter_checks.CHECKS,
     *failure_checks.CHECKS,

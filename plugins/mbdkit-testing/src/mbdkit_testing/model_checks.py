@@ -18,7 +18,7 @@ from mbdkit.registry.catalogue import Registered, Registry
 from mbdkit.runs.preparation import build
 from mbdkit.runs.simulation import simulate
 from mbdkit.spec.run_spec import RunSpec, spec_type
-from mbdkit_testing.check import Skip, check
+from mbdkit_testing.check import STEP_LIMIT, Skip, check
 from mbdkit_testing.check_result import Result, failed, passed, skipped, warned
 from mbdkit_testing.options_under_test import options_result, validated, variants
 
@@ -56,7 +56,7 @@ class ModelUnderTest:
             "model": {"name": self.item.id, **self.options},
             "integrator": {"name": "mbdkit:gauss", "stages": stages},
             "time": {"end": end, "step": step},
-            "limits": {"wall_time": 40},
+            "limits": {"max_steps": STEP_LIMIT},
         }
         return self.spec_type(**data)
 

@@ -72,10 +72,24 @@ def stages(integrator: IntegratorUnderTest) -> Result:
 
 @check("tableau.stability")
 def stability(integrator: IntegratorUnderTest) -> Result:
-    """Modulus of the stability function at infinity and on the imaginary axis; reported without a limit."""
-    tableau = integrator.tableau
+    """The modulus of the stability function of an A-stable method is at most 1 on the imaginary axis, and the function
+    has no pole to the left of it; that of an L-stable method vanishes at infinity.
+    """
+    tableau, claims = integrator.tableau, integrator.claims
     axis = max(abs(stability_function(tableau, 1j * 10.0**x)) for x in np.linspace(-2, 3, 101))
-    return passed(at_infinity=at_infinity(tableau), on_imaginary_axis=float(axis))
+    left = float(np.min(np.linalg.eigvals(tableau.floats()[0]).real))  # the poles are the inverse eigenvalues
+    figures = {"at_infinity": at_infinity(tableau), "on_imaginary_axis": float(axis)}
+    if claims.a_stable and (axis > 1 + ROUNDING or left < -ROUNDING):
+        return failed(
+            "it claims to be A-stable, but its stability function exceeds 1 in the left half-plane", **figures
+        )
+    if claims.l_stable and figures["at_infinity"] > ROUNDING:
+        return failed("it claims to be L-stable, but its stability function does not vanish at infinity", **figures)
+    return passed(**figures)
+
+
+ROUNDING = 1e-9
+"""Excess of the stability function, and real part of eigenvalues, that counts as rounding."""
 
 
 def stability_function(tableau: ButcherTableau, z: complex) -> complex:

@@ -143,6 +143,31 @@ ORBIT: Model = {
 HARMONIC: Model = {**ORBIT, "forces": {"spring": {**ORBIT["forces"]["spring"], "free_length": 0.0}}}
 """A point mass on a spring without a free length: linear, so that its energy is a quadratic invariant."""
 
+FLOATING: Model = {
+    "name": "mechanism",
+    "gravity": [0.0, 0.0],
+    "bodies": {
+        "one": {"mass": 1.0, "inertia": 0.2, "position": [-0.6, 0.1], "velocity": [0.3, -0.8], "angular_velocity": 1.5},
+        "two": {
+            "mass": 1.7,
+            "inertia": 0.4,
+            "position": [0.7, -0.2],
+            "velocity": [-0.1, 0.9],
+            "angular_velocity": -1.0,
+        },
+    },
+    "forces": {
+        "spring": {
+            "type": "spring-damper",
+            "bodies": ["one", "two"],
+            "points": [[0.2, 0.1], [-0.3, 0.2]],
+            "stiffness": 5.0,
+            "free_length": 0.6,
+        }
+    },
+}
+"""Two free bodies on the ends of a spring beside their centers: conserves energy and both momenta, without joints."""
+
 COASTING: Model = {**SWINGING, "gravity": [0.0, 0.0]}
 COASTING["bodies"] = {
     "rod1": _rod(1.0, 1.0, (0.0, 0.0), -1.0, 1.0),
@@ -237,3 +262,36 @@ def pushed(power: int) -> Model:
             }
         },
     }
+
+
+def oscillators(frequency: float, damping: tuple[float, ...]) -> Model:
+    """Return masses of 1 kg, each 1 m from its equilibrium at x = 1 m on a linear spring along x, of one undamped
+    frequency [rad/s] and of the given damping ratios.
+    """
+    along_x = {"type": "coordinate", "coordinate": "x"}
+    return {
+        "name": "mechanism",
+        "gravity": [0.0, 0.0],
+        "bodies": {f"mass{i}": {"mass": 1.0, "position": [2.0, 0.0]} for i in range(len(damping))},
+        "forces": {
+            f"spring{i}": {
+                "type": "law",
+                "law": "mbdkit:linear",
+                "pathway": along_x | {"bodies": ["ground", f"mass{i}"]},
+                "stiffness": frequency**2,
+                "free_length": 1.0,
+                "damping": 2.0 * ratio * frequency,
+            }
+            for i, ratio in enumerate(damping)
+        },
+    }
+
+
+WITH_STATE: Model = {
+    **pushed(0),
+    "forces": {"push": {"type": "force", "body": "mass", "point": [0.0, 0.0], "value": ["states.lag", "0"]}},
+    "states": {"lag": {"rate": "cos(3*t) - 2*states.lag", "initial": 0.5}},
+}
+"""A mass under a force that is a first-order state."""
+LAG_AT_1 = (2.0 * math.cos(3.0) + 3.0 * math.sin(3.0)) / 13.0 + (0.5 - 2.0 / 13.0) * math.exp(-2.0)
+"""Closed form of this state after 1 s."""

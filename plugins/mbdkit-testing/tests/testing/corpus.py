@@ -20,7 +20,7 @@ from pydantic import BaseModel, ConfigDict, Field
 import mbdkit
 from mbdkit import Claims, EquationsOfMotion, ExpressionLaw, FunctionLaw, Mechanism, StepError, StepMethod, StepState
 from mbdkit.methods import gauss
-from mbdkit.methods.kinds import SciPySolver
+from mbdkit.methods.scipy_solver import SciPySolver
 from mbdkit.registry.catalogue import Registry
 from mbdkit.registry.manager import load_registry
 
@@ -166,6 +166,15 @@ class Endless(RungeKutta):
                 continue
 
 
+class Idle(RungeKutta):
+    """It waits for ever for something that does not change."""
+
+    def step(self, equations: EquationsOfMotion, t: float, state: StepState, h: float) -> StepState:
+        while h > 0.0:
+            pass
+        return state
+
+
 class Stabilized(RungeKutta):
     """It projects after each step although the spec does not ask for it."""
 
@@ -181,24 +190,30 @@ class Midpoint(StepMethod):
     enough, tangent, lazy = 0.0, 1.0, 0.0
 
     def step(self, equations: EquationsOfMotion, t: float, state: StepState, h: float) -> StepState:
-        q0, v0, middle = state.q, state.v, t + h / 2
-        a, lam = equations.accelerations(t, q0, v0)
-        c1, c2, before = h / 2, h * h / 4, math.inf
+        a = self.solved(equations, t, state, t + h / 2, state.q, state.v, h / 2)
+        return state.moved(h * (state.v + h / 2 * a), h * a)
+
+    def solved(
+        self, equations: EquationsOfMotion, t: float, state: StepState, at: float, q0: Any, v0: Any, c: float
+    ) -> np.ndarray:
+        """Return the accelerations a at the time `at` with v = v0 + c a and q = q0 + c v."""
+        a, lam = equations.accelerations(t, state.q, state.v)
+        before = math.inf
         for _ in range(40):
-            q, v = q0 + c1 * (v0 + c1 * a), v0 + c1 * a
+            q, v = q0 + c * (v0 + c * a), v0 + c * a
             matrix = equations.iteration_matrix(
-                middle, q, v, a, lam,
-                damping=self.tangent * c1, stiffness=self.tangent * c2,
-                gamma_v=-self.tangent * c1, residual_q=self.tangent * c2,
+                at, q, v, a, lam,
+                damping=self.tangent * c, stiffness=self.tangent * c * c,
+                gamma_v=-self.tangent * c, residual_q=self.tangent * c * c,
             )  # fmt: skip
-            rows = equations.constraint_jacobian(middle, q) @ a - equations.gamma(middle, q, v)
-            da, dlam = matrix.solve(-equations.residual(middle, q, v, a, lam), -rows)
-            change = equations.relative_change(q, c2 * da)
+            rows = equations.constraint_jacobian(at, q) @ a - equations.gamma(at, q, v)
+            da, dlam = matrix.solve(-equations.residual(at, q, v, a, lam), -rows)
+            change = equations.relative_change(q, c * c * da)
             if change < self.lazy:
-                return state.moved(h * (v0 + c1 * a), h * a)
+                return a
             a, lam = a + da, lam + dlam
             if change <= max(self.enough, 4e-16) or (change >= before / 2 and change < 1e-9):
-                return state.moved(h * (v0 + c1 * a), h * a)
+                return a
             before = change
         raise StepError("newton-failed", "the iteration does not converge")
 
@@ -314,7 +329,7 @@ def no_number(length: float, rate: float, time: float, p: Any) -> tuple[float, f
 # --- the registry ----------------------------------------------------------------------------------------------------
 
 
-def offer(create: Any, options: type[BaseModel] = NoOptions, **claims: Any) -> Registry:
+def offer(create: Any, options: type[BaseModel] = NoOptions, *, dense_output: bool = False, **claims: Any) -> Registry:
     """Return what mbdkit ships and one integrator more, ``acme:mine``."""
     item = mbdkit.IntegratorPlugin(
         name="mine",
@@ -323,6 +338,7 @@ def offer(create: Any, options: type[BaseModel] = NoOptions, **claims: Any) -> R
         create=create,
         claims=lambda options: Claims(**{"drift": "of the method's order"} | claims),
         references=("@misc{acme}",),
+        dense_output=dense_output,
     )
     return _with(mbdkit_integrators=item)
 

@@ -9,7 +9,7 @@ import numpy as np
 import scipy.integrate
 
 from mbdkit import EquationsOfMotion, FunctionLaw, StepState
-from mbdkit.methods.kinds import SciPySolver
+from mbdkit.methods.scipy_solver import SciPySolver
 
 from . import corpus
 from .corpus import RungeKutta

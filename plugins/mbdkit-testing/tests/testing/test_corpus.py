@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import time
 from typing import Any
 
 import pytest
@@ -10,9 +11,10 @@ import pytest
 import mbdkit
 from mbdkit.registry.catalogue import Registry
 from mbdkit_testing import Result, checks_of, verify
+from mbdkit_testing.check import Check
 from mbdkit_testing.kit import plugin_under_test
 
-from . import corpus, subtle
+from . import corpus, overclaims, subtle
 
 RK4 = {"order": 4, "needs": ("accelerations",)}
 MIDPOINT = {"order": 2, "needs": ("tangents",), "symmetric": True, "symplectic": True, "quadratic_invariants": True}
@@ -201,11 +203,48 @@ def test_what_is_wrong_is_caught_by_the_check_that_says_so(name: str) -> None:
     assert found.cause
 
 
+@pytest.mark.parametrize("name", overclaims.WRONG)
+def test_what_claims_too_much_is_refused_for_the_right_reason(name: str) -> None:
+    installed, check, cause = overclaims.WRONG[name]
+    found = outcome("integrator", installed, check)
+    assert found.outcome == "fail", found
+    assert cause in found.cause
+
+
+@pytest.mark.parametrize(
+    "check", [pytest.param(x, marks=[pytest.mark.slow] * (x == "geometry.conserved-energy")) for x in overclaims.RIGHT]
+)
+def test_a_claim_that_holds_is_not_refused(check: str) -> None:
+    found = outcome("integrator", overclaims.RIGHT[check], check)
+    assert found.outcome == ("skip" if check == "restart.state" else "pass"), found
+
+
 def test_a_method_that_tries_for_ever_is_cut_short(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("mbdkit_testing.check.TIME_LIMIT", 1.0)
+    monkeypatch.setattr("mbdkit_testing.check.WORK_LIMIT", 10_000)
     found = outcome("integrator", corpus.offer_method(corpus.Endless, **RK4), "failure.not-a-number")
     assert found.outcome == "fail"
-    assert found.cause == "it did not finish within 1 s"
+    assert found.cause == "it did not finish within 10000 evaluations of the equations"
+
+
+def test_a_method_that_loops_without_evaluations_is_cut_short_by_its_processor_time(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr("mbdkit_testing.check.PROCESSOR_LIMIT", 0.5)
+    found = outcome("integrator", corpus.offer_method(corpus.Idle, **RK4), "state.free-fall")
+    assert found.outcome == "fail"
+    assert found.cause == "it did not finish within 0.5 s of processor time"
+
+
+def test_waiting_does_not_count_against_a_check(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("mbdkit_testing.check.PROCESSOR_LIMIT", 0.2)
+
+    def wait(method: str) -> Result:
+        time.sleep(0.4)
+        return Result("pass")
+
+    found = Check("state.slow", wait).run("a method")
+    assert found.outcome == "pass"
+    assert found.seconds < 0.2
 
 
 def test_an_under_claim_is_a_warning_and_no_failure() -> None:

@@ -131,7 +131,8 @@ class Touched:
 def verdict(study: Study) -> Verdict:
     """Return the verdict on the packaged study `contact`."""
     found = [_of(study, point) for point in study.points if point.family != "painleve"]
-    claims = told((_exact(found), _first_order(found), _closed(found), _softer(found), _painleve(study)))
+    own = [one for one in found if one.method not in study.spec.added]
+    claims = told((_exact(own), _first_order(own), _closed(own), _softer(own), _painleve(study)))
     rows = [
         (
             one.case, one.method, one.step or "adaptive", one.state or two(one.error),

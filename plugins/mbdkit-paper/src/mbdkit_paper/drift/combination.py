@@ -12,7 +12,7 @@ import numpy as np
 from mbdkit_report.analysis.energy import SURE
 from mbdkit_report.analysis.order import observed_order
 from mbdkit_report.analysis.verdict import Cell
-from mbdkit_studies.point_selection import STEP, Points
+from mbdkit_studies.point_selection import STEP, Points, family
 
 if TYPE_CHECKING:
     from mbdkit_studies.study import Study
@@ -136,8 +136,8 @@ def combinations(study: Study) -> list[Combination]:
         raise ValueError(f"the study needs pairs of families NAME and NAME{LONG}, but has none")
     found = []
     for name in names:
-        short, long = Points(study.family(name)), Points(study.family(f"{name}{LONG}"))
-        for method in short.labels(COMBINATION):
+        short, long = family(study, name), family(study, f"{name}{LONG}")
+        for method in dict.fromkeys((*short.labels(COMBINATION), *long.labels(COMBINATION))):
             at = {COMBINATION: method}
             found.append(_combination(name, str(method), short.at(at), long.at(at)))
     return found
@@ -207,6 +207,8 @@ def _order(points: Points, column: str, scale: float) -> float | Undetermined:
     if state := state_of(points):
         return state
     steps, errors = points.along(STEP, column)
+    if not len(steps):
+        return "adaptive"
     floor = max(observed_order(steps, errors).floor, EPSILON * scale)
     for agree in CLOSE:
         found = _finest(steps, errors, floor, agree)

@@ -17,14 +17,14 @@ DRAWN = ("RK4", "Gauss 2", "Radau IIA 3", "Generalized-alpha", "RATTLE")
 """Methods whose errors are drawn, with all formulations and stabilizations; more lines would not be legible."""
 
 
-def errors(found: Sequence[Combination]) -> tuple[Figure, ...]:
-    """Return one figure per mechanism of the errors of positions against the step."""
+def errors(found: Sequence[Combination], added: Collection[str] = ()) -> tuple[Figure, ...]:
+    """Return one figure per mechanism of the errors of positions against the step, also of added methods."""
     figures = []
     for mechanism in dict.fromkeys(one.mechanism for one in found):
         lines = []
         for one in found:
             group = one.method.partition(",")[0]
-            if one.mechanism == mechanism and one.errors and group in DRAWN:
+            if one.mechanism == mechanism and one.errors and (group in DRAWN or one.method in added):
                 steps = sorted(one.errors)
                 seen = np.array([one.errors[step] for step in steps])
                 lines.append(Line(one.method, np.array(steps), np.where(seen > 0, seen, np.nan), "both", one.method))

@@ -60,9 +60,10 @@ def verdict(study: Study) -> Verdict:
     """
     found = combinations(study)
     table = Table("drift", "Results by combination", COLUMNS, tuple(_rows(found)), NOTE, headline=True)
-    claims = [_orders(found, *expected) for expected in EXPECTED]
-    claims += [_projection_keeps_the_order(found), _projection_cuts_the_error(found)]
-    claims += [_reversibility(found), _energy(found)]
+    own = [one for one in found if one.method not in study.spec.added]
+    claims = [_orders(own, *expected) for expected in EXPECTED]
+    claims += [_projection_keeps_the_order(own), _projection_cuts_the_error(own)]
+    claims += [_reversibility(own), _energy(own)]
     decided = told(claims)
     return Verdict(
         "drift",
@@ -70,7 +71,7 @@ def verdict(study: Study) -> Verdict:
         " ".join(claim.sentence for claim in decided if claim.answer is not Answer.OPEN),
         decided,
         (table,),
-        errors(found) + energies(study, (PLAIN, ORDINARY, SYMMETRIC)),
+        errors(found, study.spec.added) + energies(study, (PLAIN, ORDINARY, SYMMETRIC, *study.spec.added)),
         _notes(found),
     )
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING
 
+from mbdkit_paper.paper.published_results import METHODS
 from mbdkit_report.analysis.verdict import Answer, Cell, Claim, Table, columns_of
 from mbdkit_report.figures.quantity_text import least_most
 from mbdkit_studies.point_selection import METHOD, MODEL, STEP, family, value
@@ -29,6 +30,8 @@ def coordinates(study: Study) -> tuple[Claim, Table]:
         label, method = str(point.axes[COORDINATES]), str(point.axes[METHOD])
         apart, error = value(point, "misalignment_max"), value(point, "end_error")
         rows.append((point.axes[MODEL], method, label, point.axes[STEP], apart, error))
+        if method not in METHODS:  # it was added
+            continue
         drift[label].setdefault(method, []).append(apart)
         errors.setdefault((method, point.axes[MODEL], point.axes[STEP]), {})[label] = error
     pairs = [pair for pair in errors.values() if len(pair) == 2]

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from mbdkit_paper.paper.published_results import GAUSS2, GAUSS3, METHODS, PAPER_STEP
+from mbdkit_paper.paper.published_results import GAUSS2, GAUSS3, METHODS, PAPER_STEP, methods_of
 from mbdkit_report.analysis.verdict import (
     Answer,
     Axis,
@@ -82,25 +82,26 @@ def _crossing(steps: np.ndarray, values: np.ndarray, inner: int, outer: int, wan
 def knee(study: Study) -> tuple[tuple[Claim, ...], Table, Figure]:
     """Test the predictions for the knee linkage over a range of steps."""
     points = family(study, "knee")
+    methods = methods_of(points)
     rows: list[tuple[Cell, ...]] = []
     spans: dict[tuple[str, str], tuple[float, float]] = {}
     curves: dict[tuple[str, str], tuple[np.ndarray, np.ndarray]] = {}
     for springs in (SPRING, FREE):
-        for method in METHODS:
+        for method in methods:
             steps, values = points.at({METHOD: method, "model.springs": springs}).along(STEP, "misalignment_max")
             curves[springs, method] = steps, 1e3 * values
             if method in PREDICTED:
                 spans[springs, method] = steps_within(steps, 1e3 * values, PREDICTED[method])
     for springs in (SPRING, FREE):
         for k, step in enumerate(curves[springs, GAUSS2][0]):
-            found = [float(curves[springs, method][1][k]) for method in METHODS]
+            found = [float(curves[springs, method][1][k]) for method in methods]
             rows.append(
                 (springs, float(step), *found, *(str(PREDICTED[m].holds(found[METHODS.index(m)])) for m in PREDICTED))
             )
     period = swing(study)
     claims = [_knee_claim(method, curves, spans, period) for method in PREDICTED]
     claims.append(_both_claim(spans))
-    columns = (Column("knee"), Column("step", "s"), *(Column(method, "mm") for method in METHODS))
+    columns = (Column("knee"), Column("step", "s"), *(Column(method, "mm") for method in methods))
     columns += tuple(Column(f"{method} as predicted") for method in PREDICTED)
     table = Table(
         "knee-prediction",
@@ -112,7 +113,7 @@ def knee(study: Study) -> tuple[tuple[Claim, ...], Table, Figure]:
     lines = tuple(
         Line(f"{method}, {springs}", *curves[springs, method], "both", method)
         for springs in (SPRING, FREE)
-        for method in METHODS
+        for method in methods
     )
     figure = Figure(
         "knee-prediction",
@@ -223,7 +224,7 @@ def joints(study: Study) -> tuple[Claim, Table, Figure]:
     steps = [float(step) for step in points.labels(STEP)]
     curves = {
         (method, step): points.at({METHOD: method, STEP: step}).along("model.n", "misalignment_max")
-        for method in METHODS
+        for method in methods_of(points)
         for step in steps
     }
     factors = {key: values[1:] / values[:-1] for key, (_, values) in curves.items()}
@@ -255,6 +256,7 @@ def joints(study: Study) -> tuple[Claim, Table, Figure]:
     lines = tuple(
         Line(f"{method}, h = {step:g} s", numbers, values, "both", method)
         for (method, step), (numbers, values) in curves.items()
+        if len(numbers)
     )
     figure = Figure(
         "joints-chain",

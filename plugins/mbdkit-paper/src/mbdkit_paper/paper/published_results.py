@@ -21,7 +21,7 @@ from mbdkit_report.analysis.verdict import (
     exceeds,
     together,
 )
-from mbdkit_studies.point_selection import METHOD, MODEL, STEP, family, value
+from mbdkit_studies.point_selection import METHOD, MODEL, STEP, Points, family, value
 
 if TYPE_CHECKING:
     from mbdkit.archive.run import Run
@@ -30,6 +30,7 @@ if TYPE_CHECKING:
 
 GILL, GAUSS2, GAUSS3 = "RK-Gill", "Gauss 2", "Gauss 3"
 METHODS = (GILL, GAUSS2, GAUSS3)
+"""The methods of the paper. Methods that were added to the study appear in its tables and figures, not in claims."""
 
 #: Misalignment stated in the paper [m], by model and method.
 PUBLISHED = {("single", GAUSS2): 1e-6, ("double", GAUSS2): 1e-5, ("single", GAUSS3): 1e-10, ("double", GAUSS3): 1e-8}
@@ -38,6 +39,11 @@ PAPER_STEP = 0.1
 
 VISIBLE = 0.01
 """Distances between two paths above this share of the length of the pendulum are visible in a figure."""
+
+
+def methods_of(points: Points) -> tuple[str, ...]:
+    """Return the methods of the paper, and then others that points have."""
+    return tuple(dict.fromkeys((*METHODS, *map(str, points.labels(METHOD)))))
 
 
 def magnitudes(study: Study) -> tuple[Claim, Table]:
@@ -171,7 +177,7 @@ def trajectories(study: Study) -> tuple[Claim, tuple[Figure, ...], tuple[Figure,
                     }
         size = 1.0 if name == "one-metre" else 20.0
         size *= 2 if model == "double" else 1
-        apart[f"{name} {model}"] = _apart(path) / size
+        apart[f"{name} {model}"] = _apart({method: path[method] for method in METHODS if method in path}) / size
         label = model if name == "published" else f"{model}-one-metre"
         paths.append(_path_figure(label, path, size))
         if name == "published":

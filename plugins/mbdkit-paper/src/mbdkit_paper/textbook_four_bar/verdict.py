@@ -93,11 +93,12 @@ def verdict(study: Study) -> Verdict:
                 if point.axes.get(STEP) == DRAWN_STEP:
                     gaps = np.linalg.norm(opening, axis=1)
                     drifts.append(Line(method, instants, np.where(gaps > 0, gaps, np.nan), "line", method))
+    own = {method: curve for method, curve in curves.items() if method not in study.spec.added}
     claims = told(
         (
             _repeated(book, fine, shifted),
-            _same_cost(book, curves),
-            *(_reached(target, curves) for target in (DAE, DAE_FINE)),
+            _same_cost(book, own),
+            *(_reached(target, own) for target in (DAE, DAE_FINE)),
         )
     )
     return Verdict(

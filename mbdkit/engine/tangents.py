@@ -1,0 +1,77 @@
+"""The constraint Jacobian and the tangents as sparse arrays, whose patterns are determined once."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from copy import copy
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from mbdkit.engine.iteration_matrix import classes_of
+from mbdkit.engine.kernels.equations import GAMMA_V, JACOBIAN, RESIDUAL_Q
+
+if TYPE_CHECKING:
+    from scipy.sparse import csr_array
+
+    from mbdkit.engine.workspace import Workspace
+
+
+@dataclass(frozen=True)
+class Tangents:
+    """Derivatives of the equations of motion for implicit methods, as sparse arrays.
+
+    Their patterns do not depend on the state; the index arrays are shared and read-only, the values are new.
+    """
+
+    stiffness: csr_array
+    """(n, n) K = d(Phi_q^T lam - Q)/dq."""
+    damping: csr_array
+    """(n, n) C = -dQ/dv."""
+    gamma_v: csr_array
+    """(m, n) d gamma/dv = -2 d(Phi_q v + Phi_t)/dq, minus 2 alpha Phi_q with Baumgarte's terms."""
+    residual_q: csr_array
+    """(m, n) d(Phi_q a - gamma)/dq."""
+
+
+class SparseParts:
+    """Sparse arrays that are sums of terms of some classes: (n, n), or (m, n) for classes of constraint rows.
+
+    Parameters
+    ----------
+    workspace
+        The workspace that evaluates the terms.
+    classes
+        Class of the terms of each array.
+    """
+
+    def __init__(self, workspace: Workspace, classes: Iterable[int]):
+        from scipy.sparse import csr_array
+
+        n, class_of = 3 * len(workspace.mechanism.bodies), classes_of(workspace)
+        sources, places = [], []
+        self._patterns: list[tuple[slice, csr_array]] = []
+        self._count = 0
+        for one in classes:
+            first, rows = (n, workspace.unknowns - n) if one in (JACOBIAN, GAMMA_V, RESIDUAL_Q) else (0, n)
+            terms = workspace.terms.kept((class_of == one) & (workspace.terms.row >= first))
+            entries, which = np.unique((terms.row - first) * n + terms.column, return_inverse=True)
+            pattern = csr_array((np.zeros(len(entries)), (entries // n, entries % n)), shape=(rows, n))
+            assert pattern.has_canonical_format
+            pattern.indices.flags.writeable = pattern.indptr.flags.writeable = False
+            sources.append(terms.source)
+            places.append(self._count + which)
+            self._patterns.append((slice(self._count, self._count + len(entries)), pattern))
+            self._count += len(entries)
+        self._source, self._place = np.concatenate(sources), np.concatenate(places)
+
+    def arrays(self, source: np.ndarray) -> list[csr_array]:
+        """Return the arrays for the values `source` of all terms."""
+        values = np.bincount(self._place, source[self._source], self._count)
+        found = []
+        for part, pattern in self._patterns:
+            array = copy(pattern)  # shares its indices; a tenth of the time of a new array, which checks them
+            array.data = values[part]
+            found.append(array)
+        return found

@@ -1,0 +1,102 @@
+"""Control of the steps of methods in Python, by the error estimates of the method or by the method itself."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from mbdkit.integrators.reached import Reached, RejectedError
+from mbdkit.integrators.step_control import (
+    MIN_LAST_ERROR,
+    SOLVER_FAILURE_FACTOR,
+    Control,
+    ControlData,
+    control_data,
+    factor_after_acceptance,
+    factor_after_rejection,
+    first_step,
+    unit_of_length,
+)
+
+if TYPE_CHECKING:
+    from mbdkit.engine.workspace import Workspace
+    from mbdkit.integrators.interface import Timetable
+    from mbdkit.methods.kinds import Tolerances
+    from mbdkit.methods.step_methods import Step, StepState
+
+MEMORY = 0.2
+"""Influence of the previous error on the size of the next step; see `Control.memory`."""
+SMALLEST = 16.0 * float(np.finfo(float).eps)
+"""Smallest step, relative to the larger of the times at the start and the end of the run [s]."""
+
+
+class HostControl:
+    """Accepts and rejects controlled steps, and chooses their sizes.
+
+    Parameters
+    ----------
+    tolerances
+        Tolerances of the method.
+    error_order
+        Order p of its error estimate, whose size is O(h^(p + 1)).
+    workspace, timetable
+        The run.
+    """
+
+    def __init__(self, tolerances: Tolerances, error_order: float, workspace: Workspace, timetable: Timetable):
+        self._rtol, mechanism = tolerances.rtol, workspace.mechanism
+        length = unit_of_length(tolerances.by_size, mechanism)
+        bodies = np.tile([length, length, 1.0], 2 * len(mechanism.bodies))
+        self._atol = tolerances.atol * np.concatenate([bodies, np.ones(len(mechanism.states))])
+        self._given = tolerances
+        self._data: dict[float, ControlData] = {}
+        self._longest = math.inf if tolerances.max_step is None else tolerances.max_step
+        span = timetable.end - timetable.start
+        self.smallest = SMALLEST * max(abs(timetable.start), abs(timetable.end), span)
+        self._order = error_order
+        if timetable.step is not None:
+            self.first = min(span, timetable.step)
+        else:
+            self.first = min(span, first_step(workspace, span, self._of_order(error_order)), self._longest)
+
+    def _of_order(self, order: float) -> Control:
+        k = order + 1.0
+        return Control(self._given.rtol, self._given.atol, order=k, estimate_order=k, memory=MEMORY)
+
+    def norm(self, error: np.ndarray, begin: StepState, end: StepState) -> float:
+        """Return the root mean square of an error (2 n + Z,) over ``atol + rtol |y|``, y the larger of both ends."""
+        y0, y1 = (np.concatenate([state.q, state.v, state.z]) for state in (begin, end))
+        scale = self._atol[: len(y0)] + self._rtol * np.maximum(np.abs(y0), np.abs(y1))
+        with np.errstate(all="ignore"):
+            return float(np.sqrt(np.mean((error / scale) ** 2)))
+
+    def judge(self, made: Step, h: float, begin: Reached, *, retrying: bool) -> tuple[float, float]:
+        """Return the size of the next step [s], and the error of this one relative to its tolerance.
+
+        Raises
+        ------
+        RejectedError
+            If the step is not accepted.
+        """
+        if made.next_step is not None or not made.accepted or made.error is None:
+            if not made.accepted:
+                raise RejectedError(self._limited(0.5 * h if made.next_step is None else made.next_step))
+            return self._limited(begin.size if made.next_step is None else made.next_step), 0.0
+        order = self._order if begin.order is None else begin.order
+        if order not in self._data:
+            self._data[order] = control_data(self._of_order(order), self.smallest)
+        data = self._data[order]
+        error = self.norm(made.error, begin.state, made.state)
+        if not error <= 1.0:
+            raise RejectedError(h * float(factor_after_rejection(data, math.isfinite(error), error)))
+        factor = float(factor_after_acceptance(data, max(error, 1e-10), begin.error, int(retrying)))
+        return self._limited(h * factor), max(error, MIN_LAST_ERROR)
+
+    def after_failure(self, h: float) -> float:
+        """Return the size of the next attempt after a step that could not be taken [s]."""
+        return SOLVER_FAILURE_FACTOR * h
+
+    def _limited(self, size: float) -> float:
+        return min(size, self._longest)

@@ -1,0 +1,133 @@
+"""Methods that are added to a study join it as they can, and change nothing of its own runs."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+
+import mbdkit
+from mbdkit import SpecError
+from mbdkit_studies.added_methods import with_methods
+from mbdkit_studies.judge import judge
+from mbdkit_studies.planned_points import PlannedPoints
+from mbdkit_studies.point_selection import IN_TOLERANCES, Points
+from mbdkit_studies.study_figures import study_figures
+from mbdkit_studies.study_loading import load_study_spec
+
+METHODS: dict[str, Any] = {
+    "mbdkit_study": 1,
+    "base": {"model": {"name": "double-pendulum", "angles": [-1.0, -0.4]}, "time": {"end": 1.0, "step": 0.02}},
+    "axes": [
+        {"integrator": [{"name": "rk4"}, {"label": "Gauss 2", "value": {"name": "gauss"}}]},
+        {"time.step": [0.02, 0.01, 0.005, 0.0025], "output.every": [1, 2, 4, 8]},
+    ],
+    "reference": {"integrator": {"name": "gauss", "stages": 6}, "time.step": 0.0025, "output.every": 8},
+}
+
+
+def hashes(study: mbdkit.Study, methods: set[str]) -> dict[str, str]:
+    """Return the hashes of the data of the runs of some methods, and of the reference runs."""
+    points = [*(point for point in study.points if point.axes["integrator"] in methods), *study.references]
+    return {point.run_id: point.row.data_sha256 for point in points}
+
+
+@pytest.fixture(scope="module")
+def both(tmp_path_factory: pytest.TempPathFactory) -> tuple[mbdkit.Study, mbdkit.Study]:
+    """Return the study, and the study with four further methods."""
+    folder = tmp_path_factory.mktemp("added")
+    further = ["dopri5", "rattle", "{name: scipy-dop853}", {"name": "gauss", "stages": 3}]
+    return mbdkit.study(METHODS, out=folder / "plain"), mbdkit.study(METHODS, out=folder / "with", with_=further)
+
+
+def test_the_runs_of_the_study_stay_the_same_bits(both: tuple[mbdkit.Study, mbdkit.Study]) -> None:
+    plain, added = both
+    own = hashes(plain, {"rk4", "Gauss 2"})
+    assert hashes(added, {"rk4", "Gauss 2"}) == own
+    assert len(own) == 8 + 1
+
+
+def test_added_methods_have_their_order_beside_ours(both: tuple[mbdkit.Study, mbdkit.Study]) -> None:
+    # expected: orders of theory: 5 (Dormand, Prince 1980), 2 (Leimkuhler, Skeel 1994), 6 (Hairer, Wanner 1996, IV.5)
+    added = both[1]
+    assert added.spec.added == ("dopri5", "rattle, index-3", "scipy-dop853", "gauss, stages 3")
+    assert {point.status for point in added.points} == {"complete"}
+    verdict = judge(added)
+    rows = {row[0]: row for row in verdict.table("added").rows}
+    orders = {name: row[8] for name, row in rows.items()}
+    assert orders["dopri5"] == pytest.approx(5, abs=0.3)
+    assert orders["rattle, index-3"] == pytest.approx(2, abs=0.2)
+    assert orders["gauss, stages 3"] == pytest.approx(6, abs=0.3)
+    assert rows["rattle, index-3"][3:6] == pytest.approx((0, 0, "1 of 5"), abs=1e-12)  # it closes the joints
+    assert all(name in verdict.sentence for name in added.spec.added)
+    assert "added" not in {table.name for table in judge(both[0]).tables}
+
+
+def test_a_method_joins_with_its_formulation_and_keeps_the_reference(both: tuple[mbdkit.Study, mbdkit.Study]) -> None:
+    plain, added = both
+    points = [point for point in added.points if point.axes["integrator"] == "rattle, index-3"]
+    assert {point.spec.formulation for point in points} == {"index-3"}
+    assert {point.reference_id for point in points} == {reference.run_id for reference in plain.references}
+
+
+def test_an_adaptive_method_has_tolerances_where_others_have_steps(both: tuple[mbdkit.Study, mbdkit.Study]) -> None:
+    # expected: a tolerance smaller by 1e7 gives an error smaller by at least 1e5
+    points = Points(both[1].family("steps" + IN_TOLERANCES))
+    assert {point.axes["integrator"] for point in points} == {"scipy-dop853"}
+    assert {point.spec.time.step for point in points} == {None}
+    tolerances, errors = points.along("integrator.rtol", "end_error")
+    assert tolerances[-1] / tolerances[0] == pytest.approx(1e7)
+    assert errors[0] < 1e-5 * errors[-1]
+    figures = {figure.name: figure for figure in study_figures(both[1])}
+    drawn = figures["steps-error-at-the-end-over-operations"].lines
+    assert [(line.label, len(line.x)) for line in drawn][-2:] == [("gauss, stages 3", 4), ("scipy-dop853", 8)]
+    names = [row[0] for row in judge(both[1]).table("cost-at-error").rows]
+    assert "steps-tolerances, scipy-dop853" in names
+
+
+@pytest.mark.parametrize(("method", "family"), [("scipy-lsoda", "tolerance"), ("dopri5", "fixed")])
+def test_a_method_joins_the_families_of_its_kind(method: str, family: str) -> None:
+    spec = load_study_spec("textbook-four-bar")
+    points = PlannedPoints(with_methods(spec, method, pytest.fail))
+    added = [point for point in points if point.axes["integrator"] == method]
+    assert {point.family for point in added} == {family}
+    assert len(points) == len(PlannedPoints(spec)) + len(added)
+
+
+def test_families_that_a_method_does_not_suit_are_named() -> None:
+    told: list[str] = []
+    spec = with_methods(load_study_spec("paper"), ["rattle", "scipy-radau"], told.append)
+    assert "rattle, index-3 is left out of 'coordinates': integrator 'rattle' does not support" in told[0]
+    assert "scipy-radau is left out of 'one-metre' and 'knee': the time span varies with the step" in told[1]
+    assert not [point for point in PlannedPoints(spec) if point.family == "knee" and "scipy" in str(point.axes)]
+
+
+def test_a_labelled_value_chooses_the_stabilization() -> None:
+    mine = {"label": "mine", "set": {"integrator": {"name": "gauss", "stages": 4}, "stabilization": "projection"}}
+    points = PlannedPoints(with_methods(load_study_spec("drift"), mine, pytest.fail))
+    added = [point.spec for point in points if point.axes["method"] == "mine"]
+    assert {(spec.stabilized.kind, spec.integrator.model_dump()["stages"]) for spec in added} == {("projection", 4)}
+
+
+@pytest.mark.parametrize(
+    ("study", "method", "wrong"),
+    [
+        ("paper", "dopri", "there is no integrator 'dopri'"),
+        ("paper", "gauss", "is already in this study, as 'Gauss 2'"),
+        ("contact", "moreau-jean", "is already in this study, as 'time-stepping'"),
+        ("contact", "rattle", "event-driven needs an explicit Runge-Kutta method"),
+        ("paper", "{name: gauss, stages: 40}", "stages: should be at most 6, not 40"),
+        ("paper", "[rk4]", "should be the name of an integrator, or a mapping of its name and options"),
+        ("knee-spring", "rk4", "no axis of this study varies the integrator"),
+    ],
+)
+def test_a_method_that_cannot_be_added_is_refused(study: str, method: str, wrong: str) -> None:
+    with pytest.raises(SpecError, match=wrong) as raised:
+        with_methods(load_study_spec(study), method, pytest.fail)
+    assert raised.value.file == f"--with {method}"
+
+
+def test_the_command_refuses_before_anything_runs(mbdkit, in_tmp_path):
+    result = mbdkit("study", "convergence", "--with", "rk4")
+    assert (result.exit_code, result.stderr) == (2, "error: --with rk4: is already in this study, as 'RK4'\n")
+    assert not list(in_tmp_path.iterdir())
