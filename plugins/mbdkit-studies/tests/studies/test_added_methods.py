@@ -109,6 +109,14 @@ def test_a_labelled_value_chooses_the_stabilization() -> None:
     assert {(spec.stabilized.kind, spec.integrator.model_dump()["stages"]) for spec in added} == {("projection", 4)}
 
 
+def test_a_method_takes_the_stabilization_of_the_study_if_it_can() -> None:
+    projected = load_study_spec({**METHODS, "overrides": {"stabilization": "projection"}})
+    points = PlannedPoints(with_methods(projected, ["dopri5", "scipy-radau"], pytest.fail))
+    kinds = {point.axes["integrator"]: point.spec.stabilized.kind for point in points}
+    own = {"rk4": "projection", "Gauss 2": "projection"}
+    assert kinds == own | {"dopri5": "projection", "scipy-radau, not stabilized": "none"}
+
+
 @pytest.mark.parametrize(
     ("study", "method", "wrong"),
     [
@@ -118,7 +126,7 @@ def test_a_labelled_value_chooses_the_stabilization() -> None:
         ("contact", "rattle", "event-driven needs an explicit Runge-Kutta method"),
         ("paper", "{name: gauss, stages: 40}", "stages: should be at most 6, not 40"),
         ("paper", "[rk4]", "should be the name of an integrator, or a mapping of its name and options"),
-        ("knee-spring", "rk4", "no axis of this study varies the integrator"),
+        ("knee-spring", "rk4", "no axis of this study varies the integrator alone"),
     ],
 )
 def test_a_method_that_cannot_be_added_is_refused(study: str, method: str, wrong: str) -> None:
