@@ -233,7 +233,7 @@ def _with(spec: StudySpec, method: AddedMethod, notify: Callable[[str], None]) -
     attempts = [_Attempt(method, dict(zip(_HOW, way, strict=True)), usual, places) for way in ways]
     best = max(attempts, key=lambda attempt: len(attempt.joined) + len(attempt.same))  # the first of equal ones
     if not best.joined:
-        reason = f"is already in this study, as '{best.label}'" if best.same else next(iter(best.refused.values()))
+        reason = f"is already in this study, as '{best.same[0]}'" if best.same else next(iter(best.refused.values()))
         raise SpecError(reason, file=method.given)
     reasons: dict[str, list[str]] = {}
     for name, reason in best.refused.items():
@@ -254,7 +254,7 @@ class _Attempt:
     joined
         Families that the method joins, each with the keys that it sets.
     same
-        Families that have the method already.
+        Labels of the method in the families that have it already.
     refused
         Reasons why the method does not suit other families, by name.
     """
@@ -265,7 +265,7 @@ class _Attempt:
     places: Sequence[_Place]
     label: str = ""
     joined: list[tuple[_Place, dict[str, Any]]] = field(default_factory=list)
-    same: list[_Place] = field(default_factory=list)
+    same: list[str] = field(default_factory=list)
     refused: dict[str, str] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
@@ -300,8 +300,7 @@ class _Attempt:
             spec.mechanism()
             if number == 0:
                 if without is None and (label := same.get(_words(spec))) is not None:
-                    self.same.append(place)
-                    self.label = str(label)
+                    self.same.append(str(label))
                     return
                 problem, integrator = build(spec)[0], make_method(spec)
                 integrator.require_formulation(spec.formulated)

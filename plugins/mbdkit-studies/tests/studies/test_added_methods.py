@@ -94,6 +94,12 @@ def test_a_method_joins_the_families_of_its_kind(method: str, family: str) -> No
     assert len(points) == len(PlannedPoints(spec)) + len(added)
 
 
+def test_a_method_joins_the_families_that_lack_it() -> None:
+    spec = with_methods(load_study_spec("flexible-slider-crank"), "dopri5", pytest.fail)
+    assert spec.added == ("dopri5",)  # not DOPRI5, which the claims of the study are about
+    assert {point.family for point in PlannedPoints(spec) if point.axes["integrator"] == "dopri5"} == {"implicit"}
+
+
 def test_families_that_a_method_does_not_suit_are_named() -> None:
     told: list[str] = []
     spec = with_methods(load_study_spec("paper"), ["rattle", "scipy-radau"], told.append)
