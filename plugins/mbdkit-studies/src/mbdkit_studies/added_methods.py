@@ -230,11 +230,15 @@ def _with(spec: StudySpec, method: AddedMethod, notify: Callable[[str], None]) -
     usual = {key: base.get(key, default) for key, default in _HOW.items()}
     options = {"formulation": method.formulations, "stabilization": method.stabilizations}
     ways = itertools.product(*([usual[key]] * (key in base) + options[key] for key in _HOW))  # the study's own first
-    attempts = [_Attempt(method, dict(zip(_HOW, way, strict=True)), usual, places) for way in ways]
-    best = max(attempts, key=lambda attempt: len(attempt.joined) + len(attempt.same))  # the first of equal ones
+    attempts = []
+    for way in ways:
+        attempts.append(_Attempt(method, dict(zip(_HOW, way, strict=True)), usual, places))
+        if not attempts[-1].refused:
+            break
+    best = min(attempts, key=lambda attempt: len(attempt.refused))  # the first of equal ones
     if not best.joined:
-        reason = f"is already in this study, as '{best.same[0]}'" if best.same else next(iter(best.refused.values()))
-        raise SpecError(reason, file=method.given)
+        reason = next(iter(best.refused.values()), "has fixed steps, but this study varies the tolerance")
+        raise SpecError(f"is already in this study, as '{best.same[0]}'" if best.same else reason, file=method.given)
     reasons: dict[str, list[str]] = {}
     for name, reason in best.refused.items():
         reasons.setdefault(reason.partition("; ")[0], []).append(f"'{name}'")  # without advice
