@@ -9,6 +9,7 @@ import numpy as np
 import mbdkit
 from mbdkit import EquationsOfMotion, StepError, StepMethod, StepState
 from mbdkit.methods import dopri5
+from mbdkit.methods.kinds import SciPySolver
 
 from . import corpus
 from .corpus import Midpoint, RungeKutta
@@ -170,6 +171,14 @@ def pair(*, dense: float = 1.0, error: Any = 1.0, order: int = 5, dense_order: f
     )  # fmt: skip
 
 
+def solver(name: str) -> Any:
+    """Return a solver of SciPy, with the claim of variable order."""
+    return corpus.offer(
+        lambda options: SciPySolver(name, options.rtol, options.atol),
+        corpus.Tolerances, adaptive=True, variable_order=True,
+    )  # fmt: skip
+
+
 RK4: dict[str, Any] = {"order": 4, "needs": ("accelerations",)}
 MIDPOINT: dict[str, Any] = {
     "order": 2, "needs": ("tangents",), "symmetric": True, "symplectic": True, "quadratic_invariants": True,
@@ -181,6 +190,7 @@ _method = corpus.offer_method
 RIGHT = {
     "geometry.conserved-energy": _method(EnergyConserving, order=2, formulations=("index-3",), conserves=("energy",)),
     "stability.l-stable": _method(BDF3, order=3, **STABLE),
+    "tolerance.variable-order": solver("BDF"),
     "restart.state": _method(Unstorable, **RK4, restartable=False),
 }
 """By the check that applies to their claims; nothing is wrong with what it tests. Built-in methods have the others."""
@@ -265,6 +275,11 @@ WRONG = {
         _method(RungeKutta, **RK4, states=True),
         "contract.states",
         "it claims to integrate first-order states, but",
+    ),
+    "variable order of a method of order 5": (
+        solver("RK45"),
+        "tolerance.variable-order",
+        "it claims variable order, but its number of steps follows one power of the tolerance",
     ),
     "rows at an interval": (
         _method(RungeKutta, **RK4, dense_output=True),
