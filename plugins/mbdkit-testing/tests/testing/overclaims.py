@@ -171,12 +171,11 @@ def pair(*, dense: float = 1.0, error: Any = 1.0, order: int = 5, dense_order: f
     )  # fmt: skip
 
 
-def solver(name: str) -> Any:
-    """Return a solver of SciPy, with the claim of variable order."""
+def solver(name: str, **claims: Any) -> Any:
+    """Return a solver of SciPy, with claims."""
     return corpus.offer(
-        lambda options: SciPySolver(name, options.rtol, options.atol),
-        corpus.Tolerances, adaptive=True, variable_order=True,
-    )  # fmt: skip
+        lambda o: SciPySolver(name, o.rtol, o.atol), corpus.Tolerances, adaptive=True, restartable=False, **claims
+    )
 
 
 RK4: dict[str, Any] = {"order": 4, "needs": ("accelerations",)}
@@ -190,7 +189,7 @@ _method = corpus.offer_method
 RIGHT = {
     "geometry.conserved-energy": _method(EnergyConserving, order=2, formulations=("index-3",), conserves=("energy",)),
     "stability.l-stable": _method(BDF3, order=3, **STABLE),
-    "tolerance.variable-order": solver("BDF"),
+    "tolerance.variable-order": solver("BDF", variable_order=True),
     "restart.state": _method(Unstorable, **RK4, restartable=False),
 }
 """By the check that applies to their claims; nothing is wrong with what it tests. Built-in methods have the others."""
@@ -241,6 +240,11 @@ WRONG = {
         "tableau.stability",
         "it claims to be A-stable, but its stability function exceeds 1",
     ),
+    "A-stability of an explicit method with adaptive steps": (
+        solver("RK45", a_stable=True),
+        "stability.a-stable",
+        "it claims to be A-stable, but takes more steps where oscillators are stiffer",
+    ),
     "L-stability of a conservative method": (
         _method(Midpoint, **MIDPOINT, **STABLE),
         "stability.l-stable",
@@ -277,7 +281,7 @@ WRONG = {
         "it claims to integrate first-order states, but",
     ),
     "variable order of a method of order 5": (
-        solver("RK45"),
+        solver("RK45", variable_order=True),
         "tolerance.variable-order",
         "it claims variable order, but its number of steps follows one power of the tolerance",
     ),
