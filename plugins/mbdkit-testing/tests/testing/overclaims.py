@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
+from pydantic import BaseModel, ConfigDict, Field
 
 import mbdkit
 from mbdkit import EquationsOfMotion, StepError, StepMethod, StepState
@@ -178,6 +179,15 @@ def solver(name: str, **claims: Any) -> Any:
     )
 
 
+class DampingOptions(BaseModel):
+    """An option that the method forgets."""
+
+    model_config = ConfigDict(use_attribute_docstrings=True)
+
+    damping: float = Field(default=0.5, ge=0.0, le=1.0)
+    """Numerical damping."""
+
+
 RK4: dict[str, Any] = {"order": 4, "needs": ("accelerations",)}
 MIDPOINT: dict[str, Any] = {
     "order": 2, "needs": ("tangents",), "symmetric": True, "symplectic": True, "quadratic_invariants": True,
@@ -284,6 +294,11 @@ WRONG = {
         solver("RK45", variable_order=True),
         "tolerance.variable-order",
         "it claims variable order, but its number of steps follows one power of the tolerance",
+    ),
+    "an option that the method ignores": (
+        corpus.offer(lambda options: RungeKutta(), DampingOptions, **RK4),
+        "contract.option-effects",
+        "its option damping has no effect",
     ),
     "rows at an interval": (
         _method(RungeKutta, **RK4, dense_output=True),
