@@ -132,9 +132,11 @@ class StepHost(LastStep):
         self._go_to(reached)
         self.workspace.clamp_motions(*self.timetable.sides(reached.passed - (reached.why == "stop")))
         if isinstance(self.method, ExternalMethod) and not reached.why:
+            counted = vars(self.counters).copy()
             self._open(reached.begin, reached.state)
             assert library is not None
             called(f"{type(self.method).__name__}.restore", self.method.restore, library)
+            vars(self.counters).update(counted)
 
     @property
     def first_memory(self) -> Any:
@@ -263,6 +265,11 @@ class StepHost(LastStep):
             try:
                 return begin, *self._after(begin, self._next(begin), self.worst_pairs)
             except RejectedError as rejected:
+                name, tried = type(self.method).__name__, self._next(begin).size
+                if not rejected.size < tried:
+                    raise ValueError(
+                        f"{name} rejects a step of {tried!r} s and asks for one of {rejected.size!r} s, no smaller one"
+                    ) from None
                 self.counters.rejected += 1
                 begin, self._retrying = replace(begin, size=rejected.size), True
                 smallest = 4.0 * margin_of_stops(self.timetable)
@@ -295,8 +302,8 @@ class StepHost(LastStep):
         if plan is None:
             size = table.last_step if n == table.steps else table.step
             plan = Planned(t, size if begin.restart is None else end - t, end, False, True)
-        if begin.size < plan.size:
-            return Planned(t, begin.size, t + begin.size, False, False, is_part=True)
+        if begin.size < plan.size and (size := float(fitted_size(t, begin.size, t + plan.size))) < plan.size:
+            return Planned(t, size, t + size, False, False, is_part=True)
         return plan
 
     def _after(self, begin: Reached, plan: Planned, worst: np.ndarray, theta: float = 1.0) -> tuple[Reached, Taken]:
@@ -318,27 +325,27 @@ class StepHost(LastStep):
             h = end - t
         if not self.equations.arrive(end, new.q, new.v, worst):
             raise self._unsolved(h, StepError("not-finite", "positions or velocities overflowed"))
-        energy, low = self._energies.booked(begin, t, h, taken)
+        energy, low = self._energies.booked(begin, t, h, taken, self._made, self._results)
         iterations, rejected = counters.newton_iterations - iterations, counters.rejected - self._rejected
         interval = begin.interval.after(h, iterations, rejected, taken.correction)
         made, (size, error) = self._made, self._judged
         if plan.is_at_stop and not self._retrying:
             size = max(size, begin.size)  # the stop has shortened the step, not its error
-        base = Reached(
-            done, begin.whole, begin.passed, None, end, new, energy, low, interval,
-            size=size, error=error, order=made.next_order, event=made.event,
-        )  # fmt: skip
-        if is_short and not self._is_fixed:
-            return base, taken
-        if is_short or plan.is_part:
-            return replace(base, restart=end, is_event=True), taken
-        if not plan.is_at_stop or theta < 1.0:
-            whole = begin.whole + 1
+        whole, passed, restart, why = begin.whole, begin.passed, None, ""
+        is_part = (is_short and self._is_fixed) or plan.is_part
+        if is_part:
+            restart = end
+        elif not is_short and plan.is_at_stop and theta == 1.0:
+            whole, passed = whole + plan.is_whole, passed + 1
+            restart, why, end = table.stops[begin.passed], "stop", plan.reached
+        elif not is_short:
+            whole += 1
             is_over = plan.is_whole if not self._is_fixed else whole == table.steps
-            return replace(base, whole=whole, time=table.end if is_over and theta == 1.0 else end), taken
-        whole, restart = begin.whole + plan.is_whole, table.stops[begin.passed]
-        return replace(
-            base, whole=whole, passed=begin.passed + 1, restart=restart, time=plan.reached, why="stop"
+            end = table.end if is_over and theta == 1.0 else end
+        # positional arguments, because this is done in every step
+        return Reached(
+            done, whole, passed, restart, end, new, energy, low, interval, is_part, why, size, error, made.next_order,
+            made.event,
         ), taken  # fmt: skip
 
     def _own_step(self, t: float, state: StepState, h: float, end: float) -> tuple[StepState, float]:

@@ -47,7 +47,7 @@ def _solver(solver: str, jacobian: bool, options: AdaptiveOptions) -> SciPySolve
     return SciPySolver(solver, options.rtol, atol, jacobian, options.max_step, by_size=options.atol is None)
 
 
-def _claims(*needs: str, variable_order: bool = False) -> Callable[[AdaptiveOptions], Claims]:
+def _claims(*needs: str, variable_order: bool = False, a_stable: bool = False) -> Callable[[AdaptiveOptions], Claims]:
     def claims(options: AdaptiveOptions) -> Claims:
         """Return the claims of the solver."""
         return Claims(
@@ -58,6 +58,7 @@ def _claims(*needs: str, variable_order: bool = False) -> Callable[[AdaptiveOpti
             states=True,
             restartable=False,
             variable_order=variable_order,
+            a_stable=a_stable,
         )
 
     return claims
@@ -66,7 +67,8 @@ def _claims(*needs: str, variable_order: bool = False) -> Callable[[AdaptiveOpti
 create_radau, create_dop853, create_lsoda = (
     partial(_solver, solver, jacobian) for solver, jacobian in (("Radau", True), ("DOP853", False), ("LSODA", True))
 )
-claims_of_radau, claims_of_dop853 = _claims("accelerations", "tangents"), _claims("accelerations")
+claims_of_radau = _claims("accelerations", "tangents", a_stable=True)
+claims_of_dop853 = _claims("accelerations")
 claims_of_lsoda = _claims("accelerations", "tangents", variable_order=True)
 REFERENCES_OF_RADAU = (SCIPY, HAIRER_WANNER)
 REFERENCES_OF_DOP853 = (SCIPY, HAIRER_NORSETT_WANNER)

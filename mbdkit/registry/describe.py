@@ -93,7 +93,7 @@ def page(item: Registered) -> str:
     if claims := item.plugin.claimed():
         chosen = item.plugin.name_key == "name" and item.plugin.options.model_fields
         lines += ["", "Claims, with these defaults:" if chosen else "Claims:"]
-        lines += [f"  {name.replace('_', ' ')}: {text}" for name, text in claim_texts(claims)]
+        lines += [f"  {name}: {text}" for name, text in claim_texts(claims)]
     if item.plugin.references:
         lines += ["", "References:", *(textwrap.indent(entry.strip(), "  ") for entry in item.plugin.references)]
     return "\n".join(lines)
@@ -156,14 +156,15 @@ def _entry(report: Report) -> dict[str, Any]:
 
 
 def claim_texts(claims: Mapping[str, Any]) -> list[tuple[str, str]]:
-    """Return name and text of each claim; empty claims are omitted."""
+    """Return name, in words, and text of each claim; empty claims are omitted."""
     texts = []
-    for name, value in claims.items():
+    for key, value in claims.items():
+        name = {"a_stable": "A-stable", "l_stable": "L-stable"}.get(key, key.replace("_", " "))
         if isinstance(value, bool):
             texts.append((name, "yes" if value else "no"))
         elif isinstance(value, Mapping):  # for example, orders by formulation
             for inner, numbers in value.items():
-                shown = [f"{key} {number:g}" for key, number in numbers.items() if number is not None]
+                shown = [f"{what} {number:g}" for what, number in numbers.items() if number is not None]
                 texts.append((f"{name} on {inner}", listed(shown)))
         elif value not in (None, "", ()):
             texts.append((name, listed(value) if isinstance(value, tuple) else str(value)))

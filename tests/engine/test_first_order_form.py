@@ -16,6 +16,8 @@ from mbdkit.spec import load_spec
 from tests.engine.test_equations_of_motion import MECHANISMS, parallelogram, slider_crank, somewhere, symbolic
 
 T = 0.3
+WEIGHTS = ((1, 3 / 4), (2, -3 / 20), (3, 1 / 60))
+"""Distances and weights of central differences of order 6."""
 
 
 def test_rates_and_energies_of_muscles_are_those_recorded() -> None:
@@ -36,6 +38,18 @@ def test_rates_and_energies_of_muscles_are_those_recorded() -> None:
         assert p.potential(t, q, z) == pytest.approx(at["energy/potential"][i], rel=1e-13)
         assert p.kinetic(v) == pytest.approx(at["energy/kinetic"][i], rel=1e-13)
     assert p.counters.rhs_evaluations == 3
+
+
+def test_the_potential_has_the_forces_as_its_gradient() -> None:
+    # expected: the forces at rest of a mechanism without loads, by differences of order 6
+    p = EquationsOfMotion.of(load_spec("spring-pendulum").mechanism())
+    h = 1e-3
+    slope = [
+        sum(w / h * (p.potential(0.0, p.q0 + k * h * e) - p.potential(0.0, p.q0 - k * h * e)) for k, w in WEIGHTS)
+        for e in np.eye(p.n)
+    ]
+    forces = p.forces(0.0, p.q0, np.zeros(p.n))
+    np.testing.assert_allclose(slope, -forces, rtol=0, atol=1e-9 * np.abs(forces).max())
 
 
 def muscle_on(m: mbdkit.Mechanism, first: str, second: str) -> mbdkit.Mechanism:
@@ -100,10 +114,7 @@ def test_the_jacobian_is_the_derivative_of_the_rates(name: str) -> None:
     y, h = np.concatenate([q, v, p.z0]), 5e-6
     expected = np.array(
         [
-            sum(
-                w / h * (rates(y + k * h * unit) - rates(y - k * h * unit))
-                for k, w in ((1, 3 / 4), (2, -3 / 20), (3, 1 / 60))
-            )
+            sum(w / h * (rates(y + k * h * unit) - rates(y - k * h * unit)) for k, w in WEIGHTS)
             for unit in np.eye(len(y))
         ]
     ).T

@@ -62,14 +62,14 @@ class Failing(RungeKutta):
         return super().step(equations, t, state, h)
 
 
-def offering(method: Any, **claims: Any) -> Registry:
+def offering(method: Any, *, dense_output: bool = False, **claims: Any) -> Registry:
     """Return what is installed, and one integrator more, ``acme:mine``, that is the given method."""
 
     @mbdkit.hookimpl
     def mbdkit_integrators() -> Any:
         promised = mbdkit.Claims(**{"order": 4} | claims)
         code = {"options": NoOptions, "create": lambda options: method, "claims": lambda options: promised}
-        return [mbdkit.IntegratorPlugin(name="mine", summary="A method under test", **code)]
+        return [mbdkit.IntegratorPlugin(name="mine", summary="A method under test", dense_output=dense_output, **code)]
 
     ours = [ep for ep in importlib.metadata.entry_points(group="mbdkit") if ep.dist and ep.dist.name == "mbdkit"]
     module = SimpleNamespace(mbdkit_integrators=mbdkit_integrators)

@@ -8,7 +8,7 @@ VI.4; Hairer and Wanner, Solving ODEs II, IV.5; IIID after Chan 1990).
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 import mpmath
 from pydantic import Field
@@ -29,14 +29,21 @@ REFERENCES = (
 DIGITS = 75
 
 
-class LobattoOptions(ImplicitOptions):
+class FixedStepOptions(ImplicitOptions):
+    """Options of an implicit method without an error estimate."""
+
+    adaptive: Literal[False] = False
+    """Steps are fixed."""
+
+
+class LobattoOptions(FixedStepOptions):
     """Options of a Lobatto method with any number of stages."""
 
     stages: Annotated[int, Field(ge=2, le=6)] = 3
     """Number of stages s; the order is 2 s - 2."""
 
 
-class LobattoIIIBOptions(ImplicitOptions):
+class LobattoIIIBOptions(FixedStepOptions):
     """Options of Lobatto IIIB, which needs at least three stages: with two, its rows do not sum to its nodes."""
 
     stages: Annotated[int, Field(ge=3, le=6)] = 3

@@ -169,9 +169,11 @@ class _Place:
             _put(data, others.point(index)[1])
             yield data
 
-    def specs(self, value: Value) -> Iterator[RunSpec]:
-        """Yield the specs of the runs of a method that the family has."""
-        return (RunSpec(**data) for data in self.data(value.value if value.together else {self.key: value.value}))
+    def words_of(self, value: Value) -> str:
+        """Return `_words` of a method that the family has; empty if it is not installed."""
+        with suppress(MbdkitError):
+            return _words(RunSpec(**next(self.data(value.value if value.together else {self.key: value.value}))))
+        return ""
 
 
 def _put(data: dict[str, Any], settings: Sequence[Setting]) -> None:
@@ -194,7 +196,8 @@ def with_methods(
 ) -> StudySpec:
     """Return a study with further methods, each as one more value of every axis of methods.
 
-    A method joins with the first formulation and stabilization of its claims that suit most families. Where the study
+    A method joins with the formulation and stabilization that the study sets, or with the first ones of its claims,
+    whichever suit most families. Where the study
     varies the step, an adaptive method joins in a family of its own, with tolerances in place of steps.
 
     Parameters
@@ -220,14 +223,21 @@ def with_methods(
 def _with(spec: StudySpec, method: AddedMethod, notify: Callable[[str], None]) -> StudySpec:
     places = [place for grid in grids(spec) if (place := _place(grid)) is not None]
     if not places:
-        message = "no axis of this study varies the integrator, so that no method can be added"
+        message = "no axis of this study varies the integrator alone, so that no method can be added"
         raise SpecError(message, file=method.given)
-    ways = itertools.product(method.formulations, method.stabilizations)
-    attempts = [_Attempt(method, dict(zip(_HOW, way, strict=True)), places) for way in ways]
-    best = max(attempts, key=lambda attempt: len(attempt.joined) + len(attempt.same))  # the first of equal ones
+    base = json.loads(places[0].grid.base_json)
+    usual = {key: base.get(key, default) for key, default in _HOW.items()}
+    options = {"formulation": method.formulations, "stabilization": method.stabilizations}
+    ways = itertools.product(*([usual[key]] * (key in base) + options[key] for key in _HOW))  # the study's own first
+    attempts = []
+    for way in ways:
+        attempts.append(_Attempt(method, dict(zip(_HOW, way, strict=True)), usual, places))
+        if not attempts[-1].refused:
+            break
+    best = min(attempts, key=lambda attempt: len(attempt.refused))  # the first of equal ones
     if not best.joined:
-        reason = f"is already in this study, as '{best.label}'" if best.same else next(iter(best.refused.values()))
-        raise SpecError(reason, file=method.given)
+        reason = next(iter(best.refused.values()), "has fixed steps, but this study varies the tolerance")
+        raise SpecError(f"is already in this study, as '{best.same[0]}'" if best.same else reason, file=method.given)
     reasons: dict[str, list[str]] = {}
     for name, reason in best.refused.items():
         reasons.setdefault(reason.partition("; ")[0], []).append(f"'{name}'")  # without advice
@@ -243,28 +253,29 @@ class _Attempt:
     Attributes
     ----------
     label
-        Label of the method, with formulation and stabilization unless these are the defaults.
+        Label of the method, with formulation and stabilization unless these are the `usual` ones of the study.
     joined
         Families that the method joins, each with the keys that it sets.
     same
-        Families that have the method already.
+        Labels of the method in the families that have it already.
     refused
         Reasons why the method does not suit other families, by name.
     """
 
     method: AddedMethod
     how: Mapping[str, Any]
+    usual: Mapping[str, Any]
     places: Sequence[_Place]
     label: str = ""
     joined: list[tuple[_Place, dict[str, Any]]] = field(default_factory=list)
-    same: list[_Place] = field(default_factory=list)
+    same: list[str] = field(default_factory=list)
     refused: dict[str, str] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        told = [value for value, usual in zip(self.how.values(), _HOW.values(), strict=True) if value != usual]
         self.label = self.method.label
         if not self.method.is_labelled:
-            self.label = ", ".join([self.label, *(str(label_of(value)) for value in told)])
+            told = [str(label_of(value)) for key, value in self.how.items() if value != self.usual[key]]
+            self.label = ", ".join([self.label, *("not stabilized" if one == "none" else one for one in told)])
         adaptive, has_tolerances = self.method.claims.adaptive, any(place.varies_tolerances for place in self.places)
         for place in self.places:
             if place.varies_tolerances if not adaptive else has_tolerances and place.step_axis is not None:
@@ -276,7 +287,6 @@ class _Attempt:
 
     def _try(self, place: _Place) -> None:
         """Find out whether the method suits a family; raise SpecError or PluginError if it does not."""
-        first = next(place.specs(place.values[0]))
         base, others = json.loads(place.grid.base_json), set().union(*place.others.values())
         chosen = dict(self.method.settings)
         chosen |= {
@@ -284,16 +294,16 @@ class _Attempt:
         }
         without = None
         if self.method.claims.adaptive:
-            without = self._step_axis(place)
-            chosen |= _without_step(base, first, others if without is None else others - place.keys_set(without))
-        same = {_words(spec): value.label for value in place.values if (spec := _first(place, value)) is not None}
+            without = self._step_axis(place, chosen)
+            span = RunSpec(**next(place.data(chosen))).span
+            chosen |= _without_step(base, span, others if without is None else others - place.keys_set(without))
+        same = {place.words_of(value): value.label for value in place.values}
         for number, data in enumerate(place.data(chosen, without)):
             spec = RunSpec(**data)
             spec.mechanism()
             if number == 0:
                 if without is None and (label := same.get(_words(spec))) is not None:
-                    self.same.append(place)
-                    self.label = str(label)
+                    self.same.append(str(label))
                     return
                 problem, integrator = build(spec)[0], make_method(spec)
                 require_support(spec, integrator, problem.mechanism)
@@ -302,7 +312,7 @@ class _Attempt:
                 RunSpec(**data)
         self.joined.append((place, chosen))
 
-    def _step_axis(self, place: _Place) -> int | None:
+    def _step_axis(self, place: _Place, chosen: Mapping[str, Any]) -> int | None:
         """Return the number of the axis in whose place tolerances vary; None if the step does not vary.
 
         Raises
@@ -317,16 +327,9 @@ class _Attempt:
             raise SpecError("it adapts its step and has no option `rtol`, which would vary in place of the step")
         if not all(key.startswith(("time.", "output.")) for key in place.keys_set(number)):
             raise SpecError("the axis of the step varies other keys, too, so that tolerances cannot take its place")
-        if len({spec.span for spec in place.specs(place.values[0])}) > 1:
+        if len({RunSpec(**data).span for data in place.data(chosen)}) > 1:
             raise SpecError("the time span varies with the step, so that tolerances cannot take the place of steps")
         return number
-
-
-def _first(place: _Place, value: Value) -> RunSpec | None:
-    """Return the spec of the first run of a method of the study; None if it is not installed."""
-    with suppress(MbdkitError):
-        return next(place.specs(value))
-    return None
 
 
 def _words(spec: RunSpec) -> str:
@@ -335,12 +338,11 @@ def _words(spec: RunSpec) -> str:
     return json.dumps([data.get(key) for key in (METHOD, *_HOW)])
 
 
-def _without_step(base: Mapping[str, Any], spec: RunSpec, others: set[str]) -> dict[str, Any]:
+def _without_step(base: Mapping[str, Any], span: tuple[float, float], others: set[str]) -> dict[str, Any]:
     """Return settings that leave the first step to an adaptive method, and keep the time span."""
     if any(key.partition(".")[0] == "time" for key in others):
         return {"time.step": None}
-    start, end = spec.span
-    return {"time": {"start": start, "end": end}} if base["time"].get("steps") else {"time.step": None}
+    return {"time": {"start": span[0], "end": span[1]}} if base["time"].get("steps") else {"time.step": None}
 
 
 def _restored(grid: Grid, chosen: Mapping[str, Any]) -> list[Setting]:

@@ -34,18 +34,21 @@ NOTE = (
 
 
 def with_added_methods(verdict: Verdict, study: Study) -> Verdict:
-    """Return a verdict with a table of the added methods of the study, if there are any, and a sentence on each."""
-    if not study.spec.added:
+    """Return a verdict with a table of the added methods of the study, if there are any, and a sentence on each.
+
+    The verdict on a study with a sample is unchanged, because such a study may have too many runs to compare.
+    """
+    if not study.spec.added or study.spec.has_table:
         return verdict
     rows: list[tuple[Cell, ...]] = []
     sentences = [verdict.sentence]
     for method in study.spec.added:
         points = [point for point in study.points if method in point.axes.values()]
+        places = _places(study, points, method)
         groups: dict[str, list[StudyPoint]] = {}
         for point in points:
             words = [label for label in point.axes.values() if isinstance(label, str) and label != method]
             groups.setdefault(", ".join(filter(None, [point.family, *words])), []).append(point)
-        places = {point.number: place for point in points if (place := _place(study, point, method)) is not None}
         of_method = [_row(method, name, group, places) for name, group in groups.items()]
         rows += of_method
         sentences.append(_sentence(method, points, places, [row[8] for row in of_method]))
@@ -53,19 +56,28 @@ def with_added_methods(verdict: Verdict, study: Study) -> Verdict:
     return replace(verdict, sentence=" ".join(filter(None, sentences)), tables=(*verdict.tables, table))
 
 
-def _place(study: Study, point: StudyPoint, method: str) -> tuple[int, int] | None:
-    """Return the place of a run by misalignment, and the number of complete runs that differ only in the method.
+def _places(study: Study, points: Sequence[StudyPoint], method: str) -> dict[int, tuple[int, int]]:
+    """Return the place of complete runs of a method by misalignment, and the number of runs that differ only in the
+    method, by the number of the point.
 
-    Misalignments near rounding errors share a place. The result is None if the run is not complete, or is the only one.
+    Misalignments near rounding errors share a place. Runs that no other can be compared with are left out.
     """
-    others = {key: label for key, label in point.axes.items() if label != method}
-    rivals = Points(study.family(point.family)).at(others)
-    floor = ROUND_OFF * size_at_start(point)
-    found = [max(drift, floor) for rival in rivals if math.isfinite(drift := value(rival, DRIFT))]
-    mine = max(value(point, DRIFT), floor)
-    if math.isnan(value(point, DRIFT)) or len(found) < 2:
-        return None
-    return 1 + sum(drift < mine for drift in found), len(found)
+    key = next((key for point in points for key, label in point.axes.items() if label == method), "")
+
+    def group(point: StudyPoint) -> tuple[object, ...]:
+        return (point.family, *(item for item in point.axes.items() if item[0] != key))
+
+    found: dict[tuple[object, ...], list[float]] = {}
+    for point in study.points:
+        if math.isfinite(drift := value(point, DRIFT)):
+            found.setdefault(group(point), []).append(drift)
+    places = {}
+    for point in points:
+        rivals = found.get(group(point), [])
+        if math.isfinite(mine := value(point, DRIFT)) and len(rivals) > 1:
+            floor = ROUND_OFF * size_at_start(point)
+            places[point.number] = 1 + sum(max(drift, floor) < max(mine, floor) for drift in rivals), len(rivals)
+    return places
 
 
 def _row(method: str, name: str, points: Sequence[StudyPoint], places: dict[int, tuple[int, int]]) -> tuple[Cell, ...]:
@@ -97,14 +109,17 @@ def _sentence(
     complete = [drift for point in points if math.isfinite(drift := value(point, DRIFT))]
     told = f"Added, {method}: {len(complete)} of {len(points)} runs are complete"
     if complete:
-        told += f", with misalignments of {min(complete):.1e} to {max(complete):.1e} m"
+        told += f", with a misalignment of {_between(complete, '.1e')} m"
     known = [float(order) for order in orders if isinstance(order, float)]
     if known:
-        ends = dict.fromkeys((f"{min(known):.2f}", f"{max(known):.2f}"))
-        told += f"; the observed order of its error is {' to '.join(ends)}"
+        told += f"; the observed order of its error is {_between(known, '.2f')}"
     if places:
         first = sum(place == 1 for place, _ in places.values())
         told += f"; no other method has a smaller misalignment in {first} of {len(places)} comparisons"
     if any(point.family.endswith(IN_TOLERANCES) for point in points):
         told += "; it has tolerances in place of steps"
     return told + "."
+
+
+def _between(values: Sequence[float], form: str) -> str:
+    return " to ".join(dict.fromkeys(format(end, form) for end in (min(values), max(values))))

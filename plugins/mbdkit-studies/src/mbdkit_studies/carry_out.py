@@ -121,9 +121,9 @@ def study(
         Assignments such as ``"time.end=5"`` that are set in the base of every run.
     with_
         Further methods for a study that compares methods: names of integrators, or mappings of a name and options, such
-        as ``{"name": "gauss", "stages": 4}``. Each is one more value on every axis of methods, with the first
-        formulation of its claims that suits the mechanisms. Where the study varies the step, an adaptive method has a
-        family of its own, with tolerances in place of steps.
+        as ``{"name": "gauss", "stages": 4}``. Each is one more value on every axis of methods, with the formulation of
+        the study or the first of its claims that suits the mechanisms. Where the study varies the step, an adaptive
+        method has a family of its own, with tolerances in place of steps.
     overwrite
         Whether to replace an earlier study in the folder: its study.yaml, index, table of values, archives of runs,
         report and charts are removed once the new study has been validated. Other files remain.

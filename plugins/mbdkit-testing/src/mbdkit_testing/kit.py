@@ -36,6 +36,7 @@ from mbdkit_testing.options_under_test import plain_options
 
 INTEGRATOR_CHECKS: tuple[Check[IntegratorUnderTest], ...] = (
     *contract_checks.CHECKS,
+    *option_effect_checks.METHOD_CHECKS,
     *tableau_checks.CHECKS,
     *order_checks.CHECKS,
     *inside_step_checks.CHECKS,

@@ -1,4 +1,4 @@
-"""Requirement on force laws that each option has an effect."""
+"""Requirement on force laws and integrators that each option has an effect."""
 
 from __future__ import annotations
 
@@ -10,10 +10,13 @@ import numpy as np
 from mbdkit.base.errors import SpecError
 from mbdkit.base.text import listed
 from mbdkit.mechanism.force_law import ExpressionLaw
+from mbdkit.registry.catalogue import Registered
 from mbdkit_testing.check import Skip, check
 from mbdkit_testing.check_result import Result, failed, passed, warned
 from mbdkit_testing.force_law_checks import RANDOM_OF_VARIANTS, ForceLawUnderTest
+from mbdkit_testing.integrator_under_test import IntegratorUnderTest, final_state
 from mbdkit_testing.options_under_test import variants
+from mbdkit_testing.trial_models import FORCED_PENDULUM
 
 DRAWS, STRIDE = 16, 2
 """Number of random sets of options at which an option that had no effect before is varied again, and number of changes
@@ -36,7 +39,7 @@ def option_effects(law: ForceLawUnderTest) -> Result:
             f"its {_options(absent)} no effect, because the expressions of the law do not contain "
             f"{'its symbol' if len(absent) == 1 else 'their symbols'}; use or remove {_pronoun(absent)}"
         )
-    for chosen in _choices(law):
+    for chosen in _choices(law.item, law.options):
         for name, other in variants(law.item, chosen):
             option = name.partition(" = ")[0]
             if option in effective:
@@ -65,13 +68,13 @@ def _pronoun(names: list[str]) -> str:
     return "it" if len(names) == 1 else "them"
 
 
-def _choices(law: ForceLawUnderTest) -> Iterator[dict[str, Any]]:
+def _choices(item: Registered, chosen: dict[str, Any]) -> Iterator[dict[str, Any]]:
     """Yield the options under test, and sets of options on a random walk through their variants."""
-    chosen, generator = law.options, np.random.default_rng(5)
+    generator = np.random.default_rng(5)
     yield chosen
     for _ in range(DRAWS):
-        for _ in range(STRIDE * len(law.plugin.options.model_fields)):
-            if others := list(variants(law.item, chosen)):
+        for _ in range(STRIDE * len(item.plugin.options.model_fields)):
+            if others := list(variants(item, chosen)):
                 _, chosen = others[generator.integers(len(others))]
         yield chosen
 
@@ -101,4 +104,43 @@ def _symbols(law: ForceLawUnderTest) -> set[str] | None:
     return {str(symbol) for one in made for symbol in getattr(one, "free_symbols", ())}
 
 
+@check("contract.option-effects")
+def method_option_effects(integrator: IntegratorUnderTest) -> Result:
+    """Each option changes the end of a run or its counters for some values, except limits, such as ``max_step``."""
+    names = [name for name in integrator.plugin.options.model_fields if not name.startswith(("max_", "min_"))]
+    if not names:
+        raise Skip("it has no options, or only limits")
+    tried, effective, ends = set[str](), set[str](), dict[str, bytes]()
+
+    def end(options: dict[str, Any]) -> bytes:
+        key = str(sorted(options.items()))
+        if key not in ends:
+            other = IntegratorUnderTest(integrator.item, options, integrator.installed)
+            time = {"end": 0.6} if other.claims.adaptive else {"end": 0.6, "step": 0.05}
+            with other.run(FORCED_PENDULUM, time) as run:
+                counts = str({name: count for name, count in run.stats.items() if not name.endswith("_s")})
+                ends[key] = final_state(run).tobytes() + counts.encode()
+        return ends[key]
+
+    for chosen in _choices(integrator.item, integrator.options):
+        for name, other in variants(integrator.item, chosen):
+            option = name.partition(" = ")[0]
+            if option in effective or option not in names:
+                continue
+            try:
+                if end(chosen) != end(other):
+                    effective.add(option)
+                tried.add(option)
+            except SpecError:  # the values are refused
+                continue
+        if effective >= set(names):
+            break
+    if idle := [name for name in names if name in tried - effective]:
+        return failed(
+            f"its {_options(idle)} no effect for {DRAWS} random sets of values; use or remove {_pronoun(idle)}"
+        )
+    return passed(options=len(names))
+
+
 CHECKS = (option_effects,)
+METHOD_CHECKS = (method_option_effects,)

@@ -16,9 +16,9 @@ from mbdkit.spec.formulation_choice import choice_of
 from mbdkit.spec.loading import load_spec
 from mbdkit_report.analysis.order import ObservedOrder, observed_order
 from mbdkit_testing.check import Check, Skip, check
-from mbdkit_testing.check_result import Figure, Result, failed, passed, skipped, warned
-from mbdkit_testing.integrator_under_test import IntegratorUnderTest, final_state
-from mbdkit_testing.trial_models import BEAM, DRIVEN_PENDULUM, FORCED_PENDULUM, FOUR_BAR, RESTING, Model, pushed
+from mbdkit_testing.check_result import Figure, Result, failed, passed, skipped, unclaimed, warned
+from mbdkit_testing.integrator_under_test import IntegratorUnderTest, final_state, require_complete
+from mbdkit_testing.trial_models import BEAM, DRIVEN_PENDULUM, FORCED_PENDULUM, FOUR_BAR, ORBIT, RESTING, Model, pushed
 
 PROBLEMS: dict[str, Model] = {
     "forced-pendulum": FORCED_PENDULUM,
@@ -45,6 +45,12 @@ An observed order between the two limits is inconclusive.
 TOLERANCES = (1e-4, 1e-6, 1e-8, 1e-10)
 OBEYS = 10.0
 """Smallest factor by which the error of an adaptive method must decrease over four decades of the tolerance."""
+COUNTED_TOLERANCES, RISES = (1e-2, 1e-4, 1e-7, 1e-9), 1.25
+"""Tolerances at which steps are counted, and the least ratio of p + 1 at the two tight ones to that at the two loose
+ones, for a method of variable order p.
+"""
+NO_GROWTH = 1e-3
+"""Smallest growth of the logarithm of the number of steps, which keeps the order finite."""
 POLYNOMIAL = 1e-13
 NEAR_ROUNDING = 1e-11
 """Errors below this count as rounding, for which the order need not hold."""
@@ -311,6 +317,32 @@ def _with_tolerance(problem: str) -> Check[IntegratorUnderTest]:
     return Check(f"tolerance.{problem}", obeys, slow=problem == "driven-pendulum")
 
 
+@check("tolerance.variable-order")
+def variable_order(integrator: IntegratorUnderTest) -> Result:
+    """The order of a method of variable order rises as the tolerance decreases: the number of steps grows less and
+    less.
+    """
+    claims, known = integrator.claims, integrator.plugin.options.model_fields
+    if not claims.adaptive or "rtol" not in known:
+        raise Skip("it is not an adaptive method with the option `rtol`")
+    counts = list[int]()
+    for rtol in COUNTED_TOLERANCES:
+        options = {name: rtol for name in ("rtol", "atol") if name in known}
+        with integrator.run(ORBIT, {"end": 40.0}, options=options, output={"every": 10**9}) as run:
+            require_complete(run)
+            counts.append(int(run.stats["accepted"]))
+    # the number of steps of a method of order p is proportional to rtol^(-1/(p + 1))
+    growth = np.maximum(np.diff(np.log(counts)), NO_GROWTH)
+    exponents = -np.diff(np.log(COUNTED_TOLERANCES)) / growth
+    loose, tight = float(exponents[0]), float(exponents[-1])
+    figures = {"order_at_loose": round(loose - 1, 2), "order_at_tight": round(tight - 1, 2)}
+    if not claims.variable_order:
+        return unclaimed(**figures)
+    if not tight > RISES * loose:
+        return failed("it claims variable order, but its number of steps follows one power of the tolerance", **figures)
+    return passed(**figures)
+
+
 CHECKS = (
     polynomials,
     *(_on(problem) for problem in USUAL),
@@ -318,4 +350,5 @@ CHECKS = (
     multipliers,
     formulations,
     *(_with_tolerance(problem) for problem in USUAL),
+    variable_order,
 )

@@ -154,7 +154,7 @@ def _model(heading: str, model: type[BaseModel]) -> list[str]:
 
 def _item(item: Registered, level: str = "###", heading: str = "") -> list[str]:
     """Return heading, summary, claims and options of a plugin."""
-    texts = [(name.replace("_", " "), text) for name, text in claim_texts(item.plugin.claimed()) if text != "no"]
+    texts = [(name, text) for name, text in claim_texts(item.plugin.claimed()) if text != "no"]
     claims = "; ".join(name if text == "yes" else f"{name}: {text}" for name, text in texts)
     options = item.plugin.options
     return [

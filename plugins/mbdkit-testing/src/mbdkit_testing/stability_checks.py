@@ -10,7 +10,7 @@ import math
 
 import numpy as np
 
-from mbdkit_testing.check import Skip, check
+from mbdkit_testing.check import STEP_LIMIT, Skip, check
 from mbdkit_testing.check_result import Result, failed, passed, unclaimed
 from mbdkit_testing.integrator_under_test import IntegratorUnderTest
 from mbdkit_testing.trial_models import oscillators
@@ -24,6 +24,11 @@ PRODUCTS = tuple(10.0**power for power in np.linspace(-1.0, 3.0, 13))
 """Moduli of the eigenvalues of the undamped oscillator times the step."""
 STEPS, GROWTH = 80, 1.0 + 1e-6
 """Number of steps, and largest ratio of the amplitudes of their last and second quarters that counts as stable."""
+FREQUENCIES, LOOSE, SMALL, MORE = (1e2, 1e4), 1e-3, 1e-4, 10.0
+"""Frequencies [rad/s], tolerance and relative deflection of oscillators for adaptive methods, and the largest ratio of
+the numbers of steps that counts as stable: what is so small needs small steps only for stability, which are then in
+proportion to the period.
+"""
 DAMPED_STEPS, STIFF, STIFFEST = 4, 1e3, 1e6
 """Number of steps of the test of L-stability, and its two products of eigenvalue and step."""
 LEFT, NEGLIGIBLE = 0.1, 1e-12
@@ -60,7 +65,7 @@ def a_stable(integrator: IntegratorUnderTest) -> Result:
     product of frequency and step.
     """
     if integrator.claims.adaptive:
-        raise Skip("it is adaptive: its steps follow the frequency")
+        return _adaptive(integrator)
     worst, where = 0.0, ""
     for product in PRODUCTS:
         place = f"at a frequency times step of {product:.3g}"
@@ -83,6 +88,24 @@ def a_stable(integrator: IntegratorUnderTest) -> Result:
     if worst > GROWTH:
         return failed(f"it claims to be A-stable, but {where}", **figures)
     return passed(**figures).within({"growth": GROWTH})
+
+
+def _adaptive(integrator: IntegratorUnderTest) -> Result:
+    """Return whether the number of steps is limited where deflections are far below the tolerance."""
+    known = integrator.plugin.options.model_fields
+    if "rtol" not in known:
+        raise Skip("it is adaptive, and has no option `rtol`")
+    options, counts = {name: LOOSE for name in ("rtol", "atol") if name in known}, list[int]()
+    for frequency in FREQUENCIES:
+        model = oscillators(frequency, DAMPING, LOOSE * SMALL)
+        with integrator.run(model, {"end": 1.0}, options=options, output={"every": 10**9}) as run:
+            counts.append(int(run.stats["accepted"]) if run.status == "complete" else STEP_LIMIT)
+    figures = {f"steps_at_{frequency:g}": count for frequency, count in zip(FREQUENCIES, counts, strict=True)}
+    if not integrator.claims.a_stable:
+        return unclaimed(**figures)
+    if counts[1] > MORE * counts[0]:
+        return failed("it claims to be A-stable, but takes more steps where oscillators are stiffer", **figures)
+    return passed(**figures)
 
 
 @check("stability.l-stable")

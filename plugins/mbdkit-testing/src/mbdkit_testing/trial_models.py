@@ -264,15 +264,15 @@ def pushed(power: int) -> Model:
     }
 
 
-def oscillators(frequency: float, damping: tuple[float, ...]) -> Model:
-    """Return masses of 1 kg, each 1 m from its equilibrium at x = 1 m on a linear spring along x, of one undamped
-    frequency [rad/s] and of the given damping ratios.
+def oscillators(frequency: float, damping: tuple[float, ...], deflection: float = 1.0) -> Model:
+    """Return masses of 1 kg, each `deflection` [m] from its equilibrium at x = 1 m on a linear spring along x, of one
+    undamped frequency [rad/s] and of the given damping ratios.
     """
     along_x = {"type": "coordinate", "coordinate": "x"}
     return {
         "name": "mechanism",
         "gravity": [0.0, 0.0],
-        "bodies": {f"mass{i}": {"mass": 1.0, "position": [2.0, 0.0]} for i in range(len(damping))},
+        "bodies": {f"mass{i}": {"mass": 1.0, "position": [1.0 + deflection, 0.0]} for i in range(len(damping))},
         "forces": {
             f"spring{i}": {
                 "type": "law",

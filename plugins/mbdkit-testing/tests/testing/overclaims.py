@@ -5,10 +5,12 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
+from pydantic import BaseModel, ConfigDict, Field
 
 import mbdkit
 from mbdkit import EquationsOfMotion, StepError, StepMethod, StepState
 from mbdkit.methods import dopri5
+from mbdkit.methods.kinds import SciPySolver
 
 from . import corpus
 from .corpus import Midpoint, RungeKutta
@@ -170,6 +172,22 @@ def pair(*, dense: float = 1.0, error: Any = 1.0, order: int = 5, dense_order: f
     )  # fmt: skip
 
 
+def solver(name: str, **claims: Any) -> Any:
+    """Return a solver of SciPy, with claims."""
+    return corpus.offer(
+        lambda o: SciPySolver(name, o.rtol, o.atol), corpus.Tolerances, adaptive=True, restartable=False, **claims
+    )
+
+
+class DampingOptions(BaseModel):
+    """An option that the method forgets."""
+
+    model_config = ConfigDict(use_attribute_docstrings=True)
+
+    damping: float = Field(default=0.5, ge=0.0, le=1.0)
+    """Numerical damping."""
+
+
 RK4: dict[str, Any] = {"order": 4, "needs": ("accelerations",)}
 MIDPOINT: dict[str, Any] = {
     "order": 2, "needs": ("tangents",), "symmetric": True, "symplectic": True, "quadratic_invariants": True,
@@ -181,6 +199,7 @@ _method = corpus.offer_method
 RIGHT = {
     "geometry.conserved-energy": _method(EnergyConserving, order=2, formulations=("index-3",), conserves=("energy",)),
     "stability.l-stable": _method(BDF3, order=3, **STABLE),
+    "tolerance.variable-order": solver("BDF", variable_order=True),
     "restart.state": _method(Unstorable, **RK4, restartable=False),
 }
 """By the check that applies to their claims; nothing is wrong with what it tests. Built-in methods have the others."""
@@ -231,6 +250,11 @@ WRONG = {
         "tableau.stability",
         "it claims to be A-stable, but its stability function exceeds 1",
     ),
+    "A-stability of an explicit method with adaptive steps": (
+        solver("RK45", a_stable=True),
+        "stability.a-stable",
+        "it claims to be A-stable, but takes more steps where oscillators are stiffer",
+    ),
     "L-stability of a conservative method": (
         _method(Midpoint, **MIDPOINT, **STABLE),
         "stability.l-stable",
@@ -265,6 +289,16 @@ WRONG = {
         _method(RungeKutta, **RK4, states=True),
         "contract.states",
         "it claims to integrate first-order states, but",
+    ),
+    "variable order of a method of order 5": (
+        solver("RK45", variable_order=True),
+        "tolerance.variable-order",
+        "it claims variable order, but its number of steps follows one power of the tolerance",
+    ),
+    "an option that the method ignores": (
+        corpus.offer(lambda options: RungeKutta(), DampingOptions, **RK4),
+        "contract.option-effects",
+        "its option damping has no effect",
     ),
     "rows at an interval": (
         _method(RungeKutta, **RK4, dense_output=True),

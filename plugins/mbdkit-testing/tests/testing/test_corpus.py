@@ -170,6 +170,8 @@ WRONG |= {
         "state.resting-starts",
     ),
 }
+WRONG |= {name: ("integrator", installed, check) for name, (installed, check, _) in overclaims.WRONG.items()}
+CAUSES = {name: cause for name, (_, _, cause) in overclaims.WRONG.items()}
 
 
 def outcome(kind: Any, installed: Registry, name: str) -> Result:
@@ -201,14 +203,7 @@ def test_what_is_wrong_is_caught_by_the_check_that_says_so(name: str) -> None:
     found = outcome(kind, installed, expected)
     assert found.outcome == "fail", found
     assert found.cause
-
-
-@pytest.mark.parametrize("name", overclaims.WRONG)
-def test_what_claims_too_much_is_refused_for_the_right_reason(name: str) -> None:
-    installed, check, cause = overclaims.WRONG[name]
-    found = outcome("integrator", installed, check)
-    assert found.outcome == "fail", found
-    assert cause in found.cause
+    assert CAUSES.get(name, "") in found.cause
 
 
 @pytest.mark.parametrize(

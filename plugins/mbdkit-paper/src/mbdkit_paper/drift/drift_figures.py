@@ -41,23 +41,29 @@ def errors(found: Sequence[Combination], added: Collection[str] = ()) -> tuple[F
     return tuple(figures)
 
 
-def energies(study: Study, methods: Collection[str]) -> tuple[Figure, ...]:
-    """Return one figure per mechanism of the energy balance of the long runs of some methods."""
+def energies(study: Study, methods: Collection[str], name: str, title: str) -> tuple[Figure, ...]:
+    """Return one figure per mechanism of the energy balance of the long runs of some methods.
+
+    Parameters
+    ----------
+    name, title
+        First part of the names and the titles of the figures.
+    """
     figures = []
-    for name in study.families:
+    for family in study.families:
         lines = []
-        for point in study.family(name) if name.endswith(LONG) else ():
+        for point in study.family(family) if family.endswith(LONG) else ():
             label = str(point.axes.get(COMBINATION))
             run = study.run(point) if label in methods and point.status == "complete" else None
             if run is not None:
                 with run:
                     lines.append(Line(label, run.time, run.energy.balance, "line", label))
         if lines:
-            mechanism = name.removesuffix(LONG)
+            mechanism = family.removesuffix(LONG)
             figures.append(
                 Figure(
-                    f"energy-{mechanism}",
-                    f"Energy with and without projection: {mechanism}",
+                    f"{name}-{mechanism}",
+                    f"{title}: {mechanism}",
                     "Energy balance of the long run; its slope is the trend, the remainder oscillation.",
                     Axis("time", "s"),
                     Axis("energy balance", "J"),

@@ -71,7 +71,9 @@ def verdict(study: Study) -> Verdict:
         " ".join(claim.sentence for claim in decided if claim.answer is not Answer.OPEN),
         decided,
         (table,),
-        errors(found, study.spec.added) + energies(study, (PLAIN, ORDINARY, SYMMETRIC, *study.spec.added)),
+        errors(found, study.spec.added)
+        + energies(study, (PLAIN, ORDINARY, SYMMETRIC), "energy", "Energy with and without projection")
+        + energies(study, study.spec.added, "energy-added", "Energy of added methods"),
         _notes(found),
     )
 
