@@ -23,6 +23,7 @@ from mbdkit.engine.equations_of_motion import EquationsOfMotion
 from mbdkit.engine.nearest_state import nearest_velocities
 from mbdkit.integrators.step_impulses import SmoothStep
 from mbdkit.integrators.time_stepping import TimeStepping
+from mbdkit.methods.moreau_jean import GeneralizedAlpha
 from mbdkit.methods.step_methods import StepState
 
 MOST_ITERATIONS = 20
@@ -51,6 +52,11 @@ class GeneralizedAlphaSteps(TimeStepping):
         #: Share of a step by which the accelerations a are ahead of w in time; starting with a at this time gives order
         #: 2.
         self.ahead = self.alpha_m - self.alpha_f
+
+    @classmethod
+    def of(cls, method: GeneralizedAlpha) -> GeneralizedAlphaSteps:
+        """Return the steps of a method as described."""
+        return cls(method.spectral_radius)
 
     def smooth(
         self, p: EquationsOfMotion, t: float, state: StepState, h: float, accelerations: tuple[np.ndarray, ...]

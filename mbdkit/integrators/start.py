@@ -1,4 +1,4 @@
-"""Starts a method on a mechanism; tables assign an algorithm to each family of methods."""
+"""Starts a method on a mechanism; a table has the algorithms of compiled methods."""
 
 from __future__ import annotations
 
@@ -14,16 +14,13 @@ from mbdkit.engine.workspace import Workspace
 from mbdkit.integrators.collocation import CompiledCollocation
 from mbdkit.integrators.compiled_method import CompiledMethod
 from mbdkit.integrators.compiled_stepper import CompiledStepper
-from mbdkit.integrators.diagonally_implicit import DiagonallyImplicit
 from mbdkit.integrators.event_driven import EventDriven
 from mbdkit.integrators.explicit import CompiledExplicit
-from mbdkit.integrators.generalized_alpha import GeneralizedAlphaSteps
 from mbdkit.integrators.interface import Stepper, Timetable
 from mbdkit.integrators.lobatto_iiia_iiib import CompiledLobattoPair
 from mbdkit.integrators.step_control import Control, unit_of_length
 from mbdkit.integrators.step_host import StepHost
 from mbdkit.integrators.taylor_series import CompiledTaylor
-from mbdkit.integrators.time_stepping import MoreauJeanSteps
 from mbdkit.methods.kinds import Method, Traits
 
 COMPILED: dict[str, Callable[[Any, Workspace, Control | None], CompiledMethod]] = {
@@ -32,15 +29,7 @@ COMPILED: dict[str, Callable[[Any, Workspace, Control | None], CompiledMethod]] 
     "partitioned": lambda method, workspace, control: CompiledLobattoPair(method, workspace),
     "taylor": lambda method, workspace, control: CompiledTaylor(method, workspace),
 }
-"""For each family of compiled methods, the function that prepares a method; `CompiledStepper` runs all of them."""
-
-IN_PYTHON: dict[str, Callable[[Any, Workspace, Timetable], Stepper]] = {
-    "diagonally-implicit": lambda method, *run: StepHost(DiagonallyImplicit(method), *run),
-    "python": StepHost,
-    "moreau-jean": lambda method, *run: StepHost(MoreauJeanSteps(method.theta), *run),
-    "nonsmooth-generalized-alpha": lambda method, *run: StepHost(GeneralizedAlphaSteps(method.spectral_radius), *run),
-}
-"""For each family whose steps are taken in Python, the function that creates the stepper."""
+"""For each kind of compiled method (`Traits.compiled`), the function that prepares it for `CompiledStepper`."""
 
 
 class NoDerivativeError(MbdkitError, ValueError):
@@ -77,7 +66,7 @@ def compiled_method(method: Method, workspace: Workspace) -> tuple[CompiledMetho
     method.require_formulation(FORMULATIONS[workspace.formulation])
     method.require_mechanism(workspace.mechanism)
     control = step_control(method.traits, workspace.mechanism)
-    return COMPILED[method.traits.family](method, workspace, control), control
+    return COMPILED[method.traits.compiled](method, workspace, control), control
 
 
 def start_method(method: Method, workspace: Workspace, timetable: Timetable) -> Stepper:
@@ -101,14 +90,14 @@ def start_method(method: Method, workspace: Workspace, timetable: Timetable) -> 
     mbdkit.base.errors.UnsupportedMechanismError
         If the method does not support the mechanism.
     """
-    family = method.traits.family
-    treatment = workspace.mechanism.contact_treatment
+    traits, treatment = method.traits, workspace.mechanism.contact_treatment
     if treatment.kind == "event-driven":
-        assert method.traits.tableau is not None
-        return StepHost(EventDriven(method.traits.tableau, treatment), workspace, timetable)
-    if family in IN_PYTHON:
+        assert traits.tableau is not None
+        return StepHost(EventDriven(traits.tableau, treatment), workspace, timetable)
+    if not traits.compiled:
         method.require_formulation(FORMULATIONS[workspace.formulation])
-        return IN_PYTHON[family](method, workspace, timetable)
+        steps: Any = method if traits.steps is None else traits.steps()(method)
+        return StepHost(steps, workspace, timetable)
     compiled, control = compiled_method(method, workspace)
     return CompiledStepper(compiled, workspace, timetable, control)
 

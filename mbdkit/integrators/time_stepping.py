@@ -31,6 +31,7 @@ from mbdkit.integrators.complementarity import PRECISION
 from mbdkit.integrators.contact_state import ContactState, held_step
 from mbdkit.integrators.rigid_contacts import KnownContacts, RigidContacts
 from mbdkit.integrators.step_impulses import MANY, SMALL, SmoothStep, StepImpulses
+from mbdkit.methods.moreau_jean import MoreauJean
 from mbdkit.methods.step_methods import Step, StepMethod, StepState, Why
 
 MOST_HALVINGS = 4
@@ -173,6 +174,11 @@ class MoreauJeanSteps(TimeStepping):
     def __init__(self, theta: float):
         super().__init__()
         self.theta = theta
+
+    @classmethod
+    def of(cls, method: MoreauJean) -> MoreauJeanSteps:
+        """Return the steps of a method as described."""
+        return cls(method.theta)
 
     def smooth(
         self, p: EquationsOfMotion, t: float, state: StepState, h: float, accelerations: tuple[np.ndarray, ...]

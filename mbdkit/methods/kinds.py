@@ -1,19 +1,21 @@
 """Descriptions of integration methods. The `create` function of an integrator plugin returns one of these objects.
 
 Each description has traits, by which the rest of mbdkit decides what can be done with the method.
-`mbdkit.integrators.start.start_method` creates the stepper that executes the method, depending on its family.
+`mbdkit.integrators.start.start_method` creates the stepper that executes the method.
 """
 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 from mbdkit.engine.formulation import INDEX_1, Formulation
 from mbdkit.engine.known_series import require_series
 from mbdkit.methods.tableau import ButcherTableau, TableauError
+from mbdkit.registry.target import Target
 
 if TYPE_CHECKING:
     from mbdkit.engine.compiled_mechanism import CompiledMechanism
@@ -57,8 +59,11 @@ class Traits:
 
     Parameters
     ----------
-    family
-        Key of the method's algorithm in the tables of `mbdkit.integrators.start` and `mbdkit_studies.lane_stepper`.
+    compiled
+        Kind of a compiled method, the key in the tables of `mbdkit.integrators.start` and
+        `mbdkit_studies.lane_stepper`; empty for steps in Python.
+    steps
+        Function that returns the `StepMethod` or `ExternalMethod` from the description; None if it is one itself.
     tableau
         Tableau of the method; None if it is not a Runge-Kutta method, or the tableau is not known.
     tolerances
@@ -87,7 +92,8 @@ class Traits:
         Reason why the state of a run cannot be stored, as a clause; empty if it can.
     """
 
-    family: str
+    compiled: str = ""
+    steps: Target[Callable[[Any], Any]] | None = None
     tableau: ButcherTableau | None = None
     tolerances: Tolerances | None = None
     local_error: LocalError | None = None
@@ -237,7 +243,8 @@ class ImplicitRungeKutta(Method):
         tableau, is_controlled = self.tableau, self.tolerances is not None
         is_together = tableau.is_diagonalisable
         return Traits(
-            "collocation" if is_together else "diagonally-implicit",
+            "collocation" if is_together else "",
+            None if is_together else Target("mbdkit.integrators.diagonally_implicit:DiagonallyImplicit"),
             tableau=tableau,
             tolerances=self.tolerances,
             local_error=LocalError(tableau.order, tableau.stages + 1) if is_controlled else None,

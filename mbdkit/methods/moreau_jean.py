@@ -13,6 +13,7 @@ from pydantic import Field
 from mbdkit.methods.kinds import Method, Traits
 from mbdkit.methods.method_options import Options
 from mbdkit.registry.items import Claims
+from mbdkit.registry.target import Target
 
 JEAN = """@article{jean1999,
   author = {Jean, Michel},
@@ -45,7 +46,12 @@ class MoreauJean(Method):
     @property
     def traits(self) -> Traits:
         """See `Method`."""
-        return Traits("moreau-jean", suits_stiff=True, is_time_stepping=True, integrates_states=False)
+        return Traits(
+            steps=Target("mbdkit.integrators.time_stepping:MoreauJeanSteps.of"),
+            suits_stiff=True,
+            is_time_stepping=True,
+            integrates_states=False,
+        )
 
 
 class GeneralizedAlphaOptions(Options):
@@ -65,8 +71,8 @@ class GeneralizedAlpha(Method):
     @property
     def traits(self) -> Traits:
         """See `Method`."""
-        family = "nonsmooth-generalized-alpha"
-        return Traits(family, suits_stiff=True, is_time_stepping=True, integrates_states=False)
+        steps = Target[Any]("mbdkit.integrators.generalized_alpha:GeneralizedAlphaSteps.of")
+        return Traits(steps=steps, suits_stiff=True, is_time_stepping=True, integrates_states=False)
 
 
 def create_moreau_jean(options: MoreauJeanOptions) -> MoreauJean:

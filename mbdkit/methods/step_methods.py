@@ -204,7 +204,7 @@ class StepMethod(_InPython):
     def traits(self) -> Traits:
         """See `Method`."""
         own: Literal["always", "never"] = "always" if self.carries_multipliers else "never"
-        return Traits("python", tolerances=self.tolerances, own_multipliers=own, integrates_states=None)
+        return Traits(tolerances=self.tolerances, own_multipliers=own, integrates_states=None)
 
     def begin(self, equations: EquationsOfMotion, t: float, state: StepState, why: Why) -> Any:
         """Return the memory for a step that begins anew; None by default, but after a projection the memory is kept.
@@ -279,7 +279,6 @@ class ExternalMethod(_InPython):
         own: Literal["always", "never"] = "always" if self.carries_multipliers else "never"
         why = "" if type(self).save is not ExternalMethod.save else "its library offers no way to store its state"
         return Traits(
-            "python",
             tolerances=self.tolerances,
             suits_stiff=True,
             own_multipliers=own,

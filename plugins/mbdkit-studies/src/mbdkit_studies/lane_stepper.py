@@ -134,7 +134,7 @@ IN_LANES: dict[str, InLanes] = {
     ),
     "collocation": InLanes(drive_collocation, drive_collocation_controlled, collocation_in_lanes),
 }
-"""Vectorized methods by their family."""
+"""Vectorized methods by their kind, `Traits.compiled`."""
 
 
 class LaneStepper:
@@ -144,7 +144,7 @@ class LaneStepper:
     """
 
     def __init__(self, method: Method, workspace: Workspace, rows: int, pivots: StagePivots | None = None):
-        self._in_lanes = IN_LANES[method.traits.family]
+        self._in_lanes = IN_LANES[method.traits.compiled]
         control = step_control(method.traits, workspace.mechanism)
         self.run = new_lane_run(self._in_lanes.bundle(method, workspace, pivots, control), workspace, rows)
         self._pinned = PinnedBundle(self.run)

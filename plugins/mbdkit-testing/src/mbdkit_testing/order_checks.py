@@ -149,7 +149,7 @@ def numbers_of_steps(integrator: IntegratorUnderTest, order: float) -> Iterator[
     Step sizes are at most halved each time, so that the error of a method of an order below 2 falls less.
     """
     ratio = min(2.0, max(4.0 ** (1 / order), 1.05))
-    most = MOST_PYTHON_STEPS if integrator.method().traits.family == "python" else MOST_STEPS
+    most = MOST_PYTHON_STEPS if not integrator.method().traits.compiled else MOST_STEPS
     exact = float(FIRST_STEPS)
     while exact <= most:
         yield round(exact)
@@ -292,7 +292,7 @@ def polynomials(integrator: IntegratorUnderTest) -> Result:
     if first is None:
         return passed(degree=order, defect=worst).within({"defect": POLYNOMIAL})
     cause = f"under the force t^{first} one step of 1 s is not exact, as order {order} requires"
-    if integrator.method().traits.family == "python":
+    if not integrator.method().traits.compiled:
         return warned(f"{cause} of methods that are linear in the forces", defect=worst)
     return failed(cause, defect=worst)
 
