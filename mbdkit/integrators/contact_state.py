@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -77,6 +77,8 @@ class ContactState:
         dissipated yet [J].
     features
         (C,) see `mbdkit.integrators.contact_kinematics.ContactKinematics.held`.
+    between
+        Memory of the method that takes the steps between events; None after an event.
     """
 
     modes: np.ndarray
@@ -99,10 +101,11 @@ class ContactState:
     accelerations: tuple[np.ndarray, ...] = ()
     owed: float = 0.0
     features: np.ndarray | None = None
+    between: Any = None
 
     def after_stop(self) -> ContactState:
         """Return the state after a discontinuity of a motion or load; the next step determines the modes anew."""
-        return replace(self, modes=np.zeros(0, dtype=int), accelerations=())
+        return replace(self, modes=np.zeros(0, dtype=int), accelerations=(), between=None)
 
     def remarks(self) -> tuple[str, ...]:
         """Return sentences about sequences of impacts that were cut short, about impacts computed with another law than

@@ -92,8 +92,8 @@ def start_method(method: Method, workspace: Workspace, timetable: Timetable) -> 
     """
     traits, treatment = method.traits, workspace.mechanism.contact_treatment
     if treatment.kind == "event-driven":
-        assert traits.tableau is not None
-        return StepHost(EventDriven(traits.tableau, treatment), workspace, timetable)
+        between: Any = method if traits.tableau is None else traits.tableau
+        return StepHost(EventDriven(between, treatment), workspace, timetable)
     if not traits.compiled:
         method.require_formulation(FORMULATIONS[workspace.formulation])
         steps: Any = method if traits.steps is None else traits.steps()(method)
@@ -106,8 +106,7 @@ def require_derivatives(method: Method, formulation: Formulation, stabilization:
     """Raise NoDerivativeError unless the steps of a method with this formulation can be differentiated."""
     if not method.traits.has_derivatives:
         raise NoDerivativeError(
-            "steps of explicit Runge-Kutta methods and of collocation methods (gauss, radau-iia) have derivatives; "
-            "taylor, methods of SciPy, methods in Python and Lobatto pairs have none"
+            "only steps of explicit Runge-Kutta methods and of collocation methods (gauss, radau-iia) have derivatives"
         )
     if formulation.coordinates == "joint" and not method.traits.is_explicit:
         raise NoDerivativeError("with joint-coordinates, only steps of explicit Runge-Kutta methods have derivatives")

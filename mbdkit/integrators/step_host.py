@@ -130,6 +130,8 @@ class StepHost(LastStep):
         """
         self._before, self.next_row = reached, next_row
         self._go_to(reached)
+        if reached.why != "start":
+            self.equations.first_step = None
         self.workspace.clamp_motions(*self.timetable.sides(reached.passed - (reached.why == "stop")))
         if isinstance(self.method, ExternalMethod) and not reached.why:
             counted = vars(self.counters).copy()

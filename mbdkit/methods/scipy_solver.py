@@ -58,7 +58,8 @@ class SciPySolver(ExternalMethod):
     @property
     def traits(self) -> Traits:
         """See `Method`."""
-        why = "SciPy offers no way to store the state of its solvers"
+        whose = "SciPy offers" if isinstance(self.solver, str) else "its library offers"
+        why = f"{whose} no way to store the state of its solvers"
         return replace(super().traits, integrates_states=True, why_no_checkpoint=why)
 
     def open(self, equations: EquationsOfMotion, t: float, state: StepState, stop: float) -> None:

@@ -119,7 +119,9 @@ class Step:
     dense
         Function that returns the state (q, v, z) at a share of the step, from 0 at its start to 1 at its end. It may
         return the work and the dissipated energy [J] since the start of the step as well: (q, v, z, work, dissipated).
-        Without it, states within the step come from the cubic through both ends, and first-order states from a line.
+        Without it, states within the step come from the cubic through both ends, and first-order states from a line:
+        events, rows at an interval and energies that the method does not return are then no better than of order 3 or
+        4, however good the step is.
     next_step
         Size of the next step, or of the next attempt if this one is rejected [s]; chosen by the framework if None.
     next_order

@@ -14,7 +14,7 @@ from mbdkit.base.text import listed
 from mbdkit.engine.assembly import AssembledState
 from mbdkit.engine.compiled_mechanism import CompiledMechanism
 from mbdkit.engine.consistent_start import MechanismAtStart, Starts, within_double_precision, workspace_at_start
-from mbdkit.engine.formulation import FORMULATIONS
+from mbdkit.engine.formulation import FORMULATIONS, INDEX_1
 from mbdkit.engine.redundancy import require_unique_start
 from mbdkit.engine.workspace import Workspace
 from mbdkit.integrators.contact_state import HeldForces
@@ -23,6 +23,7 @@ from mbdkit.integrators.interface import Failure, Guards, Timetable
 from mbdkit.measures.take import check_measures
 from mbdkit.mechanism.size import mechanism_size
 from mbdkit.methods.kinds import Method
+from mbdkit.methods.step_methods import StepMethod
 from mbdkit.methods.tableau import TableauError
 from mbdkit.quantities.array import Array
 from mbdkit.quantities.names import archive_names
@@ -196,8 +197,13 @@ def _check_treatment(spec: RunSpec, method: Method) -> None:
         return
     if treatment == "time-stepping" and not traits.is_time_stepping:
         raise spec.placed(SpecError(NEEDS_TIME_STEPPING, key="integrator"))
-    if treatment == "event-driven" and not (traits.is_explicit and traits.tableau and traits.tolerances is None):
-        message = "the treatment event-driven needs an explicit Runge-Kutta method with fixed steps, such as dop853"
+    is_tableau = traits.is_explicit and traits.tableau and traits.tolerances is None
+    needs_accelerations = set(spec.claims.needs) <= {"accelerations"} and not traits.carries_multipliers(INDEX_1)
+    if treatment == "event-driven" and not (is_tableau or (isinstance(method, StepMethod) and needs_accelerations)):
+        message = (
+            "the treatment event-driven needs an explicit Runge-Kutta method with fixed steps, such as dop853, or a "
+            "method written in Python that evaluates accelerations only"
+        )
         raise spec.placed(SpecError(message, key="integrator"))
     if spec.formulated.coordinates == "joint":
         message = "rigid contacts are not available in joint coordinates; use index-1, or compliant contacts"

@@ -114,9 +114,9 @@ def restore_stepper(stepper: StepHost, state: Mapping[str, Any]) -> None:
 
 def _stored_memory(stepper: StepHost, memory: Any) -> dict[str, Any]:
     """Return the memory of a method as an entry of the state of its stepper."""
-    if isinstance(memory, ContactState):
-        return {"contacts": _stored_contacts(memory)}
     try:
+        if isinstance(memory, ContactState):
+            return {"contacts": _stored_contacts(memory)}
         if not hasattr(memory, "stored"):
             return {"memory": _plain(memory)}
         if hasattr(stepper.first_memory, "restored"):
@@ -194,6 +194,7 @@ def _stored_contacts(memory: ContactState) -> dict[str, Any]:
         "reactions": np.array([one.reactions for one in memory.impacts], dtype=float),
         "accelerations": list(memory.accelerations),
         "event": None if memory.event is None else [int(x) for x in memory.event],
+        "between": _plain(memory.between),
     }
     values |= {name: sorted(values[name]) for name in _NAMES}
     for name in _INTEGERS:
@@ -225,6 +226,7 @@ def _contacts_of(state: Mapping[str, Any], n: int, count: int, stepper: StepHost
     values["event"] = None if values["event"] is None else (int(values["event"][0]), int(values["event"][1]))
     if values["event"] is not None and not 0 <= values["event"][1] < count:
         raise ValueError("an event is that of another contact")
+    values["between"] = kept(_unplain(values.get("between")))
     for name in _NAMES:
         values[name] = frozenset(map(str, values.get(name, ())))
     return ContactState(**values)

@@ -19,6 +19,7 @@ from mbdkit.runs.simulation import simulate
 from mbdkit.runs.stored_python_steps import MemoryNotStoredError, restore_stepper, stored_stepper
 from mbdkit.spec import load_spec
 from mbdkit.spec.run_spec import spec_type
+from tests.benchmarks.bits_examples import with_treatment
 from tests.runs.resuming.test_resume import checkpoint_of
 from tests.runs.test_events_set_states import exact as exact_end
 from tests.runs.test_events_set_states import spec_of
@@ -144,6 +145,32 @@ def test_events_that_set_states_end_steps(method: Any) -> None:
     np.testing.assert_allclose(times, np.log(2) * np.arange(1, 8), rtol=0, atol=1e-5)
     at_end = mine.states["charge"].value[-1], mine["rotor"].angular_velocity[-1]
     np.testing.assert_allclose(at_end, exact_end(), rtol=0, atol=1e-5)
+
+
+@pytest.mark.parametrize(
+    ("method", "name", "end"),
+    [(Pair(None), "limit-stop", 0.3), (Pair(1e-8), "bouncing-ball", 0.8)],
+    ids=["fixed", "controlled"],
+)
+def test_methods_that_evaluate_accelerations_meet_rigid_contacts(method: Any, name: str, end: float) -> None:
+    # expected: dop853 in fixed steps, with the same laws of contact and impact
+    given = with_treatment(name, "event-driven")
+    data = {key: part for key, part in given.items() if key not in ("mbdkit", "integrator", "time", "output")}
+    time = {"end": end, "step": 5e-3}
+    exact = mbdkit.run({"mbdkit": 1, "integrator": {"name": "dop853"}, "time": time, **data})
+    mine = run_with(method, **data, time=time).check()
+    for body in exact.bodies:
+        last = exact.bodies[body].position[-1]
+        np.testing.assert_allclose(mine.bodies[body].position[-1], last, rtol=0, atol=1e-5)
+    np.testing.assert_allclose(mine.impacts.time, exact.impacts.time, rtol=0, atol=1e-6)
+
+
+def test_methods_that_need_more_are_refused_with_event_driven_contacts() -> None:
+    registry = offering(RungeKutta(), needs=("tangents",))
+    data = with_treatment("bouncing-ball", "event-driven") | {"integrator": {"name": "mine"}}
+    data["time"] = {"end": 0.1, "step": 1e-3}
+    with pytest.raises(mbdkit.SpecError, match=r"or a method written in Python that evaluates accelerations only"):
+        simulate(spec_type(registry)(**data))
 
 
 def test_errors_follow_the_tolerance_and_steps_are_rejected() -> None:
