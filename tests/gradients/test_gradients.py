@@ -343,7 +343,7 @@ def test_a_misspelt_name_with_a_value_is_refused_without_parameters_too() -> Non
         ({"output": {"interval": 0.1}}, "gradients are not available with `interval`"),
         (
             {"integrator": {"name": "taylor"}, "formulation": "joint-coordinates"},
-            "taylor, methods of SciPy, methods in Python and Lobatto pairs have none",
+            "only steps of explicit Runge-Kutta methods and of collocation methods",
         ),
     ],
 )
