@@ -112,7 +112,7 @@ _INTEGRATORS: dict[Like, _Flavour] = {
         "RODAS3: linearly implicit, order 3, L-stable, controlled steps.",
         "Rodas3",
         "the coefficients, `error_order`, and the dense output;",
-        "scipy>=1.11",
+        "scipy>=1.13",
         accuracy=1e-5,
         controlled=True,
     ),
@@ -121,7 +121,7 @@ _INTEGRATORS: dict[Like, _Flavour] = {
         "RK45 of SciPy: explicit, order 5, controlled steps.",
         "SciPyRK45",
         "the library; a method without `save` and `restore` cannot be resumed, and claims `restartable=False`;",
-        "scipy>=1.11",
+        "scipy>=1.13",
         controlled=True,
     ),
 }
