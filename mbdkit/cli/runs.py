@@ -76,9 +76,9 @@ def run(
     With --resume instead of SPEC, a run that was killed (FILE.h5.part) or interrupted by
     Ctrl-C (FILE.h5, with --overwrite) is continued from its last checkpoint; the results
     are bitwise identical to those of an uninterrupted run.
-    Checkpoints are written every 5 s, except by SciPy's solvers, by methods written in
-    Python, and with --accuracy. Files that its spec names are read only with --files, and
-    only if they have the SHA-256 that FILE lists.
+    Checkpoints are written every 5 s, except by SciPy's solvers, other methods whose state
+    cannot be stored, and with --accuracy. Files that its spec names are read only with
+    --files, and only if they have the SHA-256 that FILE lists.
 
     Gravity is (0, -9.81) m/s^2 unless `model.gravity` of the spec is given.
     """

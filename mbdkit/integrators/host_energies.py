@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -104,16 +105,39 @@ class HostEnergies:
 class HostNodes(KeptNodes):
     """Quadrature nodes of time integrals for methods in Python.
 
-    They are the stages of the method, or else lie on the quintic polynomial through states and accelerations at both
-    ends of the step.
+    They are the stages of the method, or else lie on the dense output of a library, or on the quintic polynomial
+    through states and accelerations at both ends of the step.
     """
 
-    def keep_step(self, equations: EquationsOfMotion, begin: Reached, end: Reached, made: Step, *, whole: bool) -> None:
-        """Store the nodes of a step; `made` is the step, which `end` has shortened if not `whole`."""
+    def keep_step(
+        self,
+        equations: EquationsOfMotion,
+        begin: Reached,
+        end: Reached,
+        made: Step,
+        dense: Callable[[float], tuple[np.ndarray, np.ndarray]] | None,
+        *,
+        whole: bool,
+    ) -> None:
+        """Store the nodes of a step.
+
+        Parameters
+        ----------
+        begin, end
+            Start of the step, and its end, which has been shortened if not `whole`.
+        made
+            The step.
+        dense
+            Function of the share of the step up to `end` that returns positions and velocities (3 (B + 1),); None to
+            use stages or the polynomial.
+        """
         if made.stages is not None and whole:
             time, weight, (q, v) = made.stages
             ground = np.zeros((len(time), 3))
             self._steps.append(Nodes(time, weight, np.hstack([q, ground]), np.hstack([v, ground])))
+            return
+        if dense is not None:
+            self.keep(begin.begin, end.begin, dense)
             return
         t0, t1, ends, accelerations = begin.begin, end.begin, [], []
         for t, state in ((t0, begin.state), (t1, end.state)):

@@ -52,7 +52,8 @@ class LastStep(HostRows):
     def _keep_nodes(self, before: Reached, there: Reached, theta: float = 1.0) -> None:
         """Store quadrature nodes in a step, or in its share `theta`."""
         if self.timetable.nodes:
-            self._nodes.keep_step(self.equations, before, there, self._made, whole=theta == 1.0)
+            dense = (lambda share: self.inside(theta * share)[:2]) if isinstance(self.method, ExternalMethod) else None
+            self._nodes.keep_step(self.equations, before, there, self._made, dense, whole=theta == 1.0)
 
     def inside(self, theta: float) -> Moment:
         """See `Stepper.inside`."""

@@ -109,4 +109,5 @@ class StepResults:
         try:
             return vector(value, size)
         except (TypeError, ValueError) as error:
-            raise ValueError(f"{self._name}.{what} returned an invalid `{name}`: {error}") from None
+            reason = "it is missing (None)" if value is None else str(error)
+            raise ValueError(f"{self._name}.{what} returned an invalid `{name}`: {reason}") from None

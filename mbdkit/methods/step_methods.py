@@ -149,18 +149,7 @@ class Step:
 
 
 class _InPython(Method):
-    """Properties that all methods in Python share.
-
-    Attributes
-    ----------
-    carries_multipliers
-        Whether every state returned by a step has `multipliers`. They are recorded as ``method_multiplier``; the
-        index-1 multipliers are recorded for the initial state.
-    tolerances
-        Tolerances of a method that chooses its steps, as a class attribute or in the instance; None for fixed steps.
-    hint
-        Advice to the user, added to the message when a step fails.
-    """
+    """Properties that all methods in Python share."""
 
     carries_multipliers: ClassVar[bool] = False
     tolerances: Tolerances | None = None
@@ -184,9 +173,15 @@ class StepMethod(_InPython):
 
     Attributes
     ----------
-    carries_multipliers, tolerances, hint
-        See `mbdkit.methods.step_methods`. With `tolerances`, the steps are controlled: by the framework if the steps
-        have an `error`, otherwise by the method itself, which then sets `next_step` and `accepted`.
+    carries_multipliers
+        Whether every state returned by a step has `multipliers`. They are recorded as ``method_multiplier``; the
+        index-1 multipliers are recorded for the initial state.
+    tolerances
+        `mbdkit.Tolerances` of a method that chooses its steps, as a class attribute or in the instance; None for fixed
+        steps. Steps with an `error` are controlled by the framework; otherwise, the method itself sets `next_step` and
+        `accepted`.
+    hint
+        Advice to the user, added to the message when a step fails.
     error_order
         Order p of the error estimate, whose size is O(h^(p + 1)); `Step.next_order` overrides it.
 
@@ -255,8 +250,8 @@ class StepMethod(_InPython):
 class ExternalMethod(_InPython):
     """Base class of methods that are taken by a library with a loop of its own, such as SUNDIALS.
 
-    The library chooses its steps, within `tolerances`. Every run has its own copy (`copy.copy`) of the method, whose
-    attributes may therefore change after `open`.
+    The library chooses its steps. Every run has its own copy (`copy.copy`) of the method, whose attributes may
+    therefore change after `open`. `carries_multipliers`, `tolerances` and `hint` are those of `StepMethod`.
 
     Examples
     --------
