@@ -29,6 +29,12 @@ PLUGINS = {
     "A tableau in ten lines": (10, PENDULUM, {"name": "heun"}),
     "Adaptive steps for a tableau": (24, PENDULUM, {"name": "bs3", "adaptive": True, "rtol": 1e-8, "atol": 1e-8}),
     "An integrator in thirty lines": (30, PENDULUM, {"name": "verlet"}),
+    "A method in twenty lines": (20, PENDULUM, {"name": "bs23"}),
+    "The same method with memory, dense output and controlled steps": (
+        39,
+        PENDULUM,
+        {"name": "bs23", "rtol": 1e-8, "atol": 1e-9},
+    ),
     "A model in twenty lines": (20, {"name": "swing"}, RK4),
     "A force law in eleven lines": (11, BALL, RK4),
     "A measure in ten lines": (10, PENDULUM, RK4),
@@ -69,7 +75,7 @@ def test_a_plugin_runs_as_printed_and_is_no_longer_than_it_says(heading: str, tm
     assert told["verdict"] == "unknown", told["verdict_reasons"]  # the best one without a check
     assert list(told.get("measures", ())) == list(measures)
     assert all(0.0 < told["measures"][name] < 2.0 for name in measures)
-    if "Adaptive" in heading:
+    if "controlled" in heading or "Adaptive" in heading:
         # expected: the end of a run with smaller errors
         ends = [mbdkit.run(spec | {"integrator": {"name": "dop853"}})["rod2"].position[-1]]
         with mbdkit.load(tmp_path / "spec.h5") as run:

@@ -12,7 +12,7 @@ from mbdkit.base.progress_bars import count_bar
 from mbdkit.base.terminal import say, show, show_json, silence
 from mbdkit.base.text import listed
 from mbdkit.cli.common_options import AsJson, Debug, Overwrite, Quiet, output_to
-from mbdkit_testing.scaffold.new_plugin import KINDS, NewKind
+from mbdkit_testing.scaffold.new_plugin import KINDS, LIKE, Like, NewKind
 
 
 def plugins_verify(
@@ -67,6 +67,10 @@ def plugins_verify(
 def plugins_new(
     name: Annotated[str, typer.Argument(metavar="NAME", help="Name of the distribution, such as mbdkit-rocket.")],
     kind: Annotated[NewKind, typer.Option("--kind", metavar="KIND", help=f"Kind of plugin: {listed(KINDS)}.")],
+    like: Annotated[
+        Like | None,
+        typer.Option("--like", metavar="SORT", help=f"Sort of integrator: {listed(LIKE)}; by default adaptive."),
+    ] = None,
     as_json: AsJson = False,
     debug: Debug = False,
 ) -> None:
@@ -77,7 +81,7 @@ def plugins_new(
     """
     from mbdkit_testing.scaffold.new_plugin import new_project
 
-    project = new_project(name, kind)
+    project = new_project(name, kind, like=like)
     if as_json:
         files = sorted(str(path) for path in project.rglob("*") if path.is_file())
         show_json({"path": str(project), "kind": kind, "files": files})

@@ -10,8 +10,10 @@ import tomllib
 import pytest
 
 from mbdkit.base.errors import SpecError
-from mbdkit_testing.scaffold.new_plugin import KINDS, new_project
+from mbdkit_testing.scaffold.new_plugin import KINDS, LIKE, new_project
 from tests.installing import install_project, python
+
+SORTS = [*((kind, None) for kind in KINDS[1:]), *(("integrator", like) for like in LIKE)]
 
 
 @pytest.fixture
@@ -22,7 +24,7 @@ def here(tmp_path, monkeypatch):
 
 @pytest.mark.end_to_end
 @pytest.mark.parametrize(
-    "kind", [pytest.param(x, marks=[] if x == "integrator" else [pytest.mark.slow]) for x in KINDS[:5]]
+    "kind", [pytest.param(x, marks=[] if x == "measure" else [pytest.mark.slow]) for x in KINDS[2:5]]
 )
 def test_a_new_project_passes_its_own_tests_and_runs_its_example(kind, here):
     project = here / new_project(f"mbdkit-new-{kind}", kind)
@@ -41,9 +43,9 @@ def test_a_new_project_passes_its_own_tests_and_runs_its_example(kind, here):
         assert done.returncode == 0, done.stderr
 
 
-@pytest.mark.parametrize("kind", KINDS)
-def test_a_new_project_is_formatted_and_free_of_lint(kind, here):
-    new_project(f"mbdkit-new-{kind}", kind)
+@pytest.mark.parametrize(("kind", "like"), SORTS)
+def test_a_new_project_is_formatted_and_free_of_lint(kind, like, here):
+    new_project(f"mbdkit-new-{kind}", kind, like=like)
     for command in (("format", "--check"), ("check",)):
         done = subprocess.run(
             [sys.executable, "-m", "ruff", *command, "--no-cache", "."], capture_output=True, text=True, check=False
@@ -51,9 +53,9 @@ def test_a_new_project_is_formatted_and_free_of_lint(kind, here):
         assert done.returncode == 0, done.stdout
 
 
-@pytest.mark.parametrize("kind", KINDS)
-def test_a_new_project_describes_itself(kind, here):
-    project = new_project(f"mbdkit-new-{kind}", kind)
+@pytest.mark.parametrize(("kind", "like"), SORTS)
+def test_a_new_project_describes_itself(kind, like, here):
+    project = new_project(f"mbdkit-new-{kind}", kind, like=like)
     described = tomllib.loads((project / "pyproject.toml").read_text())
     assert described["project"]["name"] == project.name
     assert list(described["project"]["entry-points"]["mbdkit"]) == [f"new-{kind}"]
@@ -82,6 +84,11 @@ def test_a_name_that_will_not_do_is_refused_and_nothing_is_made(name, words, her
     with pytest.raises(SpecError, match=words):
         new_project(name, "integrator")
     assert not list(here.iterdir())
+
+
+def test_only_integrators_have_sorts(here):
+    with pytest.raises(SpecError, match="--like is for --kind integrator, not for --kind model"):
+        new_project("mbdkit-rocket", "model", like="dae")
 
 
 @pytest.mark.parametrize("thing", ["folder", "file", "link"])

@@ -8,7 +8,8 @@ import re
 import shutil
 import sys
 import tempfile
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Literal, get_args
@@ -34,6 +35,8 @@ NewKind = Literal[
     "data-criterion",
 ]
 KINDS: tuple[NewKind, ...] = get_args(NewKind)
+Like = Literal["tableau", "adaptive", "multistep", "dae", "rosenbrock", "external"]
+LIKE: tuple[Like, ...] = get_args(Like)
 
 _NAME = re.compile(r"[a-z][a-z0-9]*(-[a-z0-9]+)*")
 
@@ -48,9 +51,9 @@ class _Flavour:
     example: str
     command: str
     todo: tuple[str, ...]
+    words: Mapping[str, object] = field(default_factory=dict)
 
 
-_STUDY = "study.yaml", "mbdkit study {name}/study.yaml   # beside the built-in methods"
 _RUN = "example.yaml", "mbdkit run {name}/example.yaml"
 
 
@@ -59,30 +62,70 @@ def _item(kind: Kind, what: str, command: str, todo: str) -> _Flavour:
     return _Flavour(kind, what, ("numpy>=1.26",), "", command, (todo,))
 
 
-_FLAVOURS: dict[NewKind, _Flavour] = {
-    "integrator": _Flavour(
+def _integrator(
+    what: str, summary: str, create: str, todo: str, *needs: str, accuracy: float = 1e-6, controlled: bool = False
+) -> _Flavour:
+    """Return the project of an integrator; the accuracy is that of the tests."""
+    return _Flavour(
         "integrator",
-        "An integrator written in NumPy",
-        ("pydantic>=2.7",),
-        *_STUDY,
-        (
-            (
-                "`step`: keep data of earlier steps in `StepState.memory`; raise `mbdkit.StepError(code, sentence)` "
-                'with a code such as "newton-failed" if a step cannot be taken;'
-            ),
-            'the claims, and with another formulation `formulations=("index-3",)`;',
-        ),
-    ),
-    "tableau": _Flavour(
-        "integrator",
+        what,
+        ("numpy>=1.26", "pydantic>=2.7", *needs),
+        "study.yaml",
+        "mbdkit study {name}/study.yaml   # beside built-in methods",
+        (todo, "the claims, each of which `mbdkit plugins verify` checks;"),
+        {"summary": summary, "create": create, "accuracy": accuracy, "is_controlled": controlled},
+    )
+
+
+_INTEGRATORS: dict[Like, _Flavour] = {
+    "tableau": _integrator(
         "A Runge-Kutta method given by its tableau",
-        ("pydantic>=2.7",),
-        *_STUDY,
-        (
-            'the tableau: exact coefficients as numbers or text such as `"1/4 - sqrt(3)/6"`; mbdkit checks its order;',
-            "the claims; use `mbdkit.ImplicitRungeKutta(tableau())` for an implicit tableau;",
-        ),
+        "Kutta's method: explicit, 3 stages, order 3, fixed steps.",
+        "method",
+        'the tableau: exact coefficients as numbers or text such as `"1/4 - sqrt(3)/6"`, whose order mbdkit checks '
+        "(`mbdkit.ImplicitRungeKutta(tableau())` for an implicit one);",
+        accuracy=1e-4,
     ),
+    "adaptive": _integrator(
+        "An explicit method with controlled steps",
+        "Dormand-Prince: explicit, order 5, controlled steps.",
+        "DormandPrince",
+        "the coefficients, `error_order`, and the dense output;",
+        controlled=True,
+    ),
+    "multistep": _integrator(
+        "A multistep method",
+        "Adams-Bashforth-Moulton: explicit, 4 points, order 4, fixed steps.",
+        "method",
+        "the formula; the memory holds numbers, texts, arrays, lists, tuples and mappings, not changed in place;",
+        accuracy=1e-5,
+    ),
+    "dae": _integrator(
+        "An implicit method on the differential-algebraic equations",
+        "BDF2 on the equations of Gear, Gupta and Leimkuhler: implicit, order 2, fixed steps.",
+        "Bdf2",
+        "the formula, its iteration, and the formulation among the claims;",
+        accuracy=1e-3,
+    ),
+    "rosenbrock": _integrator(
+        "A Rosenbrock method with controlled steps",
+        "RODAS3: linearly implicit, order 3, L-stable, controlled steps.",
+        "Rodas3",
+        "the coefficients, `error_order`, and the dense output;",
+        "scipy>=1.13",
+        accuracy=1e-5,
+        controlled=True,
+    ),
+    "external": _integrator(
+        "A solver of a library with a loop of its own",
+        "RK45 of SciPy: explicit, order 5, controlled steps.",
+        "SciPyRK45",
+        "the library; a method without `save` and `restore` cannot be resumed, and claims `restartable=False`;",
+        "scipy>=1.13",
+        controlled=True,
+    ),
+}
+_FLAVOURS: dict[NewKind, _Flavour] = {
     "model": _Flavour(
         "model",
         "A model",
@@ -145,7 +188,7 @@ _FLAVOURS: dict[NewKind, _Flavour] = {
 }
 
 
-def new_project(name: str, kind: NewKind, folder: Path | None = None) -> Path:
+def new_project(name: str, kind: NewKind, folder: Path | None = None, like: Like | None = None) -> Path:
     """Create the project of a new plugin, and return its folder.
 
     Parameters
@@ -154,12 +197,16 @@ def new_project(name: str, kind: NewKind, folder: Path | None = None) -> Path:
         Name of the distribution and of its folder. The name of the plugin is the same without a leading ``mbdkit-``.
     folder
         Parent folder; by default the working directory.
+    like
+        Sort of integrator; by default ``adaptive``, and ``tableau`` for the kind of that name.
 
     Raises
     ------
     SpecError
-        If the name is invalid or in use.
+        If the name is invalid or in use, or if a kind other than ``integrator`` is combined with `like`.
     """
+    if like is not None and kind != "integrator":
+        raise SpecError(f"--like is for --kind integrator, not for --kind {kind}")
     target = (folder or Path()) / name
     package, item = name.replace("-", "_"), name.removeprefix("mbdkit-")
     if not (_NAME.fullmatch(name) and _NAME.fullmatch(item)):
@@ -169,10 +216,12 @@ def new_project(name: str, kind: NewKind, folder: Path | None = None) -> Path:
         )
     if target.exists() or target.is_symlink():
         raise SpecError("this exists already; choose another name", file=target)
-    _check_free(name, package, item, _FLAVOURS[kind].kind)
+    sort: Like = "tableau" if kind == "tableau" else like or "adaptive"
+    flavour = _FLAVOURS.get(kind) or _INTEGRATORS[sort]
+    _check_free(name, package, item, flavour.kind)
     with tempfile.TemporaryDirectory(prefix=f".{name}-", dir=target.parent) as work:
         made = Path(work) / name
-        for path, text in _files(name, package, item, kind).items():
+        for path, text in _files(name, package, item, kind if kind in _FLAVOURS else sort, flavour).items():
             (made / path).parent.mkdir(parents=True, exist_ok=True)
             (made / path).write_text(text, encoding="utf-8")
         shutil.move(made, target)
@@ -197,11 +246,10 @@ def _check_free(name: str, package: str, item: str, kind: Kind) -> None:
             raise SpecError(f"'{item}' is taken by the {kind.replace('-', ' ')} {other.id}; choose another name")
 
 
-def _files(name: str, package: str, item: str, kind: NewKind) -> dict[str, str]:
+def _files(name: str, package: str, item: str, template: str, flavour: _Flavour) -> dict[str, str]:
     """Return the text of each file of the project by its path."""
     from jinja2 import Environment, PackageLoader, StrictUndefined
 
-    flavour = _FLAVOURS[kind]
     environment = Environment(
         loader=PackageLoader("mbdkit_testing.scaffold"), undefined=StrictUndefined, keep_trailing_newline=True
     )
@@ -209,7 +257,10 @@ def _files(name: str, package: str, item: str, kind: NewKind) -> dict[str, str]:
         "name": name,
         "package": package,
         "item": item,
+        "template": template,
         "what": flavour.what,
+        **flavour.words,
+        "formulation": "ggl" if template == "dae" else "index-1",
         "api": API,
         "mbdkit_version": ".".join(version("mbdkit").split(".")[:2]),
         "dependencies": flavour.dependencies,
@@ -217,16 +268,16 @@ def _files(name: str, package: str, item: str, kind: NewKind) -> dict[str, str]:
         "command": flavour.command.format(name=name, item=item, attribute=attribute),
         "todo": "\n".join(f"* {line}" for line in flavour.todo),
     }
-    words["is_verified"] = KINDS.index(kind) < KINDS.index("spec-kind")
-    example = "study.yaml" if flavour.kind == "integrator" else f"{kind}.yaml"
+    is_integrator = flavour.kind == "integrator"
+    words["is_verified"] = is_integrator or (bool(flavour.example) and flavour.kind != "spec-kind")
     templates = {
         "pyproject.toml": "pyproject.toml",
         "README.md": "README.md",
-        f"src/{package}/__init__.py": f"{kind}.py",
-        f"src/{package}/code.py": f"code_{kind}.py",
-        f"tests/test_{package}.py": f"test_{kind}.py",
+        f"src/{package}/__init__.py": f"{'integrator' if is_integrator else template}.py",
+        f"src/{package}/code.py": f"code_{template}.py",
+        f"tests/test_{package}.py": f"test_{'integrator' if is_integrator else template}.py",
     }
     if flavour.example:
-        templates[flavour.example] = example
+        templates[flavour.example] = "study.yaml" if is_integrator else f"{template}.yaml"
     texts = {path: environment.get_template(f"{file}.jinja").render(words) for path, file in templates.items()}
     return texts | {f"src/{package}/py.typed": ""}
