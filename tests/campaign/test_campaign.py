@@ -17,7 +17,7 @@ MOST = int(os.environ.get("MBDKIT_CAMPAIGN_CASES", "1"))
 
 SLOW = {
     *("begin-parts", "block-flips", "bodies", "columns", "dask", "forbidden", "formulas", "kill-blocks", "kill-study"),
-    *("kill-worker", "long-run", "members", "submitit"),
+    *("kill-worker", "long-run", "members", "methods", "methods-killed", "submitit"),
 }
 """Attacks that take many seconds for one case."""
 
