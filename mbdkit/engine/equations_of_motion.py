@@ -21,6 +21,7 @@ from mbdkit.engine.iteration_matrix import (
     IterationMatrix,
     Pivots,
     coefficients_of,
+    put,
     vector,
 )
 from mbdkit.engine.joint_sums import joint_sums
@@ -97,8 +98,7 @@ class EquationsOfMotion:
 
     def __init__(self, workspace: Workspace, z0: np.ndarray | None = None):
         mechanism = workspace.mechanism
-        self._workspace, self._forms = workspace, StateDerivatives(workspace)
-        self._calls = EquationCalls(workspace)
+        self._workspace, self._calls = workspace, EquationCalls(workspace)
         self.address = self._calls.address
         self.n, self.m = 3 * len(mechanism.bodies), len(mechanism.solved_rows)
         self.bodies = mechanism.bodies
@@ -164,7 +164,8 @@ class EquationsOfMotion:
     def accelerations(self, t: float, q: np.ndarray, v: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return the index-1 accelerations (n,) and multipliers (m,) at a state."""
         self.counters.rhs_evaluations += 1
-        return self._solved(self._calls.accelerations, t, q, v)
+        self._at(q, v)
+        return self._solved(self._calls.accelerations, t)
 
     def derivatives(self, t: float, q: np.ndarray, v: np.ndarray, z: np.ndarray) -> Rates:
         """Return the index-1 accelerations, the multipliers, and the rates of the first-order states.
@@ -221,7 +222,8 @@ class EquationsOfMotion:
         if z is not None:
             self.hold(z)
         q = vector(q, self.n)
-        self._residual(self._calls.residual, t, q, self._no_force, self._no_force, self._no_rows)
+        self._take(q, self._no_force, self._no_force, self._no_rows)
+        self._evaluate(self._calls.residual, t)
         return float(potential_energy(self._workspace.mechanism.topology, self._workspace.scratch, with_ground(q))[0])
 
     def kinetic(self, v: np.ndarray) -> float:
@@ -244,8 +246,11 @@ class EquationsOfMotion:
         x, mu
             (n,) and (m,) solution.
         """
-        self._calls.with_right_side(force, rows)
-        return self._solved(self._calls.solution, t, q, self._no_force)
+        calls = self._calls
+        put(calls.q, q)
+        put(calls.force, force)
+        put(calls.right, rows)
+        return self._solved(calls.solution, t)
 
     def forces(self, t: float, q: np.ndarray, v: np.ndarray) -> np.ndarray:
         """Return the generalized applied forces Q (n,), gravity included."""
@@ -254,30 +259,39 @@ class EquationsOfMotion:
     def residual(self, t: float, q: np.ndarray, v: np.ndarray, a: np.ndarray, lam: np.ndarray) -> np.ndarray:
         """Return the residual of the equations of motion, ``M a + Phi_q^T lam - Q(t, q, v)`` (n,)."""
         self.counters.rhs_evaluations += 1
-        return self._residual(self._calls.residual, t, q, v, a, lam)
+        self._take(q, v, a, lam)
+        self._evaluate(self._calls.residual, t)
+        return self._calls.x.copy()
 
     def constraint_forces(self, t: float, q: np.ndarray, lam: np.ndarray) -> np.ndarray:
         """Return ``Phi_q^T lam`` (n,)."""
-        return self._residual(self._calls.constraint_forces, t, q, self._no_force, self._no_force, lam)
+        put(self._calls.q, q)
+        put(self._calls.lam, lam)
+        self._evaluate(self._calls.constraint_forces, t)
+        return self._calls.x.copy()
 
     def constraints(self, t: float, q: np.ndarray) -> np.ndarray:
         """Return Phi (m,) [m, rad]."""
-        self._rows(t, q, self._no_force)
+        put(self._calls.q, q)
+        self._evaluate(self._calls.constraints, t)
         return self._calls.phi.copy()
 
     def constraint_rates(self, t: float, q: np.ndarray, v: np.ndarray) -> np.ndarray:
         """Return the time derivative of the constraints, ``Phi_q v + Phi_t`` (m,) [m/s, rad/s]."""
-        self._rows(t, q, v)
+        self._at(q, v)
+        self._evaluate(self._calls.rows, t)
         return self._calls.rate.copy()
 
     def gamma(self, t: float, q: np.ndarray, v: np.ndarray) -> np.ndarray:
         """Return the right-hand side of ``Phi_q a = gamma`` (m,) [m/s^2, rad/s^2], Baumgarte's terms included."""
-        self._rows(t, q, v)
+        self._at(q, v)
+        self._evaluate(self._calls.rows, t)
         return self._calls.gamma.copy()
 
     def constraint_jacobian(self, t: float, q: np.ndarray) -> csr_array:
         """Return Phi_q, a sparse (m, n) array."""
-        self._rows(t, q, self._no_force)
+        put(self._calls.q, q)
+        self._evaluate(self._calls.constraints, t)
         return self._jacobian_part.arrays(self.terms_now)[0]
 
     def tangents(self, t: float, q: np.ndarray, v: np.ndarray, a: np.ndarray, lam: np.ndarray) -> Tangents:
@@ -403,30 +417,26 @@ class EquationsOfMotion:
 
     def _derivatives(self, t: float, q: np.ndarray, v: np.ndarray, z: np.ndarray) -> Rates:
         """See `derivatives`; the evaluation is not counted."""
-        z = vector(z, len(self.z0))
-        if not len(z):
-            return *self._solved(self._calls.accelerations, t, q, v), z.copy()
-        found = self._forms.evaluated(float(t), vector(q, self.n), vector(v, self.n), z, self._checked)
-        if not all(np.all(np.isfinite(x)) for x in found):
+        if not len(self.z0):
+            self._at(q, v)
+            return *self._solved(self._calls.accelerations, t), vector(z, 0).copy()
+        found = self._forms.evaluated(t, q, v, z, self._checked)
+        if found is None:
             raise self._not_finite()
         return found
 
-    def _solved(
-        self, solve: Callable[[float], int], t: float, q: np.ndarray, v: np.ndarray
-    ) -> tuple[np.ndarray, np.ndarray]:
+    def _solved(self, solve: Callable[[float], int], t: float) -> tuple[np.ndarray, np.ndarray]:
         """Solve a system with the index-1 matrix."""
-        calls = self._calls
-        calls.at(q, v)
-        self._checked(partial(solve, float(t)))
-        return calls.x.copy(), calls.mu.copy()
+        self._checked(solve, t)
+        return self._calls.x.copy(), self._calls.mu.copy()
 
-    def _checked(self, solve: Callable[[], int]) -> None:
-        """Call `solve`, with new pivots if the current ones fail; raise StepError if there is no solution."""
+    def _checked(self, solve: Callable[[float], int], t: float) -> None:
+        """Call `solve` at a time, with new pivots if the current ones fail; raise StepError if there is no solution."""
 
         def counted() -> int:
             self.counters.factorizations += 1
             self._calls.use_pivots()
-            return solve()
+            return solve(float(t))
 
         workspace = self._workspace
         try:
@@ -439,27 +449,28 @@ class EquationsOfMotion:
             raise self._not_finite()
         raise self._singular(SingularSystemError(workspace.failed_unknown))
 
-    def _residual(
-        self, evaluate: Callable[[float], int], t: float, q: np.ndarray, v: np.ndarray, a: np.ndarray, lam: np.ndarray
-    ) -> np.ndarray:
-        self._calls.at(q, v)
-        self._calls.with_forces(a, lam)
-        if evaluate(float(t)) != OK:
-            raise self._not_finite()
-        return self._calls.x.copy()
+    def _at(self, q: np.ndarray, v: np.ndarray) -> None:
+        put(self._calls.q, q)
+        put(self._calls.v, v)
 
-    def _rows(self, t: float, q: np.ndarray, v: np.ndarray) -> None:
-        """Evaluate Phi, its rate and gamma, and leave Phi_q among the terms."""
-        self._calls.at(q, v)
-        if self._calls.rows(float(t)) != OK:
+    def _take(self, q: np.ndarray, v: np.ndarray, a: np.ndarray, lam: np.ndarray) -> None:
+        """Pass a state, accelerations and multipliers to the kernels."""
+        self._at(q, v)
+        put(self._calls.a, a)
+        put(self._calls.lam, lam)
+
+    def _evaluate(self, kernel: Callable[[float], int], t: float) -> None:
+        if kernel(float(t)) != OK:
             raise self._not_finite()
 
     def _evaluate_tangents(self, t: float, q: np.ndarray, v: np.ndarray, a: np.ndarray, lam: np.ndarray) -> None:
         self.counters.jacobian_evaluations += 1
-        self._calls.at(q, v)
-        self._calls.with_forces(a, lam)
-        if self._calls.tangents(float(t)) != OK:
-            raise self._not_finite()
+        self._take(q, v, a, lam)
+        self._evaluate(self._calls.tangents, t)
+
+    @cached_property
+    def _forms(self) -> StateDerivatives:
+        return StateDerivatives(self._workspace)
 
     @cached_property
     def _jacobian_part(self) -> SparseParts:

@@ -11,9 +11,11 @@ from functools import cached_property
 
 import numpy as np
 
+from mbdkit.engine.iteration_matrix import put
 from mbdkit.engine.kernels.motions import OF_CENTER
 from mbdkit.engine.kernels.observe import first_order_rates
 from mbdkit.engine.kernels.system import fold_values
+from mbdkit.engine.repeated_call import RepeatedCall
 from mbdkit.engine.workspace import Workspace
 
 SHARE = float(np.finfo(float).eps ** (1 / 3))
@@ -75,34 +77,41 @@ class StateDerivatives:
         self._is_exact = not len(top.frictions)  # they depend on multipliers, which the tangents hold constant
         changing = top.states[top.states[:, 2] >= 0]
         self._coupled = len(changing) > 0 and (bool(np.any(changing[:, 0] >= 0)) or len(top.inputs) > 0)
-        index, n = mechanism.row_index.ravel(), 3 * len(mechanism.bodies)
-        self.row_places = np.argsort(index, kind="stable")[np.count_nonzero(index < n) :]
-        """(m,) place of each solved row in arrays (P, 2)."""
-
-    @cached_property
-    def _places(self) -> tuple[np.ndarray, np.ndarray]:
-        """Place of each term in three matrices, one after another, and its sign."""
-        terms, size = self._workspace.terms, self._workspace.unknowns
-        part = np.array([0, 1, 1, 2])[terms.factor]
-        return (part * size + terms.row) * size + terms.column, np.array([1.0, 1.0, -1.0, 1.0])[terms.factor]
+        n, count, pairs = 3 * len(mechanism.bodies), len(top.states), len(top.pairs)
+        index = mechanism.row_index.ravel()
+        self._row_places = np.argsort(index, kind="stable")[np.count_nonzero(index < n) :]  # of solved rows, in (P, 2)
+        size = 2 * n + 2 + count
+        y, self._found = np.zeros(size), np.zeros(size + 2 * pairs)
+        self._q, self._v, self._z = y[:n], y[n : 2 * n], y[2 * n + 2 :]
+        self._a, self._rates = self._found[n : 2 * n], self._found[2 * n + 2 : size]
+        self._lam = self._found[size:].reshape(pairs, 2)
+        acc = np.zeros((3, mechanism.size))
+        engine = workspace.stepping_engine
+        self._kernel = RepeatedCall(first_order_rates, engine, False, None, y, acc, self._lam, self._found[:size])
 
     def evaluated(
-        self, t: float, q: np.ndarray, v: np.ndarray, z: np.ndarray, checked: Callable[[Callable[[], int]], None]
-    ) -> Rates:
-        """Return accelerations (n,), multipliers (m,) and rates (Z,); `checked` calls the kernel."""
-        n, workspace = len(q), self._workspace
-        y = np.concatenate([q, v, (0.0, 0.0), z])
-        out, acc = np.empty(len(y)), np.zeros((3, workspace.mechanism.size))
-        lam = np.zeros((len(workspace.mechanism.topology.pairs), 2))
-        checked(lambda: first_order_rates(workspace.stepping_engine, False, t, y, acc, lam, out))
-        fold_values(workspace.mechanism.topology, workspace.scratch.cs, lam)
-        return out[n : 2 * n], lam.ravel()[self.row_places], out[2 * n + 2 :]
+        self,
+        t: float,
+        q: np.ndarray,
+        v: np.ndarray,
+        z: np.ndarray,
+        checked: Callable[[Callable[[float], int], float], None],
+    ) -> Rates | None:
+        """Return accelerations, multipliers and rates, or None if they are not finite; `checked` calls the kernel."""
+        put(self._q, q)
+        put(self._v, v)
+        put(self._z, z)
+        checked(self._kernel, t)
+        fold_values(self._workspace.mechanism.topology, self._workspace.scratch.cs, self._lam)
+        if not np.isfinite(self._found).all():
+            return None
+        return self._a.copy(), self._lam.ravel()[self._row_places], self._rates.copy()
 
     def by_time(self, t: float, derivatives: Callable[[float], Rates]) -> Rates:
         """Return the derivatives by time [s] of what `derivatives` returns; zeros if nothing depends on time."""
-        n, m = 3 * len(self._workspace.mechanism.bodies), len(self.row_places)
+        n, m = len(self._q), len(self._row_places)
         if not self._may_change:
-            return np.zeros(n), np.zeros(m), np.zeros(len(self._workspace.mechanism.states))
+            return np.zeros(n), np.zeros(m), np.zeros(len(self._z))
         found = time_difference(lambda at: np.concatenate(derivatives(at)), t, self._workspace.scratch.sides)
         return found[:n], found[n : n + m], found[n + m :]
 
@@ -127,7 +136,7 @@ class StateDerivatives:
             return np.concatenate([a, z_rates])
 
         out = np.zeros((len(y), len(y)))
-        out[:n, n : 2 * n] = np.eye(n)
+        out[:n, n : 2 * n].flat[:: n + 1] = 1.0
         exact = self._accelerations_by_state() if self._is_exact else None
         first = 0 if exact is None or self._coupled else 2 * n
         if first < len(y):
@@ -136,10 +145,19 @@ class StateDerivatives:
             out[n : 2 * n, : 2 * n] = exact
         return out
 
+    @cached_property
+    def _places(self) -> tuple[np.ndarray, np.ndarray]:
+        """Place of each term in the matrix of `_accelerations_by_state`, and its sign."""
+        terms, n, size = self._workspace.terms, len(self._q), self._workspace.unknowns
+        first = np.array([0, size + n, size + n, size])[terms.factor]
+        return terms.row * (size + 2 * n) + first + terms.column, np.array([1.0, -1.0, 1.0, -1.0])[terms.factor]
+
     def _accelerations_by_state(self) -> np.ndarray:
         """Return the derivatives of the accelerations with respect to q and v (n, 2 n), from the last tangents."""
-        workspace, (places, sign) = self._workspace, self._places
-        size, n = workspace.unknowns, 3 * len(workspace.mechanism.bodies)
-        values = sign * workspace.scratch.source[workspace.terms.source]
-        parts = np.bincount(places, values, 3 * size * size).reshape(3, size, size)
-        return -np.linalg.solve(parts[0], np.concatenate([parts[2][:, :n], parts[1][:, :n]], axis=1))[:n]
+        workspace, (places, sign), n = self._workspace, self._places, len(self._q)
+        size, values = workspace.unknowns, sign * workspace.scratch.source[workspace.terms.source]
+        matrix = np.bincount(places, values, size * (size + 2 * n)).reshape(
+            size, -1
+        )  # index-1 matrix, right-hand sides
+        found: np.ndarray = np.linalg.solve(matrix[:, :size], matrix[:, size:])[:n]
+        return found
