@@ -25,8 +25,9 @@ _NODES, _WEIGHTS = (0.5 * x for x in (1.0 + leggauss(4)[0], leggauss(4)[1]))
 class HostEnergies:
     """Sums of work and dissipated energy.
 
-    What the method does not return is integrated by Simpson's rule, of order 4, over the cubic through both ends of the
-    step, with the index-1 multipliers; its three solves per step are counted.
+    What the method does not return is integrated with the index-1 multipliers: by Gauss-Legendre quadrature of order 8
+    over the dense output of the step, or else by Simpson's rule, of order 4, over the cubic through both ends. The four
+    or three solves per step are counted.
 
     Parameters
     ----------
@@ -39,13 +40,17 @@ class HostEnergies:
     def __init__(self, equations: EquationsOfMotion, has_power: bool):
         self._equations, self._has_power = equations, has_power
 
-    def booked(self, begin: Reached, t: float, h: float, taken: Taken) -> tuple[np.ndarray, np.ndarray]:
+    def booked(
+        self, begin: Reached, t: float, h: float, taken: Taken, made: Step, results: StepResults
+    ) -> tuple[np.ndarray, np.ndarray]:
         """Return both sums after a step (2,) [J] and their compensation terms (2,)."""
         if not self._has_power:
             return begin.energy, begin.energy_low
         gains: list[float | None] = [taken.made.work, taken.made.dissipated]
         if None in gains:
-            ours = self._gains(t, h, taken)
+            ours = self._of_dense(1.0, t, h, made, results)
+            if ours is None:
+                ours = self._gains(t, h, taken)
             gains = [own if own is not None else gain for own, gain in zip(gains, ours, strict=True)]
         y = np.array(gains) + begin.energy_low
         total = begin.energy + y
@@ -54,17 +59,29 @@ class HostEnergies:
     def _gains(self, t: float, h: float, taken: Taken) -> np.ndarray:
         """Return the work and the dissipated energy of one step, by Simpson's rule on the cubic through its ends."""
         old, new = taken.begin, taken.made
-        a0, begin = self._at(t, old)
-        a1, end = self._at(t + h, new)
+        a0, rates0, begin = self._at(t, old)
+        a1, rates1, end = self._at(t + h, new)
         q = 0.5 * (old.q + new.q) + h / 8 * (old.v - new.v)
         v = 0.5 * (old.v + new.v) + h / 8 * (a0 - a1)
-        return h / 6 * (begin + 4 * self._power(t + h / 2, q, v, 0.5 * (old.z + new.z)) + end)
+        z = 0.5 * (old.z + new.z) + h / 8 * (rates0 - rates1)
+        return h / 6 * (begin + 4 * self._at(t + h / 2, StepState(q, v, z=z))[2] + end)
 
-    def _at(self, t: float, state: StepState) -> tuple[np.ndarray, np.ndarray]:
-        """Return the accelerations (n,) and the powers (2,) [W] at a state."""
-        self._equations.hold(state.z)
-        a, lam = self._equations.accelerations(t, state.q, state.v)
-        return a, np.array(self._equations.powers(t, state.q, state.v, lam))
+    def _at(self, t: float, state: StepState) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return the accelerations (n,), the rates (Z,) and the powers (2,) [W] at a state."""
+        a, lam, rates = self._equations.derivatives(t, state.q, state.v, state.z)
+        return a, rates, np.array(self._equations.powers(t, state.q, state.v, lam))
+
+    def _of_dense(self, theta: float, t: float, h: float, made: Step, results: StepResults) -> np.ndarray | None:
+        """Return work and dissipated energy up to a share of a step, by quadrature; None without dense output."""
+        gain = np.zeros(2)
+        for node, weight in zip(_NODES.tolist(), _WEIGHTS.tolist(), strict=True):
+            share = theta * node
+            inner = results.within(made, share)
+            if inner is None:
+                return None
+            q, v, z = inner[:3]
+            gain += theta * h * weight * self._at(t + share * h, StepState(q, v, z=z))[2]
+        return gain
 
     def at(self, theta: float, before: Reached, now: Reached, made: Step, results: StepResults) -> np.ndarray:
         """Return both sums (2,) [J] at the share `theta` of a step from `before` to `now`.
@@ -79,17 +96,9 @@ class HostEnergies:
             return before.energy + theta * (now.energy - before.energy)
         if len(found) == 5:
             return before.energy + np.array(found[3:], dtype=float)
-        gain = np.zeros(2)
-        for node, weight in zip(_NODES.tolist(), _WEIGHTS.tolist(), strict=True):
-            share = theta * node
-            inner = results.within(made, share)
-            assert inner is not None
-            gain += theta * h * weight * self._power(t + share * h, *inner[:3])
+        gain = self._of_dense(theta, t, h, made, results)
+        assert gain is not None
         return before.energy + gain
-
-    def _power(self, t: float, q: np.ndarray, v: np.ndarray, z: np.ndarray) -> np.ndarray:
-        """Return the powers of loads and drivers and of dissipation at a state (2,) [W]."""
-        return self._at(t, StepState(q, v, z=z))[1]
 
 
 class HostNodes(KeptNodes):

@@ -31,6 +31,6 @@ def kept(value: Any) -> Any:
 
 def protect(state: StepState) -> None:
     """Make the arrays of a state that is passed to a method read-only."""
-    for array in (state.q, state.v, state.multipliers, *state.low):
+    for array in (state.q, state.v, state.z, state.multipliers, *state.low):
         if isinstance(array, np.ndarray):
             array.flags.writeable = False

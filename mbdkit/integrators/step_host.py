@@ -318,7 +318,7 @@ class StepHost(LastStep):
             h = end - t
         if not self.equations.arrive(end, new.q, new.v, worst):
             raise self._unsolved(h, StepError("not-finite", "positions or velocities overflowed"))
-        energy, low = self._energies.booked(begin, t, h, taken)
+        energy, low = self._energies.booked(begin, t, h, taken, self._made, self._results)
         iterations, rejected = counters.newton_iterations - iterations, counters.rejected - self._rejected
         interval = begin.interval.after(h, iterations, rejected, taken.correction)
         made, (size, error) = self._made, self._judged

@@ -13,6 +13,7 @@ from mbdkit.base.text import listed
 from mbdkit.engine.equations_of_motion import EquationsOfMotion
 from mbdkit.engine.formulation import FORMULATIONS
 from mbdkit.engine.iteration_matrix import IterationMatrix
+from mbdkit.engine.state_derivatives import Rates
 from mbdkit.integrators.step_host import StepHost
 from mbdkit.methods.scipy_solver import SciPySolver
 from mbdkit.methods.step_methods import StepMethod
@@ -35,6 +36,11 @@ class InstrumentedEquations(EquationsOfMotion):
         """Count and return the accelerations."""
         self.seen["rhs_evaluations"] += 1
         return super().accelerations(t, q, v)
+
+    def derivatives(self, t: float, q: np.ndarray, v: np.ndarray, z: np.ndarray) -> Rates:
+        """Count and return the accelerations, multipliers and rates."""
+        self.seen["rhs_evaluations"] += 1
+        return super().derivatives(t, q, v, z)
 
     def residual(self, t: float, q: np.ndarray, v: np.ndarray, a: np.ndarray, lam: np.ndarray) -> np.ndarray:
         """Count and return the residual."""
