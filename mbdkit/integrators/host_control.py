@@ -67,10 +67,11 @@ class HostControl:
 
     def norm(self, error: np.ndarray, begin: StepState, end: StepState) -> float:
         """Return the root mean square of an error (2 n + Z,) over ``atol + rtol |y|``, y the larger of both ends."""
-        y0, y1 = (np.concatenate([state.q, state.v, state.z]) for state in (begin, end))
-        scale = self._atol[: len(y0)] + self._rtol * np.maximum(np.abs(y0), np.abs(y1))
-        with np.errstate(all="ignore"):
-            return float(np.sqrt(np.mean((error / scale) ** 2)))
+        y0 = np.concatenate([begin.q, begin.v, begin.z])
+        y1 = np.concatenate([end.q, end.v, end.z])
+        ratio = error / (self._atol + self._rtol * np.maximum(np.abs(y0), np.abs(y1)))
+        square = float(ratio @ ratio) / len(ratio)
+        return math.sqrt(square) if square >= 0.0 else math.inf
 
     def judge(self, made: Step, h: float, begin: Reached, *, retrying: bool) -> tuple[float, float]:
         """Return the size of the next step [s], and the error of this one relative to its tolerance.

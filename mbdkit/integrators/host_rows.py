@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import math
-from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from mbdkit.engine.compiled_mechanism import with_ground
 from mbdkit.integrators.interface import Moment, Nodes, StepTaken, Stretch, Timetable
-from mbdkit.integrators.reached import Interval, Reached, Row
+from mbdkit.integrators.reached import Reached, Row
 from mbdkit.methods.step_methods import ExternalMethod, Step, StepMethod, StepState
 
 if TYPE_CHECKING:
@@ -92,7 +91,7 @@ class HostRows:
     def _recorded(self) -> Row:
         """Return the current point as a row to be recorded, and start a new interval."""
         now = self.now
-        self.now = replace(now, interval=Interval())
+        self.now = now.recorded()
         return Row(now.time, now.state, now.energy, now.interval)
 
     def _with_ground(self, state: StepState) -> tuple[np.ndarray, np.ndarray]:

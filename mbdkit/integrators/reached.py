@@ -72,6 +72,13 @@ class Reached:
         """Time at which the next step starts [s]."""
         return self.time if self.restart is None else self.restart
 
+    def recorded(self) -> Reached:
+        """Return the same point with a new interval."""
+        return Reached(
+            self.done, self.whole, self.passed, self.restart, self.time, self.state, self.energy, self.energy_low,
+            Interval(), self.is_event, self.why, self.size, self.error, self.order, self.event,
+        )  # fmt: skip
+
 
 class Planned(NamedTuple):
     """The next step.

@@ -324,21 +324,21 @@ class StepHost(LastStep):
         made, (size, error) = self._made, self._judged
         if plan.is_at_stop and not self._retrying:
             size = max(size, begin.size)  # the stop has shortened the step, not its error
-        base = Reached(
-            done, begin.whole, begin.passed, None, end, new, energy, low, interval,
-            size=size, error=error, order=made.next_order, event=made.event,
-        )  # fmt: skip
-        if is_short and not self._is_fixed:
-            return base, taken
-        if is_short or plan.is_part:
-            return replace(base, restart=end, is_event=True), taken
-        if not plan.is_at_stop or theta < 1.0:
-            whole = begin.whole + 1
+        whole, passed, restart, why = begin.whole, begin.passed, None, ""
+        is_part = (is_short and self._is_fixed) or plan.is_part
+        if is_part:
+            restart = end
+        elif not is_short and plan.is_at_stop and theta == 1.0:
+            whole, passed = whole + plan.is_whole, passed + 1
+            restart, why, end = table.stops[begin.passed], "stop", plan.reached
+        elif not is_short:
+            whole += 1
             is_over = plan.is_whole if not self._is_fixed else whole == table.steps
-            return replace(base, whole=whole, time=table.end if is_over and theta == 1.0 else end), taken
-        whole, restart = begin.whole + plan.is_whole, table.stops[begin.passed]
-        return replace(
-            base, whole=whole, passed=begin.passed + 1, restart=restart, time=plan.reached, why="stop"
+            end = table.end if is_over and theta == 1.0 else end
+        # positional arguments, because this is done in every step
+        return Reached(
+            done, whole, passed, restart, end, new, energy, low, interval, is_part, why, size, error, made.next_order,
+            made.event,
         ), taken  # fmt: skip
 
     def _own_step(self, t: float, state: StepState, h: float, end: float) -> tuple[StepState, float]:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -86,9 +85,8 @@ class StepResults:
         size = new.next_step
         if size is not None and not (math.isfinite(size) and size > 0.0):
             raise ValueError(f"{self._name}.{what} returned next_step = {size!r}, which is not a positive number")
-        if new.accepted:
-            return replace(new, state=self.state(new.state, what), error=error)
-        return replace(new, error=error)
+        state = self.state(new.state, what) if new.accepted else new.state
+        return Step(state, error, new.dense, size, new.next_order, new.accepted, new.stages, new.event, new.time)
 
     def within(self, made: Step, theta: float) -> tuple[Any, ...] | None:
         """Return what the dense output of a step gives at a share of it: (q, v, z), and possibly work and energy.
