@@ -223,7 +223,7 @@ class StepHost(LastStep):
             try:
                 self.begin_step()
                 before, there, taken = self._accepted(self.now)
-                if there.is_event and there.event is not None and there.event.time <= before.begin:
+                if there.event is not None and there.event.time <= before.begin:
                     # the event is at the start of the step, which is then taken again
                     self.now = replace(before, state=there.state, restart=before.begin, event=there.event)
                     continue
