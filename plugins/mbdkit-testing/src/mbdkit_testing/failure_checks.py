@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import signal
 import threading
+from dataclasses import replace
 
 import numpy as np
 from pydantic import ValidationError
@@ -57,7 +58,8 @@ def _refuse_to_step(integrator: IntegratorUnderTest) -> None:
         return
     equations = EquationsOfMotion(integrator.workspace(NO_NUMBER))
     try:
-        method.step(equations, 0.6, StepState(equations.q0, equations.v0), 0.01)
+        start = StepState(equations.q0, equations.v0)
+        method.step(equations, 0.6, replace(start, memory=method.begin(equations, 0.6, start, "start")), 0.01)
     except StepError:
         return
     raise _NoStepError(

@@ -1,35 +1,56 @@
-"""Checks that look inside a step: the order of dense output, and order and size of the error estimate of a pair."""
+"""Checks of what a step contains besides its end: dense output, error estimate, quadrature nodes, work."""
 
 from __future__ import annotations
+
+import math
 
 import numpy as np
 
 from mbdkit.engine.equations_of_motion import EquationsOfMotion
+from mbdkit.integrators.interface import Moment
 from mbdkit.methods.kinds import ExplicitRungeKutta
+from mbdkit.methods.step_methods import ExternalMethod, StepMethod
 from mbdkit_report.analysis.order import observed_order
 from mbdkit_testing.check import Skip, check
-from mbdkit_testing.check_result import Result, failed, passed, warned
+from mbdkit_testing.check_result import Figure, Result, failed, passed, warned
 from mbdkit_testing.integrator_under_test import IntegratorUnderTest
 from mbdkit_testing.order_checks import ABOVE, BELOW, BELOW_HIGH
-from mbdkit_testing.trial_models import FORCED_PENDULUM
+from mbdkit_testing.single_steps import (
+    FLOOR,
+    SHARES,
+    STEPS,
+    equations_for,
+    looked_into,
+    model_for,
+    moved,
+    reference_states,
+    single_steps,
+    steps_on,
+)
+from mbdkit_testing.trial_models import DRIVEN_PENDULUM, FORCED_PENDULUM, LAGGING_PENDULUM
 
-STEPS = tuple(0.4 / 1.4**k for k in range(14))
-"""Sizes of the single steps from the start [s]."""
-SHARES = (0.3, 0.5, 0.8)
-"""Shares of a step at which dense output is compared with small steps."""
-SMALL = 24
-"""Number of small steps."""
-FLOOR = 1e-15
 INTERVAL = 0.03
 """Interval of rows [s]."""
 HIGH = 5
 """For dense output of orders above this, few steps are neither too coarse nor dominated by round-off."""
+JOINED, VANISHES = 1e-10, 0.1
+"""Gap between dense output and the ends of a step that counts as rounding, and the share of the gap in the largest step
+that may remain in the smallest one.
+"""
+TOO_SMALL = 2.0
+"""Largest ratio of an error to its estimate, at the middle of the steps that show the order."""
+LIBRARY_STEPS, LIBRARY_TIMES, LIBRARY_SHARE = 20, 300.0, 30.0
+"""Number of steps of a library that are checked, and the largest error inside them, as a multiple of the tolerance and
+of the largest error at their ends.
+"""
+LEAST = 2.0
+"""Order that is required of quadrature nodes and of work, unless the method has a lower one."""
 
 
 @check("order.dense-output")
 def dense_output(integrator: IntegratorUnderTest) -> Result:
-    """Rows of ``output.interval`` are at its multiples, and within a step dense output converges with the claimed
-    order, or at least with order 1 if none is claimed.
+    """Rows of ``output.interval`` are at its multiples, dense output joins the ends of a step, and within a step it
+    converges with the claimed order, or at least with order 1 if none is claimed, first-order states included.
     """
     claimed = integrator.claims.dense_order
     if not integrator.plugin.dense_output:
@@ -43,68 +64,183 @@ def dense_output(integrator: IntegratorUnderTest) -> Result:
         times = run.time
     if len(times) != 11 or not np.allclose(times, INTERVAL * np.arange(11), rtol=0, atol=1e-12):
         return failed(f"it ignores output.interval: {len(times)} rows instead of 11 at multiples of the interval")
+    method = integrator.method()
+    if isinstance(method, StepMethod):
+        steps = single_steps(integrator)
+        if steps[0].inside:
+            joined = _joined(integrator)
+            return joined or _order_inside(integrator, [(one.size, one.inside, one.exact) for one in steps])
+        if claimed is not None and integrator.claims.adaptive:
+            return failed("it claims an order of dense output, but its steps have none")
+    if isinstance(method, ExternalMethod):
+        return _inside_steps_of_library(integrator, method)
     if integrator.claims.adaptive:
         raise Skip("it is adaptive: its steps cannot be made small")
-    workspace = integrator.workspace(FORCED_PENDULUM)
-    errors = list[float]()
-    for step in STEPS:
-        stepper = integrator.stepper(workspace, workspace.t0 + step, 1, single=True)
+    return _order_inside(integrator, _by_framework(integrator))
+
+
+_Inside = list[tuple[float, tuple[Moment, ...], tuple[Moment, ...]]]
+"""Size of each step [s], and the states found and those expected in `SHARES`."""
+
+
+def _by_framework(integrator: IntegratorUnderTest) -> _Inside:
+    """Return the states inside single steps of a method with fixed steps, as the framework gives them."""
+    model, found = model_for(integrator), _Inside()
+    workspace = integrator.workspace(model)
+    n = len(workspace.q0) - 3
+    for size, exact in zip(STEPS, reference_states(with_state=model is LAGGING_PENDULUM), strict=True):
+        stepper = integrator.stepper(workspace, workspace.t0 + size, 1, single=True)
         stepper.advance()
-        if stepper.last_step is None:
-            errors.append(np.nan)
-            continue
-        found = [
-            np.array(stepper.inside(share)[:2]) - integrator.moved(workspace, workspace.t0 + share * step, SMALL)
-            for share in SHARES
-        ]
-        errors.append(float(np.max(np.abs(found))))
-    observed = observed_order(np.array(STEPS), np.array(errors), floor=FLOOR)
-    figures = {"coarsest_error": errors[0], "finest_error": errors[-1]}
-    if not observed.found:
-        return failed("within a step its dense output follows no power of the step", **figures)
-    measured = observed.order - 1  # errors of one step have one order more
-    figures["measured"] = round(measured, 3)
+        if stepper.last_step is not None:
+            inside = [stepper.inside(share) for share in SHARES[:-1]]
+            found.append((size, tuple((q[:n].copy(), v[:n].copy(), z.copy()) for q, v, z in inside), exact))
+    return found
+
+
+def _order_inside(integrator: IntegratorUnderTest, steps: _Inside) -> Result:
+    """Compare the order of dense output with the claimed one, for motions and for first-order states."""
+    claimed, figures = integrator.claims.dense_order, dict[str, Figure]()
     least = 1.0 if claimed is None else claimed
     least -= BELOW if least <= HIGH else BELOW_HIGH
-    if measured < least:
-        what = "its dense output has" if claimed is None else f"it claims dense output of order {claimed:g}, but it has"
-        return failed(f"{what} the order {measured:.2f} within a step", **figures)
-    if claimed is not None and measured > claimed + ABOVE:
-        return warned(f"it claims dense output of order {claimed:g}, but it has the order {measured:.2f}", **figures)
-    return passed(**figures).within({"measured": f"at least {least:g}"})
+    sizes, high = np.array([size for size, _, _ in steps]), False
+    for what, parts in (("", (0, 1)), ("first-order states in ", (2,))):
+        if parts == (2,) and not integrator.claims.states:
+            continue
+        errors = np.array([_largest(inside, exact, parts) for _, inside, exact in steps])
+        observed = observed_order(sizes, errors, floor=FLOOR)
+        if not observed.found:
+            return failed(f"within a step {what}its dense output follows no power of the step", coarsest=errors[0])
+        measured = observed.order - 1  # errors of one step have one order more
+        figures["measured_states" if what else "measured"] = round(measured, 3)
+        if measured < least:
+            its = f"{what}its dense output {'have' if what else 'has'}"
+            claim = "" if claimed is None else f"it claims dense output of order {claimed:g}, but "
+            return failed(f"{claim}{its} the order {measured:.2f} within a step", **figures)
+        high = high or (claimed is not None and measured > claimed + ABOVE)
+    if high and not integrator.claims.states:
+        return warned(f"it claims dense output of order {claimed:g}, but has a higher one", **figures)
+    return passed(**figures).within(dict.fromkeys(figures, f"at least {least:g}"))
+
+
+def _largest(found: tuple[Moment, ...], exact: tuple[Moment, ...], parts: tuple[int, ...]) -> float:
+    return max(float(np.max(np.abs(a[k] - b[k]))) for a, b in zip(found, exact, strict=False) for k in parts)
+
+
+def _joined(integrator: IntegratorUnderTest) -> Result | None:
+    """Return a failure if dense output does not join the ends of steps, or has changed since the steps were taken."""
+    steps = single_steps(integrator)
+    for where in (0, 1):
+        gaps = []
+        for one in steps:
+            assert one.made.dense is not None
+            end = one.made.state if where else one.begin
+            at_end = one.made.dense(float(where))[:3]
+            gaps.append(max(_gap(x, y) for x, y in zip(at_end, (end.q, end.v, end.z), strict=True)))
+        if not gaps[-1] <= max(JOINED, VANISHES * gaps[0]) or not np.all(np.isfinite(gaps)):
+            name = "end" if where else "start"
+            return failed(f"its dense output differs from the state at the {name} of a step", gap=gaps[-1])
+    for one in steps[:3]:
+        if any(_gap(x, y) for before, now in zip(one.inside, looked_into(one.made), strict=True)
+               for x, y in zip(before, now, strict=True)):  # fmt: skip
+            return failed("the dense output of a step changes when further steps are taken")
+    return None
+
+
+def _gap(x: np.ndarray, y: np.ndarray) -> float:
+    return float(np.max(np.abs(np.subtract(x, y)), initial=0.0))
+
+
+def _inside_steps_of_library(integrator: IntegratorUnderTest, method: ExternalMethod) -> Result:
+    """Compare states inside the steps that a library chooses, by its dense output and its `cut`, with tight runs."""
+    equations, _ = equations_for(integrator, model_for(integrator))
+    workspace, tolerances, n = integrator.workspace(model_for(integrator)), method.tolerances, equations.n
+    assert tolerances is not None
+    stepper = integrator.stepper(workspace, workspace.t0 + STEPS[0], 1, single=True)
+    errors: dict[str, list[float]] = {"end": [], "dense output": [], "`cut`": []}
+    size = 1.0
+    while not stepper.finished and stepper.failure is None and len(errors["end"]) < LIBRARY_STEPS:
+        stepper.advance()
+        step = stepper.last_step
+        assert step is not None
+        begin = step.q0[:n], step.v0[:n], step.z0
+        size = max(size, float(np.max(np.abs(np.concatenate(begin)))))
+        for share in (0.4, 1.0):
+            exact, ways = moved(equations, step.t0, begin, share * (step.t1 - step.t0)), {"end": stepper.inside}
+            if share < 1.0:
+                ways = {"dense output": stepper.inside, "`cut`": stepper.within}
+            for name, way in ways.items():
+                q, v, z = way(share)
+                errors[name].append(_gap(np.concatenate([q[:n], v[:n], z]), exact))
+    if stepper.failure is not None:
+        raise Skip(f"the steps could not be taken: {stepper.failure.sentence}".rstrip("."))
+    limit = max(LIBRARY_TIMES * max(tolerances.rtol, tolerances.atol) * size, LIBRARY_SHARE * max(errors["end"]))
+    for name in ("dense output", "`cut`"):
+        if not max(errors[name]) <= limit:
+            return failed(f"inside the steps of its library its {name} is wrong", error=max(errors[name]), limit=limit)
+    return passed(error=max(errors["dense output"])).within({"error": limit})
 
 
 @check("tolerance.error-estimate")
 def error_estimate(integrator: IntegratorUnderTest) -> Result:
-    """The error estimate of an embedded pair has the order that the pair says, and in small steps it exceeds the error,
-    which has a higher order.
+    """The error estimate of a step has the order that the method says, first-order states included, and is not much
+    smaller than the error of a small step.
     """
     method = integrator.method()
+    if isinstance(method, StepMethod):
+        return _estimate_of_steps(integrator, method)
     if not isinstance(method, ExplicitRungeKutta) or method.pair is None:
-        raise Skip("it is not an embedded pair")
+        raise Skip("its steps have no error estimate that can be seen")
     pair, equations = method.pair, EquationsOfMotion(integrator.workspace(FORCED_PENDULUM))
     a, b, c = method.tableau.floats()
-    start, t0 = np.concatenate([equations.q0, equations.v0]), equations.t0
+    start = np.concatenate([equations.q0, equations.v0])
     estimates, errors = np.zeros(len(STEPS)), np.zeros(len(STEPS))
-    for i, step in enumerate(STEPS):
-        slopes, y, small = _slopes(equations, a, c, t0, start, step), start, step / SMALL
-        for k in range(SMALL):
-            y = y + small * b @ _slopes(equations, a, c, t0 + k * small, y, small)
-        errors[i] = np.max(np.abs(start + step * b @ slopes - y))
+    for i, (step, states) in enumerate(zip(STEPS, reference_states(with_state=False), strict=True)):
+        slopes = _slopes(equations, a, c, equations.t0, start, step)
+        errors[i] = np.max(np.abs(start + step * b @ slopes - np.concatenate(states[-1][:2])))
         higher, *lower = (float(np.max(np.abs(step * weights @ slopes))) for weights in pair.error)
         # two estimates are combined as in Hairer, Norsett and Wanner (1993), section II.10
         estimates[i] = higher**2 / np.hypot(higher, 0.1 * lower[0]) if lower else higher
-    observed, claimed = observed_order(np.array(STEPS), estimates, floor=FLOOR), pair.estimate_order
+    return _compare_estimates(np.array(STEPS), estimates, errors, pair.estimate_order, most=1.0)
+
+
+def _estimate_of_steps(integrator: IntegratorUnderTest, method: StepMethod) -> Result:
+    steps = [one for one in single_steps(integrator) if one.made.error is not None and one.made.next_order is None]
+    if not steps:
+        raise Skip("its first step has no error estimate of a known order")
+    n, results = 2 * len(steps[0].begin.q), list[Result]()
+    for part in (slice(n), slice(n, None))[: 1 + integrator.claims.states]:
+        estimates, errors = np.zeros((2, len(steps)))
+        for i, one in enumerate(steps):
+            state, exact = one.made.state, np.concatenate(one.exact[-1])
+            estimates[i] = np.max(np.abs(np.asarray(one.made.error)[part]))
+            errors[i] = np.max(np.abs(np.concatenate([state.q, state.v, state.z]) - exact)[part])
+        sizes = np.array([one.size for one in steps])
+        results.append(_compare_estimates(sizes, estimates, errors, method.error_order + 1, most=TOO_SMALL))
+    if len(results) == 2 and results[1].outcome == "fail" and results[0].outcome != "fail":
+        return failed(f"for first-order states, {results[1].cause}", **results[1].figures)
+    return results[0]
+
+
+def _compare_estimates(
+    sizes: np.ndarray, estimates: np.ndarray, errors: np.ndarray, claimed: float, *, most: float
+) -> Result:
+    """Compare estimates (K,) of the errors (K,) of single steps with the claimed order and with the errors."""
+    if not np.any(estimates):
+        return failed("its error estimate is zero", largest_error=float(errors[0]))
+    observed = observed_order(sizes, estimates, floor=FLOOR)
     if not observed.found:
         return failed("its error estimate follows no power of the step", claimed=claimed)
-    middle = int(np.argmin(np.abs(np.array(STEPS) - observed.steps[len(observed.steps) // 2])))
+    middle = int(np.argmin(np.abs(sizes - observed.steps[len(observed.steps) // 2])))
     size = float(errors[middle] / estimates[middle])
     figures = {"measured": round(observed.order, 3), "claimed": claimed, "error_by_estimate": size}
-    if abs(observed.order - claimed) > ABOVE:
-        return failed(f"its error estimate should be of order {claimed}, but has order {observed.order:.2f}", **figures)
-    if size > 1.0:
-        return failed(f"in a step of {STEPS[middle]:.2g} s its error is {size:.2g} times its estimate", **figures)
-    return passed(**figures).within({"error_by_estimate": 1.0})
+    cause = f"its error estimate should be of order {claimed:g}, but has order {observed.order:.2f}"
+    if observed.order < claimed - ABOVE:
+        return failed(cause, **figures)
+    if size > most:
+        return failed(f"in a step of {sizes[middle]:.2g} s its error is {size:.2g} times its estimate", **figures)
+    if observed.order > claimed + ABOVE:
+        return warned(cause, **figures)
+    return passed(**figures).within({"error_by_estimate": most})
 
 
 def _slopes(
@@ -118,4 +254,56 @@ def _slopes(
     return slopes
 
 
-CHECKS = (dense_output, error_estimate)
+@check("order.quadrature-nodes")
+def quadrature_nodes(integrator: IntegratorUnderTest) -> Result:
+    """The nodes that a step returns for integrals over time lie in the step, their weights add up to its size, and the
+    integral of the velocity converges to the change of position.
+    """
+    steps, errors = [one for one in single_steps(integrator) if one.made.stages is not None], list[float]()
+    if not steps:
+        raise Skip("its steps return no nodes")
+    start = equations_for(integrator, model_for(integrator))[0].t0
+    for one in steps:
+        assert one.made.stages is not None
+        times, weights, (_, v) = (one.made.stages[0], one.made.stages[1], one.made.stages[2])
+        if np.min(times) < start - JOINED or np.max(times) > start + one.size + JOINED:
+            return failed("the times of its nodes lie outside the step")
+        if abs(float(np.sum(weights)) / one.size - 1.0) > JOINED:
+            return failed(f"the weights of its nodes add up to {np.sum(weights) / one.size:.6g} times the step")
+        errors.append(float(np.max(np.abs(one.begin.q + np.asarray(weights) @ v - one.exact[-1][0]))))
+    return _at_least(integrator, np.array([one.size for one in steps]), np.array(errors), "the integral over its nodes")
+
+
+@check("order.work")
+def work(integrator: IntegratorUnderTest) -> Result:
+    """The work and the dissipated energy that a step returns balance the change of energy, with an order of at least 2,
+    or that of the method.
+    """
+    equations, _ = equations_for(integrator, DRIVEN_PENDULUM)
+    sizes, errors = list[float](), list[float]()
+    for size, begin, made in steps_on(integrator, DRIVEN_PENDULUM):
+        end = made.state
+        if end.work is None or end.dissipated is None:
+            raise Skip("its steps return no work and dissipated energy")
+        kinetic = equations.kinetic(end.v) - equations.kinetic(begin.v)
+        potential = equations.potential(equations.t0 + size, end.q) - equations.potential(equations.t0, begin.q)
+        sizes.append(size)
+        errors.append(abs(kinetic + potential - end.work + end.dissipated))
+    if not sizes:
+        raise Skip("no single step from the start could be taken")
+    return _at_least(integrator, np.array(sizes), np.array(errors), "the energy balance of a step")
+
+
+def _at_least(integrator: IntegratorUnderTest, sizes: np.ndarray, errors: np.ndarray, what: str) -> Result:
+    """Return whether errors of single steps have the order `LEAST`, or that of the method if it is lower."""
+    if np.max(errors) < JOINED:
+        return passed(largest_error=float(np.max(errors)))
+    least, observed = min(integrator.claims.order or LEAST, LEAST), observed_order(sizes, errors, floor=FLOOR)
+    order = observed.order - 1 if observed.found else math.nan
+    if not order > least - BELOW:
+        found = f"has the order {order:.2f}, not {least:g}" if observed.found else "follows no power of the step"
+        return failed(f"{what} {found}", largest_error=float(errors[0]))
+    return passed(measured=round(order, 3)).within({"measured": f"at least {least - BELOW:g}"})
+
+
+CHECKS = (dense_output, error_estimate, quadrature_nodes, work)

@@ -8,17 +8,30 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
 
+from mbdkit.base.errors import StepError
 from mbdkit.spec.formulation_choice import choice_of
 from mbdkit.spec.loading import load_spec
 from mbdkit_report.analysis.order import ObservedOrder, observed_order
 from mbdkit_testing.check import Check, Skip, check
 from mbdkit_testing.check_result import Figure, Result, failed, passed, skipped, unclaimed, warned
 from mbdkit_testing.integrator_under_test import IntegratorUnderTest, final_state, require_complete
-from mbdkit_testing.trial_models import BEAM, DRIVEN_PENDULUM, FORCED_PENDULUM, FOUR_BAR, ORBIT, RESTING, Model, pushed
+from mbdkit_testing.single_steps import equations_for, model_for, step_method, step_of
+from mbdkit_testing.trial_models import (
+    BEAM,
+    DRIVEN_PENDULUM,
+    FORCED_PENDULUM,
+    FOUR_BAR,
+    LAGGING_PENDULUM,
+    ORBIT,
+    RESTING,
+    Model,
+    pushed,
+)
 
 PROBLEMS: dict[str, Model] = {
     "forced-pendulum": FORCED_PENDULUM,
@@ -49,6 +62,10 @@ COUNTED_TOLERANCES, RISES = (1e-2, 1e-4, 1e-7, 1e-9), 1.25
 """Tolerances at which steps are counted, and the least ratio of p + 1 at the two tight ones to that at the two loose
 ones, for a method of variable order p.
 """
+STATES_FLOOR = 1e-14
+"""Errors of first-order states of this size count as rounding."""
+LARGEST_TRIAL, MOST_TRIALS = 1.7, 200
+"""Size of the first attempt of a step [s], and the largest number of attempts."""
 NO_GROWTH = 1e-3
 """Smallest growth of the logarithm of the number of steps, which keeps the order finite."""
 POLYNOMIAL = 1e-13
@@ -343,6 +360,66 @@ def variable_order(integrator: IntegratorUnderTest) -> Result:
     return passed(**figures)
 
 
+@check("order.states")
+def states(integrator: IntegratorUnderTest) -> Result:
+    """First-order states that depend on the motion, and drive it, converge with the claimed order or a higher one."""
+    claimed = integrator.order
+    if not integrator.claims.states:
+        raise Skip("it does not claim to integrate first-order states")
+    steps, errors, exact = list[float](), list[float](), _states_at_end()
+    for number in numbers_of_steps(integrator, claimed):
+        time = {"end": 1.0, "step": 1.0 / number}
+        with integrator.run(LAGGING_PENDULUM, time, output={"every": 10**9}) as run:
+            value = run.array("states/value")[-1] if run.status == "complete" else math.nan
+        steps.append(1.0 / number)
+        errors.append(float(np.max(np.abs(value - exact))))
+        observed = observed_order(np.array(steps), np.array(errors), floor=STATES_FLOOR)
+        found = len(observed.steps)
+        if errors[-1] < 10 * STATES_FLOOR or found > 5 or (found > 3 and observed.order > claimed - BELOW):
+            break
+    if observed.order > claimed + ABOVE:
+        return passed(claimed=claimed, measured=round(observed.order, 3))
+    return compare_orders(claimed, observed, np.array(errors))
+
+
+@cache
+def _states_at_end() -> np.ndarray:
+    """Return the first-order states of the test problem after 1 s, by Gauss collocation of order 12."""
+    from mbdkit.runs.simulation import simulate
+
+    gauss, time = {"name": "mbdkit:gauss", "stages": 6}, {"end": 1.0, "step": 1 / 60}
+    with simulate(
+        load_spec({"mbdkit": 1, "model": LAGGING_PENDULUM, "integrator": gauss, "time": time})
+    ).check() as run:
+        value: np.ndarray = run.array("states/value")[-1].copy()
+    return value
+
+
+@check("tolerance.own-control")
+def own_control(integrator: IntegratorUnderTest) -> Result:
+    """A method that rejects its own steps asks for smaller ones, and accepts one after finitely many attempts."""
+    method, (equations, state) = step_method(integrator), equations_for(integrator, model_for(integrator))
+    state = replace(state, memory=method.begin(equations, equations.t0, state, "start"))
+    size, rejected = LARGEST_TRIAL, 0
+    for _ in range(MOST_TRIALS):
+        try:
+            made = step_of(method, equations, equations.t0, state, size)
+        except StepError:
+            size /= 2
+            continue
+        if made.accepted:
+            break
+        wanted = size / 2 if made.next_step is None else made.next_step
+        if not 0.0 < wanted < size:
+            return failed(f"it rejects a step of {size:g} s and asks for one of {wanted:g} s, no smaller one")
+        size, rejected = wanted, rejected + 1
+    else:
+        return failed(f"it accepts none of {MOST_TRIALS} attempts, the last of {size:.3g} s")
+    if made.error is not None or (made.next_step is None and not rejected):
+        raise Skip("it leaves the control of its steps to the framework")
+    return passed(rejected=rejected, accepted_size=size)
+
+
 CHECKS = (
     polynomials,
     *(_on(problem) for problem in USUAL),
@@ -351,4 +428,6 @@ CHECKS = (
     formulations,
     *(_with_tolerance(problem) for problem in USUAL),
     variable_order,
+    states,
+    own_control,
 )

@@ -1,24 +1,41 @@
-"""A run that is stopped between steps and continued equals an uninterrupted run bit for bit."""
+"""What one step passes to the next: stored states continue bit for bit, and memory that no longer holds is dropped."""
 
 from __future__ import annotations
 
-import pickle
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 
+from mbdkit.archive.checkpoint import Checkpoint
+from mbdkit.base.errors import StepError
+from mbdkit.base.text import counted
 from mbdkit.engine.equations_of_motion import EquationsOfMotion
-from mbdkit.methods.step_methods import Step, StepMethod, StepState
+from mbdkit.integrators.interface import Stretch, joined
+from mbdkit.integrators.step_host import StepHost
+from mbdkit.methods.step_methods import ExternalMethod, StepMethod, StepState, Why
+from mbdkit.runs.stored_python_steps import MemoryNotStoredError, restore_stepper, stored_stepper
 from mbdkit_testing.check import Skip, check
-from mbdkit_testing.check_result import Result, failed, passed, skipped
+from mbdkit_testing.check_result import Result, failed, passed
 from mbdkit_testing.integrator_under_test import IntegratorUnderTest, drive
-from mbdkit_testing.trial_models import DRIVEN_PENDULUM
+from mbdkit_testing.single_steps import equations_for, model_for, step_method, step_of
+from mbdkit_testing.trial_models import DRIVEN_PENDULUM, LAGGING_PENDULUM, Model
 
 if TYPE_CHECKING:
     from mbdkit.integrators.interface import Stepper
 
 STEPS, END = 60, 0.6
+STORED_AFTER = (1, 7, 25)
+"""Numbers of steps after which the state is stored."""
+COLUMNS = ("time", "q", "v", "z", "work", "dissipated", "multipliers")
+"""Columns of rows that have to be the same."""
+PAST, LARGE, SMALL = 6, 0.02, 0.0025
+"""Number of steps before a discontinuity, and sizes of these steps [s], in two attempts."""
+SAME, FALLS = 1e-9, 16.0
+"""Difference that counts as rounding, and the factor by which a larger one must fall from `LARGE` to `SMALL`.
+
+It falls by 8 where the memory is wrong, and by 64 or more where it is not.
+"""
 
 
 @check("restart.stretches")
@@ -42,36 +59,108 @@ def stretches(integrator: IntegratorUnderTest) -> Result:
 
 @check("restart.state")
 def state(integrator: IntegratorUnderTest) -> Result:
-    """If a new object of a method with `step` continues from a pickled state, its results are bitwise the same."""
-    if not isinstance(integrator.method(), StepMethod):
-        return skipped("it is not a class with `step`")
+    """A run that a new object of the method continues from a checkpoint is bitwise the same."""
     if not integrator.claims.restartable:
-        return skipped("it does not claim to be restartable")
-    whole = _moved(integrator, restart=False)
-    try:
-        parts = _moved(integrator, restart=True)
-    except (pickle.PicklingError, AttributeError, TypeError) as error:
-        return failed(f"it claims to be restartable, but its state cannot be stored: {error}")
-    same = np.array_equal(whole.q, parts.q) and np.array_equal(whole.v, parts.v)
-    if not same:
-        change = float(max(np.max(np.abs(whole.q - parts.q)), np.max(np.abs(whole.v - parts.v))))
-        return failed("its state does not contain everything that the next step needs", change=change)
+        raise Skip("it does not claim to be restartable")
+    method = integrator.method()
+    if not isinstance(method, StepMethod | ExternalMethod):
+        raise Skip("its steps are those of the framework, which stores their state itself")
+    if isinstance(method, ExternalMethod) and method.traits.why_no_checkpoint:
+        return failed(f"it claims to be restartable, but {method.traits.why_no_checkpoint}")
+    model = LAGGING_PENDULUM if integrator.claims.states else DRIVEN_PENDULUM
+    whole = _rows(_host(integrator, model), STEPS)
+    for number in STORED_AFTER:
+        first, later = _host(integrator, model), _host(integrator, model)
+        before = _rows(first, number)
+        if first.finished:
+            break
+        try:
+            content = Checkpoint(_HEAD, 0, {}, (), {}, stored_stepper(first)).encoded()
+        except MemoryNotStoredError as error:
+            return failed(f"it claims to be restartable, but its state cannot be stored: {error}")
+        stored = Checkpoint.decoded(content)
+        assert stored is not None
+        restore_stepper(later, stored.state)
+        parts = joined([before, _rows(later, STEPS - number)])
+        for name in COLUMNS:
+            one, other = getattr(parts, name), getattr(whole, name)
+            if one is not None and not np.array_equal(one, other):
+                cause = "its state does not contain everything that the next step needs"
+                return failed(f"{cause}: a run that continues after {counted(number, 'step')} has another {name}")
     return passed(steps=STEPS)
 
 
-def _moved(integrator: IntegratorUnderTest, *, restart: bool) -> StepState:
-    equations, method = EquationsOfMotion(integrator.workspace(DRIVEN_PENDULUM)), integrator.method()
-    state, h = StepState(equations.q0.copy(), equations.v0.copy()), END / STEPS
-    for k in range(STEPS):
-        if restart and k in (1, STEPS // 2):
-            equations, method = EquationsOfMotion(integrator.workspace(DRIVEN_PENDULUM)), integrator.method()
-            state = pickle.loads(pickle.dumps(state))
-        assert isinstance(method, StepMethod)
-        if not k:
-            state = replace(state, memory=method.begin(equations, 0.0, state, "start"))
-        after = method.step(equations, k * h, state, h)
-        state = after.state if isinstance(after, Step) else after
+_HEAD = {"spec": "{}", "run_id": "-", "created_utc": "-", "provenance": {"mbdkit": "-"}}
+
+
+def _host(integrator: IntegratorUnderTest, model: Model) -> StepHost:
+    stepper = integrator.stepper(integrator.workspace(model), END, STEPS, every=1, single=True)
+    assert isinstance(stepper, StepHost)
+    return stepper
+
+
+def _rows(host: StepHost, steps: int) -> Stretch:
+    """Return the rows of the next steps, as many as there are up to `steps`."""
+    rows = list[Stretch]()
+    while len(rows) < steps and not host.finished:
+        rows.append(host.advance())
+        if host.failure is not None:
+            raise Skip(f"the steps could not be taken: {host.failure.sentence}".rstrip("."))
+    return joined(rows)
+
+
+@check("restart.discontinuities")
+def discontinuities(integrator: IntegratorUnderTest) -> Result:
+    """After a jump of a load, of velocities or of first-order states, a step uses no memory of the steps before."""
+    method, model = step_method(integrator), model_for(integrator)
+    jumps: tuple[Why, ...] = ("stop", "impact", "event") if integrator.claims.states else ("stop", "impact")
+    equations, start = equations_for(integrator, model)
+    loaded = {**model, "forces": model["forces"] | {"jump": {"type": "torque", "body": "rod2", "value": "6"}}}
+    after_stop = equations_for(integrator, loaded)[0]
+    if all(_state_after(method, equations, start, LARGE, count).memory is None for count in (1, PAST)):
+        raise Skip("it has no memory")
+    largest = 0.0
+    for why in jumps:
+        now = after_stop if why == "stop" else equations
+        differences = list[float]()
+        for h in (LARGE, SMALL):
+            t, state = equations.t0 + PAST * h, _state_after(method, equations, start, h, PAST)
+            if why == "impact":  # velocities that the joints allow
+                state = replace(state, v=now.project_velocities(t, state.q, 3.0 * state.v))
+            if why == "event":
+                state = replace(state, z=state.z + 1.0)
+            state = replace(state, low=(0.0, 0.0), multipliers=None if why == "stop" else state.multipliers)
+            fresh = replace(state, memory=None, multipliers=None)
+            ends = [_ended(method, now, t, begin, reason, h) for begin, reason in ((state, why), (fresh, "start"))]
+            differences.append(float(np.max(np.abs(ends[0] - ends[1]))))
+        if not differences[1] <= max(SAME, differences[0] / FALLS):
+            what = {"stop": "a load has jumped", "impact": "the velocities have jumped", "event": "an event"}[why]
+            return failed(f"after {what}, a step uses the memory of the steps before", difference=differences[1])
+        largest = max(largest, differences[1])
+    return passed(difference=largest)
+
+
+def _state_after(method: StepMethod, equations: EquationsOfMotion, start: StepState, h: float, steps: int) -> StepState:
+    """Return the state after steps of the size `h` [s]; raises Skip if they cannot be taken."""
+    t, state = equations.t0, replace(start, memory=method.begin(equations, equations.t0, start, "start"))
+    try:
+        for k in range(steps):
+            state = step_of(method, equations, t + k * h, state, h).state
+    except StepError as error:
+        raise Skip(f"the steps could not be taken: {error}") from None
     return state
 
 
-CHECKS = (stretches, state)
+def _ended(
+    method: StepMethod, equations: EquationsOfMotion, t: float, state: StepState, why: Why, h: float
+) -> np.ndarray:
+    """Return (q, v, z) in one vector after a step that begins anew."""
+    begin = replace(state, memory=method.begin(equations, t, state, why))
+    try:
+        end = step_of(method, equations, t, begin, h).state
+    except StepError as error:
+        raise Skip(f"the steps could not be taken: {error}") from None
+    return np.concatenate([end.q, end.v, end.z])
+
+
+CHECKS = (stretches, state, discontinuities)

@@ -52,6 +52,20 @@ FORCED_PENDULUM: Model = {**_two_rods((-0.6, 0.1)), "forces": _forces()}
 """Two rods with springs and dampers, a torque and a force that depend on time: nonlinear and not autonomous."""
 
 
+LAGGING_PENDULUM: Model = {
+    **FORCED_PENDULUM,
+    "forces": _forces() | {"drive": {"type": "torque", "body": "rod1", "value": "1.5*states.lag"}},
+    "states": {
+        "lag": {"rate": "cos(3*t) + sin(rod2.angle) - 2*states.lag - states.lag**2", "initial": 0.5},
+        "fast": {"rate": "6*(sin(4*t + 1) + states.lag - states.fast)", "initial": -0.3},
+        "free": {"rate": "states.free*cos(5*t) + rod1.angular_velocity", "initial": 1.0},
+    },
+}
+"""The forced pendulum with first-order states that depend on its motion, and a torque that is one of them; there are
+several, because the error of a single one may change its sign.
+"""
+
+
 def forced_pendulum(start: float) -> Model:
     """Return the forced pendulum with forces that begin at the time `start` [s] instead of 0."""
     return {**FORCED_PENDULUM, "forces": _forces(start)}

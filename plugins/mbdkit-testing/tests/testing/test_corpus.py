@@ -14,7 +14,7 @@ from mbdkit_testing import Result, checks_of, verify
 from mbdkit_testing.check import Check
 from mbdkit_testing.kit import plugin_under_test
 
-from . import corpus, overclaims, subtle
+from . import corpus, overclaims, subtle, wrong_steps
 
 RK4 = {"order": 4, "needs": ("accelerations",)}
 MIDPOINT = {"order": 2, "needs": ("tangents",), "symmetric": True, "symplectic": True, "quadratic_invariants": True}
@@ -170,8 +170,9 @@ WRONG |= {
         "state.resting-starts",
     ),
 }
-WRONG |= {name: ("integrator", installed, check) for name, (installed, check, _) in overclaims.WRONG.items()}
-CAUSES = {name: cause for name, (_, _, cause) in overclaims.WRONG.items()}
+WITH_CAUSES = overclaims.WRONG | wrong_steps.WRONG
+WRONG |= {name: ("integrator", installed, check) for name, (installed, check, _) in WITH_CAUSES.items()}
+CAUSES = {name: cause for name, (_, _, cause) in WITH_CAUSES.items()}
 
 
 def outcome(kind: Any, installed: Registry, name: str) -> Result:
@@ -212,6 +213,13 @@ def test_what_is_wrong_is_caught_by_the_check_that_says_so(name: str) -> None:
 def test_a_claim_that_holds_is_not_refused(check: str) -> None:
     found = outcome("integrator", overclaims.RIGHT[check], check)
     assert found.outcome == ("skip" if check == "restart.state" else "pass"), found
+
+
+@pytest.mark.parametrize("name", wrong_steps.RIGHT)
+def test_a_right_step_is_accused_by_no_check_of_what_it_contains(name: str) -> None:
+    for check in {check for _, check, _ in wrong_steps.WRONG.values()}:
+        found = outcome("integrator", wrong_steps.RIGHT[name], check)
+        assert found.outcome in ("pass", "skip"), found
 
 
 def test_a_method_that_tries_for_ever_is_cut_short(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -1,0 +1,155 @@
+"""Single steps of several sizes from the start of a test problem, and their reference states."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+from functools import cache
+
+import numpy as np
+from scipy.integrate import solve_ivp
+
+from mbdkit.base.errors import StepError
+from mbdkit.engine.equations_of_motion import EquationsOfMotion
+from mbdkit.engine.workspace import Workspace
+from mbdkit.integrators.interface import Moment, Timetable
+from mbdkit.integrators.start import start_method
+from mbdkit.methods.step_methods import Step, StepMethod, StepState
+from mbdkit.runs.preparation import build, make_method
+from mbdkit.spec.loading import load_spec
+from mbdkit_testing.check import Skip
+from mbdkit_testing.integrator_under_test import IntegratorUnderTest
+from mbdkit_testing.trial_models import FORCED_PENDULUM, LAGGING_PENDULUM, Model
+
+STEPS = tuple(0.4 / 1.4**k for k in range(14))
+"""Sizes of the single steps from the start [s]."""
+SHARES = (0.3, 0.5, 0.8, 1.0)
+"""Shares of a step at which reference states are known."""
+FLOOR = 1e-15
+"""Errors of this size count as rounding."""
+REFERENCE = {"name": "mbdkit:gauss", "stages": 6}
+
+
+@dataclass(frozen=True)
+class SingleStep:
+    """A step from the start of the test problem.
+
+    Parameters
+    ----------
+    size
+        Size of the step [s].
+    begin, made
+        The state before the step, and the step.
+    inside
+        The states in `SHARES` before the last, as dense output gave them when the step was taken; none if there is no
+        dense output.
+    exact
+        The reference states in `SHARES`.
+    """
+
+    size: float
+    begin: StepState
+    made: Step
+    inside: tuple[Moment, ...]
+    exact: tuple[Moment, ...]
+
+
+def model_for(integrator: IntegratorUnderTest) -> Model:
+    """Return the test problem, which has a first-order state if the method claims to integrate such states."""
+    return LAGGING_PENDULUM if integrator.claims.states else FORCED_PENDULUM
+
+
+def equations_for(integrator: IntegratorUnderTest, model: Model) -> tuple[EquationsOfMotion, StepState]:
+    """Return the equations of a model and its initial state."""
+    equations = EquationsOfMotion(integrator.workspace(model))
+    return equations, StepState(equations.q0, equations.v0, z=equations.z0)
+
+
+def step_method(integrator: IntegratorUnderTest) -> StepMethod:
+    """Return a new method; raises Skip if it is not a class with `step`."""
+    method = integrator.method()
+    if not isinstance(method, StepMethod):
+        raise Skip("it is not a class with `step`")
+    return method
+
+
+def step_of(method: StepMethod, equations: EquationsOfMotion, t: float, state: StepState, h: float) -> Step:
+    """Take one step."""
+    made = method.step(equations, t, state, h)
+    return made if isinstance(made, Step) else Step(made)
+
+
+def single_steps(integrator: IntegratorUnderTest) -> tuple[SingleStep, ...]:
+    """Return steps of the sizes in `STEPS`, without those that cannot be taken; raises Skip if there are none."""
+    return integrator.cached("single steps", lambda: _taken(integrator))
+
+
+def _taken(integrator: IntegratorUnderTest) -> tuple[SingleStep, ...]:
+    model = model_for(integrator)
+    exact = dict(zip(STEPS, reference_states(with_state=model is LAGGING_PENDULUM), strict=True))
+    found = [
+        SingleStep(size, begin, made, looked_into(made), exact[size])
+        for size, begin, made in steps_on(integrator, model)
+    ]
+    if not found:
+        raise Skip("no single step from the start could be taken")
+    return tuple(found)
+
+
+def steps_on(integrator: IntegratorUnderTest, model: Model) -> Iterator[tuple[float, StepState, Step]]:
+    """Yield the size [s], the begin and the step of steps of the sizes in `STEPS` from the start of a model."""
+    method, (equations, start) = step_method(integrator), equations_for(integrator, model)
+    for size in STEPS:
+        begin = replace(start, memory=method.begin(equations, equations.t0, start, "start"))
+        try:
+            made = step_of(method, equations, equations.t0, begin, size)
+        except StepError:
+            continue
+        if made.accepted and made.time is None and made.event is None:
+            yield size, begin, made
+
+
+def looked_into(made: Step) -> tuple[Moment, ...]:
+    """Return the states (q, v, z) inside a step by its dense output; none if there is no dense output."""
+    dense: Callable[[float], tuple[np.ndarray, ...]] | None = made.dense
+    if dense is None:
+        return ()
+    q, v, z = zip(*(tuple(map(np.array, dense(share)[:3])) for share in SHARES[:-1]), strict=True)
+    return tuple(zip(q, v, z, strict=True))
+
+
+def moved(equations: EquationsOfMotion, t: float, begin: Moment, h: float) -> np.ndarray:
+    """Return (q, v, z) in one vector after the time `h` [s] from a state, by tight adaptive steps."""
+    cuts = equations.n, 2 * equations.n
+
+    def rates(time: float, y: np.ndarray) -> np.ndarray:
+        q, v, z = np.split(y, cuts)
+        a, _, rate = equations.derivatives(time, q, v, z)
+        return np.concatenate([v, a, rate])
+
+    run = solve_ivp(rates, (t, t + h), np.concatenate(begin), method="DOP853", rtol=1e-12, atol=1e-14)
+    end: np.ndarray = run.y[:, -1]
+    return end
+
+
+@cache
+def reference_states(*, with_state: bool) -> tuple[tuple[Moment, ...], ...]:
+    """Return (q, v, z), without the ground, in `SHARES` of each step in `STEPS`, by Gauss collocation of order 12."""
+    model = LAGGING_PENDULUM if with_state else FORCED_PENDULUM
+    spec = load_spec({"mbdkit": 1, "model": model, "integrator": REFERENCE, "time": {"end": 1.0, "step": 0.5}})
+    workspace: Workspace = build(spec)[0]
+    times = np.array([[workspace.t0 + share * step for share in SHARES] for step in STEPS])
+    stops = sorted(set(times.ravel().tolist()))
+    table = Timetable(
+        workspace.t0, stops[-1], step=0.1, steps=4, every=10**9, single=True,
+        stops=tuple(stops[:-1]), stop_margins=(1e-15,) * (len(stops) - 1),
+    )  # fmt: skip
+    stepper, found = start_method(make_method(spec), workspace, table), dict[float, Moment]()
+    n = len(workspace.q0) - 3
+    while not stepper.finished:
+        stepper.advance()
+        step = stepper.last_step
+        assert step is not None
+        near = min(stops, key=lambda stop, end=step.t1: abs(stop - end))  # type: ignore[misc]
+        found[near] = step.q1[:n].copy(), step.v1[:n].copy(), step.z1.copy()
+    return tuple(tuple(found[time] for time in row) for row in times.tolist())
