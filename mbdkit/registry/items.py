@@ -63,7 +63,9 @@ class Claims:
         The levels among ``position`` and ``velocity`` at which the constraints hold to round-off after every step, on
         the first of `formulations`.
     needs
-        What the method evaluates of the equations of motion, such as ``"accelerations"`` or ``"tangents"``.
+        What the method evaluates of the equations of motion: ``"accelerations"``, and ``"tangents"`` if it calls
+        `tangents`, `iteration_matrix` or `jacobian`, which the conformance checks test. A method in Python that needs
+        accelerations only can be used with event-driven contacts.
     formulations
         Formulations of the equations that the method supports.
     stabilizations
