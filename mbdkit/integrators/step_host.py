@@ -248,7 +248,8 @@ class StepHost(LastStep):
         self._rows_before = self.next_row, before.interval
         self._before, self._taken = before, taken
         self._go_to(there)
-        if self.timetable.single or self.timetable.interval is not None:
+        table = self.timetable
+        if table.single or table.interval is not None or table.nodes:
             z0 = before.state.z
             if self._states and (begin := self._results.within(self._made, 0.0)) is not None:
                 z0 = begin[2]
