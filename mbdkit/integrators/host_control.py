@@ -28,8 +28,6 @@ if TYPE_CHECKING:
 
 MEMORY = 0.2
 """Influence of the previous error on the size of the next step; see `Control.memory`."""
-SMALLEST = 16.0 * float(np.finfo(float).eps)
-"""Smallest step, relative to the larger of the times at the start and the end of the run [s]."""
 
 
 class HostControl:
@@ -54,7 +52,6 @@ class HostControl:
         self._data: dict[float, ControlData] = {}
         self._longest = math.inf if tolerances.max_step is None else tolerances.max_step
         span = timetable.end - timetable.start
-        self.smallest = SMALLEST * max(abs(timetable.start), abs(timetable.end), span)
         self._order = error_order
         if timetable.step is not None:
             self.first = min(span, timetable.step)
@@ -88,7 +85,7 @@ class HostControl:
             return self._limited(begin.size if made.next_step is None else made.next_step), 0.0
         order = self._order if begin.order is None else begin.order
         if order not in self._data:
-            self._data[order] = control_data(self._of_order(order), self.smallest)
+            self._data[order] = control_data(self._of_order(order), 0.0)
         data = self._data[order]
         error = self.norm(made.error, begin.state, made.state)
         if not error <= 1.0:

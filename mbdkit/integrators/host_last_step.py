@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from abc import abstractmethod
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
@@ -37,11 +38,11 @@ class LastStep(HostRows):
     _taken: Taken | None
     _watch: StepWatch
 
-    def _next(self, begin: Reached) -> Planned:
-        raise NotImplementedError
+    @abstractmethod
+    def _next(self, begin: Reached) -> Planned: ...
 
-    def _after(self, begin: Reached, plan: Planned, worst: np.ndarray, theta: float = 1.0) -> tuple[Reached, Taken]:
-        raise NotImplementedError
+    @abstractmethod
+    def _after(self, begin: Reached, plan: Planned, worst: np.ndarray, theta: float = 1.0) -> tuple[Reached, Taken]: ...
 
     def _go_to(self, there: Reached) -> None:
         self.now, self.time = there, there.time
@@ -84,18 +85,21 @@ class LastStep(HostRows):
     def _again(self, theta: float) -> Reached | None:
         """Repeat the last step with the fraction `theta` of its size; return None if that is impossible.
 
-        StepError means that it is, and so does a method that is a library. Any other exception is passed on.
+        It is impossible if the method raises StepError, if it is a library, or if it ends this step early too. Any
+        other exception is passed on.
         """
         before, now = self._before, self.now
         if isinstance(self.method, ExternalMethod):
             return self._cut_by_library(theta)
         plan, share = self._next(before), 1.0
         if now.is_event:  # the step ended earlier than planned
-            share = (now.time - plan.begin) / plan.size
+            share = (now.begin - plan.begin) / plan.size
         kept_step = self._made, self._judged, self._retrying
         self._from, self._retrying = before, False
         try:
-            return self._after(before, plan, self.worst_pairs.copy(), theta * share)[0]
+            there, wanted = self._after(before, plan, self.worst_pairs.copy(), theta * share)[0], share * theta
+            gap = plan.begin + wanted * plan.size - there.begin
+            return there if gap <= SAME_TIME * margin_of_stops(self.timetable) else None
         except (StepError, RejectedError):
             return None
         finally:
@@ -106,10 +110,8 @@ class LastStep(HostRows):
         step, method = self.last_step, self.method
         assert step is not None
         assert isinstance(method, ExternalMethod)
-        if type(method).cut is ExternalMethod.cut:
-            return None
-        state = self._results.state(called(f"{type(method).__name__}.cut", method.cut, step.time(theta)), "cut")
-        return self._at(theta, state)
+        found = called(f"{type(method).__name__}.cut", method.cut, step.time(theta))
+        return None if found is None else self._at(theta, self._results.state(found, "cut"))
 
     def _at(self, theta: float, state: StepState) -> Reached:
         """Return the point at the share `theta` of the last step with a given state."""
@@ -117,7 +119,9 @@ class LastStep(HostRows):
         assert step is not None
         energy = self._energies.at(theta, before, now, self._made, self._results)
         interval = before.interval.after(theta * (step.t1 - step.t0), 0, 0, np.zeros(4))
-        return replace(now, state=state, energy=energy, interval=interval, event=None, time=step.time(theta))
+        return replace(
+            now, state=state, energy=energy, interval=interval, event=None, time=step.time(theta), restart=None
+        )
 
     def _shortened(self, theta: float) -> Reached:
         """Return the point at the share `theta` of the last step, by a repeated step or else by dense output."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from abc import ABC, abstractmethod
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -19,7 +20,7 @@ if TYPE_CHECKING:
     from mbdkit.integrators.step_results import StepResults
 
 
-class HostRows:
+class HostRows(ABC):
     """Base class of `mbdkit.integrators.step_host.StepHost`: its rows."""
 
     method: StepMethod | ExternalMethod
@@ -39,9 +40,9 @@ class HostRows:
     _inner_rows: list[float]
     _is_fixed: bool
 
+    @abstractmethod
     def inside(self, theta: float) -> Moment:
         """See `Stepper.inside`."""
-        raise NotImplementedError
 
     def last_state(self) -> Stretch:
         """See `Stepper.last_state`."""

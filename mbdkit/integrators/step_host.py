@@ -258,7 +258,7 @@ class StepHost(LastStep):
         self._keep_nodes(before, there)
 
     def _accepted(self, begin: Reached) -> tuple[Reached, Reached, Taken]:
-        """Take a step, with as many attempts as it needs.
+        """Take a step, with as many attempts as it needs, each of at most nine tenths of the size of the one before.
 
         Returns its start, with the size of the step that was accepted, and its end.
         """
@@ -274,9 +274,8 @@ class StepHost(LastStep):
                         f"{name} rejects a step of {tried!r} s and asks for one of {rejected.size!r} s, no smaller one"
                     ) from None
                 self.counters.rejected += 1
-                begin, self._retrying = replace(begin, size=rejected.size), True
-                smallest = 4.0 * margin_of_stops(self.timetable)
-                if not rejected.size > smallest:
+                begin, self._retrying = replace(begin, size=min(rejected.size, 0.9 * tried)), True
+                if not rejected.size > 4.0 * margin_of_stops(self.timetable):
                     if rejected.reason is not None:
                         raise rejected.reason from None
                     raise StepError("step-too-small", "no step is small enough to be accepted") from None
@@ -335,13 +334,13 @@ class StepHost(LastStep):
         if plan.is_at_stop and not self._retrying:
             size = max(size, begin.size)  # the stop has shortened the step, not its error
         whole, passed, restart, why = begin.whole, begin.passed, None, ""
-        is_part = (is_short and self._is_fixed) or plan.is_part
-        if is_part:
+        is_part = is_short or plan.is_part
+        if is_part and self._is_fixed:
             restart = end
-        elif not is_short and plan.is_at_stop and theta == 1.0:
+        elif not is_part and plan.is_at_stop and theta == 1.0:
             whole, passed = whole + plan.is_whole, passed + 1
             restart, why, end = table.stops[begin.passed], "stop", plan.reached
-        elif not is_short:
+        elif not is_part:
             whole += 1
             is_over = plan.is_whole if not self._is_fixed else whole == table.steps
             end = table.end if is_over and theta == 1.0 else end
@@ -370,6 +369,8 @@ class StepHost(LastStep):
         self._judged = math.inf, 0.0
         if self.control is not None:
             self._judged = self.control.judge(made, h, self._from, retrying=self._retrying)
+        elif not made.accepted and self._is_external:
+            raise ValueError(f"{type(method).__name__}.advance returned a step that is not accepted")
         elif not made.accepted:
             raise RejectedError(0.5 * h if made.next_step is None else made.next_step)
         elif made.next_step is not None and self._is_fixed:

@@ -274,7 +274,9 @@ class ExternalMethod(_InPython):
     def traits(self) -> Traits:
         """See `Method`."""
         own: Literal["always", "never"] = "always" if self.carries_multipliers else "never"
-        why = "" if type(self).save is not ExternalMethod.save else "its library offers no way to store its state"
+        names, own_class = ("save", "restore"), type(self)
+        is_stored = all(getattr(own_class, name) is not getattr(ExternalMethod, name) for name in names)
+        why = "" if is_stored else "its library offers no way to store its state"
         return Traits(
             tolerances=self.tolerances,
             suits_stiff=True,
@@ -302,14 +304,13 @@ class ExternalMethod(_InPython):
     def advance(self) -> Step:
         """Take one step of the library, at most to `stop`; `Step.time` is where it ends. Raises StepError."""
 
-    def cut(self, t: float) -> StepState:
-        """Return the state at a time [s] within the last step; by default that of `Step.dense`."""
-        raise NotImplementedError
+    def cut(self, t: float) -> StepState | None:
+        """Return the state at a time [s] within the last step; None, the default, for that of `Step.dense`."""
+        return None
 
     def save(self) -> bytes | None:
         """Return the state of the library, from which `restore` continues to the same bits; None if it has no such."""
         return None
 
     def restore(self, stored: bytes) -> None:
-        """Continue from a stored state; called after `open`, with the same equations."""
-        raise NotImplementedError
+        """Continue from a stored state; called after `open`, with the same equations, if a method has `save`."""

@@ -44,7 +44,9 @@ def stored_stepper(stepper: StepHost) -> dict[str, Any]:
         raise MemoryNotStoredError(str(error)) from error
     now = stepper.now
     state = now.state
-    library = stepper.method.save() if isinstance(stepper.method, ExternalMethod) else None
+    library = None
+    if isinstance(stepper.method, ExternalMethod) and (library := stepper.method.save()) is None and not now.why:
+        raise MemoryNotStoredError("the library of the method does not give its state")
     return {
         "reached": {name: getattr(now, name) for name in (*_REACHED, *_LATER)},
         "interval": {name: getattr(now.interval, name) for name in _INTERVAL},
