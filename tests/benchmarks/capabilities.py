@@ -36,9 +36,8 @@ from mbdkit_studies.added_methods import with_methods
 from mbdkit_studies.lane_runs import LaneRuns, why_alone
 from mbdkit_studies.planned_points import PlannedPoints
 from mbdkit_studies.study_loading import load_study_spec
-from mbdkit_testing.scaffold import new_plugin
 from tests.benchmarks.state_orders import MODEL as MOTOR
-from tests.installing import install_project
+from tests.installing import install_templates
 from tests.runs.test_events_set_states import FIRES, rotor
 
 PAGE = Path(mbdkit.__file__).parent / "guide" / "capabilities.md"
@@ -321,16 +320,8 @@ def tried(method: Member, capability: str) -> str:
 @contextmanager
 def installed() -> Iterator[list[Member]]:
     """Give all installed methods, and those of the templates, which are generated and put on the path."""
-    with tempfile.TemporaryDirectory() as name, mock.patch.object(sys, "path", [*sys.path, f"{name}/site"]):
-        made, kinds = {}, getattr(new_plugin, "LIKE", ())
-        if not kinds:
-            print("templates are left out: `mbdkit plugins new` has no --like", file=sys.stderr)
-        for like in kinds:
-            project = new_plugin.new_project(f"mbdkit-new-{like}", "integrator", Path(name), like)
-            install_project(Path(name, "site"), project)
-            sys.path.append(str(project / "src"))
-            made[f"new-{like}"] = f"--like {like}"
-        forget()
+    with tempfile.TemporaryDirectory() as name, mock.patch.object(sys, "path", [*sys.path]):
+        made = {name: f"--like {like}" for like, name in install_templates(Path(name)).items()}
         names = [item.name for item in registry().of_kind("integrator")]
         yield [Member(one, made.get(one, one)) for one in sorted(names, key=lambda one: one in made)]
     forget()

@@ -7,7 +7,6 @@ set states.
 from __future__ import annotations
 
 import functools
-import sys
 import tempfile
 from pathlib import Path
 from typing import Any
@@ -15,9 +14,7 @@ from typing import Any
 import numpy as np
 
 import mbdkit
-from mbdkit.registry.manager import forget
-from mbdkit_testing.scaffold.new_plugin import LIKE, new_project
-from tests.installing import install_project
+from tests.installing import install_templates
 from tests.runs.resuming.killed_runs import killed
 
 from .attack import Attack
@@ -34,16 +31,9 @@ FALLS, SMALL = 0.45, 1e-7
 
 
 @functools.cache
-def _installed() -> tuple[str, ...]:
-    """Generate the templates, install them for this process, and return their names."""
-    folder = Path(tempfile.mkdtemp(prefix="mbdkit-methods-"))
-    sys.path.append(str(folder / "site"))
-    for like in LIKE:
-        project = new_project(f"mbdkit-drawn-{like}", "integrator", folder, like)
-        install_project(folder / "site", project)
-        sys.path.append(str(project / "src"))
-    forget()
-    return LIKE
+def _installed() -> dict[str, str]:
+    """Install the templates for this process; return the names of the integrators by the kind of the template."""
+    return install_templates(Path(tempfile.mkdtemp(prefix="mbdkit-methods-")))
 
 
 def drawn(random: np.random.Generator) -> dict[str, Any]:
@@ -97,7 +87,7 @@ def drawn(random: np.random.Generator) -> dict[str, Any]:
 
 
 def _spec(given: dict[str, Any], like: str, step: float = STEP) -> dict[str, Any]:
-    name = {"name": f"drawn-{like}"}
+    name = {"name": _installed()[like]}
     if like in CONTROLLED:
         integrator, time = name | {"rtol": 1e-8, "atol": 1e-10}, {"end": END}
     else:

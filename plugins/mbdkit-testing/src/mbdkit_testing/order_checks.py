@@ -14,6 +14,7 @@ from functools import cache
 import numpy as np
 
 from mbdkit.base.errors import StepError
+from mbdkit.methods.step_methods import StepMethod
 from mbdkit.spec.formulation_choice import choice_of
 from mbdkit.spec.loading import load_spec
 from mbdkit_report.analysis.order import ObservedOrder, observed_order
@@ -166,7 +167,7 @@ def numbers_of_steps(integrator: IntegratorUnderTest, order: float) -> Iterator[
     Step sizes are at most halved each time, so that the error of a method of an order below 2 falls less.
     """
     ratio = min(2.0, max(4.0 ** (1 / order), 1.05))
-    most = MOST_PYTHON_STEPS if not integrator.method().traits.compiled else MOST_STEPS
+    most = MOST_PYTHON_STEPS if isinstance(integrator.method(), StepMethod) else MOST_STEPS
     exact = float(FIRST_STEPS)
     while exact <= most:
         yield round(exact)
@@ -309,7 +310,7 @@ def polynomials(integrator: IntegratorUnderTest) -> Result:
     if first is None:
         return passed(degree=order, defect=worst).within({"defect": POLYNOMIAL})
     cause = f"under the force t^{first} one step of 1 s is not exact, as order {order} requires"
-    if not integrator.method().traits.compiled:
+    if isinstance(integrator.method(), StepMethod):
         return warned(f"{cause} of methods that are linear in the forces", defect=worst)
     return failed(cause, defect=worst)
 
