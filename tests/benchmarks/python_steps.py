@@ -7,10 +7,11 @@ from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
+import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from mbdkit import EquationsOfMotion, StepMethod, StepState
+from mbdkit import EquationsOfMotion, Step, StepMethod, StepState, Tolerances
 from mbdkit.engine.consistent_start import workspace_at_start
 from mbdkit.integrators.interface import Timetable
 from mbdkit.integrators.start import start_method
@@ -29,6 +30,15 @@ class _Standing(StepMethod):
 
     def step(self, equations: EquationsOfMotion, t: float, state: StepState, h: float) -> StepState:
         return StepState(state.q, state.v)
+
+
+class _StandingControlled(StepMethod):
+    """Does nothing, in steps that its error estimate controls."""
+
+    tolerances = Tolerances(1e-6, 1e-8, max_step=1e-3)
+
+    def step(self, equations: EquationsOfMotion, t: float, state: StepState, h: float) -> Step:
+        return Step(StepState(state.q, state.v), error=np.full(2 * equations.n, 1e-12))
 
 
 def python_steps(console: Console) -> None:
@@ -84,6 +94,7 @@ def python_steps(console: Console) -> None:
     contenders = {
         "step: rk4 in compiled code": stepped(ExplicitRungeKutta(rk4.tableau())),
         "step: a method in Python that does nothing": stepped(_Standing()),
+        "step: the same with controlled steps": stepped(_StandingControlled()),
         "step: rk4 in NumPy, four evaluations": stepped(RungeKutta()),
         **{f"call: {name}": called(call) for name, call in calls.items()},
     }
