@@ -5,7 +5,15 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Literal
 
-from mbdkit.registry.feature_items import CriterionItem, Example, Feature, GuidePage, SpecKind, TableFormat
+from mbdkit.registry.feature_items import (
+    CriterionItem,
+    Example,
+    Feature,
+    GuidePage,
+    SpecKind,
+    TableFormat,
+    Treatment,
+)
 from mbdkit.registry.target import Target
 
 _HERE = Path(__file__).parent
@@ -93,8 +101,10 @@ def builtin_features() -> list[Feature]:
         )
         for number, (stage, name, summary, where) in enumerate(_CRITERIA)
     ]
+    compliant = Treatment(name="compliant", summary="Forces by the overlap of the shapes.", order=0)
     return [
         run,
+        compliant,
         *formats,
         *criteria,
         *Example.folder(_HERE / "models" / "examples"),

@@ -90,6 +90,7 @@ if TYPE_CHECKING:
         SpecKind,
         SummaryLine,
         TableFormat,
+        Treatment,
         ViewItem,
     )
     from mbdkit.registry.hookspecs import hookimpl
@@ -127,7 +128,7 @@ _STABLE = {
     "mbdkit.trust.finding": "Finding accepted_doubts open_doubts",
     "mbdkit.registry.feature_items": "Accessor CriterionItem "
     "Example FileFormat GuidePage PlotKind ReportSection SpecKind "
-    "SummaryLine TableFormat ViewItem",
+    "SummaryLine TableFormat Treatment ViewItem",
     "mbdkit.registry.hookspecs": "hookimpl",
     "mbdkit.registry.target": "Target",
     "mbdkit.registry.item": "Item",

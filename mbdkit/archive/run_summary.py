@@ -28,7 +28,7 @@ from mbdkit.mechanism.beams import beam_of
 from mbdkit.mechanism.contacts import SLIP, STICK
 from mbdkit.mechanism.mechanism import gravity_text
 from mbdkit.registry.catalogue import Registered
-from mbdkit.registry.feature_items import SummaryLine
+from mbdkit.registry.feature_items import SummaryLine, Treatment
 from mbdkit.registry.manager import registry
 from mbdkit.registry.use import use
 from mbdkit.spec.formulation_choice import name_of
@@ -368,7 +368,7 @@ def _impacts(run: Run) -> str:
     """
     impacts, parts = run.impacts, []
     of_contacts = np.isin(impacts.contact.astype(str), list(run.contacts))
-    if (run.spec.get("contact") or {}).get("treatment") == "time-stepping":
+    if _includes_impacts((run.spec.get("contact") or {}).get("treatment")):
         told = "the contact force of a step with an impact includes its impulse, divided by the step"
         parts.append(f"not located: {told}")
     elif np.any(of_contacts):
@@ -384,6 +384,12 @@ def _impacts(run: Run) -> str:
         size = f"{force:.4g} N s and {torque:.4g} N m s"
         parts.append(f"{who}, impulses of joints up to {size}, {change}; their forces do not include impulses")
     return "; ".join(parts)
+
+
+def _includes_impacts(treatment: str | None) -> bool:
+    """Return whether the forces of a treatment include impacts; False if it is not installed."""
+    items = (item.plugin for item in registry().of_kind(Treatment.kind) if treatment in registry().accepted(item))
+    return any(cast(Treatment, item).includes_impacts for item in items)
 
 
 def _restitutions(run: Run, struck: np.ndarray) -> str:

@@ -15,7 +15,7 @@ from mbdkit.engine.contact_forces import ActingContact
 from mbdkit.engine.force_laws import CompiledLaw
 from mbdkit.engine.kernels.engine_bundles import Topology
 from mbdkit.expressions.program import Program
-from mbdkit.mechanism.contacts import COMPLIANT, Treatment
+from mbdkit.mechanism.contacts import COMPLIANT, ChosenTreatment
 from mbdkit.mechanism.values import Motion
 from mbdkit.muscles.acting_muscles import MuscleForce
 
@@ -218,7 +218,7 @@ class CompiledMechanism:
     muscles: tuple[ActingMuscle, ...] = ()
     friction: tuple[int, ...] = ()
     contacts: tuple[ActingContact, ...] = ()
-    contact_treatment: Treatment = COMPLIANT
+    contact_treatment: ChosenTreatment = COMPLIANT
     members: Mapping[str, tuple[tuple[str, tuple[str, ...]], ...]] = field(default_factory=dict)
 
     def freedoms(self) -> str:

@@ -186,6 +186,13 @@ def held_coordinates(contacts: Sequence[ActingContact]) -> list[int]:
     return [3 * body + axis for body, count in sorted(set(sides)) for axis in range(count)]
 
 
+def held_states(contacts: Sequence[ActingContact]) -> range:
+    """Return the indices of the first-order states that store the forces and modes of rigid contacts."""
+    rigid = [contact for contact in contacts if contact.first_state >= 0]
+    first = rigid[0].first_state if rigid else 0
+    return range(first, first + len(HELD) * len(rigid) + len(held_coordinates(rigid)))
+
+
 def acting_contacts(mechanism: Mechanism, number: Mapping[str, int]) -> list[ActingContact]:
     """Return all rows of the contacts of a mechanism.
 

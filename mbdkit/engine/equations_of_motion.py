@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import cached_property, partial
-from typing import TYPE_CHECKING, Any, Unpack
+from typing import TYPE_CHECKING, Any, TypeVar, Unpack
 
 import numpy as np
 
@@ -41,6 +41,8 @@ if TYPE_CHECKING:
     from scipy.sparse import csr_array
 
     from mbdkit.mechanism.mechanism import Mechanism
+
+T = TypeVar("T")
 
 
 class EquationsOfMotion:
@@ -114,6 +116,7 @@ class EquationsOfMotion:
         self.first_step: float | None = None
         self._no_force, self._no_rows = np.zeros(self.n), np.zeros(self.m)
         self._matrices = IterationMatrices(workspace)
+        self._derived: dict[Any, Any] = {}
 
     @classmethod
     def of(cls, mechanism: Mechanism, t0: float = 0.0) -> EquationsOfMotion:
@@ -148,6 +151,16 @@ class EquationsOfMotion:
     def hold(self, z: np.ndarray) -> None:
         """Use the values `z` (Z,) of first-order states in later evaluations."""
         self._workspace.take_states(vector(z, len(self.z0)))
+
+    def derived(self, make: Callable[[EquationsOfMotion], T]) -> T:
+        """Return ``make(self)``, computed by the first call: what a method needs of the equations and does not change.
+
+        `make` is a class or a function of a module, by which the result is found again.
+        """
+        if make not in self._derived:
+            self._derived[make] = make(self)
+        result: T = self._derived[make]
+        return result
 
     @property
     def contacts(self) -> tuple[ActingContact, ...]:

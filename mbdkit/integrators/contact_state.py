@@ -3,35 +3,25 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
-from dataclasses import dataclass, replace
-from typing import Any, NamedTuple
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, fields, replace
+from itertools import zip_longest
+from typing import Any
 
 import numpy as np
 
 from mbdkit.base.text import listed
-from mbdkit.engine.compiled_mechanism import CompiledMechanism
-from mbdkit.engine.contact_forces import HELD, ActingContact, held_coordinates
+from mbdkit.engine.contact_forces import HELD, ActingContact, held_coordinates, held_states
+from mbdkit.integrators.impulse import ContactImpact, ContactMemory
 from mbdkit.integrators.interface import StepTaken
 from mbdkit.methods.step_methods import Step, StepEvent, StepState
 
 SOLVED = 1e-6
 """`ContactState.remarks` mentions relative errors of the velocities of contacts that are larger than this."""
-
-
-class ContactImpact(NamedTuple):
-    """An impact of a contact.
-
-    Time [s], index of the contact, its impulses [N s], energy dissipated at all contacts together [J], and impulses
-    (J, 3) of the joints caused by all contacts [N s, N m s]; see `EquationsOfMotion.reactions`.
-    """
-
-    time: float
-    contact: int
-    normal_impulse: float
-    tangential_impulse: float
-    energy_lost: float
-    reactions: np.ndarray
+NEGLIGIBLE_BOUNCES = 1e-9
+"""Largest `contact.rest_energy` for which the bounces that are left out count as negligible."""
+_NAMES = ("cut", "changed", "undetermined", "ordered")
+"""Fields that are sets of names."""
 
 
 @dataclass(frozen=True)
@@ -79,6 +69,8 @@ class ContactState:
         (C,) see `mbdkit.integrators.contact_kinematics.ContactKinematics.held`.
     between
         Memory of the method that takes the steps between events; None after an event.
+    is_new
+        Whether no step has been taken yet.
     """
 
     modes: np.ndarray
@@ -102,10 +94,38 @@ class ContactState:
     owed: float = 0.0
     features: np.ndarray | None = None
     between: Any = None
+    is_new: bool = True
 
     def after_stop(self) -> ContactState:
         """Return the state after a discontinuity of a motion or load; the next step determines the modes anew."""
         return replace(self, modes=np.zeros(0, dtype=int), accelerations=(), between=None)
+
+    def stored(self) -> dict[str, Any]:
+        """Return the state as plain data; the impacts are stored as joined arrays."""
+        values = {item.name: getattr(self, item.name) for item in fields(self)}
+        return values | {
+            "impacts": np.array([impact[:-1] for impact in self.impacts], dtype=float),
+            "reactions": np.array([impact.reactions for impact in self.impacts], dtype=float),
+            **{name: sorted(values[name]) for name in _NAMES},
+        }
+
+    def restored(self, data: Mapping[str, Any]) -> ContactState:
+        """Return the state from what `stored` has returned; raise ValueError if it is not one of these contacts."""
+        values = dict(data)
+        count, reactions = len(self.normal), values.pop("reactions")
+        sizes = {"normal": (count,), "tangent": (count,), "force": self.force.shape}
+        if values.keys() != {item.name for item in fields(self)} or any(
+            values[name].shape != shape for name, shape in sizes.items()
+        ):
+            raise ValueError("it has other parts")
+        chosen = [int(impact[1]) for impact in values["impacts"]] + [event[1] for event in [values["event"]] if event]
+        if any(not 0 <= contact < count for contact in chosen):
+            raise ValueError("an impact or event is that of another contact")
+        values["impacts"] = tuple(
+            ContactImpact(t, int(contact), normal, tangential, lost, own)
+            for (t, contact, normal, tangential, lost), own in zip(values["impacts"].tolist(), reactions, strict=True)
+        )
+        return ContactState(**values | {name: frozenset(map(str, values[name])) for name in _NAMES})
 
     def remarks(self) -> tuple[str, ...]:
         """Return sentences about sequences of impacts that were cut short, about impacts computed with another law than
@@ -146,25 +166,42 @@ class ContactState:
             )
         return tuple(found)
 
+    def agrees(self, others: Sequence[ContactMemory], rest_energy: float) -> tuple[float, str]:
+        """See `ContactMemory.agrees`: impacts should be the same, in the same order, and none should be left out.
+
+        Runs by time-stepping methods, which do not locate impacts, are not compared.
+        """
+        runs = [self, *(other for other in others if isinstance(other, ContactState))]
+        undecided = min(run.undecided for run in runs)
+        differs = math.inf
+        for impacts in zip_longest(*(run.impacts for run in runs if not run.is_over_step)):
+            if len({None if impact is None else impact.contact for impact in impacts}) > 1:
+                differs = min(impact.time for impact in impacts if impact is not None)
+                break
+        until, why = differs, f" After {differs:.6g} s, the impacts of the runs differ."
+        if undecided < differs:
+            until = undecided
+            why = f" At {undecided:.6g} s, contacts that affect each other close at once, in an unknown order."
+        if self.cut and rest_energy > NEGLIGIBLE_BOUNCES and self.cut_time < until:
+            until = self.cut_time
+            why = (
+                f" After {until:.6g} s, bounces below contact.rest_energy are left out, in the comparison runs as well."
+            )
+        return until, why if math.isfinite(until) else ""
+
 
 class HeldForces:
     """Forces and modes of rigid contacts as first-order states, which are constant within each step."""
 
     def __init__(self, contacts: Iterable[ActingContact]):
-        rigid = [one for one in contacts if one.first_state >= 0]
-        self._first = rigid[0].first_state if rigid else 0
+        rigid = [contact for contact in contacts if contact.first_state >= 0]
         self._contacts, self._coordinates = len(HELD) * len(rigid), held_coordinates(rigid)
-        self.count = self._contacts + len(self._coordinates)
+        self.states = held_states(rigid)
 
-    def others(self, mechanism: CompiledMechanism) -> list[str]:
-        """Return the names of the first-order states of the mechanism that do not belong to contacts."""
-        own = range(self._first, self._first + self.count)
-        return [state.name for number, state in enumerate(mechanism.states) if number not in own]
-
-    def of(self, memory: ContactState | None) -> np.ndarray:
-        """Return the states (Z,) from the memory of the method; zeros before the first step."""
-        z = np.zeros(self.count)
-        if self.count and memory is not None:
+    def of(self, memory: ContactState) -> np.ndarray:
+        """Return the states (Z,) from the memory of the method."""
+        z = np.zeros(len(self.states))
+        if len(self.states):
             modes = memory.modes if len(memory.modes) else np.zeros(len(memory.normal))  # unknown after a stop
             z[: self._contacts] = np.stack([memory.normal, memory.tangent, np.abs(modes)], axis=1).ravel()
             z[self._contacts :] = memory.force[self._coordinates]
@@ -184,13 +221,7 @@ def held_step(
     """
     memory = end.memory
     end = replace(end, z=HeldForces(contacts).of(memory))
-    if begin.memory is not None and not memory.is_over_step:
+    if not begin.memory.is_new and not memory.is_over_step:
         return Step(end, event=event)
     taken = StepTaken(*times, begin.q, begin.v, end.q, end.v, end.z, end.z)
     return Step(end, dense=taken.between, event=event)
-
-
-def contacts_of(stepper: object) -> ContactState | None:
-    """Return the data of rigid contacts with their impacts so far; None if the run of a stepper has none."""
-    memory = getattr(getattr(getattr(stepper, "now", None), "state", None), "memory", None)
-    return memory if isinstance(memory, ContactState) else None

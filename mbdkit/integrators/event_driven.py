@@ -12,8 +12,8 @@ from mbdkit.engine.equations_of_motion import EquationsOfMotion
 from mbdkit.engine.workspace import Workspace
 from mbdkit.integrators.contact_state import ContactState, HeldForces, held_step
 from mbdkit.integrators.event_step import MOST_EVENTS, Between, EventStep, NotAcceptedError
-from mbdkit.integrators.rigid_contacts import KnownContacts
-from mbdkit.mechanism.contacts import Treatment
+from mbdkit.integrators.rigid_contacts import RigidContacts
+from mbdkit.mechanism.contacts import ChosenTreatment
 from mbdkit.methods.step_methods import Step, StepMethod, StepState, Why
 from mbdkit.methods.tableau import ButcherTableau
 
@@ -26,10 +26,10 @@ class EventDriven(StepMethod):
     method
         The method between events: an explicit tableau with fixed steps, or a method in Python.
     treatment
-        Treatment of contacts in the run.
+        ChosenTreatment of contacts in the run.
     """
 
-    def __init__(self, method: ButcherTableau | StepMethod, treatment: Treatment):
+    def __init__(self, method: ButcherTableau | StepMethod, treatment: ChosenTreatment):
         self.treatment = treatment
         self.between: Between
         if isinstance(method, StepMethod):
@@ -37,18 +37,17 @@ class EventDriven(StepMethod):
             self.tolerances, self.error_order, self.hint = method.tolerances, method.error_order, method.hint
         else:
             self.between = tuple(x.tolist() for x in method.floats())
-        self._contacts = KnownContacts()
 
-    def begin(self, equations: EquationsOfMotion, t: float, state: StepState, why: Why) -> ContactState | None:
+    def begin(self, equations: EquationsOfMotion, t: float, state: StepState, why: Why) -> ContactState:
         """See `StepMethod.begin`: the modes are determined anew."""
-        return None if state.memory is None else state.memory.after_stop()
+        return RigidContacts.on(equations).begun(state)
 
     def step(self, equations: EquationsOfMotion, t: float, state: StepState, h: float) -> Step:
         """Take a step, or only its part before the first event, which `after_event` applies later.
 
         The time reached is stored in `StepState.memory`, a `ContactState`.
         """
-        step = EventStep(self.treatment, self.between, self._contacts.on(equations), t, state)
+        step = EventStep(self.treatment, self.between, RigidContacts.on(equations), t, state)
         try:
             event = step.to(t + h)
         except NotAcceptedError as rejected:
@@ -64,7 +63,7 @@ class EventDriven(StepMethod):
 
     def after_event(self, equations: EquationsOfMotion, t: float, state: StepState) -> StepState:
         """Return the state after the event at which a step has ended."""
-        step = EventStep(self.treatment, self.between, self._contacts.on(equations), t, state)
+        step = EventStep(self.treatment, self.between, RigidContacts.on(equations), t, state)
         assert step.state.event is not None
         step.happen(step.state.event)
         end = step.reached(None, step.state.streak)
@@ -95,14 +94,16 @@ def with_contact_forces(workspace: Workspace) -> Workspace:
     """
     mechanism = workspace.mechanism
     top, held = mechanism.topology, HeldForces(mechanism.contacts)
-    if others := held.others(mechanism):
+    if others := [state.name for number, state in enumerate(mechanism.states) if number not in held.states]:
         names = listed(others, "and")
         raise SpecError(f"runs with rigid contacts do not include other first-order states ({names})", key="model")
     p = EquationsOfMotion(workspace)
-    contacts = KnownContacts().on(p)
-    step = EventStep(mechanism.contact_treatment, None, contacts, workspace.t0, StepState(p.q0, p.v0))
+    contacts = RigidContacts.on(p)
+    begin = StepState(p.q0, p.v0)
+    begin = replace(begin, memory=contacts.begun(begin))
+    step = EventStep(mechanism.contact_treatment, None, contacts, workspace.t0, begin)
     parameters = top.law_parameters.copy()
-    parameters[top.states[: held.count, 1]] = held.of(step.contact_state())
+    parameters[top.states[held.states, 1]] = held.of(step.contact_state())
     started = replace(mechanism, topology=top._replace(law_parameters=parameters))
     return Workspace(
         started,

@@ -18,11 +18,12 @@ from mbdkit.engine.equations_of_motion import EquationsOfMotion
 from mbdkit.engine.nearest_state import nearest_positions, nearest_velocities
 from mbdkit.integrators.closed_contacts import ClosedSystem
 from mbdkit.integrators.contact_impacts import struck
-from mbdkit.integrators.contact_state import ContactImpact, ContactState
+from mbdkit.integrators.contact_state import ContactState
 from mbdkit.integrators.forced_equations import ForcedEquations
+from mbdkit.integrators.impulse import ContactImpact
 from mbdkit.integrators.interface import StepTaken
 from mbdkit.integrators.rigid_contacts import Forced, RigidContacts
-from mbdkit.mechanism.contacts import OPEN, SLIP, STICK, Treatment
+from mbdkit.mechanism.contacts import OPEN, SLIP, STICK, ChosenTreatment
 from mbdkit.methods.step_methods import Step, StepMethod, StepState
 
 MOST_EVENTS = 1000
@@ -78,14 +79,14 @@ class EventStep:
     """A step of the run, divided at events into steps of the explicit method."""
 
     def __init__(
-        self, treatment: Treatment, between: Between | None, contacts: RigidContacts, t: float, state: StepState
+        self, treatment: ChosenTreatment, between: Between | None, contacts: RigidContacts, t: float, state: StepState
     ):
         self.treatment, self.between, self.p = treatment, between, contacts.p
         self.error: np.ndarray | None = None  # largest estimates of the local errors of q and v (2 n,)
         self.contacts = contacts
         memory = state.memory
-        self.now = _Point(t, state.q.copy(), state.v.copy(), 0.0, 0.0, None if memory is None else memory.between)
-        self.state = memory if memory is not None else self.contacts.all_open().after_stop()
+        self.now = _Point(t, state.q.copy(), state.v.copy(), 0.0, 0.0, memory.between)
+        self.state: ContactState = memory
         self.length = contacts.p.length
         self._book_energy()
         is_known = len(self.state.modes) == len(contacts.names)
@@ -147,6 +148,7 @@ class EventStep:
             force=force,
             features=features,
             undetermined=found,
+            is_new=False,
         )
 
     def _shared(self, at: _Point, forced: Forced) -> tuple[np.ndarray, np.ndarray]:

@@ -44,7 +44,6 @@ class GeneralizedAlphaSteps(TimeStepping):
     """
 
     def __init__(self, spectral_radius: float):
-        super().__init__()
         self.alpha_m = (2.0 * spectral_radius - 1.0) / (spectral_radius + 1.0)
         self.alpha_f = spectral_radius / (spectral_radius + 1.0)
         self.gamma = 0.5 + self.alpha_f - self.alpha_m

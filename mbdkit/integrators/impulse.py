@@ -1,12 +1,13 @@
-"""The impulse of drivers whose velocity is discontinuous.
+"""Impulses: those of drivers whose velocities are discontinuous, and those of contacts.
 
-The velocities afterwards are the nearest ones that satisfy the constraints.
+The velocities after the impulse of drivers are the nearest ones that satisfy the constraints.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple, Protocol, cast
 
 import numpy as np
 
@@ -31,6 +32,47 @@ class DriverImpulse(Impact):
     """
 
     reactions: np.ndarray
+
+
+class ContactImpact(NamedTuple):
+    """An impact of a contact.
+
+    Time [s], index of the contact, its impulses [N s], energy dissipated at all contacts together [J], and impulses
+    (J, 3) of the joints caused by all contacts [N s, N m s]; see `EquationsOfMotion.reactions`.
+    """
+
+    time: float
+    contact: int
+    normal_impulse: float
+    tangential_impulse: float
+    energy_lost: float
+    reactions: np.ndarray
+
+
+class ContactMemory(Protocol):
+    """What the memory of a method with rigid contacts offers; see `StepState.memory`."""
+
+    @property
+    def impacts(self) -> Sequence[ContactImpact]:
+        """All impacts so far."""
+        ...
+
+    def remarks(self) -> Sequence[str]:
+        """Return sentences about the contacts for the user, which do not question the results."""
+        ...
+
+    def agrees(self, others: Sequence[ContactMemory], rest_energy: float) -> tuple[float, str]:
+        """Return the time until which the contacts of comparison runs behave in the same way [s], and why not later.
+
+        The reason is a sentence after a space, empty if the time is infinite. `rest_energy` is that of the spec.
+        """
+        ...
+
+
+def contact_memory(stepper: object) -> ContactMemory | None:
+    """Return the memory of rigid contacts, with the impacts so far; None if the run of a stepper has none."""
+    memory = getattr(getattr(getattr(stepper, "now", None), "state", None), "memory", None)
+    return cast(ContactMemory, memory) if hasattr(memory, "impacts") else None
 
 
 def impulse(

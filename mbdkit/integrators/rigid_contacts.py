@@ -14,6 +14,7 @@ from mbdkit.integrators.complementarity import PRECISION, Pushed, coulomb, coupl
 from mbdkit.integrators.contact_kinematics import FEW, ContactKinematics, Rows
 from mbdkit.integrators.contact_state import ContactState
 from mbdkit.mechanism.contacts import OPEN, SLIP, STICK
+from mbdkit.methods.step_methods import StepState
 
 SINGULAR = 1e-11
 """Singular values of the equations of contact forces below this share of the largest one indicate redundant rows."""
@@ -66,9 +67,12 @@ class RigidContacts:
         self._lightness = np.vstack([1.0 / equations.mass.reshape(-1, 3), np.zeros(3)])
         self._is_free = np.zeros(len(self._lightness), dtype=bool)
 
-    def begin(self) -> None:
-        """Exclude the forces of contacts, which are computed here, from those of the equations of motion."""
-        self.p.hold(self._held)
+    @classmethod
+    def on(cls, equations: EquationsOfMotion) -> RigidContacts:
+        """Return the contacts of equations of motion, and exclude their forces, computed here, from the equations."""
+        contacts = equations.derived(cls)
+        equations.hold(contacts._held)
+        return contacts
 
     def find_free(self) -> None:
         """Find the bodies that only contacts couple to others, from the derivatives of the forces evaluated last."""
@@ -78,6 +82,10 @@ class RigidContacts:
         """Return the `ContactState` of open contacts, without forces."""
         count = len(self.contacts)
         return ContactState(np.zeros(count, dtype=int), np.zeros(count), np.zeros(count), np.zeros(self.p.n))
+
+    def begun(self, state: StepState) -> ContactState:
+        """Return the `ContactState` of a step that begins anew at a state: it determines the modes."""
+        return (self.all_open() if state.memory is None else state.memory).after_stop()
 
     def accelerations(
         self, t: float, q: np.ndarray, v: np.ndarray, modes: np.ndarray, *, only_closed: bool = False
@@ -309,17 +317,3 @@ def _directions(rows: Rows, places: np.ndarray, share: np.ndarray, sticks: np.nd
     """
     along, across = rows.normal[places], rows.tangent[places]
     return np.vstack([along, across[sticks]]), np.vstack([along + share[:, None] * across, across[sticks]])
-
-
-class KnownContacts:
-    """The rigid contacts of the equations of motion that a method used last."""
-
-    def __init__(self) -> None:
-        self._known: RigidContacts | None = None
-
-    def on(self, equations: EquationsOfMotion) -> RigidContacts:
-        """Return the contacts of these equations of motion, and exclude their forces from the equations."""
-        if self._known is None or self._known.p is not equations:
-            self._known = RigidContacts(equations)
-        self._known.begin()
-        return self._known

@@ -14,7 +14,6 @@ from mbdkit.engine.workspace import Workspace
 from mbdkit.integrators.collocation import CompiledCollocation
 from mbdkit.integrators.compiled_method import CompiledMethod
 from mbdkit.integrators.compiled_stepper import CompiledStepper
-from mbdkit.integrators.event_driven import EventDriven
 from mbdkit.integrators.explicit import CompiledExplicit
 from mbdkit.integrators.interface import Stepper, Timetable
 from mbdkit.integrators.lobatto_iiia_iiib import CompiledLobattoPair
@@ -22,6 +21,7 @@ from mbdkit.integrators.step_control import Control, unit_of_length
 from mbdkit.integrators.step_host import StepHost
 from mbdkit.integrators.taylor_series import CompiledTaylor
 from mbdkit.methods.kinds import Method, Traits
+from mbdkit.registry.treatments import treatment_of
 
 COMPILED: dict[str, Callable[[Any, Workspace, Control | None], CompiledMethod]] = {
     "explicit": lambda method, workspace, control: CompiledExplicit(method, workspace),
@@ -91,9 +91,8 @@ def start_method(method: Method, workspace: Workspace, timetable: Timetable) -> 
         If the method does not support the mechanism.
     """
     traits, treatment = method.traits, workspace.mechanism.contact_treatment
-    if treatment.kind == "event-driven":
-        between: Any = method if traits.tableau is None else traits.tableau
-        return StepHost(EventDriven(between, treatment), workspace, timetable)
+    if treatment.is_rigid and (steps_of := treatment_of(treatment.kind).method) is not None:
+        return StepHost(steps_of()(method, treatment), workspace, timetable)
     if not traits.compiled:
         method.require_formulation(FORMULATIONS[workspace.formulation])
         steps: Any = method if traits.steps is None else traits.steps()(method)

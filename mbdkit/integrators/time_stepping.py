@@ -29,7 +29,7 @@ from mbdkit.engine.kernels.projection import MOST_ITERATIONS, STAGNANT
 from mbdkit.engine.nearest_state import ROUND_OFF
 from mbdkit.integrators.complementarity import PRECISION
 from mbdkit.integrators.contact_state import ContactState, held_step
-from mbdkit.integrators.rigid_contacts import KnownContacts, RigidContacts
+from mbdkit.integrators.rigid_contacts import RigidContacts
 from mbdkit.integrators.step_impulses import MANY, SMALL, SmoothStep, StepImpulses
 from mbdkit.methods.moreau_jean import MoreauJean
 from mbdkit.methods.step_methods import Step, StepMethod, StepState, Why
@@ -44,9 +44,6 @@ overlap."""
 class TimeStepping(StepMethod):
     """Base class of time-stepping methods; a subclass defines the step without contacts."""
 
-    def __init__(self) -> None:
-        self._contacts = KnownContacts()
-
     @abstractmethod
     def smooth(
         self, p: EquationsOfMotion, t: float, state: StepState, h: float, accelerations: tuple[np.ndarray, ...]
@@ -56,9 +53,9 @@ class TimeStepping(StepMethod):
         `accelerations` are those that the previous step has returned for this one; () if there are none.
         """
 
-    def begin(self, equations: EquationsOfMotion, t: float, state: StepState, why: Why) -> ContactState | None:
+    def begin(self, equations: EquationsOfMotion, t: float, state: StepState, why: Why) -> ContactState:
         """See `StepMethod.begin`."""
-        return None if state.memory is None else state.memory.after_stop()
+        return RigidContacts.on(equations).begun(state)
 
     def step(self, equations: EquationsOfMotion, t: float, state: StepState, h: float) -> Step:
         """See `StepMethod.step`. If an iteration in a step does not converge, the step is taken as two half steps."""
@@ -80,8 +77,8 @@ class TimeStepping(StepMethod):
         return replace(end, work=half.work + end.work, dissipated=half.dissipated + end.dissipated)
 
     def _whole(self, p: EquationsOfMotion, t: float, state: StepState, h: float) -> StepState:
-        contacts, v = self._contacts.on(p), state.v
-        held = contacts.all_open().after_stop() if state.memory is None else state.memory
+        contacts, v = RigidContacts.on(p), state.v
+        held = state.memory
         smooth = self.smooth(p, t, state, h, held.accelerations)
         contacts.find_free()
         after, memory, lost = StepImpulses(contacts, held, smooth, v, h).applied()
@@ -89,7 +86,7 @@ class TimeStepping(StepMethod):
         work, dissipated = p.powers(t + 0.5 * h, smooth.middle, 0.5 * (v + after), smooth.multipliers)
         more, lifted = self._moved(p, (t, h), smooth, (after, reached), memory.force)
         lost -= held.owed + lifted
-        memory = replace(memory, owed=max(-lost, 0.0))
+        memory = replace(memory, owed=max(-lost, 0.0), is_new=False)
         return StepState(reached, after, None, memory, h * work + more, h * dissipated + max(lost, 0.0))
 
     @staticmethod
@@ -172,7 +169,6 @@ class MoreauJeanSteps(TimeStepping):
     """
 
     def __init__(self, theta: float):
-        super().__init__()
         self.theta = theta
 
     @classmethod

@@ -138,7 +138,7 @@ def _check_convex(corners: tuple[Pair, ...]) -> None:
         raise SpecError("the edges of a polygon should not cross", key="polygon")
 
 
-class Treatment(NamedTuple):
+class ChosenTreatment(NamedTuple):
     """How contacts act in a run.
 
     Attributes
@@ -162,7 +162,7 @@ class Treatment(NamedTuple):
         return self.kind != "compliant"
 
 
-COMPLIANT = Treatment()
+COMPLIANT = ChosenTreatment()
 
 
 class Friction(StrictModel):

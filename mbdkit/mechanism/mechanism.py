@@ -16,7 +16,7 @@ from mbdkit.base.text import counted
 from mbdkit.mechanism.beams import last_nodes, parts_of
 from mbdkit.mechanism.bodies import GROUND, Element
 from mbdkit.mechanism.checks import check_centers, check_mechanism, check_name, check_names, check_tables
-from mbdkit.mechanism.contacts import Treatment, check_contacts, feet
+from mbdkit.mechanism.contacts import ChosenTreatment, check_contacts, feet
 from mbdkit.mechanism.element_methods import ElementMethods
 from mbdkit.mechanism.law_element import Law
 from mbdkit.mechanism.mechanism_data import ELEMENTS, Assembly, MechanismData, NamedCoordinate, check_coordinates
@@ -71,7 +71,7 @@ class Mechanism(ElementMethods, HtmlView):
     muscles_act : bool
         Whether muscles are force elements, as in runs. In inverse dynamics they are not; the moments of actuators are
         distributed to the muscles instead.
-    contact_treatment : Treatment
+    contact_treatment : ChosenTreatment
         How contacts act in a run.
     warnings : tuple of str
         Warnings for every run of the mechanism, such as parts of a file that were ignored. They do not change the
@@ -100,7 +100,7 @@ class Mechanism(ElementMethods, HtmlView):
             setattr(self, kind, {})
         self.assembly = Assembly()
         self.muscles_act = False
-        self.contact_treatment = Treatment()
+        self.contact_treatment = ChosenTreatment()
         self.warnings: tuple[str, ...] = ()
         self.left_out: tuple[str, ...] = ()
         self.left_out_of_runs: tuple[str, ...] = ()

@@ -403,6 +403,49 @@ class TableFormat(Feature):
             raise PluginError(f"its suffix {self.suffix!r} is not a dot followed by letters and digits")
 
 
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class Treatment(Feature):
+    """A treatment of contacts, which the key ``contact.treatment`` of run specs chooses.
+
+    With all treatments but ``compliant``, bodies in contact are rigid: contacts exert no forces of their own, and the
+    steps of the run include them.
+
+    Parameters
+    ----------
+    require
+        Function that takes a spec and its method, and raises SpecError if they do not suit the treatment.
+    begin
+        Function that takes the `mbdkit.plugin.Workspace` of a run and returns one that starts with the forces and modes
+        of contacts at the initial state.
+    method
+        Function that takes the method of a run and the `mbdkit.mechanism.contacts.ChosenTreatment`, and returns the
+        `mbdkit.StepMethod` or `mbdkit.ExternalMethod` that takes the steps. Its memory has the attributes of
+        `mbdkit.integrators.impulse.ContactMemory`. By default, the method itself takes the steps.
+    guards
+        Function that takes the method of a run, and returns names of fixed-step methods for comparison runs, with the
+        factors by which their steps are smaller.
+    guarded_by
+        Treatment of these comparison runs.
+    factors
+        Factors by which the steps of two comparison runs with the method of the run are smaller; by default, those of
+        runs without contacts.
+    includes_impacts
+        Whether steps include impacts without locating them, so that states within a step are on straight lines and
+        forces are means over steps.
+    """
+
+    kind: ClassVar[str] = "treatment"
+    key: ClassVar[str] = "contact.treatment"
+
+    require: Target[Callable[[Any, Any], None]] | None = None
+    begin: Target[Callable[[Any], Any]] | None = None
+    method: Target[Callable[[Any, Any], Any]] | None = None
+    guards: Target[Callable[[Any], Mapping[str, int]]] | None = None
+    guarded_by: str = ""
+    factors: tuple[int, int] | None = None
+    includes_impacts: bool = False
+
+
 FEATURES: tuple[type[Feature], ...] = (
     SpecKind,
     Example,
@@ -415,5 +458,6 @@ FEATURES: tuple[type[Feature], ...] = (
     ViewItem,
     TableFormat,
     CriterionItem,
+    Treatment,
 )
 """The kinds of items of this file."""

@@ -16,6 +16,7 @@ from mbdkit.integrators.sampled_control import states_at_start
 from mbdkit.measures.reductions import EventTimes, Functional
 from mbdkit.quantities.names import archive_names
 from mbdkit.quantities.quantity import Quantity
+from mbdkit.registry.treatments import treatment_of
 from mbdkit.runs.continuous_motion import MotionPart, Peak, observed_at, sampled, steps_of_extremum
 from mbdkit.runs.step_interpolation import NODES_WITHOUT_ACCELERATIONS, StepEnds
 
@@ -169,7 +170,7 @@ class ContinuousFunctionals:
                 q, v = np.column_stack([q, z]), np.column_stack([v, observed.state_rates])
         steps = range(first - begin, first - begin + count)
         held = z if treatment.is_rigid else None
-        states = StepEnds(time, q, v, accelerations, held, is_linear=treatment.kind == "time-stepping")
+        states = StepEnds(time, q, v, accelerations, held, is_linear=treatment_of(treatment.kind).includes_impacts)
         return MotionPart(self._observer, self._names, states, steps, sides)
 
     def _is_within(self, one: Functional, span: tuple[float, float]) -> bool:

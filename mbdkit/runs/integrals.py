@@ -26,6 +26,7 @@ from mbdkit.mechanism.joints import Distance, Revolute
 from mbdkit.quantities.names import archive_names
 from mbdkit.quantities.quantity import Quantity
 from mbdkit.quantities.states import States
+from mbdkit.registry.treatments import treatment_of
 from mbdkit.runs.continuous_functionals import ContinuousFunctionals, no_events
 from mbdkit.runs.law_ranges import steps_are_rows
 
@@ -99,7 +100,7 @@ def compared_loads(spec: RunSpec, integrals: Integrals, contacts: Sequence[str])
     contacts
         Names of the contacts.
     """
-    if spec.contact.treatment == "time-stepping":
+    if treatment_of(spec.contact.treatment).includes_impacts:
         return ()
     largest = {name: integrals.get(expression_of_largest("contacts.normal_force", name), 0.0) for name in contacts}
     pressed = [name for name, force in largest.items() if isinstance(force, float) and force > 0.0]

@@ -14,19 +14,18 @@ from mbdkit.base.text import listed
 from mbdkit.engine.assembly import AssembledState
 from mbdkit.engine.compiled_mechanism import CompiledMechanism
 from mbdkit.engine.consistent_start import MechanismAtStart, Starts, within_double_precision, workspace_at_start
-from mbdkit.engine.formulation import FORMULATIONS, INDEX_1
+from mbdkit.engine.contact_forces import held_states
+from mbdkit.engine.formulation import FORMULATIONS
 from mbdkit.engine.redundancy import require_unique_start
 from mbdkit.engine.workspace import Workspace
-from mbdkit.integrators.contact_state import HeldForces
-from mbdkit.integrators.event_driven import with_contact_forces
 from mbdkit.integrators.interface import Failure, Guards, Timetable
 from mbdkit.measures.take import check_measures
 from mbdkit.mechanism.size import mechanism_size
 from mbdkit.methods.kinds import Method
-from mbdkit.methods.step_methods import StepMethod
 from mbdkit.methods.tableau import TableauError
 from mbdkit.quantities.array import Array
 from mbdkit.quantities.names import archive_names
+from mbdkit.registry.treatments import treatment_of
 from mbdkit.runs.corners import stops_of
 from mbdkit.runs.findings import findings
 from mbdkit.spec import RunSpec
@@ -88,7 +87,8 @@ def build(spec: RunSpec, starts: Starts | None = None) -> tuple[Workspace, Assem
             require_unique_start(workspace)
             workspace.mechanism.length**2  # step guards divide by this
             if workspace.mechanism.contact_treatment.is_rigid:
-                workspace = with_contact_forces(workspace)
+                begin = treatment_of(workspace.mechanism.contact_treatment.kind).begin
+                workspace = workspace if begin is None else begin()(workspace)
     except SpecError as error:
         raise spec.placed(error) from error
     except StepError as error:
@@ -150,7 +150,8 @@ def make_method(spec: RunSpec) -> Method:
             "create an ExplicitRungeKutta, an ImplicitRungeKutta, a SciPySolver, or an instance of a subclass of "
             "StepMethod or ExternalMethod"
         )
-    _check_treatment(spec, method)
+    if spec.has_rigid_contacts:
+        _check_treatment(spec, method)
     if not method.traits.can_be_projected and spec.stabilized.kind == "projection":
         raise PluginError(
             f"integrator {spec.integrator_item.id} claims to support projection, which libraries with a loop of their "
@@ -177,7 +178,8 @@ def require_support(spec: RunSpec, method: Method, mechanism: CompiledMechanism)
     except TableauError as error:
         raise PluginError(f"integrator {spec.integrator_item.id} claims {spec.formulated.name}, but {error}") from error
     method.require_mechanism(mechanism)
-    own = HeldForces(mechanism.contacts).others(mechanism)
+    held = held_states(mechanism.contacts)
+    own = [state.name for number, state in enumerate(mechanism.states) if number not in held]
     integrates = method.traits.integrates_states
     if own and not (spec.claims.states if integrates is None else integrates):
         message = (
@@ -187,33 +189,23 @@ def require_support(spec: RunSpec, method: Method, mechanism: CompiledMechanism)
         raise spec.placed(SpecError(message, key="integrator"))
 
 
-NEEDS_TIME_STEPPING = "the treatment time-stepping needs the integrator moreau-jean or nonsmooth-generalized-alpha"
-
-
 def _check_treatment(spec: RunSpec, method: Method) -> None:
     """Raise SpecError if the method or other settings of a spec do not suit its rigid contacts."""
-    treatment, traits = spec.contact.treatment, method.traits
-    if not spec.has_rigid_contacts:
-        return
-    if treatment == "time-stepping" and not traits.is_time_stepping:
-        raise spec.placed(SpecError(NEEDS_TIME_STEPPING, key="integrator"))
-    is_tableau = traits.is_explicit and traits.tableau and traits.tolerances is None
-    needs_accelerations = set(spec.claims.needs) <= {"accelerations"} and not traits.carries_multipliers(INDEX_1)
-    if treatment == "event-driven" and not (is_tableau or (isinstance(method, StepMethod) and needs_accelerations)):
-        message = (
-            "the treatment event-driven needs an explicit Runge-Kutta method with fixed steps, such as dop853, or a "
-            "method written in Python that evaluates accelerations only"
-        )
-        raise spec.placed(SpecError(message, key="integrator"))
-    if spec.formulated.coordinates == "joint":
-        message = "rigid contacts are not available in joint coordinates; use index-1, or compliant contacts"
-        raise spec.placed(SpecError(message, key="formulation"))
-    if spec.stabilized.kind != "none":
-        message = "with rigid contacts, every step projects joints and contacts; omit `stabilization`"
-        raise spec.placed(SpecError(message, key="stabilization"))
-    if spec.accuracy is not None:
-        message = "`accuracy` is not available for runs with rigid contacts; give `time.step` and `check: true`"
-        raise spec.placed(SpecError(message, key="accuracy"))
+    require = treatment_of(spec.contact.treatment).require
+    try:
+        if require is not None:
+            require()(spec, method)
+        if spec.formulated.coordinates == "joint":
+            message = "rigid contacts are not available in joint coordinates; use index-1, or compliant contacts"
+            raise SpecError(message, key="formulation")
+        if spec.stabilized.kind != "none":
+            message = "with rigid contacts, every step projects joints and contacts; omit `stabilization`"
+            raise SpecError(message, key="stabilization")
+        if spec.accuracy is not None:
+            message = "`accuracy` is not available for runs with rigid contacts; give `time.step` and `check: true`"
+            raise SpecError(message, key="accuracy")
+    except SpecError as error:
+        raise spec.placed(error) from None
 
 
 def recorded_arrays(spec: RunSpec, method: Method, mechanism: CompiledMechanism) -> tuple[Array, ...]:

@@ -29,8 +29,7 @@ from mbdkit.trust.finding import Finding
 
 if TYPE_CHECKING:
     from mbdkit.events.watch import Found
-    from mbdkit.integrators.contact_state import ContactImpact
-    from mbdkit.integrators.impulse import DriverImpulse
+    from mbdkit.integrators.impulse import ContactImpact, DriverImpulse
 
 APART = 1e-6
 """Residuals of redundant constraint rows up to this size are attributed to round-off.

@@ -30,8 +30,7 @@ from mbdkit.engine.counters import Counters
 from mbdkit.engine.elimination_order import SingularSystemError
 from mbdkit.engine.workspace import Workspace
 from mbdkit.integrators.compiled_stepper import CompiledStepper
-from mbdkit.integrators.contact_state import ContactState, contacts_of
-from mbdkit.integrators.impulse import DriverImpulse
+from mbdkit.integrators.impulse import ContactMemory, DriverImpulse, contact_memory
 from mbdkit.integrators.interface import Advancing, Failure, Stretch
 from mbdkit.integrators.sampled_control import states_at_start
 from mbdkit.integrators.start import start_method
@@ -307,9 +306,9 @@ class SimulatedRun:
         return self.stepper if self.watch is None else self.watch.stepper
 
     @property
-    def contacts(self) -> ContactState | None:
-        """State of rigid contacts, with their impacts so far; None if there are none."""
-        return contacts_of(self.inner_stepper)
+    def contacts(self) -> ContactMemory | None:
+        """Memory of rigid contacts, with their impacts so far; None if there are none."""
+        return contact_memory(self.inner_stepper)
 
     def parts(self) -> Parts | None:
         """Return the parts of the run that a checkpoint stores; None if some of them cannot be stored."""

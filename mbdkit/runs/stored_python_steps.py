@@ -3,23 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import fields
 from typing import Any
 
 import numpy as np
 
 from mbdkit.base.errors import StepError
 from mbdkit.engine.stored_arrays import restore, stored
-from mbdkit.integrators.contact_state import ContactImpact, ContactState, HeldForces
 from mbdkit.integrators.impulse import DriverImpulse
 from mbdkit.integrators.kept_state import kept
 from mbdkit.integrators.reached import Interval, Reached
 from mbdkit.integrators.step_host import StepHost
 from mbdkit.methods.step_methods import ExternalMethod, StepState
 
-_INTEGERS = ("modes", "features")
-"""Arrays of contacts whose values are integers, which may be negative."""
-_NAMES = ("cut", "changed", "undetermined", "ordered")
 _REACHED = ("done", "whole", "passed", "restart", "time", "is_event", "energy", "energy_low")
 _LATER = {"why": None, "size": np.inf, "error": 0.0, "order": None}
 """Further parts of a point of the run, which checkpoints of earlier versions lack; here with their values there."""
@@ -86,11 +81,7 @@ def restore_stepper(stepper: StepHost, state: Mapping[str, Any]) -> None:
     vars(stepper.counters).update({name: int(count) for name, count in state["counters"].items()})
     stepper.equations.restore_pivots(state["pivots"])
     memory = _memory_of(stepper, state)
-    z = (
-        _array(state["z"], stepper.now.state.z.shape)
-        if "z" in state
-        else HeldForces(stepper.equations.contacts).of(memory)
-    )
+    z = _array(state.get("z", np.zeros(0)), stepper.now.state.z.shape)
     energies = [None if x is None else float(x) for x in state["energies"]]
     low = tuple(x if isinstance(x, float) else _array(x, x.shape) for x in state["low"])
     if len(low) not in (2, 3) or any(np.shape(x) not in ((), (n,), z.shape) for x in low):
@@ -117,8 +108,6 @@ def restore_stepper(stepper: StepHost, state: Mapping[str, Any]) -> None:
 def _stored_memory(stepper: StepHost, memory: Any) -> dict[str, Any]:
     """Return the memory of a method as an entry of the state of its stepper."""
     try:
-        if isinstance(memory, ContactState):
-            return {"contacts": _stored_contacts(memory)}
         if not hasattr(memory, "stored"):
             return {"memory": _plain(memory)}
         if hasattr(stepper.first_memory, "restored"):
@@ -131,8 +120,6 @@ def _stored_memory(stepper: StepHost, memory: Any) -> dict[str, Any]:
 
 def _memory_of(stepper: StepHost, state: Mapping[str, Any]) -> Any:
     """Return the memory in the stored state of a stepper."""
-    if state.get("contacts") is not None:
-        return _contacts_of(state["contacts"], stepper.equations.n, len(stepper.equations.contacts), stepper)
     if "restored" in state:
         first = stepper.first_memory
         restored = first.restored(_unplain(state["restored"]))
@@ -185,53 +172,6 @@ def impulses_of(state: Mapping[str, Any], joints: int) -> list[DriverImpulse]:
         DriverImpulse(float(time), float(energy), float(velocity), own)
         for (time, energy, velocity), own in zip(state["impacts"], reactions, strict=True)
     ]
-
-
-def _stored_contacts(memory: ContactState) -> dict[str, Any]:
-    """Return the state of contacts as plain values; the impacts are stored as joined arrays."""
-    values = {item.name: getattr(memory, item.name) for item in fields(memory)}
-    numbers = [[*one[:-1]] for one in memory.impacts]
-    values |= {
-        "impacts": np.array(numbers, dtype=float).reshape(len(numbers), len(ContactImpact._fields) - 1),
-        "reactions": np.array([one.reactions for one in memory.impacts], dtype=float),
-        "accelerations": list(memory.accelerations),
-        "event": None if memory.event is None else [int(x) for x in memory.event],
-        "between": _plain(memory.between),
-    }
-    values |= {name: sorted(values[name]) for name in _NAMES}
-    for name in _INTEGERS:
-        values[name] = None if values[name] is None else values[name].astype(float)
-    return values
-
-
-def _contacts_of(state: Mapping[str, Any], n: int, count: int, stepper: StepHost) -> ContactState:
-    """Return the stored state of `count` contacts on n coordinates."""
-    values = dict(state)
-    joints = len(stepper.workspace.mechanism.joints)
-    reactions = values.pop("reactions")
-    numbers = values["impacts"]
-    numbers = _array(numbers, (len(numbers), len(ContactImpact._fields) - 1))
-    each = _array(reactions, (len(numbers), joints, 3)) if len(numbers) else ()
-    if np.any(numbers[:, 1] < 0) or np.any(numbers[:, 1] >= count):
-        raise ValueError("an impact is that of another contact")
-    values["impacts"] = tuple(
-        ContactImpact(t, int(i), normal, tangential, lost, own)
-        for (t, i, normal, tangential, lost), own in zip(numbers.tolist(), each, strict=True)
-    )
-    for name in _INTEGERS:
-        if values[name] is not None:
-            own = _array(values[name], (count,) if len(values[name]) else (0,))
-            values[name] = own.astype(int)
-    for name, size in (("normal", count), ("tangent", count), ("force", n)):
-        values[name] = _array(values[name], (size,))
-    values["accelerations"] = tuple(_array(x, (n,)) for x in values["accelerations"])
-    values["event"] = None if values["event"] is None else (int(values["event"][0]), int(values["event"][1]))
-    if values["event"] is not None and not 0 <= values["event"][1] < count:
-        raise ValueError("an event is that of another contact")
-    values["between"] = kept(_unplain(values.get("between")))
-    for name in _NAMES:
-        values[name] = frozenset(map(str, values.get(name, ())))
-    return ContactState(**values)
 
 
 def _array(value: Any, shape: tuple[int, ...]) -> np.ndarray:

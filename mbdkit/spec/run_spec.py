@@ -21,8 +21,8 @@ from mbdkit.registry.catalogue import Kind, Registered, Registry
 from mbdkit.registry.item_options import item_of
 from mbdkit.registry.items import Claims, IntegratorPlugin
 from mbdkit.spec.choices import Choice, choice_of
-from mbdkit.spec.criterion_names import CriterionName
 from mbdkit.spec.formulation_choice import BY_ACCELERATIONS, FormulationChoice, formulation_of, name_of
+from mbdkit.spec.item_names import CriterionName
 from mbdkit.spec.model_spec import ModelSpec
 from mbdkit.spec.sections import (
     LARGEST_COUNT,

@@ -18,9 +18,10 @@ from mbdkit.base.strict_model import StrictModel
 from mbdkit.base.text import did_you_mean, listed
 from mbdkit.engine.stabilization import NONE, Stabilization
 from mbdkit.mechanism.checks import check_name
-from mbdkit.mechanism.contacts import Treatment
+from mbdkit.mechanism.contacts import ChosenTreatment
 from mbdkit.mechanism.state_values import Expression
 from mbdkit.quantities.table import ChosenGroup, quantities_of_events
+from mbdkit.spec.item_names import TreatmentName
 
 QUANTITIES = get_args(ChosenGroup)
 
@@ -43,7 +44,7 @@ class Section(StrictModel):
 class ContactTreatment(Section):
     """How contacts of the mechanism act in the run."""
 
-    treatment: Literal["compliant", "event-driven", "time-stepping"] = "compliant"
+    treatment: Annotated[str, TreatmentName()] = "compliant"
     """`compliant`: the bodies overlap slightly, and `compliance` of a contact determines the force; for every method.
     `event-driven`: rigid bodies, whose impacts and changes between sticking, slipping and separation are located; for
     explicit methods with fixed steps. `time-stepping`: rigid bodies, whose velocities may jump in every step; for
@@ -56,9 +57,9 @@ class ContactTreatment(Section):
     `event-driven` keeps the contact closed."""
 
     @property
-    def of_mechanism(self) -> Treatment:
+    def of_mechanism(self) -> ChosenTreatment:
         """The treatment as an attribute of the mechanism."""
-        return Treatment(self.treatment, self.impact_law, self.rest_energy)
+        return ChosenTreatment(self.treatment, self.impact_law, self.rest_energy)
 
 
 class Time(Section):

@@ -15,7 +15,7 @@ from tests.contact.test_rigid_contacts import G, block, run
 TABLE = {"polygon": [[-1.0, -0.5], [0.0, -0.5], [0.0, 0.0], [-1.0, 0.0]]}
 """A table whose corner is the origin."""
 TREATMENTS = [("event-driven", 0.02, 1e-8), ("time-stepping", 0.001, 0.01)]
-"""Treatment, step [s] and largest error of the position at the end [m]; that of time-stepping is of order 1."""
+"""ChosenTreatment, step [s] and largest error of the position at the end [m]; that of time-stepping is of order 1."""
 
 
 def outline(half_width: float, half_height: float) -> dict[str, Any]:

@@ -7,7 +7,6 @@ import time
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
-from itertools import zip_longest
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -16,7 +15,7 @@ from mbdkit.archive.accuracy import Accuracy
 from mbdkit.archive.headlines import MESH_ERROR
 from mbdkit.base.text import listed
 from mbdkit.engine.workspace import Workspace
-from mbdkit.integrators.contact_state import ContactState
+from mbdkit.integrators.impulse import ContactMemory
 from mbdkit.integrators.interface import Failure, Stepper
 from mbdkit.mechanism.mechanism import Mechanism
 from mbdkit.methods.kinds import Method
@@ -35,10 +34,6 @@ if TYPE_CHECKING:
     from mbdkit.events.watch import Watch
 
 
-NEGLIGIBLE_BOUNCES = 1e-9
-"""Largest `contact.rest_energy` for which the bounces that are left out count as negligible."""
-
-
 def check_run(
     spec: RunSpec,
     method: Method,
@@ -47,7 +42,7 @@ def check_run(
     steps: int,
     interrupted: Callable[[], bool],
     progress: Callable[[float, float], None] | None = None,
-    contacts: ContactState | None = None,
+    contacts: ContactMemory | None = None,
 ) -> Accuracy:
     """Estimate the errors of a run by comparison runs (companions).
 
@@ -68,7 +63,7 @@ def check_run(
     progress
         Called with (time reached, end time) [s] of each companion.
     contacts
-        State of the rigid contacts of the run at its end, with their impacts; None if the run has none.
+        Memory of the rigid contacts of the run at its end, with their impacts; None if the run has none.
     """
     begin = time.perf_counter()
     if len(rows.time) < 2:
@@ -85,12 +80,8 @@ def check_run(
     pairs = [*zip(chosen.finer, runs, strict=True), (guard, guarded)]
     description, unknown = _sentence(chosen, pairs), why_unknown(errors, rows.time, spec.mechanism(), pairs)
     if contacts is not None:
-        until, why = _same_impacts([contacts, *(one.contacts for _, one in pairs if one.contacts is not None)])
-        if contacts.cut and spec.contact.rest_energy > NEGLIGIBLE_BOUNCES and contacts.cut_time < until:
-            until = contacts.cut_time
-            why = (
-                f" After {until:.6g} s, bounces below contact.rest_energy are left out, in the comparison runs as well."
-            )
+        others = [rows.contacts for _, rows in pairs if rows.contacts is not None]
+        until, why = contacts.agrees(others, spec.contact.rest_energy)
         unknown = _clause(why) if not until >= errors.known_until else unknown
         errors = _cut(errors, rows.time, until)
         description += why
@@ -135,25 +126,6 @@ def _clause(sentence: str) -> str:
     """Return a sentence as the end of another one."""
     text = sentence.strip().rstrip(".")
     return text[:1].lower() + text[1:]
-
-
-def _same_impacts(runs: Sequence[ContactState]) -> tuple[float, str]:
-    """Return the time until which runs have the same impacts in the same order [s], and a sentence on why not later.
-
-    If they agree to the end, these are inf and an empty string. Runs by time-stepping methods, which do not locate
-    impacts, are left out.
-    """
-    undecided = min(one.undecided for one in runs)
-    differs = math.inf
-    for impacts in zip_longest(*(one.impacts for one in runs if not one.is_over_step)):
-        if len({None if one is None else one.contact for one in impacts}) > 1:
-            differs = min(one.time for one in impacts if one is not None)
-            break
-    if undecided < differs:
-        return undecided, f" At {undecided:.6g} s, contacts that affect each other close at once, in an unknown order."
-    if math.isfinite(differs):
-        return differs, f" After {differs:.6g} s, the impacts of the runs differ."
-    return math.inf, ""
 
 
 def units_of(workspace: Workspace, rows: ObservedRows) -> Units:

@@ -14,11 +14,11 @@ from mbdkit.base.text import one_line
 from mbdkit.engine.elimination_order import SingularSystemError
 from mbdkit.engine.stabilization import Stabilization
 from mbdkit.engine.workspace import Workspace
-from mbdkit.integrators.contact_state import ContactState, contacts_of
+from mbdkit.integrators.impulse import ContactMemory, contact_memory
 from mbdkit.integrators.interface import SAME_TIME, Stepper, Stretch, Timetable
 from mbdkit.integrators.sampled_control import states_at_start
 from mbdkit.integrators.start import start_method
-from mbdkit.mechanism.contacts import Treatment
+from mbdkit.mechanism.contacts import ChosenTreatment
 from mbdkit.methods.kinds import Method
 from mbdkit.runs.recorded_states import ObservedRows
 
@@ -51,7 +51,7 @@ class Companion:
         Used if `within_steps`. If true, rows of the main run at a stop show the state after the stop, as dense output
         does; otherwise the state before it, as rows at ends of steps do.
     treatment
-        Treatment of contacts; None for that of the run.
+        ChosenTreatment of contacts; None for that of the run.
     """
 
     name: str
@@ -61,7 +61,7 @@ class Companion:
     stabilization: Stabilization
     within_steps: bool
     after_stops: bool = False
-    treatment: Treatment | None = None
+    treatment: ChosenTreatment | None = None
 
 
 @dataclass(frozen=True)
@@ -75,12 +75,12 @@ class CompanionRows:
     failure
         Reason why the companion stopped early, as the end of a sentence; empty if it did not stop early.
     contacts
-        State of the rigid contacts at the end, with their impacts; None if there are none.
+        Memory of the rigid contacts at the end, with their impacts; None if there are none.
     """
 
     rows: ObservedRows
     failure: str
-    contacts: ContactState | None = None
+    contacts: ContactMemory | None = None
 
 
 def run_companion(
@@ -130,7 +130,7 @@ def run_companion(
     except (Exception, SystemExit) as error:  # exception of a plugin
         failure = f"its method raised {one_line(error)}"
     rows = ObservedRows.at(own, times, states.q, states.v, states.z)
-    return CompanionRows(rows, failure.rstrip("."), contacts_of(stepper))
+    return CompanionRows(rows, failure.rstrip("."), contact_memory(stepper))
 
 
 class _States:

@@ -5,35 +5,27 @@ The finer runs use the method of the run if possible.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
+from typing import cast
 
 import numpy as np
 
 from mbdkit.engine.stabilization import NONE, Stabilization
 from mbdkit.engine.workspace import Workspace
 from mbdkit.integrators.interface import Guards, Timetable
-from mbdkit.methods import dop853, dopri5, gauss, radau_iia
+from mbdkit.methods import dop853, gauss, radau_iia
 from mbdkit.methods.kinds import ExplicitRungeKutta, ImplicitRungeKutta, Method, Tolerances
+from mbdkit.registry.items import IntegratorPlugin
+from mbdkit.registry.manager import registry
+from mbdkit.registry.treatments import treatment_of
 from mbdkit.runs.accuracy.companion import NEVER, Companion, finer, row_interval, until
 from mbdkit.runs.preparation import make_method, timetable
 from mbdkit.spec import RunSpec
 
 HALVINGS = (2, 4)
 """Factors by which the steps of a fixed-step run are divided for its companions."""
-
-OF_TIME_STEPPING = (4, 16)
-"""The factors, as in `HALVINGS`, for time-stepping methods.
-
-Their errors are bounded by a constant times the step, but do not decrease steadily with the step, because impacts fall
-between the ends of steps.
-"""
-
-EVENT_DRIVEN_GUARDS = {"dop853": 4, "dopri5": 16}
-"""Explicit methods that are the guards of runs with rigid contacts, and the factors by which their steps are smaller
-than those of the run.
-"""
 
 TENTHS = (10.0, 100.0)
 """Factors by which the tolerances of an adaptive run are divided for its companions."""
@@ -130,7 +122,7 @@ def choose_companions(spec: RunSpec, method: Method, workspace: Workspace, times
         )
         interval = row_interval(plan)
         if spec.has_rigid_contacts:
-            guards = _event_driven_guards(spec, method, workspace, plan, times)
+            guards = _guards_of_contacts(spec, method, workspace, plan, times)
         else:
             guards = _guards(spec, method, workspace, within, steps, interval)
         return Chosen((first, second), guards, factors[1] / factors[0], "step")
@@ -142,33 +134,38 @@ def choose_companions(spec: RunSpec, method: Method, workspace: Workspace, times
 
 def step_factors(spec: RunSpec) -> tuple[int, int]:
     """Return the factors by which the fixed steps of two comparison runs are smaller than those of the run."""
-    is_time_stepping = spec.has_rigid_contacts and spec.contact.treatment == "time-stepping"
-    return OF_TIME_STEPPING if is_time_stepping else HALVINGS
+    return (treatment_of(spec.contact.treatment).factors if spec.has_rigid_contacts else None) or HALVINGS
 
 
-def event_driven(method: Method) -> dict[str, int]:
+def guards_of_contacts(spec: RunSpec, method: Method) -> Mapping[str, int]:
     """Return the guards of a run with rigid contacts: names of methods, and the factors of their steps."""
-    tableau = method.traits.tableau
-    return {name: factor for name, factor in EVENT_DRIVEN_GUARDS.items() if tableau is None or tableau.name != name}
+    guards = treatment_of(spec.contact.treatment).guards
+    return {} if guards is None else guards()(method)
 
 
-def _event_driven_guards(
+def _guards_of_contacts(
     spec: RunSpec, method: Method, workspace: Workspace, plan: Timetable, times: np.ndarray
 ) -> tuple[Companion, ...]:
-    """Return guards of a run with rigid contacts, which are event-driven with explicit methods."""
-    tableaux = {"dop853": dop853.tableau, "dopri5": dopri5.tableau}
+    """Return the guards of a run with rigid contacts, which have fixed steps."""
+    kind = treatment_of(spec.contact.treatment).guarded_by
     return tuple(
         Companion(
-            f"event-driven {name}",
-            partial(ExplicitRungeKutta, tableaux[name]()),
+            f"{kind} {name}",
+            _by_default(name),
             finer(plan, times, factor),
             spec.formulated.name,
             spec.stabilized,
             within_steps=False,
-            treatment=workspace.mechanism.contact_treatment._replace(kind="event-driven"),
+            treatment=workspace.mechanism.contact_treatment._replace(kind=kind),
         )
-        for name, factor in event_driven(method).items()
+        for name, factor in guards_of_contacts(spec, method).items()
     )
+
+
+def _by_default(name: str) -> Callable[[], Method]:
+    """Return a function that creates an integrator with its default options."""
+    plugin = cast(IntegratorPlugin, registry().get("integrator", name).plugin)
+    return partial(plugin.create, plugin.options())
 
 
 def _tighter(spec: RunSpec, method: Method, workspace: Workspace, within: Timetable) -> tuple[Companion, Companion]:

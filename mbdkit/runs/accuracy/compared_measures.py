@@ -15,6 +15,7 @@ from mbdkit.base.plain_data import canonical
 from mbdkit.engine.workspace import Workspace
 from mbdkit.methods import radau_iia
 from mbdkit.methods.kinds import Method
+from mbdkit.registry.treatments import treatment_of
 from mbdkit.runs.accuracy.companion_choice import (
     GUARD_TOLERANCE,
     IMPLICIT_GUARD_TOLERANCE,
@@ -23,7 +24,7 @@ from mbdkit.runs.accuracy.companion_choice import (
     SINGLE_STEPS,
     TENTHS,
     TIGHTEST,
-    event_driven,
+    guards_of_contacts,
     step_factors,
 )
 from mbdkit.spec import RunSpec
@@ -96,10 +97,10 @@ def other_methods(
     """
     if spec.has_rigid_contacts:
         assert spec.time.step is not None
-        contact = canonical(spec.contact) | {"treatment": "event-driven"}
+        contact = canonical(spec.contact) | {"treatment": treatment_of(spec.contact.treatment).guarded_by}
         return [
             _varied(spec, integrator={"name": name}, step=spec.time.step / factor, factor=factor, contact=contact)
-            for name, factor in event_driven(method).items()
+            for name, factor in guards_of_contacts(spec, method).items()
         ]
     tableau, stiff = method.traits.tableau, method.traits.suits_stiff
     family = "" if tableau is None else tableau.name

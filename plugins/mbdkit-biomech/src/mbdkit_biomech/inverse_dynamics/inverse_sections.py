@@ -12,7 +12,7 @@ from mbdkit.base.text import shown
 from mbdkit.base.units import read_unit
 from mbdkit.mechanism.bodies import GROUND
 from mbdkit.mechanism.values import BodyPair, Points, pair
-from mbdkit.spec.criterion_names import CriterionName
+from mbdkit.spec.item_names import CriterionName
 from mbdkit.spec.sections import Count, Positive, Section
 
 Named = Annotated[str, Field(min_length=1)]

@@ -1,0 +1,1 @@
+"""Rigid contacts: treatments with located impacts, and time-stepping methods."""
