@@ -296,6 +296,7 @@ __all__ = [
     "Tolerances",
     "TracedLaw",
     "Traits",
+    "Treatment",
     "Unit",
     "UnsupportedMechanismError",
     "VariedSpecs",

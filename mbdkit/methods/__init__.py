@@ -142,29 +142,7 @@ INTEGRATORS = (
         "claims_of_lsoda",
         "REFERENCES_OF_LSODA",
     ),
-    _integrator(
-        130,
-        "moreau-jean",
-        "Moreau and Jean: time-stepping for rigid contacts, order 1, no drift of joints and gaps, fixed steps.",
-        "moreau_jean",
-        "MoreauJeanOptions",
-        "create_moreau_jean",
-        "claims_of_moreau_jean",
-        "REFERENCES_OF_MOREAU_JEAN",
-        dense_output=False,
-    ),
-    _integrator(
-        140,
-        "nonsmooth-generalized-alpha",
-        "Nonsmooth generalized-alpha: time-stepping for rigid contacts, order 2 without them, fixed steps.",
-        "moreau_jean",
-        "GeneralizedAlphaOptions",
-        "create_generalized_alpha",
-        "claims_of_generalized_alpha",
-        "REFERENCES_OF_GENERALIZED_ALPHA",
-        dense_output=False,
-    ),
 )
-"""The built-in integrators: explicit methods, Taylor series, collocation, partitioned methods, SciPy's solvers and
-time-stepping; within a family by order of convergence, then by name.
+"""The built-in integrators: explicit methods, Taylor series, collocation, partitioned methods and SciPy's solvers;
+within a family by order of convergence, then by name.
 """

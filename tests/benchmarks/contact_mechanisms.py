@@ -2,7 +2,7 @@
 
 ``python -m tests.benchmarks.contact_mechanisms --count 200`` draws free bodies, chains and closed loops with 1 to 20
 contacts, runs each of them event-driven and by time-stepping with three steps, and prints what does not hold; see
-`tests.contact.random_contacts`. With ``--piles``, they are polygons that fall on each other. It ends with status 1 if
+`tests.rigid.random_contacts`. With ``--piles``, they are polygons that fall on each other. It ends with status 1 if
 there is anything.
 """
 
@@ -12,8 +12,7 @@ import argparse
 import sys
 
 import numpy as np
-
-from tests.contact.random_contacts import KINDS, PILES, STEPS, examined
+from tests.rigid.random_contacts import KINDS, PILES, STEPS, examined
 
 
 def main() -> None:

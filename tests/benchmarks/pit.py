@@ -12,8 +12,8 @@ from typing import Any
 import numpy as np
 
 import mbdkit
-from mbdkit.integrators.time_stepping import TimeStepping
 from mbdkit.methods.step_methods import StepState
+from mbdkit_contact.time_stepping import TimeStepping
 from tests.witness.pit import pit
 
 PARTS = 10

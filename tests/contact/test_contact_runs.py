@@ -13,6 +13,7 @@ from scipy.integrate import solve_ivp
 from scipy.optimize import brentq
 
 import mbdkit
+import mbdkit_contact
 from mbdkit.archive.run import Run
 from mbdkit.mechanism.mechanism import Mechanism
 from mbdkit.spec import load_spec
@@ -88,7 +89,7 @@ def test_the_energy_lost_in_contacts_is_measured_as_the_guide_says(dissipation: 
     m.body("ball", mass=1.0, inertia=0.4 * 0.1**2, position=(0.0, 0.4), velocity=(0.3, 0.0))
     shapes = [{"line": {"normal": (0, 1)}}, {"circle": {"radius": 0.1}}]
     m.contact("floor", "ground", "ball", shapes=shapes, friction=0.3, compliance=STIFF | {"dissipation": dissipation})
-    guide = Path(mbdkit.__file__).with_name("guide") / "contact.md"
+    guide = Path(mbdkit_contact.__file__).with_name("guide") / "contact.md"
     section = guide.read_text(encoding="utf-8").partition("## Energy lost in contacts")[2].partition("```yaml")[2]
     done = run(m, 0.35, **yaml.safe_load(section.partition("```")[0]))
     assert done.contacts["floor"].mode[-1] == 0

@@ -3,18 +3,54 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from pathlib import Path
 from typing import Any
 
-from mbdkit.plugin import Item, Target, Treatment, hookimpl
+from mbdkit.plugin import GuidePage, IntegratorPlugin, Item, Target, Treatment, hookimpl
 
 
 def _of_treatments(name: str) -> Target[Any]:
     return Target(f"mbdkit_contact.treatments:{name}")
 
 
+def _integrator(order: int, name: str, summary: str, options: str, suffix: str) -> IntegratorPlugin:
+    home = "mbdkit_contact.time_stepping_methods"
+    return IntegratorPlugin(
+        name=name,
+        summary=summary,
+        options=Target(f"{home}:{options}", type),
+        create=Target(f"{home}:create_{suffix}"),
+        claims=Target(f"{home}:claims_of_{suffix}"),
+        references=Target(f"{home}:REFERENCES_OF_{suffix.upper()}", tuple),
+        dense_output=False,
+        order=order,
+    )
+
+
+@hookimpl
+def mbdkit_integrators() -> list[IntegratorPlugin]:
+    """Return the time-stepping methods."""
+    return [
+        _integrator(
+            130,
+            "moreau-jean",
+            "Moreau and Jean: time-stepping for rigid contacts, order 1, no drift of joints and gaps, fixed steps.",
+            "MoreauJeanOptions",
+            "moreau_jean",
+        ),
+        _integrator(
+            140,
+            "nonsmooth-generalized-alpha",
+            "Nonsmooth generalized-alpha: time-stepping for rigid contacts, order 2 without them, fixed steps.",
+            "GeneralizedAlphaOptions",
+            "generalized_alpha",
+        ),
+    ]
+
+
 @hookimpl
 def mbdkit_items() -> Iterable[Item]:
-    """Return the treatments."""
+    """Return the treatments, and the page of the guide."""
     comparison = {"guards": _of_treatments("guards"), "guarded_by": "event-driven"}
     return [
         Treatment(
@@ -38,4 +74,5 @@ def mbdkit_items() -> Iterable[Item]:
             includes_impacts=True,
             **comparison,
         ),
+        *GuidePage.folder(Path(__file__).parent / "guide"),
     ]

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from mbdkit.engine.formulation import INDEX_1
-from mbdkit.integrators.event_driven import EventDriven, with_contact_forces
 from mbdkit.mechanism.contacts import ChosenTreatment
 from mbdkit.plugin import Method, RunSpec, SpecError, StepMethod
+from mbdkit_contact.event_driven import EventDriven, with_contact_forces
 
 __all__ = ["event_driven", "guards", "require_event_driven", "require_time_stepping", "with_contact_forces"]
 

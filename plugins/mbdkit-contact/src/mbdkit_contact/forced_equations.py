@@ -9,7 +9,7 @@ import numpy as np
 from mbdkit.mechanism.contacts import OPEN
 
 if TYPE_CHECKING:
-    from mbdkit.integrators.rigid_contacts import RigidContacts
+    from mbdkit_contact.rigid_contacts import RigidContacts
 
 _PLAIN = (
     *("n", "m", "mass", "t0", "q0", "v0", "length", "bodies", "constraint_names", "counters", "formulation"),

@@ -10,10 +10,10 @@ import pytest
 import mbdkit
 from mbdkit.base.errors import SpecError
 from mbdkit.engine.equations_of_motion import EquationsOfMotion
-from mbdkit.integrators.complementarity import coulomb, coupled_by_all, stronge, swept
-from mbdkit.integrators.contact_kinematics import ContactKinematics
 from mbdkit.runs.preparation import caution
 from mbdkit.spec import load_spec
+from mbdkit_contact.complementarity import coulomb, coupled_by_all, stronge, swept
+from mbdkit_contact.contact_kinematics import ContactKinematics
 from mbdkit_report.pages.run_tables import run_tables
 from tests.witness.pit import pit
 

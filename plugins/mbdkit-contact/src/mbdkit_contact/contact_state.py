@@ -51,7 +51,7 @@ class ContactState:
     time
         Time at which the step ended [s]; before its planned end if there was an event.
     event
-        Event to be applied before the next step, or None. See `mbdkit.integrators.event_driven`.
+        Event to be applied before the next step, or None. See `mbdkit_contact.event_driven`.
     streak
         Number of consecutive steps that ended at an event.
     is_over_step
@@ -66,7 +66,7 @@ class ContactState:
         Energy that a time-stepping method has added by moving overlapping shapes apart, and that contacts have not
         dissipated yet [J].
     features
-        (C,) see `mbdkit.integrators.contact_kinematics.ContactKinematics.held`.
+        (C,) see `mbdkit_contact.contact_kinematics.ContactKinematics.held`.
     between
         Memory of the method that takes the steps between events; None after an event.
     is_new

@@ -27,12 +27,12 @@ from mbdkit.base.errors import StepError
 from mbdkit.engine.equations_of_motion import EquationsOfMotion
 from mbdkit.engine.kernels.projection import MOST_ITERATIONS, STAGNANT
 from mbdkit.engine.nearest_state import ROUND_OFF
-from mbdkit.integrators.complementarity import PRECISION
-from mbdkit.integrators.contact_state import ContactState, held_step
-from mbdkit.integrators.rigid_contacts import RigidContacts
-from mbdkit.integrators.step_impulses import MANY, SMALL, SmoothStep, StepImpulses
-from mbdkit.methods.moreau_jean import MoreauJean
 from mbdkit.methods.step_methods import Step, StepMethod, StepState, Why
+from mbdkit_contact.complementarity import PRECISION
+from mbdkit_contact.contact_state import ContactState, held_step
+from mbdkit_contact.rigid_contacts import RigidContacts
+from mbdkit_contact.step_impulses import MANY, SMALL, SmoothStep, StepImpulses
+from mbdkit_contact.time_stepping_methods import MoreauJean
 
 MOST_HALVINGS = 4
 """Largest number of times that a step is halved."""

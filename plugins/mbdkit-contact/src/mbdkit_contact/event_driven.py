@@ -10,12 +10,12 @@ from mbdkit.base.errors import SpecError, StepError
 from mbdkit.base.text import listed
 from mbdkit.engine.equations_of_motion import EquationsOfMotion
 from mbdkit.engine.workspace import Workspace
-from mbdkit.integrators.contact_state import ContactState, HeldForces, held_step
-from mbdkit.integrators.event_step import MOST_EVENTS, Between, EventStep, NotAcceptedError
-from mbdkit.integrators.rigid_contacts import RigidContacts
 from mbdkit.mechanism.contacts import ChosenTreatment
 from mbdkit.methods.step_methods import Step, StepMethod, StepState, Why
 from mbdkit.methods.tableau import ButcherTableau
+from mbdkit_contact.contact_state import ContactState, HeldForces, held_step
+from mbdkit_contact.event_step import MOST_EVENTS, Between, EventStep, NotAcceptedError
+from mbdkit_contact.rigid_contacts import RigidContacts
 
 
 class EventDriven(StepMethod):

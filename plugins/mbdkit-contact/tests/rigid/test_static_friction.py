@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import mbdkit
-from mbdkit.integrators.complementarity import coulomb
+from mbdkit_contact.complementarity import coulomb
 
 G = 9.81
 METHODS = ("moreau-jean", "nonsmooth-generalized-alpha")

@@ -1,6 +1,6 @@
 """Time-stepping methods for rigid contacts.
 
-Their algorithms are in `mbdkit.integrators.time_stepping` and `mbdkit.integrators.generalized_alpha`.
+Their algorithms are in `mbdkit_contact.time_stepping` and `mbdkit_contact.generalized_alpha`.
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ class MoreauJean(Method):
     def traits(self) -> Traits:
         """See `Method`."""
         return Traits(
-            steps=Target("mbdkit.integrators.time_stepping:MoreauJeanSteps.of"),
+            steps=Target("mbdkit_contact.time_stepping:MoreauJeanSteps.of"),
             suits_stiff=True,
             is_time_stepping=True,
             integrates_states=False,
@@ -71,7 +71,7 @@ class GeneralizedAlpha(Method):
     @property
     def traits(self) -> Traits:
         """See `Method`."""
-        steps = Target[Any]("mbdkit.integrators.generalized_alpha:GeneralizedAlphaSteps.of")
+        steps = Target[Any]("mbdkit_contact.generalized_alpha:GeneralizedAlphaSteps.of")
         return Traits(steps=steps, suits_stiff=True, is_time_stepping=True, integrates_states=False)
 
 

@@ -7,8 +7,8 @@ from typing import NamedTuple
 import numpy as np
 
 from mbdkit.base.errors import StepError
-from mbdkit.integrators.complementarity import coulomb, stronge
-from mbdkit.integrators.rigid_contacts import RigidContacts
+from mbdkit_contact.complementarity import coulomb, stronge
+from mbdkit_contact.rigid_contacts import RigidContacts
 
 SMALL_RESTITUTION = 1e-3
 """If an impact would gain energy, the coefficients of restitution are reduced in steps of 10 %; values up to this are

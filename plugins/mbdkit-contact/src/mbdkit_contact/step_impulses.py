@@ -7,12 +7,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from mbdkit.integrators.complementarity import Pushed, stronge
-from mbdkit.integrators.contact_impacts import SMALL_RESTITUTION, depend_on_order
-from mbdkit.integrators.contact_kinematics import FEW, Rows
-from mbdkit.integrators.contact_state import ContactState
-from mbdkit.integrators.rigid_contacts import SAME_ACCELERATION, RigidContacts
 from mbdkit.mechanism.contacts import OPEN, SLIP, STICK
+from mbdkit_contact.complementarity import Pushed, stronge
+from mbdkit_contact.contact_impacts import SMALL_RESTITUTION, depend_on_order
+from mbdkit_contact.contact_kinematics import FEW, Rows
+from mbdkit_contact.contact_state import ContactState
+from mbdkit_contact.rigid_contacts import SAME_ACCELERATION, RigidContacts
 
 MANY = 40
 """Number of overlaps above which less accurate results are accepted: contacts at rest that others press together get no
@@ -256,7 +256,7 @@ class _Impact:
     def solved(self) -> _Solved:
         """Return velocities after the impulses, the impulses, and the contacts at which another law of impact was used.
 
-        As in `mbdkit.integrators.contact_impacts.struck`, no impact gains energy.
+        As in `mbdkit_contact.contact_impacts.struck`, no impact gains energy.
         """
         contacts, some = self.contacts, self.some
         e = contacts.restitution[some]

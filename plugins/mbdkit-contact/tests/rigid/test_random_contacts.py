@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-
-from tests.contact.random_contacts import STEP, computed, drawn, examined, positions
+from tests.rigid.random_contacts import STEP, computed, drawn, examined, positions
 
 
 @pytest.mark.parametrize("seed", [8, 20, 28, 98])

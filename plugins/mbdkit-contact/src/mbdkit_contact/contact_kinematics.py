@@ -11,8 +11,8 @@ from typing import NamedTuple
 import numpy as np
 
 from mbdkit.engine.contact_forces import ActingContact
-from mbdkit.integrators.near_contacts import NearContacts
-from mbdkit.integrators.polygon_features import EXACT, Feature, features_of, shape_pairs
+from mbdkit_contact.near_contacts import NearContacts
+from mbdkit_contact.polygon_features import EXACT, Feature, features_of, shape_pairs
 
 NEAR = 1e-3
 """Gap, relative to the length of the mechanism, up to which two shapes count as near each other."""
@@ -111,7 +111,7 @@ class ContactKinematics:
     ----------
     held
         (C,) index of the feature at which each closed contact stays; -1 for open contacts, which use the feature
-        nearest to touching. See `mbdkit.integrators.polygon_features`.
+        nearest to touching. See `mbdkit_contact.polygon_features`.
     """
 
     def __init__(self, contacts: Sequence[ActingContact], n: int, length: float):

@@ -10,9 +10,9 @@ from typing import Any
 
 import numpy as np
 import pytest
+from tests.rigid.test_rigid_contacts import FLOOR, G, run
 
 import mbdkit
-from tests.contact.test_rigid_contacts import FLOOR, G, run
 
 TILT = np.radians(30.0)
 

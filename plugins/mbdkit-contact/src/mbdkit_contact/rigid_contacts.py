@@ -10,11 +10,11 @@ import numpy as np
 from mbdkit.base.errors import StepError
 from mbdkit.engine.contact_forces import HELD, held_coordinates
 from mbdkit.engine.equations_of_motion import EquationsOfMotion
-from mbdkit.integrators.complementarity import PRECISION, Pushed, coulomb, coupled_by_all, coupled_by_bodies, swept
-from mbdkit.integrators.contact_kinematics import FEW, ContactKinematics, Rows
-from mbdkit.integrators.contact_state import ContactState
 from mbdkit.mechanism.contacts import OPEN, SLIP, STICK
 from mbdkit.methods.step_methods import StepState
+from mbdkit_contact.complementarity import PRECISION, Pushed, coulomb, coupled_by_all, coupled_by_bodies, swept
+from mbdkit_contact.contact_kinematics import FEW, ContactKinematics, Rows
+from mbdkit_contact.contact_state import ContactState
 
 SINGULAR = 1e-11
 """Singular values of the equations of contact forces below this share of the largest one indicate redundant rows."""
@@ -183,7 +183,7 @@ class RigidContacts:
         guess
             (2, k) impulses that may be close to the result, normal ones first.
         precision
-            See `mbdkit.integrators.complementarity.swept`.
+            See `mbdkit_contact.complementarity.swept`.
 
         Raises
         ------

@@ -10,7 +10,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from mbdkit.integrators.polygon_features import Feature
+from mbdkit_contact.polygon_features import Feature
 
 MORE = 16
 """All gaps are evaluated again when the number of near contacts exceeds twice the last number by more than this."""

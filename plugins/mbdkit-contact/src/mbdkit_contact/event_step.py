@@ -16,15 +16,15 @@ import numpy as np
 
 from mbdkit.engine.equations_of_motion import EquationsOfMotion
 from mbdkit.engine.nearest_state import nearest_positions, nearest_velocities
-from mbdkit.integrators.closed_contacts import ClosedSystem
-from mbdkit.integrators.contact_impacts import struck
-from mbdkit.integrators.contact_state import ContactState
-from mbdkit.integrators.forced_equations import ForcedEquations
 from mbdkit.integrators.impulse import ContactImpact
 from mbdkit.integrators.interface import StepTaken
-from mbdkit.integrators.rigid_contacts import Forced, RigidContacts
 from mbdkit.mechanism.contacts import OPEN, SLIP, STICK, ChosenTreatment
 from mbdkit.methods.step_methods import Step, StepMethod, StepState
+from mbdkit_contact.closed_contacts import ClosedSystem
+from mbdkit_contact.contact_impacts import struck
+from mbdkit_contact.contact_state import ContactState
+from mbdkit_contact.forced_equations import ForcedEquations
+from mbdkit_contact.rigid_contacts import Forced, RigidContacts
 
 MOST_EVENTS = 1000
 """The run stops after this many consecutive events without a complete step."""

@@ -21,10 +21,10 @@ import numpy as np
 from mbdkit.base.errors import StepError
 from mbdkit.engine.equations_of_motion import EquationsOfMotion
 from mbdkit.engine.nearest_state import nearest_velocities
-from mbdkit.integrators.step_impulses import SmoothStep
-from mbdkit.integrators.time_stepping import TimeStepping
-from mbdkit.methods.moreau_jean import GeneralizedAlpha
 from mbdkit.methods.step_methods import StepState
+from mbdkit_contact.step_impulses import SmoothStep
+from mbdkit_contact.time_stepping import TimeStepping
+from mbdkit_contact.time_stepping_methods import GeneralizedAlpha
 
 MOST_ITERATIONS = 20
 """Largest number of Newton iterations in a step."""

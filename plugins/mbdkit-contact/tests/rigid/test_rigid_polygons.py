@@ -7,10 +7,10 @@ from typing import Any
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
+from tests.rigid.test_rigid_contacts import G, block, run
 
 import mbdkit
 from mbdkit.base.errors import SpecError
-from tests.contact.test_rigid_contacts import G, block, run
 
 TABLE = {"polygon": [[-1.0, -0.5], [0.0, -0.5], [0.0, 0.0], [-1.0, 0.0]]}
 """A table whose corner is the origin."""

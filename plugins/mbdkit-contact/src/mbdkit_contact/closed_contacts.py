@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from mbdkit.integrators.rigid_contacts import RigidContacts
 from mbdkit.mechanism.contacts import OPEN, STICK
+from mbdkit_contact.rigid_contacts import RigidContacts
 
 
 class ClosedSystem:
