@@ -15,17 +15,13 @@ from mbdkit.base.errors import MissingPartError
 from mbdkit.registry.manager import registry
 from mbdkit.spec import load_spec
 
-IMPACTS = ("moreau-jean", "nonsmooth-generalized-alpha")
-"""Integrators for mechanisms with rigid contacts."""
-
-WORKS = {"taylor": ("pendulum", "double-pendulum"), **dict.fromkeys(IMPACTS, ("bouncing-ball",))}
+WORKS = {"taylor": ("pendulum", "double-pendulum")}
 """Examples of integrators that do not integrate all mechanisms."""
 
 SECTIONS = {
     "rattle": {"formulation": "index-3"},
     "lobatto-pair": {"formulation": "index-3"},
     "taylor": {"formulation": "joint-coordinates"},
-    **{name: {"contact": {"treatment": "time-stepping"}} for name in IMPACTS},
 }
 """What integrators require, by name."""
 

@@ -6,7 +6,10 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
-from mbdkit.plugin import GuidePage, IntegratorPlugin, Item, Target, Treatment, hookimpl
+from mbdkit.plugin import Example, GuidePage, IntegratorPlugin, Item, Target, Treatment, hookimpl
+
+
+_HERE = Path(__file__).parent
 
 
 def _of_treatments(name: str) -> Target[Any]:
@@ -50,7 +53,7 @@ def mbdkit_integrators() -> list[IntegratorPlugin]:
 
 @hookimpl
 def mbdkit_items() -> Iterable[Item]:
-    """Return the treatments, and the page of the guide."""
+    """Return the treatments, the examples, and the page of the guide."""
     comparison = {"guards": _of_treatments("guards"), "guarded_by": "event-driven"}
     return [
         Treatment(
@@ -74,5 +77,6 @@ def mbdkit_items() -> Iterable[Item]:
             includes_impacts=True,
             **comparison,
         ),
-        *GuidePage.folder(Path(__file__).parent / "guide"),
+        *Example.folder(_HERE / "examples"),
+        *GuidePage.folder(_HERE / "guide"),
     ]
