@@ -64,8 +64,7 @@ class Claims:
         the first of `formulations`.
     needs
         What the method evaluates of the equations of motion: ``"accelerations"``, and ``"tangents"`` if it calls
-        `tangents`, `iteration_matrix` or `jacobian`, which the conformance checks test. A method in Python that needs
-        accelerations only can be used with event-driven contacts.
+        `tangents`, `iteration_matrix` or `jacobian`, which the conformance checks test.
     formulations
         Formulations of the equations that the method supports.
     stabilizations

@@ -47,8 +47,8 @@ class ContactTreatment(Section):
     treatment: Annotated[str, TreatmentName()] = "compliant"
     """`compliant`: the bodies overlap slightly, and `compliance` of a contact determines the force; for every method.
     `event-driven`: rigid bodies, whose impacts and changes between sticking, slipping and separation are located; for
-    explicit methods with fixed steps. `time-stepping`: rigid bodies, whose velocities may jump in every step; for
-    `moreau-jean` and `nonsmooth-generalized-alpha`."""
+    Runge-Kutta methods, SciPy's solvers and methods of plugins. `time-stepping`: rigid bodies, whose velocities may
+    jump in every step; for `moreau-jean` and `nonsmooth-generalized-alpha`."""
     impact_law: Literal["newton", "poisson"] = "newton"
     """Law of impacts with `event-driven`: `restitution` of a contact is a ratio of velocities (`newton`) or of impulses
     (`poisson`)."""

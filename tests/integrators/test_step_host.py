@@ -165,14 +165,6 @@ def test_methods_that_evaluate_accelerations_meet_rigid_contacts(method: Any, na
     np.testing.assert_allclose(mine.impacts.time, exact.impacts.time, rtol=0, atol=1e-6)
 
 
-def test_methods_that_need_more_are_refused_with_event_driven_contacts() -> None:
-    registry = offering(RungeKutta(), needs=("tangents",))
-    data = with_treatment("bouncing-ball", "event-driven") | {"integrator": {"name": "mine"}}
-    data["time"] = {"end": 0.1, "step": 1e-3}
-    with pytest.raises(mbdkit.SpecError, match=r"or a method written in Python that evaluates accelerations only"):
-        simulate(spec_type(registry)(**data))
-
-
 def test_errors_follow_the_tolerance_and_steps_are_rejected() -> None:
     # expected: a tight run; the error of a method of order 3 on a driven chain is proportional to the tolerance
     time, exact = (

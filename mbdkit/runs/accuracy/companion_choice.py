@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import cast
+from typing import Any, cast
 
 import numpy as np
 
@@ -129,7 +129,11 @@ def choose_companions(spec: RunSpec, method: Method, workspace: Workspace, times
     first, second = _tighter(spec, method, workspace, within)
     own = _has_tolerances(spec, method)
     rough, fine = TENTHS if own else OTHER_TENTHS
-    return Chosen((first, second), _guards(spec, method, workspace, within, steps, None), fine / rough, "tolerance")
+    if spec.has_rigid_contacts:
+        guards = _guards_of_contacts(spec, method, workspace, within, times)
+    else:
+        guards = _guards(spec, method, workspace, within, steps, None)
+    return Chosen((first, second), guards, fine / rough, "tolerance")
 
 
 def step_factors(spec: RunSpec) -> tuple[int, int]:
@@ -146,26 +150,28 @@ def guards_of_contacts(spec: RunSpec, method: Method) -> Mapping[str, int]:
 def _guards_of_contacts(
     spec: RunSpec, method: Method, workspace: Workspace, plan: Timetable, times: np.ndarray
 ) -> tuple[Companion, ...]:
-    """Return the guards of a run with rigid contacts, which have fixed steps."""
+    """Return the guards of a run with rigid contacts, which have fixed steps if the run has."""
     kind = treatment_of(spec.contact.treatment).guarded_by
+    is_fixed, tight = not spec.claims.adaptive, {"adaptive": True, "rtol": GUARD_TOLERANCE}
     return tuple(
         Companion(
-            f"{kind} {name}",
-            _by_default(name),
-            finer(plan, times, factor),
-            spec.formulated.name,
-            spec.stabilized,
-            within_steps=False,
+            f"{kind} {name}" if is_fixed else f"adaptive {kind} {name}",
+            _created(name, {} if is_fixed else tight),
+            finer(plan, times, factor) if is_fixed else plan,
+            "index-1",
+            NONE,
+            within_steps=not is_fixed,
+            after_stops=not is_fixed and spec.output.interval is not None,
             treatment=workspace.mechanism.contact_treatment._replace(kind=kind),
         )
         for name, factor in guards_of_contacts(spec, method).items()
     )
 
 
-def _by_default(name: str) -> Callable[[], Method]:
-    """Return a function that creates an integrator with its default options."""
+def _created(name: str, options: Mapping[str, Any]) -> Callable[[], Method]:
+    """Return a function that creates an integrator with some options."""
     plugin = cast(IntegratorPlugin, registry().get("integrator", name).plugin)
-    return partial(plugin.create, plugin.options())
+    return partial(plugin.create, plugin.options(**options))
 
 
 def _tighter(spec: RunSpec, method: Method, workspace: Workspace, within: Timetable) -> tuple[Companion, Companion]:
@@ -260,8 +266,9 @@ def _most(limits: tuple[int, int], steps: int) -> int:
 
 
 def _projected(workspace: Workspace) -> Stabilization:
-    """Return projection after every step if the mechanism has constraints, and otherwise no stabilization."""
-    return Stabilization("projection") if len(workspace.mechanism.rows) else NONE
+    """Return projection after every step if the mechanism has constraints; rigid contacts are projected themselves."""
+    mechanism = workspace.mechanism
+    return Stabilization("projection") if len(mechanism.rows) and not mechanism.contact_treatment.is_rigid else NONE
 
 
 def _steps_within(spec: RunSpec, times: np.ndarray) -> Timetable:

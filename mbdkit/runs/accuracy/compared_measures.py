@@ -96,10 +96,18 @@ def other_methods(
     The runs record every step or, if `interval` [s] is given, the states at this interval.
     """
     if spec.has_rigid_contacts:
-        assert spec.time.step is not None
         contact = canonical(spec.contact) | {"treatment": treatment_of(spec.contact.treatment).guarded_by}
+        is_fixed, step = not spec.claims.adaptive, spec.time.step
+        tight: dict[str, Any] = {} if is_fixed else {"adaptive": True, "rtol": GUARD_TOLERANCE}
         return [
-            _varied(spec, integrator={"name": name}, step=spec.time.step / factor, factor=factor, contact=contact)
+            _varied(
+                spec,
+                integrator={"name": name, **tight},
+                step=step / factor if step and is_fixed else None,
+                factor=factor,
+                contact=contact,
+                **_index_1(spec),
+            )
             for name, factor in guards_of_contacts(spec, method).items()
         ]
     tableau, stiff = method.traits.tableau, method.traits.suits_stiff

@@ -13,8 +13,6 @@ import numpy as np
 from mbdkit.base.text import listed
 from mbdkit.engine.contact_forces import HELD, ActingContact, held_coordinates, held_states
 from mbdkit.integrators.impulse import ContactImpact, ContactMemory
-from mbdkit.integrators.interface import StepTaken
-from mbdkit.methods.step_methods import Step, StepEvent, StepState
 
 SOLVED = 1e-6
 """`ContactState.remarks` mentions relative errors of the velocities of contacts that are larger than this."""
@@ -206,22 +204,3 @@ class HeldForces:
             z[: self._contacts] = np.stack([memory.normal, memory.tangent, np.abs(modes)], axis=1).ravel()
             z[self._contacts :] = memory.force[self._coordinates]
         return z
-
-
-def held_step(
-    contacts: Iterable[ActingContact],
-    times: tuple[float, float],
-    begin: StepState,
-    end: StepState,
-    event: StepEvent | None = None,
-) -> Step:
-    """Return a step from `begin` to `end`, whose memory is a `ContactState`, with the forces as first-order states.
-
-    The forces are constant within the step if they are means over the step, or not known at its start.
-    """
-    memory = end.memory
-    end = replace(end, z=HeldForces(contacts).of(memory))
-    if not begin.memory.is_new and not memory.is_over_step:
-        return Step(end, event=event)
-    taken = StepTaken(*times, begin.q, begin.v, end.q, end.v, end.z, end.z)
-    return Step(end, dense=taken.between, event=event)

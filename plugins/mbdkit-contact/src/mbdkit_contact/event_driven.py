@@ -2,84 +2,256 @@
 
 from __future__ import annotations
 
+import copy
+import struct
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from mbdkit.base.errors import SpecError, StepError
-from mbdkit.base.text import listed
+from mbdkit.base.errors import StepError
 from mbdkit.engine.equations_of_motion import EquationsOfMotion
 from mbdkit.engine.workspace import Workspace
+from mbdkit.integrators.sampled_control import states_at_start
 from mbdkit.mechanism.contacts import ChosenTreatment
-from mbdkit.methods.step_methods import Step, StepMethod, StepState, Why
-from mbdkit.methods.tableau import ButcherTableau
-from mbdkit_contact.contact_state import ContactState, HeldForces, held_step
-from mbdkit_contact.event_step import MOST_EVENTS, Between, EventStep, NotAcceptedError
+from mbdkit.methods.step_methods import Dense, ExternalMethod, Step, StepMethod, StepState, Why
+from mbdkit_contact.closed_contacts import ClosedSystem
+from mbdkit_contact.contact_state import ContactState
+from mbdkit_contact.event_step import MOST_EVENTS, SAME_INSTANT, EventStep, NotAcceptedError, Point, gains
 from mbdkit_contact.rigid_contacts import RigidContacts
+
+DRIFT = 1e-7
+"""Largest gap of joints and closed contacts in the steps of a library, relative to the length of the mechanism."""
 
 
 class EventDriven(StepMethod):
-    """A method that evaluates accelerations, with events of rigid contacts.
+    """A method with events of rigid contacts.
 
     Parameters
     ----------
     method
-        The method between events: an explicit tableau with fixed steps, or a method in Python.
+        The method between events.
     treatment
-        ChosenTreatment of contacts in the run.
+        Treatment of contacts in the run.
     """
 
-    def __init__(self, method: ButcherTableau | StepMethod, treatment: ChosenTreatment):
-        self.treatment = treatment
-        self.between: Between
-        if isinstance(method, StepMethod):
-            self.between = method
-            self.tolerances, self.error_order, self.hint = method.tolerances, method.error_order, method.hint
-        else:
-            self.between = tuple(x.tolist() for x in method.floats())
+    def __init__(self, method: StepMethod, treatment: ChosenTreatment):
+        self.treatment, self.between = treatment, method
+        self.tolerances, self.error_order, self.hint = method.tolerances, method.error_order, method.hint
+        self.carries_multipliers = method.carries_multipliers  # type: ignore[misc]
 
     def begin(self, equations: EquationsOfMotion, t: float, state: StepState, why: Why) -> ContactState:
         """See `StepMethod.begin`: the modes are determined anew."""
-        return RigidContacts.on(equations).begun(state)
+        return state.memory if why == "projection" else RigidContacts.on(equations).begun(state)
 
     def step(self, equations: EquationsOfMotion, t: float, state: StepState, h: float) -> Step:
         """Take a step, or only its part before the first event, which `after_event` applies later.
 
         The time reached is stored in `StepState.memory`, a `ContactState`.
         """
-        step = EventStep(self.treatment, self.between, RigidContacts.on(equations), t, state)
+        contacts = RigidContacts.on(equations)
+        step = EventStep(self.treatment, self.between, contacts, t, state)
         try:
             event = step.to(t + h)
         except NotAcceptedError as rejected:
             return Step(state, accepted=False, next_step=rejected.size)
-        streak = 0 if event is None else step.state.streak + 1
-        if streak > MOST_EVENTS:
-            raise StepError("zeno", f"contacts changed {MOST_EVENTS} times without a step between")
-        end = step.reached(event, streak)
-        happens = None if event is None else ContactEvent(self, end.memory.time)
-        made = held_step(equations.contacts, (t, end.memory.time), state, end, happens)
-        error = None if step.error is None else np.concatenate([step.error, 0.0 * made.state.z])
-        return replace(made, error=error, next_step=step.now.next_step)
+        end = reached(step, event, self.carries_multipliers)
+        made = step.now.made
+        dense = None
+        if made is not None and made.dense is not None and step.begin is not None:
+            dense = _closing(made.dense, step.begin, step.now)
+        happens = None if event is None else ContactEvent(self.after_event, end.memory.time)
+        result = contacts.step((t, end.memory.time), state, end, happens, dense)
+        error = step.error
+        if error is not None:
+            n = 2 * equations.n
+            error = np.concatenate([error[:n], contacts.all_states(error[n:])])
+        return replace(result, error=error, next_step=None if made is None else made.next_step)
 
     def after_event(self, equations: EquationsOfMotion, t: float, state: StepState) -> StepState:
         """Return the state after the event at which a step has ended."""
         step = EventStep(self.treatment, self.between, RigidContacts.on(equations), t, state)
         assert step.state.event is not None
         step.happen(step.state.event)
-        end = step.reached(None, step.state.streak)
-        return replace(end, z=HeldForces(equations.contacts).of(end.memory))
+        return step.reached(None, step.state.streak)
+
+
+def reached(step: EventStep, event: tuple[int, int] | None, carries_multipliers: bool) -> StepState:
+    """Return the state to which a step has led, with the number of steps in turn that ended at an event."""
+    streak = 0 if event is None else step.state.streak + 1
+    if streak > MOST_EVENTS:
+        raise StepError("zeno", f"contacts changed {MOST_EVENTS} times without a step between")
+    end = step.reached(event, streak)
+    if carries_multipliers and end.multipliers is None:
+        end = replace(end, multipliers=step.equations().accelerations(step.now.t, end.q, end.v)[1])
+    return end
+
+
+def _closing(dense: Dense, begin: Point, end: Point) -> Dense:
+    """Return dense output that ends in a state which differs by rounding errors or a projection."""
+    assert end.made is not None
+    made = end.made.state
+    moves = end.q - made.q, end.v - made.v, end.z - made.z
+
+    def closed(theta: float) -> tuple[np.ndarray, ...]:
+        if theta == 0.0:
+            return begin.q, begin.v, begin.z
+        fade = theta * theta * (3.0 - 2.0 * theta)
+        return tuple(x + fade * move for x, move in zip(dense(theta)[:3], moves, strict=True))
+
+    return closed
 
 
 @dataclass(frozen=True)
 class ContactEvent:
     """An event of contacts at which a step has ended; see `mbdkit.methods.step_methods.StepEvent`."""
 
-    method: EventDriven
+    after: Callable[[EquationsOfMotion, float, StepState], StepState]
     time: float
 
     def apply(self, equations: EquationsOfMotion, t: float, state: StepState) -> StepState:
         """See `StepEvent.apply`."""
-        return self.method.after_event(equations, t, state)
+        return self.after(equations, t, state)
+
+
+class EventDrivenLibrary(ExternalMethod):
+    """A library with a loop of its own, with events of rigid contacts, which are found by its dense output.
+
+    The library is opened again after every event, and where gaps of joints or closed contacts exceed `DRIFT`. They are
+    closed there, and not after each step, which would end the history of a multistep method.
+
+    Parameters
+    ----------
+    library
+        The method between events.
+    treatment
+        Treatment of contacts in the run.
+    """
+
+    def __init__(self, library: ExternalMethod, treatment: ChosenTreatment):
+        self.treatment, self._given = treatment, library
+        self.tolerances, self.hint = library.tolerances, library.hint
+        self.carries_multipliers = library.carries_multipliers  # type: ignore[misc]
+
+    def open(self, equations: EquationsOfMotion, t: float, state: StepState, stop: float) -> None:
+        """See `ExternalMethod.open`."""
+        self._library = copy.copy(self._given)
+        self._stop, self._opened = stop, state
+        contacts = RigidContacts.on(equations)
+        self._before = replace(state, memory=contacts.begun(state))
+        self._begin(_LibraryStep(self.treatment, None, contacts, t, self._before))
+
+    def _begin(self, step: _LibraryStep, until: float | None = None) -> None:
+        """Open the library at the present state of a step; it stops where a contact could open and close unnoticed."""
+        now = step.now
+        self._step, self._ended = step, False
+        self._until = now.t + step.limited(self._stop - now.t) if until is None else until
+        equations = step.equations()
+        equations.first_step = step.p.first_step
+        begin = StepState(now.q, now.v, now.multipliers, z=now.z)
+        self._library.open(equations, now.t, begin, self._until)
+
+    def advance(self) -> Step:
+        """See `ExternalMethod.advance`."""
+        if self._ended:
+            self._begin(self._step)
+        step, begin = self._step, self._step.now
+        made = self._library.advance()
+        if made.dense is None or made.time is None:
+            raise StepError("not-finite", "the library gives no states within its steps")
+        end = made.state
+        step.dense = dense = made.dense
+        there = Point(float(made.time), end.q, end.v, end.z, multipliers=end.multipliers, made=made)
+        found = step.first_event(there)
+        share, event = (1.0, None) if found is None else found
+        if share < 1.0:
+            there = step.inside(there, share)
+        is_over = there.t >= self._until - SAME_INSTANT * max(abs(self._until), 1.0)
+        if event is not None or is_over or step.drift(there) > DRIFT * step.length:  # the library is opened again
+            there = step.closed(there)
+            self._ended = True
+        h = there.t - begin.t
+        inside = _closing(lambda theta: dense(theta * share), begin, replace(there, made=Step(_end(made, share))))
+        if event is None and end.work is not None and end.dissipated is not None:
+            work, lost = end.work, end.dissipated
+        else:
+            work, lost = gains(step.equations(), begin, there, Step(end, dense=inside)) if h > 0.0 else (0.0, 0.0)
+        # an impact at the start of the step, where the library was opened, has dissipated energy too
+        step.go_to(replace(there, work=begin.work + work, dissipated=begin.dissipated + lost))
+        state = reached(step, event, self.carries_multipliers)
+        before, self._before = self._before, state
+        step.state = state.memory
+        happens = None if event is None else ContactEvent(self._after_event, there.t)
+        result = step.contacts.step((begin.t, there.t), before, state, happens, inside)
+        step.now = replace(step.now, work=0.0, dissipated=0.0)
+        return replace(result, time=there.t)
+
+    def _after_event(self, equations: EquationsOfMotion, t: float, state: StepState) -> StepState:
+        step = _LibraryStep(self.treatment, None, RigidContacts.on(equations), t, state)
+        assert step.state.event is not None
+        step.happen(step.state.event)
+        after = step.reached(None, step.state.streak)
+        step.state, step.now = after.memory, replace(step.now, work=0.0, dissipated=0.0)
+        self._step, self._ended, self._before = step, True, after
+        return after
+
+    def save(self) -> bytes | None:
+        """See `ExternalMethod.save`: where the library stops next, and its state."""
+        if self._ended:
+            return struct.pack("d", np.nan)
+        own = self._library.save()
+        return None if own is None else struct.pack("d", self._until) + own
+
+    def restore(self, stored: bytes) -> None:
+        """See `ExternalMethod.restore`."""
+        (until,) = struct.unpack("d", stored[:8])
+        step = _LibraryStep(self.treatment, None, self._step.contacts, self._step.now.t, self._opened)
+        self._before = self._opened
+        if np.isnan(until):
+            self._step, self._ended = step, True
+        else:
+            self._begin(step, until)
+            self._library.restore(stored[8:])
+
+
+def _end(made: Step, share: float) -> StepState:
+    """Return the state that a library gives at a share of its step."""
+    assert made.dense is not None
+    if share == 1.0:
+        return made.state
+    q, v, z = made.dense(share)[:3]
+    return StepState(q, v, z=z)
+
+
+class _LibraryStep(EventStep):
+    """Events in the steps of a library, whose states are those of its dense output."""
+
+    dense: Dense
+
+    def inside(self, there: Point, share: float) -> Point:
+        """Return the state at a share of the step that leads to `there`."""
+        q, v, z = self.dense(share)[:3]
+        return Point(self.now.t + share * (there.t - self.now.t), np.array(q), np.array(v), np.array(z))
+
+    def _inside(self, there: Point, share: float) -> Point:
+        return self.inside(there, share)
+
+    def first_event(self, there: Point) -> tuple[float, tuple[int, int]] | None:
+        """See `EventStep.first_event`."""
+        self._there = there
+        return super().first_event(there)
+
+    def _moved(self, h: float) -> Point:
+        return self.inside(self._there, h / (self._there.t - self.now.t)) if h > 0.0 else self.now
+
+    def drift(self, at: Point) -> float:
+        """Return the largest gap of joints and closed contacts at a state [m, rad]."""
+        return float(np.max(np.abs(ClosedSystem(self.contacts, self.modes).constraints(at.t, at.q)), initial=0.0))
+
+    def closed(self, at: Point) -> Point:
+        """Return a state with joints and closed contacts closed."""
+        q, v = self._closed(at.t, at.q, at.v)
+        return replace(at, q=q, v=v)
 
 
 def with_contact_forces(workspace: Workspace) -> Workspace:
@@ -87,23 +259,18 @@ def with_contact_forces(workspace: Workspace) -> Workspace:
 
     Raises
     ------
-    SpecError
-        If the mechanism has first-order states that do not belong to contacts.
     StepError
         If no modes or forces of the contacts are possible.
     """
     mechanism = workspace.mechanism
-    top, held = mechanism.topology, HeldForces(mechanism.contacts)
-    if others := [state.name for number, state in enumerate(mechanism.states) if number not in held.states]:
-        names = listed(others, "and")
-        raise SpecError(f"runs with rigid contacts do not include other first-order states ({names})", key="model")
-    p = EquationsOfMotion(workspace)
+    top = mechanism.topology
+    p = EquationsOfMotion(workspace, states_at_start(workspace))
     contacts = RigidContacts.on(p)
-    begin = StepState(p.q0, p.v0)
+    begin = StepState(p.q0, p.v0, z=p.z0)
     begin = replace(begin, memory=contacts.begun(begin))
     step = EventStep(mechanism.contact_treatment, None, contacts, workspace.t0, begin)
     parameters = top.law_parameters.copy()
-    parameters[top.states[held.states, 1]] = held.of(step.contact_state())
+    parameters[top.states[contacts.held.states, 1]] = contacts.held.of(step.contact_state())
     started = replace(mechanism, topology=top._replace(law_parameters=parameters))
     return Workspace(
         started,

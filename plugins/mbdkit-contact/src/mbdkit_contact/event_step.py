@@ -10,11 +10,11 @@ impact also the impulses.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
+from numpy.polynomial.legendre import leggauss
 
-from mbdkit.engine.equations_of_motion import EquationsOfMotion
 from mbdkit.engine.nearest_state import nearest_positions, nearest_velocities
 from mbdkit.integrators.impulse import ContactImpact
 from mbdkit.integrators.interface import StepTaken
@@ -42,22 +42,27 @@ REDUNDANT = 1e-6
 redundant contacts.
 """
 
+_NODES, _WEIGHTS = (0.5 * x for x in (1.0 + leggauss(4)[0], leggauss(4)[1]))
+"""Gauss-Legendre quadrature of order 8 on [0, 1]."""
+
 STAYING = 1e-9
 """Accelerations [m/s^2] below this, absolute and relative to the largest one, do not separate shapes."""
 
 
 @dataclass(frozen=True)
-class _Point:
+class Point:
     """A state within a step, and the work and dissipated energy since the start of the step [J]."""
 
     t: float
     q: np.ndarray
     v: np.ndarray
-    work: float
-    dissipated: float
+    z: np.ndarray
+    work: float = 0.0
+    dissipated: float = 0.0
     memory: Any = None
-    error: np.ndarray | None = None
-    next_step: float | None = None
+    multipliers: np.ndarray | None = None
+    made: Step | None = None
+    """The step of the method that has led here."""
 
 
 class NotAcceptedError(Exception):
@@ -68,24 +73,36 @@ class NotAcceptedError(Exception):
         self.size = size
 
 
-_Tableau = tuple[list[list[float]], list[float], list[float]]
-"""Coefficients a, b and c."""
-Between = _Tableau | StepMethod
-_Rate = tuple[np.ndarray, float, float]
-"""Accelerations, power of loads and drivers [W], and dissipated power [W]."""
-
-
 class EventStep:
-    """A step of the run, divided at events into steps of the explicit method."""
+    """A step of the run, divided at events into steps of a method.
+
+    Parameters
+    ----------
+    treatment
+        The treatment of the run.
+    between
+        The method that takes the steps between events; None if none is taken.
+    contacts
+        The contacts.
+    t, state
+        Where the step begins; the memory of the state is a `ContactState`.
+    """
 
     def __init__(
-        self, treatment: ChosenTreatment, between: Between | None, contacts: RigidContacts, t: float, state: StepState
+        self,
+        treatment: ChosenTreatment,
+        between: StepMethod | None,
+        contacts: RigidContacts,
+        t: float,
+        state: StepState,
     ):
         self.treatment, self.between, self.p = treatment, between, contacts.p
-        self.error: np.ndarray | None = None  # largest estimates of the local errors of q and v (2 n,)
+        self.error: np.ndarray | None = None  # largest estimates of the local errors of q, v and the states
         self.contacts = contacts
-        memory = state.memory
-        self.now = _Point(t, state.q.copy(), state.v.copy(), 0.0, 0.0, memory.between)
+        memory, own = state.memory, contacts.own(state.z)
+        self.now = Point(t, state.q.copy(), state.v.copy(), own, 0.0, 0.0, memory.between, state.multipliers)
+        self.begin: Point | None = self.now
+        """The start of the step, if one step of the method has led from there to `now`; None after an event."""
         self.state: ContactState = memory
         self.length = contacts.p.length
         self._book_energy()
@@ -151,7 +168,7 @@ class EventStep:
             is_new=False,
         )
 
-    def _shared(self, at: _Point, forced: Forced) -> tuple[np.ndarray, np.ndarray]:
+    def _shared(self, at: Point, forced: Forced) -> tuple[np.ndarray, np.ndarray]:
         """Return the normal and tangential forces (C,) of contacts.
 
         If redundant contacts stick, so that their forces are not unique, forces within the limits of friction are
@@ -168,53 +185,45 @@ class EventStep:
         """Return the present state and the data of the contacts for the next step."""
         now = self.now
         memory = replace(self.contact_state(), time=now.t, event=event, streak=streak, between=now.memory)
-        return StepState(now.q, now.v, None, memory, now.work, now.dissipated)
+        z = self.contacts.all_states(now.z, memory)
+        return StepState(now.q, now.v, now.multipliers, memory, now.work, now.dissipated, z=z)
 
-    def _forced(self, at: _Point) -> Forced:
+    def _forced(self, at: Point) -> Forced:
+        self.contacts.hold(at.z)
         return self.contacts.accelerations(at.t, at.q, at.v, self.modes)
 
     # ---- between events ------------------------------------------------------------------------------------------
 
-    def _moved(self, h: float) -> _Point:
+    def _moved(self, h: float) -> Point:
         """Return the state after one step of the method, projected to close joints and closed contacts."""
-        assert self.between is not None
-        if isinstance(self.between, StepMethod):
-            return self._moved_by(self.between, h) if h > 0.0 else self.now
-        now, (a, b, c) = self.now, self.between
-        equations = ForcedEquations(self.contacts, self.modes)
-        q_rates: list[np.ndarray] = []
-        rates: list[_Rate] = []
-        none = np.zeros(self.p.n)
-        for i, node in enumerate(c):
-            q = now.q + h * sum((a[i][j] * q_rates[j] for j in range(i)), none)
-            v = now.v + h * sum((a[i][j] * rates[j][0] for j in range(i)), none)
-            q_rates.append(v)
-            rates.append(equations.rate(now.t + node * h, q, v))
-        q = now.q + h * sum((x * y for x, y in zip(b, q_rates, strict=True)), none)
-        v = now.v + h * sum((x * y[0] for x, y in zip(b, rates, strict=True)), none)
-        work = h * sum(x * rate[1] for x, rate in zip(b, rates, strict=True))
-        lost = h * sum(x * rate[2] for x, rate in zip(b, rates, strict=True))
-        q, v = self._closed(now.t + h, q, v)
-        return _Point(now.t + h, q, v, now.work + work, now.dissipated + lost)
-
-    def _moved_by(self, method: StepMethod, h: float) -> _Point:
-        """Return the state after one step of a method in Python; energies are integrated by Simpson's rule."""
-        now, equations = self.now, cast(EquationsOfMotion, ForcedEquations(self.contacts, self.modes))
-        begin = StepState(now.q, now.v, memory=now.memory)
+        method, now, equations = self.between, self.now, self.equations()
+        assert method is not None
+        if not h > 0.0:
+            q, v = self._closed(now.t, now.q, now.v)
+            return replace(now, q=q, v=v)
+        begin = StepState(now.q, now.v, now.multipliers, now.memory, z=now.z)
         if now.memory is None:
             begin = replace(begin, memory=method.begin(equations, now.t, begin, "event"))
         new = method.step(equations, now.t, begin, h)
         made = new if isinstance(new, Step) else Step(new)
         if not made.accepted:
             raise NotAcceptedError(0.5 * h if made.next_step is None else made.next_step)
-        t, q, v = now.t + h, *self._closed(now.t + h, made.state.q, made.state.v)
-        end = StepState(q, v, memory=made.state.memory)
-        taken, work, lost = StepTaken(0.0, h, now.q, now.v, q, v), now.work, now.dissipated
-        for share, weight in ((0.0, 1 / 6), (0.5, 2 / 3), (1.0, 1 / 6)):
-            _, given, taking = ForcedEquations(self.contacts, self.modes).rate(now.t + share * h, *taken.hermite(share))
-            work, lost = work + h * weight * given, lost + h * weight * taking
-        memory = method.begin(equations, t, end, "projection")
-        return _Point(t, q, v, work, lost, memory, made.error, made.next_step)
+        if made.time is not None or made.event is not None:
+            raise TypeError("the treatment event-driven needs steps that end at the time for which they are asked")
+        end, t = made.state, now.t + h
+        q, v = self._closed(t, end.q, end.v)
+        memory = method.begin(equations, t, replace(end, q=q, v=v), "projection")
+        work, lost = end.work, end.dissipated
+        if work is None or lost is None:
+            work, lost = gains(equations, now, Point(t, q, v, end.z), made)
+        work, lost = now.work + work, now.dissipated + lost
+        return Point(t, q, v, end.z, work, lost, memory, end.multipliers, made)
+
+    def equations(self) -> ForcedEquations:
+        """Return the equations of motion with the closed contacts, at the present states of other elements."""
+        equations = ForcedEquations(self.contacts, self.modes)
+        equations.hold(self.now.z)
+        return equations
 
     def _closed(self, t: float, q: np.ndarray, v: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return the nearest state in which joints and closed contacts are closed."""
@@ -229,22 +238,26 @@ class EventStep:
     def to(self, end: float) -> tuple[int, int] | None:
         """Advance to the time `end` or to the first event before it; return that event, or None."""
         while (h := end - self.now.t) > SAME_INSTANT * max(abs(end), 1.0):
-            there = self._moved(self._limited(h))
-            found = self._first_event(there)
-            if there.error is not None:
-                self.error = np.maximum(np.abs(there.error[: 2 * self.p.n]), 0.0 if self.error is None else self.error)
+            there = self._moved(self.limited(h))
+            found = self.first_event(there)
+            if there.made is not None and there.made.error is not None:
+                self.error = np.maximum(np.abs(there.made.error), 0.0 if self.error is None else self.error)
             if found is not None:
                 share, event = found
                 if share > 0.0:
-                    self.now = self._moved(share * (there.t - self.now.t))
-                self._book_energy()
+                    self.go_to(self._moved(share * (there.t - self.now.t)))
                 return event
-            self.now = there
-            self._book_energy()
+            self.go_to(there)
         self.now = replace(self.now, t=end)
         return None
 
-    def _limited(self, h: float) -> float:
+    def go_to(self, there: Point) -> None:
+        """Continue from a state to which one step of the method has led."""
+        self.begin = self.now if self.begin is self.now else None
+        self.now = there
+        self._book_energy()
+
+    def limited(self, h: float) -> float:
         """Return a step size, at most `h`, with which no contact can open and close again unnoticed."""
         forced = self._forced(self.now)
         rows = forced.rows
@@ -254,7 +267,7 @@ class EventStep:
             h = min(h, -3.0 * rate[i] / curve[i])
         return float(h)
 
-    def _values(self, at: _Point) -> np.ndarray:
+    def _values(self, at: Point) -> np.ndarray:
         """Return three event functions of each contact (3, C), which are negative after an event.
 
         They belong to the normal direction (gap or force), to friction (slip, or how far the friction force is from its
@@ -278,16 +291,15 @@ class EventStep:
         place = np.full(len(normal), 1e-15 * self.length)
         return np.stack([normal, SAME * np.where(slips, self.speed, weight), place])
 
-    def _first_event(self, there: _Point) -> tuple[float, tuple[int, int]] | None:
+    def first_event(self, there: Point) -> tuple[float, tuple[int, int]] | None:
         """Return the share of a step at which its first event happens, and the event as (kind, contact).
 
         The kind is the index of the function in `_values`: 0 normal, 1 friction, 2 place on a polygon. None if there is
         no event.
         """
         now, h = self.now, there.t - self.now.t
-        taken = StepTaken(now.t, there.t, now.q, now.v, there.q, there.v)
         shares = [i / SAMPLES for i in range(1, SAMPLES)]
-        states = [_Point(taken.time(x), *taken.hermite(x), 0.0, 0.0) for x in shares]
+        states = [self._inside(there, share) for share in shares]
         values = np.stack([self._values(one) for one in (now, *states, there)])
         small = self._scales(self._forced(there))
         shares = [0.0, *shares, 1.0]
@@ -308,6 +320,12 @@ class EventStep:
             if first is None or share < first[0]:
                 first = share, (kind, contact)
         return first
+
+    def _inside(self, there: Point, share: float) -> Point:
+        """Return an interpolated state within a step that leads to `there`."""
+        now = self.now
+        taken = StepTaken(now.t, there.t, now.q, now.v, there.q, there.v, now.z, there.z)
+        return Point(taken.time(share), *taken.between(share))
 
     def _rise(self, kind: int, contact: int, high: float, h: float, small: np.ndarray) -> float | None:
         """Return a share of the step below `high` at which an event function that starts at zero is positive, or None.
@@ -336,7 +354,7 @@ class EventStep:
     def happen(self, event: tuple[int, int]) -> None:
         """Apply an event, given as (kind, contact), to the present state."""
         kind, contact = event
-        self.now = replace(self.now, memory=None)
+        self.now = replace(self.now, memory=None, multipliers=None)
         if kind == 0 and self.modes[contact] == OPEN:
             self._strike(self._touching() | (np.arange(len(self.modes)) == contact))
             return
@@ -374,12 +392,13 @@ class EventStep:
         )
 
     def _decided(
-        self, at: _Point, touching: np.ndarray, stops: np.ndarray | float = 0.0, begins: np.ndarray | float = 0.0
+        self, at: Point, touching: np.ndarray, stops: np.ndarray | float = 0.0, begins: np.ndarray | float = 0.0
     ) -> np.ndarray:
         """Return the modes (C,) of touching contacts after an event that led to the state `at`.
 
         `stops` is positive where slip has just ended; `begins` is the direction in which it has just begun, else 0.
         """
+        self.contacts.hold(at.z)
         rows = self.contacts.kinematics.rows(at.q, at.v)
         resting = touching & (rows.normal @ at.v <= SAME * self.speed)
         slips = (np.abs(rows.slip) > SAME * self.speed) & (np.asarray(stops) <= 0.0)
@@ -462,3 +481,23 @@ class EventStep:
         moved, _ = contacts.answers(now.t, now.q, np.vstack([pushes, rows.tangent[is_stuck]]))
         held = np.vstack([rows.normal, rows.tangent[is_stuck]])
         return np.asarray(moved @ np.linalg.lstsq(held @ moved, -held @ now.v, rcond=1e-11)[0])
+
+
+def gains(equations: ForcedEquations, begin: Point, end: Point, made: Step) -> tuple[float, float]:
+    """Return the work and the dissipated energy of a step of a method [J], from its dense output or from both ends.
+
+    The powers are integrated by Gauss-Legendre quadrature of order 8 over dense output, or by Simpson's rule over the
+    cubic through both ends.
+    """
+    h, dense = end.t - begin.t, made.dense
+    if not equations.has_power:
+        return 0.0, 0.0
+    if dense is None:
+        taken = StepTaken(0.0, h, begin.q, begin.v, end.q, end.v, begin.z, end.z)
+        dense, nodes, weights = taken.between, (0.0, 0.5, 1.0), (1 / 6, 2 / 3, 1 / 6)
+    else:
+        nodes, weights = tuple(_NODES), tuple(_WEIGHTS)
+    gained = np.zeros(2)
+    for share, weight in zip(nodes, weights, strict=True):
+        gained += h * weight * np.array(equations.rate(begin.t + share * h, *dense(share)[:3])[2])
+    return float(gained[0]), float(gained[1])

@@ -1,69 +1,156 @@
-"""The equations of motion between two events of rigid contacts, for methods that evaluate accelerations only."""
+"""The equations of motion between two events of rigid contacts, whose modes do not change there."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from mbdkit.base.errors import StepError
+from mbdkit.engine.equations_of_motion import EquationsOfMotion
+from mbdkit.engine.iteration_matrix import coefficients_of
+from mbdkit.engine.state_derivatives import differences
+from mbdkit.engine.tangents import Tangents
 from mbdkit.mechanism.contacts import OPEN
 
 if TYPE_CHECKING:
-    from mbdkit_contact.rigid_contacts import RigidContacts
+    from mbdkit.engine.counters import Counters
+    from mbdkit_contact.rigid_contacts import Forced, RigidContacts
 
-_PLAIN = (
-    *("n", "m", "mass", "t0", "q0", "v0", "length", "bodies", "constraint_names", "counters", "formulation"),
-    *(
-        "stabilization",
-        "has_power",
-        "first_step",
-        "kinetic",
-        "potential",
-        "constraints",
-        "constraint_rates",
-        "contacts",
-    ),
-    "relative_change",
-)
-"""What contacts do not change."""
+Rates = tuple[np.ndarray, np.ndarray, np.ndarray]
+Powers = tuple[float, float]
+"""Power of loads and drivers, and dissipated power [W]."""
 
 
-class ForcedEquations:
-    """Stands for `EquationsOfMotion`: closed contacts act on the accelerations.
+class ForcedEquations(EquationsOfMotion):
+    """Equations of motion on which closed contacts act, as loads that are functions of time and state.
+
+    The loads are those with which the gaps of closed contacts, and the slips of those that stick, do not accelerate.
+    First-order states are those that do not belong to contacts. Derivatives are central differences.
 
     Parameters
     ----------
     contacts
         The contacts.
     modes
-        (C,) their modes, which do not change between events.
+        (C,) their modes.
     """
 
-    z0 = np.zeros(0)
-
     def __init__(self, contacts: RigidContacts, modes: np.ndarray):
-        self._contacts, self._modes = contacts, modes
+        self.__dict__.update(contacts.p.__dict__)  # the arrays and counters of the same run
+        self._contacts, self._modes, self._derived = contacts, modes, {}
+        self.z0 = contacts.own(contacts.p.z0)
+        self.has_power = contacts.p.has_power or bool(np.any(contacts.kinetic > 0.0))
 
-    def __getattr__(self, name: str) -> Any:
-        if name in _PLAIN:
-            return getattr(self._contacts.p, name)
-        raise AttributeError(
-            f"the treatment event-driven offers a method accelerations and derivatives, but not `equations.{name}`"
-        )
+    def hold(self, z: np.ndarray) -> None:
+        """See `EquationsOfMotion.hold`."""
+        self._contacts.hold(z)
 
     def accelerations(self, t: float, q: np.ndarray, v: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """See `EquationsOfMotion.accelerations`."""
-        forced = self._contacts.accelerations(t, q, v, self._modes, only_closed=True)
+        forced = self._forced(t, q, v)
         return forced.a, forced.multipliers
 
-    def derivatives(
-        self, t: float, q: np.ndarray, v: np.ndarray, z: np.ndarray
-    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """See `EquationsOfMotion.derivatives`; there are no first-order states."""
-        return *self.accelerations(t, q, v), self.z0
+    def derivatives(self, t: float, q: np.ndarray, v: np.ndarray, z: np.ndarray) -> Rates:
+        """See `EquationsOfMotion.derivatives`."""
+        rates = self._rates(t, q, v, z)
+        return *self.accelerations(t, q, v), rates
 
-    def rate(self, t: float, q: np.ndarray, v: np.ndarray) -> tuple[np.ndarray, float, float]:
-        """Return the accelerations (n,), the power of loads and drivers, and the dissipated power [W]."""
-        forced = self._contacts.accelerations(t, q, v, self._modes, only_closed=True)
+    def rate(self, t: float, q: np.ndarray, v: np.ndarray, z: np.ndarray) -> tuple[np.ndarray, np.ndarray, Powers]:
+        """Return accelerations (n,), rates (Z,), and powers."""
+        rates = self._rates(t, q, v, z)
+        forced = self._forced(t, q, v)
         work, lost = self._contacts.p.powers(t, q, v, forced.multipliers)
-        return forced.a, work, lost - float(forced.tangent[self._modes != OPEN] @ forced.rows.slip)
+        return forced.a, rates, (work, lost + self._friction(forced))
+
+    def powers(self, t: float, q: np.ndarray, v: np.ndarray, lam: np.ndarray) -> Powers:
+        """See `EquationsOfMotion.powers`; the dissipated power includes that of friction."""
+        work, lost = self._contacts.p.powers(t, q, v, lam)
+        return work, lost + self._friction(self._forced(t, q, v))
+
+    def residual(self, t: float, q: np.ndarray, v: np.ndarray, a: np.ndarray, lam: np.ndarray) -> np.ndarray:
+        """See `EquationsOfMotion.residual`."""
+        push = self._push(t, q, v)
+        return self._contacts.p.residual(t, q, v, a, lam) - push
+
+    def jacobian(self, t: float, q: np.ndarray, v: np.ndarray, z: np.ndarray) -> np.ndarray:
+        """See `EquationsOfMotion.jacobian`."""
+        n, y = self.n, np.concatenate([q, v, z])
+
+        def rates(x: np.ndarray) -> np.ndarray:
+            a, _, z_rates = self.derivatives(t, x[:n], x[n : 2 * n], x[2 * n :])
+            return np.concatenate([x[n : 2 * n], a, z_rates])
+
+        self.counters.jacobian_evaluations += 1
+        by_state = differences(rates, y, range(len(y)))
+        self.hold(z)
+        return by_state
+
+    def time_derivative(self, t: float, q: np.ndarray, v: np.ndarray, z: np.ndarray) -> Rates:
+        """See `EquationsOfMotion.time_derivative`."""
+        a, lam, rates = super().time_derivative(t, q, v, z)
+        return a, lam, rates if len(rates) == len(z) else self._contacts.own(rates)
+
+    def tangents(self, t: float, q: np.ndarray, v: np.ndarray, a: np.ndarray, lam: np.ndarray) -> Tangents:
+        """See `EquationsOfMotion.tangents`."""
+        from scipy.sparse import csr_array
+
+        n = self.n
+        by_q = differences(lambda x: self._push(t, x, v), np.asarray(q, dtype=float), range(n))
+        by_v = differences(lambda x: self._push(t, q, x), np.asarray(v, dtype=float), range(n))
+        parts = self._contacts.p.tangents(t, q, v, a, lam)
+        stiffness, damping = csr_array(parts.stiffness.toarray() - by_q), csr_array(parts.damping.toarray() - by_v)
+        return Tangents(stiffness, damping, parts.gamma_v, parts.residual_q)
+
+    def iteration_matrix(
+        self, t: float, q: np.ndarray, v: np.ndarray, a: np.ndarray, lam: np.ndarray, **coefficients: Any
+    ) -> Any:
+        """See `EquationsOfMotion.iteration_matrix`; the matrix is dense."""
+        mass, _, damping, stiffness, gamma_v, residual_q = coefficients_of(coefficients)  # type: ignore[arg-type]
+        parts, rows = self.tangents(t, q, v, a, lam), self.constraint_jacobian(t, q).toarray()
+        upper = damping * parts.damping.toarray() + stiffness * parts.stiffness.toarray() + mass * np.diag(self.mass)
+        lower = rows + gamma_v * parts.gamma_v.toarray() + residual_q * parts.residual_q.toarray()
+        self.counters.factorizations += 1
+        return _Matrix(np.block([[upper, rows.T], [lower, np.zeros((self.m, self.m))]]), self.n, self.counters)
+
+    def _forced(self, t: float, q: np.ndarray, v: np.ndarray) -> Forced:
+        return self._contacts.accelerations(t, q, v, self._modes, only_closed=True)
+
+    def _push(self, t: float, q: np.ndarray, v: np.ndarray) -> np.ndarray:
+        """Return the generalized forces (n,) of closed contacts."""
+        forced, closed = self._forced(t, q, v), self._modes != OPEN
+        return forced.normal[closed] @ forced.rows.normal + forced.tangent[closed] @ forced.rows.tangent
+
+    def _rates(self, t: float, q: np.ndarray, v: np.ndarray, z: np.ndarray) -> np.ndarray:
+        """Return the rates of first-order states, and use these states in the following evaluations."""
+        if not len(z):
+            return z
+        return self._contacts.own(self._contacts.p.derivatives(t, q, v, self._contacts.all_states(z))[2])
+
+    def _friction(self, forced: Forced) -> float:
+        """Return the power that friction dissipates [W]."""
+        return -float(forced.tangent[self._modes != OPEN] @ forced.rows.slip)
+
+
+class _Matrix:
+    """A factorized matrix; see `mbdkit.engine.iteration_matrix.IterationMatrix`."""
+
+    def __init__(self, matrix: np.ndarray, n: int, counters: Counters):
+        from scipy.linalg import lu_factor
+
+        self._n, self._counters = n, counters
+        self._scale = 1.0 / np.maximum(np.max(np.abs(matrix), axis=1, initial=0.0), 1e-300)
+        if not np.all(np.isfinite(matrix)):
+            raise StepError("not-finite", "the matrix of an iteration is not finite")
+        self._factors = lu_factor(self._scale[:, None] * matrix)
+
+    def solve(self, force: Sequence[float] | np.ndarray, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """See `IterationMatrix.solve`."""
+        from scipy.linalg import lu_solve
+
+        self._counters.newton_iterations += 1
+        x = lu_solve(self._factors, self._scale * np.concatenate([force, rows]))
+        if not np.all(np.isfinite(x)):
+            raise StepError("singular", "the matrix of the iteration is singular")
+        return x[: self._n], x[self._n :]

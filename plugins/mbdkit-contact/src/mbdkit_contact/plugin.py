@@ -8,7 +8,6 @@ from typing import Any
 
 from mbdkit.plugin import Example, GuidePage, IntegratorPlugin, Item, Target, Treatment, hookimpl
 
-
 _HERE = Path(__file__).parent
 
 

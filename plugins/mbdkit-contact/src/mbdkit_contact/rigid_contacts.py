@@ -8,13 +8,13 @@ from typing import NamedTuple
 import numpy as np
 
 from mbdkit.base.errors import StepError
-from mbdkit.engine.contact_forces import HELD, held_coordinates
 from mbdkit.engine.equations_of_motion import EquationsOfMotion
+from mbdkit.integrators.interface import StepTaken
 from mbdkit.mechanism.contacts import OPEN, SLIP, STICK
-from mbdkit.methods.step_methods import StepState
+from mbdkit.methods.step_methods import Dense, Step, StepEvent, StepState
 from mbdkit_contact.complementarity import PRECISION, Pushed, coulomb, coupled_by_all, coupled_by_bodies, swept
 from mbdkit_contact.contact_kinematics import FEW, ContactKinematics, Rows
-from mbdkit_contact.contact_state import ContactState
+from mbdkit_contact.contact_state import ContactState, HeldForces
 
 SINGULAR = 1e-11
 """Singular values of the equations of contact forces below this share of the largest one indicate redundant rows."""
@@ -58,7 +58,10 @@ class RigidContacts:
 
     def __init__(self, equations: EquationsOfMotion):
         self.p, self.contacts = equations, equations.contacts
-        self._held = np.zeros(len(HELD) * len(self.contacts) + len(held_coordinates(self.contacts)))
+        self.held = HeldForces(self.contacts)
+        #: Whether a first-order state (Z,) does not belong to contacts.
+        self._is_own = np.ones(len(equations.z0), dtype=bool)
+        self._is_own[self.held.states] = False
         self.names = [one.pair.name for one in self.contacts]
         given = np.array([one.coefficients for one in self.contacts]).reshape(-1, 3)
         self.restitution, self.static, self.kinetic = given.T
@@ -71,8 +74,54 @@ class RigidContacts:
     def on(cls, equations: EquationsOfMotion) -> RigidContacts:
         """Return the contacts of equations of motion, and exclude their forces, computed here, from the equations."""
         contacts = equations.derived(cls)
-        equations.hold(contacts._held)
+        contacts.hold(equations.z0[contacts._is_own])
         return contacts
+
+    def own(self, z: np.ndarray) -> np.ndarray:
+        """Return those of the first-order states (Z,) that do not belong to contacts."""
+        return z[self._is_own]
+
+    def all_states(self, own: np.ndarray, memory: ContactState | None = None) -> np.ndarray:
+        """Return all first-order states (Z,), with the contact forces in a memory or without any."""
+        z = np.zeros(len(self._is_own))
+        z[self._is_own] = own
+        if memory is not None:
+            z[self.held.states] = self.held.of(memory)
+        return z
+
+    def hold(self, own: np.ndarray) -> None:
+        """Use values of the states that do not belong to contacts in later evaluations, without contact forces."""
+        self.p.hold(self.all_states(own))
+
+    def step(
+        self,
+        times: tuple[float, float],
+        begin: StepState,
+        end: StepState,
+        event: StepEvent | None = None,
+        dense: Dense | None = None,
+    ) -> Step:
+        """Return a step from `begin` to `end`, whose memory is a `ContactState`, with the forces as first-order states.
+
+        The forces are constant within the step if they are means over the step, or not known at its start; otherwise
+        they are linear. `dense` gives the other states.
+        """
+        memory, begins = end.memory, self.all_states(self.own(begin.z), end.memory)
+        if not begin.memory.is_new and not memory.is_over_step:
+            if dense is None:
+                return Step(end, event=event)
+            begins = self.all_states(self.own(begin.z), begin.memory)
+        taken = StepTaken(*times, begin.q, begin.v, end.q, end.v, begins, end.z)
+        if dense is None:
+            return Step(end, dense=taken.between, event=event)
+
+        def inside(theta: float) -> tuple[np.ndarray, ...]:
+            q, v, own, *gained = dense(theta)
+            z = begins + theta * (end.z - begins)
+            z[self._is_own] = own
+            return q, v, z, *gained
+
+        return Step(end, dense=inside, event=event)
 
     def find_free(self) -> None:
         """Find the bodies that only contacts couple to others, from the derivatives of the forces evaluated last."""

@@ -29,7 +29,7 @@ from mbdkit.engine.kernels.projection import MOST_ITERATIONS, STAGNANT
 from mbdkit.engine.nearest_state import ROUND_OFF
 from mbdkit.methods.step_methods import Step, StepMethod, StepState, Why
 from mbdkit_contact.complementarity import PRECISION
-from mbdkit_contact.contact_state import ContactState, held_step
+from mbdkit_contact.contact_state import ContactState
 from mbdkit_contact.rigid_contacts import RigidContacts
 from mbdkit_contact.step_impulses import MANY, SMALL, SmoothStep, StepImpulses
 from mbdkit_contact.time_stepping_methods import MoreauJean
@@ -60,7 +60,8 @@ class TimeStepping(StepMethod):
     def step(self, equations: EquationsOfMotion, t: float, state: StepState, h: float) -> Step:
         """See `StepMethod.step`. If an iteration in a step does not converge, the step is taken as two half steps."""
         end = self._taken(equations, t, state, h, MOST_HALVINGS)
-        return held_step(equations.contacts, (t, t + h), state, end)
+        contacts = RigidContacts.on(equations)
+        return contacts.step((t, t + h), state, replace(end, z=contacts.all_states(contacts.own(state.z), end.memory)))
 
     def _taken(self, p: EquationsOfMotion, t: float, state: StepState, h: float, halvings: int) -> StepState:
         try:

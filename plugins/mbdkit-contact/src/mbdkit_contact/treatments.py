@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from mbdkit.engine.formulation import INDEX_1
 from mbdkit.mechanism.contacts import ChosenTreatment
-from mbdkit.plugin import Method, RunSpec, SpecError, StepMethod
-from mbdkit_contact.event_driven import EventDriven, with_contact_forces
+from mbdkit.plugin import ExternalMethod, Method, RunSpec, SpecError, StepMethod
+from mbdkit_contact.event_driven import EventDriven, EventDrivenLibrary, with_contact_forces
+from mbdkit_contact.runge_kutta_steps import RungeKuttaSteps
 
 __all__ = ["event_driven", "guards", "require_event_driven", "require_time_stepping", "with_contact_forces"]
 
@@ -22,21 +23,31 @@ def require_time_stepping(spec: RunSpec, method: Method) -> None:
 
 def require_event_driven(spec: RunSpec, method: Method) -> None:
     """Raise SpecError unless a method can take the steps between events."""
-    traits = method.traits
-    is_tableau = traits.is_explicit and traits.tableau and traits.tolerances is None
-    needs_accelerations = set(spec.claims.needs) <= {"accelerations"} and not traits.carries_multipliers(INDEX_1)
-    if not (is_tableau or (isinstance(method, StepMethod) and needs_accelerations)):
+    traits, name = method.traits, spec.integrator_item.name
+    if traits.is_time_stepping:
+        message = f"the integrator {name} does not locate impacts; use the treatment time-stepping"
+        raise SpecError(message, key="contact.treatment")
+    if traits.tableau is None and traits.compiled:
         message = (
-            "the treatment event-driven needs an explicit Runge-Kutta method with fixed steps, such as dop853, or a "
-            "method written in Python that evaluates accelerations only"
+            f"the treatment event-driven cannot use {name}, whose steps exist in machine code only; use a Runge-Kutta "
+            "method, such as dop853 or gauss"
         )
         raise SpecError(message, key="integrator")
+    if traits.tableau is not None and spec.formulated != INDEX_1:
+        message = "the treatment event-driven solves the index-1 equations with Runge-Kutta methods; omit `formulation`"
+        raise SpecError(message, key="formulation")
 
 
-def event_driven(method: Method, treatment: ChosenTreatment) -> EventDriven:
+def event_driven(method: Method, treatment: ChosenTreatment) -> EventDriven | EventDrivenLibrary:
     """Return the method that takes the steps of `method` between events."""
-    tableau = method.traits.tableau
-    return EventDriven(method if tableau is None else tableau, treatment)  # type: ignore[arg-type]
+    traits = method.traits
+    if traits.tableau is not None:
+        return EventDriven(RungeKuttaSteps(method), treatment)
+    steps = method if traits.steps is None else traits.steps()(method)
+    if isinstance(steps, ExternalMethod):
+        return EventDrivenLibrary(steps, treatment)
+    assert isinstance(steps, StepMethod)
+    return EventDriven(steps, treatment)
 
 
 def guards(method: Method) -> dict[str, int]:

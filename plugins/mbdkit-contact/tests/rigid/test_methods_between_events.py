@@ -1,0 +1,153 @@
+"""Event-driven contacts with methods of all kinds, against SciPy's DOP853 in minimal coordinates."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+import mbdkit
+
+G, RADIUS, RESTITUTION, FRICTION = 9.81, 0.1, 0.5, 0.3
+END, STEP = 0.7, 0.01
+METHODS: dict[str, tuple[dict[str, Any], float]] = {
+    "dop853": ({"name": "dop853"}, 1e-9),
+    "dop853 adaptive": ({"name": "dop853", "adaptive": True, "rtol": 1e-10}, 1e-8),
+    "dopri5 adaptive": ({"name": "dopri5", "adaptive": True, "rtol": 1e-9}, 1e-7),
+    "gauss": ({"name": "gauss", "stages": 3}, 1e-8),
+    "gauss adaptive": ({"name": "gauss", "stages": 3, "adaptive": True, "rtol": 1e-8}, 1e-6),
+    "radau-iia": ({"name": "radau-iia", "stages": 3}, 1e-7),
+    "radau-iia adaptive": ({"name": "radau-iia", "stages": 3, "adaptive": True, "rtol": 1e-8}, 1e-6),
+    "scipy-radau": ({"name": "scipy-radau", "rtol": 1e-9}, 1e-6),
+    "scipy-dop853": ({"name": "scipy-dop853", "rtol": 1e-10}, 1e-6),
+    "scipy-lsoda": ({"name": "scipy-lsoda", "rtol": 1e-10}, 1e-6),
+}
+"""Options of each method, and the largest error of the end [m, m/s], from its order or its tolerance."""
+
+
+def spec(integrator: dict[str, Any], **sections: Any) -> dict[str, Any]:
+    """Return a ball that a force by a first-order state moves, and a block that a spring pulls over a floor."""
+    floor = {"line": {"normal": [0, 1]}}
+    model = {
+        "name": "mechanism",
+        "bodies": {
+            "ball": {"mass": 1.0, "position": [0.0, 0.6]},
+            "block": {"mass": 2.0, "inertia": 0.1, "position": [1.0, 0.1], "velocity": [1.5, 0.0]},
+        },
+        "forces": {
+            "push": {"type": "force", "body": "ball", "point": [0, 0], "value": [0.0, "states.x"]},
+            "pull": {
+                "type": "spring-damper", "bodies": ["ground", "block"], "points": [[0.2, 0.1], [0, 0]],
+                "stiffness": 90.0, "damping": 0.0, "free_length": 0.7,
+            },
+        },
+        "states": {"x": {"initial": 0.5, "rate": "-3*states.x + 2*cos(9*t)"}},
+        "contacts": {
+            "bounce": {"bodies": ["ground", "ball"], "shapes": [floor, {"point": [0, 0]}], "restitution": RESTITUTION},
+            "slide": {"bodies": ["ground", "block"], "shapes": [floor, {"polygon": BOX}], "friction": FRICTION},
+        },
+    }  # fmt: skip
+    time = {"end": END, "step": STEP}
+    return {"mbdkit": 1, "model": model, "integrator": integrator, "time": time} | {
+        "contact": {"treatment": "event-driven"}, **sections,
+    }  # fmt: skip
+
+
+BOX = [[-0.3, -0.1], [0.3, -0.1], [0.3, 0.1], [-0.3, 0.1]]
+TIGHT = {"method": "DOP853", "rtol": 1e-12, "atol": 1e-13}
+
+
+def ball_at_end() -> tuple[np.ndarray, list[float]]:
+    """Return height, velocity and state of the ball at the end, and the times of its impacts."""
+
+    def rates(t: float, y: np.ndarray) -> list[float]:
+        return [y[1], y[2] - G, -3.0 * y[2] + 2.0 * math.cos(9.0 * t)]
+
+    def touches(t: float, y: np.ndarray) -> float:
+        return float(y[0])
+
+    touches.terminal, touches.direction = True, -1.0  # type: ignore[attr-defined]
+    t, y, impacts = 0.0, np.array([0.6, 0.0, 0.5]), []
+    while True:
+        part = solve_ivp(rates, (t, END), y, events=touches, **TIGHT)
+        t, y = float(part.t[-1]), part.y[:, -1].copy()
+        if part.status != 1:
+            return y, impacts
+        impacts.append(t)
+        y[:2] = 0.0, -RESTITUTION * y[1]
+
+
+def block_at_end() -> np.ndarray:
+    """Return position and velocity of the block, whose slip ends and begins anew at rest."""
+    t, y = 0.0, np.array([1.0, 1.5])
+    while t < END:
+        pull = -90.0 * (y[0] - 0.2 - 0.7)
+        if abs(y[1]) < 1e-12 and abs(pull) <= FRICTION * 2.0 * G:
+            return np.array([y[0], 0.0])  # it sticks from now on, because the spring does not change
+        way = math.copysign(1.0, y[1] if abs(y[1]) >= 1e-12 else pull)
+
+        def rates(t: float, y: np.ndarray, way: float = way) -> list[float]:
+            return [y[1], -45.0 * (y[0] - 0.9) - way * FRICTION * G]
+
+        def stops(t: float, y: np.ndarray, begin: float = t) -> float:
+            return float(y[1]) if t > begin + 1e-6 else 1.0
+
+        stops.terminal = True  # type: ignore[attr-defined]
+        part = solve_ivp(rates, (t, END), y, events=stops, **TIGHT)
+        t, y = float(part.t[-1]), part.y[:, -1].copy()
+        if part.status == 1:
+            y[1] = 0.0
+    return y
+
+
+@pytest.mark.parametrize("name", METHODS)
+def test_a_ball_with_a_state_and_a_sliding_block_move_as_by_scipy(name: str) -> None:
+    integrator, bound = METHODS[name]
+    ball, impacts = ball_at_end()
+    block = block_at_end()
+    run = mbdkit.run(spec(integrator)).check()
+    ends = [run["ball"].position[-1, 1], run["ball"].velocity[-1, 1], run.states["x"].value[-1]]
+    np.testing.assert_allclose(ends, ball, rtol=0, atol=bound)
+    ends = [run["block"].position[-1, 0], run["block"].velocity[-1, 0]]
+    np.testing.assert_allclose(ends, block, rtol=0, atol=bound)
+    struck = run.impacts.time[(run.impacts.contact == "bounce") & (run.impacts.normal_impulse > 0)]
+    np.testing.assert_allclose(struck, impacts, rtol=0, atol=bound)
+    assert np.max(np.abs(run.energy.balance)) < 100 * bound  # friction, impacts and the force are booked
+
+
+def test_errors_of_implicit_methods_with_contacts_decrease_with_their_order() -> None:
+    # expected: order 4 of the velocity of a ball, whose force is a smooth state, behind an impact
+    exact = ball_at_end()[0]
+    errors = []
+    for step in (0.04, 0.02):
+        run = mbdkit.run(spec({"name": "gauss", "stages": 2}, time={"end": END, "step": step})).check()
+        errors.append(abs(run.states["x"].value[-1] - exact[2]))
+    assert math.log2(errors[0] / errors[1]) == pytest.approx(4.0, abs=0.3)
+
+
+def test_errors_of_a_controlled_run_are_estimated_by_runs_with_other_methods() -> None:
+    # expected: the bars hold the differences from SciPy
+
+    run = mbdkit.run(spec({"name": "dopri5", "adaptive": True, "rtol": 1e-5}, check=True, time={"end": 0.3})).check()
+    tight = mbdkit.run(spec({"name": "dop853", "adaptive": True, "rtol": 1e-12}, time={"end": 0.3})).check()
+    error = np.abs(run["ball"].position[-1] - tight["ball"].position[-1])
+    assert run.accuracy is not None
+    assert run.accuracy.known_until == pytest.approx(0.3)
+    assert np.all(error <= 2.0 * run.accuracy.position_error[-1, 0, :2] + 1e-12)
+
+
+@pytest.mark.parametrize(
+    ("integrator", "sections", "why"),
+    [
+        ("moreau-jean", {}, "the integrator moreau-jean does not locate impacts; use the treatment time-stepping"),
+        ("rattle", {"formulation": "index-3"}, "cannot use rattle, whose steps exist in machine code only"),
+        ("taylor", {"formulation": "joint-coordinates"}, "cannot use taylor, whose steps exist in machine code only"),
+        ("radau-iia", {"formulation": "index-3"}, "solves the index-1 equations with Runge-Kutta methods; omit"),
+    ],
+)
+def test_other_methods_are_refused_before_the_first_step(integrator: str, sections: dict[str, Any], why: str) -> None:
+    with pytest.raises(mbdkit.SpecError, match=why):
+        mbdkit.run(spec({"name": integrator}, **sections))
