@@ -114,13 +114,15 @@ class LastStep(HostRows):
         return None if found is None else self._at(theta, self._results.state(found, "cut"))
 
     def _at(self, theta: float, state: StepState) -> Reached:
-        """Return the point at the share `theta` of the last step with a given state."""
+        """Return the point at the share `theta` of the last step with a given state, projected if steps are."""
         before, now, step = self._before, self.now, self.last_step
         assert step is not None
+        t, size = step.time(theta), theta * (step.t1 - step.t0)
         energy = self._energies.at(theta, before, now, self._made, self._results)
-        interval = before.interval.after(theta * (step.t1 - step.t0), 0, 0, np.zeros(4))
+        taken = self.stabilized.project(t, before.state, state, now.done)
+        interval = before.interval.after(size, 0, 0, taken.correction)
         return replace(
-            now, state=state, energy=energy, interval=interval, event=None, time=step.time(theta), restart=None
+            now, state=taken.reached, energy=energy, interval=interval, event=None, time=t, restart=None, why=""
         )
 
     def _shortened(self, theta: float) -> Reached:
@@ -180,5 +182,5 @@ class LastStep(HostRows):
         if not self.finished:
             state = replace(self.now.state, z=change(t, end), low=self.now.state.low[:2])
             self._watch.forget_energy()
-            self.now = replace(self.now, state=state, why=self.now.why or "event")
+            self.now = replace(self.now, state=state, why="stop" if self.now.why == "stop" else "event")
         return self._stretch(rows), taken

@@ -82,12 +82,19 @@ class StabilizedSteps:
         if wanted.symmetric:
             return self._symmetric(t, end, state, h)
         made, end = self.step(t, state, h, end)
-        if wanted.kind == "projection" and number % wanted.every == 0 and self._is_off(end, made):
+        if wanted.kind == "projection":
+            return self.project(end, state, made, number)
+        term = p.baumgarte_terms(end, made.q, made.v) if wanted.kind == "baumgarte" else 0.0
+        return Taken(state, made, made, np.array([0.0, 0.0, 0.0, term]), end)
+
+    def project(self, end: float, state: StepState, made: StepState, number: int) -> Taken:
+        """Return step `number` from `state` to `made` at the time `end`, projected if the stabilization wants this."""
+        p = self.equations
+        if self.wanted.kind == "projection" and number % self.wanted.every == 0 and self._is_off(end, made):
             q = nearest_positions(p, end, made.q)
             v = nearest_velocities(p, end, q, made.v)
             return self._corrected(end, state, made, q - made.q, v - made.v)
-        term = p.baumgarte_terms(end, made.q, made.v) if wanted.kind == "baumgarte" else 0.0
-        return Taken(state, made, made, np.array([0.0, 0.0, 0.0, term]), end)
+        return Taken(state, made, made, np.zeros(4), end)
 
     def _is_off(self, end: float, made: StepState) -> bool:
         bound, p = self.wanted.bound, self.equations

@@ -177,6 +177,8 @@ class StepHost(LastStep):
             if stop in table.samples:
                 z = self.sampler.passed(stop, *self._with_ground(state), state.z)
                 state = replace(state, z=z, low=state.low[:2])
+        if why == "projection" and math.isfinite(now.size):
+            self.equations.first_step = now.size
         state = self._begun(t, state, why)
         self.now = replace(now, state=state, energy=energy, why="", error=0.0)
         self._open(t, state)
@@ -186,6 +188,8 @@ class StepHost(LastStep):
         table, passed = self.timetable, self.now.passed
         if isinstance(self.method, ExternalMethod):
             end = table.stops[passed] if passed < len(table.stops) else table.end
+            if self.equations.first_step is not None:
+                self.equations.first_step = min(self.equations.first_step, end - t)
             called(f"{type(self.method).__name__}.open", self.method.open, self.equations, t, state, end)
             self.equations.first_step = None
 
@@ -334,6 +338,8 @@ class StepHost(LastStep):
         if plan.is_at_stop and not self._retrying:
             size = max(size, begin.size)  # the stop has shortened the step, not its error
         whole, passed, restart, why = begin.whole, begin.passed, None, ""
+        if self._is_external and new is not taken.made:
+            why = "projection"  # the library continues from the projected state, but only after this step has been used
         is_part = is_short or plan.is_part
         if is_part and self._is_fixed:
             restart = end
@@ -373,7 +379,7 @@ class StepHost(LastStep):
             raise ValueError(f"{type(method).__name__}.advance returned a step that is not accepted")
         elif not made.accepted:
             raise RejectedError(0.5 * h if made.next_step is None else made.next_step)
-        elif made.next_step is not None and self._is_fixed:
+        elif made.next_step is not None:
             self._judged = made.next_step, 0.0
         self._made = made
         if made.event is not None:
