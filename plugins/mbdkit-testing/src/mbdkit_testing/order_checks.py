@@ -247,12 +247,15 @@ def formulations(integrator: IntegratorUnderTest) -> Result:
         assert claimed is not None
         found = Convergence(integrator, "forced-pendulum", name)
         seen = []
-        kinds = (
+        kinds = [
             ("positions", claimed.positions, found.position_errors),
             ("velocities", claimed.velocities, found.velocity_errors),
-            ("multipliers", claimed.multipliers, found.multiplier_errors),
-        )
-        for what, order, errors in kinds:
+        ]
+        if claimed.positions == claimed.velocities:
+            # The smaller ones may reach rounding before they follow a power of the step h: with dop853, the largest
+            # error of positions is about 4.4 h^8 (1 - 13 h).
+            kinds = [("positions and velocities", claimed.positions, found.errors)]
+        for what, order, errors in (*kinds, ("multipliers", claimed.multipliers, found.multiplier_errors)):
             if order is None:
                 continue
             observed = found.observed_of_multipliers if what == "multipliers" else found.observed_in(errors)
