@@ -29,6 +29,8 @@ class EquationCalls:
     accelerations, solution, residual, constraint_forces, rows, constraints, tangents
         The kernels; each takes the time and returns a status. Velocities are zero in `solution`, `constraint_forces`
         and `constraints`.
+    arrive
+        Kernel that takes the time, q, v, and the maxima (P,) of squared misalignments.
     """
 
     def __init__(self, workspace: Workspace):
@@ -48,6 +50,7 @@ class EquationCalls:
         self.rows = RepeatedCall(equations.rows_of, *moving, *rows)
         self.constraints = RepeatedCall(equations.rows_of, *at_rest, *rows)
         self.tangents = RepeatedCall(equations.tangents_of, *moving, self.a, self.lam)
+        self.arrive = RepeatedCall(equations.arrive_at, address, None, None, None, None)
 
     def use_pivots(self) -> None:
         """Use the solver of the workspace, which differs after new pivots, chosen here or by the recorder.

@@ -425,8 +425,7 @@ class EquationsOfMotion:
 
     def arrive(self, t: float, q: np.ndarray, v: np.ndarray, worst: np.ndarray) -> bool:
         """Update the maxima `worst` (P,) by the squared misalignments at a state; return whether q and v are finite."""
-        finite: bool = equations.arrive_at(self.address, float(t), vector(q, self.n), vector(v, self.n), worst)
-        return finite
+        return bool(self._calls.arrive(float(t), vector(q, self.n), vector(v, self.n), worst))
 
     def _derivatives(self, t: float, q: np.ndarray, v: np.ndarray, z: np.ndarray) -> Rates:
         """See `derivatives`; the evaluation is not counted."""

@@ -48,6 +48,7 @@ class HostControl:
         length = unit_of_length(tolerances.by_size, mechanism)
         bodies = np.tile([length, length, 1.0], 2 * len(mechanism.bodies))
         self._atol = tolerances.atol * np.concatenate([bodies, np.ones(len(mechanism.states))])
+        self._begin, self._end = self._ends = np.zeros((2, len(self._atol)))
         self._given = tolerances
         self._data: dict[float, ControlData] = {}
         self._longest = math.inf if tolerances.max_step is None else tolerances.max_step
@@ -64,15 +65,19 @@ class HostControl:
 
     def norm(self, error: np.ndarray, begin: StepState, end: StepState) -> float:
         """Return the root mean square of an error (2 n + Z,) over ``atol + rtol |y|``, y the larger of both ends."""
-        y0 = np.concatenate([begin.q, begin.v, begin.z])
-        y1 = np.concatenate([end.q, end.v, end.z])
+        scale = np.concatenate((begin.q, begin.v, begin.z), out=self._begin)
+        np.concatenate((end.q, end.v, end.z), out=self._end)
         with np.errstate(all="ignore"):
-            ratio = error / (self._atol + self._rtol * np.maximum(np.abs(y0), np.abs(y1)))
-            square = float(ratio @ ratio) / len(ratio)
+            np.abs(self._ends, out=self._ends)
+            np.maximum(scale, self._end, out=scale)
+            scale *= self._rtol
+            scale += self._atol
+            ratio = np.divide(error, scale, out=scale)
+            square = float(np.dot(ratio, ratio)) / len(ratio)
         return math.sqrt(square) if square >= 0.0 else math.inf
 
-    def judge(self, made: Step, h: float, begin: Reached, *, retrying: bool) -> tuple[float, float]:
-        """Return the size of the next step [s], and the error of this one relative to its tolerance.
+    def judge(self, made: Step, end: StepState, h: float, begin: Reached, *, retrying: bool) -> tuple[float, float]:
+        """Return the size of the next step [s], and the error of this one, which ends in `end`, over its tolerance.
 
         Raises
         ------
@@ -85,9 +90,10 @@ class HostControl:
             return self._limited(begin.size if made.next_step is None else made.next_step), 0.0
         order = self._order if begin.order is None else begin.order
         if order not in self._data:
-            self._data[order] = control_data(self._of_order(order), 0.0)
+            arrays = control_data(self._of_order(order), 0.0)
+            self._data[order] = ControlData(*(x.tolist() for x in arrays))  # numbers of Python are faster
         data = self._data[order]
-        error = self.norm(made.error, begin.state, made.state)
+        error = self.norm(made.error, begin.state, end)
         if not error <= 1.0:
             raise RejectedError(h * float(factor_after_rejection(data, math.isfinite(error), error)))
         factor = float(factor_after_acceptance(data, max(error, 1e-10), begin.error, int(retrying)))

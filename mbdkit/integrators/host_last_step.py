@@ -114,13 +114,15 @@ class LastStep(HostRows):
         return None if found is None else self._at(theta, self._results.state(found, "cut"))
 
     def _at(self, theta: float, state: StepState) -> Reached:
-        """Return the point at the share `theta` of the last step with a given state."""
+        """Return the point at the share `theta` of the last step with a given state, projected if steps are."""
         before, now, step = self._before, self.now, self.last_step
         assert step is not None
+        t, size = step.time(theta), theta * (step.t1 - step.t0)
         energy = self._energies.at(theta, before, now, self._made, self._results)
-        interval = before.interval.after(theta * (step.t1 - step.t0), 0, 0, np.zeros(4))
-        return replace(
-            now, state=state, energy=energy, interval=interval, event=None, time=step.time(theta), restart=None
+        taken = self.stabilized.project(t, before.state, state, now.done)
+        interval = before.interval.after(size, 0, 0, taken.correction)
+        return now._replace(
+            state=taken.reached, energy=energy, interval=interval, event=None, time=t, restart=None, why=""
         )
 
     def _shortened(self, theta: float) -> Reached:
@@ -131,7 +133,7 @@ class LastStep(HostRows):
             n = self.equations.n
             there = self._at(theta, replace(self._before.state, q=q[:n], v=v[:n], z=z, low=(0.0, 0.0)))
         assert self.last_step is not None
-        return replace(there, time=self.last_step.time(theta))
+        return there._replace(time=self.last_step.time(theta))
 
     def cut(self, theta: float) -> Stretch:
         """See `Stepper.cut`."""
@@ -142,7 +144,7 @@ class LastStep(HostRows):
             if theta > 0.0:
                 self._keep_nodes(self._before, there, theta)
         if self._inner_rows and self._inner_rows[0] < there.time:  # that row has the counts of the step
-            there = replace(there, interval=Interval())
+            there = there._replace(interval=Interval())
         self._go_to(there)
         self.finished, self.failure = True, None
         return self.last_state()
@@ -164,8 +166,8 @@ class LastStep(HostRows):
                 self._nodes.drop_last()
             taken = []
             if not is_start:
-                there = replace(
-                    there, whole=self._before.whole, passed=self._before.passed, restart=t, is_event=True, event=None
+                there = there._replace(
+                    whole=self._before.whole, passed=self._before.passed, restart=t, is_event=True, event=None
                 )  # fmt: skip
                 if self.timetable.nodes:
                     self._keep_nodes(self._before, there, theta)
@@ -180,5 +182,5 @@ class LastStep(HostRows):
         if not self.finished:
             state = replace(self.now.state, z=change(t, end), low=self.now.state.low[:2])
             self._watch.forget_energy()
-            self.now = replace(self.now, state=state, why=self.now.why or "event")
+            self.now = self.now._replace(state=state, why="stop" if self.now.why == "stop" else "event")
         return self._stretch(rows), taken

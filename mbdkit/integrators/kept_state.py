@@ -14,10 +14,12 @@ def kept(value: Any) -> Any:
 
     Other objects are returned as they are.
     """
+    if value is None or type(value) is float:  # most values of most methods
+        return value
     match value:
         case np.ndarray():
             copy = value.copy()
-            copy.flags.writeable = False
+            copy.setflags(write=False)
             return copy
         case tuple():
             items = [kept(item) for item in value]
@@ -33,4 +35,4 @@ def protect(state: StepState) -> None:
     """Make the arrays of a state that is passed to a method read-only."""
     for array in (state.q, state.v, state.z, state.multipliers, *state.low):
         if isinstance(array, np.ndarray):
-            array.flags.writeable = False
+            array.setflags(write=False)

@@ -7,8 +7,7 @@ which evaluates `EquationsOfMotion`.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -16,6 +15,7 @@ from mbdkit.base.errors import StepError
 from mbdkit.engine.kernels.projection import STAGNANT
 from mbdkit.engine.nearest_state import ROUND_OFF, nearest_positions, nearest_velocities
 from mbdkit.integrators.projected_step import MAX_TRIALS
+from mbdkit.integrators.reached import NO_CORRECTION
 from mbdkit.methods.step_methods import StepState
 
 if TYPE_CHECKING:
@@ -24,8 +24,7 @@ if TYPE_CHECKING:
 Vector = np.ndarray | float
 
 
-@dataclass(frozen=True, slots=True)
-class Taken:
+class Taken(NamedTuple):
     """A step with its projection.
 
     The state from which the step of the method starts (displaced if the projection is symmetric), the state in which
@@ -82,12 +81,21 @@ class StabilizedSteps:
         if wanted.symmetric:
             return self._symmetric(t, end, state, h)
         made, end = self.step(t, state, h, end)
-        if wanted.kind == "projection" and number % wanted.every == 0 and self._is_off(end, made):
+        if wanted.kind == "projection":
+            return self.project(end, state, made, number)
+        correction = NO_CORRECTION
+        if wanted.kind == "baumgarte":
+            correction = np.array([0.0, 0.0, 0.0, p.baumgarte_terms(end, made.q, made.v)])
+        return Taken(state, made, made, correction, end)
+
+    def project(self, end: float, state: StepState, made: StepState, number: int) -> Taken:
+        """Return step `number` from `state` to `made` at the time `end`, projected if the stabilization wants this."""
+        p = self.equations
+        if self.wanted.kind == "projection" and number % self.wanted.every == 0 and self._is_off(end, made):
             q = nearest_positions(p, end, made.q)
             v = nearest_velocities(p, end, q, made.v)
             return self._corrected(end, state, made, q - made.q, v - made.v)
-        term = p.baumgarte_terms(end, made.q, made.v) if wanted.kind == "baumgarte" else 0.0
-        return Taken(state, made, made, np.array([0.0, 0.0, 0.0, term]), end)
+        return Taken(state, made, made, NO_CORRECTION, end)
 
     def _is_off(self, end: float, made: StepState) -> bool:
         bound, p = self.wanted.bound, self.equations

@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import numpy as np
 
 from mbdkit.methods.step_methods import StepEvent, StepState
 
+NO_CORRECTION = np.zeros(4)
+"""The correction of steps without stabilization."""
+NO_CORRECTION.setflags(write=False)
 
-@dataclass(frozen=True, slots=True)
-class Interval:
+
+class Interval(NamedTuple):
     """Statistics since the last recorded row.
 
     Number of steps, size of the last step [s], number of iterations, largest number of iterations in a step, number of
@@ -23,20 +25,21 @@ class Interval:
     iterations: int = 0
     most_iterations: int = 0
     rejected: int = 0
-    correction: np.ndarray = field(default_factory=lambda: np.zeros(4))
+    correction: np.ndarray = NO_CORRECTION
 
     def after(self, size: float, iterations: int, rejected: int, correction: np.ndarray) -> Interval:
         """Return the interval extended by one step."""
-        largest = np.maximum(self.correction, correction)
-        largest[0] = self.correction[0] + correction[0]
+        largest = self.correction
+        if correction is not NO_CORRECTION:
+            largest = np.maximum(largest, correction)
+            largest[0] = self.correction[0] + correction[0]
         most = max(self.most_iterations, iterations)
         return Interval(
             self.steps + 1, size, self.iterations + iterations, most, self.rejected + rejected, largest
         )  # fmt: skip
 
 
-@dataclass(frozen=True, slots=True)
-class Reached:
+class Reached(NamedTuple):
     """A point of the run between two steps, with all data needed to continue from it."""
 
     done: int
@@ -74,10 +77,7 @@ class Reached:
 
     def recorded(self) -> Reached:
         """Return the same point with a new interval."""
-        return Reached(
-            self.done, self.whole, self.passed, self.restart, self.time, self.state, self.energy, self.energy_low,
-            Interval(), self.is_event, self.why, self.size, self.error, self.order, self.event,
-        )  # fmt: skip
+        return self._replace(interval=Interval())
 
 
 class Planned(NamedTuple):

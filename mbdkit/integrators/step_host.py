@@ -100,9 +100,10 @@ class StepHost(LastStep):
     def use(self, equations: EquationsOfMotion) -> None:
         """Let the method use these equations of motion, with the counters of this run."""
         method = self.method
+        self._name = type(method).__name__
         self.equations, equations.counters = equations, self.counters
         equations.first_step = None if method.tolerances is None else self.timetable.step
-        self._results = StepResults(type(method).__name__, equations, self._states, method.carries_multipliers)
+        self._results = StepResults(self._name, equations, self._states, method.carries_multipliers)
         self.stabilized = StabilizedSteps(self._own_step, self._after_projection, equations)
         self._energies = HostEnergies(equations, equations.has_power)
 
@@ -137,7 +138,7 @@ class StepHost(LastStep):
             counted = vars(self.counters).copy()
             self._open(reached.begin, reached.state)
             assert library is not None
-            called(f"{type(self.method).__name__}.restore", self.method.restore, library)
+            called(f"{self._name}.restore", self.method.restore, library)
             vars(self.counters).update(counted)
 
     @property
@@ -159,7 +160,7 @@ class StepHost(LastStep):
         if now.event is not None:
             state = now.event.apply(self.equations, now.begin, now.state)
             self._watch.forget_energy()
-            self.now = replace(now, state=state, energy=now.energy + _gain(state), event=None)
+            self.now = now._replace(state=state, energy=now.energy + _gain(state), event=None)
 
     def _begin_anew(self) -> None:
         now, table, t = self.now, self.timetable, self.now.begin
@@ -177,8 +178,10 @@ class StepHost(LastStep):
             if stop in table.samples:
                 z = self.sampler.passed(stop, *self._with_ground(state), state.z)
                 state = replace(state, z=z, low=state.low[:2])
+        if why == "projection" and math.isfinite(now.size):
+            self.equations.first_step = now.size
         state = self._begun(t, state, why)
-        self.now = replace(now, state=state, energy=energy, why="", error=0.0)
+        self.now = now._replace(state=state, energy=energy, why="", error=0.0)
         self._open(t, state)
 
     def _open(self, t: float, state: StepState) -> None:
@@ -186,7 +189,9 @@ class StepHost(LastStep):
         table, passed = self.timetable, self.now.passed
         if isinstance(self.method, ExternalMethod):
             end = table.stops[passed] if passed < len(table.stops) else table.end
-            called(f"{type(self.method).__name__}.open", self.method.open, self.equations, t, state, end)
+            if self.equations.first_step is not None:
+                self.equations.first_step = min(self.equations.first_step, end - t)
+            called(f"{self._name}.open", self.method.open, self.equations, t, state, end)
             self.equations.first_step = None
 
     def _begun(self, t: float, state: StepState, why: Any) -> StepState:
@@ -194,7 +199,7 @@ class StepHost(LastStep):
         if not isinstance(self.method, StepMethod):
             return state
         protect(state)
-        memory = called(f"{type(self.method).__name__}.begin", self.method.begin, self.equations, t, state, why)
+        memory = called(f"{self._name}.begin", self.method.begin, self.equations, t, state, why)
         return replace(state, memory=kept(memory))
 
     def _after_projection(self, t: float, state: StepState) -> StepState:
@@ -225,7 +230,7 @@ class StepHost(LastStep):
                 before, there, taken = self._accepted(self.now)
                 if there.event is not None and there.event.time <= before.begin:
                     # the event is at the start of the step, which is then taken again
-                    self.now = replace(before, state=there.state, restart=before.begin, event=there.event)
+                    self.now = before._replace(state=there.state, restart=before.begin, event=there.event)
                     continue
                 self._take(before, there, taken)
                 rows += self._due()
@@ -268,13 +273,14 @@ class StepHost(LastStep):
             try:
                 return begin, *self._after(begin, self._next(begin), self.worst_pairs)
             except RejectedError as rejected:
-                name, tried = type(self.method).__name__, self._next(begin).size
+                tried = self._next(begin).size
                 if not rejected.size < tried:
                     raise ValueError(
-                        f"{name} rejects a step of {tried!r} s and asks for one of {rejected.size!r} s, no smaller one"
+                        f"{self._name} rejects a step of {tried!r} s and asks for one of {rejected.size!r} s, no "
+                        "smaller one"
                     ) from None
                 self.counters.rejected += 1
-                begin, self._retrying = replace(begin, size=min(rejected.size, 0.9 * tried)), True
+                begin, self._retrying = begin._replace(size=min(rejected.size, 0.9 * tried)), True
                 if not rejected.size > 4.0 * margin_of_stops(self.timetable):
                     if rejected.reason is not None:
                         raise rejected.reason from None
@@ -334,6 +340,8 @@ class StepHost(LastStep):
         if plan.is_at_stop and not self._retrying:
             size = max(size, begin.size)  # the stop has shortened the step, not its error
         whole, passed, restart, why = begin.whole, begin.passed, None, ""
+        if self._is_external and new is not taken.made:
+            why = "projection"  # the library continues from the projected state, but only after this step has been used
         is_part = is_short or plan.is_part
         if is_part and self._is_fixed:
             restart = end
@@ -356,24 +364,24 @@ class StepHost(LastStep):
         Raises StepError, RejectedError, any ordinary exception of the method, and TypeError or ValueError for an
         invalid result.
         """
-        method = self.method
+        method, name, what = self.method, self._name, "advance" if self._is_external else "step"
         protect(state)
         try:
             if isinstance(method, ExternalMethod):
-                what, new = "advance", called(f"{type(method).__name__}.advance", method.advance)
+                new = called(f"{name}.advance", method.advance)
             else:
-                what, new = "step", called(f"{type(method).__name__}.step", method.step, self.equations, t, state, h)
-            made = self._results.step(new, what)
+                new = called(f"{name}.step", method.step, self.equations, t, state, h)
+            made, new = self._results.step(new, what)
         except StepError as error:
             raise self._unsolved(h, error) from None
         self._judged = math.inf, 0.0
         if self.control is not None:
-            self._judged = self.control.judge(made, h, self._from, retrying=self._retrying)
+            self._judged = self.control.judge(made, new, h, self._from, retrying=self._retrying)
         elif not made.accepted and self._is_external:
-            raise ValueError(f"{type(method).__name__}.advance returned a step that is not accepted")
+            raise ValueError(f"{name}.advance returned a step that is not accepted")
         elif not made.accepted:
             raise RejectedError(0.5 * h if made.next_step is None else made.next_step)
-        elif made.next_step is not None and self._is_fixed:
+        elif made.next_step is not None:
             self._judged = made.next_step, 0.0
         self._made = made
         if made.event is not None:
@@ -381,14 +389,12 @@ class StepHost(LastStep):
         elif made.time is not None:
             ended = float(made.time)
             if not t < ended <= end + 4.0 * margin_of_stops(self.timetable):
-                raise ValueError(
-                    f"{type(method).__name__}.{what} returned time = {ended!r}, which is not between {t!r} and {end!r}"
-                )
+                raise ValueError(f"{name}.{what} returned time = {ended!r}, which is not between {t!r} and {end!r}")
         elif self._is_external:
-            raise ValueError(f"{type(method).__name__}.advance returned a Step without `time`")
+            raise ValueError(f"{name}.advance returned a Step without `time`")
         else:
-            return made.state, end
-        return made.state, ended if ended < t + h - SAME_INSTANT * max(abs(end), 1.0) else end
+            return new, end
+        return new, ended if ended < t + h - SAME_INSTANT * max(abs(end), 1.0) else end
 
     def _unsolved(self, h: float, error: StepError) -> Exception:
         """Return the exception for a step that could not be taken; a controlled one is repeated with a smaller size."""

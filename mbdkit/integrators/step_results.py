@@ -71,22 +71,20 @@ class StepResults:
                 raise StepError("not-finite", "multipliers overflowed")
         return StepState(q, v, multipliers, kept(new.memory), new.work, new.dissipated, kept(new.low), z)
 
-    def step(self, new: Any, what: str) -> Step:
-        """Return a checked step; see `state`."""
+    def step(self, new: Any, what: str) -> tuple[Step, StepState]:
+        """Return a checked step, and its checked state, which replaces that of the step; see `state`."""
         if isinstance(new, StepState):
-            return Step(self.state(new, what))
+            return Step(new), self.state(new, what)
         if not isinstance(new, Step):
             raise TypeError(f"{self._name}.{what} returned {type(new).__name__}, not a StepState or a Step")
         if not isinstance(new.state, StepState):
             raise TypeError(f"{self._name}.{what} returned a Step whose state is a {type(new.state).__name__}")
-        error = new.error
-        if error is not None:
-            error = self._array(error, "error", 2 * self._equations.n + self._states, what)
+        if new.error is not None:
+            self._array(new.error, "error", 2 * self._equations.n + self._states, what)
         size = new.next_step
         if size is not None and not (math.isfinite(size) and size > 0.0):
             raise ValueError(f"{self._name}.{what} returned next_step = {size!r}, which is not a positive number")
-        state = self.state(new.state, what) if new.accepted else new.state
-        return Step(state, error, new.dense, size, new.next_order, new.accepted, new.stages, new.event, new.time)
+        return new, self.state(new.state, what) if new.accepted else new.state
 
     def within(self, made: Step, theta: float) -> tuple[Any, ...] | None:
         """Return what the dense output of a step gives at a share of it: (q, v, z), and possibly work and energy.

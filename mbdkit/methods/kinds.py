@@ -82,8 +82,6 @@ class Traits:
         formulation whose stages solve for multipliers, or never.
     has_lanes, has_derivatives
         Whether runs can be advanced in SIMD lanes, and whether steps can be differentiated with respect to parameters.
-    can_be_projected
-        Whether states may be changed between the steps.
     is_time_stepping
         Whether velocities may jump in any step, so that the method integrates contacts without locating impacts.
     integrates_states
@@ -103,7 +101,6 @@ class Traits:
     own_multipliers: Literal["always", "where solved for", "never"] = "never"
     has_lanes: bool = False
     has_derivatives: bool = False
-    can_be_projected: bool = True
     is_time_stepping: bool = False
     integrates_states: bool | None = True
     why_no_checkpoint: str = ""
@@ -139,7 +136,7 @@ class ExplicitRungeKutta(Method):
     pair
         Error estimates and dense output, if there are any.
     tolerances
-        Tolerances for a controlled step size, which requires a `pair`; None for fixed steps.
+        Tolerances for a controlled step size, which requires a `pair` with error estimates; None for fixed steps.
     """
 
     tableau: ButcherTableau
@@ -149,7 +146,7 @@ class ExplicitRungeKutta(Method):
     def __post_init__(self) -> None:
         if not self.tableau.is_explicit:
             raise TableauError(f"{self.tableau.name} is implicit: its stages need ImplicitRungeKutta")
-        if self.tolerances is not None and self.pair is None:
+        if self.tolerances is not None and (self.pair is None or not len(self.pair.error)):
             raise TableauError(f"{self.tableau.name} has no error estimate, which tolerances require")
 
     @cached_property
@@ -192,7 +189,6 @@ class TaylorSeries(Method):
             tolerances=self.tolerances,
             local_error=None if self.tolerances is None else LocalError(self.order, self.order),
             is_explicit=True,
-            can_be_projected=False,
         )
 
     def require_mechanism(self, mechanism: CompiledMechanism) -> None:

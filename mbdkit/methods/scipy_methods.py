@@ -47,14 +47,19 @@ def _solver(solver: str, jacobian: bool, options: AdaptiveOptions) -> SciPySolve
     return SciPySolver(solver, options.rtol, atol, jacobian, options.max_step, by_size=options.atol is None)
 
 
-def _claims(*needs: str, variable_order: bool = False, a_stable: bool = False) -> Callable[[AdaptiveOptions], Claims]:
+def _claims(
+    *needs: str,
+    stabilizations: tuple[str, ...] = ("none", "baumgarte", "projection"),
+    variable_order: bool = False,
+    a_stable: bool = False,
+) -> Callable[[AdaptiveOptions], Claims]:
     def claims(options: AdaptiveOptions) -> Claims:
         """Return the claims of the solver."""
         return Claims(
             adaptive=True,
             drift=TOLERANCE_DRIFT,
             needs=needs,
-            stabilizations=("none", "baumgarte"),
+            stabilizations=stabilizations,
             states=True,
             restartable=False,
             variable_order=variable_order,
@@ -69,7 +74,9 @@ create_radau, create_dop853, create_lsoda = (
 )
 claims_of_radau = _claims("accelerations", "tangents", a_stable=True)
 claims_of_dop853 = _claims("accelerations")
-claims_of_lsoda = _claims("accelerations", "tangents", variable_order=True)
+claims_of_lsoda = _claims(  # after each projection, it would start again with order 1
+    "accelerations", "tangents", stabilizations=("none", "baumgarte"), variable_order=True
+)
 REFERENCES_OF_RADAU = (SCIPY, HAIRER_WANNER)
 REFERENCES_OF_DOP853 = (SCIPY, HAIRER_NORSETT_WANNER)
 REFERENCES_OF_LSODA = (SCIPY, PETZOLD)

@@ -76,7 +76,7 @@ class SciPySolver(ExternalMethod):
         if self.needs_jacobian:
             options["jac"] = self._jacobian
         if equations.first_step is not None:
-            options["first_step"] = min(equations.first_step, stop - t)
+            options["first_step"] = equations.first_step
         # Energies continue from those at the end of the last step, because their sizes are part of the error norm.
         energies = self._energies if equations.has_power else ()
         y = np.concatenate([state.q, state.v, energies, state.z])
@@ -109,7 +109,10 @@ class SciPySolver(ExternalMethod):
             work, lost = energies - before[self._parts[1] : self._parts[2]]
         self._before = begin, before
         self._inner: Callable[[float], np.ndarray] | None = None
-        return Step(StepState(q, v, work=work, dissipated=lost, z=z), dense=self._dense, time=float(run.t))
+        size = getattr(run, "h_abs", None)
+        return Step(
+            StepState(q, v, work=work, dissipated=lost, z=z), dense=self._dense, next_step=size, time=float(run.t)
+        )
 
     def _absolute(self) -> Any:
         """Return the absolute tolerance: a number, or one for each component of y; see `Tolerances.by_size`."""

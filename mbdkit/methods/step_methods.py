@@ -123,7 +123,8 @@ class Step:
         events, rows at an interval and energies that the method does not return are then no better than of order 3 or
         4, however good the step is.
     next_step
-        Size of the next step, or of the next attempt if this one is rejected [s]; chosen by the framework if None.
+        Size of the next step, or of the next attempt if this one is rejected [s]; chosen by the framework if None. An
+        `ExternalMethod` chooses its steps itself: with this size it is opened again after a projection.
     next_order
         Order of the error estimate of the next step, if it varies.
     accepted
@@ -255,6 +256,12 @@ class ExternalMethod(_InPython):
     The library chooses its steps. Every run has its own copy (`copy.copy`) of the method, whose attributes may
     therefore change after `open`. `carries_multipliers`, `tolerances` and `hint` are those of `StepMethod`.
 
+    If a run uses projection, the library is opened again after every step that has been projected, from the projected
+    state and with the size `Step.next_step` of the step before. A one-step method then continues with steps of the same
+    size, at the cost of the evaluations that it starts with. A multistep method loses its history and starts again with
+    low order and small steps, so it should not claim projection among its `stabilizations`. Symmetric projection
+    repeats steps from displaced states, which a library cannot do.
+
     Examples
     --------
     >>> class Bdf(ExternalMethod):
@@ -281,19 +288,19 @@ class ExternalMethod(_InPython):
             tolerances=self.tolerances,
             suits_stiff=True,
             own_multipliers=own,
-            can_be_projected=False,
             integrates_states=None,
             why_no_checkpoint=why,
         )
 
     @abstractmethod
     def open(self, equations: EquationsOfMotion, t: float, state: StepState, stop: float) -> None:
-        """Start the library from a state; called at the start of a run and after every discontinuity.
+        """Start the library from a state; called at the start of a run, and after discontinuities and projections.
 
         Parameters
         ----------
         equations
-            The equations of motion; ``equations.first_step`` is the size of the first step [s] that the user asks for.
+            The equations of motion; ``equations.first_step`` is the size of the first step [s], at most ``stop - t``:
+            that which the user asks for or, after a projection, `Step.next_step`. None if the library should choose it.
         t, state
             Time [s] and state from which the library starts.
         stop

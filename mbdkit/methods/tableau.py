@@ -415,9 +415,9 @@ class EmbeddedPair:
     Parameters
     ----------
     error
-        (1 or 2, S) weights of the stages in the estimates of the local error divided by h, higher order first.
+        (0, 1 or 2, S) weights of the stages in the estimates of the local error divided by h, higher order first.
     estimate_order
-        Order of the estimate, as a power of h; with two estimates, the order of their combination.
+        Order of the estimate, as a power of h; with two estimates, the order of their combination; 0 without any.
     a, c
         (E, E) and (E,) coefficients and nodes, including the additional stages of dense output, E >= S.
     dense
@@ -429,6 +429,29 @@ class EmbeddedPair:
     a: np.ndarray
     c: np.ndarray
     dense: np.ndarray
+
+    @classmethod
+    def without_error(cls, tableau: ButcherTableau, dense: Sequence[Sequence[float]]) -> EmbeddedPair:
+        """Return dense output (S, degree) of the stages of an explicit tableau, without an error estimate.
+
+        Raises
+        ------
+        TableauError
+            If the number of rows is not that of the stages, or the weights at theta = 1 are not those of the tableau.
+        """
+        import numpy as np
+
+        a, b, c = tableau.floats()
+        if len(dense) != len(b) or len({len(row) for row in dense}) != 1:
+            raise TableauError(f"the dense output of {tableau.name} should have {len(b)} rows of equal length")
+        weights = np.array(dense, dtype=float)
+        gap = float(np.max(np.abs(weights.sum(axis=1) - b)))
+        if not gap < 1e-12:
+            raise TableauError(
+                f"the dense output of {tableau.name} does not end where the step ends: at theta = 1 its weights should "
+                f"be b, but they differ by {gap:.3g}"
+            )
+        return cls(np.zeros((0, len(b))), 0, a, c, weights)
 
 
 def nested_polynomials(parts: Sequence[np.ndarray]) -> np.ndarray:

@@ -22,6 +22,7 @@ from mbdkit.integrators.interface import Failure, Guards, Timetable
 from mbdkit.measures.take import check_measures
 from mbdkit.mechanism.size import mechanism_size
 from mbdkit.methods.kinds import Method
+from mbdkit.methods.step_methods import ExternalMethod
 from mbdkit.methods.tableau import TableauError
 from mbdkit.quantities.array import Array
 from mbdkit.quantities.names import archive_names
@@ -152,11 +153,11 @@ def make_method(spec: RunSpec) -> Method:
         )
     if spec.has_rigid_contacts:
         _check_treatment(spec, method)
-    if not method.traits.can_be_projected and spec.stabilized.kind == "projection":
+    if spec.stabilized.symmetric and isinstance(method, ExternalMethod):
         raise PluginError(
-            f"integrator {spec.integrator_item.id} claims to support projection, which libraries with a loop of their "
-            "own do not: "
-            'it should claim `stabilizations=("none", "baumgarte")`'
+            f"integrator {spec.integrator_item.id} claims to support symmetric projection, which libraries with a loop "
+            "of their own do not, because it repeats their steps: it should claim "
+            '`stabilizations=("none", "baumgarte", "projection")`'
         )
     return method
 

@@ -83,7 +83,8 @@ def drawn(random: np.random.Generator) -> dict[str, Any]:
         "fires": {"when": "states.charge - 1", "direction": "rising", "set": {"charge": "0.1*states.charge"}},
         "turns": {"when": "rod1.angular_velocity"},
     }
-    return {"mbdkit": 1, "model": model, "events": events, "impacts": "allow"}
+    stabilization = ("none", "projection")[int(random.integers(2))]
+    return {"mbdkit": 1, "model": model, "events": events, "impacts": "allow", "stabilization": stabilization}
 
 
 def _spec(given: dict[str, Any], like: str, step: float = STEP) -> dict[str, Any]:

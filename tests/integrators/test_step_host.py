@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -13,6 +14,7 @@ import mbdkit
 from mbdkit import EquationsOfMotion, ExternalMethod, Step, StepMethod, StepState, Tolerances
 from mbdkit.archive.checkpoint import Checkpoint
 from mbdkit.engine.consistent_start import workspace_at_start
+from mbdkit.engine.stabilization import Stabilization
 from mbdkit.integrators.interface import Stretch, Timetable, joined
 from mbdkit.integrators.step_host import StepHost
 from mbdkit.runs.simulation import simulate
@@ -81,6 +83,7 @@ class Rk45(ExternalMethod):
         return Step(
             StepState(q, v, z=z),
             dense=lambda theta: tuple(np.split(inner(t0 + theta * h), [n, 2 * n])),
+            next_step=float(self.solver.h_abs),
             time=float(self.solver.t),
         )
 
@@ -96,7 +99,7 @@ def run_with(method: Any, model: Any, time: dict[str, Any], **sections: Any) -> 
     """Run a model with a method that integrates states, whatever its end."""
     claims = {"states": True} if method.tolerances is None else {"states": True, "adaptive": True, "order": None}
     if not isinstance(method, StepMethod):
-        claims["stabilizations"] = ("none", "baumgarte")
+        claims["stabilizations"] = ("none", "baumgarte", "projection")
     registry = offering(method, dense_output=True, **claims)
     model = model.to_spec() if isinstance(model, mbdkit.Mechanism) else model
     data = {"mbdkit": 1, "model": model, "integrator": {"name": "mine"}, "time": time, **sections}
@@ -126,6 +129,25 @@ def test_controlled_steps_with_impulses_of_drivers_and_rows_at_an_interval(metho
 
 
 @METHODS
+def test_projected_steps_keep_their_size_and_joints_closed_also_at_events(method: Any) -> None:
+    # expected: the steps of a run without projection, and joints closed up to rounding errors
+    model, time = driven_chain(), {"end": 0.5}
+    time |= {"step": 1e-3}
+    first_turn = {"turns": {"when": "r2.angular_velocity", "action": "stop"}}
+    free, projected, stopped = (
+        run_with(method, model, time, stabilization=kind, events=events).check()
+        for kind, events in (("none", {}), ("projection", {}), ("projection", first_turn))
+    )
+    assert free.misalignment_max > 1e-9
+    assert abs(len(projected.time) - len(free.time)) <= 0.05 * len(free.time)
+    assert stopped.time[-1] < time["end"]
+    for run in (projected, stopped):
+        assert max(run.misalignment_max, float(run.array("joints/velocity_misalignment").max())) < 1e-12
+    for name, body in free.bodies.items():
+        np.testing.assert_allclose(projected[name].position[-1], body.position[-1], rtol=0, atol=1e-5)
+
+
+@METHODS
 @pytest.mark.parametrize("name", ["series-elastic-knee", "delayed-balance"])
 def test_states_of_motors_and_sampled_controllers_are_integrated(method: Any, name: str) -> None:
     # expected: dop853 with tight tolerances
@@ -136,11 +158,13 @@ def test_states_of_motors_and_sampled_controllers_are_integrated(method: Any, na
     assert np.abs(mine.energy.balance).max() < 1e-4 * np.abs(exact.energy.total).max()
 
 
+@pytest.mark.parametrize("stabilization", ["none", "projection"])
 @METHODS
-def test_events_that_set_states_end_steps(method: Any) -> None:
+def test_events_that_set_states_end_steps(method: Any, stabilization: str) -> None:
     # expected: the closed form of a charge that is taken seven times
     spec = spec_of({}, None)
-    mine = run_with(method, spec["model"], spec["time"], events=spec["events"]).check()
+    sections = {"events": spec["events"], "stabilization": stabilization}
+    mine = run_with(method, spec["model"], spec["time"], **sections).check()
     times = mine.events.of_name("fires").time
     np.testing.assert_allclose(times, np.log(2) * np.arange(1, 8), rtol=0, atol=1e-5)
     at_end = mine.states["charge"].value[-1], mine["rotor"].angular_velocity[-1]
@@ -316,8 +340,13 @@ class Nameless(Counting):
 
 @pytest.mark.parametrize(
     ("name", "when"),
-    [("series-elastic-knee", "third"), ("double-pendulum", "third"), ("double-pendulum", "stop")],
-    ids=["states", "plain", "at a stop"],
+    [
+        ("series-elastic-knee", "third"),
+        ("double-pendulum", "third"),
+        ("double-pendulum", "stop"),
+        ("double-pendulum", "projection"),
+    ],
+    ids=["states", "plain", "at a stop", "projected"],
 )
 @pytest.mark.parametrize(
     "method", [Pair(1e-6), Pair(None), Rk45(), Counting()], ids=["pair", "fixed", "library", "object"]
@@ -327,7 +356,9 @@ def test_a_stored_state_continues_to_the_same_bits(method: Any, name: str, when:
     rows = {"steps": 200} if method.tolerances is None else {"interval": 0.01}
     stops = {"stops": (0.05, 0.1), "stop_margins": (1e-14, 1e-14)}
     table = Timetable(0.0, 0.2, single=True, step=1e-3, **rows, **stops)
-    fresh = [StepHost(method, workspace_at_start(spec.mechanism())[0], table) for _ in range(3)]
+    workspace = workspace_at_start(spec.mechanism())[0]
+    workspace.stabilization = Stabilization("projection" if when == "projection" else "none")
+    fresh = [StepHost(method, replace(workspace), table) for _ in range(3)]
     whole = joined(advanced(fresh[0]))
     first = [fresh[1].advance()]
     while fresh[1].now.why != "stop" if when == "stop" else fresh[1].counters.steps < 3:

@@ -10,7 +10,8 @@ import pytest
 import sympy as sp
 
 from mbdkit.methods import INTEGRATORS, gauss, radau_iia, rk4, rk_gill
-from mbdkit.methods.tableau import ButcherTableau, TableauError, collocation, rooted_trees
+from mbdkit.methods.kinds import ExplicitRungeKutta, Tolerances
+from mbdkit.methods.tableau import ButcherTableau, EmbeddedPair, TableauError, collocation, rooted_trees
 
 SHIPPED = {"rk4": rk4.tableau(), "rk-gill": rk_gill.tableau()} | {f"gauss-{s}": gauss.tableau(s) for s in range(1, 7)}
 SHIPPED |= {f"radau-iia-{s}": radau_iia.tableau(s) for s in (2, 3, 5)}
@@ -128,6 +129,20 @@ def test_a_claim_of_one_order_more_is_refused(name: str) -> None:
     if t.order < 9:
         with pytest.raises(TableauError, match=f"claims order {t.order + 1}"):
             ButcherTableau(name, t.a, t.b, t.c, order=t.order + 1)
+
+
+def test_dense_output_without_an_error_estimate_ends_at_the_step_and_controls_none() -> None:
+    # expected: Hairer, Norsett and Wanner (1993), II.6.10-6.11: dense output of order 3 of the method of order 4
+    t = SHIPPED["rk4"]
+    dense = [[1, -3 / 2, 2 / 3], [0, 1, -2 / 3], [0, 1, -2 / 3], [0, -1 / 2, 2 / 3]]
+    pair = EmbeddedPair.without_error(t, dense)
+    assert len(pair.error) == 0
+    with pytest.raises(TableauError, match="rk4 has no error estimate"):
+        ExplicitRungeKutta(t, pair, Tolerances(1e-6, 1e-6))
+    with pytest.raises(TableauError, match="should have 4 rows of equal length"):
+        EmbeddedPair.without_error(t, dense[:3])
+    with pytest.raises(TableauError, match=r"does not end where the step ends.* by 0.667"):
+        EmbeddedPair.without_error(t, [[*row[:2], 0.0] for row in dense])
 
 
 def test_a_claim_of_less_is_accepted() -> None:

@@ -92,8 +92,8 @@ def block_at_end() -> np.ndarray:
         def rates(t: float, y: np.ndarray, way: float = way) -> list[float]:
             return [y[1], -45.0 * (y[0] - 0.9) - way * FRICTION * G]
 
-        def stops(t: float, y: np.ndarray, begin: float = t) -> float:
-            return float(y[1]) if t > begin + 1e-6 else 1.0
+        def stops(t: float, y: np.ndarray, begin: float = t, way: float = way) -> float:
+            return way * float(y[1]) if t > begin + 1e-6 else 1.0
 
         stops.terminal = True  # type: ignore[attr-defined]
         part = solve_ivp(rates, (t, END), y, events=stops, **TIGHT)

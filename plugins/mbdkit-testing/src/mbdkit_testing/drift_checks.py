@@ -137,4 +137,19 @@ def formulations(integrator: IntegratorUnderTest) -> Result:
     return passed(**figures).within(dict.fromkeys(figures, EXACT))
 
 
-CHECKS = (_level("position", SWINGING), _level("velocity", DRIVEN_PENDULUM), growth, formulations)
+@check("drift.projection")
+def projection(integrator: IntegratorUnderTest) -> Result:
+    """With a projection after each step, the constraints hold at position and velocity level."""
+    if "projection" not in integrator.claims.stabilizations:
+        raise Skip("it does not claim projection")
+    time = {"end": 2.0} | ({} if integrator.claims.adaptive else {"step": coarse_step(integrator) / 4})
+    with integrator.run(DRIVEN_PENDULUM, time, stabilization="projection") as run:
+        figures: dict[str, Figure] = {level: _worst(run, level) for level in ("position", "velocity")}
+        if run.status != "complete":
+            return failed(f"with projection a run did not complete: {run.status_reason}".rstrip("."))
+    if not all(isinstance(size, float) and size < EXACT for size in figures.values()):
+        return failed("it claims projection, but the constraints do not hold", **figures)
+    return passed(**figures).within(dict.fromkeys(figures, EXACT))
+
+
+CHECKS = (_level("position", SWINGING), _level("velocity", DRIVEN_PENDULUM), growth, formulations, projection)

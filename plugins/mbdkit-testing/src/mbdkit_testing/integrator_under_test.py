@@ -136,9 +136,9 @@ class IntegratorUnderTest:
         with self.run(model, {"end": end, "step": step}, output={"every": 10**9}, **sections) as run:
             return final_state(run)
 
-    def workspace(self, model: Mapping[str, Any]) -> Workspace:
+    def workspace(self, model: Mapping[str, Any], **sections: Any) -> Workspace:
         """Return the arrays and the solver of a model, at an initial state that satisfies its constraints."""
-        return build(self.spec(model, {"end": 1.0, "step": 0.5}))[0]
+        return build(self.spec(model, {"end": 1.0, "step": 0.5}, **sections))[0]
 
     def stepper(
         self,

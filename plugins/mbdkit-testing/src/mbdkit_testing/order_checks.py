@@ -10,6 +10,7 @@ import math
 from collections.abc import Iterator
 from dataclasses import replace
 from functools import cache
+from typing import Any
 
 import numpy as np
 
@@ -103,6 +104,8 @@ class Convergence:
     ----------
     formulation
         The formulation; by default the one that the checks use.
+    sections
+        Further sections of the specs.
 
     Attributes
     ----------
@@ -114,7 +117,7 @@ class Convergence:
         Rounding error of the reference.
     """
 
-    def __init__(self, integrator: IntegratorUnderTest, problem: str, formulation: str | None = None):
+    def __init__(self, integrator: IntegratorUnderTest, problem: str, formulation: str | None = None, **sections: Any):
         state, multipliers, self.floor = reference(problem)
         formulation = formulation or integrator.formulation
         claimed = integrator.claims.orders_on(formulation)
@@ -123,7 +126,8 @@ class Convergence:
         steps, errors, end = [], [], ENDS[problem]
         for number in numbers_of_steps(integrator, min(order for order in claimed if order is not None)):
             time = {"end": end, "step": end / number}
-            with integrator.run(PROBLEMS[problem], time, output={"every": 10**9}, formulation=formulation) as run:
+            sections |= {"output": {"every": 10**9}, "formulation": formulation}
+            with integrator.run(PROBLEMS[problem], time, **sections) as run:
                 of_positions, of_velocities = (float(np.max(np.abs(x))) for x in np.split(final_state(run) - state, 2))
                 of_multipliers = math.nan
                 if claimed.multipliers is not None and run.status == "complete":
@@ -243,12 +247,15 @@ def formulations(integrator: IntegratorUnderTest) -> Result:
         assert claimed is not None
         found = Convergence(integrator, "forced-pendulum", name)
         seen = []
-        kinds = (
+        kinds = [
             ("positions", claimed.positions, found.position_errors),
             ("velocities", claimed.velocities, found.velocity_errors),
-            ("multipliers", claimed.multipliers, found.multiplier_errors),
-        )
-        for what, order, errors in kinds:
+        ]
+        if claimed.positions == claimed.velocities:
+            # The smaller ones may reach rounding before they follow a power of the step h: with dop853, the largest
+            # error of positions is about 4.4 h^8 (1 - 13 h).
+            kinds = [("positions and velocities", claimed.positions, found.errors)]
+        for what, order, errors in (*kinds, ("multipliers", claimed.multipliers, found.multiplier_errors)):
             if order is None:
                 continue
             observed = found.observed_of_multipliers if what == "multipliers" else found.observed_in(errors)
@@ -281,11 +288,13 @@ def finest(integrator: IntegratorUnderTest) -> Result:
     return passed(slope_at_finest=round(slope, 2), smallest_error=smallest)
 
 
-def error_at_tolerance(integrator: IntegratorUnderTest, problem: str, rtol: float, state: np.ndarray) -> float:
+def error_at_tolerance(
+    integrator: IntegratorUnderTest, problem: str, rtol: float, state: np.ndarray, **sections: Any
+) -> float:
     """Return the largest error of a run with the tolerance `rtol` at its end, where the reference is `state`."""
     options = {"rtol": rtol, **({"atol": rtol} if "atol" in integrator.plugin.options.model_fields else {})}
     time = {"end": ENDS[problem]}
-    with integrator.run(PROBLEMS[problem], time, options=options, output={"every": 10**9}) as run:
+    with integrator.run(PROBLEMS[problem], time, options=options, output={"every": 10**9}, **sections) as run:
         return float(np.max(np.abs(final_state(run) - state)))
 
 
@@ -315,21 +324,40 @@ def polynomials(integrator: IntegratorUnderTest) -> Result:
     return failed(cause, defect=worst)
 
 
+def _errors_of_tolerances(integrator: IntegratorUnderTest, problem: str, **sections: Any) -> Result:
+    """Compare the errors of runs with `TOLERANCES`."""
+    if "rtol" not in integrator.plugin.options.model_fields:
+        raise Skip("it has no option `rtol`")
+    state, _, floor = reference(problem)
+    errors = [error_at_tolerance(integrator, problem, rtol, state, **sections) for rtol in TOLERANCES]
+    figures = {f"error_at_{rtol:g}": error for rtol, error in zip(TOLERANCES, errors, strict=True)}
+    if not np.all(np.isfinite(errors)):
+        return failed("a run did not complete", **figures)
+    for coarse, fine in zip(errors, errors[2:], strict=False):
+        if fine > max(coarse / OBEYS, 100 * floor):
+            return failed("its error does not decrease with the tolerance", **figures)
+    return passed(**figures)
+
+
+@check("order.projection", slow=True)
+def projected(integrator: IntegratorUnderTest) -> Result:
+    """With a projection after each step, errors on the forced pendulum converge with the claimed order, or decrease
+    with the tolerance.
+    """
+    if "projection" not in integrator.claims.stabilizations:
+        raise Skip("it does not claim projection")
+    sections = {"stabilization": "projection"}
+    if integrator.claims.adaptive:
+        return _errors_of_tolerances(integrator, "forced-pendulum", **sections)
+    found = Convergence(integrator, "forced-pendulum", **sections)
+    return compare_orders(integrator.order, found.observed, found.errors)
+
+
 def _with_tolerance(problem: str) -> Check[IntegratorUnderTest]:
     def obeys(integrator: IntegratorUnderTest) -> Result:
         if not integrator.claims.adaptive:
             raise Skip("it has fixed steps")
-        if "rtol" not in integrator.plugin.options.model_fields:
-            raise Skip("it has no option `rtol`")
-        state, _, floor = reference(problem)
-        errors = [error_at_tolerance(integrator, problem, rtol, state) for rtol in TOLERANCES]
-        figures = {f"error_at_{rtol:g}": error for rtol, error in zip(TOLERANCES, errors, strict=True)}
-        if not np.all(np.isfinite(errors)):
-            return failed("a run did not complete", **figures)
-        for coarse, fine in zip(errors, errors[2:], strict=False):
-            if fine > max(coarse / OBEYS, 100 * floor):
-                return failed("its error does not decrease with the tolerance", **figures)
-        return passed(**figures)
+        return _errors_of_tolerances(integrator, problem)
 
     obeys.__doc__ = f"The error on the {problem.replace('-', ' ')} decreases with the tolerance."
     return Check(f"tolerance.{problem}", obeys, slow=problem == "driven-pendulum")
@@ -429,6 +457,7 @@ CHECKS = (
     finest,
     multipliers,
     formulations,
+    projected,
     *(_with_tolerance(problem) for problem in USUAL),
     variable_order,
     states,

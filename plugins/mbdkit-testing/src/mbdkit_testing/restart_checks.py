@@ -19,7 +19,7 @@ from mbdkit_testing.check import Skip, check
 from mbdkit_testing.check_result import Result, failed, passed
 from mbdkit_testing.integrator_under_test import IntegratorUnderTest, drive
 from mbdkit_testing.single_steps import equations_for, model_for, step_method, step_of
-from mbdkit_testing.trial_models import DRIVEN_PENDULUM, LAGGING_PENDULUM, Model
+from mbdkit_testing.trial_models import DRIVEN_PENDULUM, LAGGING_PENDULUM
 
 if TYPE_CHECKING:
     from mbdkit.integrators.interface import Stepper
@@ -59,7 +59,7 @@ def stretches(integrator: IntegratorUnderTest) -> Result:
 
 @check("restart.state")
 def state(integrator: IntegratorUnderTest) -> Result:
-    """A run that a new object of the method continues from a checkpoint is bitwise the same."""
+    """A run that a new object of the method continues from a checkpoint is bitwise the same, also with projection."""
     if not integrator.claims.restartable:
         raise Skip("it does not claim to be restartable")
     method = integrator.method()
@@ -67,10 +67,17 @@ def state(integrator: IntegratorUnderTest) -> Result:
         raise Skip("its steps are those of the framework, which stores their state itself")
     if isinstance(method, ExternalMethod) and method.traits.why_no_checkpoint:
         return failed(f"it claims to be restartable, but {method.traits.why_no_checkpoint}")
-    model = LAGGING_PENDULUM if integrator.claims.states else DRIVEN_PENDULUM
-    whole = _rows(_host(integrator, model), STEPS)
+    for stabilization in ("none", "projection"):
+        if stabilization in integrator.claims.stabilizations and (wrong := _continued(integrator, stabilization)):
+            return wrong
+    return passed(steps=STEPS)
+
+
+def _continued(integrator: IntegratorUnderTest, stabilization: str) -> Result | None:
+    """Return a failure if a run that is continued from a checkpoint differs."""
+    whole = _rows(_host(integrator, stabilization), STEPS)
     for number in STORED_AFTER:
-        first, later = _host(integrator, model), _host(integrator, model)
+        first, later = _host(integrator, stabilization), _host(integrator, stabilization)
         before = _rows(first, number)
         if first.finished:
             break
@@ -86,15 +93,18 @@ def state(integrator: IntegratorUnderTest) -> Result:
             one, other = getattr(parts, name), getattr(whole, name)
             if one is not None and not np.array_equal(one, other):
                 cause = "its state does not contain everything that the next step needs"
-                return failed(f"{cause}: a run that continues after {counted(number, 'step')} has another {name}")
-    return passed(steps=STEPS)
+                run = "a run" if stabilization == "none" else f"with {stabilization} a run"
+                return failed(f"{cause}: {run} that continues after {counted(number, 'step')} has another {name}")
+    return None
 
 
 _HEAD = {"spec": "{}", "run_id": "-", "created_utc": "-", "provenance": {"mbdkit": "-"}}
 
 
-def _host(integrator: IntegratorUnderTest, model: Model) -> StepHost:
-    stepper = integrator.stepper(integrator.workspace(model), END, STEPS, every=1, single=True)
+def _host(integrator: IntegratorUnderTest, stabilization: str) -> StepHost:
+    model = LAGGING_PENDULUM if integrator.claims.states else DRIVEN_PENDULUM
+    workspace = integrator.workspace(model, stabilization=stabilization)
+    stepper = integrator.stepper(workspace, END, STEPS, every=1, single=True)
     assert isinstance(stepper, StepHost)
     return stepper
 

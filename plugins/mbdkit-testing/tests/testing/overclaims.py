@@ -346,6 +346,11 @@ WRONG = {
         "restart.state",
         "it claims to be restartable, but its state cannot be stored",
     ),
+    "projection, which makes it forget its memory": (
+        _method(RoundedMemory, **AB2),
+        "order.projection",
+        "it claims order 2, but the observed one is 1.0",
+    ),
     "a memory that loses digits": (
         _method(RoundedMemory, **AB2),
         "restart.state",

@@ -255,7 +255,6 @@ class Library(ExternalMethod):
         assert self.tolerances is not None
         self.parts, rtol = [equations.n, 2 * equations.n], self.tolerances.rtol
         y, first = np.concatenate([state.q, state.v, state.z]), equations.first_step
-        first = None if first is None else min(first, stop - t)
         self.solver = scipy.integrate.RK45(
             lambda t, y: slope(equations, t, y), t, y, stop, rtol=rtol, atol=rtol, first_step=first
         )
@@ -265,7 +264,7 @@ class Library(ExternalMethod):
         self.inner, begin, h = self.solver.dense_output(), self.solver.t_old, self.solver.step_size
         inner = self.inner
         dense = lambda theta: tuple(np.split(inner(begin + theta * h), self.parts))  # noqa: E731
-        return Step(self.state(self.solver.y), dense=dense, time=float(self.solver.t))
+        return Step(self.state(self.solver.y), dense=dense, next_step=self.solver.h_abs, time=float(self.solver.t))
 
     def state(self, y: Vector) -> StepState:
         q, v, z = np.split(y, self.parts)
@@ -312,7 +311,7 @@ def adaptive(method: Any, **claims: Any) -> Any:
 
 
 def library(method: type[Library]) -> Any:
-    return adaptive(method, stabilizations=("none", "baumgarte"), dense_order=4)
+    return adaptive(method, stabilizations=("none", "baumgarte", "projection"), dense_order=4)
 
 
 RK4: dict[str, Any] = {"order": 4, "needs": ("accelerations",)}
