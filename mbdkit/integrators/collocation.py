@@ -2,7 +2,9 @@
 
 One step is the same for all formulations (`mbdkit.integrators.collocation_step`). A formulation provides the residual
 and the change of the stages, and the change that has to converge
-(`mbdkit.integrators.collocation_stages.StageKernels`).
+(`mbdkit.integrators.collocation_stages.StageKernels`). The modules of both kinds of equations, `collocation_index1` and
+`collocation_constrained`, have the compiled functions ``attempt`` and ``dense`` (`mbdkit.integrators.step_loop`), and
+``choose_pivots``, which chooses pivots for the stage matrix from the tangents evaluated last and from ``h mu``.
 """
 
 from __future__ import annotations
@@ -11,24 +13,22 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from mbdkit.engine.formulation import FORMULATIONS, INDEX_1, Formulation
+from mbdkit.engine.formulation import FORMULATIONS, INDEX_1
 from mbdkit.engine.iteration_matrix import classes_of
 from mbdkit.engine.kernels.equations import GAMMA_V, STIFFNESS
 from mbdkit.engine.kernels.observe import tangents_at
 from mbdkit.engine.native.bundle import PinnedBundle
 from mbdkit.engine.spanning_tree import spanning_tree
-from mbdkit.integrators import collocation_constrained, collocation_index1, collocation_joint, collocation_loops
-from mbdkit.integrators.collocation_joint import JointStages, joint_stages
+from mbdkit.integrators import collocation_constrained, collocation_index1
 from mbdkit.integrators.collocation_stages import (
     FIXED_POINT,
     NEWTON,
-    StageEquations,
-    Stages,
     coefficients_of,
     new_settings,
     new_stages,
     new_systems,
 )
+from mbdkit.integrators.collocation_step import keep
 from mbdkit.integrators.compiled_method import CompiledMethod
 from mbdkit.integrators.convergence import TOLERANCE, describe_divergence
 from mbdkit.integrators.coupled_newton import CoupledNewton
@@ -55,12 +55,13 @@ class CompiledCollocation(CompiledMethod):
     """
 
     carries_stages = True
+    keep = keep
 
     def __init__(self, method: ImplicitRungeKutta, workspace: Workspace, control: Control | None):
         super().__init__(workspace)
         formulation = self.formulation = FORMULATIONS[workspace.formulation]
-        self.equations = equations_of(formulation)
-        self.attempt, self.dense, self.keep = self.equations.attempt, self.equations.dense, self.equations.keep
+        self.equations = collocation_constrained if formulation.solves_multipliers else collocation_index1
+        self.attempt, self.dense = self.equations.attempt, self.equations.dense
         self.carries_multipliers = formulation.solves_multipliers
         self.has_dense_output = method.tableau.is_collocation
         self.rk = coefficients_of(method.tableau)
@@ -71,15 +72,9 @@ class CompiledCollocation(CompiledMethod):
         elif control is not None and not formulation.solves_multipliers:  # this tolerance is relative to accelerations
             tolerance = control.iteration_tolerance
         solver = NEWTON if method.stage_solver == "newton" else FIXED_POINT
-        stages = new_stages(
-            self.rk,
-            workspace,
-            new_settings(formulation, solver, method.max_iterations, tolerance),
-            _terms_by_position(workspace),
-        )
-        self.bundle: Stages | JointStages = stages
-        if formulation.coordinates == "joint":
-            self.bundle = joint_stages(stages, spanning_tree(workspace.mechanism.topology))
+        settings = new_settings(formulation, solver, method.max_iterations, tolerance)
+        tree = spanning_tree(workspace.mechanism.topology) if formulation.coordinates == "joint" else None
+        self.bundle = new_stages(self.rk, workspace, settings, _terms_by_position(workspace), tree)
         self.pinned = PinnedBundle(self.bundle)
         if method.max_iterations is None:
             self.limit = self.bundle.settings.limit
@@ -165,13 +160,6 @@ class CompiledCollocation(CompiledMethod):
     def describe_divergence(self, report: np.ndarray) -> str:
         """Return the largest change of an acceleration and its location, as text."""
         return describe_divergence(self.workspace, report)
-
-
-def equations_of(formulation: Formulation) -> StageEquations:
-    """Return the stage equations of a formulation."""
-    if formulation.coordinates == "joint":
-        return (collocation_loops if formulation.solves_multipliers else collocation_joint).EQUATIONS
-    return (collocation_constrained if formulation.solves_multipliers else collocation_index1).EQUATIONS
 
 
 def _terms_by_position(workspace: Workspace) -> np.ndarray:

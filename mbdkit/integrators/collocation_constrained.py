@@ -20,6 +20,11 @@ solve
 with g = 0 (index 3), or r / 2 because d(Phi_q v + Phi_t)/dq is -gamma_v / 2 (index 2, ggl). The rows are scaled by
 powers of r, so that the matrix is as well conditioned as that of index 1 for any small step; the round-off of index-3
 multipliers, about eps / h^2 of a coordinate, is inherent in the formulation.
+
+In the coordinates of a spanning tree, the unknowns a_i are the accelerations y''_i of the coordinates, which determine
+q_i, v_i and the accelerations of the bodies (`mbdkit.integrators.stages_on_tree`), and only the cut joints impose
+constraints. The systems are those above, for the changes of the accelerations of the bodies and of the multipliers of
+all joints; the residuals of the joints of the tree are zero.
 """
 
 from __future__ import annotations
@@ -42,10 +47,10 @@ from mbdkit.engine.kernels.system import (
     solved_rows,
     unfold_multipliers,
 )
+from mbdkit.engine.kernels.tree_displacements import displace_bodies, take_arms
 from mbdkit.engine.kernels.vectors import copy
 from mbdkit.engine.native.functions import entry, inlined, separate, subkernel
 from mbdkit.integrators.collocation_stages import (
-    StageEquations,
     StageKernels,
     is_shifted,
     load_stages,
@@ -53,10 +58,7 @@ from mbdkit.integrators.collocation_stages import (
 )
 from mbdkit.integrators.collocation_step import (
     choose_tangent_state,
-    evaluate_stages,
     every_change_is_idle,
-    first_acceleration,
-    keep,
     move_stages,
     state_inside,
     try_step,
@@ -70,9 +72,10 @@ from mbdkit.integrators.convergence import (
 )
 from mbdkit.integrators.element_states import solve_states
 from mbdkit.integrators.run_state import RHS, load_run_state
-from mbdkit.integrators.shifted_positions import change_shift
+from mbdkit.integrators.shifted_positions import change_shift, change_shift_on_tree
 from mbdkit.integrators.simplified_newton import factorize_all, newton_changes
 from mbdkit.integrators.stage_polynomials import extrapolation_weights
+from mbdkit.integrators.stages_on_tree import clear_rows_of_tree, is_on_tree, take_changes_of_stages
 from mbdkit.integrators.turning_beams import turn_residual_back, turns_stages
 
 if TYPE_CHECKING:
@@ -90,6 +93,8 @@ def _tangents(c, m, t, h, at_start, wanted):
         unfold_multipliers(top, w.cs, tangent.lam)
     take_states(top, w, m.states.z[len(m.rk.c) - 1])
     evaluate_tangents(top, w, tangent.time[0], tangent.q, tangent.v, tangent.acc, tangent.lam)
+    if is_on_tree(m):
+        take_arms(top, w, m.on_tree.relative.tree, tangent.q, m.on_tree.arms)
     return factorize_all(c, m, h, 0.5)
 
 
@@ -143,29 +148,32 @@ def right_side(c, m, weights, rate, z, b):
 
 
 @subkernel
-def change_by_newton(c, m, h):
-    """Write the change of accelerations and multipliers into ``m.change``, and change the multipliers."""
-    newton_changes(c, m, h, right_side)
-    for i in range(len(m.rk.c)):
-        for k in range(len(c.top.pairs)):
-            for r in range(c.top.rows[k]):
-                m.lam[i, k, r] += m.change[i, c.solver.row_index[k, r]]
-
-
-@subkernel
 def _changes(c, m, t, h, before):
     """Write the change of accelerations and multipliers by one iteration, and change the multipliers."""
     status = solve_states(c, m, t, h)
     if status != OK:
         return status
-    evaluate_residual(c, m, m.acc, t, h)
+    if is_on_tree(m):
+        evaluate_residual(c, m, m.on_tree.acc, t, h)
+        clear_rows_of_tree(c, m)
+    else:
+        evaluate_residual(c, m, m.acc, t, h)
     if turns_stages(m):
         turn_residual_back(m)
     if is_shifted(m):
-        status = change_shift(c, m, h, c.w.source, m.tangent.acc)
+        if is_on_tree(m):
+            status = change_shift_on_tree(c, m, h)
+        else:
+            status = change_shift(c, m, h, c.w.source, m.tangent.acc)
         if status != OK:
             return status
-    change_by_newton(c, m, h)
+    newton_changes(c, m, h, right_side)
+    for i in range(len(m.rk.c)):
+        for k in range(len(c.top.pairs)):
+            for r in range(c.top.rows[k]):
+                m.lam[i, k, r] += m.change[i, c.solver.row_index[k, r]]
+    if is_on_tree(m):
+        take_changes_of_stages(c, m)
     return OK
 
 
@@ -195,13 +203,14 @@ def _change_of_velocities(c, m, h):
 
 
 @subkernel
-def sizes_of_state(c, m, h, rates):
-    """Return the relative change of the state, whose velocities in the stages are `rates`, and that of the positions.
+def _sizes(c, m, h):
+    """Return the relative change of the state, and that of the positions; on a tree, those of its coordinates.
 
     With index 3 only positions have to converge, because constraints on positions determine velocities only to the
     round-off of positions over h.
     """
     bodies = len(c.top.mass) - 1
+    rates = m.on_tree.rates if is_on_tree(m) else m.v_stage
     _change_of_positions(c, m, h)
     now = moved = relative_to_state(m.spread, c.from_q, bodies)
     if not solves_positions_only(m):
@@ -209,12 +218,6 @@ def sizes_of_state(c, m, h, rates):
         now = max(now, relative_to_state(m.spread, rates[len(m.rk.c) - 1], bodies))
         moved = max(moved, h * relative_to_state(m.spread, c.from_q, bodies))
     return now, moved
-
-
-@subkernel
-def _sizes(c, m, h):
-    """Return the relative change of the state, and that of the positions."""
-    return sizes_of_state(c, m, h, m.v_stage)
 
 
 @subkernel
@@ -259,8 +262,10 @@ def stage_powers(c, m, t, h):
 @inlined
 def estimate_side(c, m, z, b):
     """Write ``[M z, 0]``: components of `z` that violate the constraints are omitted, because they do not accumulate as
-    errors.
+    errors. On a tree, `z` is first replaced by the displacements T z of the bodies.
     """
+    if is_on_tree(m):
+        displace_bodies(c.top, m.on_tree.relative.tree, m.on_tree.arms, z)
     n3 = len(c.q) - 3
     for d in range(n3):
         b[d] = c.top.mass[d // 3, d % 3] * z[d]
@@ -276,30 +281,8 @@ KERNELS = StageKernels(
     every_change_is_idle,
     round_off,
     stage_powers,
-    right_side,
     estimate_side,
-    evaluate_stages,
-    first_acceleration,
 )
-
-
-@subkernel
-def multipliers_at_end(c, m, t):
-    """Write the multipliers at the end `t` of the step, which are those of the last stage."""
-    last = len(m.rk.c) - 1
-    unfold(c, t, m.q_stage[last], m.lam[last], c.own_lam)
-
-
-@subkernel
-def multipliers_inside(c, m, t, theta):
-    """Write the multipliers at the time `t`, which is ``theta h`` after the beginning of the step; needs the state."""
-    extrapolation_weights(theta, 0.0, m.rk.c, m.weights)  # each row has the weights of the polynomial at theta
-    m.pairs[:, :] = 0.0
-    for i in range(len(m.rk.c)):
-        for k in range(len(m.pairs)):
-            for r in range(2):
-                m.pairs[k, r] += m.weights[0, i] * m.lam[i, k, r]
-    unfold(c, t, c.point_q, m.pairs, c.point_lam)
 
 
 @entry
@@ -307,8 +290,9 @@ def attempt(run, method, t, h, want_error):
     """Try a step from the base state; see `mbdkit.integrators.step_loop`."""
     c, m = load_run_state(run), load_stages(method)
     status = try_step(c, m, t, h, want_error, KERNELS)
-    if status == OK:
-        multipliers_at_end(c, m, t + h)
+    if status == OK:  # the multipliers at the end of the step are those of the last stage
+        last = len(m.rk.c) - 1
+        unfold(c, t + h, m.q_stage[last], m.lam[last], c.own_lam)
     return status
 
 
@@ -316,8 +300,14 @@ def attempt(run, method, t, h, want_error):
 def dense(run, method, t, h, theta):
     """Write state and multipliers at ``t + theta h`` within the last attempt, by its collocation polynomial."""
     c, m = load_run_state(run), load_stages(method)
-    state_inside(c, m, h, theta, c)
-    multipliers_inside(c, m, t + theta * h, theta)
+    state_inside(c, m, t, h, theta, c)
+    extrapolation_weights(theta, 0.0, m.rk.c, m.weights)  # each row has the weights of the polynomial at theta
+    m.pairs[:, :] = 0.0
+    for i in range(len(m.rk.c)):
+        for k in range(len(m.pairs)):
+            for r in range(2):
+                m.pairs[k, r] += m.weights[0, i] * m.lam[i, k, r]
+    unfold(c, t + theta * h, c.point_q, m.pairs, c.point_lam)
     return OK
 
 
@@ -336,6 +326,3 @@ def choose_pivots(workspace: Workspace, rate: complex | None) -> tuple[Pattern, 
     classes = ((MASS, JACOBIAN), (DAMPING,), (GAMMA_V,), (STIFFNESS,))
     chosen = (np.isin(pivots.scatter[:, 2], some) for some in classes)
     return pivots.pattern, Scatter(*(np.ascontiguousarray(pivots.scatter[some, :2]) for some in chosen))
-
-
-EQUATIONS = StageEquations(attempt, dense, choose_pivots, keep)

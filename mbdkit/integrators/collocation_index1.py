@@ -13,6 +13,9 @@ all terms of the tangents of M a + Phi_q^T lambda - Q and of Phi_q a - gamma,
 
 which is (1 - h mu f_v - h^2 mu^2 f_q) x = r without forming f_v and f_q. Because f is evaluated exactly at every
 stage, only its derivatives are frozen, and the contraction of the iteration is O(h^2).
+
+In the coordinates of a spanning tree, f and the change of the stages are those of
+`mbdkit.integrators.stages_on_tree`.
 """
 
 from __future__ import annotations
@@ -22,16 +25,15 @@ from typing import TYPE_CHECKING
 from mbdkit.engine.kernels.accelerations import solve_accelerations
 from mbdkit.engine.kernels.applied_forces import take_states
 from mbdkit.engine.kernels.system import OK, evaluate_powers, evaluate_tangents, prepare
+from mbdkit.engine.kernels.tree import accelerate_coordinates
+from mbdkit.engine.kernels.tree_displacements import displace_bodies, take_arms
 from mbdkit.engine.kernels.vectors import copy
 from mbdkit.engine.native.arithmetic import any_of
 from mbdkit.engine.native.functions import entry, inlined, separate, subkernel
-from mbdkit.integrators.collocation_stages import NEWTON, StageEquations, StageKernels, load_stages
+from mbdkit.integrators.collocation_stages import NEWTON, StageKernels, load_stages
 from mbdkit.integrators.collocation_step import (
     choose_tangent_state,
-    evaluate_stages,
     every_change_is_idle,
-    first_acceleration,
-    keep,
     move_stages,
     state_inside,
     try_step,
@@ -46,6 +48,7 @@ from mbdkit.integrators.convergence import (
 from mbdkit.integrators.element_states import solve_states
 from mbdkit.integrators.run_state import FACTORIZATIONS, RHS, load_run_state
 from mbdkit.integrators.simplified_newton import factorize_all, newton_changes
+from mbdkit.integrators.stages_on_tree import is_on_tree, take_changes_of_stages
 from mbdkit.integrators.turning_beams import add_turned_forces, turn_accelerations_back, turns_stages
 
 if TYPE_CHECKING:
@@ -63,6 +66,8 @@ def _tangents(c, m, t, h, at_start, wanted):
     top, w, tangent = c.top, c.w, m.tangent
     take_states(top, w, m.states.z[len(m.rk.c) - 1])
     evaluate_tangents(top, w, tangent.time[0], tangent.q, tangent.v, tangent.acc, tangent.lam)
+    if is_on_tree(m):
+        take_arms(top, w, m.on_tree.relative.tree, tangent.q, m.on_tree.arms)
     for p in range(len(top.pairs)):
         copy(w.jac[p], m.tangent.jac[p])
     return factorize_all(c, m, h, 1.0)
@@ -71,15 +76,19 @@ def _tangents(c, m, t, h, at_start, wanted):
 @separate
 def evaluate_accelerations(c, m, t, h, refine, with_powers):
     """Evaluate the index-1 accelerations of every stage into ``m.spread``; return a status."""
-    top, w = c.top, c.w
+    top, w, o = c.top, c.w, m.on_tree
     for i in range(len(m.rk.c)):
+        acc = o.acc[i] if is_on_tree(m) else m.spread[i]
         prepare(top, w, t + m.rk.c[i] * h, m.q_stage[i])
         take_states(top, w, m.states.z[i])
-        status = solve_accelerations(top, w, c.solver, m.q_stage[i], m.v_stage[i], m.spread[i], m.lam[i], refine)
+        status = solve_accelerations(top, w, c.solver, m.q_stage[i], m.v_stage[i], acc, m.lam[i], refine)
         if status != OK:
             return status
         if with_powers:
             m.power[i, 0], m.power[i, 1] = evaluate_powers(top, w, m.q_stage[i], m.v_stage[i], m.lam[i])
+        if is_on_tree(m):
+            copy(acc, m.spread[i])
+            accelerate_coordinates(top, w, o.relative.tree, o.y[i], m.v_stage[i], m.spread[i])
     c.counts[RHS] += len(m.rk.c)
     c.counts[FACTORIZATIONS] += len(m.rk.c)
     return OK
@@ -87,7 +96,12 @@ def evaluate_accelerations(c, m, t, h, refine, with_powers):
 
 @inlined
 def lift(c, m, x, b):
-    """Write ``[M x, Phi_q x]`` into `b` (n + m,) for an acceleration `x` that is zero on the ground."""
+    """Write ``[M x, Phi_q x]`` into `b` (n + m,) for an acceleration `x` that is zero on the ground.
+
+    On a tree, `x` is a change of the coordinates, which is first replaced by the displacements T x of the bodies.
+    """
+    if is_on_tree(m):
+        displace_bodies(c.top, m.on_tree.relative.tree, m.on_tree.arms, x)
     top, row_index, jac = c.top, c.solver.row_index, m.tangent.jac
     pairs, rows, mass = top.pairs, top.rows, top.mass
     n3 = len(c.q) - 3
@@ -127,6 +141,8 @@ def _changes(c, m, t, h, before):
         if turns_stages(m):
             turn_accelerations_back(m)
         newton_changes(c, m, h, right_side)
+        if is_on_tree(m):
+            take_changes_of_stages(c, m)
     else:
         for i in range(s):
             for d in range(n3):
@@ -164,10 +180,7 @@ KERNELS = StageKernels(
     every_change_is_idle,
     _round_off,
     stage_powers,
-    right_side,
-    estimate_side=lift,
-    evaluate=evaluate_stages,
-    first_acceleration=first_acceleration,
+    lift,
 )
 
 
@@ -181,13 +194,11 @@ def attempt(run, method, t, h, want_error):
 def dense(run, method, t, h, theta):
     """Write the state at ``t + theta h`` within the last attempt, by its collocation polynomial."""
     c = load_run_state(run)
-    state_inside(c, load_stages(method), h, theta, c)
+    state_inside(c, load_stages(method), t, h, theta, c)
     return OK
 
 
-def _choose_pivots(workspace: Workspace, rate: complex | None) -> tuple[Pattern, Scatter]:
+def choose_pivots(workspace: Workspace, rate: complex | None) -> tuple[Pattern, Scatter]:
+    """Choose pivots for stage matrices with ``rate = h mu``, or for one without tangents if that is None."""
     pattern, _, scatter = workspace.choose_pivots(rate)
     return pattern, scatter
-
-
-EQUATIONS = StageEquations(attempt, dense, _choose_pivots, keep)

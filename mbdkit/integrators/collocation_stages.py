@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
 from functools import lru_cache
 from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
@@ -19,11 +17,11 @@ from mbdkit.engine.native.functions import inlined
 from mbdkit.engine.workspace import example_workspace
 from mbdkit.integrators.convergence import IterationLimit, new_limit
 from mbdkit.integrators.element_states import is_coupled
+from mbdkit.integrators.relative import OnTree, new_on_tree
 from mbdkit.integrators.stage_polynomials import collocation_polynomials
 from mbdkit.methods.tableau import ButcherTableau
 
 if TYPE_CHECKING:
-    from mbdkit.engine.native.kernel import Entry
     from mbdkit.engine.workspace import Workspace
 
 NEWTON, FIXED_POINT = range(2)
@@ -31,26 +29,6 @@ NEWTON, FIXED_POINT = range(2)
 
 POSITION, VELOCITY = range(2)
 """Items of `Settings.holds`."""
-
-
-@dataclass(frozen=True)
-class StageEquations:
-    """Stage equations of one or more formulations: their compiled entries, and how pivots are chosen.
-
-    Parameters
-    ----------
-    attempt, dense, keep
-        Compiled step, state inside it, and storage of its stages as quadrature nodes; see
-        `mbdkit.integrators.step_loop`.
-    choose_pivots
-        Chooses pivots for the stage matrix from the tangents evaluated last and from ``h mu``. If that is None, the
-        matrix contains no tangents.
-    """
-
-    attempt: Entry
-    dense: Entry
-    choose_pivots: Callable[[Workspace, complex | None], tuple[Pattern, Scatter]]
-    keep: Entry
 
 
 class StageKernels(NamedTuple):
@@ -80,16 +58,9 @@ class StageKernels(NamedTuple):
     relative change, `moved` that of the positions, and `idle` the number of idle changes so far."""
     powers: Any = None
     """``(c, m, t, h)``: evaluate the powers of the stages into ``m.power``."""
-    right_side: Any = None
-    """``(c, m, weights, rate, z, b)``: write the right-hand side of the system of an eigenvalue, with ``rate = h mu``,
-    for the residual `z` that is transformed by `weights` (s,)."""
     estimate_side: Any = None
     """``(c, m, z, b)``: write the right-hand side of the system that filters an estimate `z` of the error of
     velocities."""
-    evaluate: Any = None
-    """``(c, m, h)``: evaluate the stages from their accelerations; the step begins at ``m.previous.begin``."""
-    first_acceleration: Any = None
-    """``(c, m, t)``: solve for the acceleration at the beginning of a step unless it is known; return a status."""
 
 
 class Coefficients(NamedTuple):
@@ -257,8 +228,26 @@ class Constraints(NamedTuple):
     """Change of w by the last iteration."""
 
 
+class LaneKept(NamedTuple):
+    """Copies of values, which are restored in lanes that have converged; see `mbdkit.integrators.stage_iteration`.
+
+    Single runs do not use them.
+    """
+
+    lam: np.ndarray
+    """(s, P, 2) multipliers of the stages."""
+    counts: np.ndarray
+    """(5,) counts."""
+    diverged: np.ndarray
+    """(1,) 1 in lanes in which the iteration of the last step has diverged with finite changes."""
+
+
 class Stages(NamedTuple):
-    """A collocation method of s stages for one mechanism with B bodies, ground, and P pairs of constraint rows."""
+    """A collocation method of s stages for one mechanism with B bodies, ground, and P pairs of constraint rows.
+
+    In the coordinates of a tree, `acc`, `residual` and `change` of index 1, and ``first.acc`` are those of the
+    coordinates; `q_stage` and `v_stage` belong to the bodies.
+    """
 
     rk: Coefficients
     systems: Systems
@@ -295,6 +284,8 @@ class Stages(NamedTuple):
     """(s, 3 (B + 1)) scratch."""
     pairs: np.ndarray
     """(P, 2) scratch."""
+    on_tree: OnTree
+    kept: LaneKept
 
 
 @inlined
@@ -315,7 +306,9 @@ def is_shifted(m):
     return m.settings.holds[POSITION] != 0 and m.settings.holds[VELOCITY] != 0
 
 
-def new_stages(rk: Coefficients, workspace: Workspace, settings: Settings, by_position: np.ndarray) -> Stages:
+def new_stages(
+    rk: Coefficients, workspace: Workspace, settings: Settings, by_position: np.ndarray, tree: np.ndarray | None = None
+) -> Stages:
     """Return the bundle of a method for a mechanism, without pivots.
 
     Parameters
@@ -328,6 +321,8 @@ def new_stages(rk: Coefficients, workspace: Workspace, settings: Settings, by_po
         How stage equations are set up and solved.
     by_position
         See `Constraints`.
+    tree
+        The spanning tree whose coordinates are used; None for the coordinates of the bodies.
     """
     s, size, pairs = len(rk.c), workspace.mechanism.size, len(workspace.mechanism.topology.pairs)
     width = workspace.unknowns if settings.holds.any() else size - 3
@@ -357,7 +352,8 @@ def new_stages(rk: Coefficients, workspace: Workspace, settings: Settings, by_po
             np.zeros(1), np.zeros(size), np.zeros(size), np.zeros(size), np.zeros((pairs, 2)), np.zeros((pairs, 12))
         ),
         power=np.zeros((s, 2)), weights=np.zeros((s, s)), dense_weights=np.zeros(s),
-        spread=vectors(s), pairs=np.zeros((pairs, 2)),
+        spread=vectors(s), pairs=np.zeros((pairs, 2)), on_tree=new_on_tree(s, size, tree),
+        kept=LaneKept(np.zeros((0, pairs, 2)), np.zeros(0), np.zeros(0)),
     )  # fmt: skip
 
 

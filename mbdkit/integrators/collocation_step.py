@@ -14,6 +14,7 @@ import numpy as np
 from mbdkit.engine.kernels.accelerations import solve_accelerations
 from mbdkit.engine.kernels.applied_forces import state_rates, take_states
 from mbdkit.engine.kernels.system import DIVERGED, NOT_FINITE, OK, prepare
+from mbdkit.engine.kernels.tree import accelerate_coordinates
 from mbdkit.engine.kernels.vectors import copy, fill, fill_rows, stays_finite
 from mbdkit.engine.native.arithmetic import any_of, is_refused, renewed, usable
 from mbdkit.engine.native.functions import entry, inlined, separate, subkernel
@@ -40,6 +41,17 @@ from mbdkit.integrators.stage_polynomials import (
     stage_mean_of_pairs,
     stage_states,
     weights_at,
+)
+from mbdkit.integrators.stages_on_tree import (
+    begin_on_tree,
+    bodies_at_end,
+    first_state,
+    is_on_tree,
+    place_point,
+    place_stages,
+    restore_bodies,
+    take_coordinates,
+    take_mean_on_tree,
 )
 from mbdkit.integrators.turning_beams import predict_turned, take_middle_stage, turns_far, turns_stages
 
@@ -79,7 +91,7 @@ def _predict(m, t, h):
 
 @subkernel
 def evaluate_stages(c, m, h):
-    """Evaluate positions, velocities and first-order states of every stage."""
+    """Evaluate positions, velocities and first-order states of every stage; the step begins at ``m.previous.begin``."""
     stage_states(c, m, h)
     add_up_states(c, m, h, 0, len(c.from_z))
     shift = m.constraints.shift
@@ -88,6 +100,8 @@ def evaluate_stages(c, m, h):
             w = h * m.rk.a[i, j]
             for d in range(len(c.q) - 3):
                 m.q_stage[i, d] -= w * shift[j, d]
+    if is_on_tree(m):
+        place_stages(c, m, h)
 
 
 @subkernel
@@ -100,15 +114,19 @@ def choose_tangent_state(c, m, t, h, at_start, wanted):
     """
     tangent = m.tangent
     if at_start:
+        q, v, acc = first_state(c, m)
         tangent.time[0] = t
-        copy(c.from_q, tangent.q)
-        copy(c.from_v, tangent.v)
-        copy(m.first.acc, tangent.acc)
+        copy(q, tangent.q)
+        copy(v, tangent.v)
+        copy(acc, tangent.acc)
         for k in range(len(tangent.lam)):
             copy(m.first.lam[k], tangent.lam[k])
         return
     if turns_stages(m):
         take_middle_stage(m, t, h)
+        return
+    if is_on_tree(m):
+        take_mean_on_tree(c, m, t, h)
         return
     share = 0.0
     for i in range(len(m.rk.c)):
@@ -145,13 +163,13 @@ def solve_stages(c, m, t, h, careful, wanted, kernels):
         c.counts[ITERATIONS] += m.solved_apart[0]
         m.solved_apart[0] = 0
         m.previous.begin[0], m.previous.size[0] = t, h
-        kernels.evaluate(c, m, h)
+        evaluate_stages(c, m, h)
         return OK
     free_flight = _predict(m, t, h)
     if turns_stages(m):
         predict_turned(c, m, h)
     m.previous.begin[0], m.previous.size[0] = t, np.nan  # stages of a failed attempt must not be extrapolated
-    kernels.evaluate(c, m, h)
+    evaluate_stages(c, m, h)
     settings = m.settings
     strategy = careful, turns_stages(m), free_flight, wanted
     status = iterate(c, m, t, h, (settings.limit, settings.tolerance[0]), strategy, kernels)
@@ -194,11 +212,15 @@ def first_acceleration(c, m, t):
     first = m.first
     if first.known[0] != 0:
         return OK
-    prepare(c.top, c.w, t, c.from_q)
+    q, v, acc = first_state(c, m)
+    prepare(c.top, c.w, t, q)
     take_states(c.top, c.w, c.from_z)
-    status = solve_accelerations(c.top, c.w, c.solver, c.from_q, c.from_v, first.acc, first.lam, False)
+    status = solve_accelerations(c.top, c.w, c.solver, q, v, acc, first.lam, False)
     if status == OK:
-        state_rates(c.top, c.w, c.from_v, m.states.first_rate)
+        state_rates(c.top, c.w, v, m.states.first_rate)
+        if is_on_tree(m):
+            copy(acc, first.acc)
+            accelerate_coordinates(c.top, c.w, m.on_tree.relative.tree, c.from_q, v, first.acc)
         c.counts[RHS] += 1
         c.counts[FACTORIZATIONS] += 1
         first.known[0] = 1
@@ -240,7 +262,9 @@ def keep_stages(c, m, t, h):
 def keep(run, method, t, h, unused):
     """Store the stages of the last attempt as quadrature nodes; see `mbdkit.integrators.step_loop`."""
     c, m = load_run_state(run), load_stages(method)
+    take_coordinates(c, m)
     evaluate_stages(c, m, h)
+    restore_bodies(c, m)
     keep_stages(c, m, t, h)
     return OK
 
@@ -285,7 +309,18 @@ def complete_step(c, m, t, h, kernels):
 
 @inlined
 def try_step(c, m, t, h, want_error, kernels):
-    """Try a step from the base state; return a status. See `mbdkit.integrators.step_loop`.
+    """Try a step from the base state; return a status. See `mbdkit.integrators.step_loop`."""
+    begin_on_tree(c, m)
+    status = _try(c, m, t, h, want_error, kernels)
+    restore_bodies(c, m)
+    if status == OK and is_on_tree(m):
+        bodies_at_end(c, m, t + h, h, want_error)
+    return status
+
+
+@inlined
+def _try(c, m, t, h, want_error, kernels):
+    """Try a step from a base state of bodies or of the coordinates of a tree; return a status.
 
     With step size control the iteration is careful (see `mbdkit.integrators.stage_iteration.iterate`). Fixed steps
     cannot be made smaller, so the fast iteration is tried first, and the careful one if it diverges.
@@ -295,7 +330,7 @@ def try_step(c, m, t, h, want_error, kernels):
     change = coordinate = iterations = 0.0
     while True:
         if careful:
-            status = kernels.first_acceleration(c, m, t)
+            status = first_acceleration(c, m, t)
             if status != OK:
                 return status
         status = solve_stages(c, m, t, h, careful, True, kernels)
@@ -313,7 +348,7 @@ def try_step(c, m, t, h, want_error, kernels):
     if not (stays_finite(c.from_q, c.dq) and stays_finite(c.from_v, c.dv) and stays_finite(c.from_z, c.dz)):
         return NOT_FINITE
     if want_error != 0.0:
-        status = kernels.first_acceleration(c, m, t)
+        status = first_acceleration(c, m, t)
         if status != OK:
             return status
         estimate_errors(c, m, h, c, kernels)
@@ -321,10 +356,11 @@ def try_step(c, m, t, h, want_error, kernels):
 
 
 @subkernel
-def state_inside(c, m, h, theta, out):
+def state_inside(c, m, t, h, theta, out):
     """Write state and energies at the time ``t + theta h`` in the last attempt, from its collocation polynomial, into
     arrays of `out`.
     """
+    take_coordinates(c, m)
     n3 = len(c.q) - 3
     weights = m.dense_weights
     fill(out.point_q, 0.0)
@@ -352,3 +388,6 @@ def state_inside(c, m, h, theta, out):
         for d in range(n3):
             out.point_q[d] -= w * m.constraints.shift[i, d]
     dense_gains(h, weights, m.power, out.point_gain)
+    restore_bodies(c, m)
+    if is_on_tree(m):
+        place_point(c, m, t + theta * h, out)

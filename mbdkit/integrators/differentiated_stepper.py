@@ -17,7 +17,6 @@ from mbdkit.engine.kernels.system import DIVERGED, NOT_FINITE, OK
 from mbdkit.engine.native.bundle import PinnedBundle
 from mbdkit.engine.workspace import Workspace
 from mbdkit.integrators.collocation import CompiledCollocation
-from mbdkit.integrators.collocation_stages import Stages
 from mbdkit.integrators.compiled_stepper import CompiledStepper
 from mbdkit.integrators.differentiated_laws import DifferentiatedLaws
 from mbdkit.integrators.differentiated_sampling import DifferentiatedSampler
@@ -95,7 +94,6 @@ class DifferentiatedSteps:
             self._stages = PinnedBundle(dual_explicit(method.bundle))
             self._stage_count = len(method.bundle.b)
             return
-        assert isinstance(method.bundle, Stages)
         new = dual_stages(method.bundle)
         if self._plain is not None:  # new pivots were chosen; the derivatives of the last stages remain valid
             new.acc[...] = self._stages.bundle.acc

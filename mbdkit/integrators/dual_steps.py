@@ -139,6 +139,7 @@ def dual_stages(m: Stages) -> Stages:
         systems=systems._replace(**factors, **work),
         previous=own,
         weights=m.weights.copy(),
+        on_tree=with_derivatives(m.on_tree)._replace(arms=m.on_tree.arms),
     )
 
 

@@ -26,19 +26,7 @@ from mbdkit.engine.native.number_arrays import new_lanes
 from mbdkit.engine.workspace import Workspace, example_workspace
 from mbdkit.integrators.collocation import CompiledCollocation
 from mbdkit.integrators.collocation_index1 import KERNELS
-from mbdkit.integrators.collocation_stages import (
-    Coefficients,
-    Constraints,
-    FirstAcceleration,
-    PreviousStep,
-    Settings,
-    Stages,
-    StageStates,
-    Systems,
-    TangentState,
-    example_stages,
-    new_systems,
-)
+from mbdkit.integrators.collocation_stages import LaneKept, Stages, example_stages, new_systems
 from mbdkit.integrators.collocation_step import (
     complete_step,
     estimate_errors,
@@ -53,45 +41,6 @@ from mbdkit.integrators.stage_iteration import hold_counts
 from mbdkit.integrators.step_control import Control, first_step
 from mbdkit.integrators.step_guards import distance_by_pivots
 from mbdkit.methods.kinds import ImplicitRungeKutta
-
-
-class LaneKept(NamedTuple):
-    """Copies of values, which are restored in lanes that have converged; see `mbdkit.integrators.stage_iteration`."""
-
-    lam: np.ndarray
-    """(s, P, 2) multipliers of the stages."""
-    counts: np.ndarray
-    """(5,) counts."""
-    diverged: np.ndarray
-    """(1,) 1 in lanes in which the iteration of the last step has diverged with finite changes."""
-
-
-class LaneStages(NamedTuple):
-    """The stages of `WIDTH` runs; see `mbdkit.integrators.collocation_stages.Stages`, which has the same fields."""
-
-    rk: Coefficients
-    """The arrays of `rk` and of `settings` hold numbers; all others hold lanes."""
-    systems: Systems
-    settings: Settings
-    previous: PreviousStep
-    solved_apart: np.ndarray
-    turning: np.ndarray
-    nodes: np.ndarray
-    acc: np.ndarray
-    lam: np.ndarray
-    q_stage: np.ndarray
-    v_stage: np.ndarray
-    residual: np.ndarray
-    change: np.ndarray
-    states: StageStates
-    constraints: Constraints
-    first: FirstAcceleration
-    tangent: TangentState
-    power: np.ndarray
-    weights: np.ndarray
-    dense_weights: np.ndarray
-    spread: np.ndarray
-    kept: LaneKept
 
 
 class StagePivots(NamedTuple):
@@ -162,23 +111,21 @@ class StagePivoting:
 
 def collocation_in_lanes(
     method: ImplicitRungeKutta, workspace: Workspace, pivots: StagePivots, control: Control | None
-) -> LaneStages:
+) -> Stages:
     """Return the bundle of a fully implicit method for lanes with these pivots; `control` is None for fixed steps."""
     single = CompiledCollocation(method, workspace, control)
-    assert isinstance(single.bundle, Stages)
     systems = new_systems(single.rk, pivots.pattern, pivots.scatter, workspace.unknowns)
     return _in_lanes(single.bundle._replace(systems=systems))
 
 
-def _in_lanes(single: Stages) -> LaneStages:
-    """Return the bundle for lanes that corresponds to that of a single run."""
-    given = single._asdict()
-    numbers = {name: given.pop(name) for name in ("rk", "settings")}
-    lanes = {name: widened(given[name]) for name in LaneStages._fields if name in given}
-    return LaneStages(**numbers, **lanes, kept=LaneKept(widened(single.lam), new_lanes(5), new_lanes(1)))
+def _in_lanes(single: Stages) -> Stages:
+    """Return the bundle for lanes that corresponds to that of a single run; `rk` and `settings` hold numbers."""
+    lanes: Stages = widened(single)
+    kept = LaneKept(widened(single.lam), new_lanes(5), new_lanes(1))
+    return lanes._replace(rk=single.rk, settings=single.settings, kept=kept)
 
 
-def load_stage_pivots(m: LaneStages, pivots: Sequence[StagePivots]) -> None:
+def load_stage_pivots(m: Stages, pivots: Sequence[StagePivots]) -> None:
     """Copy the scaling of the pivots of each lane, and discard the stages and counts of earlier runs."""
     for name in ("row_scale", "column_scale", "weight"):
         getattr(m.systems.pattern, name)[...] = np.stack([getattr(one.pattern, name) for one in pivots], axis=-1)
@@ -256,12 +203,7 @@ def _evaluate_further(s, t, h, due):
     """Evaluate nothing: the stages of the step suffice for dense output."""
 
 
-@subkernel
-def _evaluate_point(c, m, t, h, theta, out):
-    state_inside(c, m, h, theta, out)
-
-
-CONTROLLED = LaneStep(_attempt, _evaluate_further, _evaluate_point)
+CONTROLLED = LaneStep(_attempt, _evaluate_further, state_inside)
 load_controlled = bundle_loader(lambda: new_lane_control(_example(), Control()))
 
 

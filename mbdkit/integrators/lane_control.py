@@ -27,7 +27,7 @@ from mbdkit.integrators.explicit import add_up_stages, estimate_errors, evaluate
 from mbdkit.integrators.lane_loop import lose, observe_row, watch_branches
 from mbdkit.integrators.lane_run import LaneRun, example_lane_run, load_guards
 from mbdkit.integrators.run_plan import NEAR
-from mbdkit.integrators.run_state import FACTORIZATIONS, ITERATIONS, RHS
+from mbdkit.integrators.run_state import FACTORIZATIONS, ITERATIONS, RHS, Progress, add_increments
 from mbdkit.integrators.step_control import (
     MIN_LAST_ERROR,
     Control,
@@ -63,30 +63,16 @@ class LaneStep(NamedTuple):
     """``(c, m, t, h, theta, s)``: write the state of the run at the share `theta` of its step into arrays of `s`."""
 
 
-class LaneProgress(NamedTuple):
-    """Progress of the runs, (1,) lanes each; see `mbdkit.integrators.run_state.Progress`."""
-
-    time: np.ndarray
-    time_low: np.ndarray
-    next_size: np.ndarray
-    last_error: np.ndarray
-    next_row: np.ndarray
-    accepted: np.ndarray
-    rejected: np.ndarray
-    retrying: np.ndarray
-    running: np.ndarray
-    """1 in lanes that have not ended and are not lost."""
-    size: np.ndarray
-    """Size of the step that is attempted [s]; 0 in lanes that are not running."""
-
-
 class LaneControl(NamedTuple):
     """`WIDTH` runs with controlled step size. Shapes of vectors and of recorded values are as in `LaneRun`."""
 
     run: LaneRun
     control: ControlData
     """Its fields `exponent` and `beta` hold numbers, the other floating-point fields lanes."""
-    progress: LaneProgress
+    progress: Progress
+    """All its fields hold lanes; the attempted size is 0 in lanes that are not running."""
+    running: np.ndarray
+    """(1,) 1 in lanes that have not ended and are not lost."""
     est_q: np.ndarray
     """Estimates of the local error, see `mbdkit.integrators.run_state.RunState`."""
     est_v: np.ndarray
@@ -109,7 +95,7 @@ class LaneControl(NamedTuple):
     rows: np.ndarray
     """(WIDTH,) number of recorded states of each run; an array of numbers, as are the next two fields."""
     interval: np.ndarray
-    """(1,) distance of recorded states in time [s], if ``every`` is 0; `LaneTimes.every` counts accepted steps."""
+    """(1,) distance of recorded states in time [s], if `LaneRun.every` is 0, which otherwise counts accepted steps."""
     attempts: np.ndarray
     """(1,) number of turns of the loop so far."""
     max_steps: np.ndarray
@@ -119,10 +105,10 @@ class LaneControl(NamedTuple):
 @subkernel
 def _is_full(s):
     """Return whether the buffer has no space for the next state of a running lane."""
+    is_full = False
     for lane in range(WIDTH):
-        if number_in(s.progress.running[0], lane) != 0.0 and s.rows[lane] >= len(s.row_work):
-            return True
-    return False
+        is_full = is_full or (number_in(s.running[0], lane) != 0.0 and s.rows[lane] >= len(s.row_work))
+    return is_full
 
 
 @subkernel
@@ -252,12 +238,8 @@ def _write_inner_rows(s, step, t, h, reached, accepted):
 def _advance(s, at, ended, accepted):
     """Add the increments of the accepted steps to the states, and move the times to their ends `at`."""
     c, progress = s.run, s.progress
-    add_compensated(c.q, c.q_low, c.dq, accepted)
-    add_compensated(c.v, c.v_low, c.dv, accepted)
-    add_compensated(c.z, c.z_low, c.dz, accepted)
-    if c.has_power[0] != 0:
-        add_compensated(c.energy, c.energy_low, c.gain, accepted)
-    add_compensated(progress.time, progress.time_low, progress.size, accepted)
+    add_increments(c, accepted)
+    add_compensated(progress.time, progress.time_low, progress.tried_size, accepted)
     progress.time[0] = where(accepted & ended, at, progress.time[0])
     t = progress.time[0]
     if c.watch.has_loops[0] != 0:
@@ -272,12 +254,12 @@ def _advance(s, at, ended, accepted):
 def _attempt(s, step):
     """Attempt a step in each lane that is running."""
     c, control, progress = s.run, s.control, s.progress
-    end, every = c.times.end[0], c.times.every[0]
-    running = progress.running[0] != 0.0
+    end, every = c.times.end[0], c.every[0]
+    running = s.running[0] != 0.0
     t = progress.time[0]
     h = fitted_size(t, min(progress.next_size[0], control.max_size[0]), end)
     lose(c, running & is_too_small(control, t, h, end))
-    progress.size[0] = h = where(running, h, 0.0)
+    progress.tried_size[0] = h = where(running, h, 0.0)
     iterations = c.counts[ITERATIONS]
     unsolved = step.attempt(s, t, h, running)
     iterations = c.counts[ITERATIONS] - iterations
@@ -306,7 +288,7 @@ def _attempt(s, step):
     s.point_gain[0] = s.point_gain[1] = 0.0
     _write_rows(s, where(due, 1.0, 0.0), progress.time[0], c.q, c.v, c.z, s.point_gain)
     lose(c, running & (not (accepted & ended)) & (progress.accepted[0] >= s.max_steps[0]))
-    progress.running[0] = where((c.lost[0] != 0.0) | (accepted & ended), 0.0, progress.running[0])
+    s.running[0] = where((c.lost[0] != 0.0) | (accepted & ended), 0.0, s.running[0])
     s.attempts[0] += 1
 
 
@@ -346,8 +328,8 @@ def drive_controlled(s, step):
     if s.attempts[0] == 0:
         begin_energy(c, c.guards, s.progress.time[0], c.q, c.v)
         s.point_gain[0] = s.point_gain[1] = 0.0
-        _write_rows(s, s.progress.running[0], s.progress.time[0], c.q, c.v, c.z, s.point_gain)
-    while any_of(s.progress.running[0] != 0.0):
+        _write_rows(s, s.running[0], s.progress.time[0], c.q, c.v, c.z, s.point_gain)
+    while any_of(s.running[0] != 0.0):
         if _is_full(s):
             return FULL
         _attempt(s, step)
@@ -377,7 +359,7 @@ def new_lane_control(run: LaneRun, control: Control) -> LaneControl:
     vectors = ("est_q", "est_v", "second_q", "second_v", "new_q", "new_v", "point_q", "point_v")
     return LaneControl(
         run=run, control=control_in_lanes(control),
-        progress=LaneProgress(*(new_lanes(1) for _ in LaneProgress._fields)),
+        progress=Progress(*(new_lanes(1) for _ in Progress._fields)), running=new_lanes(1),
         **{name: new_lanes(size) for name in vectors},
         **{name: new_lanes(len(run.z)) for name in ("est_z", "second_z", "point_z")},
         point_gain=new_lanes(2), work=new_lanes(3), row_work=new_lanes(rows, 3),

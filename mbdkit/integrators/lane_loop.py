@@ -18,13 +18,13 @@ from mbdkit.engine.kernels.misalignment import raise_misalignments
 from mbdkit.engine.kernels.observe import describe
 from mbdkit.engine.kernels.singularity_kernels import singularity_distance
 from mbdkit.engine.kernels.system import prepare
-from mbdkit.engine.kernels.vectors import add_compensated, copy, stays_finite
+from mbdkit.engine.kernels.vectors import copy, stays_finite
 from mbdkit.engine.native.arithmetic import number_in, where
 from mbdkit.engine.native.functions import inlined, kernel, subkernel
 from mbdkit.engine.native.levels import WIDTH
 from mbdkit.integrators.explicit import add_up_stages, evaluate_stages
 from mbdkit.integrators.lane_run import load_guards, load_lane_run
-from mbdkit.integrators.run_state import ITERATIONS
+from mbdkit.integrators.run_state import ITERATIONS, add_increments
 from mbdkit.integrators.step_guards import (
     begin_energy,
     distance_by_pivots,
@@ -73,16 +73,6 @@ def _write_row(c, row, t):
 
 
 @subkernel
-def _advance(c):
-    """Add the increments of a step to the state by compensated sums."""
-    add_compensated(c.q, c.q_low, c.dq, True)
-    add_compensated(c.v, c.v_low, c.dv, True)
-    add_compensated(c.z, c.z_low, c.dz, True)
-    if c.has_power[0] != 0:
-        add_compensated(c.energy, c.energy_low, c.gain, True)
-
-
-@subkernel
 def observe_row(c, r):
     """Compute the values of a recorded state; see `mbdkit.engine.kernels.observe.observe`."""
     top, w, out = c.top, c.w, c.observed
@@ -113,7 +103,7 @@ def drive(c, take_step):
         joints close a loop.
     """
     m, times = c.method, c.times
-    start, step, steps, every = times.start[0], times.step[0], times.steps[0], times.every[0]
+    start, step, steps, every = times.start[0], times.step[0], times.steps[0], c.every[0]
     _write_row(c, 0, start)
     rows = 1
     begin_energy(c, c.guards, start, c.q, c.v)
@@ -128,7 +118,7 @@ def drive(c, take_step):
         lose(c, not (stays_finite(c.q, c.dq) & stays_finite(c.v, c.dv)))
         if len(c.z) > 0:
             lose(c, not stays_finite(c.z, c.dz))
-        _advance(c)
+        add_increments(c, True)
         t = where(n < steps - 1, start + (n + 1) * step, times.end[0])
         if c.watch.has_loops[0] != 0:
             watch_branches(c, t, where(c.lost[0] == 0.0, 1.0, 0.0))

@@ -19,22 +19,13 @@ from mbdkit.engine.native.number_arrays import new_complex_lanes, new_lanes
 from mbdkit.engine.workspace import Workspace, example_workspace, scratch_of
 from mbdkit.expressions.program import MAX_DEPTH
 from mbdkit.integrators.explicit import Explicit, explicit_on
-from mbdkit.integrators.step_guards import new_guard_state
+from mbdkit.integrators.run_plan import Times
+from mbdkit.integrators.step_guards import GuardState, new_guard_state
 from mbdkit.methods.kinds import ExplicitRungeKutta
 
 BY_LANE = ("motion_values", "law_parameters")
 """Fields of `Topology` that functions of ordinary numbers read; their shape is (WIDTH, N), so that the values of a run
 are contiguous."""
-
-
-class LaneGuards(NamedTuple):
-    """State of the energy guard of each run; see `mbdkit.integrators.step_guards.GuardState`. (1,) each."""
-
-    energy: np.ndarray
-    kinetic: np.ndarray
-    jump: np.ndarray
-    jump_time: np.ndarray
-    exceeded: np.ndarray
 
 
 class LaneWatch(NamedTuple):
@@ -55,18 +46,6 @@ class LaneWatch(NamedTuple):
     """(1,) distance to singularity in the last step; lanes."""
 
 
-class LaneTimes(NamedTuple):
-    """Times of the runs [s]; (1,) each."""
-
-    start: np.ndarray
-    end: np.ndarray
-    step: np.ndarray
-    last_step: np.ndarray
-    steps: np.ndarray
-    """Number of steps, and the number of steps between recorded states; the same for all lanes."""
-    every: np.ndarray
-
-
 class LaneRun(NamedTuple):
     """Data of `WIDTH` runs; vectors are (3 (B + 1),), ground last. See `mbdkit.integrators.run_state.RunState`."""
 
@@ -74,7 +53,7 @@ class LaneRun(NamedTuple):
     w: Scratch
     solver: LaneSolver
     method: Any
-    """`Explicit`, or `mbdkit.integrators.lane_collocation.LaneStages`."""
+    """`Explicit`, or `mbdkit.integrators.collocation_stages.Stages`."""
     has_power: np.ndarray
     q: np.ndarray
     q_low: np.ndarray
@@ -97,9 +76,13 @@ class LaneRun(NamedTuple):
     report: np.ndarray
     interval: np.ndarray
     """(2,) iterations since the last recorded state, and the largest number of them in one step."""
-    guards: LaneGuards
+    guards: GuardState
+    """State of the energy guard; the other fields are not used."""
     watch: LaneWatch
-    times: LaneTimes
+    times: Times
+    """Without stops; the number of steps is the same for all lanes."""
+    every: np.ndarray
+    """(1,) number of steps between recorded states; the same for all lanes."""
     squared_misalignment: np.ndarray
     """(P,) and (1,) limits, see `mbdkit.integrators.run_plan.GuardLimits`."""
     energy_share: np.ndarray
@@ -151,7 +134,8 @@ def new_lane_run(method: Any, workspace: Workspace, rows: int) -> LaneRun:
     solver = LaneSolver(widened(workspace.solver.schur), workspace.solver.row_index, np.array([-1]))
     states = len(given.states)
     q, v, z = new_lanes(size), new_lanes(size), new_lanes(states)
-    one = [new_lanes(1) for _ in range(12)]
+    distance, energy_share, lost, start, end, step, last_step = (new_lanes(1) for _ in range(7))
+    whole = np.zeros((2, 1), dtype=np.int64)
     return LaneRun(
         top=top, w=_widened_scratch(workspace, motions)._replace(law_values=top.law_parameters),
         solver=solver, method=method, has_power=np.zeros(1, dtype=np.int64),
@@ -159,13 +143,13 @@ def new_lane_run(method: Any, workspace: Workspace, rows: int) -> LaneRun:
         energy=new_lanes(2), energy_low=new_lanes(2),
         from_q=q, from_v=v, from_z=z, dq=new_lanes(size), dv=new_lanes(size), dz=new_lanes(states), gain=new_lanes(2),
         worst=new_lanes(pairs), counts=new_lanes(5), report=new_lanes(3), interval=new_lanes(2),
-        guards=LaneGuards(*one[:5]),
+        guards=widened(new_guard_state(workspace.mechanism)),
         watch=LaneWatch(
             np.zeros(1, dtype=np.int64), np.zeros(WIDTH, dtype=np.int64), np.zeros((WIDTH, *given.mass.shape)),
-            np.zeros(size), np.zeros(size), one[11],
+            np.zeros(size), np.zeros(size), distance,
         ),
-        times=LaneTimes(one[5], one[6], one[7], one[8], *np.zeros((2, 1), dtype=np.int64)),
-        squared_misalignment=new_lanes(pairs), energy_share=one[9], lost=one[10], near=new_lanes(pairs, COLUMNS),
+        times=Times(start, end, step, last_step, whole[0], *np.zeros((3, 0))), every=whole[1],
+        squared_misalignment=new_lanes(pairs), energy_share=energy_share, lost=lost, near=new_lanes(pairs, COLUMNS),
         row_time=new_lanes(rows), row_q=new_lanes(rows, size), row_v=new_lanes(rows, size),
         row_z=new_lanes(rows, states), row_energy=new_lanes(rows, 2), row_interval=new_lanes(rows, 2),
         observed=widened(Observed.zeros(rows, given)),

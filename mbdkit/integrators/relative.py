@@ -13,6 +13,7 @@ import numpy as np
 from mbdkit.engine.kernels.articulated import ARTICULATED
 from mbdkit.engine.kernels.bundle_types import State
 from mbdkit.engine.kernels.tree import BODY, COLUMNS, PLACE, TURN, place_bodies
+from mbdkit.engine.kernels.tree_displacements import ARMS
 from mbdkit.engine.native.functions import subkernel
 
 BASE, BASE_RATES, Y, Y_RATES, V_STAGE, END_Q, END_V, VECTORS = range(8)
@@ -41,6 +42,32 @@ def new_relative(size: int, tree: np.ndarray | None = None, *, of_pins: bool = F
     """Return the arrays for a spanning tree, or empty ones without a tree; `of_pins`: all its joints are fixed pins."""
     rows, size = (np.zeros((0, COLUMNS), dtype=np.int64), 0) if tree is None else (tree, size)
     return Relative(rows, np.zeros((VECTORS, size)), np.zeros((size // 3 if of_pins else 0, ARTICULATED)))
+
+
+class OnTree(NamedTuple):
+    """What the stages of a collocation method need in addition in the coordinates of a tree; empty without one."""
+
+    relative: Relative
+    from_q: np.ndarray
+    """(3 (B + 1),) base state of the bodies during an attempt."""
+    from_v: np.ndarray
+    y: np.ndarray
+    """(s, 3 (B + 1)) coordinates of the stages, and their rates."""
+    rates: np.ndarray
+    acc: State
+    """(s, 3 (B + 1)) accelerations of the bodies in the stages."""
+    first_acc: State
+    """(3 (B + 1),) accelerations of the bodies at the beginning of the step."""
+    arms: np.ndarray
+    """(B, 6) arms of the joints of the tree at the tangent state."""
+
+
+def new_on_tree(stages: int, size: int, tree: np.ndarray | None = None) -> OnTree:
+    """Return the arrays for a spanning tree, or empty ones without a tree."""
+    relative = new_relative(size, tree)
+    y, rates, acc = np.zeros((3, stages, relative.vectors.shape[1]))
+    from_q, from_v, first_acc = np.zeros((3, relative.vectors.shape[1]))
+    return OnTree(relative, from_q, from_v, y, rates, acc, first_acc, np.zeros((len(relative.tree), ARMS)))
 
 
 @subkernel

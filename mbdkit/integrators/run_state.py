@@ -11,6 +11,7 @@ import numpy as np
 
 from mbdkit.engine.kernels.bundle_types import STATE, Record, State
 from mbdkit.engine.kernels.engine_bundles import Scratch, Solver, Topology
+from mbdkit.engine.kernels.vectors import add_compensated
 from mbdkit.engine.native.bundle import bundle_loader
 from mbdkit.engine.native.functions import subkernel
 from mbdkit.engine.workspace import example_workspace
@@ -260,6 +261,16 @@ def new_run_state(
         node_q=np.zeros((nodes, size)), node_v=np.zeros((nodes, size)),
         nodes=np.array([0, 0, stages], dtype=np.int64),
     )  # fmt: skip
+
+
+@subkernel
+def add_increments(c, wanted):
+    """Add the increments of a step of the run `c` to its state by compensated sums; in lanes, only where `wanted`."""
+    add_compensated(c.q, c.q_low, c.dq, wanted)
+    add_compensated(c.v, c.v_low, c.dv, wanted)
+    add_compensated(c.z, c.z_low, c.dz, wanted)
+    if c.has_power[0] != 0:
+        add_compensated(c.energy, c.energy_low, c.gain, wanted)
 
 
 @subkernel

@@ -4,6 +4,10 @@ iteration.
 Both constraints together require ``Phi_q dw_i = sum_j (A^-1)_ij Phi_j / h - (Phi_q v + Phi_t)_i`` up to terms of O(h):
 with dw_i in the range of M^-1 Phi_q^T, that is an index-1 system for each stage. The change of positions by dw enters
 the equations of the stages with the exact K and gamma_v, so that stiff springs do not slow the iteration.
+
+In the coordinates of a spanning tree, those of stage i are shifted by ``-h sum_j A_ij w_j``. With T the derivative of
+the positions of the bodies with respect to the coordinates, T w_j is the smallest change, in the mass metric, for which
+``Phi_q T w_j = g_j`` in the cut joints; g_j replaces the multipliers mu, and vanishes for the exact motion.
 """
 
 from __future__ import annotations
@@ -11,13 +15,17 @@ from __future__ import annotations
 from mbdkit.engine.kernels.accelerations import solve_system
 from mbdkit.engine.kernels.equations import STIFFNESS
 from mbdkit.engine.kernels.system import OK
+from mbdkit.engine.kernels.tree import coordinates_of
+from mbdkit.engine.kernels.tree_displacements import displace_bodies
 from mbdkit.engine.kernels.vectors import copy
 from mbdkit.engine.native.functions import separate, subkernel
+from mbdkit.integrators.relative import Y
 from mbdkit.integrators.run_state import FACTORIZATIONS
+from mbdkit.integrators.stages_on_tree import clear_rows_of_tree
 
 
 @subkernel
-def take_shift_rows(c, m, h, i):
+def _take_shift_rows(c, m, h, i):
     """Write the change of ``Phi_q w`` of stage `i` by which both constraints can be satisfied into ``c.w.gamma``, and
     the Jacobian of the stage into ``c.w.jac``.
     """
@@ -33,7 +41,7 @@ def take_shift_rows(c, m, h, i):
 
 
 @subkernel
-def change_by_shift(c, m, h, i):
+def _change_by_shift(c, m, h, i):
     """Write the change of the positions of stage `i` by the change of w into ``m.spread``."""
     for d in range(len(c.q) - 3):
         total = 0.0
@@ -43,7 +51,7 @@ def change_by_shift(c, m, h, i):
 
 
 @subkernel
-def add_terms_by_position(m, i, source):
+def _add_terms_by_position(m, i, source):
     """Add the effect of the change ``m.spread`` of the positions of stage `i` to its residual.
 
     The terms of the tangents are in `source`.
@@ -67,7 +75,7 @@ def change_shift(c, m, h, source, acc):
     s = len(m.rk.c)
     n3 = len(c.q) - 3
     for i in range(s):
-        take_shift_rows(c, m, h, i)
+        _take_shift_rows(c, m, h, i)
         status = solve_system(c.still, w, c.solver, False, acc, m.pairs, False)
         if status != OK:
             return status
@@ -87,6 +95,35 @@ def change_shift(c, m, h, source, acc):
             shift_change[i, d] += shift[i, d]
     c.counts[FACTORIZATIONS] += s
     for i in range(s):
-        change_by_shift(c, m, h, i)
-        add_terms_by_position(m, i, source)
+        _change_by_shift(c, m, h, i)
+        _add_terms_by_position(m, i, source)
+    return OK
+
+
+@separate
+def change_shift_on_tree(c, m, h):
+    """Change g, which is stored as mu, so that the cut joints can satisfy both constraints, and add the effect of the
+    resulting change of positions to the residual (ggl).
+    """
+    o, room = m.on_tree, m.constraints
+    tree, acc = o.relative.tree, m.tangent.acc
+    for i in range(len(m.rk.c)):
+        _take_shift_rows(c, m, h, i)
+        for k in range(len(c.top.pairs)):
+            for r in range(c.top.rows[k]):
+                room.mu[i, k, r] += c.w.gamma[k, r]
+                c.w.gamma[k, r] = room.mu[i, k, r]
+        status = solve_system(c.still, c.w, c.solver, False, acc, m.pairs, False)
+        if status != OK:
+            return status
+        copy(room.shift[i], room.shift_change[i])
+        coordinates_of(c.top, tree, m.q_stage[i], acc, o.relative.vectors[Y], room.shift[i])
+        for d in range(len(c.q) - 3):
+            room.shift_change[i, d] = room.shift[i, d] - room.shift_change[i, d]
+    c.counts[FACTORIZATIONS] += len(m.rk.c)
+    for i in range(len(m.rk.c)):
+        _change_by_shift(c, m, h, i)
+        displace_bodies(c.top, tree, o.arms, m.spread[i])
+        _add_terms_by_position(m, i, c.w.source)
+    clear_rows_of_tree(c, m)
     return OK

@@ -26,7 +26,7 @@ import numpy as np
 from mbdkit.engine.kernels.misalignment import raise_misalignments
 from mbdkit.engine.kernels.projection import mass_norm, project_positions, project_velocities
 from mbdkit.engine.kernels.system import DIVERGED, NOT_FINITE, OK, constraint_rows, prepare
-from mbdkit.engine.kernels.vectors import add_compensated, copy, stays_finite
+from mbdkit.engine.kernels.vectors import copy, stays_finite
 from mbdkit.engine.native.calls import call_entry
 from mbdkit.engine.native.functions import kernel, subkernel
 from mbdkit.integrators.interface import SAME_TIME
@@ -38,6 +38,7 @@ from mbdkit.integrators.run_state import (
     ITERATIONS,
     MODIFIED,
     PROJECTIONS,
+    add_increments,
     load_run_state,
 )
 from mbdkit.integrators.step_control import (
@@ -340,16 +341,6 @@ def _write_inner_rows(run, method, dense, plan, rows):
 
 
 @subkernel
-def _add_energies(c):
-    """Add the energies gained in a step to their compensated sums."""
-    for m in range(2):
-        y = c.gain[m] + c.energy_low[m]
-        new = c.energy[m] + y
-        c.energy_low[m] = y - (new - c.energy[m])
-        c.energy[m] = new
-
-
-@subkernel
 def _pass_stop(plan, progress):
     """Move the time to the stop at which the pending step ends; return whether a fixed step is complete.
 
@@ -408,11 +399,7 @@ def _advance(c, plan):
         for d in range(len(c.q)):
             c.dq[d] += c.shift_q[d]
             c.dv[d] += c.shift_v[d]
-    add_compensated(c.q, c.q_low, c.dq, True)
-    add_compensated(c.v, c.v_low, c.dv, True)
-    add_compensated(c.z, c.z_low, c.dz, True)
-    if c.has_power[0] != 0:
-        _add_energies(c)
+    add_increments(c, True)
     last, whole = _advance_time(plan, c.progress)
     t = c.progress.time[0]
     if c.guards.has_loops[0] != 0.0:

@@ -190,7 +190,7 @@ class LaneStepper:
         _put(c.energy_share, [one.energy_jump for one in limits])
         for name in ("start", "end"):
             getattr(c.times, name)[0] = [getattr(table, name) for table in tables]
-        c.times.every[0] = tables[0].every
+        c.every[0] = tables[0].every
         c.w.source[: len(c.q) - 3] = c.top.mass[:-1].reshape(-1, WIDTH)
         _put(c.z, [one.initial_states for one in mechanisms])
         zeros = c.q_low, c.v_low, c.z_low, c.energy, c.energy_low, c.gain, c.worst, c.counts, c.interval, c.lost, c.near
@@ -368,12 +368,12 @@ class ControlledLaneStepper(LaneStepper):
             data = control_data(control, smallest_step(table))
             for name in ("rtol", "atol", "min_size", "max_size"):
                 getattr(runs.control, name)[..., lane] = getattr(data, name)
-        c.times.every[0] = 0 if tables[0].interval is not None else tables[0].every
+        c.every[0] = 0 if tables[0].interval is not None else tables[0].every
         runs.interval[0], runs.max_steps[0] = tables[0].interval or 0.0, [table.max_steps for table in tables]
         runs.attempts[0] = runs.rows[:] = 0
         for array in (*runs.progress, runs.work):
             array[...] = 0.0
-        runs.progress.running[...] = 1.0
+        runs.running[...] = 1.0
         runs.progress.next_row[...] = 1.0
         runs.progress.time[...] = c.times.start
         runs.progress.next_size[0] = sizes or self._first_sizes(controls, tables)
