@@ -53,7 +53,7 @@ def mbdkit_integrators() -> list[IntegratorPlugin]:
 @hookimpl
 def mbdkit_items() -> Iterable[Item]:
     """Return the treatments, the examples, and the page of the guide."""
-    comparison = {"guards": _of_treatments("guards"), "guarded_by": "event-driven"}
+    comparison: dict[str, Any] = {"guards": _of_treatments("guards"), "guarded_by": "event-driven"}
     return [
         Treatment(
             name="event-driven",
