@@ -24,6 +24,12 @@ def ran(name):
     return mbdkit.run(name)
 
 
+def of_all_bodies(run, name, history):
+    """Return a vector of bodies over time (T, 2), summed with their masses as weights [kg]."""
+    bodies = load_spec(name).mechanism().bodies
+    return sum(body.mass * getattr(run[key], history) for key, body in bodies.items())
+
+
 every_example = pytest.mark.parametrize("name", sorted({*NAMES, *example_names("run")}))
 
 

@@ -4,17 +4,11 @@ import numpy as np
 import pytest
 
 from mbdkit.spec import example_names, load_spec
-from tests.models.test_examples import ran
+from tests.models.test_examples import of_all_bodies, ran
 
 
 def test_the_examples_of_this_part_are_packaged():
     assert {"belt", "walker"} <= set(example_names("run"))
-
-
-def of_all_bodies(run, name, history):
-    """Return a vector of bodies over time (T, 2), summed with their masses as weights [kg]."""
-    bodies = load_spec(name).mechanism().bodies
-    return sum(body.mass * getattr(run[key], history) for key, body in bodies.items())
 
 
 def test_walker_walks_in_the_limit_cycle_of_its_source():
