@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from functools import cached_property, partial
-from typing import TYPE_CHECKING, Any, TypeVar, Unpack
+from typing import TYPE_CHECKING, Any, TypeVar, Unpack, overload
 
 import numpy as np
 
@@ -19,6 +20,7 @@ from mbdkit.engine.iteration_matrix import (
     Coefficients,
     IterationMatrices,
     IterationMatrix,
+    IterationMatrixWithStates,
     Pivots,
     coefficients_of,
     put,
@@ -34,7 +36,7 @@ from mbdkit.engine.kernels.system import NOT_FINITE, OK
 from mbdkit.engine.nearest_state import nearest_positions, nearest_velocities
 from mbdkit.engine.observed_states import GivenForces, StateObserver
 from mbdkit.engine.state_derivatives import Rates, StateDerivatives
-from mbdkit.engine.tangents import SparseParts, Tangents
+from mbdkit.engine.tangents import SparseParts, StateTangents, Tangents
 from mbdkit.engine.workspace import Workspace
 
 if TYPE_CHECKING:
@@ -198,6 +200,10 @@ class EquationsOfMotion:
         self.counters.rhs_evaluations += 1
         return self._derivatives(t, q, v, z)
 
+    def rates(self, t: float, q: np.ndarray, v: np.ndarray, z: np.ndarray) -> np.ndarray:
+        """Return the rates (Z,) of the first-order states, as `derivatives` does; free if there are no such states."""
+        return self.derivatives(t, q, v, z)[2] if len(self.z0) else vector(z, 0).copy()
+
     def time_derivative(self, t: float, q: np.ndarray, v: np.ndarray, z: np.ndarray) -> Rates:
         """Return the partial derivatives with respect to time of what `derivatives` returns, at a fixed state.
 
@@ -272,9 +278,7 @@ class EquationsOfMotion:
     def residual(self, t: float, q: np.ndarray, v: np.ndarray, a: np.ndarray, lam: np.ndarray) -> np.ndarray:
         """Return the residual of the equations of motion, ``M a + Phi_q^T lam - Q(t, q, v)`` (n,)."""
         self.counters.rhs_evaluations += 1
-        self._take(q, v, a, lam)
-        self._evaluate(self._calls.residual, t)
-        return self._calls.x.copy()
+        return self._residual(t, q, v, a, lam)
 
     def constraint_forces(self, t: float, q: np.ndarray, lam: np.ndarray) -> np.ndarray:
         """Return ``Phi_q^T lam`` (n,)."""
@@ -307,15 +311,47 @@ class EquationsOfMotion:
         self._evaluate(self._calls.constraints, t)
         return self._jacobian_part.arrays(self.terms_now)[0]
 
-    def tangents(self, t: float, q: np.ndarray, v: np.ndarray, a: np.ndarray, lam: np.ndarray) -> Tangents:
-        """Return all tangents at a state with accelerations `a` (n,) and multipliers `lam` (m,)."""
-        self._evaluate_tangents(t, q, v, a, lam)
-        return Tangents(*self._tangent_parts.arrays(self.terms_now))
+    def tangents(
+        self, t: float, q: np.ndarray, v: np.ndarray, a: np.ndarray, lam: np.ndarray, z: np.ndarray | None = None
+    ) -> Tangents:
+        """Return all tangents at a state with accelerations `a` (n,) and multipliers `lam` (m,).
+
+        With first-order states `z` (Z,), later calls without `z` use these states too, and the derivatives that involve
+        them are in `Tangents.states`. These are central differences.
+        """
+        if z is not None:
+            self.hold(z)
+        found = self._sparse_tangents(t, q, v, a, lam)
+        return found if z is None else replace(found, states=self._state_tangents(t, q, v, a, lam, z))
 
     def evaluated_terms(self, t: float, q: np.ndarray, v: np.ndarray, a: np.ndarray, lam: np.ndarray) -> np.ndarray:
         """Return the values of all terms of the tangents at a state, in the order of the workspace's list of terms."""
         self._evaluate_tangents(t, q, v, a, lam)
         return self.terms_now.copy()
+
+    @overload
+    def iteration_matrix(
+        self,
+        t: float,
+        q: np.ndarray,
+        v: np.ndarray,
+        a: np.ndarray,
+        lam: np.ndarray,
+        z: None = None,
+        **coefficients: Unpack[Coefficients],
+    ) -> IterationMatrix: ...
+
+    @overload
+    def iteration_matrix(
+        self,
+        t: float,
+        q: np.ndarray,
+        v: np.ndarray,
+        a: np.ndarray,
+        lam: np.ndarray,
+        z: np.ndarray,
+        **coefficients: Unpack[Coefficients],
+    ) -> IterationMatrixWithStates: ...
 
     def iteration_matrix(
         self,
@@ -324,8 +360,9 @@ class EquationsOfMotion:
         v: np.ndarray,
         a: np.ndarray,
         lam: np.ndarray,
+        z: np.ndarray | None = None,
         **coefficients: Unpack[Coefficients],
-    ) -> IterationMatrix:
+    ) -> IterationMatrix | IterationMatrixWithStates:
         """Return the factorized matrix of a Newton iteration.
 
         ::
@@ -342,20 +379,27 @@ class EquationsOfMotion:
 
         Rows and columns are equilibrated.
 
+        With first-order states `z`, the matrix has their rows and columns too, with the unknowns scaled as the rates of
+        the states, dz = c1 dz': the column ``damping force_z``, and the rows
+        ``[-damping rates_v - stiffness rates_q, 0, mass - damping rates_z]`` (see `StateTangents`). Its `solve` takes
+        and returns a third vector (Z,), which is empty if the mechanism has no such states.
+
         Parameters
         ----------
         t, q, v, a, lam
             Time [s], state, accelerations and multipliers at which the tangents are evaluated.
+        z
+            (Z,) first-order states; if left out, the matrix has no rows for them, and those last used are held.
         coefficients
             `mass` (default 1), `damping`, `stiffness`, `gamma_v`, `residual_q` (default 0). The matrix is complex if
             any of them is complex.
         """
         factors = coefficients_of(coefficients)
-        try:
-            tangents = partial(self._evaluate_tangents, t, q, v, a, lam)
-            return self._matrices.factorized(factors, self._evaluate_at_start, tangents, self._factorized)
-        except SingularSystemError as error:
-            raise self._singular(error) from None
+        if z is None:
+            return self._matrix(t, q, v, a, lam, factors)
+        self.hold(z)
+        states = self._state_tangents(t, q, v, a, lam, z)
+        return IterationMatrixWithStates(self._matrix(t, q, v, a, lam, factors), states, factors, self.m)
 
     def project_positions(self, t: float, q: np.ndarray) -> np.ndarray:
         """Return the positions (n,) nearest to `q` in the mass metric that satisfy all constraints at time `t`.
@@ -426,6 +470,43 @@ class EquationsOfMotion:
     def arrive(self, t: float, q: np.ndarray, v: np.ndarray, worst: np.ndarray) -> bool:
         """Update the maxima `worst` (P,) by the squared misalignments at a state; return whether q and v are finite."""
         return bool(self._calls.arrive(float(t), vector(q, self.n), vector(v, self.n), worst))
+
+    def _residual(self, t: float, q: np.ndarray, v: np.ndarray, a: np.ndarray, lam: np.ndarray) -> np.ndarray:
+        """See `residual`; the evaluation is not counted."""
+        self._take(q, v, a, lam)
+        self._evaluate(self._calls.residual, t)
+        return self._calls.x.copy()
+
+    def _sparse_tangents(self, t: float, q: np.ndarray, v: np.ndarray, a: np.ndarray, lam: np.ndarray) -> Tangents:
+        """See `tangents`; without the derivatives that involve first-order states."""
+        self._evaluate_tangents(t, q, v, a, lam)
+        return Tangents(*self._tangent_parts.arrays(self.terms_now))
+
+    def _matrix(
+        self, t: float, q: np.ndarray, v: np.ndarray, a: np.ndarray, lam: np.ndarray, factors: np.ndarray
+    ) -> IterationMatrix:
+        """See `iteration_matrix`; without the rows of first-order states."""
+        try:
+            tangents = partial(self._evaluate_tangents, t, q, v, a, lam)
+            return self._matrices.factorized(factors, self._evaluate_at_start, tangents, self._factorized)
+        except SingularSystemError as error:
+            raise self._singular(error) from None
+
+    def _state_tangents(
+        self, t: float, q: np.ndarray, v: np.ndarray, a: np.ndarray, lam: np.ndarray, z: np.ndarray
+    ) -> StateTangents:
+        """Return the derivatives that involve first-order states; their evaluations are not counted."""
+        q, v, z = vector(q, self.n), vector(v, self.n), vector(z, len(self.z0))
+        if not len(z):
+            return StateTangents(np.zeros((self.n, 0)), np.zeros((0, self.n)), np.zeros((0, self.n)), np.zeros((0, 0)))
+
+        def residual(x: np.ndarray) -> np.ndarray:
+            self.hold(x)
+            return self._residual(t, q, v, a, lam)
+
+        found = self._forms.tangents(q, v, z, residual, lambda *state: self._derivatives(t, *state)[2])
+        self.hold(z)
+        return found
 
     def _derivatives(self, t: float, q: np.ndarray, v: np.ndarray, z: np.ndarray) -> Rates:
         """See `derivatives`; the evaluation is not counted."""

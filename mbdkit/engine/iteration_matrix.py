@@ -31,6 +31,7 @@ from mbdkit.engine.stored_arrays import pattern_of, restore, stored
 if TYPE_CHECKING:
     from mbdkit.engine.counters import Counters
     from mbdkit.engine.kernels.lu import Pattern
+    from mbdkit.engine.tangents import StateTangents
     from mbdkit.engine.workspace import Workspace
 
 
@@ -185,6 +186,64 @@ class IterationMatrix:
     def lost(self) -> SingularSystemError:
         """Return the error that names the unknown at which the factorization failed."""
         return SingularSystemError(int(self._pivots.pattern.column_of[self.failed_at]))
+
+
+class IterationMatrixWithStates:
+    """A factorized matrix with the rows and columns of first-order states, eliminated by their Schur complement.
+
+    ::
+
+        [ A                                                    damping force_z      ]   A: the matrix without states
+        [ -damping rates_v - stiffness rates_q,  0             mass - damping rates_z ]
+
+    Parameters
+    ----------
+    matrix
+        The factorized matrix A.
+    states
+        Derivatives that involve the states.
+    coefficients
+        (6,) coefficients; see `coefficients_of`.
+    m
+        Number of multipliers.
+    """
+
+    def __init__(self, matrix: IterationMatrix, states: StateTangents, coefficients: np.ndarray, m: int):
+        mass, _, damping, stiffness, _, _ = coefficients
+        self._matrix, self._lower = matrix, damping * states.rates_v + stiffness * states.rates_q
+        count, none = len(states.rates_z), np.zeros(m)
+        columns = [matrix.solve(column, none) for column in damping * states.force_z.T]
+        self._x = np.array([x for x, _ in columns]).reshape(count, states.rates_q.shape[1])
+        self._mu = np.array([mu for _, mu in columns]).reshape(count, m)
+        complement = mass * np.eye(count) - damping * states.rates_z + self._lower @ self._x.T
+        try:
+            self._inverse = np.linalg.inv(complement)
+        except np.linalg.LinAlgError:
+            raise StepError("singular", "the matrix of the iteration is singular") from None
+
+    def solve(self, force: np.ndarray, rows: np.ndarray, rates: np.ndarray) -> tuple[np.ndarray, ...]:
+        """Solve the system; counts as one Newton iteration.
+
+        Parameters
+        ----------
+        force, rows
+            (n,) and (m,) right-hand sides; see `IterationMatrix.solve`.
+        rates
+            (Z,) right-hand side of the rows of the states.
+
+        Returns
+        -------
+        x, mu, r
+            (n,) change of the coordinates, (m,) of the multipliers and (Z,) of the states.
+
+        Raises
+        ------
+        StepError
+            See `IterationMatrix.solve`.
+        """
+        x, mu = self._matrix.solve(force, rows)
+        r = self._inverse @ (rates + self._lower @ x)
+        return x - r @ self._x, mu - r @ self._mu, r
 
 
 class IterationMatrices:

@@ -16,6 +16,7 @@ from mbdkit.engine.kernels.motions import OF_CENTER
 from mbdkit.engine.kernels.observe import first_order_rates
 from mbdkit.engine.kernels.system import fold_values
 from mbdkit.engine.repeated_call import RepeatedCall
+from mbdkit.engine.tangents import StateTangents
 from mbdkit.engine.workspace import Workspace
 
 SHARE = float(np.finfo(float).eps ** (1 / 3))
@@ -114,6 +115,22 @@ class StateDerivatives:
             return np.zeros(n), np.zeros(m), np.zeros(len(self._z))
         found = time_difference(lambda at: np.concatenate(derivatives(at)), t, self._workspace.scratch.sides)
         return found[:n], found[n : n + m], found[n + m :]
+
+    def tangents(
+        self,
+        q: np.ndarray,
+        v: np.ndarray,
+        z: np.ndarray,
+        residual: Callable[[np.ndarray], np.ndarray],
+        rates: Callable[[np.ndarray, np.ndarray, np.ndarray], np.ndarray],
+    ) -> StateTangents:
+        """Return the derivatives that involve z, of ``residual(z)`` and ``rates(q, v, z)``."""
+        n, y = len(q), np.concatenate([q, v, z])
+        first = 0 if self._coupled else 2 * n
+        by_state = np.zeros((len(z), len(y)))
+        by_state[:, first:] = differences(lambda x: rates(*np.split(x, (n, 2 * n))), y, range(first, len(y)))
+        force_z = differences(residual, z, range(len(z)))
+        return StateTangents(force_z, *np.split(by_state, (n, 2 * n), axis=1))
 
     def jacobian(
         self,

@@ -22,7 +22,8 @@ if TYPE_CHECKING:
 class Tangents:
     """Derivatives of the equations of motion for implicit methods, as sparse arrays.
 
-    Their patterns do not depend on the state; the index arrays are shared and read-only, the values are new.
+    Their patterns do not depend on the state; the index arrays are shared and read-only, the values are new. Where only
+    one direction of a pair of rows is independent in a redundant mechanism, this direction counts as fixed.
     """
 
     stiffness: csr_array
@@ -33,6 +34,22 @@ class Tangents:
     """(m, n) d gamma/dv = -2 d(Phi_q v + Phi_t)/dq, minus 2 alpha Phi_q with Baumgarte's terms."""
     residual_q: csr_array
     """(m, n) d(Phi_q a - gamma)/dq."""
+    states: StateTangents | None = None
+    """Derivatives that involve first-order states; None if no states were given."""
+
+
+@dataclass(frozen=True)
+class StateTangents:
+    """Derivatives that involve the first-order states z of elements, as dense arrays."""
+
+    force_z: np.ndarray
+    """(n, Z) -dQ/dz."""
+    rates_q: np.ndarray
+    """(Z, n) derivatives of the rates z' with respect to positions."""
+    rates_v: np.ndarray
+    """(Z, n) the same with respect to velocities."""
+    rates_z: np.ndarray
+    """(Z, Z) the same with respect to the states."""
 
 
 class SparseParts:

@@ -126,6 +126,45 @@ def test_the_jacobian_is_the_derivative_of_the_rates(name: str) -> None:
     np.testing.assert_allclose(found / scale, expected / scale, rtol=0, atol=tolerance)
 
 
+@pytest.mark.parametrize("name", ["elbow", "loop with a muscle", "loop", "controller"])
+def test_the_iteration_matrix_with_states_is_the_derivative_of_the_residuals(name: str) -> None:
+    # expected: differences of order 6 of the residuals of index 3 with dv = c da, dq = c^2 da and dz = c dr
+    p = EquationsOfMotion.of(STATEFUL[name]())
+    n, m, c, rng = p.n, p.m, 0.02, np.random.default_rng(52)
+    v = p.project_velocities(T, p.q0, rng.standard_normal(n))
+    a, lam, r = p.derivatives(T, p.q0, v, p.z0)
+
+    def residuals(x: np.ndarray) -> np.ndarray:
+        da, dlam, dr = np.split(x, (n, n + m))
+        q, vel, z = p.q0 + c * c * da, v + c * da, p.z0 + c * dr
+        p.hold(z)
+        upper = p.residual(T, q, vel, a + da, lam + dlam)
+        return np.concatenate([upper, p.constraints(T, q) / c**2, r + dr - p.rates(T, q, vel, z)])
+
+    unknowns = n + m + len(p.z0)
+    right, h = rng.standard_normal(unknowns), 1e-3
+    dense = np.array(
+        [
+            sum(w / h * (residuals(k * h * one) - residuals(-k * h * one)) for k, w in WEIGHTS)
+            for one in np.eye(unknowns)
+        ]
+    ).T
+    matrix = p.iteration_matrix(T, p.q0, v, a, lam, p.z0, damping=c, stiffness=c * c)
+    iterations = p.counters.newton_iterations
+    found = np.concatenate(matrix.solve(*np.split(right, (n, n + m))))
+    assert p.counters.newton_iterations == iterations + 1
+    expected = np.linalg.solve(dense, right)
+    scale = np.abs(expected).max()
+    np.testing.assert_allclose(found / scale, expected / scale, rtol=0, atol=1e-5 if name == "elbow" else 1e-7)
+    states = p.tangents(T, p.q0, v, a, lam, p.z0).states
+    np.testing.assert_allclose(c * states.force_z, dense[:n, n + m :], rtol=1e-5, atol=1e-7)
+    assert states.rates_z.shape == (len(p.z0), len(p.z0))
+    np.testing.assert_allclose(
+        -c * states.rates_v - c * c * states.rates_q, dense[n + m :, :n], rtol=1e-5, atol=1e-5 * np.abs(dense).max()
+    )
+    assert p.tangents(T, p.q0, v, a, lam).states is None
+
+
 @pytest.mark.parametrize("sides", [(-math.inf, math.inf), (T, math.inf), (-math.inf, T)])
 @pytest.mark.parametrize("name", ["driven chain", "moved slider-crank"])
 def test_the_time_derivative_is_that_of_the_symbolic_equations(name: str, sides: tuple[float, float]) -> None:

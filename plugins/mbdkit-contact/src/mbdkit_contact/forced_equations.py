@@ -9,7 +9,6 @@ import numpy as np
 
 from mbdkit.base.errors import StepError
 from mbdkit.engine.equations_of_motion import EquationsOfMotion
-from mbdkit.engine.iteration_matrix import coefficients_of
 from mbdkit.engine.state_derivatives import differences
 from mbdkit.engine.tangents import Tangents
 from mbdkit.mechanism.contacts import OPEN
@@ -69,11 +68,6 @@ class ForcedEquations(EquationsOfMotion):
         work, lost = self._contacts.p.powers(t, q, v, lam)
         return work, lost + self._friction(self._forced(t, q, v))
 
-    def residual(self, t: float, q: np.ndarray, v: np.ndarray, a: np.ndarray, lam: np.ndarray) -> np.ndarray:
-        """See `EquationsOfMotion.residual`."""
-        push = self._push(t, q, v)
-        return self._contacts.p.residual(t, q, v, a, lam) - push
-
     def jacobian(self, t: float, q: np.ndarray, v: np.ndarray, z: np.ndarray) -> np.ndarray:
         """See `EquationsOfMotion.jacobian`."""
         n, y = self.n, np.concatenate([q, v, z])
@@ -92,8 +86,14 @@ class ForcedEquations(EquationsOfMotion):
         a, lam, rates = super().time_derivative(t, q, v, z)
         return a, lam, rates if len(rates) == len(z) else self._contacts.own(rates)
 
-    def tangents(self, t: float, q: np.ndarray, v: np.ndarray, a: np.ndarray, lam: np.ndarray) -> Tangents:
-        """See `EquationsOfMotion.tangents`."""
+    def _residual(self, t: float, q: np.ndarray, v: np.ndarray, a: np.ndarray, lam: np.ndarray) -> np.ndarray:
+        push = self._push(t, q, v)
+        return super()._residual(t, q, v, a, lam) - push
+
+    def _derivatives(self, t: float, q: np.ndarray, v: np.ndarray, z: np.ndarray) -> Rates:
+        return self.derivatives(t, q, v, z)
+
+    def _sparse_tangents(self, t: float, q: np.ndarray, v: np.ndarray, a: np.ndarray, lam: np.ndarray) -> Tangents:
         from scipy.sparse import csr_array
 
         n = self.n
@@ -103,16 +103,15 @@ class ForcedEquations(EquationsOfMotion):
         stiffness, damping = csr_array(parts.stiffness.toarray() - by_q), csr_array(parts.damping.toarray() - by_v)
         return Tangents(stiffness, damping, parts.gamma_v, parts.residual_q)
 
-    def iteration_matrix(
-        self, t: float, q: np.ndarray, v: np.ndarray, a: np.ndarray, lam: np.ndarray, **coefficients: Any
+    def _matrix(
+        self, t: float, q: np.ndarray, v: np.ndarray, a: np.ndarray, lam: np.ndarray, factors: np.ndarray
     ) -> Any:
-        """See `EquationsOfMotion.iteration_matrix`; the matrix is dense."""
-        mass, _, damping, stiffness, gamma_v, residual_q = coefficients_of(coefficients)  # type: ignore[arg-type]
+        mass, _, damping, stiffness, gamma_v, residual_q = factors
         parts, rows = self.tangents(t, q, v, a, lam), self.constraint_jacobian(t, q).toarray()
         upper = damping * parts.damping.toarray() + stiffness * parts.stiffness.toarray() + mass * np.diag(self.mass)
         lower = rows + gamma_v * parts.gamma_v.toarray() + residual_q * parts.residual_q.toarray()
         self.counters.factorizations += 1
-        return _Matrix(np.block([[upper, rows.T], [lower, np.zeros((self.m, self.m))]]), self.n, self.counters)
+        return _Dense(np.block([[upper, rows.T], [lower, np.zeros((self.m, self.m))]]), self.n, self.counters)
 
     def _forced(self, t: float, q: np.ndarray, v: np.ndarray) -> Forced:
         return self._contacts.accelerations(t, q, v, self._modes, only_closed=True)
@@ -133,7 +132,7 @@ class ForcedEquations(EquationsOfMotion):
         return -float(forced.tangent[self._modes != OPEN] @ forced.rows.slip)
 
 
-class _Matrix:
+class _Dense:
     """A factorized matrix; see `mbdkit.engine.iteration_matrix.IterationMatrix`."""
 
     def __init__(self, matrix: np.ndarray, n: int, counters: Counters):

@@ -19,8 +19,6 @@ from scipy.sparse import csr_array
 
 from mbdkit.base.errors import SpecError, StepError
 from mbdkit.engine.equations_of_motion import EquationsOfMotion
-from mbdkit.engine.kernels.observe import first_order_rates
-from mbdkit.engine.kernels.system import OK
 from mbdkit.engine.workspace import Workspace
 from mbdkit.plugin import Tangents
 
@@ -77,17 +75,7 @@ class StatesAtRest:
 
     def rates(self, t: float, q: np.ndarray, v: np.ndarray, z: np.ndarray) -> np.ndarray:
         """Return the derivatives of the states with respect to time (Z,)."""
-        y = np.concatenate([q, v, [0.0, 0.0], z])
-        out, workspace = np.empty(len(y)), self._workspace
-        acc = np.zeros((3, workspace.mechanism.size))
-        lam = np.zeros((len(workspace.mechanism.topology.pairs), 2))
-
-        def solve() -> int:
-            return int(first_order_rates(workspace.stepping_engine, False, float(t), y, acc, lam, out))
-
-        if workspace.retry_with_new_pivots(solve) != OK:
-            raise StepError("not-finite", "the rates of the first-order states have no values")
-        return out[2 * len(q) + 2 :]
+        return self._p.rates(t, q, v, z)
 
     def forces(self, t: float, q: np.ndarray, v: np.ndarray, z: np.ndarray) -> np.ndarray:
         """Return the generalized applied forces (n,)."""
@@ -206,14 +194,12 @@ class StaticEquations(EquationsOfMotion):
         self.states.use(self.states.solve(t, q))
         return super().residual(t, q, v, a, lam)
 
-    def tangents(self, t: float, q: np.ndarray, v: np.ndarray, a: np.ndarray, lam: np.ndarray) -> Tangents:
-        """See `EquationsOfMotion.tangents`; the stiffness is that of slow motions, in which the states stay at their
-        values at rest.
-        """
+    def _sparse_tangents(self, t: float, q: np.ndarray, v: np.ndarray, a: np.ndarray, lam: np.ndarray) -> Tangents:
+        # the stiffness is that of slow motions, in which the states stay at their values at rest
         states = self.states
         z = states.solve(t, q)
         force, rate = states.by_states(t, q, v, z)
         by_position, _ = states.rates_by_motion(t, q, v, z)
         states.use(z)
-        found = super().tangents(t, q, v, a, lam)
+        found = super()._sparse_tangents(t, q, v, a, lam)
         return replace(found, stiffness=csr_array(found.stiffness + force @ np.linalg.solve(rate, by_position)))
