@@ -22,10 +22,9 @@ from mbdkit.engine.workspace import Workspace
 from mbdkit.gradients.differentiated_states import DifferentiatedStates
 from mbdkit.gradients.evaluated_states import StateEvaluator, rate_of
 from mbdkit.gradients.law_corners import Condition
-from mbdkit.integrators.collocation import CompiledCollocation
+from mbdkit.integrators.compiled_method import CompiledMethod
 from mbdkit.integrators.differentiated_stepper import DifferentiatedStepper
 from mbdkit.integrators.dual_run import Seeds
-from mbdkit.integrators.explicit import CompiledExplicit
 from mbdkit.integrators.interface import Moment, StepTaken, Stretch, Timetable
 from mbdkit.integrators.run_state import MODIFIED
 
@@ -99,7 +98,7 @@ class SidedStepper(DifferentiatedStepper):
 
     def __init__(
         self,
-        method: CompiledExplicit | CompiledCollocation,
+        method: CompiledMethod,
         workspace: Workspace,
         timetable: Timetable,
         seeds: Seeds,

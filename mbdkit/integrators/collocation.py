@@ -33,6 +33,7 @@ from mbdkit.integrators.compiled_method import CompiledMethod
 from mbdkit.integrators.convergence import TOLERANCE, describe_divergence
 from mbdkit.integrators.coupled_newton import CoupledNewton
 from mbdkit.integrators.run_state import FACTORIZATIONS, JACOBIANS, RHS, RunState
+from mbdkit.registry.target import Target
 
 if TYPE_CHECKING:
     from mbdkit.engine.workspace import Workspace
@@ -55,6 +56,7 @@ class CompiledCollocation(CompiledMethod):
     """
 
     carries_stages = True
+    duals = Target("mbdkit.integrators.dual_steps:CollocationDuals")
     keep = keep
 
     def __init__(self, method: ImplicitRungeKutta, workspace: Workspace, control: Control | None):

@@ -3,16 +3,19 @@
 from __future__ import annotations
 
 from abc import ABC
-from typing import TYPE_CHECKING, ClassVar
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
 from mbdkit.integrators.convergence import MOST_EXTENDED, MOST_ITERATIONS, IterationLimit
+from mbdkit.registry.target import Target
 
 if TYPE_CHECKING:
     from mbdkit.engine.native.bundle import PinnedBundle
     from mbdkit.engine.native.kernel import Entry
     from mbdkit.engine.workspace import Workspace
+    from mbdkit.integrators.dual_steps import DualForm
     from mbdkit.integrators.run_state import RunState
 
 
@@ -26,6 +29,8 @@ class CompiledMethod(ABC):
         see `mbdkit.integrators.step_loop`.
     stages
         Number of stages of a step.
+    duals
+        The form of the method that differentiates its steps (`mbdkit.integrators.dual_steps`); None if there is none.
     hint
         Advice to the user, added to the message when a step fails.
     pinned
@@ -46,6 +51,7 @@ class CompiledMethod(ABC):
     dense: Entry | None = None
     keep: Entry
     stages: int
+    duals: ClassVar[Target[Callable[[Any], DualForm]] | None] = None
     hint: ClassVar[str] = "a smaller time.step may help"
     pinned: PinnedBundle
     has_dense_output: bool = False

@@ -16,17 +16,15 @@ from mbdkit.engine.kernels.dual_system import new_dual_solver
 from mbdkit.engine.kernels.system import DIVERGED, NOT_FINITE, OK
 from mbdkit.engine.native.bundle import PinnedBundle
 from mbdkit.engine.workspace import Workspace
-from mbdkit.integrators.collocation import CompiledCollocation
 from mbdkit.integrators.compiled_stepper import CompiledStepper
 from mbdkit.integrators.differentiated_laws import DifferentiatedLaws
 from mbdkit.integrators.differentiated_sampling import DifferentiatedSampler
 from mbdkit.integrators.dual_run import DualRun, Seeds, new_dual_run
-from mbdkit.integrators.dual_steps import collocation_step, dual_explicit, dual_stages, explicit_step
-from mbdkit.integrators.explicit import CompiledExplicit
 from mbdkit.integrators.interface import Moment, StepTaken, Timetable
 from mbdkit.integrators.run_state import PROJECTIONS
 
 if TYPE_CHECKING:
+    from mbdkit.integrators.compiled_method import CompiledMethod
     from mbdkit.integrators.step_control import Control
 
 _CAUSES = {DIVERGED: "the iteration for the derivatives does not converge", NOT_FINITE: "a number overflows"}
@@ -74,33 +72,15 @@ class DifferentiatedSteps:
         The laws of first-order states and controllers.
     """
 
-    def __init__(
-        self, method: CompiledExplicit | CompiledCollocation, workspace: Workspace, seeds: Seeds, rows: int, nodes: int
-    ):
+    def __init__(self, method: CompiledMethod, workspace: Workspace, seeds: Seeds, rows: int, nodes: int):
         self.method, self.workspace = method, workspace
         self.run: DualRun = new_dual_run(workspace, seeds, dual_laws(workspace), rows, nodes)
         self._pinned = PinnedBundle(self.run)
         self.laws = DifferentiatedLaws(workspace.mechanism, np.asarray(self.run.w.law_values))
         self._row_z: list[np.ndarray] = []
         self._solver = workspace.solver
-        self._plain: Any = None
-        self._take_up_method()
-
-    def _take_up_method(self) -> None:
-        """Create the dual-number counterpart of the method's current bundle of arrays."""
-        method = self.method
-        if isinstance(method, CompiledExplicit):
-            self._plain = method.bundle
-            self._stages = PinnedBundle(dual_explicit(method.bundle))
-            self._stage_count = len(method.bundle.b)
-            return
-        new = dual_stages(method.bundle)
-        if self._plain is not None:  # new pivots were chosen; the derivatives of the last stages remain valid
-            new.acc[...] = self._stages.bundle.acc
-            new.previous.size[:], new.previous.begin[:] = np.nan, 0.0
-        self._plain = method.bundle
-        self._stages = PinnedBundle(new)
-        self._stage_count = len(method.rk.b)
+        assert method.duals is not None
+        self._duals = method.duals()(method)
 
     def step(self, run_state: int, step: tuple[float, float], row: int, *, projected: bool) -> None:
         """Differentiate a step that the run has taken, and record the state at its end.
@@ -121,17 +101,11 @@ class DifferentiatedSteps:
         StepError
             If the derivatives of the step cannot be computed.
         """
-        t, h = step
+        t, _ = step
         self.take_up_solver()
         self._make_room(row)
         self.run.projected[0] = projected
-        if isinstance(self.method, CompiledExplicit):
-            status = explicit_step(self._pinned.address, run_state, self._stages.address, t, h, row)
-        else:
-            if self.method.bundle is not self._plain:
-                self._take_up_method()
-            addresses = self._pinned.address, run_state, self._stages.address, self.method.pinned.address
-            status = collocation_step(*addresses, t, h, row, self.method.formulation.solves_multipliers)
+        status = self._duals.step(self._pinned.address, run_state, step, row)
         if status != OK:
             why = _CAUSES.get(status, "the system of its equations is singular")
             raise StepError(
@@ -161,8 +135,8 @@ class DifferentiatedSteps:
         if row >= len(run.row_q):
             self._enlarge(("row_q", "row_v", "row_energy"), row + 1)
         used = int(run.nodes[1])
-        if run.nodes[0] and used + self._stage_count > len(run.node_time):
-            self._enlarge(NODES, used + self._stage_count)
+        if run.nodes[0] and used + self._duals.stages > len(run.node_time):
+            self._enlarge(NODES, used + self._duals.stages)
 
     def _enlarge(self, names: tuple[str, ...], rows: int) -> None:
         self._renew(**{name: _enlarged(getattr(self.run, name), rows) for name in names})
@@ -170,7 +144,7 @@ class DifferentiatedSteps:
     @property
     def memory(self) -> tuple[np.ndarray, ...]:
         """Arrays of the previous step that the next step reads."""
-        return (*kept(self.run, STATE).values(), *kept(self._stages.bundle, STATE).values())
+        return (*kept(self.run, STATE).values(), *kept(self._duals.pinned.bundle, STATE).values())
 
     @contextmanager
     def last_nodes_kept(self) -> Iterator[None]:
@@ -178,7 +152,7 @@ class DifferentiatedSteps:
         overwrites, are restored on exit.
         """
         end = int(self.run.nodes[1])
-        some = slice(max(0, end - self._stage_count), end)
+        some = slice(max(0, end - self._duals.stages), end)
         before = [np.copy(getattr(self.run, name)[some]) for name in NODES]
         yield
         for name, values in zip(NODES, before, strict=True):
@@ -221,7 +195,7 @@ class DifferentiatedStepper(CompiledStepper):
 
     def __init__(
         self,
-        method: CompiledExplicit | CompiledCollocation,
+        method: CompiledMethod,
         workspace: Workspace,
         timetable: Timetable,
         control: Control | None,

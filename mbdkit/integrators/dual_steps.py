@@ -7,14 +7,14 @@ continues until the derivatives of the stages no longer change.
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
 
 import numpy as np
 
 from mbdkit.engine.kernels.applied_forces import applied_forces
 from mbdkit.engine.kernels.system import DIVERGED, OK, prepare
 from mbdkit.engine.native.arithmetic import with_value
-from mbdkit.engine.native.bundle import bundle_loader
+from mbdkit.engine.native.bundle import PinnedBundle, bundle_loader
 from mbdkit.engine.native.functions import inlined, kernel, subkernel
 from mbdkit.engine.native.number_arrays import new_duals
 from mbdkit.engine.workspace import example_workspace
@@ -45,6 +45,9 @@ from mbdkit.integrators.shifted_positions import change_shift
 from mbdkit.integrators.simplified_newton import newton_changes
 from mbdkit.integrators.stage_polynomials import extrapolate, extrapolation_weights
 from mbdkit.integrators.turning_beams import turn_accelerations_back, turn_residual_back, turns_stages
+
+if TYPE_CHECKING:
+    from mbdkit.integrators.collocation import CompiledCollocation
 
 
 def dual_explicit(method: Explicit) -> Explicit:
@@ -373,3 +376,54 @@ def collocation_step(
     if solves_multipliers:
         return _step(dual, run, method, plain, t, h, row, _CONSTRAINED)
     return _step(dual, run, method, plain, t, h, row, _INDEX_1)
+
+
+class DualForm(Protocol):
+    """The counterpart of a compiled method for dual numbers, created from the method.
+
+    Attributes
+    ----------
+    pinned
+        The bundle of dual numbers.
+    stages
+        Number of stages of a step.
+    """
+
+    pinned: PinnedBundle
+    stages: int
+
+    def step(self, dual: int, run: int, step: tuple[float, float], row: int) -> int:
+        """Differentiate a step that a run has taken, given by its start and size [s]; return a status.
+
+        The other parameters are those of `explicit_step`.
+        """
+
+
+class ExplicitDuals(DualForm):
+    """Explicit Runge-Kutta methods."""
+
+    def __init__(self, method: explicit.CompiledExplicit):
+        self.pinned, self.stages = PinnedBundle(dual_explicit(method.bundle)), len(method.bundle.b)
+
+    def step(self, dual: int, run: int, step: tuple[float, float], row: int) -> int:
+        """See `DualForm`."""
+        return int(explicit_step(dual, run, self.pinned.address, *step, row))
+
+
+class CollocationDuals(DualForm):
+    """Collocation methods, whose bundle is renewed when new pivots are chosen."""
+
+    def __init__(self, method: CompiledCollocation):
+        self._method, self._plain = method, method.bundle
+        self.pinned, self.stages = PinnedBundle(dual_stages(method.bundle)), len(method.rk.b)
+
+    def step(self, dual: int, run: int, step: tuple[float, float], row: int) -> int:
+        """See `DualForm`."""
+        method = self._method
+        if method.bundle is not self._plain:  # the derivatives of the last stages remain valid
+            new = dual_stages(method.bundle)
+            new.acc[...] = self.pinned.bundle.acc
+            new.previous.size[:], new.previous.begin[:] = np.nan, 0.0
+            self._plain, self.pinned = method.bundle, PinnedBundle(new)
+        on_constraints = method.formulation.solves_multipliers
+        return int(collocation_step(dual, run, self.pinned.address, method.pinned.address, *step, row, on_constraints))

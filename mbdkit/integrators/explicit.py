@@ -34,9 +34,11 @@ from mbdkit.integrators.relative import (
 )
 from mbdkit.integrators.run_state import AT_END_OF_LAST, FACTORIZATIONS, MODIFIED, RHS, keep_node, load_run_state
 from mbdkit.integrators.stage_polynomials import dense_gains, weights_at
+from mbdkit.registry.target import Target
 
 if TYPE_CHECKING:
     from mbdkit.engine.workspace import Workspace
+    from mbdkit.integrators.step_control import Control
     from mbdkit.methods.kinds import ExplicitRungeKutta
 
 
@@ -372,9 +374,10 @@ class CompiledExplicit(CompiledMethod):
     """Explicit Runge-Kutta methods."""
 
     attempt, dense, keep = attempt, dense, keep
+    duals = Target("mbdkit.integrators.dual_steps:ExplicitDuals")
     hint = "a smaller time.step or an implicit integrator may help"
 
-    def __init__(self, method: ExplicitRungeKutta, workspace: Workspace):
+    def __init__(self, method: ExplicitRungeKutta, workspace: Workspace, control: Control | None = None):
         super().__init__(workspace)
         self.bundle = explicit_on(method, workspace)
         self.pinned = PinnedBundle(self.bundle)

@@ -36,7 +36,7 @@ from mbdkit.integrators.collocation_step import (
 )
 from mbdkit.integrators.lane_control import LaneStep, drive_controlled, new_lane_control
 from mbdkit.integrators.lane_loop import drive
-from mbdkit.integrators.lane_run import LaneRun, new_lane_run, widened
+from mbdkit.integrators.lane_run import InLanes, LaneRun, new_lane_run, widened
 from mbdkit.integrators.stage_iteration import hold_counts
 from mbdkit.integrators.step_control import Control, first_step
 from mbdkit.integrators.step_guards import distance_by_pivots
@@ -211,3 +211,6 @@ load_controlled = bundle_loader(lambda: new_lane_control(_example(), Control()))
 def drive_collocation_controlled(address: int) -> int:
     """Take controlled steps of a fully implicit method; see `mbdkit.integrators.lane_control.drive_controlled`."""
     return drive_controlled(load_controlled(address), CONTROLLED)
+
+
+COLLOCATION_IN_LANES = InLanes(drive_collocation, drive_collocation_controlled, collocation_in_lanes)

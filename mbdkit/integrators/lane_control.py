@@ -24,8 +24,8 @@ from mbdkit.engine.native.functions import kernel, subkernel
 from mbdkit.engine.native.levels import WIDTH
 from mbdkit.engine.native.number_arrays import new_lanes
 from mbdkit.integrators.explicit import add_up_stages, estimate_errors, evaluate_point, evaluate_stages
-from mbdkit.integrators.lane_loop import lose, observe_row, watch_branches
-from mbdkit.integrators.lane_run import LaneRun, example_lane_run, load_guards
+from mbdkit.integrators.lane_loop import drive_explicit, lose, observe_row, watch_branches
+from mbdkit.integrators.lane_run import InLanes, LaneRun, example_lane_run, explicit_in_lanes, load_guards
 from mbdkit.integrators.run_plan import NEAR
 from mbdkit.integrators.run_state import FACTORIZATIONS, ITERATIONS, RHS, Progress, add_increments
 from mbdkit.integrators.step_control import (
@@ -369,3 +369,7 @@ def new_lane_control(run: LaneRun, control: Control) -> LaneControl:
 
 
 load_lane_control = bundle_loader(lambda: new_lane_control(example_lane_run(), Control()))
+
+EXPLICIT_IN_LANES = InLanes(
+    drive_explicit, drive_explicit_controlled, lambda method, workspace, *others: explicit_in_lanes(method, workspace)
+)

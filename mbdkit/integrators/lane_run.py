@@ -6,6 +6,7 @@ Fields described as numbers are ordinary arrays.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -44,6 +45,16 @@ class LaneWatch(NamedTuple):
     v: np.ndarray
     distance: np.ndarray
     """(1,) distance to singularity in the last step; lanes."""
+
+
+class InLanes(NamedTuple):
+    """The vectorized form of a family of methods."""
+
+    drive: Callable[[int], Any]
+    """Loop over fixed steps, and over controlled ones."""
+    drive_controlled: Callable[[int], Any]
+    bundle: Callable[..., Any]
+    """Returns the bundle of the method, from the method, a workspace, pivots, and the control of the step size."""
 
 
 class LaneRun(NamedTuple):

@@ -50,6 +50,7 @@ from mbdkit.methods.lobatto_pair import coefficients
 
 if TYPE_CHECKING:
     from mbdkit.engine.workspace import Workspace
+    from mbdkit.integrators.step_control import Control
     from mbdkit.methods.kinds import LobattoPair
 
 MOST_PAST = 3
@@ -338,7 +339,7 @@ class CompiledLobattoPair(CompiledMethod):
     carries_multipliers = True
     hint = "a smaller time.step may help, or radau-iia for stiff forces"
 
-    def __init__(self, method: LobattoPair, workspace: Workspace):
+    def __init__(self, method: LobattoPair, workspace: Workspace, control: Control | None = None):
         super().__init__(workspace)
         workspace.mechanism.refuse_states("a Lobatto pair")
         self.bundle = new_pair(method, workspace)

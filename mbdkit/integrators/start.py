@@ -1,9 +1,8 @@
-"""Starts a method on a mechanism; a table has the algorithms of compiled methods."""
+"""Starts a method on a mechanism."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from typing import Any
 
 from mbdkit.base.errors import MbdkitError
@@ -11,25 +10,13 @@ from mbdkit.engine.compiled_mechanism import CompiledMechanism
 from mbdkit.engine.formulation import FORMULATIONS, Formulation
 from mbdkit.engine.stabilization import Stabilization
 from mbdkit.engine.workspace import Workspace
-from mbdkit.integrators.collocation import CompiledCollocation
 from mbdkit.integrators.compiled_method import CompiledMethod
 from mbdkit.integrators.compiled_stepper import CompiledStepper
-from mbdkit.integrators.explicit import CompiledExplicit
 from mbdkit.integrators.interface import Stepper, Timetable
-from mbdkit.integrators.lobatto_iiia_iiib import CompiledLobattoPair
 from mbdkit.integrators.step_control import Control, unit_of_length
 from mbdkit.integrators.step_host import StepHost
-from mbdkit.integrators.taylor_series import CompiledTaylor
 from mbdkit.methods.kinds import Method, Traits
 from mbdkit.registry.treatments import treatment_of
-
-COMPILED: dict[str, Callable[[Any, Workspace, Control | None], CompiledMethod]] = {
-    "explicit": lambda method, workspace, control: CompiledExplicit(method, workspace),
-    "collocation": CompiledCollocation,
-    "partitioned": lambda method, workspace, control: CompiledLobattoPair(method, workspace),
-    "taylor": lambda method, workspace, control: CompiledTaylor(method, workspace),
-}
-"""For each kind of compiled method (`Traits.compiled`), the function that prepares it for `CompiledStepper`."""
 
 
 class NoDerivativeError(MbdkitError, ValueError):
@@ -66,7 +53,8 @@ def compiled_method(method: Method, workspace: Workspace) -> tuple[CompiledMetho
     method.require_formulation(FORMULATIONS[workspace.formulation])
     method.require_mechanism(workspace.mechanism)
     control = step_control(method.traits, workspace.mechanism)
-    return COMPILED[method.traits.compiled](method, workspace, control), control
+    assert method.traits.compiled is not None
+    return method.traits.compiled()(method, workspace, control), control
 
 
 def start_method(method: Method, workspace: Workspace, timetable: Timetable) -> Stepper:
@@ -93,7 +81,7 @@ def start_method(method: Method, workspace: Workspace, timetable: Timetable) -> 
     traits, treatment = method.traits, workspace.mechanism.contact_treatment
     if treatment.is_rigid and (steps_of := treatment_of(treatment.kind).method) is not None:
         return StepHost(steps_of()(method, treatment), workspace, timetable)
-    if not traits.compiled:
+    if traits.compiled is None:
         method.require_formulation(FORMULATIONS[workspace.formulation])
         steps: Any = method if traits.steps is None else traits.steps()(method)
         return StepHost(steps, workspace, timetable)

@@ -49,6 +49,7 @@ from mbdkit.integrators.run_state import AT_START_OF_LAST, FACTORIZATIONS, RHS, 
 
 if TYPE_CHECKING:
     from mbdkit.engine.workspace import Workspace
+    from mbdkit.integrators.step_control import Control
     from mbdkit.methods.kinds import TaylorSeries
 
 WINDOW = 4
@@ -284,7 +285,7 @@ class CompiledTaylor(CompiledMethod):
     attempt, dense, keep = attempt, dense, keep
     has_dense_output = True
 
-    def __init__(self, method: TaylorSeries, workspace: Workspace):
+    def __init__(self, method: TaylorSeries, workspace: Workspace, control: Control | None = None):
         super().__init__(workspace)
         top = workspace.mechanism.topology
         motions = len(top.motion_start) - 1

@@ -19,6 +19,8 @@ from mbdkit.registry.target import Target
 
 if TYPE_CHECKING:
     from mbdkit.engine.compiled_mechanism import CompiledMechanism
+    from mbdkit.integrators.compiled_method import CompiledMethod
+    from mbdkit.integrators.lane_run import InLanes
     from mbdkit.methods.tableau import EmbeddedPair
 
 
@@ -60,8 +62,8 @@ class Traits:
     Parameters
     ----------
     compiled
-        Kind of a compiled method, the key in the tables of `mbdkit.integrators.start` and
-        `mbdkit_studies.lane_stepper`; empty for steps in Python.
+        Class of the method in machine code (`mbdkit.integrators.compiled_method`), which is called with the method, a
+        workspace, and the control of the step size or None; None for steps in Python.
     steps
         Function that returns the `StepMethod` or `ExternalMethod` from the description; None if it is one itself.
     tableau
@@ -80,8 +82,10 @@ class Traits:
     own_multipliers
         In which runs the method computes multipliers itself: in runs with any formulation, only in runs with a
         formulation whose stages solve for multipliers, or never.
-    has_lanes, has_derivatives
-        Whether runs can be advanced in SIMD lanes, and whether steps can be differentiated with respect to parameters.
+    lanes
+        The form that advances runs in SIMD lanes (`mbdkit.integrators.lane_run.InLanes`); None if there is none.
+    has_derivatives
+        Whether steps can be differentiated with respect to parameters.
     is_time_stepping
         Whether velocities may jump in any step, so that the method integrates contacts without locating impacts.
     integrates_states
@@ -90,7 +94,7 @@ class Traits:
         Reason why the state of a run cannot be stored, as a clause; empty if it can.
     """
 
-    compiled: str = ""
+    compiled: Target[Callable[..., CompiledMethod]] | None = None
     steps: Target[Callable[[Any], Any]] | None = None
     tableau: ButcherTableau | None = None
     tolerances: Tolerances | None = None
@@ -99,7 +103,7 @@ class Traits:
     suits_stiff: bool = False
     iterates_without_tangents: bool = False
     own_multipliers: Literal["always", "where solved for", "never"] = "never"
-    has_lanes: bool = False
+    lanes: Target[InLanes] | None = None
     has_derivatives: bool = False
     is_time_stepping: bool = False
     integrates_states: bool | None = True
@@ -156,12 +160,12 @@ class ExplicitRungeKutta(Method):
         if self.tolerances is not None and self.pair is not None:
             local_error = LocalError(self.tableau.order, self.pair.estimate_order, len(self.pair.error), memory=0.2)
         return Traits(
-            "explicit",
+            Target("mbdkit.integrators.explicit:CompiledExplicit"),
             tableau=self.tableau,
             tolerances=self.tolerances,
             local_error=local_error,
             is_explicit=True,
-            has_lanes=True,
+            lanes=Target("mbdkit.integrators.lane_control:EXPLICIT_IN_LANES"),
             has_derivatives=True,
         )
 
@@ -185,7 +189,7 @@ class TaylorSeries(Method):
     def traits(self) -> Traits:
         """See `Method`."""
         return Traits(
-            "taylor",
+            Target("mbdkit.integrators.taylor_series:CompiledTaylor"),
             tolerances=self.tolerances,
             local_error=None if self.tolerances is None else LocalError(self.order, self.order),
             is_explicit=True,
@@ -239,7 +243,7 @@ class ImplicitRungeKutta(Method):
         tableau, is_controlled = self.tableau, self.tolerances is not None
         is_together = tableau.is_diagonalisable
         return Traits(
-            "collocation" if is_together else "",
+            Target("mbdkit.integrators.collocation:CompiledCollocation") if is_together else None,
             None if is_together else Target("mbdkit.integrators.diagonally_implicit:DiagonallyImplicit"),
             tableau=tableau,
             tolerances=self.tolerances,
@@ -247,7 +251,7 @@ class ImplicitRungeKutta(Method):
             suits_stiff=True,
             iterates_without_tangents=self.stage_solver == "fixed-point",
             own_multipliers="where solved for",
-            has_lanes=is_together,
+            lanes=Target("mbdkit.integrators.lane_collocation:COLLOCATION_IN_LANES") if is_together else None,
             has_derivatives=is_together,
             integrates_states=is_together,
         )
@@ -293,4 +297,5 @@ class LobattoPair(Method):
     @property
     def traits(self) -> Traits:
         """See `Method`."""
-        return Traits("partitioned", suits_stiff=True, own_multipliers="always")
+        compiled = Target[Any]("mbdkit.integrators.lobatto_iiia_iiib:CompiledLobattoPair")
+        return Traits(compiled, suits_stiff=True, own_multipliers="always")

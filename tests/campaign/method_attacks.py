@@ -1,7 +1,7 @@
 """Integrators made from the templates of ``mbdkit plugins new --like``, on random mechanisms, and killed.
 
-The mechanisms have first-order states, drivers whose velocity jumps, sampled controllers, and events that note and that
-set states.
+The mechanisms have first-order states, drivers whose velocity jumps, sampled controllers, events that note and that set
+states, and rigid contacts.
 """
 
 from __future__ import annotations
@@ -83,8 +83,21 @@ def drawn(random: np.random.Generator) -> dict[str, Any]:
         "fires": {"when": "states.charge - 1", "direction": "rising", "set": {"charge": "0.1*states.charge"}},
         "turns": {"when": "rod1.angular_velocity"},
     }
-    stabilization = ("none", "projection")[int(random.integers(2))]
-    return {"mbdkit": 1, "model": model, "events": events, "impacts": "allow", "stabilization": stabilization}
+    given = {"mbdkit": 1, "model": model, "events": events, "impacts": "allow"}
+    if random.random() < 0.5:
+        bodies["ball"] = {
+            "mass": number(0.2, 1.0), "inertia": 0.004, "position": [0.0, number(-0.8, -0.4)],
+            "velocity": [number(-1, 1), number(-2, 0)],
+        }  # fmt: skip
+        floor = {"line": {"point": [0.0, -1.0], "normal": [0.0, 1.0]}}
+        model["contacts"] = {
+            "floor": {
+                "bodies": ["ground", "ball"], "shapes": [floor, {"circle": {"radius": 0.1}}],
+                "friction": number(0.1, 0.6), "restitution": number(0.5, 0.9),
+            }
+        }  # fmt: skip
+        given["contact"] = {"treatment": "event-driven"}
+    return given | {"stabilization": ("none", "projection")[int(random.integers(2))]}
 
 
 def _spec(given: dict[str, Any], like: str, step: float = STEP) -> dict[str, Any]:

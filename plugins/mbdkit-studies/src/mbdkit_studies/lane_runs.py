@@ -123,7 +123,7 @@ def why_alone(spec: RunSpec, measures: Sequence[str] = ()) -> str:
     if functionals and (mechanism.state_names() or mechanism.controllers or mechanism.muscles):
         return "their measures contain extrema or `at`, and their mechanism has first-order states"
     method = make_method(spec)
-    if not method.traits.has_lanes or spec.claims.adaptive != (method.traits.tolerances is not None):
+    if method.traits.lanes is None or spec.claims.adaptive != (method.traits.tolerances is not None):
         return f"{spec.integrator_item.id} cannot be vectorized with these options"
     if spec.formulated.coordinates == "joint" and not method.traits.is_explicit:
         return f"{spec.integrator_item.id} cannot be vectorized in joint coordinates"

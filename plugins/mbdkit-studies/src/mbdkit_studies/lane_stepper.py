@@ -6,9 +6,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -27,14 +27,10 @@ from mbdkit.integrators.interface import StepEvidence, Timetable
 from mbdkit.integrators.lane_collocation import (
     StagePivoting,
     StagePivots,
-    collocation_in_lanes,
-    drive_collocation,
-    drive_collocation_controlled,
     load_stage_pivots,
 )
-from mbdkit.integrators.lane_control import ENDED, accelerate, drive_explicit_controlled, new_lane_control
-from mbdkit.integrators.lane_loop import drive_explicit
-from mbdkit.integrators.lane_run import BY_LANE, explicit_in_lanes, new_lane_run
+from mbdkit.integrators.lane_control import ENDED, accelerate, new_lane_control
+from mbdkit.integrators.lane_run import BY_LANE, new_lane_run
 from mbdkit.integrators.run_plan import guard_limits, smallest_step
 from mbdkit.integrators.run_state import FACTORIZATIONS, ITERATIONS, JACOBIANS, RHS
 from mbdkit.integrators.start import step_control
@@ -104,7 +100,7 @@ def suits_lanes(method: Method, mechanism: CompiledMechanism, table: Timetable) 
     is_fixed = table.interval is None and table.step is not None and table.steps <= table.max_steps
     return (
         not IN_PYTHON
-        and method.traits.has_lanes
+        and method.traits.lanes is not None
         and (method.traits.is_explicit or not mechanism.states)
         and (is_fixed or method.traits.tolerances is not None)
         and not table.single
@@ -116,27 +112,6 @@ def suits_lanes(method: Method, mechanism: CompiledMechanism, table: Timetable) 
     )
 
 
-class InLanes(NamedTuple):
-    """The vectorized form of a family of methods."""
-
-    drive: Callable[[int], Any]
-    """Loop over fixed steps, and over controlled ones."""
-    drive_controlled: Callable[[int], Any]
-    bundle: Callable[..., Any]
-    """Returns the bundle of the method, from the method, a workspace, pivots, and the control of the step size."""
-
-
-IN_LANES: dict[str, InLanes] = {
-    "explicit": InLanes(
-        drive_explicit,
-        drive_explicit_controlled,
-        lambda method, workspace, *others: explicit_in_lanes(method, workspace),
-    ),
-    "collocation": InLanes(drive_collocation, drive_collocation_controlled, collocation_in_lanes),
-}
-"""Vectorized methods by their kind, `Traits.compiled`."""
-
-
 class LaneStepper:
     """Advances up to `WIDTH` runs with fixed steps and the same method.
 
@@ -144,7 +119,8 @@ class LaneStepper:
     """
 
     def __init__(self, method: Method, workspace: Workspace, rows: int, pivots: StagePivots | None = None):
-        self._in_lanes = IN_LANES[method.traits.compiled]
+        assert method.traits.lanes is not None
+        self._in_lanes = method.traits.lanes()
         control = step_control(method.traits, workspace.mechanism)
         self.run = new_lane_run(self._in_lanes.bundle(method, workspace, pivots, control), workspace, rows)
         self._pinned = PinnedBundle(self.run)
