@@ -96,7 +96,7 @@ def drawn(random: np.random.Generator) -> dict[str, Any]:
                 "friction": number(0.1, 0.6), "restitution": number(0.5, 0.9),
             }
         }  # fmt: skip
-        given["contact"] = {"treatment": "event-driven"}
+        return given | {"contact": {"treatment": "event-driven"}}  # every step projects then
     return given | {"stabilization": ("none", "projection")[int(random.integers(2))]}
 
 
