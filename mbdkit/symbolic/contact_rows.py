@@ -14,8 +14,8 @@ TURNED = sp.symbols("cos1 sin1 cos2 sin2", real=True)
 _ANGLES = (FIRST[2], SECOND[2])
 _BY_TURN = dict(zip((f(angle) for angle in _ANGLES for f in (sp.cos, sp.sin)), TURNED, strict=True))
 ARGUMENTS = (*FIRST[:2], *TURNED[:2], *FIRST[3:], *SECOND[:2], *TURNED[2:], *SECOND[3:])
-"""Arguments of the functions: for each body x, y, cosine and sine of its angle, and its velocities. The parameters of
-the geometry follow.
+"""Symbols in the formulas: for each body x, y, cosine and sine of its angle, and its velocities. The parameters of the
+geometry follow.
 """
 
 
@@ -62,7 +62,7 @@ these equations leave gap' and slip constant.
 
 
 def row_definition(kind: tuple[str, int]) -> Definition:
-    """Return the formulas for the `QUANTITIES` of a kind of geometry, in `ARGUMENTS` and the parameters of the geometry."""
+    """Return the formulas for the `QUANTITIES` of a kind of geometry."""
     step = _Moving()
     gap, *normal, _ = geometry(kind, step)
     nx, ny = map(step, normal)

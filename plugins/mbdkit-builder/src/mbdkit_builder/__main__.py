@@ -32,7 +32,12 @@ from mbdkit.engine.native import machine_code
 from mbdkit.engine.native.levels import LEVELS, Platform, chosen_level, this_platform
 from mbdkit.engine.native.machine_code import kernel_packages, stored_folder
 
-_GENERATED = {"contacts": "contact_kernels", "elements": "element_kernels", "laws": "packaged_laws", "methods": "method_stubs"}
+_GENERATED = {
+    "contacts": "contact_kernels",
+    "elements": "element_kernels",
+    "laws": "packaged_laws",
+    "methods": "method_stubs",
+}
 """Module that generates a file, by command."""
 
 

@@ -51,7 +51,13 @@ def _function(name: str, kind: tuple[str, int], count: int, note: str) -> str:
     given = [(symbol, f"{'ab'[i // 7]}[{i % 7}]") for i, symbol in enumerate(ARGUMENTS)]
     given += [(symbol, f"p[{i}]") for i, symbol in enumerate(numbers_of(kind))]
     reads = [f"    {symbol} = {place}" for symbol, place in given if symbol in used]
-    lines = ["@subkernel", f"def {name}(a, b, p{', out' if count > 1 else ''}):", f'    """{note}"""', *reads, *steps[::-1]]
+    lines = [
+        "@subkernel",
+        f"def {name}(a, b, p{', out' if count > 1 else ''}):",
+        f'    """{note}"""',
+        *reads,
+        *steps[::-1],
+    ]
     if count == 1:
         return "\n".join([*lines, f"    return {printer.doprint(wanted[0])}"])
     return "\n".join([*lines, *(f"    out[{i}] = {printer.doprint(one)}" for i, one in enumerate(wanted))])
@@ -64,4 +70,3 @@ def generated() -> str:
         parts.append(_function(f"{name}_gap", (name, 0), 1, "Return the gap."))
         parts.append(_function(f"{name}_row", (name, 0), 16, "Compute all quantities."))
     return "\n\n\n".join(parts) + "\n"
-
