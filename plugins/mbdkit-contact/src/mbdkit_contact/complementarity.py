@@ -1,4 +1,4 @@
-"""Forces of contacts with planar Coulomb friction, and laws of impact."""
+"""Forces of contacts with planar Coulomb friction."""
 
 from __future__ import annotations
 
@@ -151,46 +151,3 @@ def swept(
         return None
     pushes, rubs = impulses.T
     return Pushed(pushes, rubs, pushes > 0.0, np.abs(rubs) >= friction * pushes, changed / (size or 1.0))
-
-
-def stronge(response: np.ndarray, before: np.ndarray, friction: float, e: float) -> np.ndarray:
-    """Return the impulses (2,) of one contact, normal and tangential, by Stronge's law, which never gains energy.
-
-    The normal impulse p grows from 0. Its work in restitution is -e^2 times that in compression, and the friction
-    impulse follows Coulomb's law at every p (W. J. Stronge, Impact Mechanics, 2000, chapter 5).
-
-    Parameters
-    ----------
-    response
-        (2, 2) matrix that maps impulses to velocities, normal component first.
-    before
-        (2,) normal and tangential velocity before the impact; the normal one is negative.
-    friction
-        Coefficient of friction.
-    e
-        Coefficient of restitution.
-    """
-    v, p, tangential, work, goal = before.astype(float), 0.0, 0.0, 0.0, np.inf
-    for _ in range(8):  # slip ends at most once, and so does compression
-        ratio = -np.sign(v[1]) * friction
-        if v[1] == 0.0:
-            ratio = float(np.clip(-response[1, 0] / response[1, 1], -friction, friction))
-        slope = response @ np.array([1.0, ratio])
-        ends = -v[1] / slope[1] if v[1] * slope[1] < 0.0 else np.inf
-        turns = -v[0] / slope[0] if v[0] < 0.0 < slope[0] else np.inf
-        rises = np.inf
-        if v[0] >= 0.0 and slope[0] > 0.0:  # the remaining work, v0 dp + slope dp^2 / 2
-            rises = (np.sqrt(v[0] ** 2 + 2.0 * slope[0] * max(goal - work, 0.0)) - v[0]) / slope[0]
-        more = min(ends, turns, rises)
-        if not np.isfinite(more):
-            break
-        work += more * (v[0] + 0.5 * slope[0] * more)
-        p, tangential = p + more, tangential + ratio * more
-        v = v + slope * more
-        if more == ends:
-            v[1] = 0.0
-        if more == turns:
-            v[0], goal, work = 0.0, -e * e * work, 0.0
-        elif more == rises:
-            break
-    return np.array([p, tangential])
