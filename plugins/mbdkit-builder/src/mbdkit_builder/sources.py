@@ -63,6 +63,7 @@ def builder_digests() -> dict[str, str]:
 
 _NOT_COMPILED = {
     "__main__.py",
+    "contact_kernels.py",
     "element_kernels.py",
     "function_laws.py",
     "generated_files.py",
