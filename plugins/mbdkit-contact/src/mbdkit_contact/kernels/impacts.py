@@ -64,8 +64,8 @@ def new_strike(most: int) -> Strike:
 
 def new_impacts(most: int) -> Impacts:
     """Return arrays for up to `most` contacts."""
-    both = (np.zeros(2 * most) for _ in range(2))
-    return Impacts(new_strike(most), new_strike(1), np.zeros(most), *both, np.zeros(most, dtype=np.int64))
+    u, together, ordered = np.zeros(2 * most), np.zeros(2 * most), np.zeros(most, dtype=np.int64)
+    return Impacts(new_strike(most), new_strike(1), np.zeros(most), u, together, ordered)
 
 
 @subkernel
