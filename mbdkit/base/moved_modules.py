@@ -36,8 +36,6 @@ MOVED = {
     "mbdkit.integrators.event_step": "mbdkit_contact.event_step",
     "mbdkit.integrators.forced_equations": "mbdkit_contact.forced_equations",
     "mbdkit.integrators.generalized_alpha": "mbdkit_contact.generalized_alpha",
-    "mbdkit.integrators.near_contacts": "mbdkit_contact.near_contacts",
-    "mbdkit.integrators.polygon_features": "mbdkit_contact.polygon_features",
     "mbdkit.integrators.rigid_contacts": "mbdkit_contact.rigid_contacts",
     "mbdkit.integrators.step_impulses": "mbdkit_contact.step_impulses",
     "mbdkit.integrators.time_stepping": "mbdkit_contact.time_stepping",

@@ -22,6 +22,7 @@ from mbdkit.engine.iteration_matrix import (
     IterationMatrix,
     IterationMatrixWithStates,
     Pivots,
+    StateTangents,
     coefficients_of,
     put,
     vector,
@@ -36,7 +37,7 @@ from mbdkit.engine.kernels.system import NOT_FINITE, OK
 from mbdkit.engine.nearest_state import nearest_positions, nearest_velocities
 from mbdkit.engine.observed_states import GivenForces, StateObserver
 from mbdkit.engine.state_derivatives import Rates, StateDerivatives
-from mbdkit.engine.tangents import SparseParts, StateTangents, Tangents
+from mbdkit.engine.tangents import SparseParts, Tangents
 from mbdkit.engine.workspace import Workspace
 
 if TYPE_CHECKING:

@@ -31,7 +31,6 @@ from mbdkit.engine.stored_arrays import pattern_of, restore, stored
 if TYPE_CHECKING:
     from mbdkit.engine.counters import Counters
     from mbdkit.engine.kernels.lu import Pattern
-    from mbdkit.engine.tangents import StateTangents
     from mbdkit.engine.workspace import Workspace
 
 
@@ -186,6 +185,20 @@ class IterationMatrix:
     def lost(self) -> SingularSystemError:
         """Return the error that names the unknown at which the factorization failed."""
         return SingularSystemError(int(self._pivots.pattern.column_of[self.failed_at]))
+
+
+@dataclass(frozen=True)
+class StateTangents:
+    """Derivatives that involve the first-order states z of elements, as dense arrays."""
+
+    force_z: np.ndarray
+    """(n, Z) -dQ/dz."""
+    rates_q: np.ndarray
+    """(Z, n) derivatives of the rates z' with respect to positions."""
+    rates_v: np.ndarray
+    """(Z, n) the same with respect to velocities."""
+    rates_z: np.ndarray
+    """(Z, Z) the same with respect to the states."""
 
 
 class IterationMatrixWithStates:

@@ -11,12 +11,11 @@ from functools import cached_property
 
 import numpy as np
 
-from mbdkit.engine.iteration_matrix import put
+from mbdkit.engine.iteration_matrix import StateTangents, put
 from mbdkit.engine.kernels.motions import OF_CENTER
 from mbdkit.engine.kernels.observe import first_order_rates
 from mbdkit.engine.kernels.system import fold_values
 from mbdkit.engine.repeated_call import RepeatedCall
-from mbdkit.engine.tangents import StateTangents
 from mbdkit.engine.workspace import Workspace
 
 SHARE = float(np.finfo(float).eps ** (1 / 3))

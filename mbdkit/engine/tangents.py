@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from mbdkit.engine.iteration_matrix import classes_of
+from mbdkit.engine.iteration_matrix import StateTangents, classes_of
 from mbdkit.engine.kernels.equations import GAMMA_V, JACOBIAN, RESIDUAL_Q
 
 if TYPE_CHECKING:
@@ -36,20 +36,6 @@ class Tangents:
     """(m, n) d(Phi_q a - gamma)/dq."""
     states: StateTangents | None = None
     """Derivatives that involve first-order states; None if no states were given."""
-
-
-@dataclass(frozen=True)
-class StateTangents:
-    """Derivatives that involve the first-order states z of elements, as dense arrays."""
-
-    force_z: np.ndarray
-    """(n, Z) -dQ/dz."""
-    rates_q: np.ndarray
-    """(Z, n) derivatives of the rates z' with respect to positions."""
-    rates_v: np.ndarray
-    """(Z, n) the same with respect to velocities."""
-    rates_z: np.ndarray
-    """(Z, Z) the same with respect to the states."""
 
 
 class SparseParts:

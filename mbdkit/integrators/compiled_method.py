@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from abc import ABC
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar, Protocol
 
 import numpy as np
 
@@ -15,8 +15,28 @@ if TYPE_CHECKING:
     from mbdkit.engine.native.bundle import PinnedBundle
     from mbdkit.engine.native.kernel import Entry
     from mbdkit.engine.workspace import Workspace
-    from mbdkit.integrators.dual_steps import DualForm
     from mbdkit.integrators.run_state import RunState
+
+
+class DualForm(Protocol):
+    """The counterpart of a compiled method for dual numbers, created from the method.
+
+    Attributes
+    ----------
+    pinned
+        The bundle of dual numbers.
+    stages
+        Number of stages of a step.
+    """
+
+    pinned: PinnedBundle
+    stages: int
+
+    def step(self, dual: int, run: int, step: tuple[float, float], row: int) -> int:
+        """Differentiate a step that a run has taken, given by its start and size [s]; return a status.
+
+        The other parameters are those of `mbdkit.integrators.dual_steps.explicit_step`.
+        """
 
 
 class CompiledMethod(ABC):

@@ -7,7 +7,7 @@ continues until the derivatives of the stages no longer change.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
@@ -28,6 +28,7 @@ from mbdkit.integrators.collocation_stages import (
     solves_positions_only,
 )
 from mbdkit.integrators.collocation_step import complete_step, evaluate_stages, keep_stages
+from mbdkit.integrators.compiled_method import DualForm
 from mbdkit.integrators.dual_run import advance, load_dual_run, relative_change, take_base, with_derivatives
 from mbdkit.integrators.element_states import (
     add_up_states,
@@ -376,27 +377,6 @@ def collocation_step(
     if solves_multipliers:
         return _step(dual, run, method, plain, t, h, row, _CONSTRAINED)
     return _step(dual, run, method, plain, t, h, row, _INDEX_1)
-
-
-class DualForm(Protocol):
-    """The counterpart of a compiled method for dual numbers, created from the method.
-
-    Attributes
-    ----------
-    pinned
-        The bundle of dual numbers.
-    stages
-        Number of stages of a step.
-    """
-
-    pinned: PinnedBundle
-    stages: int
-
-    def step(self, dual: int, run: int, step: tuple[float, float], row: int) -> int:
-        """Differentiate a step that a run has taken, given by its start and size [s]; return a status.
-
-        The other parameters are those of `explicit_step`.
-        """
 
 
 class ExplicitDuals(DualForm):

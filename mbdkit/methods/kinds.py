@@ -19,8 +19,6 @@ from mbdkit.registry.target import Target
 
 if TYPE_CHECKING:
     from mbdkit.engine.compiled_mechanism import CompiledMechanism
-    from mbdkit.integrators.compiled_method import CompiledMethod
-    from mbdkit.integrators.lane_run import InLanes
     from mbdkit.methods.tableau import EmbeddedPair
 
 
@@ -94,7 +92,7 @@ class Traits:
         Reason why the state of a run cannot be stored, as a clause; empty if it can.
     """
 
-    compiled: Target[Callable[..., CompiledMethod]] | None = None
+    compiled: Target[Callable[..., Any]] | None = None
     steps: Target[Callable[[Any], Any]] | None = None
     tableau: ButcherTableau | None = None
     tolerances: Tolerances | None = None
@@ -103,7 +101,7 @@ class Traits:
     suits_stiff: bool = False
     iterates_without_tangents: bool = False
     own_multipliers: Literal["always", "where solved for", "never"] = "never"
-    lanes: Target[InLanes] | None = None
+    lanes: Target[Any] | None = None
     has_derivatives: bool = False
     is_time_stepping: bool = False
     integrates_states: bool | None = True

@@ -4,14 +4,9 @@ time derivatives.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from functools import lru_cache
-from typing import Any
-
-import numpy as np
 import sympy as sp
 
-from mbdkit.symbolic.contact_definitions import CIRCLE, FIRST, SECOND, Steps, choose, geometry, numbers_of, sliding
+from mbdkit.symbolic.contact_definitions import CIRCLE, FIRST, SECOND, Definition, Steps, choose, geometry, sliding
 
 TURNED = sp.symbols("cos1 sin1 cos2 sin2", real=True)
 """Cosine and sine of the angles of both bodies."""
@@ -19,8 +14,8 @@ TURNED = sp.symbols("cos1 sin1 cos2 sin2", real=True)
 _ANGLES = (FIRST[2], SECOND[2])
 _BY_TURN = dict(zip((f(angle) for angle in _ANGLES for f in (sp.cos, sp.sin)), TURNED, strict=True))
 ARGUMENTS = (*FIRST[:2], *TURNED[:2], *FIRST[3:], *SECOND[:2], *TURNED[2:], *SECOND[3:])
-"""Arguments of the functions: for each body x, y, cosine and sine of its angle, and its velocities. The parameters of
-the geometry follow.
+"""Symbols in the formulas: for each body x, y, cosine and sine of its angle, and its velocities. The parameters of the
+geometry follow.
 """
 
 
@@ -59,24 +54,15 @@ class _Moving(Steps):
         return sp.Add(*(slope.xreplace(back) * self.rate(back.get(one, one)) for one, slope in parts if slope != 0))
 
 
-@lru_cache(maxsize=16)
-def gap_function(kind: tuple[str, int]) -> Callable[..., Any]:
-    """Return a function that computes the gaps of a kind of geometry. It takes `ARGUMENTS` and the parameters of the
-    geometry, as arrays of one shape.
-    """
-    step = _Moving()
-    return _function(kind, step, [geometry(kind, step)[0]], is_of_arrays=True)
+QUANTITIES = ("gap", "slip", "normal", "tangent", "normal_right", "tangent_right")
+"""Quantities of a contact row: gap and slip, the rows n and t (6 components each) with ``gap' = n . v`` and
+``slip = t . v``, and the right-hand sides of ``n . a = -n' . v`` and ``t . a = -t' . v``. Accelerations that satisfy
+these equations leave gap' and slip constant.
+"""
 
 
-@lru_cache(maxsize=16)
-def row_function(kind: tuple[str, int], *, is_of_arrays: bool) -> Callable[..., list[Any]]:
-    """Return a function that computes the constraint rows of a kind of geometry.
-
-    It takes `ARGUMENTS` and the parameters of the geometry, as numbers or as arrays of one shape. It returns the gap,
-    the slip, the rows n and t (6 components each), with ``gap' = n . v`` and ``slip = t . v``, and the right-hand sides
-    of ``n . a = -n' . v`` and ``t . a = -t' . v``. Accelerations that satisfy these equations leave gap' and slip
-    constant.
-    """
+def row_definition(kind: tuple[str, int]) -> Definition:
+    """Return the formulas for the `QUANTITIES` of a kind of geometry."""
     step = _Moving()
     gap, *normal, _ = geometry(kind, step)
     nx, ny = map(step, normal)
@@ -86,18 +72,5 @@ def row_function(kind: tuple[str, int], *, is_of_arrays: bool) -> Callable[..., 
     slip, rate = sliding((px, py), (ox, oy), (nx, ny), step)
     along = [-nx, -ny, oy * nx - ox * ny, nx, ny, px * ny - py * nx]
     across = [-ny, nx, oy * ny + ox * nx, ny, -nx, -py * ny - px * nx]
-    return _function(kind, step, [gap, slip, *along, *across, -step.rate(rate), -step.rate(slip)], is_of_arrays)
-
-
-def _function(
-    kind: tuple[str, int], step: Steps, quantities: Sequence[sp.Expr], is_of_arrays: bool
-) -> Callable[..., Any]:
-    choice = np.where if is_of_arrays else lambda condition, first, second: first if condition else second
-    functions = {"choose": lambda x, first, second: choice(x > 0.0, first, second)}
-    found: Callable[..., Any] = sp.lambdify(
-        (*ARGUMENTS, *numbers_of(kind)),
-        [one.xreplace(_BY_TURN) for one in quantities],
-        modules=[functions, "numpy" if is_of_arrays else "math"],
-        cse=lambda given: (step.named, given),
-    )
-    return found
+    found = [gap, slip, *along, *across, -step.rate(rate), -step.rate(slip)]
+    return Definition(tuple(step.named), tuple(quantity.xreplace(_BY_TURN) for quantity in found))

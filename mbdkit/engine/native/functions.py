@@ -12,6 +12,7 @@ from collections.abc import Callable
 from typing import Any, TypeVar
 
 from mbdkit.engine.native.kernel import Entry, Kernel, LawFunction
+from mbdkit.engine.native.machine_code import CORE
 
 Function = TypeVar("Function", bound=Callable[..., Any])
 
@@ -93,4 +94,6 @@ def law_function(function: Callable[..., Any]) -> LawFunction:
 
 
 def _symbol(function: Callable[..., Any]) -> str:
-    return f"{function.__module__.rpartition('.')[2]}__{function.__name__}"
+    package, _, path = function.__module__.partition(".")
+    symbol = f"{path.rpartition('.')[2]}__{function.__name__}"
+    return symbol if package == CORE else f"{package}___{symbol}"

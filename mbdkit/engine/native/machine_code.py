@@ -6,6 +6,9 @@ differ, a developer's changes are compiled symbol by symbol into the folder ``bu
 distribution; this needs the extra ``dev``. Which version of the compiler built the stored code is not looked at here;
 ``python -m mbdkit_builder check`` does that.
 
+Packages of plugins may have kernels of their own, in a subpackage ``kernels``, and their machine code beside it in a
+folder ``stored``. They name themselves as entry points of the group ``mbdkit.kernels``.
+
 A library is decompressed into a file in memory and loaded from there; on systems other than Linux, into a temporary
 file. There is no cache, which could be out of date or damaged.
 
@@ -27,16 +30,18 @@ import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from functools import cache
+from importlib.metadata import entry_points, packages_distributions
 from pathlib import Path
 from types import ModuleType
 from typing import Any
 
 from mbdkit.base.errors import MbdkitError
-from mbdkit.engine.native.levels import Level, chosen_level, is_able, this_platform
+from mbdkit.engine.native.levels import Level, Platform, chosen_level, is_able, this_platform
 
 PACKAGE = Path(__file__).resolve().parents[2]
 BUILDER = "mbdkit_builder"
 """The package that compiles; imported only for code that is not stored."""
+CORE = "mbdkit"
 STORED = Path(__file__).parent / "stored"
 BUILT = Path(__file__).parent / "built"
 MANIFEST = "manifest.json"
@@ -58,7 +63,7 @@ def address_of(symbol: str) -> int:
     """
     level = _usable_level()
     path = None if _COMPILE else stored_file(symbol, level)
-    library = _built(symbol, level) if path is None else _load_stored(path)
+    library = _built(symbol, level) if path is None else _load_stored(path, package_of(symbol))
     address = ctypes.cast(getattr(library, symbol), ctypes.c_void_p).value
     assert address is not None
     return address
@@ -75,17 +80,45 @@ def _usable_level() -> Level:
     return level
 
 
+def package_of(symbol: str) -> str:
+    """Return the package of the kernel with a symbol."""
+    package, _, name = symbol.partition("___")
+    return package if name else CORE
+
+
 @cache
-def manifest() -> dict[str, Any]:
-    """Return the manifest of the stored libraries of this platform; empty if there are none.
+def folder_of(package: str) -> Path:
+    """Return the folder of a package with kernels."""
+    if package == CORE:
+        return PACKAGE
+    spec = importlib.util.find_spec(package)
+    assert spec is not None
+    assert spec.submodule_search_locations
+    return Path(spec.submodule_search_locations[0])
+
+
+def stored_folder(package: str, target: Platform) -> Path:
+    """Return the folder of the stored libraries of a package for a platform."""
+    return (STORED if package == CORE else folder_of(package) / "stored") / str(target)
+
+
+@cache
+def kernel_packages() -> tuple[str, ...]:
+    """Return the packages that have kernels, mbdkit itself first."""
+    return (CORE, *sorted({found.value for found in entry_points(group="mbdkit.kernels")}))
+
+
+@cache
+def manifest(package: str = CORE) -> dict[str, Any]:
+    """Return the manifest of the stored libraries of a package for this platform; empty if there are none.
 
     Raises
     ------
     MbdkitError
         If it is damaged.
     """
-    path = STORED / str(this_platform()) / MANIFEST
-    with _damage_reported():
+    path = stored_folder(package, this_platform()) / MANIFEST
+    with _damage_reported(package):
         try:
             stored: dict[str, Any] = json.loads(path.read_bytes())
         except FileNotFoundError:
@@ -100,32 +133,44 @@ _KINDS = {"built with": dict, "files": dict, "modules": dict, "names": list, "sh
 
 
 @contextmanager
-def _damage_reported() -> Iterator[None]:
+def _damage_reported(package: str) -> Iterator[None]:
     """Raise MbdkitError if reading the manifest, or looking up one of its values, raises an exception."""
     try:
         yield
     except (OSError, ValueError, LookupError, TypeError, AttributeError, RecursionError) as error:
-        path = STORED / str(this_platform()) / MANIFEST
-        raise MbdkitError(f"the list of the stored machine code, {path}, is damaged: install mbdkit again") from error
+        path = stored_folder(package, this_platform()) / MANIFEST
+        what = f"the list of the stored machine code, {path}, is damaged"
+        raise MbdkitError(f"{what}: install {_distribution(package)} again") from error
+
+
+def _distribution(package: str) -> str:
+    return next(iter(packages_distributions().get(package, [])), package)
 
 
 def stored_file(symbol: str, level: Level) -> Path | None:
     """Return the stored library with a symbol; None if there is none or the sources have changed."""
-    stored = manifest()
+    package = package_of(symbol)
+    stored = manifest(package)
     if symbol not in stored.get("symbols", {}):
         return None
-    with _damage_reported():
+    with _damage_reported(package):
         group, module = stored["symbols"][symbol]
         names = (stored["names"][i] for i in stored["modules"][module])
         if any(digest(name) != stored["files"][name] for name in names):
             return None
-        return STORED / str(this_platform()) / f"{group}-{level.of(group)}.xz"
+        return stored_folder(package, this_platform()) / f"{group}-{level.of(group)}.xz"
+
+
+def source_file(name: str) -> Path:
+    """Return a source file by its path in mbdkit, or in another package, as in ``mbdkit_contact:kernels/cones.py``."""
+    package, _, path = name.rpartition(":")
+    return folder_of(package or CORE) / path
 
 
 @cache
 def digest(file: str) -> str:
-    """Return 16 hex digits of the SHA-256 digest of a file of the package, without regard to line ends."""
-    content = (PACKAGE / file).read_bytes().replace(b"\r\n", b"\n")
+    """Return 16 hex digits of the SHA-256 digest of a file, without regard to line ends; see `source_file`."""
+    content = source_file(file).read_bytes().replace(b"\r\n", b"\n")
     return hashlib.sha256(content).hexdigest()[:16]
 
 
@@ -135,9 +180,9 @@ def _load_file(path: Path) -> ctypes.CDLL:
 
 
 @cache
-def _load_stored(path: Path) -> ctypes.CDLL:
-    with _damage_reported():
-        digest = manifest()["sha256"][path.name]
+def _load_stored(path: Path, package: str) -> ctypes.CDLL:
+    with _damage_reported(package):
+        digest = manifest(package)["sha256"][path.name]
     return _unpacked(path, digest)
 
 
@@ -182,6 +227,11 @@ def _from_temporary_file(content: bytes) -> ctypes.CDLL:
 def code_id() -> str:
     """Return a digest of all stored libraries of this platform, which identifies its machine code."""
     digests = manifest().get("sha256", {})
+    digests = digests | {
+        f"{package}:{name}": digest
+        for package in kernel_packages()[1:]
+        for name, digest in manifest(package).get("sha256", {}).items()
+    }
     return hashlib.sha256(json.dumps(digests, sort_keys=True).encode()).hexdigest()[:16] if digests else "none"
 
 

@@ -1,16 +1,17 @@
 """``python -m mbdkit_builder``: build the machine code of the kernels.
 
 build
-    Build the stored libraries of this platform, or of another one, such as ``--platform linux-aarch64``. With
-    ``--only SYMBOL``, build the library of one symbol in the folder ``built``.
+    Build the stored libraries of this platform, or of another one, such as ``--platform linux-aarch64``, for all
+    packages with kernels, or for those that are named. With ``--only SYMBOL``, build the library of one symbol in the
+    folder ``built``.
 check
     Build the libraries again and compare every byte with the stored ones, and the digests of their sources and of this
     package with those of the manifest. With ``--level x86-64-v3``, check only the libraries of this level.
 objects
     Compile symbols to object files; `build` and `check` start processes that run this command.
-elements, laws, methods
-    Generate the kernels of elements, those of the packaged force laws, or the signatures of methods that add elements;
-    with ``--check``, compare them with the file in the repository.
+contacts, elements, laws, methods
+    Generate the kernels of contact rows, of elements or of the packaged force laws, or the signatures of methods that
+    add elements; with ``--check``, compare them with the file in the repository.
 list
     List all symbols and whether their stored code is up to date.
 """
@@ -29,9 +30,15 @@ from typing import Any
 
 from mbdkit.engine.native import machine_code
 from mbdkit.engine.native.levels import LEVELS, Platform, chosen_level, this_platform
+from mbdkit.engine.native.machine_code import kernel_packages, stored_folder
 
-_GENERATED = {"elements": "element_kernels", "laws": "packaged_laws", "methods": "method_stubs"}
-"""Module that generates a file of the core, by command."""
+_GENERATED = {
+    "contacts": "contact_kernels",
+    "elements": "element_kernels",
+    "laws": "packaged_laws",
+    "methods": "method_stubs",
+}
+"""Module that generates a file, by command."""
 
 
 def main() -> int:
@@ -41,6 +48,8 @@ def main() -> int:
     for name in ("build", "check", "objects"):
         command = commands.add_parser(name)
         command.add_argument("--platform", type=_platform, default=this_platform())
+        if name != "objects":
+            command.add_argument("packages", nargs="*")
         if name == "build":
             command.add_argument("--only")
         if name == "check":
@@ -63,13 +72,14 @@ def main() -> int:
     if given.command == "objects":
         return _objects(given.platform, given.levels, given.symbols, given.into)
     if given.command == "check":
-        return _check(given.platform, given.level)
+        return max(_check(package, given.platform, given.level) for package in given.packages or kernel_packages())
     if given.only:
         from mbdkit_builder.libraries import build_one
 
         print(build_one(given.only, given.platform, chosen_level()))
         return 0
-    _build(given.platform, machine_code.STORED / str(given.platform))
+    for package in given.packages or kernel_packages():
+        _build(package, given.platform, stored_folder(package, given.platform))
     return 0
 
 
@@ -80,20 +90,20 @@ def _platform(text: str) -> Platform:
     return Platform(system, architecture)
 
 
-def _build(target: Platform, into: Path, *, only: str | None = None) -> None:
+def _build(package: str, target: Platform, into: Path, *, only: str | None = None) -> None:
     from mbdkit_builder.libraries import build
     from mbdkit_builder.lowering import symbols
 
-    build(target, symbols(), into, only=only)
+    build(target, symbols(package), into, only=only)
     size = sum(path.stat().st_size for path in into.iterdir())
     print(f"{into}: {size / 1e6:.2f} MB")
 
 
-def _check(target: Platform, level: str | None) -> int:
-    stored = machine_code.STORED / str(target)
+def _check(package: str, target: Platform, level: str | None) -> int:
+    stored = stored_folder(package, target)
     with tempfile.TemporaryDirectory() as work:
         again = Path(work) / "again"
-        _build(target, again, only=level)
+        _build(package, target, again, only=level)
         names = sorted({path.name for folder in (stored, again) for path in folder.glob("*")})
         if level:
             names = [name for name in names if name.endswith(f"-{level}.xz")]
@@ -101,9 +111,9 @@ def _check(target: Platform, level: str | None) -> int:
         if level and _sources_in(stored) != _sources_in(again):
             different.append(machine_code.MANIFEST)
     if different or missing:
-        print(f"the stored machine code is not what the sources say: {', '.join([*different, *missing])}")
+        print(f"the stored machine code of {package} is not what the sources say: {', '.join([*different, *missing])}")
         return 1
-    print("the stored machine code is what the sources say, to the byte")
+    print(f"the stored machine code of {package} is what the sources say, to the byte")
     return 0
 
 
@@ -120,11 +130,13 @@ def _list() -> int:
     from mbdkit_builder.sources import builder_digests
 
     level = chosen_level()
-    is_other = machine_code.manifest().get("builder") != builder_digests()
-    for symbol in symbols():
-        is_stored = machine_code.stored_file(symbol, level) is not None
-        state = "differs from the sources" if not is_stored else "differs from the builder" if is_other else "stored"
-        print(f"{symbol:<45} {group_of(symbol):<12} {state}")
+    for package in kernel_packages():
+        is_other = machine_code.manifest(package).get("builder") != builder_digests()
+        for symbol in symbols(package):
+            is_stored = machine_code.stored_file(symbol, level) is not None
+            state = "differs from the builder" if is_other else "stored"
+            state = state if is_stored else "differs from the sources"
+            print(f"{symbol:<45} {group_of(symbol):<12} {state}")
     return 0
 
 
@@ -133,7 +145,7 @@ def _objects(target: Platform, levels: list[str], names: list[str], into: Path) 
     from mbdkit_builder.lowering import prepare, symbols
     from mbdkit_builder.object_code import emitted
 
-    makers = symbols()
+    makers = symbols(machine_code.package_of(names[0]))
     prepare()
     known = {level.name: level for level in target.levels}
     for symbol in names:

@@ -96,7 +96,7 @@ _READS = {
 """The array element from which a kernel reads each symbol."""
 
 
-class _Printer(PythonCodePrinter):
+class Printer(PythonCodePrinter):
     """Prints function names without a module, and small powers as products and square roots.
 
     Only powers that are expected in an element definition are printed; any other power raises ValueError.
@@ -140,7 +140,7 @@ def _kernel(name: str, arguments: str, note: str, outputs: Sequence[tuple[str, s
                 targets.append(f"{array}[k, {index}]")
                 expressions.append(entry)
     temporaries, reduced_all = sp.cse(expressions, symbols=sp.numbered_symbols("t", real=True), optimizations="basic")
-    printer = _Printer()
+    printer = Printer()
     lines = ["@subkernel", f"def {name}({arguments}):", f'    """{note}"""']
     lines += _reads([e for _, e in temporaries] + list(reduced_all), printer)
     lines += [f"    {symbol} = {printer.doprint(expr)}" for symbol, expr in temporaries]
@@ -148,7 +148,7 @@ def _kernel(name: str, arguments: str, note: str, outputs: Sequence[tuple[str, s
     return "\n".join(lines)
 
 
-def _reads(expressions: Iterable[sp.Expr], printer: _Printer) -> list[str]:
+def _reads(expressions: Iterable[sp.Expr], printer: Printer) -> list[str]:
     """Return the lines that load the symbols and compute the intermediate quantities in `expressions`, in order."""
     used = set().union(*(e.free_symbols for e in expressions))
     inner = []
@@ -164,7 +164,7 @@ def _vanishes(entry: sp.Expr) -> bool:
     return bool(sp.expand(entry) == 0)
 
 
-def _literal(printer: _Printer, expr: sp.Expr) -> str:
+def _literal(printer: Printer, expr: sp.Expr) -> str:
     return repr(float(expr)) if expr.is_Integer else printer.doprint(expr)
 
 

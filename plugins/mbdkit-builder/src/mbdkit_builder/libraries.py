@@ -106,10 +106,10 @@ def _objects(
 ) -> dict[tuple[str, str], list[Path]]:
     """Compile all symbols into a folder; return the object files of each library."""
     folder.mkdir(exist_ok=True)
-    jobs: list[tuple[list[str], list[str]]] = [([level.name], groups["lanes"]) for level in levels]
+    jobs: list[tuple[list[str], list[str]]] = [([level.name], groups.get("lanes", [])) for level in levels]
     for name in ("gradients", "collocation", "core"):
         own = [level.name for level in levels if level.of(name) == level.name]
-        jobs += [(own, groups[name][i::2]) for i in range(2)]
+        jobs += [(own, groups.get(name, [])[i::2]) for i in range(2)]
     with ThreadPoolExecutor(os.cpu_count() or 1) as pool:
         list(pool.map(lambda job: _compile(target, job[0], job[1], folder), jobs))
     found: dict[tuple[str, str], list[Path]] = {}

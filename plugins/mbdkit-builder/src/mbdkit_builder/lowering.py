@@ -9,6 +9,7 @@ from functools import partial
 from typing import Any
 
 from mbdkit.engine.native.functions import ENTRIES, KERNELS, LAWS
+from mbdkit.engine.native.machine_code import CORE, package_of
 from mbdkit_builder import (  # noqa: F401
     bundle_pointers,
     call_code,
@@ -20,9 +21,12 @@ from mbdkit_builder import (  # noqa: F401
 from mbdkit_builder.implementation import check_placeholders, define_overloads
 
 
-def symbols() -> dict[str, Callable[[], Any]]:
-    """Return, for each symbol, a function that makes its LLVM module; imports all kernels."""
-    for room in ("mbdkit.engine.kernels", "mbdkit.integrators"):
+def symbols(package: str = CORE) -> dict[str, Callable[[], Any]]:
+    """Return, for each symbol of a package, a function that makes its LLVM module; imports all kernels of mbdkit and of
+    this package.
+    """
+    rooms = ["mbdkit.engine.kernels", "mbdkit.integrators"]
+    for room in rooms if package == CORE else [*rooms, f"{package}.kernels"]:
         for module in pkgutil.iter_modules(importlib.import_module(room).__path__):
             importlib.import_module(f"{room}.{module.name}")
     found: dict[str, Callable[[], Any]] = {}
@@ -32,7 +36,7 @@ def symbols() -> dict[str, Callable[[], Any]]:
         found[name] = partial(object_code.law_module, name, law.function, duals=False)
         name = f"{name}__dual"
         found[name] = partial(object_code.law_module, name, law.function, duals=True)
-    return dict(sorted(found.items()))
+    return {symbol: found[symbol] for symbol in sorted(found) if package_of(symbol) == package}
 
 
 def prepare() -> None:

@@ -12,32 +12,39 @@ from functools import cache
 from pathlib import Path
 
 from mbdkit.base.errors import MbdkitError
-from mbdkit.engine.native.machine_code import PACKAGE, digest
+from mbdkit.engine.native.machine_code import CORE, digest, kernel_packages, package_of, source_file
 
 _ROOMS = ("engine/kernels/", "integrators/", "engine/native/")
+"""Rooms of mbdkit that kernels may import; other packages have them in ``kernels``."""
 _ALWAYS = ("engine/native/bundle.py", "engine/native/kernel.py", "engine/native/levels.py")
-_IMPORT = re.compile(r"^(?:from mbdkit\.([\w.]+) import|import mbdkit\.([\w.]+))", re.MULTILINE)
+_IMPORT = re.compile(r"^(?:from|import) (\w+)\.([\w.]+)(?: import \(?([\w, ]+))?", re.MULTILINE)
 
 
 def module_of(symbol: str) -> str:
-    """Return the source file of a symbol, relative to the package mbdkit."""
-    name = symbol.partition("__")[0]
-    for room in ("integrators", "engine/kernels"):
-        if (PACKAGE / room / f"{name}.py").is_file():
-            return f"{room}/{name}.py"
+    """Return the source file of a symbol; see `mbdkit.engine.native.machine_code.source_file`."""
+    package, name = package_of(symbol), symbol.rpartition("___")[2].partition("__")[0]
+    for room in ("integrators/", "engine/kernels/") if package == CORE else (f"{package}:kernels/",):
+        if source_file(f"{room}{name}.py").is_file():
+            return f"{room}{name}.py"
     raise MbdkitError(f"there is no kernel '{symbol}'")
 
 
 @cache
 def _imported(file: str) -> tuple[str, ...]:
-    text = (PACKAGE / file).read_text(encoding="utf-8")
-    paths = ((first or second).replace(".", "/") + ".py" for first, second in _IMPORT.findall(text))
-    return tuple(path for path in paths if path.startswith(_ROOMS) and (PACKAGE / path).is_file())
+    paths = []
+    for package, module, names in _IMPORT.findall(source_file(file).read_text(encoding="utf-8")):
+        if package not in kernel_packages():
+            continue
+        place = module.replace(".", "/")
+        rooms, prefix = (_ROOMS, "") if package == CORE else (("kernels/",), f"{package}:")
+        modules = (place, *(f"{place}/{name.strip()}" for name in names.split(",")))
+        paths += [f"{prefix}{path}.py" for path in modules if path.startswith(rooms)]
+    return tuple(path for path in paths if source_file(path).is_file())
 
 
 @cache
 def files_behind(file: str) -> tuple[str, ...]:
-    """Return the files of mbdkit that the code of a module follows from, sorted, relative to the package."""
+    """Return the files that the code of a module follows from, sorted."""
     found, waiting = set(), [file, *_ALWAYS, "expressions/operations.py"]
     while waiting:
         path = waiting.pop()
@@ -50,12 +57,13 @@ def files_behind(file: str) -> tuple[str, ...]:
 @cache
 def builder_digests() -> dict[str, str]:
     """Return the digests of the files of this package from which the code of every module follows."""
-    files = sorted(Path(__file__).parent.glob("*.py"))
-    return {path.name: digest(str(path)) for path in files if path.name not in _NOT_COMPILED}
+    names = sorted(path.name for path in Path(__file__).parent.glob("*.py"))
+    return {name: digest(f"{__package__}:{name}") for name in names if name not in _NOT_COMPILED}
 
 
 _NOT_COMPILED = {
     "__main__.py",
+    "contact_kernels.py",
     "element_kernels.py",
     "function_laws.py",
     "generated_files.py",

@@ -1,4 +1,4 @@
-"""Linear complementarity problems, solved by Lemke's method, and forces of contacts with planar Coulomb friction."""
+"""Forces of contacts with planar Coulomb friction."""
 
 from __future__ import annotations
 
@@ -7,94 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from mbdkit.engine.kernels.cone_sweeps import couple_contacts, sweep_contacts
-
-TINY = (1e-11, 1e-8, 1e-5)
-"""Entries of a scaled tableau whose magnitude is below the first of these are treated as zero; the next one is tried if
-the solution is inaccurate. Rows of contacts on one surface are equal up to gaps in the order of 1e-10 m, and a pivot
-that is the difference of two such rows has lost most of its digits."""
-ACCURATE = 1e-9
-"""Largest error of an accurate solution of a scaled problem."""
-
-
-def complementary(matrix: np.ndarray, right: np.ndarray) -> tuple[np.ndarray, np.ndarray] | None:
-    """Return the solution of a linear complementarity problem, by Lemke's method with the thresholds `TINY` in turn.
-
-    See `_pivoted`. If no solution is accurate, the most accurate one is returned.
-    """
-    best, least = None, np.inf
-    for tiny in TINY:
-        solved = _pivoted(matrix, right, tiny)
-        if solved is None:
-            continue
-        z = solved[0]
-        w = matrix @ z + right
-        error = float(np.max([-w, np.minimum(z, w)], initial=0.0)) / max(1.0, float(np.max(z, initial=0.0)))
-        if error <= ACCURATE:
-            return solved
-        if error < least:
-            best, least = solved, error
-    return best
-
-
-def _pivoted(matrix: np.ndarray, right: np.ndarray, tiny: float) -> tuple[np.ndarray, np.ndarray] | None:
-    """Return z with ``w = matrix z + right``, ``z >= 0``, ``w >= 0`` and ``z . w = 0``, by Lemke's method.
-
-    R. W. Cottle, J.-S. Pang and R. E. Stone, The Linear Complementarity Problem, 1992, section 4.4.
-
-    Parameters
-    ----------
-    matrix, right
-        (n, n) and (n,).
-    tiny
-        Magnitude below which entries are treated as zero, relative to the largest in the column, if this is above 1.
-
-    Returns
-    -------
-    z, is_basic
-        (n,) solution, and (n,) whether z_i, rather than w_i, is in the basis. None is returned in place of both if the
-        method ends on a ray without a solution, or takes too many steps.
-    """
-    n = len(right)
-    if n == 0 or np.min(right) >= 0.0:
-        return np.zeros(n), np.zeros(n, dtype=bool)
-    # Columns: w, z, the artificial variable, right side. The columns of w record the inverse of the basis, which the
-    # lexicographic rule needs to break ties.
-    tableau = np.hstack([np.eye(n), -matrix, -np.ones((n, 1)), right[:, None]])
-    basis = np.arange(n)
-    entering, row = 2 * n, int(np.argmin(right))
-    for _ in range(50 * (n + 1)):
-        tableau[row] /= tableau[row, entering]
-        others = np.arange(n) != row
-        tableau[others] -= np.outer(tableau[others, entering], tableau[row])
-        leaving, basis[row] = int(basis[row]), entering
-        if leaving == 2 * n:
-            z = np.zeros(2 * n)
-            z[basis] = tableau[:, -1]
-            is_basic = np.isin(np.arange(n, 2 * n), basis)
-            return np.maximum(z[n:], 0.0), is_basic
-        entering = leaving + n if leaving < n else leaving - n
-        column = tableau[:, entering]
-        able = np.flatnonzero(column > tiny * max(1.0, float(np.max(np.abs(column)))))
-        if not len(able):
-            return None
-        row = _smallest_ratio(tableau, column, able, basis, 2 * n, tiny)
-    return None
-
-
-def _smallest_ratio(
-    tableau: np.ndarray, column: np.ndarray, able: np.ndarray, basis: np.ndarray, artificial: int, tiny: float
-) -> int:
-    """Return the row that leaves the basis; on a tie, the artificial one if possible, else the lexicographic least."""
-    ratios = tableau[able, -1] / column[able]
-    able = able[ratios <= np.min(ratios) + tiny * max(1.0, abs(float(np.min(ratios))))]
-    if artificial in basis[able]:
-        return int(able[basis[able] == artificial][0])
-    for place in range(len(basis)):
-        if len(able) == 1:
-            break
-        ratios = tableau[able, place] / column[able]
-        able = able[ratios <= np.min(ratios) + tiny]
-    return int(able[0])
+from mbdkit_contact.kernels.pivoting import cone_forces, new_cones
 
 
 class Pushed(NamedTuple):
@@ -151,37 +64,12 @@ def coulomb(
         and the limits of friction follow from the sums.
     """
     k = len(normal)
-    sliding, pressed = (np.broadcast_to(np.asarray(x, dtype=float), (k,)) for x in (sliding, pressed))
-    size = np.sqrt(np.maximum(np.diag(response)[:k], np.diag(response)[k:]))
-    scale = 1.0 / np.where(size > 0.0, size, 1.0)
-    both = np.concatenate([scale, scale])
-    response = both[:, None] * response * both
-    b_n, b_t = scale * normal, scale * tangent
-    nn, nt, tn, tt = (response[i : i + k, j : j + k] for i in (0, k) for j in (0, k))
-    slides = sliding != 0
-    nn = nn - nt * np.where(slides, friction * sliding, 0.0)
-    sticks = np.flatnonzero(~slides & (friction > 0.0))
-    m = len(sticks)
-    tn = tn - tt * np.where(slides, friction * sliding, 0.0)
-    nt, tn, tt = nt[:, sticks], tn[sticks], tt[np.ix_(sticks, sticks)]
-    one, none = np.eye(m), np.zeros((m, m))
-    cone = np.zeros((m, k))
-    cone[np.arange(m), sticks] = friction[sticks]
-    matrix = np.block(
-        [[nn, nt, -nt, np.zeros((k, m))], [tn, tt, -tt, one], [-tn, -tt, tt, one], [cone, -one, -one, none]]
-    )
-    right = np.concatenate([b_n, b_t[sticks], -b_t[sticks], (friction * pressed / scale)[sticks]])
-    largest = float(np.max(np.abs(right), initial=0.0))
-    solved = complementary(matrix, right / (largest or 1.0))
-    if solved is None:
+    cones = new_cones(k)
+    cones.response[:], cones.free[:k], cones.free[k:] = response, normal, tangent
+    cones.friction[:], cones.sliding[:], cones.pressed[:] = friction, sliding, pressed
+    if not cone_forces(cones, k):
         return None
-    z, is_basic = largest * solved[0], solved[1]
-    forces = z[:k]
-    t = np.where(slides, -friction * sliding * forces, 0.0)
-    t[sticks] = z[k : k + m] - z[k + m : k + 2 * m]
-    slips = slides | (friction == 0.0)
-    slips[sticks] = is_basic[k + 2 * m :]
-    return Pushed(scale * forces, scale * t, is_basic[:k], slips)
+    return Pushed(cones.forces[:k], cones.forces[k:], cones.closed > 0, cones.slipping > 0)
 
 
 class Coupled(NamedTuple):
@@ -263,46 +151,3 @@ def swept(
         return None
     pushes, rubs = impulses.T
     return Pushed(pushes, rubs, pushes > 0.0, np.abs(rubs) >= friction * pushes, changed / (size or 1.0))
-
-
-def stronge(response: np.ndarray, before: np.ndarray, friction: float, e: float) -> np.ndarray:
-    """Return the impulses (2,) of one contact, normal and tangential, by Stronge's law, which never gains energy.
-
-    The normal impulse p grows from 0. Its work in restitution is -e^2 times that in compression, and the friction
-    impulse follows Coulomb's law at every p (W. J. Stronge, Impact Mechanics, 2000, chapter 5).
-
-    Parameters
-    ----------
-    response
-        (2, 2) matrix that maps impulses to velocities, normal component first.
-    before
-        (2,) normal and tangential velocity before the impact; the normal one is negative.
-    friction
-        Coefficient of friction.
-    e
-        Coefficient of restitution.
-    """
-    v, p, tangential, work, goal = before.astype(float), 0.0, 0.0, 0.0, np.inf
-    for _ in range(8):  # slip ends at most once, and so does compression
-        ratio = -np.sign(v[1]) * friction
-        if v[1] == 0.0:
-            ratio = float(np.clip(-response[1, 0] / response[1, 1], -friction, friction))
-        slope = response @ np.array([1.0, ratio])
-        ends = -v[1] / slope[1] if v[1] * slope[1] < 0.0 else np.inf
-        turns = -v[0] / slope[0] if v[0] < 0.0 < slope[0] else np.inf
-        rises = np.inf
-        if v[0] >= 0.0 and slope[0] > 0.0:  # the remaining work, v0 dp + slope dp^2 / 2
-            rises = (np.sqrt(v[0] ** 2 + 2.0 * slope[0] * max(goal - work, 0.0)) - v[0]) / slope[0]
-        more = min(ends, turns, rises)
-        if not np.isfinite(more):
-            break
-        work += more * (v[0] + 0.5 * slope[0] * more)
-        p, tangential = p + more, tangential + ratio * more
-        v = v + slope * more
-        if more == ends:
-            v[1] = 0.0
-        if more == turns:
-            v[0], goal, work = 0.0, -e * e * work, 0.0
-        elif more == rises:
-            break
-    return np.array([p, tangential])

@@ -7,20 +7,17 @@ from typing import NamedTuple
 import numpy as np
 
 from mbdkit.base.errors import StepError
-from mbdkit_contact.complementarity import coulomb, stronge
+from mbdkit_contact.kernels.impacts import (
+    AS_ASKED,
+    LAWS,
+    UNSOLVED,
+    new_impacts,
+    new_strike,
+    order_matters,
+    strike_all,
+    strike_by_stronge,
+)
 from mbdkit_contact.rigid_contacts import RigidContacts
-
-SMALL_RESTITUTION = 1e-3
-"""If an impact would gain energy, the coefficients of restitution are reduced in steps of 10 %; values up to this are
-set to 0.
-"""
-
-ORDER_MATTERS, STOPPED = 1e-6, 1e-9
-"""Velocities of contacts, relative to the largest before an impact: differences above the first depend on the order of
-impacts, and approach below the second ends a sequence of impacts.
-"""
-MOST_STRIKES = 100
-"""Largest number of impacts, for each contact, in a sequence of single impacts."""
 
 
 class Struck(NamedTuple):
@@ -63,29 +60,18 @@ def struck(
     some, rows = np.flatnonzero(touching), contacts.kinematics.rows(q, v)
     response, both = contacts.response(t, q, rows, some)
     before = both @ v
-    impulses, is_asked = _without_gain(contacts, law, response, before, e[some], some)
+    k, strike = len(some), new_strike(len(some))
+    strike.cones.response[:], strike.cones.friction[:] = response, contacts.kinetic[some]
+    strike.before[:], strike.restitution[:] = before, e[some]
+    outcome = strike_all(strike, k, LAWS.index(law))
+    if outcome == UNSOLVED:
+        raise StepError("contact-solver", "no impulses of the contacts satisfy the law of impact")
+    impulses = strike.impulses
     normal, tangent = np.zeros(len(touching)), np.zeros(len(touching))
     normal[some], tangent[some] = np.split(impulses, 2)
     moved, loaded = contacts.answers(t, q, both)
     ordered = some[depend_on_order(contacts, law, response, before, e[some], some)]
-    return Struck(v + moved @ impulses, normal, tangent, loaded @ impulses, is_asked, ordered)
-
-
-def _without_gain(
-    contacts: RigidContacts, law: str, response: np.ndarray, before: np.ndarray, e: np.ndarray, some: np.ndarray
-) -> tuple[np.ndarray, bool]:
-    """Return the impulses (2 k,) of k contacts, normal ones first, and whether they follow the given law.
-
-    If the law would create energy, another one is used.
-    """
-    impulses = _impulses(contacts, law, response, before, e, some)
-    is_asked = not _gains(response, before, impulses)
-    if not is_asked and len(some) == 1:
-        impulses = stronge(response, before, float(contacts.kinetic[some[0]]), float(e[0]))
-    while _gains(response, before, impulses) and np.any(e):
-        e = np.where(e > SMALL_RESTITUTION, 0.9 * e, 0.0)
-        impulses = _impulses(contacts, "poisson", response, before, e, some)
-    return impulses, is_asked
+    return Struck(v + moved @ impulses, normal, tangent, loaded @ impulses, outcome == AS_ASKED, ordered)
 
 
 def depend_on_order(
@@ -106,52 +92,29 @@ def depend_on_order(
     some
         (k,) indices of the contacts.
     """
-    k, size = len(some), float(np.max(np.abs(before), initial=0.0))
-    blocks = np.abs(response.reshape(2, k, 2, k)).max(axis=(0, 2))
-    if k < 2 or np.all(blocks - np.diag(np.diag(blocks)) <= STOPPED * np.max(blocks)):
-        return np.zeros(k, dtype=bool)
-    turns = [tuple((i + j) % k for j in range(k)) for i in range(k)]
-    try:
-        together = before + response @ _without_gain(contacts, law, response, before, e, some)[0]
-        for order in dict.fromkeys(turns + [turn[::-1] for turn in turns]):
-            u = before.copy()
-            for _ in range(MOST_STRIKES * k):
-                first = next((i for i in order if u[i] < -STOPPED * size), None)
-                if first is None:
-                    break
-                own = np.array([first, first + k])
-                alone = response[np.ix_(own, own)]
-                u += response[:, own] @ _without_gain(contacts, law, alone, u[own], e[own[:1]], some[own[:1]])[0]
-            unfinished = -float(np.min(u[:k], initial=0.0))
-            differs = np.abs(u - together) > ORDER_MATTERS * size + MOST_STRIKES * unfinished
-            if np.any(differs):
-                return np.asarray(differs.reshape(2, k).any(axis=0))
-    except StepError:  # a contact alone has no solution
-        pass
-    return np.zeros(k, dtype=bool)
+    k, x = len(some), new_impacts(len(some))
+    x.all.cones.response[:], x.all.cones.friction[:] = response, contacts.kinetic[some]
+    x.all.before[:], x.restitution[:] = before, e
+    order_matters(x, k, LAWS.index(law))
+    return x.ordered > 0
 
 
-def _gains(response: np.ndarray, before: np.ndarray, impulses: np.ndarray) -> bool:
-    """Return whether impulses would increase the kinetic energy by more than rounding errors do."""
-    gain = impulses @ (before + 0.5 * response @ impulses)
-    return bool(gain > 1e-12 * (np.abs(impulses) @ np.abs(before)))
+def stronge(response: np.ndarray, before: np.ndarray, friction: float, e: float) -> np.ndarray:
+    """Return the impulses (2,) of one contact, normal and tangential, by Stronge's law, which never gains energy.
 
-
-def _impulses(
-    contacts: RigidContacts, law: str, response: np.ndarray, before: np.ndarray, e: np.ndarray, some: np.ndarray
-) -> np.ndarray:
-    """Return the impulses (2 k,) of k contacts, normal ones first, by the law of Newton or of Poisson."""
-    k = len(some)
-
-    def solved(velocities: np.ndarray, pressed: np.ndarray | float = 0.0) -> np.ndarray:
-        found = coulomb(response, velocities[:k], velocities[k:], contacts.kinetic[some], pressed=pressed)
-        if found is None:
-            raise StepError("contact-solver", "no impulses of the contacts satisfy the law of impact")
-        return np.concatenate([found.normal, found.tangent])
-
-    if law == "newton":
-        back = np.where(before[:k] < 0.0, e * before[:k], 0.0)
-        return solved(before + np.concatenate([back, np.zeros(k)]))
-    pressed = solved(before)
-    least = np.concatenate([e * pressed[:k], np.zeros(k)])
-    return pressed + least + solved(before + response @ (pressed + least), least[:k])
+    Parameters
+    ----------
+    response
+        (2, 2) matrix that maps impulses to velocities, normal component first.
+    before
+        (2,) normal and tangential velocity before the impact; the normal one is negative.
+    friction
+        Coefficient of friction.
+    e
+        Coefficient of restitution.
+    """
+    strike = new_strike(1)
+    strike.cones.response[:], strike.cones.friction[:] = response, friction
+    strike.before[:], strike.restitution[:] = before, e
+    strike_by_stronge(strike)
+    return strike.impulses

@@ -8,10 +8,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from mbdkit.mechanism.contacts import OPEN, SLIP, STICK
-from mbdkit_contact.complementarity import Pushed, stronge
-from mbdkit_contact.contact_impacts import SMALL_RESTITUTION, depend_on_order
+from mbdkit_contact.complementarity import Pushed
+from mbdkit_contact.contact_impacts import depend_on_order, stronge
 from mbdkit_contact.contact_kinematics import FEW, Rows
 from mbdkit_contact.contact_state import ContactState
+from mbdkit_contact.kernels.impacts import SMALL_RESTITUTION
 from mbdkit_contact.rigid_contacts import SAME_ACCELERATION, RigidContacts
 
 MANY = 40

@@ -1,0 +1,1 @@
+"""Kernels of rigid contacts, whose machine code is stored beside this folder."""
