@@ -97,8 +97,8 @@ class EquationsOfMotion:
         Whether loads, drivers or dampers are present, so that work is done or energy is dissipated.
     first_step
         Size of the first step that the user asks for [s]; None if the method chooses it.
-    address
-        Address of the data for the kernels; for internal use.
+    address, pairs
+        Address of the data for the kernels, and number of pairs of constraint rows; for internal use.
     """
 
     def __init__(self, workspace: Workspace, z0: np.ndarray | None = None):
@@ -106,7 +106,7 @@ class EquationsOfMotion:
         self._workspace, self._calls = workspace, EquationCalls(workspace)
         self.address = self._calls.address
         self.n, self.m = 3 * len(mechanism.bodies), len(mechanism.solved_rows)
-        self.bodies = mechanism.bodies
+        self.bodies, self.pairs = mechanism.bodies, len(mechanism.topology.pairs)
         self.constraint_names = tuple(row.label for row in mechanism.solved_rows)
         self.formulation, self.stabilization = workspace.formulation, workspace.stabilization
         self.mass = mechanism.topology.mass[:-1].ravel()  # a view of the array that the kernels read
@@ -514,18 +514,21 @@ class EquationsOfMotion:
         if not len(self.z0):
             self._at(q, v)
             return *self._solved(self._calls.accelerations, t), vector(z, 0).copy()
-        found = self._forms.evaluated(t, q, v, z, self._checked)
+        found = self._forms.evaluated(t, q, v, z, self.solved_by)
         if found is None:
             raise self._not_finite()
         return found
 
     def _solved(self, solve: Callable[[float], int], t: float) -> tuple[np.ndarray, np.ndarray]:
         """Solve a system with the index-1 matrix."""
-        self._checked(solve, t)
+        self.solved_by(solve, t)
         return self._calls.x.copy(), self._calls.mu.copy()
 
-    def _checked(self, solve: Callable[[float], int], t: float) -> None:
-        """Call `solve` at a time, with new pivots if the current ones fail; raise StepError if there is no solution."""
+    def solved_by(self, solve: Callable[[float], int], t: float) -> None:
+        """Call `solve` at a time, with new pivots if the current ones fail; raise StepError if there is no solution.
+
+        `solve` calls a kernel with `address`, which returns a status; for internal use.
+        """
 
         def counted() -> int:
             self.counters.factorizations += 1

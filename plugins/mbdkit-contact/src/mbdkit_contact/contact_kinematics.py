@@ -233,6 +233,10 @@ class ContactKinematics:
         chosen = self._all if some is None else np.ascontiguousarray(some, dtype=np.int64)
         values = np.empty((len(chosen), 16))
         self._rows_at(np.ascontiguousarray(q), np.ascontiguousarray(v), chosen, values)
+        return self.rows_of(values, chosen)
+
+    def rows_of(self, values: np.ndarray, chosen: np.ndarray) -> Rows:
+        """Return rows from the quantities (k, 16) of contacts with the indices `chosen` (k,); see `rows_at`."""
         gradients = np.ascontiguousarray(values[:, 2:14].reshape(-1, 2, 6).transpose(1, 0, 2))
         gap, slip, normal_right, tangent_right = np.ascontiguousarray(values[:, [0, 1, 14, 15]].T)
         return Rows(gap, slip, normal_right, tangent_right, self._bodies[chosen], gradients, self._n)

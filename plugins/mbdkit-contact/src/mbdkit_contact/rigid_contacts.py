@@ -9,16 +9,14 @@ import numpy as np
 
 from mbdkit.base.errors import StepError
 from mbdkit.engine.equations_of_motion import EquationsOfMotion
+from mbdkit.engine.repeated_call import RepeatedCall
 from mbdkit.integrators.interface import StepTaken
 from mbdkit.mechanism.contacts import OPEN, SLIP, STICK
 from mbdkit.methods.step_methods import Dense, Step, StepEvent, StepState
 from mbdkit_contact.complementarity import PRECISION, Pushed, coulomb, coupled_by_all, coupled_by_bodies, swept
 from mbdkit_contact.contact_kinematics import FEW, ContactKinematics, Rows
 from mbdkit_contact.contact_state import ContactState, HeldForces
-
-SINGULAR = 1e-11
-"""Singular values of the equations of contact forces below this share of the largest one indicate redundant rows."""
-
+from mbdkit_contact.kernels.closed_contacts import SINGULAR, closed_accelerations, new_closed_contacts
 
 FREE = 1e-6
 """Smallest component of a null vector, of length 1, that makes the force of a contact ambiguous."""
@@ -64,11 +62,12 @@ class RigidContacts:
         self._is_own[self.held.states] = False
         self.names = [one.pair.name for one in self.contacts]
         given = np.array([one.coefficients for one in self.contacts]).reshape(-1, 3)
-        self.restitution, self.static, self.kinetic = given.T
+        self.restitution, self.static, self.kinetic = np.ascontiguousarray(given.T)
         self.kinematics = ContactKinematics(self.contacts, equations.n, equations.length)
         #: Inverse masses (B + 1, 3), ground last, and whether a body is coupled to others by contacts only.
         self._lightness = np.vstack([1.0 / equations.mass.reshape(-1, 3), np.zeros(3)])
         self._is_free = np.zeros(len(self._lightness), dtype=bool)
+        self._take_room(min(len(self.names), FEW))
 
     @classmethod
     def on(cls, equations: EquationsOfMotion) -> RigidContacts:
@@ -147,33 +146,28 @@ class RigidContacts:
         StepError
             ``painleve`` if a slipping contact would be pulled together by its own friction.
         """
-        a, multipliers = self.p.accelerations(t, q, v)
-        normal, tangent = np.zeros((2, len(modes)))
-        closed = np.flatnonzero(modes != OPEN)
-        rows = self.kinematics.rows(q, v, closed if only_closed else None)
-        if not len(closed):
-            return Forced(a, multipliers, normal, tangent, rows)
-        places = np.arange(len(closed)) if only_closed else closed
-        share, sticks = self._shares(modes, closed), np.flatnonzero(modes[closed] == STICK)
-        held, pushed = _directions(rows, places, share, sticks)
-        moved, loaded = self.answers(t, q, pushed)
-        right = np.concatenate([rows.normal_right[places], rows.tangent_right[places[sticks]]]) - held @ a
-        matrix = held @ moved
-        own = np.diag(matrix)[: len(closed)]
-        if np.any((own <= 0.0) & (share != 0.0)):
-            name = self.names[closed[int(np.argmin(own))]]
+        p, count = self.p, int(np.count_nonzero(modes != OPEN))
+        if count > len(self._closed.closed):
+            self._take_room(2 * count)
+        some = self._closed
+        a, multipliers, normal, tangent = np.empty(p.n), np.empty(p.m), np.zeros(len(modes)), np.zeros(len(modes))
+        given = (np.ascontiguousarray(x, dtype=float) for x in (q, v))
+        arguments = (*given, np.ascontiguousarray(modes, dtype=np.int64), a, multipliers)
+        p.counters.rhs_evaluations += 1
+        p.solved_by(lambda at: self._forced_at(at, *arguments), t)
+        closed = some.closed[:count].copy()
+        if some.failed[0] >= 0:
+            name = self.names[closed[some.failed[0]]]
             raise StepError("painleve", f"the friction of contact '{name}' presses it together more than it is pressed")
-        forces, _, rank, _ = np.linalg.lstsq(matrix, right, rcond=SINGULAR)
-        pushes = forces[: len(closed)]
-        # redundant contacts that stick share the friction force in proportion to their normal forces
-        if rank < len(forces) and len(sticks):
-            weights = np.ones(len(forces))
-            weights[len(closed) :] = np.sqrt(np.maximum(pushes[sticks], 1e-9 * np.max(np.abs(pushes))))
-            forces = weights * np.linalg.lstsq(matrix * weights, right, rcond=SINGULAR)[0]
-            pushes = forces[: len(closed)]
-        normal[closed], tangent[closed] = pushes, share * pushes
-        tangent[closed[sticks]] = forces[len(closed) :]
-        return Forced(a + moved @ forces, multipliers + loaded @ forces, normal, tangent, rows)
+        normal[closed], tangent[closed] = some.normal[:count], some.tangent[:count]
+        rows = self.kinematics.rows_of(some.rows[:count], closed) if only_closed else self.kinematics.rows(q, v)
+        return Forced(a, multipliers, normal, tangent, rows)
+
+    def _take_room(self, most: int) -> None:
+        """Allocate the arrays for up to `most` closed contacts."""
+        p = self.p
+        self._closed = new_closed_contacts(self.kinematics.shapes, self.kinetic, most, p.n, p.pairs)
+        self._forced_at = RepeatedCall(closed_accelerations, p.address, None, self._closed, *(None,) * 5)
 
     def _shares(self, modes: np.ndarray, closed: np.ndarray) -> np.ndarray:
         """Return the ratios of friction force and normal force of closed contacts that slip; 0 for those that stick."""

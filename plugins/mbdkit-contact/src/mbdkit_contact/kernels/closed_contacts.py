@@ -1,0 +1,278 @@
+"""Accelerations of a mechanism with rigid contacts in given modes."""
+
+from __future__ import annotations
+
+from math import sqrt
+from typing import Annotated, NamedTuple
+
+import numpy as np
+
+from mbdkit.engine.kernels.accelerations import solve_loaded, substitute_by_pivots, substitute_by_schur
+from mbdkit.engine.kernels.bundle_types import IntVector, RealCube, RealMatrix, RealVector
+from mbdkit.engine.kernels.equations import load_equations
+from mbdkit.engine.kernels.system import NOT_FINITE, OK, prepare, solved_rows
+from mbdkit.engine.kernels.vectors import copy
+from mbdkit.engine.native.functions import kernel, subkernel
+from mbdkit.mechanism.contacts import OPEN, SLIP, STICK
+from mbdkit_contact.kernels.kinematics import Shapes, choose, place, row_of
+
+SINGULAR = 1e-11
+"""Singular values of the equations of contact forces below this share of the largest one indicate redundant rows."""
+MOST_SWEEPS = 60
+"""Largest number of sweeps of the singular value decomposition, which needs about six."""
+EPS = float(np.finfo(float).eps)
+
+
+class ClosedContacts(NamedTuple):
+    """Up to K closed contacts of C, with U <= 2 K unknown forces, and work arrays; N = 3 (B + 1)."""
+
+    shapes: Shapes
+    kinetic: RealVector
+    """(C,) coefficients of kinetic friction."""
+    closed: IntVector
+    """(K,) result: indices of the closed contacts, and for each that sticks the index of its friction force, or -1."""
+    sticks: IntVector
+    rows: Annotated[RealMatrix, 16]
+    """(K, 16) result: quantities of the closed contacts; see `mbdkit.symbolic.contact_rows.QUANTITIES`."""
+    share: RealVector
+    """(K,) ratios of friction force and normal force of contacts that slip; 0 for those that stick."""
+    normal: RealVector
+    """(K,) results: normal and friction forces."""
+    tangent: RealVector
+    failed: IntVector
+    """(1,) result: place of a closed contact that its own friction presses together more than it is pressed, or -1."""
+    held: RealMatrix
+    """(U, N) derivatives of the constraints that closed contacts impose, and (U, N) directions of their forces."""
+    pushed: RealMatrix
+    moved: RealMatrix
+    """(U, N) accelerations and (U, P, 2) multipliers that unit forces cause alone."""
+    loaded: RealCube
+    free: RealVector
+    """(N,) accelerations and (P, 2) multipliers without contacts."""
+    free_lam: RealMatrix
+    matrix: RealMatrix
+    """(U, U) equations of the forces, and work arrays of their solution."""
+    columns: RealMatrix
+    turns: RealMatrix
+    right: RealVector
+    forces: RealVector
+    weights: RealVector
+    sizes: RealVector
+
+
+def new_closed_contacts(shapes: Shapes, kinetic: np.ndarray, most: int, n: int, pairs: int) -> ClosedContacts:
+    """Return arrays for up to `most` closed contacts of a mechanism with n coordinates and P pairs of rows."""
+    u, size = 2 * most, n + 3
+    square = (u, u)
+    return ClosedContacts(
+        shapes, kinetic, np.zeros(most, dtype=np.int64), np.zeros(most, dtype=np.int64), np.zeros((most, 16)),
+        np.zeros(most), np.zeros(most), np.zeros(most), np.zeros(1, dtype=np.int64),
+        np.zeros((u, size)), np.zeros((u, size)), np.zeros((u, size)), np.zeros((u, pairs, 2)),
+        np.zeros(size), np.zeros((pairs, 2)), np.zeros(square), np.zeros(square), np.zeros(square),
+        np.zeros(u), np.zeros(u), np.zeros(u), np.zeros(u),
+    )  # fmt: skip
+
+
+@subkernel
+def least_squares(s, count):
+    """Write the solution of least norm of ``matrix diag(weights) x = right`` into ``s.forces``; return the rank.
+
+    The singular values and vectors are found by rotations of the columns (M. R. Hestenes, Journal of the Society for
+    Industrial and Applied Mathematics 6:51-90, 1958). ``columns[j]`` is column j of the rotated matrix.
+    """
+    a, v = s.columns, s.turns
+    for j in range(count):
+        for i in range(count):
+            a[j, i], v[j, i] = s.matrix[i, j] * s.weights[j], 0.0
+        v[j, j] = 1.0
+    for _ in range(MOST_SWEEPS):
+        rotated = False
+        for p in range(count - 1):
+            for q in range(p + 1, count):
+                alpha = beta = gamma = 0.0
+                for i in range(count):
+                    alpha += a[p, i] * a[p, i]
+                    beta += a[q, i] * a[q, i]
+                    gamma += a[p, i] * a[q, i]
+                if abs(gamma) <= EPS * sqrt(alpha * beta):
+                    continue
+                rotated = True
+                zeta = (beta - alpha) / (2.0 * gamma)
+                t = (1.0 if zeta >= 0.0 else -1.0) / (abs(zeta) + sqrt(1.0 + zeta * zeta))
+                c = 1.0 / sqrt(1.0 + t * t)
+                sine = c * t
+                for i in range(count):
+                    a[p, i], a[q, i] = c * a[p, i] - sine * a[q, i], sine * a[p, i] + c * a[q, i]
+                    v[p, i], v[q, i] = c * v[p, i] - sine * v[q, i], sine * v[p, i] + c * v[q, i]
+        if not rotated:
+            break
+    largest = 0.0
+    for j in range(count):
+        square = 0.0
+        for i in range(count):
+            square += a[j, i] * a[j, i]
+        s.sizes[j], s.forces[j] = square, 0.0
+        largest = max(largest, square)
+    rank = 0
+    for j in range(count):
+        if not s.sizes[j] > SINGULAR * SINGULAR * largest:
+            continue
+        rank += 1
+        product = 0.0
+        for i in range(count):
+            product += a[j, i] * s.right[i]
+        for i in range(count):
+            s.forces[i] += product / s.sizes[j] * v[j, i]
+    return rank
+
+
+@subkernel
+def _directions(s, modes):
+    """Find the closed contacts, and write the constraints that they impose; return their number, and that of forces.
+
+    First come the gaps of the k contacts, with friction that is a share of the normal force, and then the slips of
+    those that stick.
+    """
+    k = 0
+    last = -1
+    for i in range(len(modes)):
+        if modes[i] != OPEN:
+            if s.shapes.contacts[i, 3] != last:
+                last = s.shapes.contacts[i, 3]
+                choose(s.shapes, last)
+            row_of(s.shapes, i, s.rows[k])
+            s.closed[k], s.sticks[k] = i, -1
+            s.share[k] = -s.kinetic[i] if modes[i] == SLIP else s.kinetic[i] if modes[i] == -SLIP else 0.0
+            k += 1
+    count = k
+    for j in range(k):
+        if modes[s.closed[j]] == STICK:
+            s.sticks[j] = count
+            count += 1
+    ground = len(s.free) - 3
+    for j in range(count):
+        for d in range(len(s.free)):
+            s.held[j, d] = s.pushed[j, d] = 0.0
+    for j in range(k):
+        first, second = 3 * s.shapes.contacts[s.closed[j], 0], 3 * s.shapes.contacts[s.closed[j], 1]
+        for d in range(6):
+            at = first + d if d < 3 else second + d - 3
+            if at >= ground:
+                continue
+            along, across = s.rows[j, 2 + d], s.rows[j, 8 + d]
+            s.held[j, at] += along
+            s.pushed[j, at] += along + s.share[j] * across
+            if s.sticks[j] >= 0:
+                s.held[s.sticks[j], at] += across
+                s.pushed[s.sticks[j], at] += across
+    for j in range(k):
+        s.right[j] = s.rows[j, 14]
+        if s.sticks[j] >= 0:
+            s.right[s.sticks[j]] = s.rows[j, 15]
+    return k, count
+
+
+@subkernel
+def _answers(eq, s, count):
+    """Write the accelerations and multipliers that unit forces cause alone; return a status."""
+    top, w = eq.top, eq.w
+    for j in range(len(w.gamma)):
+        w.gamma[j, 0] = w.gamma[j, 1] = 0.0
+    top.gravity[0] = top.gravity[1] = 0.0
+    for j in range(count):
+        copy(s.pushed[j], w.force)
+        if eq.solver.pivoted[0] != 0:
+            status = substitute_by_pivots(top, w, eq.solver, True, eq.a, eq.lam)
+            if status != OK:
+                return status
+        else:
+            substitute_by_schur(top, w, eq.solver.schur, True, eq.a, eq.lam, True)
+        copy(eq.a, s.moved[j])
+        for p in range(len(eq.lam)):
+            s.loaded[j, p, 0], s.loaded[j, p, 1] = eq.lam[p, 0], eq.lam[p, 1]
+    return OK
+
+
+@subkernel
+def _find_forces(s, k, count):
+    """Write the forces of the closed contacts with which their gaps, and the slips of those that stick, do not
+    accelerate.
+
+    Redundant contacts that stick share the friction force in proportion to their normal forces.
+    """
+    size = len(s.free) - 3
+    for i in range(count):
+        s.weights[i] = 1.0
+        for d in range(size):
+            s.right[i] -= s.held[i, d] * s.free[d]
+        for j in range(count):
+            s.matrix[i, j] = 0.0
+            for d in range(size):
+                s.matrix[i, j] += s.held[i, d] * s.moved[j, d]
+    s.failed[0] = -1
+    for j in range(k):
+        if s.matrix[j, j] <= 0.0 and s.share[j] != 0.0 and s.failed[0] < 0:
+            s.failed[0] = j
+    if s.failed[0] >= 0:
+        return
+    rank = least_squares(s, count)
+    if rank < count and count > k:
+        largest = 0.0
+        for j in range(k):
+            largest = max(largest, abs(s.forces[j]))
+        for j in range(k):
+            if s.sticks[j] >= 0:
+                s.weights[s.sticks[j]] = sqrt(max(s.forces[j], 1e-9 * largest))
+        least_squares(s, count)
+        for j in range(count):
+            s.forces[j] *= s.weights[j]
+    for j in range(k):
+        s.normal[j], s.tangent[j] = s.forces[j], s.share[j] * s.forces[j]
+        if s.sticks[j] >= 0:
+            s.tangent[j] = s.forces[s.sticks[j]]
+
+
+@kernel
+def closed_accelerations(
+    address: int, t: float, s: ClosedContacts, q: RealVector, v: RealVector, modes: IntVector, a: RealVector,
+    lam: RealVector,
+) -> int:  # fmt: skip
+    """Write the accelerations (n,) and multipliers (m,) with contacts in given modes (C,); return a status.
+
+    `address` is that of an `Equations` bundle.
+    """
+    eq = load_equations(address)
+    top, w = eq.top, eq.w
+    n = len(q)
+    for d in range(n):
+        eq.q[d], eq.v[d] = q[d], v[d]
+    prepare(top, w, t, eq.q)
+    solved_rows(top, w, eq.q, eq.v)
+    top.gravity[0], top.gravity[1] = eq.gravity[0], eq.gravity[1]
+    status = solve_loaded(top, w, eq.solver, eq.q, eq.v, eq.a, eq.lam, True)
+    if status != OK:
+        return status
+    copy(eq.a, s.free)
+    for p in range(len(eq.lam)):
+        s.free_lam[p, 0], s.free_lam[p, 1] = eq.lam[p, 0], eq.lam[p, 1]
+    place(s.shapes, q, v)
+    k, count = _directions(s, modes)
+    status = _answers(eq, s, count)
+    if status != OK:
+        return status
+    _find_forces(s, k, count)
+    if s.failed[0] >= 0:
+        return OK
+    for d in range(n):
+        a[d] = s.free[d]
+        for j in range(count):
+            a[d] += s.forces[j] * s.moved[j, d]
+        if not abs(a[d]) < np.inf:
+            return NOT_FINITE
+    for p in range(len(eq.lam)):
+        for r in range(top.rows[p]):
+            row = eq.solver.row_index[p, r] - n
+            lam[row] = s.free_lam[p, r]
+            for j in range(count):
+                lam[row] += s.forces[j] * s.loaded[j, p, r]
+    return OK
