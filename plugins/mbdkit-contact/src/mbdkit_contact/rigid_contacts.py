@@ -16,7 +16,12 @@ from mbdkit.methods.step_methods import Dense, Step, StepEvent, StepState
 from mbdkit_contact.complementarity import PRECISION, Pushed, coulomb, coupled_by_all, coupled_by_bodies, swept
 from mbdkit_contact.contact_kinematics import FEW, ContactKinematics, Rows
 from mbdkit_contact.contact_state import ContactState, HeldForces
-from mbdkit_contact.kernels.closed_contacts import SINGULAR, closed_accelerations, new_closed_contacts
+from mbdkit_contact.kernels.closed_contacts import (
+    SINGULAR,
+    closed_accelerations,
+    closed_solution,
+    new_closed_contacts,
+)
 
 FREE = 1e-6
 """Smallest component of a null vector, of length 1, that makes the force of a contact ambiguous."""
@@ -146,9 +151,7 @@ class RigidContacts:
         StepError
             ``painleve`` if a slipping contact would be pulled together by its own friction.
         """
-        p, count = self.p, int(np.count_nonzero(modes != OPEN))
-        if count > len(self._closed.closed):
-            self._take_room(2 * count)
+        p, count = self.p, self._room(modes)
         some = self._closed
         a, multipliers, normal, tangent = np.empty(p.n), np.empty(p.m), np.zeros(len(modes)), np.zeros(len(modes))
         given = (np.ascontiguousarray(x, dtype=float) for x in (q, v))
@@ -163,11 +166,35 @@ class RigidContacts:
         rows = self.kinematics.rows_of(some.rows[:count], closed) if only_closed else self.kinematics.rows(q, v)
         return Forced(a, multipliers, normal, tangent, rows)
 
+    def solution(
+        self, t: float, q: np.ndarray, force: np.ndarray, rows: np.ndarray, modes: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Solve the equations with the constraints of joints and closed contacts in given modes (C,).
+
+        See `mbdkit_contact.kernels.closed_contacts.closed_solution`; without closed contacts, `rows` are those of the
+        joints.
+        """
+        p = self.p
+        self._room(modes)
+        x, mu = np.empty(p.n), np.empty(p.m)
+        given = tuple(np.ascontiguousarray(each, dtype=float) for each in (q, force, rows))
+        arguments = (*given, np.ascontiguousarray(modes, dtype=np.int64), x, mu)
+        p.solved_by(lambda at: self._solution_at(at, *arguments), t)
+        return x, mu
+
+    def _room(self, modes: np.ndarray) -> int:
+        """Return the number of closed contacts, for which there is room afterwards."""
+        count = int(np.count_nonzero(modes != OPEN))
+        if count > len(self._closed.closed):
+            self._take_room(2 * count)
+        return count
+
     def _take_room(self, most: int) -> None:
         """Allocate the arrays for up to `most` closed contacts."""
         p = self.p
         self._closed = new_closed_contacts(self.kinematics.shapes, self.kinetic, most, p.n, p.pairs)
         self._forced_at = RepeatedCall(closed_accelerations, p.address, None, self._closed, *(None,) * 5)
+        self._solution_at = RepeatedCall(closed_solution, p.address, None, self._closed, *(None,) * 6)
 
     def _shares(self, modes: np.ndarray, closed: np.ndarray) -> np.ndarray:
         """Return the ratios of friction force and normal force of closed contacts that slip; 0 for those that stick."""

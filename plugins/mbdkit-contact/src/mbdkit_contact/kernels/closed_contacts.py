@@ -7,7 +7,7 @@ from typing import Annotated, NamedTuple
 
 import numpy as np
 
-from mbdkit.engine.kernels.accelerations import solve_loaded, substitute_by_pivots, substitute_by_schur
+from mbdkit.engine.kernels.accelerations import solve_loaded, solve_system, substitute_by_pivots, substitute_by_schur
 from mbdkit.engine.kernels.bundle_types import IntVector, RealCube, RealMatrix, RealVector
 from mbdkit.engine.kernels.equations import load_equations
 from mbdkit.engine.kernels.system import NOT_FINITE, OK, prepare, solved_rows
@@ -21,6 +21,8 @@ SINGULAR = 1e-11
 MOST_SWEEPS = 60
 """Largest number of sweeps of the singular value decomposition, which needs about six."""
 EPS = float(np.finfo(float).eps)
+ROUNDING = (100.0 * EPS) ** 2
+"""A column whose square is below this share of that of another column consists of rounding errors."""
 
 
 class ClosedContacts(NamedTuple):
@@ -94,7 +96,7 @@ def least_squares(s, count):
                     alpha += a[p, i] * a[p, i]
                     beta += a[q, i] * a[q, i]
                     gamma += a[p, i] * a[q, i]
-                if abs(gamma) <= EPS * sqrt(alpha * beta):
+                if abs(gamma) <= EPS * sqrt(alpha * beta) or min(alpha, beta) <= ROUNDING * max(alpha, beta):
                     continue
                 rotated = True
                 zeta = (beta - alpha) / (2.0 * gamma)
@@ -127,11 +129,11 @@ def least_squares(s, count):
 
 
 @subkernel
-def _directions(s, modes):
+def _directions(s, modes, has_friction, has_slips):
     """Find the closed contacts, and write the constraints that they impose; return their number, and that of forces.
 
-    First come the gaps of the k contacts, with friction that is a share of the normal force, and then the slips of
-    those that stick.
+    First come the gaps of the k contacts, with friction that is a share of the normal force, and then, if `has_slips`,
+    the slips of those that stick.
     """
     k = 0
     last = -1
@@ -142,11 +144,13 @@ def _directions(s, modes):
                 choose(s.shapes, last)
             row_of(s.shapes, i, s.rows[k])
             s.closed[k], s.sticks[k] = i, -1
-            s.share[k] = -s.kinetic[i] if modes[i] == SLIP else s.kinetic[i] if modes[i] == -SLIP else 0.0
+            s.share[k] = 0.0
+            if has_friction and modes[i] != STICK:
+                s.share[k] = -s.kinetic[i] if modes[i] == SLIP else s.kinetic[i]
             k += 1
     count = k
     for j in range(k):
-        if modes[s.closed[j]] == STICK:
+        if has_slips and modes[s.closed[j]] == STICK:
             s.sticks[j] = count
             count += 1
     ground = len(s.free) - 3
@@ -165,10 +169,6 @@ def _directions(s, modes):
             if s.sticks[j] >= 0:
                 s.held[s.sticks[j], at] += across
                 s.pushed[s.sticks[j], at] += across
-    for j in range(k):
-        s.right[j] = s.rows[j, 14]
-        if s.sticks[j] >= 0:
-            s.right[s.sticks[j]] = s.rows[j, 15]
     return k, count
 
 
@@ -194,12 +194,8 @@ def _answers(eq, s, count):
 
 
 @subkernel
-def _find_forces(s, k, count):
-    """Write the forces of the closed contacts with which their gaps, and the slips of those that stick, do not
-    accelerate.
-
-    Redundant contacts that stick share the friction force in proportion to their normal forces.
-    """
+def _assemble(s, count):
+    """Write the equations of the forces with which the constraints have the values ``s.right``."""
     size = len(s.free) - 3
     for i in range(count):
         s.weights[i] = 1.0
@@ -209,6 +205,15 @@ def _find_forces(s, k, count):
             s.matrix[i, j] = 0.0
             for d in range(size):
                 s.matrix[i, j] += s.held[i, d] * s.moved[j, d]
+
+
+@subkernel
+def _find_forces(s, k, count):
+    """Write the forces of the closed contacts.
+
+    Redundant contacts that stick share the friction force in proportion to their normal forces.
+    """
+    _assemble(s, count)
     s.failed[0] = -1
     for j in range(k):
         if s.matrix[j, j] <= 0.0 and s.share[j] != 0.0 and s.failed[0] < 0:
@@ -230,6 +235,25 @@ def _find_forces(s, k, count):
         s.normal[j], s.tangent[j] = s.forces[j], s.share[j] * s.forces[j]
         if s.sticks[j] >= 0:
             s.tangent[j] = s.forces[s.sticks[j]]
+
+
+@subkernel
+def _sum_up(eq, s, count, a, lam):
+    """Write accelerations (n,) and multipliers (m,), those of contacts included; return a status."""
+    n = len(a)
+    for d in range(n):
+        a[d] = s.free[d]
+        for j in range(count):
+            a[d] += s.forces[j] * s.moved[j, d]
+        if not abs(a[d]) < np.inf:
+            return NOT_FINITE
+    for p in range(len(eq.lam)):
+        for r in range(eq.top.rows[p]):
+            row = eq.solver.row_index[p, r] - n
+            lam[row] = s.free_lam[p, r]
+            for j in range(count):
+                lam[row] += s.forces[j] * s.loaded[j, p, r]
+    return OK
 
 
 @kernel
@@ -256,23 +280,58 @@ def closed_accelerations(
     for p in range(len(eq.lam)):
         s.free_lam[p, 0], s.free_lam[p, 1] = eq.lam[p, 0], eq.lam[p, 1]
     place(s.shapes, q, v)
-    k, count = _directions(s, modes)
+    k, count = _directions(s, modes, True, True)
     status = _answers(eq, s, count)
     if status != OK:
         return status
+    for j in range(k):  # gaps and slips do not accelerate
+        s.right[j] = s.rows[j, 14]
+        if s.sticks[j] >= 0:
+            s.right[s.sticks[j]] = s.rows[j, 15]
     _find_forces(s, k, count)
-    if s.failed[0] >= 0:
-        return OK
+    return OK if s.failed[0] >= 0 else _sum_up(eq, s, count, a, lam)
+
+
+@kernel
+def closed_solution(
+    address: int, t: float, s: ClosedContacts, q: RealVector, force: RealVector, rows: RealVector, modes: IntVector,
+    x: RealVector, mu: RealVector,
+) -> int:  # fmt: skip
+    """Solve ``M x + Phi_q^T mu = force``, ``Phi_q x = rows`` with the gaps of closed contacts among the constraints.
+
+    The rows of the joints come first, then those of the gaps, and then, if there are so many, those of the slips of
+    contacts that stick. Forces of contacts have least norm; those of joints are `mu`. Returns a status.
+    """
+    eq = load_equations(address)
+    top, w = eq.top, eq.w
+    n, m = len(q), len(mu)
     for d in range(n):
-        a[d] = s.free[d]
-        for j in range(count):
-            a[d] += s.forces[j] * s.moved[j, d]
-        if not abs(a[d]) < np.inf:
-            return NOT_FINITE
-    for p in range(len(eq.lam)):
+        eq.q[d], eq.v[d] = q[d], 0.0
+    prepare(top, w, t, eq.q)
+    solved_rows(top, w, eq.q, eq.v)
+    for d in range(n):
+        w.force[d] = force[d]
+    for p in range(len(top.pairs)):
+        w.gamma[p, 0] = w.gamma[p, 1] = 0.0
         for r in range(top.rows[p]):
-            row = eq.solver.row_index[p, r] - n
-            lam[row] = s.free_lam[p, r]
-            for j in range(count):
-                lam[row] += s.forces[j] * s.loaded[j, p, r]
-    return OK
+            w.gamma[p, r] = rows[eq.solver.row_index[p, r] - n]
+    top.gravity[0] = top.gravity[1] = 0.0
+    status = solve_system(top, w, eq.solver, True, eq.a, eq.lam, True)
+    if status != OK:
+        return status
+    copy(eq.a, s.free)
+    for p in range(len(eq.lam)):
+        s.free_lam[p, 0], s.free_lam[p, 1] = eq.lam[p, 0], eq.lam[p, 1]
+    place(s.shapes, q, q)
+    closed = 0
+    for i in range(len(modes)):
+        closed += modes[i] != OPEN
+    _, count = _directions(s, modes, False, len(rows) > m + closed)
+    status = _answers(eq, s, count)
+    if status != OK:
+        return status
+    for j in range(count):
+        s.right[j] = rows[m + j]
+    _assemble(s, count)
+    least_squares(s, count)
+    return _sum_up(eq, s, count, x, mu)
