@@ -189,6 +189,9 @@ class ContactKinematics:
         self._all = np.arange(self._count)
         self._rows_at = RepeatedCall(rows_at, self.shapes, None, None, None, None)
         self._gaps_at = RepeatedCall(gaps_at, self.shapes, None, None, None)
+        self._hold_at, self._margins_at = (
+            RepeatedCall(kernel, self.shapes, None, None) for kernel in (hold_at, margins_at)
+        )
 
     @property
     def held(self) -> np.ndarray:
@@ -209,14 +212,14 @@ class ContactKinematics:
         """Fix the features of closed contacts (C,): those fixed already, else the features nearest to touching at
         position `q`.
         """
-        hold_at(self.shapes, np.ascontiguousarray(q), np.asarray(closed, dtype=np.int64))
+        self._hold_at(np.ascontiguousarray(q), np.asarray(closed, dtype=np.int64))
 
     def margins(self, q: np.ndarray) -> np.ndarray:
         """Return the distances [m] by which contacts (C,) may still slide until they leave their fixed features;
         infinite for contacts without one.
         """
         margins = np.empty(self._count)
-        margins_at(self.shapes, np.ascontiguousarray(q), margins)
+        self._margins_at(np.ascontiguousarray(q), margins)
         return margins
 
     def gaps(self, q: np.ndarray, within: float = 0.0) -> np.ndarray:

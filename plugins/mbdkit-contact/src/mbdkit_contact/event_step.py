@@ -261,7 +261,7 @@ class EventStep:
         """Return a step size, at most `h`, with which no contact can open and close again unnoticed."""
         forced = self._forced(self.now)
         rows = forced.rows
-        rate, curve = rows.normal @ self.now.v, rows.normal @ forced.a - rows.normal_right
+        rate, curve = rows.rates(self.now.v)[0], rows.rates(forced.a)[0] - rows.normal_right
         leaves = (self.modes == OPEN) & (rows.gap <= SAME * self.length) & (rate > SAME * self.speed)
         for i in np.flatnonzero(leaves & (curve < 0)):
             h = min(h, -3.0 * rate[i] / curve[i])
@@ -275,7 +275,7 @@ class EventStep:
         """
         forced = self._forced(at)
         is_open, slips = self.modes == OPEN, np.abs(self.modes) == SLIP
-        opens = forced.rows.normal @ at.v >= 0.0
+        opens = forced.rows.rates(at.v)[0] >= 0.0
         pressed, tangent = self._shared(at, forced)
         normal = np.where(is_open, np.where(opens, np.abs(forced.rows.gap), forced.rows.gap), pressed)
         limit = self.contacts.static * pressed - np.abs(tangent)
