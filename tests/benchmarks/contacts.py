@@ -99,8 +99,7 @@ def _spec(
 
 
 def _timed(case: Case, spec: dict[str, Any]) -> Outcome:
-    with contextlib.redirect_stderr(io.StringIO()):  # warnings
-        run = mbdkit.run(spec)
+    run = mbdkit.run(spec)
     steps = int(run.stats["steps"]) + int(run.stats["rejected"])
     stopped = "" if run.status == "complete" else run.status_reason.partition(":")[0]
     return Outcome(float(run.stats["cpu_s"]), steps, positions(run, case.model), stopped)
@@ -296,13 +295,12 @@ def _calls(spec: dict[str, Any]) -> tuple[int, int, int]:
         if event in counts:
             counts[event] += 1
 
-    with contextlib.redirect_stderr(io.StringIO()):
-        mbdkit.run(spec)
-        sys.setprofile(count)
-        try:
-            run = mbdkit.run(spec)
-        finally:
-            sys.setprofile(None)
+    mbdkit.run(spec)
+    sys.setprofile(count)
+    try:
+        run = mbdkit.run(spec)
+    finally:
+        sys.setprofile(None)
     return counts["call"], counts["c_call"], int(run.stats["steps"]) + int(run.stats["rejected"])
 
 
@@ -329,6 +327,11 @@ NAMES = (*CASES, "sit-downs")
 
 def contacts(console: Console, only: str | None = None, quick: bool = False, profile: bool = False) -> None:
     """Print the tables of one case or all, or with `profile` the numbers of calls of Python instead."""
+    with contextlib.redirect_stderr(io.StringIO()):  # warnings of runs
+        _show(console, only, quick, profile)
+
+
+def _show(console: Console, only: str | None, quick: bool, profile: bool) -> None:
     names = [name for name in NAMES if only in (None, name)]
     cases = [name for name in names if name in CASES]
     if profile:
