@@ -37,7 +37,7 @@ def law_errors(run: mbdkit.Run, spec: dict[str, Any], step: float) -> tuple[floa
     v = np.stack(
         [np.column_stack([run.bodies[name].velocity, run.bodies[name].angular_velocity]) for name in bodies], axis=1
     )
-    forces = {name: (run.contacts[name].normal_force, run.contacts[name].friction_force) for name in run.contacts}
+    column = {name: i for i, name in enumerate(run.contacts)}
     pairs = list(combinations(range(len(bodies)), 2))
     a, b = np.transpose(pairs)
     index = {name: i for i, name in enumerate(bodies)}
@@ -49,7 +49,8 @@ def law_errors(run: mbdkit.Run, spec: dict[str, Any], step: float) -> tuple[floa
         if name != "circles"
     }
     keys = [f"circles.{names[i]}.{names[j]}" for i, j in pairs] + list(walls)
-    normal_force, friction_force = (np.array([forces[key][part] for key in keys]).T for part in (0, 1))
+    some = [column[key] for key in keys]
+    normal_force, friction_force = (run.array(f"contacts/{kind}_force")[:, some] for kind in ("normal", "friction"))
     point = np.array([line["point"] for line, _ in walls.values()])
     outward = np.array([line["normal"] for line, _ in walls.values()])
     at_wall = np.array([i for _, i in walls.values()])
@@ -73,10 +74,10 @@ def law_errors(run: mbdkit.Run, spec: dict[str, Any], step: float) -> tuple[floa
         u_t = np.sum(u * t, axis=1) + RADIUS * (second[:, 2] + first[:, 2])
         p, f = step * normal_force[i], step * friction_force[i]
         lowest = -np.maximum(gap, 0.0) / step
-        some = (gap <= 0.0) | (p > 0.0)
+        acting = (gap <= 0.0) | (p > 0.0)
         by_normal = np.maximum(np.minimum(p, u_n), lowest - u_n)
         by_friction = np.abs(np.minimum(0.3 * p - np.abs(f), np.abs(u_t)))
-        worst = np.maximum(worst, [np.max(error[some], initial=0.0) for error in (by_normal, by_friction)])
+        worst = np.maximum(worst, [np.max(error[acting], initial=0.0) for error in (by_normal, by_friction)])
         largest, closed = max(largest, float(np.max(p))), closed + int(np.sum(p > 0.0))
     return float(worst[0]) / largest, float(worst[1]) / largest, closed
 
