@@ -17,6 +17,7 @@ from mbdkit_report.plot.style import FORMATS
 from . import (
     beams,
     chain,
+    contacts,
     ensemble,
     executors,
     gradients,
@@ -34,6 +35,7 @@ from .precision.race import precision, series
 SECTIONS: dict[str, Callable[[Console], None]] = {
     "beams": beams.beams,
     "chain": chain.explicit,
+    "contacts": contacts.contacts,
     "ensemble": ensemble.ensemble,
     "evaluations": evaluations,
     "executors": executors.executors,
@@ -62,12 +64,22 @@ def main() -> None:
         metavar="PATH",
         help="the file that `scale` draws into, or the folder for the picture and the numbers of `precision`",
     )
+    parser.add_argument("--only", choices=contacts.NAMES, help="the one case of `contacts` to measure")
+    parser.add_argument("--quick", action="store_true", help="measure `contacts` once, and leave out long runs")
+    parser.add_argument(
+        "--profile",
+        action="store_true",
+        help="print the calls of Python functions a step of `contacts` instead of times",
+    )
     asked = parser.parse_args()
     chosen = asked.sections or list(SECTIONS)
     unknown = sorted(set(chosen) - set(SECTIONS))
     if unknown:
         parser.error(f"there is no section {unknown[0]!r}; sections are {', '.join(SECTIONS)}")
-    sections = dict(SECTIONS)
+    of_contacts = {"only": asked.only, "quick": asked.quick, "profile": asked.profile}
+    if any(of_contacts.values()) and chosen != ["contacts"]:
+        parser.error("--only, --quick and --profile are for the section contacts; ask for this one alone")
+    sections = {**SECTIONS, "contacts": functools.partial(contacts.contacts, **of_contacts)}
     if asked.output is not None:
         drawing = [name for name in chosen if name in ("precision", "scale")]
         if len(drawing) != 1:
