@@ -32,6 +32,7 @@ from mbdkit_testing.trial_models import (
     ORBIT,
     RESTING,
     Model,
+    oscillators,
     pushed,
 )
 
@@ -40,10 +41,11 @@ PROBLEMS: dict[str, Model] = {
     "driven-pendulum": DRIVEN_PENDULUM,
     "four-bar": FOUR_BAR,
     "beam": BEAM,
+    "linear-oscillators": oscillators(3.0, (0.0, 0.1, 0.7)),
     **{f"resting: {name}": model for name, model in RESTING.items()},
 }
-USUAL = tuple(name for name in PROBLEMS if not name.startswith("resting"))
-"""Names of the problems each of which has a check of its own; the other problems are starts at rest."""
+USUAL = tuple(PROBLEMS)[:4]
+"""Names of the nonlinear problems, each of which has a check of its own."""
 ENDS = dict.fromkeys(PROBLEMS, 1.0) | {"driven-pendulum": 3.0}
 """Duration of each problem [s]; long enough that errors follow a power of the step before they reach rounding."""
 BELOW, ABOVE = 0.2, 0.5
@@ -458,7 +460,7 @@ CHECKS = (
     multipliers,
     formulations,
     projected,
-    *(_with_tolerance(problem) for problem in USUAL),
+    *(_with_tolerance(problem) for problem in (*USUAL, "linear-oscillators")),
     variable_order,
     states,
     own_control,

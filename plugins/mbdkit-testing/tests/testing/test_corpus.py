@@ -262,6 +262,12 @@ def test_a_wrong_stage_time_does_not_show_where_nothing_depends_on_time() -> Non
     assert wrong.figures == outcome(*RIGHT["runge-kutta"], "geometry.energy").figures
 
 
+def test_an_estimate_that_is_zero_for_linear_equations_does_not_show_in_nonlinear_problems() -> None:
+    _, wrong, _ = WRONG["an error estimate that is zero for linear equations"]
+    for check in ("tolerance.forced-pendulum", "tolerance.four-bar", "tolerance.error-estimate"):
+        assert outcome("integrator", wrong, check).outcome == "pass"
+
+
 def test_a_tableau_with_a_wrong_coefficient_cannot_even_be_built() -> None:
     with pytest.raises(mbdkit.MbdkitError, match="order condition of order 2 has the defect"):
         mbdkit.ButcherTableau("mine", [[], ["1/2"]], ["1/2", "1/2"], [0, "1/2"], 2)

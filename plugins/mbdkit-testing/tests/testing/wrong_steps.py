@@ -128,6 +128,28 @@ class ErrorWithoutStates(Pair):
         return Step(new, np.concatenate([error[:12], 0.0 * error[12:]]), dense)
 
 
+class Ros3p(StepMethod):
+    """ROS3P of Lang and Verwer (2001) with the error estimate (k1 - k2)/3, which is zero for y' = A y."""
+
+    error_order, gamma = 2, 0.5 + 3**0.5 / 6
+
+    def __init__(self, options: Any = None) -> None:
+        self.tolerances = Tolerances(options.rtol, options.rtol)
+
+    def step(self, equations: EquationsOfMotion, t: float, state: StepState, h: float) -> Step:
+        y, n, g = np.concatenate([state.q, state.v, state.z]), equations.n, self.gamma
+        a_t, _, rates_t = equations.time_derivative(t, state.q, state.v, state.z)
+        jacobian = h * equations.jacobian(t, state.q, state.v, state.z)
+        by_time = h * h * np.concatenate([np.zeros(n), a_t, rates_t])
+        matrix = np.eye(len(y)) - g * jacobian
+        k1 = np.linalg.solve(matrix, h * slope(equations, t, y) + g * by_time)
+        inner = h * slope(equations, t + h, y + k1)
+        k2 = np.linalg.solve(matrix, inner - jacobian @ k1 + (g - 1) * by_time)
+        third = jacobian @ ((0.5 - 2 * g) * k2 - g * k1) + (0.5 - 2 * g) * by_time
+        k3 = np.linalg.solve(matrix, inner + third)
+        return Step(state.moved(*np.split((2 * k1 + k3) / 3, [n, 2 * n])), error=(k1 - k2) / 3)
+
+
 class NeverSmaller(Pair):
     """It rejects large steps, and asks for the same step again."""
 
@@ -351,6 +373,11 @@ WRONG = {
     ),
     "an error estimate without states": (
         adaptive(ErrorWithoutStates), "tolerance.error-estimate", "for first-order states, its error estimate is zero",
+    ),
+    "an error estimate that is zero for linear equations": (
+        adaptive(Ros3p, dense_output=False, needs=("accelerations", "tangents")),
+        "tolerance.linear-oscillators",
+        "its error does not decrease with the tolerance",
     ),
     "rejected steps that do not shrink": (
         adaptive(NeverSmaller), "tolerance.own-control", "it rejects a step of 1.7 s and asks for one of 1.7 s",
