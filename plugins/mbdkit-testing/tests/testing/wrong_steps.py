@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any, ClassVar
 
 import numpy as np
@@ -66,6 +67,33 @@ class Pair(StepMethod):
 
     def made(self, new: StepState, error: Any, dense: Any, h: float, t: float, stages: Vector, parts: Any) -> Step:
         return Step(new, error, dense)
+
+
+class Bashforth(StepMethod):
+    """Adams-Bashforth of order 2 with a quadratic as dense output; its first step is one of Euler's method."""
+
+    def step(self, equations: EquationsOfMotion, t: float, state: StepState, h: float) -> Step:
+        y, parts = np.concatenate([state.q, state.v, state.z]), [equations.n, 2 * equations.n]
+        k = slope(equations, t, y)
+        before, last = (k, h) if state.memory is None else state.memory
+
+        def moved(theta: float) -> list[Vector]:
+            return np.split(theta * h * k + (theta * h) ** 2 / (2 * last) * (k - before), parts)
+
+        def dense(theta: float) -> tuple[Vector, ...]:
+            return tuple(x + dx for x, dx in zip(np.split(y, parts), moved(theta), strict=True))
+
+        return Step(state.moved(*moved(1.0), memory=(k, h)), dense=dense)
+
+
+class BashforthLine(Bashforth):
+    """Its dense output is a line."""
+
+    def step(self, equations: EquationsOfMotion, t: float, state: StepState, h: float) -> Step:
+        made = super().step(equations, t, state, h)
+        y, new = state, made.state
+        ends = ((y.q, new.q), (y.v, new.v), (y.z, new.z))
+        return replace(made, dense=lambda theta: tuple(x + theta * (end - x) for x, end in ends))
 
 
 class Offset(Pair):
@@ -316,7 +344,7 @@ class ForgetsStep(Library):
         self.solver.f = np.frombuffer(stored)[:-1].copy()
 
 
-def fixed(method: type[Pair], **claims: Any) -> Any:
+def fixed(method: type[StepMethod], **claims: Any) -> Any:
     given: dict[str, Any] = {
         "order": 3,
         "dense_output": True,
@@ -350,6 +378,16 @@ NEEDED = "its state does not contain everything that the next step needs"
 WRONG = {
     "dense output off by a constant": (
         adaptive(Offset, dense_order=3), "order.dense-output", "its dense output differs from the state at the start",
+    ),
+    "dense output of lower order in a multistep method": (
+        fixed(BashforthLine, order=2, dense_order=2),
+        "order.dense-output",
+        "in the step after 12 others",
+    ),
+    "a multistep method that starts with order 1": (
+        fixed(Bashforth, order=2, dense_order=2),
+        "state.free-fall",
+        "the motion of a free body in free fall is wrong after the first step",
     ),
     "dense output of lower order": (
         adaptive(Line, dense_order=3),
