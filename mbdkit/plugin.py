@@ -50,10 +50,12 @@ if TYPE_CHECKING:
     )
     from mbdkit.engine.compiled_mechanism import CompiledMechanism
     from mbdkit.engine.equations_of_motion import EquationsOfMotion
+    from mbdkit.engine.iteration_matrix import IterationMatrix, IterationMatrixWithStates
     from mbdkit.engine.kernels.observe import Observed
     from mbdkit.engine.nearest_state import nearest_positions, nearest_velocities
     from mbdkit.engine.observed_states import StateObserver
-    from mbdkit.engine.tangents import Tangents
+    from mbdkit.engine.state_derivatives import Rates
+    from mbdkit.engine.tangents import StateTangents, Tangents
     from mbdkit.engine.workspace import Workspace
     from mbdkit.mechanism.bodies import GROUND, Body
     from mbdkit.mechanism.coordinate_function import CoordinateFunction
@@ -73,7 +75,7 @@ if TYPE_CHECKING:
     )
     from mbdkit.methods.method_options import ImplicitOptions, Options
     from mbdkit.methods.scipy_solver import SciPySolver
-    from mbdkit.methods.step_methods import ExternalMethod, Step, StepMethod, StepState
+    from mbdkit.methods.step_methods import ExternalMethod, Step, StepEvent, StepMethod, StepState, Why
     from mbdkit.methods.tableau import ButcherTableau, EmbeddedPair, TableauError, collocation
     from mbdkit.quantities.array import Array, Chart, Kind, Recorded
     from mbdkit.quantities.names import archive_names
@@ -144,11 +146,13 @@ _STABLE = {
     "mbdkit.mechanism.values": "Number Point Positive Table",
     "mbdkit.methods.kinds": "ExplicitRungeKutta ImplicitRungeKutta Method Tolerances Traits",
     "mbdkit.methods.scipy_solver": "SciPySolver",
-    "mbdkit.methods.step_methods": "ExternalMethod Step StepMethod StepState",
+    "mbdkit.methods.step_methods": "ExternalMethod Step StepEvent StepMethod StepState Why",
     "mbdkit.methods.tableau": "ButcherTableau EmbeddedPair TableauError collocation",
     "mbdkit.methods.method_options": "ImplicitOptions Options",
     "mbdkit.engine.equations_of_motion": "EquationsOfMotion",
-    "mbdkit.engine.tangents": "Tangents",
+    "mbdkit.engine.iteration_matrix": "IterationMatrix IterationMatrixWithStates",
+    "mbdkit.engine.state_derivatives": "Rates",
+    "mbdkit.engine.tangents": "StateTangents Tangents",
     "mbdkit.mechanism.mechanism": "Mechanism",
     "mbdkit.mechanism.bodies": "GROUND Body",
     "mbdkit.mechanism.joints": "Driver Joint Revolute",
@@ -241,6 +245,8 @@ __all__ = [
     "ImplicitRungeKutta",
     "IntegratorPlugin",
     "Item",
+    "IterationMatrix",
+    "IterationMatrixWithStates",
     "Joint",
     "Judgement",
     "Kind",
@@ -265,6 +271,7 @@ __all__ = [
     "Printing",
     "QuantityNames",
     "Quiet",
+    "Rates",
     "Recorded",
     "ReportSection",
     "ResourceError",
@@ -279,9 +286,11 @@ __all__ = [
     "SpecError",
     "SpecKind",
     "StateObserver",
+    "StateTangents",
     "States",
     "Step",
     "StepError",
+    "StepEvent",
     "StepMethod",
     "StepState",
     "StrictModel",
@@ -301,6 +310,7 @@ __all__ = [
     "UnsupportedMechanismError",
     "VariedSpecs",
     "ViewItem",
+    "Why",
     "Workspace",
     "accepted_doubts",
     "archive_names",

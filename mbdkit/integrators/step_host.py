@@ -389,7 +389,10 @@ class StepHost(LastStep):
         elif made.time is not None:
             ended = float(made.time)
             if not t < ended <= end + 4.0 * margin_of_stops(self.timetable):
-                raise ValueError(f"{name}.{what} returned time = {ended!r}, which is not between {t!r} and {end!r}")
+                raise ValueError(
+                    f"{name}.{what} returned time = {ended!r}, which is not later than the start of the step, {t!r}, "
+                    f"and at most its end, {end!r}"
+                )
         elif self._is_external:
             raise ValueError(f"{name}.advance returned a Step without `time`")
         else:

@@ -121,7 +121,8 @@ class Step:
         return the work and the dissipated energy [J] since the start of the step as well: (q, v, z, work, dissipated).
         Without it, states within the step come from the cubic through both ends, and first-order states from a line:
         events, rows at an interval and energies that the method does not return are then no better than of order 3 or
-        4, however good the step is.
+        4, however good the step is. That of a `StepMethod` may be called after other steps have been taken. That of an
+        `ExternalMethod` is called only until the next `advance` or `open`, so that it may use the state of the library.
     next_step
         Size of the next step, or of the next attempt if this one is rejected [s]; chosen by the framework if None. An
         `ExternalMethod` chooses its steps itself: with this size it is opened again after a projection.
@@ -309,7 +310,10 @@ class ExternalMethod(_InPython):
 
     @abstractmethod
     def advance(self) -> Step:
-        """Take one step of the library, at most to `stop`; `Step.time` is where it ends. Raises StepError."""
+        """Take one step of the library, at most to `stop`; `Step.time` is where it ends. Raises StepError.
+
+        `Step.dense` is called only before the next call of `advance` or `open`.
+        """
 
     def cut(self, t: float) -> StepState | None:
         """Return the state at a time [s] within the last step; None, the default, for that of `Step.dense`."""

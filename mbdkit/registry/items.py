@@ -79,7 +79,8 @@ class Claims:
     states
         Whether the method integrates first-order states of elements, such as those of muscles and controllers.
     variable_order
-        Whether the method, which is adaptive, changes its order during a run.
+        Whether the method, which is adaptive, changes its order during a run. A multistep method of a fixed order that
+        only starts, and restarts after discontinuities, with a lower order does not claim this.
     dense_order
         Order of convergence of the dense output in the interior of steps; None if it is not claimed.
     conserves

@@ -29,17 +29,19 @@ class DeepOverlaps:
     ----------
     compiled
         The compiled mechanism.
+    finer
+        See `mbdkit.spec.run_spec.RunSpec.finer`.
     """
 
-    def __init__(self, compiled: CompiledMechanism):
+    def __init__(self, compiled: CompiledMechanism, finer: str):
         self._pairs = [one.pair for one in compiled.contacts]
-        self._is_rigid = compiled.contact_treatment.is_rigid
+        self._is_rigid, self._finer = compiled.contact_treatment.is_rigid, finer
         self._depth, self._time = np.zeros((2, len(self._pairs)))
 
     @classmethod
-    def of(cls, _spec: RunSpec, compiled: CompiledMechanism, _size: float) -> DeepOverlaps | None:
+    def of(cls, spec: RunSpec, compiled: CompiledMechanism, _size: float) -> DeepOverlaps | None:
         """Return the `DeepOverlaps` of a mechanism; None if it has no contacts of circles."""
-        return cls(compiled) if any(one.pair.radius > 0.0 for one in compiled.contacts) else None
+        return cls(compiled, spec.finer) if any(one.pair.radius > 0.0 for one in compiled.contacts) else None
 
     def add(self, states: States) -> None:
         """Take note of states."""
@@ -56,7 +58,7 @@ class DeepOverlaps:
         told = []
         for pair, depth, time in zip(self._pairs, self._depth.tolist(), self._time.tolist(), strict=True):
             if pair.radius > 0.0 and depth > DEEP * pair.radius:
-                advice = "use smaller steps" if self._is_rigid else f"increase {pair.key}.compliance.stiffness"
+                advice = f"use {self._finer}" if self._is_rigid else f"increase {pair.key}.compliance.stiffness"
                 told.append(
                     f"contact '{pair.name}' overlaps by {depth:.3g} m at t = {time:.6g} s, {depth / pair.radius:.0%} "
                     f"of the radius of its circle, but contact laws assume small overlaps; {advice}"

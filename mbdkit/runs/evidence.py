@@ -52,6 +52,8 @@ def evidence_of_run(
     size: float,
     warnings: Sequence[str],
     accepted: Sequence[str] = (),
+    *,
+    finer: str,
 ) -> Evidence:
     """Return the evidence of a run that has ended.
 
@@ -71,6 +73,8 @@ def evidence_of_run(
         Warnings that cast doubt on the result.
     accepted
         Warnings that would cast doubt on the result, but are accepted by the spec.
+    finer
+        See `mbdkit.spec.run_spec.RunSpec.finer`.
     """
     steps = steps or StepEvidence(0.0, 0.0, 0.0)
     energies, topology = recorder.energies, recorder.mechanism.topology
@@ -94,6 +98,7 @@ def evidence_of_run(
         branch=steps.branch,
         warnings=warnings,
         accepted=accepted,
+        finer=finer,
     )
 
 
@@ -106,6 +111,7 @@ def estimated_errors(
     integrals: Integrals,
     skips_steps: bool,
     measures: Mapping[str, object],
+    finer: str,
 ) -> EstimatedErrors:
     """Return the estimated errors of a checked run in the form used by the verdict.
 
@@ -125,6 +131,8 @@ def estimated_errors(
         Whether its rows may skip ends of steps.
     measures
         Expressions of the measures of the run, by name.
+    finer
+        See `mbdkit.spec.run_spec.RunSpec.finer`.
     """
     rows, joints = ObservedRows.joined(recorder.kept or []), recorder.workspace.mechanism.joints
     size = np.linalg.norm(rows.force, axis=2)
@@ -134,7 +142,7 @@ def estimated_errors(
     worst = figures.worst_joint
     between = ""
     if worst is not None and worst.missed > worst.error:
-        advice = "record more rows" if skips_steps else "use smaller steps"
+        advice = "record more rows" if skips_steps else f"use {finer}"
         between = (
             f"joint '{worst.name}' reaches {worst.peak + worst.missed:.4g} N, in the recorded rows {worst.peak:.4g} N; "
             f"{advice}"

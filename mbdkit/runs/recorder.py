@@ -75,6 +75,8 @@ class Recorder:
         Checks force laws that declare a range; None if there are none.
     watchers
         Look at all recorded states; None to give no warnings.
+    finer
+        See `mbdkit.spec.run_spec.RunSpec.finer`.
 
     Attributes
     ----------
@@ -95,6 +97,8 @@ class Recorder:
         guards: Guards = NO_GUARDS,
         ranges: LawRanges | None = None,
         watchers: StateWatchers | None = None,
+        *,
+        finer: str,
     ):
         # The number of steps between two calls depends on wall time. If the recorder shared its pivots with the
         # stepper, the rounding errors of steps and of recorded rows would depend on it too.
@@ -109,7 +113,7 @@ class Recorder:
         self.last_time = workspace.t0
         self.event_times: dict[str, list[float]] = {}
         self.kept: list[ObservedRows] | None = None
-        self.ranges, self.watchers = ranges, watchers
+        self.ranges, self.watchers, self._finer = ranges, watchers, finer
 
     @property
     def mechanism(self) -> CompiledMechanism:
@@ -203,7 +207,7 @@ class Recorder:
             return Failure(
                 "branch-left",
                 f"{what}same motion as {others}. They agree on the branch of the start, so the run has left this "
-                f"branch, as can happen in singular positions; smaller steps or `stabilization: projection` may "
+                f"branch, as can happen in singular positions; {self._finer} or `stabilization: projection` may "
                 f"help.",
             )
         return Failure(
@@ -232,7 +236,7 @@ class Recorder:
                 name, gap = self.workspace.mechanism.joints[joint], f"{values[row, joint]:.3g} {unit}"
                 sentence = (
                     f"joint '{name}' is misaligned by {gap} at {_at(stretch, row)}, more than limits.misalignment "
-                    f"allows ({limit:.3g} {unit}); this state is not recorded; use smaller steps or, with stiff "
+                    f"allows ({limit:.3g} {unit}); this state is not recorded; use {self._finer} or, with stiff "
                     "springs or dampers, an implicit method."
                 )
                 first = row, Failure("fell-apart", sentence)

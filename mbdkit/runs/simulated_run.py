@@ -152,7 +152,7 @@ class SimulatedRun:
         stops = spec.limits.law_range == "stop"
         ranges = LawRanges.of(spec.mechanism(), workspace.mechanism, between, stops=stops)
         watchers = StateWatchers(spec, workspace.mechanism, self.size)
-        self.recorder = Recorder(workspace, writer, self.guards, ranges, watchers)
+        self.recorder = Recorder(workspace, writer, self.guards, ranges, watchers, finer=spec.finer)
         self.table = timetable(spec, self.guards)
         self.integrals: RunIntegrals | None = None
         if functionals:
@@ -450,6 +450,7 @@ class SimulatedRun:
             self.size,
             questions,
             accepted_doubts(found, self.spec.accept),
+            finer=self.spec.finer,
         )
         errors, totals = None, {} if self.integrals is None else self.integrals.totals(self.recorder.of_event)
         if self.accuracy is not None:
@@ -459,7 +460,7 @@ class SimulatedRun:
             skips_steps = not steps_are_rows(self.spec) and "joints" in self.spec.recorded
             errors = estimated_errors(
                 self.recorder, self.accuracy, position, missed,
-                integrals=totals, skips_steps=skips_steps, measures=measures,
+                integrals=totals, skips_steps=skips_steps, measures=measures, finer=self.spec.finer,
             )  # fmt: skip
         judgement = judge(evidence, errors)
         message = f"{status}: {reason.removeprefix('interrupted: ')}" if reason else status

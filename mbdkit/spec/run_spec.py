@@ -21,7 +21,7 @@ from mbdkit.registry.catalogue import Kind, Registered, Registry
 from mbdkit.registry.item_options import item_of
 from mbdkit.registry.items import Claims, IntegratorPlugin
 from mbdkit.spec.choices import Choice, choice_of
-from mbdkit.spec.formulation_choice import BY_ACCELERATIONS, FormulationChoice, formulation_of, name_of
+from mbdkit.spec.formulation_choice import BY_ACCELERATIONS, NAMES, FormulationChoice, formulation_of, name_of
 from mbdkit.spec.item_names import CriterionName
 from mbdkit.spec.model_spec import ModelSpec
 from mbdkit.spec.sections import (
@@ -172,9 +172,12 @@ class RunSpec(ModelSpec):
     def _suits_the_method(self) -> RunSpec:
         item, claims, formulation = self.integrator_item, self.claims, self.formulated.name
         if formulation not in claims.formulations:
+            own = claims.formulations[0]
+            is_missing = "formulation" not in self.model_fields_set and own in NAMES
+            remedy = f"add `formulation: {own}` to the spec, or choose another integrator; " if is_missing else ""
             raise SpecError(
                 f"integrator '{item.name}' does not support the formulation '{formulation}', "
-                f"only {listed(claims.formulations, 'and')}; "
+                f"only {listed(claims.formulations, 'and')}; {remedy}"
                 f"{self._able(lambda other: formulation in other.formulations)}",
                 key="formulation",
             )
@@ -223,9 +226,10 @@ class RunSpec(ModelSpec):
             )
         if chosen.name not in claims.stabilizations:
             served = listed((f"'{name}'" for name in claims.stabilizations), "and")
+            name, formulation = chosen.name, self.formulated.name
             raise SpecError(
-                f"integrator '{item.name}' does not support the stabilization '{chosen.name}', only {served}; "
-                f"{self._able(lambda other: chosen.name in other.stabilizations)}",
+                f"integrator '{item.name}' does not support the stabilization '{name}', only {served}; "
+                + self._able(lambda other: name in other.stabilizations and formulation in other.formulations),
                 key="stabilization",
             )
         if chosen.symmetric and claims.adaptive:
@@ -339,6 +343,13 @@ class RunSpec(ModelSpec):
                 f"{self.integrator_item.id} returned its claims as {type(claims).__name__}, not as Claims"
             )
         return claims
+
+    @property
+    def finer(self) -> str:
+        """What makes the error of the integration smaller: ``smaller steps`` or, with controlled steps, ``smaller
+        tolerances``.
+        """
+        return "smaller tolerances" if self.claims.adaptive else "smaller steps"
 
     def watched(self) -> dict[str, RunExpression]:
         """Return the parsed expressions of the events by name. Raises the errors of `mechanism`."""

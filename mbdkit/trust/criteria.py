@@ -189,6 +189,9 @@ class Evidence:
         Warnings about the spec or the run that cast doubt on the result, as sentences.
     accepted
         Findings that the spec accepts, as sentences. They are among the reasons, but do not lower the level.
+    finer
+        What makes the error of the integration smaller: ``smaller steps`` or, with controlled steps, ``smaller
+        tolerances``.
     """
 
     status: str = "complete"
@@ -207,6 +210,7 @@ class Evidence:
     branch: Sequence[BranchSuspicion] = ()
     warnings: Sequence[str] = ()
     accepted: Sequence[str] = ()
+    finer: str = "smaller steps"
 
 
 @dataclass(frozen=True)
@@ -283,11 +287,11 @@ def _energies(evidence: Evidence) -> Found:
     if not share <= ENERGY_JUMP:
         jump = f"by {evidence.energy_jump:.3g} J in one step at t = {evidence.energy_jump_time:.6g} s"
         limit = f"{share:.2g} of the largest kinetic energy (bad above {ENERGY_JUMP:g})"
-        yield "bad", f"The energy balance changes {jump}, {limit}. This step is wrong; use smaller steps."
+        yield "bad", f"The energy balance changes {jump}, {limit}. This step is wrong; use {evidence.finer}."
     share = _share(evidence.balance, evidence)
     if level := ENERGY.level(share):
         off = f"by up to {evidence.balance:.3g} J, {share:.2g} of the largest kinetic energy ({ENERGY})"
-        yield level, f"The energy balance is violated {off}; use smaller steps or a method of higher order."
+        yield level, f"The energy balance is violated {off}; use {evidence.finer} or a method of higher order."
 
 
 def _branches(evidence: Evidence) -> Found:

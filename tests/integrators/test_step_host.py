@@ -80,9 +80,14 @@ class Rk45(ExternalMethod):
         inner, n = self.solver.dense_output(), self.p.n
         t0, h = self.solver.t_old, self.solver.t - self.solver.t_old
         q, v, z = np.split(self.solver.y, [n, 2 * n])
+
+        def dense(theta: float) -> tuple[np.ndarray, ...]:
+            assert self.solver.t_old == t0, "the library has taken another step or was opened again"
+            return tuple(np.split(inner(t0 + theta * h), [n, 2 * n]))
+
         return Step(
             StepState(q, v, z=z),
-            dense=lambda theta: tuple(np.split(inner(t0 + theta * h), [n, 2 * n])),
+            dense=dense,
             next_step=float(self.solver.h_abs),
             time=float(self.solver.t),
         )
@@ -386,7 +391,8 @@ def test_memory_that_cannot_be_stored_is_named() -> None:
     [
         (lambda new, n: Step(new, error=np.zeros(3)), r"step returned an invalid `error`"),
         (lambda new, n: Step(new, next_step=-1.0), r"next_step = -1.0, which is not a positive number"),
-        (lambda new, n: Step(new, time=5.0), r"returned time = 5.0, which is not between"),
+        (lambda new, n: Step(new, time=5.0), r"time = 5.0, which is not .* at most its end, 0.01\."),
+        (lambda new, n: Step(new, time=0.0), r"time = 0.0, which is not later than the start of the step, 0.0,"),
         (lambda new, n: Step("no"), r"returned a Step whose state is a str"),  # type: ignore[arg-type]
         (lambda new, n: StepState(new.q, new.v, z=np.zeros(1)), r"invalid `z`"),
     ],

@@ -223,10 +223,14 @@ def test_a_method_of_another_formulation_is_refused_by_name() -> None:
     ):
         mbdkit.run(spec | {"integrator": {"name": "rk4"}, "formulation": "ggl"})
     wanted = (
-        "'mine' does not support the formulation 'index-1', only index-3; "
-        "integrators that support it: rk-gill, rk4, dopri5"
+        "'mine' does not support the formulation 'index-1', only index-3; add `formulation: index-3` to the spec, or "
+        "choose another integrator; integrators that support it: rk-gill, rk4, dopri5"
     )
     with pytest.raises(mbdkit.SpecError, match=wanted):
         spec_type(offering(RungeKutta(), formulations=("index-3",)))(**spec, integrator={"name": "mine"})
+    with pytest.raises(mbdkit.SpecError, match="only index-3; integrators that support it"):
+        spec_type(offering(RungeKutta(), formulations=("index-3",)))(
+            **spec, integrator={"name": "mine"}, formulation="index-1"
+        )
     run = run_with(Remembering(), DOUBLE, {"steps": 3, "step": 0.01}, formulation="index-3").check()
     assert run.spec["formulation"] == "index-3"

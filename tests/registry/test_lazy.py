@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import inspect
 import json
+import re
 import sys
 from pathlib import Path
 
@@ -204,6 +206,24 @@ def test_what_plugins_import_exists_and_is_named_once():
     assert set(mbdkit.plugin._HOME) >= mbdkit.plugin.STABLE
     with pytest.raises(AttributeError):
         _ = mbdkit.plugin.nothing
+
+
+NOT_FOR_PLUGINS = {"ActingContact", "Any", "Coefficients", "Dense", "None", "Unpack"}
+"""Names in these signatures that a typed plugin need not write."""
+
+
+@pytest.mark.parametrize(
+    "kind", [mbdkit.StepMethod, mbdkit.ExternalMethod, mbdkit.EquationsOfMotion, mbdkit.Step, mbdkit.plugin.Tangents]
+)
+def test_types_of_methods_and_equations_are_offered_to_plugins(kind):
+    signatures = [getattr(kind, "__annotations__", {})]
+    for name, part in vars(kind).items():
+        function = part.fget if isinstance(part, property) else getattr(part, "__func__", part)
+        if not name.startswith("_") and inspect.isfunction(function):
+            signatures.append(function.__annotations__)
+    texts = [str(text) for signature in signatures for text in signature.values() if "Callable" not in str(text)]
+    names = {name for text in texts for name in re.findall(r"\b[A-Z]\w+", text)} - NOT_FOR_PLUGINS
+    assert names <= set(mbdkit.plugin.__all__)
 
 
 def test_one_entry_point_of_a_distribution_is_left_out(entry_point, swing):

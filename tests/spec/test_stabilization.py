@@ -79,6 +79,16 @@ def test_lsoda_cannot_project_and_says_who_can(small: dict[str, Any]) -> None:
     assert load_spec(wrong | {"stabilization": "baumgarte"}).stabilized.alpha == 5.0
 
 
+def test_an_integrator_for_a_stabilization_also_supports_the_formulation() -> None:
+    # those of the index-1 formulation project too
+    spec = spec_type(offering(RungeKutta(), formulations=("ggl",), stabilizations=("none",)))
+    sections: dict[str, Any] = {"model": {"name": "single-pendulum"}, "time": {"end": 0.1, "step": 0.01}}
+    sections |= {"mbdkit": 1, "integrator": {"name": "mine"}, "formulation": "ggl"}
+    with pytest.raises(SpecError, match="integrators that support it: radau-iia") as caught:
+        spec(**sections, stabilization="projection")
+    assert "rk4" not in caught.value.message
+
+
 def test_a_plugin_that_claims_too_much_is_found_out() -> None:
     # a solver of SciPy that claims nothing of stabilization claims, like any method, that its steps can be repeated
     solver = SciPySolver("RK45", 1e-6, 1e-6)

@@ -45,6 +45,15 @@ def test_a_run_whose_joints_fall_apart_stops_before_that_row(integrator: dict[st
         assert run.misalignment_max > 2.0
 
 
+def test_advice_for_controlled_steps_speaks_of_tolerances() -> None:
+    for integrator, step, advice in ((LSODA, None, "smaller tolerances"), (RK4, 0.1, "smaller steps")):
+        with mbdkit.run(spec(DOUBLE, integrator, 10.0, step)) as run:
+            assert f"this state is not recorded; use {advice} or" in run.status_reason
+        with mbdkit.run(spec(DOUBLE, integrator, 10.0, step, limits={"misalignment": 1e6})) as run:
+            (energy,) = (reason for reason in run.verdict_reasons if "energy balance is violated" in reason)
+            assert f"use {advice} or a method of higher order" in energy
+
+
 class Exploding(StepMethod):
     """Doubles all positions in every step, as an unstable method does in the end."""
 

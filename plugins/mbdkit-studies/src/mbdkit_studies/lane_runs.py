@@ -485,7 +485,8 @@ class _Group:
         worst, extremes = recorded
         ending = "complete", ""
         questions = open_doubts(told, member.spec.accept), accepted_doubts(told, member.spec.accept)
-        judgement = judge(evidence_of_run(extremes, steps, ending, worst, member.size, *questions))
+        finer = member.spec.finer
+        judgement = judge(evidence_of_run(extremes, steps, ending, worst, member.size, *questions, finer=finer))
         if _LOG.isEnabledFor(logging.INFO):
             _LOG.info("run %s ends: complete, verdict %s", member.spec.run_id(), judgement.level)
         data_sha256 = self.hash.of(arrays, digests)

@@ -1,4 +1,4 @@
-"""Single steps of several sizes from the start of a test problem, and their reference states."""
+"""Single steps of several sizes from the start of a test problem or after others, and their reference states."""
 
 from __future__ import annotations
 
@@ -27,12 +27,21 @@ SHARES = (0.3, 0.5, 0.8, 1.0)
 """Shares of a step at which reference states are known."""
 FLOOR = 1e-15
 """Errors of this size count as rounding."""
+HISTORY = 12
+"""Number of steps of one size before the one that shows what a method with memory does after its start.
+
+The errors of a start of low order have then left the memory, or have been damped.
+"""
+LATER_SHARE, LATER_FLOOR = 1 / 16, 1e-13
+"""Sizes of steps with history, as a share of `STEPS`, so that the motion before them is short and hardly depends on the
+size; and the error of their reference states.
+"""
 REFERENCE = {"name": "mbdkit:gauss", "stages": 6}
 
 
 @dataclass(frozen=True)
 class SingleStep:
-    """A step from the start of the test problem.
+    """A step from the start of the test problem, or after others.
 
     Parameters
     ----------
@@ -87,26 +96,66 @@ def single_steps(integrator: IntegratorUnderTest) -> tuple[SingleStep, ...]:
 def _taken(integrator: IntegratorUnderTest) -> tuple[SingleStep, ...]:
     model = model_for(integrator)
     exact = dict(zip(STEPS, reference_states(with_state=model is LAGGING_PENDULUM), strict=True))
-    found = [
+    return tuple(
         SingleStep(size, begin, made, looked_into(made), exact[size])
         for size, begin, made in steps_on(integrator, model)
-    ]
-    if not found:
-        raise Skip("no single step from the start could be taken")
-    return tuple(found)
+    )
 
 
 def steps_on(integrator: IntegratorUnderTest, model: Model) -> Iterator[tuple[float, StepState, Step]]:
-    """Yield the size [s], the begin and the step of steps of the sizes in `STEPS` from the start of a model."""
+    """Yield the size [s], the begin and the step of steps of the sizes in `STEPS` from the start of a model.
+
+    Raises Skip if none can be taken.
+    """
     method, (equations, start) = step_method(integrator), equations_for(integrator, model)
+    taken, why = 0, ""
     for size in STEPS:
         begin = replace(start, memory=method.begin(equations, equations.t0, start, "start"))
         try:
             made = step_of(method, equations, equations.t0, begin, size)
-        except StepError:
+        except StepError as error:
+            why = str(error).rstrip(".")
             continue
         if made.accepted and made.time is None and made.event is None:
+            taken += 1
             yield size, begin, made
+        elif not made.accepted:
+            why = f"its own control rejects them, down to the smallest of {size:.2g} s"
+        else:
+            why = "they end earlier than asked"
+    if not taken:
+        raise Skip(f"no single step from the start could be taken: {why}")
+
+
+def has_memory(integrator: IntegratorUnderTest) -> bool:
+    """Return whether the first step of a method in Python passes memory on, as that of a multistep method does."""
+    return any(step.made.state.memory is not None for step in single_steps(integrator))
+
+
+def later_steps(integrator: IntegratorUnderTest) -> tuple[SingleStep, ...]:
+    """Return steps that follow `HISTORY` others of their size, without those that cannot be taken.
+
+    Their reference states are those of the motion through the begin of the step.
+    """
+    method, (equations, start) = step_method(integrator), equations_for(integrator, model_for(integrator))
+    cuts, found = (equations.n, 2 * equations.n), list[SingleStep]()
+    for size in (LATER_SHARE * size for size in STEPS):
+        state = replace(start, memory=method.begin(equations, equations.t0, start, "start"))
+        for number in range(HISTORY + 1):
+            t, begin = equations.t0 + number * size, state
+            try:
+                made = step_of(method, equations, t, begin, size)
+            except StepError:
+                break
+            if not made.accepted or made.time is not None or made.event is not None:
+                break
+            state = made.state
+        else:
+            ends = (moved(equations, t, (begin.q, begin.v, begin.z), share * size) for share in SHARES)
+            q, v, z = zip(*(np.split(end, cuts) for end in ends), strict=True)
+            exact = tuple(zip(q, v, z, strict=True))
+            found.append(SingleStep(size, begin, made, looked_into(made), exact))
+    return tuple(found)
 
 
 def looked_into(made: Step) -> tuple[Moment, ...]:

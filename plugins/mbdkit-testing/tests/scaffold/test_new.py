@@ -86,6 +86,13 @@ def test_a_name_that_will_not_do_is_refused_and_nothing_is_made(name, words, her
     assert not list(here.iterdir())
 
 
+def test_what_to_change_of_a_method_of_another_formulation_includes_its_study(here):
+    project = new_project("mbdkit-another-dae", "integrator", here, "dae")
+    changes = (project / "README.md").read_text(encoding="utf-8").partition("What to\nchange:")[2]
+    assert "the formulation in the claims and in `study.yaml`" in changes
+    assert "formulation: ggl" in (project / "study.yaml").read_text(encoding="utf-8")
+
+
 def test_only_integrators_have_sorts(here):
     with pytest.raises(SpecError, match="--like is for --kind integrator, not for --kind model"):
         new_project("mbdkit-rocket", "model", like="dae")

@@ -262,6 +262,28 @@ def test_a_wrong_stage_time_does_not_show_where_nothing_depends_on_time() -> Non
     assert wrong.figures == outcome(*RIGHT["runge-kutta"], "geometry.energy").figures
 
 
+def test_a_start_of_order_1_does_not_count_against_a_multistep_method() -> None:
+    multistep = wrong_steps.fixed(wrong_steps.Bashforth, order=2, dense_order=2)
+    dense = outcome("integrator", multistep, "order.dense-output")
+    assert dense.outcome == "pass"
+    assert dense.figures["measured"] == pytest.approx(2.0, abs=0.2)  # the local error of Adams-Bashforth is O(h^3)
+    polynomials = outcome("integrator", multistep, "order.polynomials")
+    assert polynomials.outcome == "skip"
+    assert "its first step, which may be of lower order because it has no history" in polynomials.cause
+
+
+def test_a_check_of_single_steps_says_why_none_could_be_taken() -> None:
+    _, wrong, _ = WRONG["steps that are never accepted"]
+    cause = outcome("integrator", wrong, "tolerance.error-estimate").cause
+    assert cause.startswith("no single step from the start could be taken: its own control rejects them")
+
+
+def test_an_estimate_that_is_zero_for_linear_equations_does_not_show_in_nonlinear_problems() -> None:
+    _, wrong, _ = WRONG["an error estimate that is zero for linear equations"]
+    for check in ("tolerance.forced-pendulum", "tolerance.four-bar", "tolerance.error-estimate"):
+        assert outcome("integrator", wrong, check).outcome == "pass"
+
+
 def test_a_tableau_with_a_wrong_coefficient_cannot_even_be_built() -> None:
     with pytest.raises(mbdkit.MbdkitError, match="order condition of order 2 has the defect"):
         mbdkit.ButcherTableau("mine", [[], ["1/2"]], ["1/2", "1/2"], [0, "1/2"], 2)

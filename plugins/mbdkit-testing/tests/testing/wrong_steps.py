@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any, ClassVar
 
 import numpy as np
@@ -68,6 +69,33 @@ class Pair(StepMethod):
         return Step(new, error, dense)
 
 
+class Bashforth(StepMethod):
+    """Adams-Bashforth of order 2 with a quadratic as dense output; its first step is one of Euler's method."""
+
+    def step(self, equations: EquationsOfMotion, t: float, state: StepState, h: float) -> Step:
+        y, parts = np.concatenate([state.q, state.v, state.z]), [equations.n, 2 * equations.n]
+        k = slope(equations, t, y)
+        before, last = (k, h) if state.memory is None else state.memory
+
+        def moved(theta: float) -> list[Vector]:
+            return np.split(theta * h * k + (theta * h) ** 2 / (2 * last) * (k - before), parts)
+
+        def dense(theta: float) -> tuple[Vector, ...]:
+            return tuple(x + dx for x, dx in zip(np.split(y, parts), moved(theta), strict=True))
+
+        return Step(state.moved(*moved(1.0), memory=(k, h)), dense=dense)
+
+
+class BashforthLine(Bashforth):
+    """Its dense output is a line."""
+
+    def step(self, equations: EquationsOfMotion, t: float, state: StepState, h: float) -> Step:
+        made = super().step(equations, t, state, h)
+        y, new = state, made.state
+        ends = ((y.q, new.q), (y.v, new.v), (y.z, new.z))
+        return replace(made, dense=lambda theta: tuple(x + theta * (end - x) for x, end in ends))
+
+
 class Offset(Pair):
     """Its dense output is off by a constant."""
 
@@ -126,6 +154,28 @@ class ErrorWithoutStates(Pair):
 
     def made(self, new: StepState, error: Any, dense: Any, *others: Any) -> Step:
         return Step(new, np.concatenate([error[:12], 0.0 * error[12:]]), dense)
+
+
+class Ros3p(StepMethod):
+    """ROS3P of Lang and Verwer (2001) with the error estimate (k1 - k2)/3, which is zero for y' = A y."""
+
+    error_order, gamma = 2, 0.5 + 3**0.5 / 6
+
+    def __init__(self, options: Any = None) -> None:
+        self.tolerances = Tolerances(options.rtol, options.rtol)
+
+    def step(self, equations: EquationsOfMotion, t: float, state: StepState, h: float) -> Step:
+        y, n, g = np.concatenate([state.q, state.v, state.z]), equations.n, self.gamma
+        a_t, _, rates_t = equations.time_derivative(t, state.q, state.v, state.z)
+        jacobian = h * equations.jacobian(t, state.q, state.v, state.z)
+        by_time = h * h * np.concatenate([np.zeros(n), a_t, rates_t])
+        matrix = np.eye(len(y)) - g * jacobian
+        k1 = np.linalg.solve(matrix, h * slope(equations, t, y) + g * by_time)
+        inner = h * slope(equations, t + h, y + k1)
+        k2 = np.linalg.solve(matrix, inner - jacobian @ k1 + (g - 1) * by_time)
+        third = jacobian @ ((0.5 - 2 * g) * k2 - g * k1) + (0.5 - 2 * g) * by_time
+        k3 = np.linalg.solve(matrix, inner + third)
+        return Step(state.moved(*np.split((2 * k1 + k3) / 3, [n, 2 * n])), error=(k1 - k2) / 3)
 
 
 class NeverSmaller(Pair):
@@ -294,7 +344,7 @@ class ForgetsStep(Library):
         self.solver.f = np.frombuffer(stored)[:-1].copy()
 
 
-def fixed(method: type[Pair], **claims: Any) -> Any:
+def fixed(method: type[StepMethod], **claims: Any) -> Any:
     given: dict[str, Any] = {
         "order": 3,
         "dense_output": True,
@@ -329,6 +379,16 @@ WRONG = {
     "dense output off by a constant": (
         adaptive(Offset, dense_order=3), "order.dense-output", "its dense output differs from the state at the start",
     ),
+    "dense output of lower order in a multistep method": (
+        fixed(BashforthLine, order=2, dense_order=2),
+        "order.dense-output",
+        "in the step after 12 others",
+    ),
+    "a multistep method that starts with order 1": (
+        fixed(Bashforth, order=2, dense_order=2),
+        "state.free-fall",
+        "the motion of a free body in free fall is wrong after the first step",
+    ),
     "dense output of lower order": (
         adaptive(Line, dense_order=3),
         "order.dense-output",
@@ -351,6 +411,11 @@ WRONG = {
     ),
     "an error estimate without states": (
         adaptive(ErrorWithoutStates), "tolerance.error-estimate", "for first-order states, its error estimate is zero",
+    ),
+    "an error estimate that is zero for linear equations": (
+        adaptive(Ros3p, dense_output=False, needs=("accelerations", "tangents")),
+        "tolerance.linear-oscillators",
+        "its error does not decrease with the tolerance",
     ),
     "rejected steps that do not shrink": (
         adaptive(NeverSmaller), "tolerance.own-control", "it rejects a step of 1.7 s and asks for one of 1.7 s",

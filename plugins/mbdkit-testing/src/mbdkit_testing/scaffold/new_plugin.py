@@ -104,7 +104,7 @@ _INTEGRATORS: dict[Like, _Flavour] = {
         "An implicit method on the differential-algebraic equations",
         "BDF2 on the equations of Gear, Gupta and Leimkuhler: implicit, order 2, fixed steps.",
         "Bdf2",
-        "the formula, its iteration, and the formulation among the claims;",
+        "the formula, its iteration, and the formulation in the claims and in `study.yaml`;",
         accuracy=1e-3,
     ),
     "rosenbrock": _integrator(
