@@ -50,12 +50,12 @@ if TYPE_CHECKING:
     )
     from mbdkit.engine.compiled_mechanism import CompiledMechanism
     from mbdkit.engine.equations_of_motion import EquationsOfMotion
-    from mbdkit.engine.iteration_matrix import IterationMatrix, IterationMatrixWithStates
+    from mbdkit.engine.iteration_matrix import IterationMatrix, IterationMatrixWithStates, StateTangents
     from mbdkit.engine.kernels.observe import Observed
     from mbdkit.engine.nearest_state import nearest_positions, nearest_velocities
     from mbdkit.engine.observed_states import StateObserver
     from mbdkit.engine.state_derivatives import Rates
-    from mbdkit.engine.tangents import StateTangents, Tangents
+    from mbdkit.engine.tangents import Tangents
     from mbdkit.engine.workspace import Workspace
     from mbdkit.mechanism.bodies import GROUND, Body
     from mbdkit.mechanism.coordinate_function import CoordinateFunction
@@ -150,9 +150,9 @@ _STABLE = {
     "mbdkit.methods.tableau": "ButcherTableau EmbeddedPair TableauError collocation",
     "mbdkit.methods.method_options": "ImplicitOptions Options",
     "mbdkit.engine.equations_of_motion": "EquationsOfMotion",
-    "mbdkit.engine.iteration_matrix": "IterationMatrix IterationMatrixWithStates",
+    "mbdkit.engine.iteration_matrix": "IterationMatrix IterationMatrixWithStates StateTangents",
     "mbdkit.engine.state_derivatives": "Rates",
-    "mbdkit.engine.tangents": "StateTangents Tangents",
+    "mbdkit.engine.tangents": "Tangents",
     "mbdkit.mechanism.mechanism": "Mechanism",
     "mbdkit.mechanism.bodies": "GROUND Body",
     "mbdkit.mechanism.joints": "Driver Joint Revolute",
