@@ -16,7 +16,7 @@ from mbdkit.methods.step_methods import Dense, Step, StepEvent, StepState
 from mbdkit_contact.complementarity import PRECISION, Pushed, coulomb, coupled_by_all, coupled_by_bodies, swept
 from mbdkit_contact.contact_kinematics import FEW, ContactKinematics, Rows
 from mbdkit_contact.contact_state import ContactState, HeldForces
-from mbdkit_contact.kernels.closed_contacts import (
+from mbdkit_contact.kernels.contact_forces import (
     SINGULAR,
     closed_accelerations,
     closed_solution,
@@ -171,7 +171,7 @@ class RigidContacts:
     ) -> tuple[np.ndarray, np.ndarray]:
         """Solve the equations with the constraints of joints and closed contacts in given modes (C,).
 
-        See `mbdkit_contact.kernels.closed_contacts.closed_solution`; without closed contacts, `rows` are those of the
+        See `mbdkit_contact.kernels.contact_forces.closed_solution`; without closed contacts, `rows` are those of the
         joints.
         """
         p = self.p
