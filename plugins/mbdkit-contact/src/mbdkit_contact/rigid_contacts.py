@@ -23,6 +23,8 @@ from mbdkit_contact.kernels.contact_forces import (
     new_closed_contacts,
 )
 
+MOST_PIVOTED = 24
+"""Up to this number of contacts, impulses are found by pivoting, to rounding errors; for more, by sweeps."""
 FREE = 1e-6
 """Smallest component of a null vector, of length 1, that makes the force of a contact ambiguous."""
 
@@ -262,7 +264,7 @@ class RigidContacts:
         """
         normal, tangent = rows.rates(free)
         normal = normal + more
-        is_large, found = len(rows.gap) > FEW, None
+        is_large, found = len(rows.gap) > MOST_PIVOTED, None
         begin = np.broadcast_to(guess, (2, len(normal)))
         if is_large and np.all(self._is_free[rows.bodies]):
             coupled = coupled_by_bodies(rows.bodies, rows.gradients, self._lightness)
