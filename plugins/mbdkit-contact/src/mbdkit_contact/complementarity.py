@@ -2,12 +2,24 @@
 
 from __future__ import annotations
 
+import threading
 from typing import NamedTuple
 
 import numpy as np
 
 from mbdkit.engine.kernels.cone_sweeps import couple_contacts, sweep_contacts
-from mbdkit_contact.kernels.pivoting import cone_forces, new_cones
+from mbdkit.engine.repeated_call import RepeatedCall
+from mbdkit_contact.kernels.pivoting import Cones, cone_forces, new_cones
+
+
+class _Storage(threading.local):
+    """Arrays for each number of contacts, with the call of the kernel that uses them, in every thread."""
+
+    def __init__(self) -> None:
+        self.cones: dict[int, tuple[Cones, RepeatedCall]] = {}
+
+
+_STORAGE = _Storage()
 
 
 class Pushed(NamedTuple):
@@ -63,13 +75,17 @@ def coulomb(
         (k,) normal forces whose effects `normal` and `tangent` include already. The forces returned are added to them,
         and the limits of friction follow from the sums.
     """
-    k = len(normal)
-    cones = new_cones(k)
+    k, arrays = len(normal), _STORAGE.cones
+    if k not in arrays:
+        new = new_cones(k)
+        arrays[k] = new, RepeatedCall(cone_forces, new, k)
+    cones, solve = arrays[k]
     cones.response[:], cones.free[:k], cones.free[k:] = response, normal, tangent
     cones.friction[:], cones.sliding[:], cones.pressed[:] = friction, sliding, pressed
-    if not cone_forces(cones, k):
+    if not solve():
         return None
-    return Pushed(cones.forces[:k], cones.forces[k:], cones.closed > 0, cones.slipping > 0)
+    forces = cones.forces.copy()
+    return Pushed(forces[:k], forces[k:], cones.closed > 0, cones.slipping > 0)
 
 
 class Coupled(NamedTuple):
