@@ -18,11 +18,6 @@ from mbdkit_contact.kernels.kinematics import Shapes, choose, place, row_of
 
 SINGULAR = 1e-11
 """Singular values of the equations of contact forces below this share of the largest one indicate redundant rows."""
-MOST_SWEEPS = 60
-"""Largest number of sweeps of the singular value decomposition, which needs about six."""
-EPS = float(np.finfo(float).eps)
-ROUNDING = (100.0 * EPS) ** 2
-"""A column whose square is below this share of that of another column consists of rounding errors."""
 
 
 class ClosedContacts(NamedTuple):
@@ -60,6 +55,7 @@ class ClosedContacts(NamedTuple):
     forces: RealVector
     weights: RealVector
     sizes: RealVector
+    order: IntVector
 
 
 def new_closed_contacts(shapes: Shapes, kinetic: np.ndarray, most: int, n: int, pairs: int) -> ClosedContacts:
@@ -71,60 +67,105 @@ def new_closed_contacts(shapes: Shapes, kinetic: np.ndarray, most: int, n: int, 
         np.zeros(most), np.zeros(most), np.zeros(most), np.zeros(1, dtype=np.int64),
         np.zeros((u, size)), np.zeros((u, size)), np.zeros((u, size)), np.zeros((u, pairs, 2)),
         np.zeros(size), np.zeros((pairs, 2)), np.zeros(square), np.zeros(square), np.zeros(square),
-        np.zeros(u), np.zeros(u), np.zeros(u), np.zeros(u),
+        np.zeros(u), np.zeros(u), np.zeros(u), np.zeros(u), np.zeros(u, dtype=np.int64),
     )  # fmt: skip
+
+
+@subkernel
+def _triangular(s, count):
+    """Reduce the weighted matrix to triangular form by reflections with exchange of columns; return its rank.
+
+    ``columns[j, i]`` is then row i of column j, and ``order[j]`` its column in the matrix; ``sizes`` is the transformed
+    right-hand side.
+    """
+    a, b = s.columns, s.sizes
+    for j in range(count):
+        s.order[j], b[j] = j, s.right[j]
+        for i in range(count):
+            a[j, i] = s.matrix[i, j] * s.weights[j]
+    first = 0.0
+    for k in range(count):
+        best, largest = k, -1.0
+        for j in range(k, count):
+            square = 0.0
+            for i in range(k, count):
+                square += a[j, i] * a[j, i]
+            if square > largest:
+                best, largest = j, square
+        if k == 0:
+            first = largest
+        if not largest > SINGULAR * SINGULAR * first:
+            return k
+        s.order[k], s.order[best] = s.order[best], s.order[k]
+        for i in range(count):
+            a[k, i], a[best, i] = a[best, i], a[k, i]
+        alpha = sqrt(largest) if a[k, k] <= 0.0 else -sqrt(largest)
+        half = largest - alpha * a[k, k]
+        a[k, k] -= alpha
+        for j in range(k + 1, count):
+            product = 0.0
+            for i in range(k, count):
+                product += a[k, i] * a[j, i]
+            for i in range(k, count):
+                a[j, i] -= product / half * a[k, i]
+        product = 0.0
+        for i in range(k, count):
+            product += a[k, i] * b[i]
+        for i in range(k, count):
+            b[i] -= product / half * a[k, i]
+        a[k, k] = alpha
+    return count
+
+
+@subkernel
+def _solve_triangle(a, rank, right, x):
+    """Solve the triangular system of the first columns, whose right-hand side may be the solution `x` itself."""
+    for i in range(rank - 1, -1, -1):
+        value = right[i]
+        for j in range(i + 1, rank):
+            value -= a[j, i] * x[j]
+        x[i] = value / a[i, i]
 
 
 @subkernel
 def least_squares(s, count):
     """Write the solution of least norm of ``matrix diag(weights) x = right`` into ``s.forces``; return the rank.
 
-    The singular values and vectors are found by rotations of the columns (M. R. Hestenes, Journal of the Society for
-    Industrial and Applied Mathematics 6:51-90, 1958). ``columns[j]`` is column j of the rotated matrix.
+    Of all solutions, ``y - S z`` with ``S = R11^-1 R12`` and the other components z, that of least norm satisfies
+    ``(I + S^T S) z = S^T y`` (G. H. Golub and C. F. Van Loan, Matrix Computations, 2013, section 5.5).
     """
-    a, v = s.columns, s.turns
+    a, b, y, lean = s.columns, s.sizes, s.forces, s.turns
+    rank = _triangular(s, count)
+    _solve_triangle(a, rank, b, y)
+    extra = count - rank
+    for e in range(extra):
+        _solve_triangle(a, rank, a[rank + e], lean[e])
+        b[e] = 0.0
+        for i in range(rank):
+            b[e] += lean[e, i] * y[i]
+    for e in range(extra):  # Cholesky factors, in the columns that are no longer needed
+        for f in range(e + 1):
+            value = 1.0 if e == f else 0.0
+            for i in range(rank):
+                value += lean[e, i] * lean[f, i]
+            for g in range(f):
+                value -= a[rank + e, g] * a[rank + f, g]
+            a[rank + e, f] = sqrt(value) if e == f else value / a[rank + f, f]
+        for f in range(e):
+            b[e] -= a[rank + e, f] * b[f]
+        b[e] /= a[rank + e, e]
+    for e in range(extra - 1, -1, -1):
+        for f in range(e + 1, extra):
+            b[e] -= a[rank + f, e] * b[f]
+        b[e] /= a[rank + e, e]
+    for e in range(extra):
+        y[rank + e] = b[e]
+        for i in range(rank):
+            y[i] -= lean[e, i] * b[e]
     for j in range(count):
-        for i in range(count):
-            a[j, i], v[j, i] = s.matrix[i, j] * s.weights[j], 0.0
-        v[j, j] = 1.0
-    for _ in range(MOST_SWEEPS):
-        rotated = False
-        for p in range(count - 1):
-            for q in range(p + 1, count):
-                alpha = beta = gamma = 0.0
-                for i in range(count):
-                    alpha += a[p, i] * a[p, i]
-                    beta += a[q, i] * a[q, i]
-                    gamma += a[p, i] * a[q, i]
-                if abs(gamma) <= EPS * sqrt(alpha * beta) or min(alpha, beta) <= ROUNDING * max(alpha, beta):
-                    continue
-                rotated = True
-                zeta = (beta - alpha) / (2.0 * gamma)
-                t = (1.0 if zeta >= 0.0 else -1.0) / (abs(zeta) + sqrt(1.0 + zeta * zeta))
-                c = 1.0 / sqrt(1.0 + t * t)
-                sine = c * t
-                for i in range(count):
-                    a[p, i], a[q, i] = c * a[p, i] - sine * a[q, i], sine * a[p, i] + c * a[q, i]
-                    v[p, i], v[q, i] = c * v[p, i] - sine * v[q, i], sine * v[p, i] + c * v[q, i]
-        if not rotated:
-            break
-    largest = 0.0
+        b[j] = y[j]
     for j in range(count):
-        square = 0.0
-        for i in range(count):
-            square += a[j, i] * a[j, i]
-        s.sizes[j], s.forces[j] = square, 0.0
-        largest = max(largest, square)
-    rank = 0
-    for j in range(count):
-        if not s.sizes[j] > SINGULAR * SINGULAR * largest:
-            continue
-        rank += 1
-        product = 0.0
-        for i in range(count):
-            product += a[j, i] * s.right[i]
-        for i in range(count):
-            s.forces[i] += product / s.sizes[j] * v[j, i]
+        y[s.order[j]] = b[j]
     return rank
 
 
