@@ -13,6 +13,7 @@ from math import sqrt
 from mbdkit.engine.native.functions import subkernel
 
 
+
 @subkernel
 def line_gap(a, b, p):
     """Return the gap."""
@@ -137,7 +138,7 @@ def circles_gap(a, b, p):
     s4 = cos1*px - py*sin1
     s5 = cos1*py + px*sin1
     s6 = ((s2 - s4)*(s2 - s4)) + ((s3 - s5)*(s3 - s5))
-    s7 = sqrt(s6 if s6 > 0.0 else 1)
+    s7 = sqrt((s6 if s6 > 0.0 else 1))
     s8 = (s7 if s6 > 0.0 else 0)
     return -other - r + s8
 
@@ -172,7 +173,7 @@ def circles_row(a, b, p, out):
     s4 = cos1*px - py*sin1
     s5 = cos1*py + px*sin1
     s6 = ((s2 - s4)*(s2 - s4)) + ((s3 - s5)*(s3 - s5))
-    s7 = sqrt(s6 if s6 > 0.0 else 1)
+    s7 = sqrt((s6 if s6 > 0.0 else 1))
     s8 = (s7 if s6 > 0.0 else 0)
     s9 = (s2 - s4)/s7
     s10 = (s3 - s5)/s7
@@ -192,7 +193,7 @@ def circles_row(a, b, p, out):
     s25 = s24 - vx1 + vx2
     s26 = -cos1*py*w1 - px*sin1*w1
     s27 = s22*(2*s3 - 2*s5) + s23*(-2*s3 + 2*s5) + s25*(2*s2 - 2*s4) + s26*(-2*s2 + 2*s4)
-    s28 = (1.0/2.0)*(s27 if s6 > 0.0 else 0)/sqrt(s6 if s6 > 0.0 else 1)
+    s28 = ((1.0/2.0))*(s27 if s6 > 0.0 else 0)/sqrt((s6 if s6 > 0.0 else 1))
     s29 = s22/s7 - s23/s7 - s28*(s3 - s5)/(s7*s7)
     s30 = cos2*cx*w2 - cy*sin2*w2
     s31 = -r*s29 + s30
@@ -247,7 +248,7 @@ def hole_gap(a, b, p):
     s4 = cos1*px - py*sin1
     s5 = cos1*py + px*sin1
     s6 = ((s2 - s4)*(s2 - s4)) + ((s3 - s5)*(s3 - s5))
-    s7 = sqrt(s6 if s6 > 0.0 else 1)
+    s7 = sqrt((s6 if s6 > 0.0 else 1))
     s8 = (s7 if s6 > 0.0 else 0)
     return other - r - s8
 
@@ -282,7 +283,7 @@ def hole_row(a, b, p, out):
     s4 = cos1*px - py*sin1
     s5 = cos1*py + px*sin1
     s6 = ((s2 - s4)*(s2 - s4)) + ((s3 - s5)*(s3 - s5))
-    s7 = sqrt(s6 if s6 > 0.0 else 1)
+    s7 = sqrt((s6 if s6 > 0.0 else 1))
     s8 = (s7 if s6 > 0.0 else 0)
     s9 = (s2 - s4)/s7
     s10 = (s3 - s5)/s7
@@ -304,7 +305,7 @@ def hole_row(a, b, p, out):
     s27 = s26 - vy1 + vy2
     s28 = cos1*px*w1 - py*sin1*w1
     s29 = s24*(2*s2 - 2*s4) + s25*(-2*s2 + 2*s4) + s27*(2*s3 - 2*s5) + s28*(-2*s3 + 2*s5)
-    s30 = (1.0/2.0)*(s29 if s6 > 0.0 else 0)/sqrt(s6 if s6 > 0.0 else 1)
+    s30 = ((1.0/2.0))*(s29 if s6 > 0.0 else 0)/sqrt((s6 if s6 > 0.0 else 1))
     s31 = s24/s7 - s25/s7 - s30*(s2 - s4)/(s7*s7)
     s32 = -s31
     s33 = s27/s7 - s28/s7 - s30*(s3 - s5)/(s7*s7)
