@@ -1,4 +1,4 @@
-"""The equations of motion for methods written in NumPy: evaluation, tangents and solution, with work counters."""
+"""The equations of motion for methods written in NumPy: evaluation, tangents, projections and reactions."""
 
 from __future__ import annotations
 
@@ -13,9 +13,8 @@ from mbdkit.base.errors import StepError
 from mbdkit.engine.compiled_mechanism import with_ground
 from mbdkit.engine.consistent_start import workspace_at_start
 from mbdkit.engine.contact_forces import ActingContact
-from mbdkit.engine.counters import Counters
 from mbdkit.engine.elimination_order import SingularSystemError
-from mbdkit.engine.equation_calls import EquationCalls
+from mbdkit.engine.evaluated_equations import EvaluatedEquations
 from mbdkit.engine.iteration_matrix import (
     Coefficients,
     IterationMatrices,
@@ -29,14 +28,11 @@ from mbdkit.engine.iteration_matrix import (
 )
 from mbdkit.engine.joint_sums import joint_sums
 from mbdkit.engine.kernels import equations
-from mbdkit.engine.kernels.applied_forces import potential_energy
 from mbdkit.engine.kernels.equations import DAMPING, GAMMA_V, JACOBIAN, MASS, RESIDUAL_Q, STIFFNESS
 from mbdkit.engine.kernels.frames import Reactions, reactions_in_frames
-from mbdkit.engine.kernels.observe import baumgarte_at
-from mbdkit.engine.kernels.system import NOT_FINITE, OK
 from mbdkit.engine.nearest_state import nearest_positions, nearest_velocities
 from mbdkit.engine.observed_states import GivenForces, StateObserver
-from mbdkit.engine.state_derivatives import Rates, StateDerivatives
+from mbdkit.engine.state_derivatives import Rates
 from mbdkit.engine.tangents import SparseParts, Tangents
 from mbdkit.engine.workspace import Workspace
 
@@ -48,7 +44,7 @@ if TYPE_CHECKING:
 T = TypeVar("T")
 
 
-class EquationsOfMotion:
+class EquationsOfMotion(EvaluatedEquations):
     """The equations of motion of one mechanism, for use in the `step` of a method.
 
     ::
@@ -102,22 +98,7 @@ class EquationsOfMotion:
     """
 
     def __init__(self, workspace: Workspace, z0: np.ndarray | None = None):
-        mechanism = workspace.mechanism
-        self._workspace, self._calls = workspace, EquationCalls(workspace)
-        self.address = self._calls.address
-        self.n, self.m = 3 * len(mechanism.bodies), len(mechanism.solved_rows)
-        self.bodies, self.pairs = mechanism.bodies, len(mechanism.topology.pairs)
-        self.constraint_names = tuple(row.label for row in mechanism.solved_rows)
-        self.formulation, self.stabilization = workspace.formulation, workspace.stabilization
-        self.mass = mechanism.topology.mass[:-1].ravel()  # a view of the array that the kernels read
-        self.t0, self.q0, self.v0 = workspace.t0, workspace.q0[: self.n].copy(), workspace.v0[: self.n].copy()
-        self.z0 = np.array(mechanism.initial_states if z0 is None else z0)
-        for array in (self.mass, self.q0, self.v0, self.z0):
-            array.flags.writeable = False
-        self.counters = Counters()
-        self.has_power = mechanism.has_power
-        self.first_step: float | None = None
-        self._no_force, self._no_rows = np.zeros(self.n), np.zeros(self.m)
+        super().__init__(workspace, z0)
         self._matrices = IterationMatrices(workspace)
         self._derived: dict[Any, Any] = {}
 
@@ -134,11 +115,6 @@ class EquationsOfMotion:
         """
         return cls(workspace_at_start(mechanism, t0)[0])
 
-    @property
-    def length(self) -> float:
-        """Characteristic length of the mechanism [m]."""
-        return self._workspace.mechanism.length
-
     def free_now(self) -> np.ndarray:
         """Return for each body (B,) whether only rigid contacts couple it to others, according to the last tangents.
 
@@ -150,10 +126,6 @@ class EquationsOfMotion:
         for places in (terms.row[coupled], terms.column[coupled]):
             free[places[places < self.n] // 3] = False
         return free
-
-    def hold(self, z: np.ndarray) -> None:
-        """Use the values `z` (Z,) of first-order states in later evaluations."""
-        self._workspace.take_states(vector(z, len(self.z0)))
 
     def derived(self, make: Callable[[EquationsOfMotion], T]) -> T:
         """Return ``make(self)``, computed by the first call: what a method needs of the equations and does not change.
@@ -171,39 +143,6 @@ class EquationsOfMotion:
         ones.
         """
         return tuple(one for one in self._workspace.mechanism.contacts if one.first_state >= 0)
-
-    @property
-    def terms_now(self) -> np.ndarray:
-        """Values of all terms of the tangents at the last evaluation."""
-        return self._workspace.scratch.source
-
-    def accelerations(self, t: float, q: np.ndarray, v: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return the index-1 accelerations (n,) and multipliers (m,) at a state."""
-        self.counters.rhs_evaluations += 1
-        self._at(q, v)
-        return self._solved(self._calls.accelerations, t)
-
-    def derivatives(self, t: float, q: np.ndarray, v: np.ndarray, z: np.ndarray) -> Rates:
-        """Return the index-1 accelerations, the multipliers, and the rates of the first-order states.
-
-        Counts as one evaluation of the right-hand side. Later calls without `z` use the states `z` too.
-
-        Parameters
-        ----------
-        t, q, v, z
-            Time [s], position and velocity (n,), and first-order states (Z,).
-
-        Returns
-        -------
-        a, lam, rates
-            (n,), (m,) and (Z,) arrays; rates in the units of the states per second.
-        """
-        self.counters.rhs_evaluations += 1
-        return self._derivatives(t, q, v, z)
-
-    def rates(self, t: float, q: np.ndarray, v: np.ndarray, z: np.ndarray) -> np.ndarray:
-        """Return the rates (Z,) of the first-order states, as `derivatives` does; free if there are no such states."""
-        return self.derivatives(t, q, v, z)[2] if len(self.z0) else vector(z, 0).copy()
 
     def time_derivative(self, t: float, q: np.ndarray, v: np.ndarray, z: np.ndarray) -> Rates:
         """Return the partial derivatives with respect to time of what `derivatives` returns, at a fixed state.
@@ -228,83 +167,6 @@ class EquationsOfMotion:
             raise StepError("singular", "the system of equations is singular") from None
         self.hold(z)
         return found
-
-    def potential(self, t: float, q: np.ndarray, z: np.ndarray | None = None) -> float:
-        """Return the potential energy of gravity, springs and beams [J], as recorded in the archive.
-
-        Parameters
-        ----------
-        t, q
-            Time [s] and position (n,).
-        z
-            (Z,) first-order states; if left out, those last used.
-        """
-        if z is not None:
-            self.hold(z)
-        q = vector(q, self.n)
-        self._take(q, self._no_force, self._no_force, self._no_rows)
-        self._evaluate(self._calls.residual, t)
-        return float(potential_energy(self._workspace.mechanism.topology, self._workspace.scratch, with_ground(q))[0])
-
-    def kinetic(self, v: np.ndarray) -> float:
-        """Return the kinetic energy at the velocity `v` (n,) [J]."""
-        v = vector(v, self.n)
-        return float(0.5 * (self.mass * v) @ v)
-
-    def solve(self, t: float, q: np.ndarray, force: np.ndarray, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Solve ``M x + Phi_q^T mu = force``, ``Phi_q x = rows`` at the position `q`.
-
-        Parameters
-        ----------
-        t, q
-            Time [s] and position (n,).
-        force, rows
-            (n,) and (m,) right-hand sides.
-
-        Returns
-        -------
-        x, mu
-            (n,) and (m,) solution.
-        """
-        calls = self._calls
-        put(calls.q, q)
-        put(calls.force, force)
-        put(calls.right, rows)
-        return self._solved(calls.solution, t)
-
-    def forces(self, t: float, q: np.ndarray, v: np.ndarray) -> np.ndarray:
-        """Return the generalized applied forces Q (n,), gravity included."""
-        return 0.0 - self.residual(t, q, v, self._no_force, self._no_rows)
-
-    def residual(self, t: float, q: np.ndarray, v: np.ndarray, a: np.ndarray, lam: np.ndarray) -> np.ndarray:
-        """Return the residual of the equations of motion, ``M a + Phi_q^T lam - Q(t, q, v)`` (n,)."""
-        self.counters.rhs_evaluations += 1
-        return self._residual(t, q, v, a, lam)
-
-    def constraint_forces(self, t: float, q: np.ndarray, lam: np.ndarray) -> np.ndarray:
-        """Return ``Phi_q^T lam`` (n,)."""
-        put(self._calls.q, q)
-        put(self._calls.lam, lam)
-        self._evaluate(self._calls.constraint_forces, t)
-        return self._calls.x.copy()
-
-    def constraints(self, t: float, q: np.ndarray) -> np.ndarray:
-        """Return Phi (m,) [m, rad]."""
-        put(self._calls.q, q)
-        self._evaluate(self._calls.constraints, t)
-        return self._calls.phi.copy()
-
-    def constraint_rates(self, t: float, q: np.ndarray, v: np.ndarray) -> np.ndarray:
-        """Return the time derivative of the constraints, ``Phi_q v + Phi_t`` (m,) [m/s, rad/s]."""
-        self._at(q, v)
-        self._evaluate(self._calls.rows, t)
-        return self._calls.rate.copy()
-
-    def gamma(self, t: float, q: np.ndarray, v: np.ndarray) -> np.ndarray:
-        """Return the right-hand side of ``Phi_q a = gamma`` (m,) [m/s^2, rad/s^2], Baumgarte's terms included."""
-        self._at(q, v)
-        self._evaluate(self._calls.rows, t)
-        return self._calls.gamma.copy()
 
     def constraint_jacobian(self, t: float, q: np.ndarray) -> csr_array:
         """Return Phi_q, a sparse (m, n) array."""
@@ -418,17 +280,6 @@ class EquationsOfMotion:
         self.counters.projections += 1
         return nearest_velocities(self, t, vector(q, self.n), vector(v, self.n))
 
-    def baumgarte_terms(self, t: float, q: np.ndarray, v: np.ndarray) -> float:
-        """Return the largest of Baumgarte's terms ``2 alpha Phi' + beta^2 Phi`` at a state [m/s^2, rad/s^2]."""
-        state = (with_ground(vector(x, self.n)) for x in (q, v))
-        return float(baumgarte_at(self._workspace.stepping_engine, float(t), *state))
-
-    def powers(self, t: float, q: np.ndarray, v: np.ndarray, lam: np.ndarray) -> tuple[float, float]:
-        """Return the power of loads and drivers and the dissipated power at a state with multipliers `lam` [W]."""
-        q, v, lam = vector(q, self.n), vector(v, self.n), vector(lam, self.m)
-        work, lost = equations.powers_of(self.address, float(t), q, v, lam)
-        return work, lost
-
     def recorded_multipliers(self, t: float, q: np.ndarray, lam: np.ndarray) -> np.ndarray:
         """Return the multipliers (rows,) of all rows of ``/constraints``; only independent rows carry a force."""
         rows = self._workspace.mechanism.rows
@@ -468,16 +319,6 @@ class EquationsOfMotion:
         lengths = change[:, :2].max() / max(min(1.0, self._workspace.mechanism.length), size[:, :2].max())
         return float(max(lengths, change[:, 2].max() / max(1.0, size[:, 2].max())))
 
-    def arrive(self, t: float, q: np.ndarray, v: np.ndarray, worst: np.ndarray) -> bool:
-        """Update the maxima `worst` (P,) by the squared misalignments at a state; return whether q and v are finite."""
-        return bool(self._calls.arrive(float(t), vector(q, self.n), vector(v, self.n), worst))
-
-    def _residual(self, t: float, q: np.ndarray, v: np.ndarray, a: np.ndarray, lam: np.ndarray) -> np.ndarray:
-        """See `residual`; the evaluation is not counted."""
-        self._take(q, v, a, lam)
-        self._evaluate(self._calls.residual, t)
-        return self._calls.x.copy()
-
     def _sparse_tangents(self, t: float, q: np.ndarray, v: np.ndarray, a: np.ndarray, lam: np.ndarray) -> Tangents:
         """See `tangents`; without the derivatives that involve first-order states."""
         self._evaluate_tangents(t, q, v, a, lam)
@@ -509,66 +350,6 @@ class EquationsOfMotion:
         self.hold(z)
         return found
 
-    def _derivatives(self, t: float, q: np.ndarray, v: np.ndarray, z: np.ndarray) -> Rates:
-        """See `derivatives`; the evaluation is not counted."""
-        if not len(self.z0):
-            self._at(q, v)
-            return *self._solved(self._calls.accelerations, t), vector(z, 0).copy()
-        found = self._forms.evaluated(t, q, v, z, self.solved_by)
-        if found is None:
-            raise self._not_finite()
-        return found
-
-    def _solved(self, solve: Callable[[float], int], t: float) -> tuple[np.ndarray, np.ndarray]:
-        """Solve a system with the index-1 matrix."""
-        self.solved_by(solve, t)
-        return self._calls.x.copy(), self._calls.mu.copy()
-
-    def solved_by(self, solve: Callable[[float], int], t: float) -> None:
-        """Call `solve` at a time, with new pivots if the current ones fail; raise StepError if there is no solution.
-
-        `solve` calls a kernel with `address`, which returns a status; for internal use.
-        """
-
-        def counted() -> int:
-            self.counters.factorizations += 1
-            self._calls.use_pivots()
-            return solve(float(t))
-
-        workspace = self._workspace
-        try:
-            status = workspace.retry_with_new_pivots(counted)
-        except SingularSystemError as error:
-            raise self._singular(error) from None
-        if status == OK:
-            return
-        if status == NOT_FINITE or not workspace.is_finite(tangents=False):
-            raise self._not_finite()
-        raise self._singular(SingularSystemError(workspace.failed_unknown))
-
-    def _at(self, q: np.ndarray, v: np.ndarray) -> None:
-        put(self._calls.q, q)
-        put(self._calls.v, v)
-
-    def _take(self, q: np.ndarray, v: np.ndarray, a: np.ndarray, lam: np.ndarray) -> None:
-        """Pass a state, accelerations and multipliers to the kernels."""
-        self._at(q, v)
-        put(self._calls.a, a)
-        put(self._calls.lam, lam)
-
-    def _evaluate(self, kernel: Callable[[float], int], t: float) -> None:
-        if kernel(float(t)) != OK:
-            raise self._not_finite()
-
-    def _evaluate_tangents(self, t: float, q: np.ndarray, v: np.ndarray, a: np.ndarray, lam: np.ndarray) -> None:
-        self.counters.jacobian_evaluations += 1
-        self._take(q, v, a, lam)
-        self._evaluate(self._calls.tangents, t)
-
-    @cached_property
-    def _forms(self) -> StateDerivatives:
-        return StateDerivatives(self._workspace)
-
     @cached_property
     def _jacobian_part(self) -> SparseParts:
         return SparseParts(self._workspace, [JACOBIAN])
@@ -591,10 +372,3 @@ class EquationsOfMotion:
     def _factorized(self, pivots: Pivots, coefficients: np.ndarray) -> IterationMatrix:
         self.counters.factorizations += 1
         return IterationMatrix(self.terms_now, pivots, coefficients, self.counters)
-
-    def _singular(self, error: SingularSystemError) -> StepError:
-        name = self._workspace.mechanism.unknown_name(error.index)
-        return StepError("singular", f"the system of equations is singular at {name}")
-
-    def _not_finite(self) -> StepError:
-        return StepError(self._workspace.cause, self._workspace.unusable() or "numbers overflowed")

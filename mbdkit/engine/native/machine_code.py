@@ -92,8 +92,10 @@ def folder_of(package: str) -> Path:
     if package == CORE:
         return PACKAGE
     spec = importlib.util.find_spec(package)
-    assert spec is not None
-    assert spec.submodule_search_locations
+    if spec is None or not spec.submodule_search_locations:
+        raise MbdkitError(
+            f"the package '{package}', which an entry point of the group mbdkit.kernels names, is missing"
+        )
     return Path(spec.submodule_search_locations[0])
 
 
@@ -104,8 +106,9 @@ def stored_folder(package: str, target: Platform) -> Path:
 
 @cache
 def kernel_packages() -> tuple[str, ...]:
-    """Return the packages that have kernels, mbdkit itself first."""
-    return (CORE, *sorted({found.value for found in entry_points(group="mbdkit.kernels")}))
+    """Return the packages that have kernels, mbdkit itself first; those that are not importable are left out."""
+    named = {found.value for found in entry_points(group="mbdkit.kernels")}
+    return (CORE, *sorted(name for name in named if importlib.util.find_spec(name.partition(".")[0]) is not None))
 
 
 @cache

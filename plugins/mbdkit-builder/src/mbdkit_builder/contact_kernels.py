@@ -9,8 +9,8 @@ import sympy as sp
 
 from mbdkit.engine.native.machine_code import folder_of
 from mbdkit.symbolic.contact_definitions import numbers_of
-from mbdkit.symbolic.contact_rows import ARGUMENTS, row_definition
 from mbdkit_builder.element_kernels import Printer
+from mbdkit_contact.contact_rows import ARGUMENTS, row_definition
 
 TARGET = folder_of("mbdkit_contact") / "kernels/row_kernels.py"
 KINDS = ("line", "circles", "hole")
@@ -21,7 +21,7 @@ Each function has the arguments
 
 a, b : (7,) x, y, cosine and sine of the angle, and velocities of the first and of the second body
 p : (7,) parameters of the geometry; see `mbdkit.symbolic.contact_definitions.numbers_of`
-out : (16,) receives `mbdkit.symbolic.contact_rows.QUANTITIES`
+out : (16,) receives `mbdkit_contact.contact_rows.QUANTITIES`
 """
 
 # fmt: off

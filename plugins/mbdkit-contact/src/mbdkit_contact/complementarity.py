@@ -7,8 +7,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from mbdkit.engine.kernels.cone_sweeps import couple_contacts, sweep_contacts
 from mbdkit.engine.repeated_call import RepeatedCall
+from mbdkit_contact.kernels.cone_sweeps import couple_contacts, sweep_contacts
 from mbdkit_contact.kernels.pivoting import Cones, cone_forces, new_cones
 
 
@@ -89,7 +89,7 @@ def coulomb(
 
 
 class Coupled(NamedTuple):
-    """How k contacts affect each other; see `mbdkit.engine.kernels.cone_sweeps.sweep_contacts`."""
+    """How k contacts affect each other; see `mbdkit_contact.kernels.cone_sweeps.sweep_contacts`."""
 
     start: np.ndarray
     other: np.ndarray

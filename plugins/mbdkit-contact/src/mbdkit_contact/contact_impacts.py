@@ -58,8 +58,9 @@ def struck(
         ``contact-solver`` if no impulses satisfy the law.
     """
     some, rows = np.flatnonzero(touching), contacts.kinematics.rows(q, v)
-    response, both = contacts.response(t, q, rows, some)
-    before = both @ v
+    both = np.vstack([rows.normal[some], rows.tangent[some]])
+    moved, loaded = contacts.answers(t, q, both)
+    response, before = both @ moved, both @ v
     k, strike = len(some), new_strike(len(some))
     strike.cones.response[:], strike.cones.friction[:] = response, contacts.kinetic[some]
     strike.before[:], strike.restitution[:] = before, e[some]
@@ -69,7 +70,6 @@ def struck(
     impulses = strike.impulses
     normal, tangent = np.zeros(len(touching)), np.zeros(len(touching))
     normal[some], tangent[some] = np.split(impulses, 2)
-    moved, loaded = contacts.answers(t, q, both)
     ordered = some[depend_on_order(contacts, law, response, before, e[some], some)]
     return Struck(v + moved @ impulses, normal, tangent, loaded @ impulses, outcome == AS_ASKED, ordered)
 

@@ -44,7 +44,7 @@ class Rows:
     gap, slip
         (C,) gaps [m] and slip velocities [m/s].
     normal_right, tangent_right
-        (C,) right-hand sides of the constraints on accelerations; see `mbdkit.symbolic.contact_rows.QUANTITIES`.
+        (C,) right-hand sides of the constraints on accelerations; see `mbdkit_contact.contact_rows.QUANTITIES`.
     bodies
         (C, 2) indices of the two bodies of each contact.
     gradients

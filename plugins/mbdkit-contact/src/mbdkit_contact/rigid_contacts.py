@@ -198,11 +198,6 @@ class RigidContacts:
         self._forced_at = RepeatedCall(closed_accelerations, p.address, None, self._closed, *(None,) * 5)
         self._solution_at = RepeatedCall(closed_solution, p.address, None, self._closed, *(None,) * 6)
 
-    def _shares(self, modes: np.ndarray, closed: np.ndarray) -> np.ndarray:
-        """Return the ratios of friction force and normal force of closed contacts that slip; 0 for those that stick."""
-        slips = np.sign(modes[closed]) * (np.abs(modes[closed]) == SLIP)
-        return np.asarray(-slips * self.kinetic[closed])
-
     def undetermined(self, t: float, q: np.ndarray, modes: np.ndarray, staying: np.ndarray) -> np.ndarray:
         """Return whether the normal force of each contact (C,) is not unique, because other forces of joints and
         contacts cause the same accelerations.
@@ -215,9 +210,11 @@ class RigidContacts:
         closed, found = np.flatnonzero(staying), np.zeros(len(modes), dtype=bool)
         if not 0 < len(closed) <= FEW:
             return found
-        rows, sticks = self.kinematics.rows(q, 0.0 * q, closed), np.flatnonzero(modes[closed] == STICK)
-        held, pushed = _directions(rows, np.arange(len(closed)), self._shares(modes, closed), sticks)
-        matrix = held @ self.answers(t, q, pushed)[0]
+        rows, own = self.kinematics.rows(q, 0.0 * q, closed), modes[closed]
+        friction = np.where(np.abs(own) == SLIP, -np.sign(own) * self.kinetic[closed], 0.0)  # for a unit normal force
+        along, held_slips = rows.normal, rows.tangent[own == STICK]
+        pushed = np.vstack([along + friction[:, None] * rows.tangent, held_slips])
+        matrix = np.vstack([along, held_slips]) @ self.answers(t, q, pushed)[0]
         size = np.sqrt(np.abs(np.diag(matrix)))  # 0 if joints hold the bodies
         scale = np.divide(1.0, size, out=np.zeros(len(size)), where=size > np.sqrt(SINGULAR) * np.max(size))
         _, sizes, vectors = np.linalg.svd(matrix * np.outer(scale, scale))
@@ -379,13 +376,3 @@ class RigidContacts:
         size = np.sqrt(np.abs(np.diag(response)))
         others = np.abs(response - np.diag(np.diag(response)))
         return bool(np.any(others > SAME_ACCELERATION * np.outer(size, size)))
-
-
-def _directions(rows: Rows, places: np.ndarray, share: np.ndarray, sticks: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return the derivatives of the constraints of closed contacts and the directions of their forces, (k + s, n) each.
-
-    First come the gaps of the k contacts `places` in `rows`, with friction that is the `share` of the normal force, and
-    then the slips of the s contacts that stick, `sticks`, among the closed ones.
-    """
-    along, across = rows.normal[places], rows.tangent[places]
-    return np.vstack([along, across[sticks]]), np.vstack([along + share[:, None] * across, across[sticks]])

@@ -30,7 +30,7 @@ class ClosedContacts(NamedTuple):
     """(K,) result: indices of the closed contacts, and for each that sticks the index of its friction force, or -1."""
     sticks: IntVector
     rows: Annotated[RealMatrix, 16]
-    """(K, 16) result: quantities of the closed contacts; see `mbdkit.symbolic.contact_rows.QUANTITIES`."""
+    """(K, 16) result: quantities of the closed contacts; see `mbdkit_contact.contact_rows.QUANTITIES`."""
     share: RealVector
     """(K,) ratios of friction force and normal force of contacts that slip; 0 for those that stick."""
     normal: RealVector

@@ -220,7 +220,7 @@ def gap_of(s, i):
 
 @subkernel
 def row_of(s, i, out):
-    """Compute the quantities (16,) of a contact at its chosen feature; see `mbdkit.symbolic.contact_rows`."""
+    """Compute the quantities (16,) of a contact at its chosen feature; see `mbdkit_contact.contact_rows`."""
     a, b, f = s.states[s.contacts[i, 0]], s.states[s.contacts[i, 1]], s.contacts[i, 2] + s.features[i]
     if s.kinds[f] == LINE:
         line_row(a, b, s.numbers[f], out)

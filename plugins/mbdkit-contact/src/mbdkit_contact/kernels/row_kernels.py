@@ -4,7 +4,7 @@ Each function has the arguments
 
 a, b : (7,) x, y, cosine and sine of the angle, and velocities of the first and of the second body
 p : (7,) parameters of the geometry; see `mbdkit.symbolic.contact_definitions.numbers_of`
-out : (16,) receives `mbdkit.symbolic.contact_rows.QUANTITIES`
+out : (16,) receives `mbdkit_contact.contact_rows.QUANTITIES`
 """
 
 # fmt: off
