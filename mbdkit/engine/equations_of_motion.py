@@ -28,7 +28,7 @@ from mbdkit.engine.iteration_matrix import (
 )
 from mbdkit.engine.joint_sums import joint_sums
 from mbdkit.engine.kernels import equations
-from mbdkit.engine.kernels.equations import DAMPING, GAMMA_V, JACOBIAN, MASS, RESIDUAL_Q, STIFFNESS
+from mbdkit.engine.kernels.equations import DAMPING, GAMMA_V, JACOBIAN, RESIDUAL_Q, STIFFNESS
 from mbdkit.engine.kernels.frames import Reactions, reactions_in_frames
 from mbdkit.engine.nearest_state import nearest_positions, nearest_velocities
 from mbdkit.engine.observed_states import GivenForces, StateObserver
@@ -114,18 +114,6 @@ class EquationsOfMotion(EvaluatedEquations):
             Start time [s].
         """
         return cls(workspace_at_start(mechanism, t0)[0])
-
-    def free_now(self) -> np.ndarray:
-        """Return for each body (B,) whether only rigid contacts couple it to others, according to the last tangents.
-
-        Such a body has no joint, and no force on it, except those of rigid contacts, depends on a position or velocity.
-        """
-        terms = self._workspace.terms
-        coupled = (self._matrices.classes != MASS) & (self.terms_now[terms.source] != 0.0)
-        free = np.ones(self.n // 3, dtype=bool)
-        for places in (terms.row[coupled], terms.column[coupled]):
-            free[places[places < self.n] // 3] = False
-        return free
 
     def derived(self, make: Callable[[EquationsOfMotion], T]) -> T:
         """Return ``make(self)``, computed by the first call: what a method needs of the equations and does not change.

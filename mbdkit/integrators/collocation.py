@@ -9,7 +9,7 @@ and the change of the stages, and the change that has to converge
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -19,6 +19,7 @@ from mbdkit.engine.kernels.equations import GAMMA_V, STIFFNESS
 from mbdkit.engine.kernels.observe import tangents_at
 from mbdkit.engine.native.bundle import PinnedBundle
 from mbdkit.engine.spanning_tree import spanning_tree
+from mbdkit.engine.stored_arrays import pattern_of, restore, scatter_of, stored
 from mbdkit.integrators import collocation_constrained, collocation_index1
 from mbdkit.integrators.collocation_stages import (
     FIXED_POINT,
@@ -106,6 +107,27 @@ class CompiledCollocation(CompiledMethod):
         self.bundle = stages._replace(systems=new_systems(self.rk, pattern, scatter, workspace.unknowns))
         self.pinned.replace(self.bundle)
         return True
+
+    def stored_systems(self) -> Any:
+        """See `CompiledMethod.stored_systems`."""
+        return stored(self.bundle.systems)
+
+    def restore_systems(self, state: Any) -> None:
+        """See `CompiledMethod.restore_systems`; the shapes of the arrays depend on the pivots."""
+        workspace = self.workspace
+        pattern = pattern_of(state["pattern"], workspace.unknowns)
+        scatter = scatter_of(state["scatter"], len(workspace.scratch.source), len(pattern.a_column))
+        systems = new_systems(self.rk, pattern, scatter, workspace.unknowns)
+        arrays = systems._asdict()
+        for name in ("real", "cplx"):
+            restore(arrays[name]._asdict(), state[name])
+        without = ("pattern", "scatter", "real", "cplx")
+        restore(
+            {name: array for name, array in arrays.items() if name not in without},
+            {name: values for name, values in state.items() if name not in without},
+        )
+        self.bundle = self.bundle._replace(systems=systems)
+        self.pinned.replace(self.bundle)
 
     def _evaluate_tangents(self, run_state: RunState, t: float) -> None:
         """Evaluate the tangents at the state in `run_state`; raises SingularSystemError."""

@@ -99,6 +99,25 @@ class CompiledMethod(ABC):
     def forget(self) -> None:  # noqa: B027
         """Discard the values stored by the last step for the next one."""
 
+    def stored_systems(self) -> Any:
+        """Return the linear systems of the method with their pivots as plain values for a checkpoint; None if it has
+        none.
+        """
+        return None
+
+    def restore_systems(self, state: Any) -> None:  # noqa: B027
+        """Use the systems that `stored_systems` has returned; raise ValueError if they are not valid."""
+
+    @property
+    def contacts(self) -> Any:
+        """Memory of rigid contacts (`mbdkit.integrators.impulse.ContactMemory`); None if the method has none."""
+        return None
+
+    @property
+    def failure(self) -> tuple[str, str] | None:
+        """Code and clause of the failure of the last attempt that only the method knows; None if there is none."""
+        return None
+
     def solve_apart(self, run_state: RunState, t: float, h: float) -> bool:
         """Solve the equations of the next attempt by a more robust, slower method; return whether that succeeded.
 

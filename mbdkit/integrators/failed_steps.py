@@ -158,6 +158,9 @@ class FailedSteps:
             return Failure("step-too-small", f"the step fell below {floor:.2g} s {where}; looser tolerances may help.")
         if status == NOT_FINITE:
             return Failure("not-finite", f"numbers overflowed {where}; {hint}{self._stiffness()}.")
+        if self.method.failure is not None:
+            code, what = self.method.failure
+            return Failure(code, f"{what} {where}; {hint}.")
         if status == DIVERGED:
             return Failure("newton-failed", f"{where}{self.method.describe_divergence(self.run_state.report)}; {hint}.")
         unknown = workspace.failed_unknown if singular is None else singular.index

@@ -72,6 +72,8 @@ class ContactMemory(Protocol):
 def contact_memory(stepper: object) -> ContactMemory | None:
     """Return the memory of rigid contacts, with the impacts so far; None if the run of a stepper has none."""
     memory = getattr(getattr(getattr(stepper, "now", None), "state", None), "memory", None)
+    if hasattr(stepper, "method"):  # of a compiled method
+        memory = getattr(stepper.method, "contacts", memory)
     return cast(ContactMemory, memory) if hasattr(memory, "impacts") else None
 
 

@@ -20,8 +20,7 @@ from mbdkit.base.errors import SpecError
 from mbdkit.base.logs import logger_of
 from mbdkit.base.text import one_line
 from mbdkit.engine.kernels.bundle_types import RECORD, STATE, kept
-from mbdkit.engine.stored_arrays import fill, pattern_of, restore, scatter_of, solver_of, stored, stored_solver
-from mbdkit.integrators.collocation_stages import new_systems
+from mbdkit.engine.stored_arrays import fill, restore, solver_of, stored_solver
 from mbdkit.integrators.compiled_stepper import CompiledStepper
 from mbdkit.integrators.step_host import StepHost
 from mbdkit.methods.kinds import Method
@@ -183,11 +182,10 @@ def _kept(bundle: Any) -> dict[str, np.ndarray]:
 
 def _stored_stepper(stepper: CompiledStepper) -> dict[str, Any]:
     own, bundle = stepper.run_state.solver, stepper.method.pinned.bundle
-    systems = getattr(bundle, "systems", None)  # methods whose stages are coupled have linear systems
     return {
         "run": _kept(stepper.run_state),
         "method": _kept(bundle),
-        "systems": None if systems is None else stored(systems),
+        "systems": stepper.method.stored_systems(),
         # the evaluation of an event may have chosen new pivots, which the stepper does not use
         "solver": None if own is stepper.workspace.solver else stored_solver(own),
         "renewed": sorted(stepper._renewed),
@@ -208,8 +206,7 @@ def _restore_stepper(stepper: CompiledStepper, state: Mapping[str, Any]) -> None
     past = getattr(bundle, "past", None)  # methods that extrapolate over several steps have this
     if past is not None and past.known[0] > len(past.acc):
         raise ValueError("it refers to more steps than are stored")
-    if hasattr(bundle, "systems"):
-        _restore_systems(stepper.method, state["systems"])
+    stepper.method.restore_systems(state["systems"])
     stepper._take_up_pivots()
     if state["solver"] is not None:
         stepper.run_state = stepper.run_state._replace(solver=solver_of(workspace, state["solver"]))
@@ -219,21 +216,3 @@ def _restore_stepper(stepper: CompiledStepper, state: Mapping[str, Any]) -> None
         stepper.sampler.restore(state["sampler"])
     stepper.impacts[:] = stored_python_steps.impulses_of(state, len(workspace.mechanism.joints))
     stepper._count()
-
-
-def _restore_systems(method: Any, state: Mapping[str, Any]) -> None:
-    """Give a method the linear systems of a checkpoint; the shapes of their arrays depend on the pivots."""
-    workspace = method.workspace
-    pattern = pattern_of(state["pattern"], workspace.unknowns)
-    scatter = scatter_of(state["scatter"], len(workspace.scratch.source), len(pattern.a_column))
-    systems = new_systems(method.rk, pattern, scatter, workspace.unknowns)
-    arrays = systems._asdict()
-    for name in ("real", "cplx"):
-        restore(arrays[name]._asdict(), state[name])
-    without = ("pattern", "scatter", "real", "cplx")
-    restore(
-        {name: array for name, array in arrays.items() if name not in without},
-        {name: values for name, values in state.items() if name not in without},
-    )
-    method.bundle = method.bundle._replace(systems=systems)
-    method.pinned.replace(method.bundle)

@@ -47,8 +47,8 @@ def example_of(bundle: Any, number: type = np.float64) -> Any:
     """
     values = []
     for kind in fields_of(bundle):
-        if isinstance(kind, type):
-            values.append(example_of(kind, number))
+        if hasattr(kind, "_fields"):  # a bundle, which may be declared as `State`
+            values.append(example_of((get_args(kind) or (kind,))[0], number))
         else:
             _, dtype, dimensions, *sizes = get_args(kind)
             values.append(np.zeros((*(0,) * (dimensions - len(sizes)), *sizes), dtype or number))

@@ -8,7 +8,6 @@ from typing import NamedTuple
 import numpy as np
 
 from mbdkit.engine.repeated_call import RepeatedCall
-from mbdkit_contact.kernels.cone_sweeps import couple_contacts, sweep_contacts
 from mbdkit_contact.kernels.pivoting import Cones, cone_forces, new_cones
 
 
@@ -30,19 +29,15 @@ class Pushed(NamedTuple):
     normal, tangent
         (k,) forces.
     is_closed
-        (k,) whether the contact is closed: its normal force is a basic variable of the solution by Lemke's method, or
-        positive after sweeps.
+        (k,) whether the contact is closed: its normal force is a basic variable of the solution by Lemke's method.
     is_slipping
         (k,) whether friction is at its limit.
-    residual
-        Error of the velocities of the contacts, relative to the largest velocity without these forces.
     """
 
     normal: np.ndarray
     tangent: np.ndarray
     is_closed: np.ndarray
     is_slipping: np.ndarray
-    residual: float = 0.0
 
 
 def coulomb(
@@ -86,84 +81,3 @@ def coulomb(
         return None
     forces = cones.forces.copy()
     return Pushed(forces[:k], forces[k:], cones.closed > 0, cones.slipping > 0)
-
-
-class Coupled(NamedTuple):
-    """How k contacts affect each other; see `mbdkit_contact.kernels.cone_sweeps.sweep_contacts`."""
-
-    start: np.ndarray
-    other: np.ndarray
-    blocks: np.ndarray
-
-
-def coupled_by_all(response: np.ndarray) -> Coupled:
-    """Return the couplings of k contacts from the full matrix (2 k, 2 k) that maps impulses to velocities, normal
-    components first.
-    """
-    k = len(response) // 2
-    blocks = response.reshape(2, k, 2, k).transpose(1, 3, 0, 2).reshape(k * k, 4)
-    return Coupled(np.arange(k + 1) * k, np.tile(np.arange(k), k), np.ascontiguousarray(blocks))
-
-
-def coupled_by_bodies(bodies: np.ndarray, gradients: np.ndarray, lightness: np.ndarray) -> Coupled:
-    """Return the couplings of k contacts between bodies that are connected by contacts only.
-
-    Parameters
-    ----------
-    bodies
-        (k, 2) indices of the two bodies of each contact.
-    gradients
-        (2, k, 6) derivatives of the rates of gap and slip with respect to the velocities of both bodies.
-    lightness
-        (B + 1, 3) inverse masses and inverse moments of inertia of the bodies; 0 for the ground.
-    """
-    k = len(bodies)
-    degree = np.bincount(bodies.ravel(), minlength=len(lightness))
-    begin = np.append(0, np.cumsum(degree))
-    members = np.argsort(bodies.ravel(), kind="stable")
-    most = int(np.sum(degree[:-1] ** 2))
-    start, other, blocks = np.zeros(k + 1, dtype=int), np.zeros(most, dtype=int), np.zeros((most, 4))
-    couple_contacts(begin, members, bodies, gradients, lightness, start, other, blocks)
-    return Coupled(start, other, blocks)
-
-
-SWEEPS = 500
-"""Largest number of sweeps over the contacts."""
-PRECISION, ACCEPTED = 1e-8, 1e-2
-"""Limits of the relative change of velocities in a sweep. Sweeps end at `PRECISION`; if they do not reach it, the
-result is accepted if the last change is at most `ACCEPTED`.
-
-Changes are relative to the largest velocity without impulses. If more contacts are closed than are needed, sweeps move
-forces between them ever more slowly.
-"""
-
-
-def swept(
-    coupled: Coupled,
-    normal: np.ndarray,
-    tangent: np.ndarray,
-    friction: np.ndarray,
-    guess: np.ndarray,
-    precision: float = PRECISION,
-) -> Pushed | None:
-    """Return the impulses of contacts, found by repeated sweeps over them; None if the sweeps do not converge.
-
-    Parameters
-    ----------
-    coupled
-        How the contacts affect each other.
-    normal, tangent, friction
-        See `coulomb`.
-    guess
-        (2, k) impulses with which the sweeps begin, normal ones first.
-    precision
-        Change in a sweep, relative to the largest velocity, at which the sweeps end. If this is larger than the
-        default, the result after `SWEEPS` sweeps is accepted in any case.
-    """
-    free, impulses = np.stack([normal, tangent], axis=1), np.ascontiguousarray(guess.T)
-    size = float(np.max(np.abs(free), initial=0.0))
-    changed = sweep_contacts(*coupled, free, np.ascontiguousarray(friction), precision * size, SWEEPS, impulses)
-    if changed > ACCEPTED * size and precision <= PRECISION:
-        return None
-    pushes, rubs = impulses.T
-    return Pushed(pushes, rubs, pushes > 0.0, np.abs(rubs) >= friction * pushes, changed / (size or 1.0))

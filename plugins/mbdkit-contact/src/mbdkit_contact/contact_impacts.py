@@ -15,7 +15,6 @@ from mbdkit_contact.kernels.impacts import (
     new_strike,
     order_matters,
     strike_all,
-    strike_by_stronge,
 )
 from mbdkit_contact.rigid_contacts import RigidContacts
 
@@ -97,24 +96,3 @@ def depend_on_order(
     x.all.before[:], x.restitution[:] = before, e
     order_matters(x, k, LAWS.index(law))
     return x.ordered > 0
-
-
-def stronge(response: np.ndarray, before: np.ndarray, friction: float, e: float) -> np.ndarray:
-    """Return the impulses (2,) of one contact, normal and tangential, by Stronge's law, which never gains energy.
-
-    Parameters
-    ----------
-    response
-        (2, 2) matrix that maps impulses to velocities, normal component first.
-    before
-        (2,) normal and tangential velocity before the impact; the normal one is negative.
-    friction
-        Coefficient of friction.
-    e
-        Coefficient of restitution.
-    """
-    strike = new_strike(1)
-    strike.cones.response[:], strike.cones.friction[:] = response, friction
-    strike.before[:], strike.restitution[:] = before, e
-    strike_by_stronge(strike)
-    return strike.impulses

@@ -193,7 +193,7 @@ class HeldForces:
 
     def __init__(self, contacts: Iterable[ActingContact]):
         rigid = [contact for contact in contacts if contact.first_state >= 0]
-        self._contacts, self._coordinates = len(HELD) * len(rigid), held_coordinates(rigid)
+        self._contacts, self.coordinates = len(HELD) * len(rigid), held_coordinates(rigid)
         self.states = held_states(rigid)
 
     def of(self, memory: ContactState) -> np.ndarray:
@@ -202,5 +202,5 @@ class HeldForces:
         if len(self.states):
             modes = memory.modes if len(memory.modes) else np.zeros(len(memory.normal))  # unknown after a stop
             z[: self._contacts] = np.stack([memory.normal, memory.tangent, np.abs(modes)], axis=1).ravel()
-            z[self._contacts :] = memory.force[self._coordinates]
+            z[self._contacts :] = memory.force[self.coordinates]
         return z

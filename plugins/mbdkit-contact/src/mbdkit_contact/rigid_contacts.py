@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
@@ -13,7 +12,7 @@ from mbdkit.engine.repeated_call import RepeatedCall
 from mbdkit.integrators.interface import StepTaken
 from mbdkit.mechanism.contacts import OPEN, SLIP, STICK
 from mbdkit.methods.step_methods import Dense, Step, StepEvent, StepState
-from mbdkit_contact.complementarity import PRECISION, Pushed, coulomb, coupled_by_all, coupled_by_bodies, swept
+from mbdkit_contact.complementarity import coulomb
 from mbdkit_contact.contact_kinematics import FEW, ContactKinematics, Rows
 from mbdkit_contact.contact_state import ContactState, HeldForces
 from mbdkit_contact.kernels.contact_forces import (
@@ -23,8 +22,6 @@ from mbdkit_contact.kernels.contact_forces import (
     new_closed_contacts,
 )
 
-MOST_PIVOTED = 24
-"""Up to this number of contacts, impulses are found by pivoting, to rounding errors; for more, by sweeps."""
 FREE = 1e-6
 """Smallest component of a null vector, of length 1, that makes the force of a contact ambiguous."""
 
@@ -71,9 +68,6 @@ class RigidContacts:
         given = np.array([one.coefficients for one in self.contacts]).reshape(-1, 3)
         self.restitution, self.static, self.kinetic = np.ascontiguousarray(given.T)
         self.kinematics = ContactKinematics(self.contacts, equations.n, equations.length)
-        #: Inverse masses (B + 1, 3), ground last, and whether a body is coupled to others by contacts only.
-        self._lightness = np.vstack([1.0 / equations.mass.reshape(-1, 3), np.zeros(3)])
-        self._is_free = np.zeros(len(self._lightness), dtype=bool)
         self._take_room(min(len(self.names), FEW))
 
     @classmethod
@@ -128,10 +122,6 @@ class RigidContacts:
             return q, v, z, *gained
 
         return Step(end, dense=inside, event=event)
-
-    def find_free(self) -> None:
-        """Find the bodies that only contacts couple to others, from the derivatives of the forces evaluated last."""
-        self._is_free = np.append(self.p.free_now(), True)
 
     def all_open(self) -> ContactState:
         """Return the `ContactState` of open contacts, without forces."""
@@ -221,64 +211,6 @@ class RigidContacts:
         free = vectors[sizes <= SINGULAR * sizes[0], : len(closed)]
         found[closed] = np.any(np.abs(free) > FREE, axis=0)
         return found
-
-    def pushed(
-        self,
-        rows: Rows,
-        free: np.ndarray,
-        more: np.ndarray,
-        friction: np.ndarray,
-        solve: Callable[[np.ndarray], np.ndarray],
-        guess: np.ndarray | float = 0.0,
-        precision: float = PRECISION,
-    ) -> tuple[np.ndarray, Pushed]:
-        """Return the impulses of k contacts, and the velocities (n,) after them.
-
-        Small problems are solved by Lemke's method, others by sweeps over the contacts.
-
-        Parameters
-        ----------
-        rows
-            Gaps, slips and derivatives of the contacts.
-        free
-            (n,) velocities without these impulses.
-        more
-            (k,) velocities that are added to the normal velocities of the contacts, such as the restitution of an
-            impact.
-        friction
-            (k,) coefficients of friction.
-        solve
-            Function that returns the change of the velocities (n,) by an impulse (n,).
-        guess
-            (2, k) impulses that may be close to the result, normal ones first.
-        precision
-            See `mbdkit_contact.complementarity.swept`.
-
-        Raises
-        ------
-        StepError
-            ``contact-solver`` if no solution is found.
-        """
-        normal, tangent = rows.rates(free)
-        normal = normal + more
-        is_large, found = len(rows.gap) > MOST_PIVOTED, None
-        begin = np.broadcast_to(guess, (2, len(normal)))
-        if is_large and np.all(self._is_free[rows.bodies]):
-            coupled = coupled_by_bodies(rows.bodies, rows.gradients, self._lightness)
-            found = swept(coupled, normal, tangent, friction, begin, precision)
-            if found is not None:
-                change = rows.force(np.stack([found.normal, found.tangent]))
-                return free + self._lightness[:-1].ravel() * change, found
-        both = np.vstack([rows.normal, rows.tangent])
-        moved = np.stack([solve(row) for row in both], axis=1)
-        response = both @ moved
-        if is_large:
-            found = swept(coupled_by_all(response), normal, tangent, friction, begin, precision)
-        if found is None:
-            found = coulomb(response, normal, tangent, friction)
-        if found is None:
-            raise StepError("contact-solver", "no impulses of the contacts satisfy the laws of impact and friction")
-        return free + moved @ np.concatenate([found.normal, found.tangent]), found
 
     def answers(self, t: float, q: np.ndarray, forces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return the accelerations (n, k) and multipliers (m, k) that each of k forces (k, n) causes alone."""

@@ -1,6 +1,6 @@
 """Time-stepping methods for rigid contacts.
 
-Their algorithms are in `mbdkit_contact.time_stepping` and `mbdkit_contact.generalized_alpha`.
+Their algorithms are in `mbdkit_contact.kernels.time_stepping`.
 """
 
 from __future__ import annotations
@@ -29,6 +29,14 @@ CHEN = """@article{chen2013,
   pages = {487--511}, year = {2013}, doi = {10.1002/nme.4563}}"""
 
 
+_TRAITS = Traits(
+    Target("mbdkit_contact.stepping:CompiledTimeStepping"),
+    suits_stiff=True,
+    is_time_stepping=True,
+    integrates_states=False,
+)
+
+
 class MoreauJeanOptions(Options):
     """Weights of the forces at the start and at the end of a step."""
 
@@ -46,12 +54,7 @@ class MoreauJean(Method):
     @property
     def traits(self) -> Traits:
         """See `Method`."""
-        return Traits(
-            steps=Target("mbdkit_contact.time_stepping:MoreauJeanSteps.of"),
-            suits_stiff=True,
-            is_time_stepping=True,
-            integrates_states=False,
-        )
+        return _TRAITS
 
 
 class GeneralizedAlphaOptions(Options):
@@ -71,8 +74,7 @@ class GeneralizedAlpha(Method):
     @property
     def traits(self) -> Traits:
         """See `Method`."""
-        steps = Target[Any]("mbdkit_contact.generalized_alpha:GeneralizedAlphaSteps.of")
-        return Traits(steps=steps, suits_stiff=True, is_time_stepping=True, integrates_states=False)
+        return _TRAITS
 
 
 def create_moreau_jean(options: MoreauJeanOptions) -> MoreauJean:

@@ -253,9 +253,3 @@ def strike_all(s: Strike, k: int, law: int) -> int:
 def order_matters(x: Impacts, k: int, law: int) -> None:
     """Find contacts whose velocities depend on the order of impacts; see `find_ordered`."""
     find_ordered(x, k, law)
-
-
-@kernel
-def strike_by_stronge(s: Strike) -> None:
-    """Write the impulses of one contact by Stronge's law; see `stronge`."""
-    stronge(s)

@@ -1,0 +1,216 @@
+"""Forces of contacts with Coulomb friction by an active-set method, which begins with the modes and forces of before.
+
+For given modes, the forces of the closed contacts are the solution of linear equations. These may be singular, because
+contacts can be redundant; the solution is then the one nearest to the forces of before, by the proximal-point iteration
+``(A + eps D) (x' - x) = b - A x``. Modes that contradict the solution change, until none does: the forces then satisfy
+all laws to rounding errors. `mbdkit_contact.kernels.pivoting` finds the forces where this does not succeed.
+"""
+
+from __future__ import annotations
+
+from math import sqrt
+from typing import NamedTuple
+
+import numpy as np
+
+from mbdkit.engine.kernels.bundle_types import IntVector, RealMatrix, RealVector
+from mbdkit.engine.native.functions import subkernel
+from mbdkit.mechanism.contacts import OPEN, SLIP, STICK
+
+PROXIMAL = 1e-9
+"""Share of the diagonal of the equations that is added to it."""
+MOST_REFINEMENTS = 8
+"""Largest number of iterations of the proximal-point method; two or three are usual."""
+MOST_CHANGES = 30
+"""Largest number of times that modes change."""
+EXACT = 1e-12
+"""Errors of velocities and forces below this share of the largest ones count as zero."""
+
+
+class ActiveSet(NamedTuple):
+    """Work arrays for up to K contacts, U = 2 K."""
+
+    modes: IntVector
+    """(K,) modes: on input a guess, on output those of the solution; ``-SLIP`` is slip in the negative direction."""
+    start: RealVector
+    """(U,) forces with which the solution begins, normal ones first."""
+    index: IntVector
+    """(U,) index of each unknown: that of a normal force, or k more for a friction force."""
+    share: RealVector
+    """(K,) ratios of friction force and normal force of contacts that slip."""
+    scale: RealVector
+    """(K,) scales of the contacts."""
+    matrix: RealMatrix
+    """(U, U) equations of the forces, and (U, U) factors."""
+    factors: RealMatrix
+    x: RealVector
+    change: RealVector
+    order: IntVector
+
+
+def new_active_set(most: int) -> ActiveSet:
+    """Return arrays for up to `most` contacts."""
+    u = 2 * most
+    return ActiveSet(
+        np.zeros(most, dtype=np.int64), np.zeros(u), np.zeros(u, dtype=np.int64), np.zeros(most), np.zeros(most),
+        np.zeros((u, u)), np.zeros((u, u)), np.zeros(u), np.zeros(u), np.zeros(u, dtype=np.int64),
+    )  # fmt: skip
+
+
+@subkernel
+def _assemble(s, w, k):
+    """Write the scaled equations of the forces in the present modes; return their number."""
+    count = 0
+    for i in range(k):
+        s.share[i] = 0.0
+        if s.modes[i] != OPEN:
+            s.index[count] = i
+            count += 1
+            if s.modes[i] != STICK:
+                s.share[i] = -w.friction[i] if s.modes[i] == SLIP else w.friction[i]
+    for i in range(k):
+        if s.modes[i] == STICK and w.friction[i] > 0.0:
+            s.index[count] = k + i
+            count += 1
+    for a in range(count):
+        row = s.index[a]
+        for b in range(count):
+            column = s.index[b]
+            value = w.response[row, column]
+            if column < k and s.share[column] != 0.0:
+                value += s.share[column] * w.response[row, k + column]
+            s.matrix[a, b] = s.scale[row % k] * s.scale[column % k] * value
+    return count
+
+
+@subkernel
+def _factorize(s, count):
+    """Factorize the equations with a proximal term by elimination with row exchange; return whether it succeeded."""
+    f = s.factors
+    for a in range(count):
+        s.order[a] = a
+        for b in range(count):
+            f[a, b] = s.matrix[a, b]
+        f[a, a] += PROXIMAL
+    for j in range(count):
+        best = j
+        for a in range(j + 1, count):
+            if abs(f[a, j]) > abs(f[best, j]):
+                best = a
+        if not abs(f[best, j]) > 0.0:
+            return False
+        if best != j:
+            s.order[j], s.order[best] = s.order[best], s.order[j]
+            for b in range(count):
+                f[j, b], f[best, b] = f[best, b], f[j, b]
+        inverse = 1.0 / f[j, j]
+        for a in range(j + 1, count):
+            if f[a, j] != 0.0:
+                f[a, j] *= inverse
+                factor = f[a, j]
+                for b in range(j + 1, count):
+                    f[a, b] -= factor * f[j, b]
+    return True
+
+
+@subkernel
+def _solve(s, w, k, count, size):
+    """Write the scaled forces of the closed contacts into ``s.x``; return whether they satisfy the equations."""
+    f = s.factors
+    for a in range(count):
+        row = s.index[a]
+        s.x[a] = s.start[row] / s.scale[row % k]
+    worst = np.inf
+    for _ in range(MOST_REFINEMENTS):
+        worst = 0.0
+        for a in range(count):
+            row = s.index[a]
+            rest = -s.scale[row % k] * w.free[row]
+            for b in range(count):
+                rest -= s.matrix[a, b] * s.x[b]
+            worst = max(worst, abs(rest))
+            s.change[a] = rest
+        if worst <= 0.01 * EXACT * size:
+            break
+        for a in range(count):  # the factors have the rows in the order of the exchanges
+            value = s.change[s.order[a]]
+            for b in range(a):
+                value -= f[a, b] * w.z[b]
+            w.z[a] = value
+        for a in range(count - 1, -1, -1):
+            value = w.z[a]
+            for b in range(a + 1, count):
+                value -= f[a, b] * w.z[b]
+            w.z[a] = value / f[a, a]
+        for a in range(count):
+            s.x[a] += w.z[a]
+    return worst <= EXACT * size
+
+
+@subkernel
+def _correct_modes(s, w, k, size):
+    """Change the modes that contradict the forces; return the number of changes.
+
+    A closed contact without pressing force opens, an open one that approaches closes, one that sticks with more
+    friction than its limit slips, and one whose slip would change its direction sticks.
+    """
+    changes, largest = 0, 0.0
+    for i in range(k):
+        largest = max(largest, w.forces[i] / s.scale[i])
+    for i in range(k):
+        push, rub, mode = w.forces[i] / s.scale[i], w.forces[k + i] / s.scale[i], s.modes[i]
+        normal, slip = w.free[i], w.free[k + i]
+        for j in range(2 * k):
+            normal += w.response[i, j] * w.forces[j]
+            slip += w.response[k + i, j] * w.forces[j]
+        normal *= s.scale[i]
+        slip *= s.scale[i]
+        if mode == OPEN:
+            if normal < -EXACT * size:
+                s.modes[i] = STICK
+                changes += 1
+        elif push < -EXACT * largest:
+            s.modes[i] = OPEN
+            changes += 1
+        elif w.friction[i] == 0.0:
+            s.modes[i] = STICK
+        elif mode == STICK:
+            if abs(rub) > w.friction[i] * push + EXACT * largest:
+                s.modes[i] = SLIP if rub < 0.0 else -SLIP
+                changes += 1
+        elif slip * mode < -EXACT * size:
+            s.modes[i] = STICK
+            changes += 1
+    return changes
+
+
+@subkernel
+def solve_active_set(s, w, k):
+    """Find the forces of the first k contacts of the `Cones` `w` from a guess; return whether there is a solution.
+
+    No contact may slip already, or be pressed.
+    """
+    size = 0.0
+    for i in range(k):
+        diagonal = sqrt(max(w.response[i, i], w.response[k + i, k + i]))
+        s.scale[i] = 1.0 / diagonal if diagonal > 0.0 else 1.0
+        size = max(size, s.scale[i] * abs(w.free[i]), s.scale[i] * abs(w.free[k + i]))
+    for _ in range(MOST_CHANGES):
+        count = _assemble(s, w, k)
+        if not _factorize(s, count) or not _solve(s, w, k, count, size):
+            return False
+        for i in range(2 * k):
+            w.forces[i] = 0.0
+        for a in range(count):
+            row = s.index[a]
+            w.forces[row] = s.scale[row % k] * s.x[a]
+        for i in range(k):
+            if s.share[i] != 0.0:
+                w.forces[k + i] = s.share[i] * w.forces[i]
+        if _correct_modes(s, w, k, size) == 0:
+            for i in range(k):
+                w.forces[i] = max(w.forces[i], 0.0)
+                w.closed[i] = s.modes[i] != OPEN
+                w.slipping[i] = abs(s.modes[i]) == SLIP or (s.modes[i] != OPEN and w.friction[i] == 0.0)
+            return True
+    return False

@@ -1,0 +1,214 @@
+"""Time-stepping methods in machine code."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from mbdkit.engine.elimination_order import empty_pattern, new_factors
+from mbdkit.engine.equations_of_motion import EquationsOfMotion
+from mbdkit.engine.iteration_matrix import chosen_pivots, classes_of
+from mbdkit.engine.kernels.equations import MASS
+from mbdkit.engine.native.bundle import PinnedBundle
+from mbdkit.engine.stored_arrays import pattern_of, stored
+from mbdkit.integrators.compiled_method import CompiledMethod
+from mbdkit.integrators.sampled_control import states_at_start
+from mbdkit_contact.contact_state import ContactState
+from mbdkit_contact.kernels.active_set import new_active_set
+from mbdkit_contact.kernels.impacts import new_impacts
+from mbdkit_contact.kernels.pivoting import new_cones
+from mbdkit_contact.kernels.step_impulses import FEW, MOST_PIVOTED
+from mbdkit_contact.kernels.stepping_bundle import Held, Stepping
+from mbdkit_contact.kernels.time_stepping import NO_IMPULSES, OVERLAP, STAGES, attempt, dense, keep
+from mbdkit_contact.rigid_contacts import RigidContacts
+from mbdkit_contact.time_stepping_methods import GeneralizedAlpha, MoreauJean
+
+if TYPE_CHECKING:
+    from mbdkit.engine.workspace import Workspace
+    from mbdkit.integrators.run_state import RunState
+    from mbdkit.integrators.step_control import Control
+
+FAILURES = {
+    NO_IMPULSES: ("contact-solver", "no impulses of the contacts satisfy the laws of impact and friction"),
+    STAGES: ("newton-failed", "the stage equations were not solved"),
+    OVERLAP: ("newton-failed", "no positions without overlap were found"),
+}
+"""Codes and clauses of the reasons for which an attempt fails."""
+
+
+def new_held(count: int, size: int) -> Held:
+    """Return what is known before the first step, for C contacts and state vectors of this size."""
+    none = (np.zeros(count, dtype=np.int64) for _ in range(2))
+    return Held(
+        np.zeros(count), np.zeros(count), np.zeros(count), np.zeros(size), np.zeros((2, size)),
+        np.zeros(1, dtype=np.int64), np.zeros(1), np.zeros(1), *none,
+    )  # fmt: skip
+
+
+def alpha_of(spectral_radius: float) -> np.ndarray:
+    """Return alpha_m, alpha_f, gamma, beta, and the share of a step by which a is ahead of w in time (5,).
+
+    Starting with a at this time gives order 2.
+    """
+    alpha_m = (2.0 * spectral_radius - 1.0) / (spectral_radius + 1.0)
+    alpha_f = spectral_radius / (spectral_radius + 1.0)
+    gamma = 0.5 + alpha_f - alpha_m
+    return np.array([alpha_m, alpha_f, gamma, 0.25 * (gamma + 0.5) ** 2, alpha_m - alpha_f])
+
+
+class CompiledTimeStepping(CompiledMethod):
+    """A time-stepping method on one mechanism.
+
+    Parameters
+    ----------
+    method
+        The method.
+    workspace
+        The mechanism and its start.
+    control
+        None: the steps are fixed.
+    """
+
+    attempt, dense, keep = attempt, dense, keep
+    has_dense_output = True
+    stages = 1
+
+    def __init__(self, method: MoreauJean | GeneralizedAlpha, workspace: Workspace, control: Control | None = None):
+        super().__init__(workspace)
+        top, size = workspace.mechanism.topology, workspace.mechanism.size
+        contacts = RigidContacts(EquationsOfMotion(workspace, states_at_start(workspace)))
+        self._names, count = contacts.names, len(contacts.names)
+        few, bodies, pairs = min(count, MOST_PIVOTED), size // 3, len(top.pairs)
+        classes, terms, n = classes_of(workspace), workspace.terms, size - 3
+        is_coupling = classes != MASS
+        # rows of constraints couple the bodies of their columns
+        sides = [np.where(x < n, x, y) // 3 for x, y in ((terms.row, terms.column), (terms.column, terms.row))]
+        states, is_jointed = contacts.held.states, bool(np.any(is_coupling))
+
+        def vectors(number: int, length: int) -> list[np.ndarray]:
+            return [np.zeros(length) for _ in range(number)]
+
+        def integers(number: int, length: int) -> list[np.ndarray]:
+            return [np.zeros(length, dtype=np.int64) for _ in range(number)]
+
+        none = empty_pattern()
+        self.bundle = Stepping(
+            theta=np.array([method.theta] if isinstance(method, MoreauJean) else []),
+            alpha=alpha_of(method.spectral_radius) if isinstance(method, GeneralizedAlpha) else np.zeros(0),
+            shapes=contacts.kinematics.shapes,
+            coefficients=np.column_stack([contacts.restitution, contacts.static, contacts.kinetic]),
+            places=np.array([states.start, len(states)]),
+            coordinates=np.array(contacts.held.coordinates, dtype=np.int64),
+            reach=np.array([contacts.kinematics.reach]),
+            now=new_held(count, size),
+            before=new_held(count, size),
+            saved=new_held(count, size),
+            new=new_held(count, size),
+            saved_q=np.zeros(size),
+            saved_v=np.zeros(size),
+            terms=np.ascontiguousarray(np.column_stack(sides)[is_coupling].astype(np.int64)),
+            sources=np.ascontiguousarray(terms.source[is_coupling].astype(np.int64)),
+            pattern=none,
+            factors=new_factors(none, float),
+            scatter=np.zeros((0, 3), dtype=np.int64),
+            **dict(zip(("right", "solution", "correction"), vectors(3, workspace.unknowns), strict=True)),
+            by_matrix=np.zeros(1, dtype=np.int64),
+            free_body=np.zeros(bodies, dtype=np.int64),
+            is_sparse=np.zeros(1, dtype=np.int64),
+            **dict(zip(("q", "v", "free", "after", "middle", "base"), vectors(6, size), strict=True)),
+            factor=np.zeros(1),
+            **dict(zip(("end", "unchanged", "ended", "smooth"), vectors(4, size), strict=True)),
+            z=np.zeros(len(top.states)),
+            **dict(zip(("point", "x", "y", "force"), vectors(4, size), strict=True)),
+            **{name: np.zeros((pairs, 2)) for name in ("lam", "lam_x", "miss")},
+            count=np.zeros(1, dtype=np.int64),
+            **dict(zip(("some", "is_some"), integers(2, count), strict=True)),
+            gaps=np.zeros(count),
+            rows=np.zeros((count, 16)),
+            moved=np.zeros((2 * (count if is_jointed else few), size)),
+            block=np.zeros((count, 4)),
+            **dict(
+                zip(("more", "closing", "friction", "restitution", "normal", "tangent"), vectors(6, count), strict=True)
+            ),
+            **dict(zip(("closed", "slipping", "slides", "stops"), integers(4, count), strict=True)),
+            error=np.zeros(1),
+            lost=np.zeros(1),
+            other_law=np.zeros(1, dtype=np.int64),
+            cones=new_cones(few),
+            active=new_active_set(few),
+            impacts=new_impacts(min(count, FEW)),
+            reason=np.zeros(1, dtype=np.int64),
+        )
+        self.pinned = PinnedBundle(self.bundle)
+
+    def renew(self, run_state: RunState, t: float, h: float) -> bool:
+        """See `CompiledMethod.renew`: pivots for the terms that the failed attempt has evaluated."""
+        theta, alpha = self.bundle.theta, self.bundle.alpha
+        if len(theta):
+            damping, stiffness, of_rows = theta[0] * h, (theta[0] * h) ** 2, (0.0, 0.0)
+        else:
+            share = (1.0 - alpha[1]) / (1.0 - alpha[0])
+            damping, stiffness = h * alpha[2] * share, h * h * alpha[3] * share
+            of_rows = -damping, stiffness
+        coefficients = np.array([1.0, 1.0, damping, stiffness, *of_rows])
+        pivots = chosen_pivots(self.workspace, classes_of(self.workspace), coefficients)
+        self._use(pivots.pattern, pivots.scatter)
+        return True
+
+    def _use(self, pattern: Any, scatter: np.ndarray, reference: np.ndarray | None = None) -> None:
+        factors = new_factors(pattern, float)
+        if reference is not None:
+            factors = factors._replace(reference=reference)
+        self.bundle = self.bundle._replace(pattern=pattern, scatter=scatter, factors=factors)
+        self.pinned.replace(self.bundle)
+
+    def stored_systems(self) -> Any:
+        """See `CompiledMethod.stored_systems`."""
+        bundle = self.bundle
+        return {"pattern": stored(bundle.pattern), "scatter": bundle.scatter, "reference": bundle.factors.reference}
+
+    def restore_systems(self, state: Any) -> None:
+        """See `CompiledMethod.restore_systems`."""
+        pattern = pattern_of(state["pattern"], self.workspace.unknowns)
+        scatter, reference = np.ascontiguousarray(state["scatter"]), np.array(state["reference"], dtype=float)
+        sources = len(self.workspace.scratch.source)
+        if (
+            scatter.dtype != np.int64
+            or scatter.shape[1:] != (3,)
+            or np.any(scatter < 0)
+            or np.any(scatter >= [sources, max(len(pattern.a_column), 1), 6])
+            or reference.shape != pattern.row_of.shape
+        ):
+            raise ValueError("a term of a matrix does not exist")
+        self._use(pattern, scatter, reference)
+
+    def forget(self) -> None:
+        """See `CompiledMethod.forget`: after a discontinuity, modes and past accelerations are unknown."""
+        self.bundle.now.modes[:] = 0.0
+        self.bundle.now.known[0] = 0
+
+    @property
+    def contacts(self) -> ContactState:
+        """See `CompiledMethod.contacts`."""
+        held = self.bundle.now
+
+        def names(some: np.ndarray) -> frozenset[str]:
+            return frozenset(self._names[i] for i in np.flatnonzero(some).tolist())
+
+        return ContactState(
+            held.modes.astype(int),
+            held.normal.copy(),
+            held.tangent.copy(),
+            held.force[:-3].copy(),
+            changed=names(held.changed),
+            ordered=names(held.ordered),
+            is_over_step=True,
+            residual=float(held.residual[0]),
+            is_new=False,
+        )
+
+    @property
+    def failure(self) -> tuple[str, str] | None:
+        """See `CompiledMethod.failure`."""
+        return FAILURES.get(int(self.bundle.reason[0]))
