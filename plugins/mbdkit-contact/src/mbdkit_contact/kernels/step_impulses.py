@@ -83,10 +83,11 @@ def write_end(m, v):
 
 
 @subkernel
-def find_rows(m, at, where, v):
+def find_rows(m, at, where, v, acts):
     """Write the rows of the contacts ``m.is_some``, at positions `where` and velocities `v` (N,).
 
-    Their features are those at positions `at`.
+    Their features are those at positions `at`. If `acts`, all features act; otherwise, the gap of one that does not is
+    the distance of the shapes.
     """
     s, count, last = m.shapes, 0, -1
     place(s, at, v)
@@ -97,7 +98,7 @@ def find_rows(m, at, where, v):
             if s.contacts[i, 3] != last:
                 last = s.contacts[i, 3]
                 choose(s, last)
-                if s.pairs[last, 0] != SINGLE:
+                if acts and s.pairs[last, 0] != SINGLE:
                     for k in range(s.pairs[last, 1], s.pairs[last, 1] + s.pairs[last, 2]):
                         s.least[k] = NOWHERE
     m.count[0] = count
@@ -423,7 +424,7 @@ def _find_impulses(c, m, h, length):
     while True:
         if is_new:
             write_end(m, m.free)
-            find_rows(m, m.end, m.middle, m.v)
+            find_rows(m, m.end, m.middle, m.v, True)
             if not find_responses(c, m):
                 return False
         is_new = False
@@ -494,7 +495,7 @@ def apply_impulses(c, m, h, length):
         copy(m.free, m.after)
     else:
         if count > MANY:
-            find_rows(m, m.end, m.middle, m.v)
+            find_rows(m, m.end, m.middle, m.v, True)
             _find_still_pressed(m, h)
         if not _find_impulses(c, m, h, length):
             return False

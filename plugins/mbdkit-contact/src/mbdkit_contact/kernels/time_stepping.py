@@ -390,7 +390,7 @@ def _close(c, m, t):
         copy(m.y, m.after)
         if count > 0:
             m.by_matrix[0] = 0
-            find_rows(m, m.end, m.end, m.v)
+            find_rows(m, m.end, m.end, m.v, False)
             if not find_responses(c, m):
                 return REPIVOT_STAGES
             for j in range(m.count[0]):
