@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+import contextlib
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from mbdkit.engine.elimination_order import empty_pattern, new_factors
+from mbdkit.engine.elimination_order import SingularSystemError, empty_pattern, new_factors
 from mbdkit.engine.equations_of_motion import EquationsOfMotion
 from mbdkit.engine.iteration_matrix import chosen_pivots, classes_of
 from mbdkit.engine.kernels.equations import MASS
+from mbdkit.engine.kernels.observe import tangents_at
 from mbdkit.engine.native.bundle import PinnedBundle
 from mbdkit.engine.stored_arrays import pattern_of, stored
 from mbdkit.integrators.compiled_method import CompiledMethod
@@ -135,12 +137,26 @@ class CompiledTimeStepping(CompiledMethod):
             error=np.zeros(1),
             lost=np.zeros(1),
             other_law=np.zeros(1, dtype=np.int64),
+            states=np.zeros(count, dtype=np.int64),
+            krylov=np.zeros((8, 2 * count if count > few else 0)),
             cones=new_cones(few),
             active=new_active_set(few),
             impacts=new_impacts(min(count, FEW)),
             reason=np.zeros(1, dtype=np.int64),
         )
         self.pinned = PinnedBundle(self.bundle)
+
+    def start(self, run_state: RunState, h: float) -> None:
+        """See `CompiledMethod.start`: pivots for the terms at the start, if they are regular there."""
+        workspace, size = self.workspace, self.workspace.mechanism.size
+        none = np.zeros(size), np.zeros((len(workspace.mechanism.topology.pairs), 2))
+        workspace.take_states(0.0 * run_state.z)
+        with contextlib.suppress(SingularSystemError):
+            workspace.retry_with_new_pivots(
+                lambda: tangents_at(workspace.stepping_engine, workspace.t0, run_state.q, run_state.v, *none)
+            )
+            if workspace.is_finite():
+                self.renew(run_state, workspace.t0, h)
 
     def renew(self, run_state: RunState, t: float, h: float) -> bool:
         """See `CompiledMethod.renew`: pivots for the terms that the failed attempt has evaluated."""

@@ -10,6 +10,7 @@ from mbdkit.mechanism.contacts import OPEN, SLIP, STICK
 from mbdkit_contact.kernels.active_set import solve_active_set
 from mbdkit_contact.kernels.impacts import NEWTON, SMALL_RESTITUTION, find_ordered, stronge
 from mbdkit_contact.kernels.kinematics import NOWHERE, SINGLE, choose, find_gaps, place, row_of
+from mbdkit_contact.kernels.many_contacts import PRECISION, push_many
 from mbdkit_contact.kernels.pivoting import solve_cones
 from mbdkit_contact.kernels.stepping_bundle import (
     ACROSS,
@@ -24,7 +25,7 @@ from mbdkit_contact.kernels.stepping_bundle import (
 )
 
 MOST_PIVOTED = 24
-"""Up to this number of contacts, impulses are exact; for more, they are found by sweeps."""
+"""Up to this number of contacts, impulses are found by elimination; for more, see `many_contacts`."""
 MANY = 40
 """Number of overlaps above which less accurate results are accepted: contacts at rest that others press together get no
 impulse in this step, and positions are projected only once. The next steps reduce the remaining overlap."""
@@ -38,15 +39,6 @@ SMALL = 1e-12
 """Overlap, relative to the length of the mechanism, that counts as zero."""
 SAME_VELOCITY = 1e-9
 """Velocities below this share of the largest one count as zero."""
-SWEEPS = 500
-"""Largest number of sweeps over the contacts."""
-PRECISION, ACCEPTED = 1e-8, 1e-2
-"""Limits of the relative change of velocities in a sweep. Sweeps end at `PRECISION`; if they do not reach it, the
-result is accepted if the last change is at most `ACCEPTED`.
-
-Changes are relative to the largest velocity without impulses. If more contacts are closed than are needed, sweeps move
-forces between them ever more slowly.
-"""
 
 
 @subkernel
@@ -151,78 +143,17 @@ def find_responses(c, m):
 
 
 @subkernel
-def _move(c, m, j, at, size):
-    """Add the velocities caused by an impulse of this size to ``m.after``."""
-    if m.is_sparse[0] != 0:
-        add_move(c, m, j, at, size, m.after)
-    else:
-        row = m.moved[2 * j if at == ALONG else 2 * j + 1]
-        for d in range(len(row) - 3):
-            m.after[d] += size * row[d]
-
-
-@subkernel
-def _swept(c, m, velocities, precision):
-    """Find the impulses of the contacts by sweeps over them; return whether they are accepted.
-
-    Each contact in turn gets the impulses that satisfy the laws of contact and friction for the present impulses of all
-    others (M. Jean, Computer Methods in Applied Mechanics and Engineering 177:235-257, 1999).
-    """
-    k, size, worst = m.count[0], 0.0, 0.0
-    copy(velocities, m.after)
-    for j in range(k):
-        size = max(size, abs(rate_of(m, j, ALONG, velocities) + m.more[j]), abs(rate_of(m, j, ACROSS, velocities)))
-    for j in range(k):
-        if m.normal[j] != 0.0:
-            _move(c, m, j, ALONG, m.normal[j])
-        if m.tangent[j] != 0.0:
-            _move(c, m, j, ACROSS, m.tangent[j])
-    for _ in range(SWEEPS):
-        worst = 0.0
-        for j in range(k):
-            nn, nt, tn, tt, mu = m.block[j, 0], m.block[j, 1], m.block[j, 2], m.block[j, 3], m.friction[j]
-            p, r = m.normal[j], m.tangent[j]
-            normal = rate_of(m, j, ALONG, m.after) + m.more[j] - nn * p - nt * r
-            push = rub = 0.0
-            if normal < 0.0 and mu == 0.0:
-                push = -normal / nn
-            elif normal < 0.0:
-                tangent = rate_of(m, j, ACROSS, m.after) - tn * p - tt * r
-                determinant = nn * tt - nt * tn
-                push = (nt * tangent - tt * normal) / determinant
-                rub = (tn * normal - nn * tangent) / determinant
-                if push <= 0.0 or abs(rub) > mu * push:  # it slips, against the impulse of friction
-                    ratio = mu if rub > 0.0 else -mu
-                    slope = nn + ratio * nt
-                    push = -normal / slope if slope > 0.0 else 0.0
-                    rub = ratio * push
-            if push != p:
-                _move(c, m, j, ALONG, push - p)
-            if rub != r:
-                _move(c, m, j, ACROSS, rub - r)
-            worst = max(worst, abs(push - p) * nn, abs(rub - r) * tt)
-            m.normal[j], m.tangent[j] = push, rub
-        if worst <= precision * size:
-            break
-    for j in range(k):
-        m.closed[j] = m.normal[j] > 0.0
-        m.slipping[j] = abs(m.tangent[j]) >= m.friction[j] * m.normal[j]
-    m.error[0] = worst / size if size > 0.0 else 0.0
-    return worst <= ACCEPTED * size or precision > PRECISION
-
-
-@subkernel
 def push_apart(c, m, velocities, precision):
     """Find the impulses of the contacts in ``m.some``, and the velocities ``m.after`` after them; return whether there
     are such impulses.
 
     ``m.more`` is added to the normal velocities. A few contacts are solved by an active set that begins with the modes
-    and forces of the last step, and if this fails by pivoting; many by sweeps.
+    and forces of the last step, and if this fails by pivoting; for many, see `push_many`.
     """
     k, w, s = m.count[0], m.cones, m.active
     m.error[0] = 0.0
     if k > MOST_PIVOTED:
-        return _swept(c, m, velocities, precision)
+        return push_many(c, m, velocities, precision)
     for j in range(k):
         w.free[j] = rate_of(m, j, ALONG, velocities) + m.more[j]
         w.free[k + j] = rate_of(m, j, ACROSS, velocities)

@@ -141,6 +141,9 @@ class Stepping(NamedTuple):
     """(1,) energy lost in impulses of the step [J]."""
     other_law: IntVector
     """(1,) whether another law of impact was used."""
+    states: IntVector
+    """(C,) modes of many contacts in the order of `some`, and (8, 2 C) vectors of their equations."""
+    krylov: RealMatrix
     cones: Cones
     active: ActiveSet
     impacts: Impacts

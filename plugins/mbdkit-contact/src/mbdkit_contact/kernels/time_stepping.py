@@ -63,9 +63,9 @@ from mbdkit.engine.native.bundle import bundle_loader
 from mbdkit.engine.native.functions import entry, subkernel
 from mbdkit.integrators.run_state import FACTORIZATIONS, ITERATIONS, JACOBIANS, RHS, keep_node, load_run_state
 from mbdkit_contact.kernels.kinematics import find_gaps, place
+from mbdkit_contact.kernels.many_contacts import PRECISION
 from mbdkit_contact.kernels.step_impulses import (
     MANY,
-    PRECISION,
     SMALL,
     answer,
     apply_impulses,
