@@ -52,6 +52,8 @@ def expected_types() -> dict[str, set[Any]]:
         for info in pkgutil.iter_modules(room.__path__, f"{room.__name__}."):
             importlib.import_module(info.name)
     for _, make in LOADERS:
+        if not make.__module__.startswith("mbdkit."):  # of a plugin whose kernels another test has loaded
+            continue
         example = make()
         expected[type(example).__name__].add(types_of(example))
     return dict(expected)

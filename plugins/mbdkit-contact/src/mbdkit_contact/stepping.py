@@ -138,7 +138,7 @@ class CompiledTimeStepping(CompiledMethod):
             lost=np.zeros(1),
             other_law=np.zeros(1, dtype=np.int64),
             states=np.zeros(count, dtype=np.int64),
-            krylov=np.zeros((8, 2 * count if count > few else 0)),
+            krylov=np.zeros((9, 2 * count if count > few else 0)),
             cones=new_cones(few),
             active=new_active_set(few),
             impacts=new_impacts(min(count, FEW)),

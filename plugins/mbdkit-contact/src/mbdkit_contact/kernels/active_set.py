@@ -21,8 +21,8 @@ PROXIMAL = 1e-9
 """Share of the diagonal of the equations that is added to it."""
 MOST_REFINEMENTS = 8
 """Largest number of iterations of the proximal-point method; two or three are usual."""
-MOST_CHANGES = 30
-"""Largest number of times that modes change."""
+MOST_CHANGES, PATIENCE = 24, 3
+"""Largest number of times that modes change, and number of times that all of them may change without progress."""
 EXACT = 1e-12
 """Errors of velocities and forces below this share of the largest ones count as zero."""
 
@@ -128,6 +128,8 @@ def _solve(s, w, k, count, size):
             rest = -s.scale[row % k] * w.free[row]
             for b in range(count):
                 rest -= s.matrix[a, b] * s.x[b]
+            if not abs(rest) < np.inf:
+                return False
             worst = max(worst, abs(rest))
             s.change[a] = rest
         if worst <= 0.01 * EXACT * size:
@@ -148,54 +150,65 @@ def _solve(s, w, k, count, size):
 
 
 @subkernel
-def _correct_modes(s, w, k, size):
-    """Change the modes that contradict the forces; return the number of changes.
+def _better_mode(s, w, k, i, size, largest):
+    """Return the mode of a contact that the forces do not contradict.
 
     A closed contact without pressing force opens, an open one that approaches closes, one that sticks with more
     friction than its limit slips, and one whose slip would change its direction sticks.
     """
-    changes, largest = 0, 0.0
+    push, rub, mode = w.forces[i] / s.scale[i], w.forces[k + i] / s.scale[i], s.modes[i]
+    if mode != OPEN and push < -EXACT * largest:
+        return OPEN
+    row = i if mode == OPEN else k + i
+    rate = w.free[row]
+    for j in range(2 * k):
+        rate += w.response[row, j] * w.forces[j]
+    if mode == OPEN:
+        return STICK if s.scale[i] * rate < -EXACT * size else OPEN
+    if w.friction[i] == 0.0:
+        return STICK
+    if mode == STICK:
+        if abs(rub) > w.friction[i] * push + EXACT * largest:
+            return SLIP if rub < 0.0 else -SLIP
+        return STICK
+    return STICK if s.scale[i] * rate * mode < -EXACT * size else mode
+
+
+@subkernel
+def _correct_modes(s, w, k, size, chosen):
+    """Change all modes that contradict the forces, or only one, whose number is `chosen` modulo the number of
+    contradictions; return this number.
+    """
+    count, largest = 0, 0.0
     for i in range(k):
         largest = max(largest, w.forces[i] / s.scale[i])
     for i in range(k):
-        push, rub, mode = w.forces[i] / s.scale[i], w.forces[k + i] / s.scale[i], s.modes[i]
-        normal, slip = w.free[i], w.free[k + i]
-        for j in range(2 * k):
-            normal += w.response[i, j] * w.forces[j]
-            slip += w.response[k + i, j] * w.forces[j]
-        normal *= s.scale[i]
-        slip *= s.scale[i]
-        if mode == OPEN:
-            if normal < -EXACT * size:
-                s.modes[i] = STICK
-                changes += 1
-        elif push < -EXACT * largest:
-            s.modes[i] = OPEN
-            changes += 1
-        elif w.friction[i] == 0.0:
-            s.modes[i] = STICK
-        elif mode == STICK:
-            if abs(rub) > w.friction[i] * push + EXACT * largest:
-                s.modes[i] = SLIP if rub < 0.0 else -SLIP
-                changes += 1
-        elif slip * mode < -EXACT * size:
-            s.modes[i] = STICK
-            changes += 1
-    return changes
+        s.order[i] = _better_mode(s, w, k, i, size, largest)
+        count += s.order[i] != s.modes[i]
+    place = 0
+    for i in range(k):
+        if s.order[i] != s.modes[i]:
+            if chosen < 0 or place == chosen % count:
+                s.modes[i] = s.order[i]
+            place += 1
+    return count
 
 
 @subkernel
 def solve_active_set(s, w, k):
     """Find the forces of the first k contacts of the `Cones` `w` from a guess; return whether there is a solution.
 
-    No contact may slip already, or be pressed.
+    No contact may slip already, or be pressed. If the number of contradictions does not decrease any more, only one of
+    them, another each time, is mended (compare J. J. Judice and F. M. Pires, Computers and Operations Research
+    21:587-596, 1994).
     """
     size = 0.0
     for i in range(k):
         diagonal = sqrt(max(w.response[i, i], w.response[k + i, k + i]))
         s.scale[i] = 1.0 / diagonal if diagonal > 0.0 else 1.0
         size = max(size, s.scale[i] * abs(w.free[i]), s.scale[i] * abs(w.free[k + i]))
-    for _ in range(MOST_CHANGES):
+    least, patience = k + 1, PATIENCE
+    for turn in range(MOST_CHANGES):
         count = _assemble(s, w, k)
         if not _factorize(s, count) or not _solve(s, w, k, count, size):
             return False
@@ -207,10 +220,15 @@ def solve_active_set(s, w, k):
         for i in range(k):
             if s.share[i] != 0.0:
                 w.forces[k + i] = s.share[i] * w.forces[i]
-        if _correct_modes(s, w, k, size) == 0:
+        wrong = _correct_modes(s, w, k, size, -1 if patience > 0 else turn)
+        if wrong == 0:
             for i in range(k):
                 w.forces[i] = max(w.forces[i], 0.0)
                 w.closed[i] = s.modes[i] != OPEN
                 w.slipping[i] = abs(s.modes[i]) == SLIP or (s.modes[i] != OPEN and w.friction[i] == 0.0)
             return True
+        if wrong < least:
+            least, patience = wrong, PATIENCE
+        else:
+            patience -= 1
     return False

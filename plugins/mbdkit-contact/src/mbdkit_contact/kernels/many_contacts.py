@@ -13,6 +13,8 @@ from __future__ import annotations
 
 from math import sqrt
 
+import numpy as np
+
 from mbdkit.engine.kernels.vectors import copy, fill
 from mbdkit.engine.native.functions import subkernel
 from mbdkit.mechanism.contacts import OPEN, SLIP, STICK
@@ -129,7 +131,7 @@ def _product(x, y, count):
 
 @subkernel
 def _residual(c, m, velocities, out):
-    """Write the residual of the equations of the impulses into `out` (2 C,); return its largest entry."""
+    """Write the residual of the equations of the impulses into `out` (2 C,); return its largest entry, infinity if one is not finite."""
     k, worst = m.count[0], 0.0
     _find_after(c, m, velocities)
     for j in range(k):
@@ -138,6 +140,8 @@ def _residual(c, m, velocities, out):
             out[j] = -(rate_of(m, j, ALONG, m.after) + m.more[j]) / sqrt(m.block[j, 0])
             if m.states[j] == STICK and m.friction[j] > 0.0:
                 out[k + j] = -rate_of(m, j, ACROSS, m.after) / sqrt(m.block[j, 3])
+        if not abs(out[j]) + abs(out[k + j]) < np.inf:
+            return np.inf
         worst = max(worst, abs(out[j]), abs(out[k + j]))
     return worst
 
@@ -262,6 +266,8 @@ def _agree(c, m, velocities, size):
     J. J. Judice and F. M. Pires, Computers and Operations Research 21:587-596, 1994).
     """
     _take_modes(m)
+    for j in range(m.count[0]):  # redundant contacts share their impulses as before, not as sweeps have left them
+        m.normal[j], m.tangent[j] = m.krylov[8, j], m.krylov[8, m.count[0] + j]
     least, patience = len(m.states) + 1, PATIENCE
     for turn in range(MOST_CHANGES):
         if not _solve(c, m, velocities, size):
@@ -287,13 +293,15 @@ def push_many(c, m, velocities, precision):
         normal, slip = rate_of(m, j, ALONG, velocities) + m.more[j], rate_of(m, j, ACROSS, velocities)
         size = max(size, abs(normal), abs(slip))
         scaled = max(scaled, abs(normal) / sqrt(m.block[j, 0]), abs(slip) / sqrt(m.block[j, 3]))
+    given, before = m.krylov[7], m.krylov[8]
+    for j in range(k):
+        before[j], before[k + j] = m.normal[j], m.tangent[j]
     _find_after(c, m, velocities)
     is_rough, is_exact = precision > PRECISION, False
     worst = _sweep(c, m, SWEEPS if is_rough else ROUND, precision * size)
     for turn in range(0 if is_rough else SWEEPS // ROUND):
         if turn > 0:
             worst = min(worst, _sweep(c, m, ROUND, 0.0))
-        given = m.krylov[7]
         for j in range(k):
             given[j], given[k + j] = m.normal[j], m.tangent[j]
         is_exact = _agree(c, m, velocities, scaled)

@@ -24,7 +24,7 @@ from mbdkit_contact.kernels.stepping_bundle import (
     rate_of,
 )
 
-MOST_PIVOTED = 24
+MOST_PIVOTED = 64
 """Up to this number of contacts, impulses are found by elimination; for more, see `many_contacts`."""
 MANY = 40
 """Number of overlaps above which less accurate results are accepted: contacts at rest that others press together get no

@@ -142,7 +142,7 @@ class Stepping(NamedTuple):
     other_law: IntVector
     """(1,) whether another law of impact was used."""
     states: IntVector
-    """(C,) modes of many contacts in the order of `some`, and (8, 2 C) vectors of their equations."""
+    """(C,) modes of many contacts in the order of `some`, and (9, 2 C) vectors of their equations."""
     krylov: RealMatrix
     cones: Cones
     active: ActiveSet
