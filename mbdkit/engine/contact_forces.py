@@ -91,9 +91,9 @@ def pairs_of_shapes(contacts: Sequence[ActingContact]) -> list[list[ActingContac
 def contact_law(rows: Sequence[ActingContact], mode: int) -> CompiledLaw:
     """Return the law of a pair of shapes in a mode of `mbdkit.engine.kernels.contact_laws`."""
     one, (kind, edges) = rows[0], rows[0].pair.kind
-    count = edges if kind in ("edge", "inside") else len(rows)
+    count = edges or len(rows)
     turns = (int(moving == 3) for moving in one.moving)
-    program = (mode, KINDS.index(kind), count, len(rows) - edges, FORCE_LAWS.index(one.force), *turns)
+    program = (mode, KINDS.index(kind), count, len(rows) - count, FORCE_LAWS.index(one.force), *turns)
     return native_law(NativeLaw(contact, program))
 
 

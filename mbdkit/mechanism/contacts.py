@@ -479,7 +479,7 @@ def _rows(name: str, key: str, bodies: tuple[str, str], first: Shape, second: Sh
 
 
 def _edges(corners: tuple[Pair, ...]) -> tuple[float, ...]:
-    """Return (x, y) of the start and of the unit outward normal of each edge, and its length, one edge after the other."""
+    """Return (x, y) of the start and of the unit outward normal of each edge, and its length, edge after edge."""
     found: list[float] = []
     for (ax, ay), (bx, by) in zip(corners, corners[1:] + corners[:1], strict=True):
         size = math.hypot(bx - ax, by - ay)

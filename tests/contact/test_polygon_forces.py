@@ -84,7 +84,9 @@ def test_two_corners_carry_a_box_on_an_equal_one(offset: float, swapped: bool) -
 @pytest.mark.parametrize("offset", [0.0, 2e-4, -2e-4])
 def test_a_box_rests_on_an_equal_one(offset: float, swapped: bool) -> None:
     """Overlap m g / (2 k); before, boxes that lay exactly on each other were pushed out sideways."""
-    m = pair(rectangle(0.3, 0.1), rectangle(0.3, 0.1), (offset, 0.2), swapped=swapped, law={**LINEAR, "dissipation": 200.0})
+    m = pair(
+        rectangle(0.3, 0.1), rectangle(0.3, 0.1), (offset, 0.2), swapped=swapped, law={**LINEAR, "dissipation": 200.0}
+    )
     spec = {"mbdkit": 1, "model": m.to_spec(), "time": {"end": 3.0, "step": 1e-3}, "integrator": {"name": "radau-iia"}}
     done = mbdkit.run(spec)
     assert done.status == "complete"
@@ -160,3 +162,32 @@ def test_polygons_that_overlap_are_pushed_apart_along_the_axis_of_least_overlap(
             np.testing.assert_allclose(np.max(rows["normal_force"]), -K * apart, rtol=1e-9)
             assert force @ axis >= -K * apart * (1.0 - 1e-9)
     assert found > 20
+
+
+def test_what_a_sliding_box_loses_is_the_work_of_the_contact() -> None:
+    """A box that is thrown on another one, bounces, slides with friction and tips over its end."""
+    law = {**LINEAR, "dissipation": 20.0}
+    m = pair(rectangle(0.5, 0.1), rectangle(0.3, 0.1), (0.0, 0.25), angle=0.1, law=law, friction=0.3)
+    m.bodies["box"] = m.bodies["box"].model_copy(update={"velocity": (2.0, 0.0)})
+    integrator = {"name": "dopri5", "adaptive": True, "rtol": 1e-9, "atol": 1e-11}
+    done = mbdkit.run({"mbdkit": 1, "model": m.to_spec(), "time": {"end": 0.6}, "integrator": integrator})
+    assert done["box"].position[-1, 0] > 0.5
+    assert done.contacts["c.0"].normal_force.max() > 10.0
+    assert done.energy.total[-1] < done.energy.total[0] - 0.5
+    assert np.abs(done.energy.balance).max() < 1e-6
+
+
+@pytest.mark.parametrize("integrator", [{"name": "gauss", "stages": 3}, {"name": "rk4"}])
+def test_gradients_of_a_box_that_oscillates_on_another_one(integrator: dict[str, Any]) -> None:
+    """Its two corners are springs: y = -g/w^2 + (y0 + g/w^2) cos(w t) with w^2 = 2 k / m; y is minus the overlap."""
+    m = pair(rectangle(0.5, 0.1), rectangle(0.3, 0.1), (0.0, 0.2 - 1.2 * 2.0 * G / (2.0 * K)))
+    spec = {"mbdkit": 1, "parameters": {"k": K}, "model": m.to_spec(), "time": {"end": 0.2, "step": 2e-4}}
+    spec["model"]["contacts"]["c"]["compliance"]["stiffness"] = "k"
+    found = mbdkit.gradient(spec, "final(bodies.box.y)", ["k"], check=False, integrator=integrator)
+
+    def height(k: complex) -> complex:
+        square, begin = k, -1.2 * G / K
+        return -G / square + (begin + G / square) * np.cos(np.sqrt(square) * 0.2)
+
+    assert found.value[0] == pytest.approx(0.2 + height(K).real, abs=1e-10)
+    np.testing.assert_allclose(found.jacobian, [[height(K + 1e-20j).imag / 1e-20]], rtol=1e-6)

@@ -40,7 +40,7 @@ coordinate_x_hessian, coordinate_y_hessian = e.coordinate_x_hessian, e.coordinat
 
 @inlined
 def any_forces(top):
-    """Return whether there are force elements, loads, contacts or beams; without them, `applied_forces` writes zeros."""
+    """Return whether there are force elements, loads, contacts or beams; if not, `applied_forces` writes zeros."""
     return len(top.springs) + len(top.loads) + len(top.contacts) + len(top.sections) > 0
 
 

@@ -11,7 +11,7 @@ A circle or point touches the part of a polygon that is nearest: an edge, or the
 theorem of separating axes, two polygons touch only along the edge from which the other polygon is farthest, and along
 the edge of the other polygon that faces it. At each end of the interval in which these edges are opposite each other,
 one corner acts: the end of the facing edge if it is opposite the first edge, and otherwise the end of the first edge.
-In the latter case, the rows of the two bodies change roles: the corner of a row always belongs to its second body.
+In rows of the latter, the bodies change roles: the corner of a row always belongs to its second body.
 
 The parameters of the law are `POSE` numbers for each body, the numbers of its force law (`STIFFNESS` and so on), and,
 from `SHAPES` on, those of the shapes:
@@ -35,7 +35,7 @@ from mbdkit.engine.kernels.bundle_types import IntMatrix, RealCube, RealMatrix, 
 from mbdkit.engine.kernels.vectors import fill
 from mbdkit.engine.native.arithmetic import value_of
 from mbdkit.engine.native.calls import call_law, integers_at, new_registers, numbers_at
-from mbdkit.engine.native.functions import inlined, kernel, law_function, subkernel
+from mbdkit.engine.native.functions import inlined, kernel, law_function
 
 FORCES, SLOPES, VALUES = range(3)
 """Modes: what the law computes."""
@@ -48,12 +48,16 @@ _NONE, _HERTZ, _LINEAR, _SMOOTH = range(len(FORCE_LAWS))
 
 MODE, KIND, FIRST_COUNT, SECOND_COUNT, FORCE_LAW, FIRST_TURNS, SECOND_TURNS = range(7)
 """Integers of the program: mode, kind of geometry, number of edges of the first shape (of rows, if it is no polygon)
-and of the second, law of the normal force, and whether torques act on the bodies."""
+and of the second (0, if not both are polygons), law of the normal force, and whether torques act on the bodies."""
 _HEAD = 7
 POSE = 7
 """Numbers of a body: x, y, cosine and sine of its angle, and its velocities."""
-STIFFNESS, DISSIPATION, RELEASE, STATIC, KINETIC, TRANSITION, SHAPES = range(14, 21)
-ROW, EDGE, VALUE = 7, 5, 8
+STIFFNESS, DISSIPATION, RELEASE, STATIC, KINETIC, TRANSITION, SHAPES = range(2 * POSE, 2 * POSE + 7)
+"""Places of the parameters of the force law, see `mbdkit.mechanism.contacts.Contact.law_numbers`, and of the shapes."""
+ROW, EDGE = 7, 5
+"""Parameters of a row without polygon, and of an edge."""
+VALUE = 8
+"""Quantities of a row: gap, normal force, friction force, slip, the point P and the normal."""
 
 _CF, _BD, _BV = 1e-5, 300.0, 50.0
 """Smoothing constants of Simbody's SmoothSphereHalfSpaceForce, with the default values of OpenSim."""
@@ -63,23 +67,58 @@ _CF, _BD, _BV = 1e-5, 300.0, 50.0
 def contact(program, length, rate, time, parameters, out):
     """Evaluate the contact of two shapes; see this module."""
     head = integers_at(program, _HEAD)
-    count = int(value_of(numbers_at(parameters, 0, 1, length)[0]))
-    x = numbers_at(parameters, 1, count, length)
-    rows = head[FIRST_COUNT] + (head[SECOND_COUNT] if head[KIND] == _INSIDE else 0)
-    results = numbers_at(out, 0, 6 if head[MODE] == FORCES else 72 if head[MODE] == SLOPES else VALUE * rows, length)
+    numbers = int(value_of(numbers_at(parameters, 0, 1, length)[0]))
+    x = numbers_at(parameters, 1, numbers, length)
+    mode, kind, count, other = head[MODE], head[KIND], head[FIRST_COUNT], head[SECOND_COUNT]
+    rows = count + other
+    results = numbers_at(out, 0, 6 if mode == FORCES else 72 if mode == SLOPES else VALUE * rows, length)
     fill(results, 0.0)
-    if head[KIND] <= _HOLE:
-        for row in range(rows):
-            at = SHAPES + ROW * row
-            if head[KIND] == _LINE:
-                _touch_line(head, x, 0, POSE, at, x[at + 2], at + 3, row, True, 0.0, results)
-            else:
-                _touch_circle(head, x, at, at + 3, x[at + 5], row, results)
-    elif head[KIND] == _EDGE:
-        _touch_polygon(head, x, results)
-    else:
-        _touch_polygons(head, x, new_registers(64, length), results)
-    if head[MODE] != VALUES:
+    points = new_registers(64, length)
+    edge, facing, start, end, own_start, own_end, is_corner = 0, 0, -1, -1, -1, -1, False
+    if kind == _EDGE:
+        start, is_corner = _nearest(head, x)
+    elif kind == _INSIDE:
+        edge, facing, start, end, own_start, own_end = _facing_edges(head, x, points)
+    for row in range(rows):
+        # The body of the line and that of the circle, the places of both among the parameters, and how they touch
+        first, second, circle, feature, shape, acts = 0, POSE, SHAPES + ROW * row, SHAPES + ROW * row + 3, kind, True
+        if kind == _EDGE:
+            acts = row == start
+            circle, feature, shape = SHAPES, SHAPES + 3 + EDGE * row, _CIRCLES if acts and is_corner else _LINE
+        elif kind == _INSIDE and row < other:
+            acts = (row == start) | (row == end)
+            circle, feature, shape = SHAPES + EDGE * (count + row), SHAPES + EDGE * edge, _LINE
+        elif kind == _INSIDE:
+            acts = (row - other == own_start) | (row - other == own_end)
+            first, second, shape = POSE, 0, _LINE
+            circle, feature = SHAPES + EDGE * (row - other), SHAPES + EDGE * (count + facing)
+        if not acts and mode != VALUES:
+            continue
+        r = 0.0 * x[circle] if kind == _INSIDE else x[circle + 2]
+        cx, cy = _turned(x, second, x[circle], x[circle + 1])
+        if shape == _LINE:
+            ux, uy = _seen(x, first, second, cx, cy)
+            gap, bend = _over(x, feature, ux, uy)[0] - r, 0.0 * r
+            nx, ny = _turned(x, first, x[feature + 2], x[feature + 3])
+            if not acts:
+                least = 0.0 * gap
+                if kind == _EDGE:
+                    least = sqrt(_beyond(x, feature, ux, uy)) - r
+                elif row < other:
+                    least = _height(x, SHAPES, count, ux, uy)
+                else:
+                    least = _height(x, SHAPES + EDGE * count, other, ux, uy)
+                gap = least if least > gap else gap
+                gap = gap if gap > 0.0 else 0.0 * r
+        else:
+            radius = 0.0 * r if kind == _EDGE else x[feature + 2]
+            ox, oy = _turned(x, first, x[feature], x[feature + 1])
+            distance, nx, ny, bend = _direction(x[second] + cx - x[first] - ox, x[second + 1] + cy - x[first + 1] - oy)
+            gap = distance - r - radius
+            if shape == _HOLE:  # the wall pushes the circle towards the center
+                gap, nx, ny, bend = radius - r - distance, -nx, -ny, -bend
+        _act(head, x, first, second, row, acts, gap, nx, ny, cx, cy, r, bend, results)
+    if mode != VALUES:
         for side in range(2):
             if head[FIRST_TURNS + side] == 0:
                 _clear_torque(head, 3 * side + 2, results)
@@ -129,41 +168,12 @@ def _direction(dx, dy):
     return size, dx * per, dy * per, per
 
 
-@subkernel
-def _touch_line(head, x, first, second, circle, r, line, row, acts, least, out):
-    """Evaluate a row whose first body has a line, and whose second body has a circle of radius `r`.
+@inlined
+def _nearest(head, x):
+    """Return the row of a polygon that a circle touches (-1: none), and whether it does so at the corner of the row.
 
-    `first` and `second` are the indices of the bodies' numbers in `x`, `circle` and `line` those of the center and of
-    the line. If the row does not act, its gap is at least `least`.
+    A row consists of an edge and the corner at which it starts.
     """
-    cx, cy = _turned(x, second, x[circle], x[circle + 1])
-    ux, uy = _seen(x, first, second, cx, cy)
-    gap = _over(x, line, ux, uy)[0] - r
-    if not acts and gap < least:
-        gap = 0.0 * gap + least
-    nx, ny = _turned(x, first, x[line + 2], x[line + 3])
-    _act(head, x, first, second, row, acts, gap, nx, ny, cx, cy, r, 0.0 * gap, out)
-
-
-@subkernel
-def _touch_circle(head, x, circle, center, other, row, out):
-    """Evaluate a row of two circles, or of a hole and a circle; the first body has a circle or hole of radius `other`.
-
-    A corner of a polygon is a circle of radius 0.
-    """
-    cx, cy = _turned(x, POSE, x[circle], x[circle + 1])
-    ox, oy = _turned(x, 0, x[center], x[center + 1])
-    r = x[circle + 2]
-    distance, nx, ny, bend = _direction(x[POSE] + cx - x[0] - ox, x[POSE + 1] + cy - x[1] - oy)
-    if head[KIND] == _HOLE:  # the wall pushes the circle towards the center
-        _act(head, x, 0, POSE, row, True, other - r - distance, -nx, -ny, cx, cy, r, -bend, out)
-    else:
-        _act(head, x, 0, POSE, row, True, distance - r - other, nx, ny, cx, cy, r, bend, out)
-
-
-@subkernel
-def _touch_polygon(head, x, out):
-    """Evaluate the rows of a polygon and a circle. A row consists of an edge and the corner at which it starts."""
     count, first = head[FIRST_COUNT], SHAPES + 3
     cx, cy = _turned(x, POSE, x[SHAPES], x[SHAPES + 1])
     ux, uy = _seen(x, 0, POSE, cx, cy)
@@ -176,22 +186,13 @@ def _touch_polygon(head, x, out):
         if distance < least:
             least, nearest = distance, e
     if head[MODE] != VALUES and highest >= x[SHAPES + 2]:
-        return
-    row, is_corner = top, False
-    if highest > 0.0:
-        along = _over(x, first + EDGE * nearest, ux, uy)[1]
-        is_after = along > x[first + EDGE * nearest + 4]
-        row = (nearest + 1) % count if is_after else nearest
-        is_corner = is_after or along < 0.0
-    for e in range(count):
-        edge = first + EDGE * e
-        if e == row and is_corner:
-            _touch_circle(head, x, SHAPES, edge, 0.0 * ux, e, out)
-        elif e == row:
-            _touch_line(head, x, 0, POSE, SHAPES, x[SHAPES + 2], edge, e, True, 0.0, out)
-        elif head[MODE] == VALUES:
-            far = sqrt(_beyond(x, edge, ux, uy)) - x[SHAPES + 2]
-            _touch_line(head, x, 0, POSE, SHAPES, x[SHAPES + 2], edge, e, False, far if far > 0.0 else 0.0 * far, out)
+        return -1, False
+    if highest <= 0.0:
+        return top, False
+    along = _over(x, first + EDGE * nearest, ux, uy)[1]
+    if along > x[first + EDGE * nearest + 4]:
+        return (nearest + 1) % count, True
+    return nearest, along < 0.0
 
 
 @inlined
@@ -206,43 +207,30 @@ def _beyond(x, edge, px, py):
     return height * height + past * past
 
 
-@subkernel
-def _touch_polygons(head, x, points, out):
-    """Evaluate the rows of two polygons: those of the corners of the second, then those of the corners of the first.
+@inlined
+def _facing_edges(head, x, points):
+    """Return the edges of two polygons that face each other, and the corners that act (-1: none): two of the second
+    polygon, then two of the first.
 
     `points` (64,) is a work array.
     """
     count, other = head[FIRST_COUNT], head[SECOND_COUNT]
     first, second = SHAPES, SHAPES + EDGE * count
     _see(x, 0, POSE, second, other, points, 0)
-    edge, apart, deepest = _separation(x, first, count, points, 0, other)
+    edge, apart, nearest = _separation(x, first, count, points, 0, other, head[MODE])
     if head[MODE] != VALUES and apart >= 0.0:
-        return
+        return 0, 0, -1, -1, -1, -1
     _see(x, POSE, 0, first, count, points, 32)
-    facing, apart_of_other, deepest_of_other = _separation(x, second, other, points, 32, count)
+    facing, apart_of_other, nearest_of_other = _separation(x, second, other, points, 32, count, head[MODE])
     if head[MODE] != VALUES and apart_of_other >= 0.0:
-        return
+        return 0, 0, -1, -1, -1, -1
     if apart >= apart_of_other:
-        facing = _facing(x, first + EDGE * edge, second, other, points, 0, deepest)
-        second_acts = _opposite(x, first + EDGE * edge, points, 0, facing, other)
-        acting = _acting(second_acts, other, facing, edge, count)
+        facing = _facing(x, first + EDGE * edge, second, other, points, 0, nearest)
+        start, end, own_start, own_end = _acting(x, first, edge, count, points, 0, facing, other)
     else:
-        edge = _facing(x, second + EDGE * facing, first, count, points, 32, deepest_of_other)
-        first_acts = _opposite(x, second + EDGE * facing, points, 32, edge, count)
-        acting = _acting(first_acts, count, edge, facing, other)
-        acting = acting[2], acting[3], acting[0], acting[1]
-    for k in range(other):
-        acts = k == acting[0] or k == acting[1]
-        if acts or head[MODE] == VALUES:
-            least = _height(x, first, count, points[2 * k], points[2 * k + 1])
-            at = first + EDGE * edge
-            _touch_line(head, x, 0, POSE, second + EDGE * k, 0.0 * apart, at, k, acts, least, out)
-    for k in range(count):
-        acts = k == acting[2] or k == acting[3]
-        if acts or head[MODE] == VALUES:
-            least = _height(x, second, other, points[32 + 2 * k], points[33 + 2 * k])
-            at = second + EDGE * facing
-            _touch_line(head, x, POSE, 0, first + EDGE * k, 0.0 * apart, at, other + k, acts, least, out)
+        edge = _facing(x, second + EDGE * facing, first, count, points, 32, nearest_of_other)
+        own_start, own_end, start, end = _acting(x, second, facing, other, points, 32, edge, count)
+    return edge, facing, start, end, own_start, own_end
 
 
 @inlined
@@ -264,10 +252,13 @@ def _height(x, polygon, count, px, py):
     return highest
 
 
-@subkernel
-def _separation(x, polygon, count, points, begin, other):
-    """Return the edge of a polygon from which another one is farthest, this distance, and the corner nearest to it."""
-    best, apart, corner = 0, 0.0 * points[0], 0
+@inlined
+def _separation(x, polygon, count, points, begin, other, mode):
+    """Return the edge of a polygon from which another one is farthest, this distance, and the corner nearest to it.
+
+    If only forces are wanted, any edge that separates the polygons is enough.
+    """
+    best, apart, corner = 0, 0.0 * points[begin], 0
     for e in range(count):
         least, nearest = _over(x, polygon + EDGE * e, points[begin], points[begin + 1])[0], 0
         for k in range(1, other):
@@ -276,10 +267,12 @@ def _separation(x, polygon, count, points, begin, other):
                 least, nearest = height, k
         if e == 0 or least > apart:
             best, apart, corner = e, least, nearest
+        if mode != VALUES and apart >= 0.0:
+            break
     return best, apart, corner
 
 
-@subkernel
+@inlined
 def _facing(x, edge, polygon, count, points, begin, corner):
     """Return the edge of a polygon that faces an edge of another one and has the end `corner`, which is nearest.
 
@@ -299,30 +292,22 @@ def _facing(x, edge, polygon, count, points, begin, corner):
 
 
 @inlined
-def _opposite(x, edge, points, begin, facing, count):
-    """Return whether the two ends of the edge `facing` of a polygon are opposite another edge, and whether any of their
-    points is.
-    """
-    k = (facing + 1) % count
-    high = _over(x, edge, points[begin + 2 * facing], points[begin + 2 * facing + 1])[1]
-    low = _over(x, edge, points[begin + 2 * k], points[begin + 2 * k + 1])[1]
-    return high <= x[edge + 4], low >= 0.0, low <= x[edge + 4] and high >= 0.0 and low <= high
+def _acting(x, polygon, edge, count, points, begin, facing, other):
+    """Return the corners that act (-1: none): two of the polygon with the edge `facing`, two of that with `edge`.
 
-
-@inlined
-def _acting(ends, count, facing, edge, other):
-    """Return the corners that act: two of the polygon with `count` corners and the edge `facing`, and two of the other
-    one; -1 for none. `ends` are the results of `_opposite`.
+    `points` from `begin` on are the corners of the former polygon, which has `other` corners.
     """
-    if not ends[2]:
+    after, at = (facing + 1) % other, polygon + EDGE * edge
+    high = _over(x, at, points[begin + 2 * facing], points[begin + 2 * facing + 1])[1]
+    low = _over(x, at, points[begin + 2 * after], points[begin + 2 * after + 1])[1]
+    if low > high or low > x[at + 4] or high < 0.0:
         return -1, -1, -1, -1
-    start, end = facing, (facing + 1) % count
-    return (
-        start if ends[0] else -1,
-        end if ends[1] else -1,
-        -1 if ends[0] else (edge + 1) % other,
-        -1 if ends[1] else edge,
-    )
+    start, end, own_start, own_end = facing, after, -1, -1
+    if high > x[at + 4]:
+        start, own_start = -1, (edge + 1) % count
+    if low < 0.0:
+        end, own_end = -1, edge
+    return start, end, own_start, own_end
 
 
 @inlined
@@ -361,26 +346,28 @@ def _friction_force(law, x, normal, slip):
     See `mbdkit.mechanism.joint_friction.regularised_friction`. The law ``smooth`` replaces the magnitude of the slip by
     ``sqrt(slip^2 + _CF)``, as SmoothSphereHalfSpaceForce does.
     """
-    static, kinetic, transition = x[STATIC], x[KINETIC], x[TRANSITION]
+    static, kinetic, per = x[STATIC], x[KINETIC], 1.0 / x[TRANSITION]
     soft = _CF if law == _SMOOTH else 0.0
     square = slip * slip + soft
-    per = 1.0 / (transition * transition)
-    share, by_slip = slip / transition, 0.0 * slip + 1.0 / transition
-    if square * per >= 1.0:
-        root = sqrt(square)
-        share, by_slip = slip / root, soft / (square * root)
-    more = 2.0 * (static - kinetic) / (1.0 + square * per)
+    ratio = square * per * per
+    share, by_slip = slip * per, per + 0.0 * slip
+    if ratio >= 1.0:
+        root = 1.0 / sqrt(square)
+        share, by_slip = slip * root, soft * root * root * root
+    part = 1.0 / (1.0 + ratio)
+    more = 2.0 * (static - kinetic) * part
     size = kinetic + more
-    by_slip = size * by_slip - more / (1.0 + square * per) * 2.0 * slip * per * share
+    by_slip = size * by_slip - 2.0 * more * part * slip * per * per * share
     return 0.0 - normal * size * share, -size * share, -normal * by_slip
 
 
-@subkernel
+@inlined
 def _act(head, x, first, second, row, acts, gap, nx, ny, cx, cy, r, bend, out):
     """Compute the forces of a row, and add them or their derivatives to `out`, or write the quantities of the row.
 
-    (cx, cy) is the global vector from the second body's centre of mass to the circle, `bend` the angle by which n turns
-    if the circle moves along t by a unit of length to the opposite side.
+    (cx, cy) is the global vector from the second body's centre of mass to the center of its circle, which has the
+    radius `r`. `bend` is the curvature by which n turns: 0 for a line, otherwise the inverse of the distance of both
+    centers, negative for a hole.
     """
     law, mode = head[FORCE_LAW], head[MODE]
     if mode != VALUES and (not acts or (gap >= 0.0 and law != _SMOOTH)):

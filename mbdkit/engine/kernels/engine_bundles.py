@@ -15,8 +15,8 @@ class Topology(NamedTuple):
 
     B is the number of bodies without ground, P of pairs of constraint rows, S of segments of springs, X of pairs of
     segments of the same spring, L of loads, C of pairs of shapes with compliant contacts, G of cross-sections of beams,
-    E of their elements, J of joints, K of markers. All force elements on a pathway are called springs, whatever their law. Most have one segment; the length
-    of one with several is the sum over its segments.
+    E of their elements, J of joints, K of markers. All force elements on a pathway are called springs, whatever their
+    law. Most have one segment; the length of one with several is the sum over its segments.
     """
 
     mass: Annotated[RealMatrix, 3]

@@ -39,7 +39,8 @@ def call_entry(address, first, second, t, h, x):
 def call_law(address, program, length, rate, time, parameters, begin, out, row, count):
     """Call the law at `address` with `parameters` (N,) from index `begin` on.
 
-    It writes row `row` of `out` (K, count), or several rows from this one on; `count` is a constant. In lanes, `parameters` are (WIDTH, N), and the law is called for one lane after the other.
+    It writes row `row` of `out` (K, count), or several rows from this one on; `count` is a constant. In lanes,
+    `parameters` are (WIDTH, N), and the law is called for one lane after the other.
     """
     LAW(int(address))(int(program), length, rate, time, parameters[begin:].ctypes.data, out[row].ctypes.data)
 
