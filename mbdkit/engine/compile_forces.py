@@ -17,9 +17,11 @@ from mbdkit.engine.contact_forces import (
     HELD_BY_BODY,
     ActingContact,
     acting_contacts,
-    contact_laws,
+    contact_law,
+    contact_numbers,
     held_coordinates,
     held_law,
+    pairs_of_shapes,
 )
 from mbdkit.engine.force_laws import CompiledLaw, bind_law
 from mbdkit.engine.friction_forces import FrictionForce, friction_forces
@@ -31,6 +33,7 @@ from mbdkit.engine.kernels.applied_forces import (
     TORQUE,
     VELOCITY_INPUT,
 )
+from mbdkit.engine.kernels.contact_laws import FORCES, SLOPES
 from mbdkit.engine.state_expressions import STATE_INPUT, Numbering, StateExpression
 from mbdkit.mechanism.forces import AppliedLoad, Force, PointForce, SpringDamper, Torque, TorsionSpring
 from mbdkit.mechanism.law_element import Law
@@ -71,6 +74,7 @@ class CompiledForces:
         self.spring_places: list[int] = []
         self.load_places: list[int] = []
         self.loads: list[Numbers] = []
+        self.contact_rows: list[Numbers] = []
         self.load_points: list[Numbers] = []
         self.frictions: list[int] = []
         self.reactions: list[tuple[int, int, int, int]] = []
@@ -86,8 +90,8 @@ class CompiledForces:
         if mechanism.contact_treatment.is_rigid:
             self.contacts = self._add_held(self.contacts, list(mechanism.bodies))
         else:
-            for contact in self.contacts:
-                self._add_contact(contact)
+            for rows in pairs_of_shapes(self.contacts):
+                self._add_contact(rows)
 
     def arrays(self) -> dict[str, np.ndarray]:
         """Return the arrays of `Topology` about forces."""
@@ -106,6 +110,7 @@ class CompiledForces:
             "frictions": np.array(self.frictions, dtype=np.int64),
             "loads": np.array(self.loads, dtype=np.int64).reshape(-1, 5),
             "load_points": np.array(self.load_points, dtype=float).reshape(-1, 2),
+            "contacts": np.array(self.contact_rows, dtype=np.int64).reshape(-1, 3),
             "force_place": np.array(self.spring_places + self.load_places, dtype=np.int64),
         }
 
@@ -173,51 +178,23 @@ class CompiledForces:
         self.loads.append((LOADS[load.kind], *bodies, *motions, *[-1] * (2 - len(motions))))
         self.load_points.append(load.point)
 
-    def _add_contact(self, contact: ActingContact) -> None:
-        """Add the loads of a contact at the centres of mass of its bodies.
+    def _add_contact(self, rows: Sequence[ActingContact]) -> None:
+        """Add the contact of two shapes, given its rows."""
+        name, begin = f"contact '{rows[0].pair.name}'", len(self.law_parameters)
+        self.contact_rows.append((*rows[0].bodies, len(self.laws)))
+        self.law_parameters += contact_numbers(rows)
+        for mode in (FORCES, SLOPES):
+            self._add_law_row(name, contact_law(rows, mode), begin)
 
-        These are a force and a torque; ground has none, and point masses have no torque. See
-        `mbdkit.engine.contact_forces`.
-        """
-        form, begin, name = contact.form, len(self.law_parameters), contact.pair.name
-        laws = contact_laws(form, len(contact.numbers))
-        first, places = len(self.inputs), {}
-        rows: dict[int, int] = {}
-        for component, law in laws.values.items():
-            compiled, block = bind_law(law, contact.options, name)
-            if not rows:
-                self.law_parameters += block
-                names = [parameter for parameter, _ in compiled.parameters]
-                for i, (kind, index, number) in enumerate(contact.inputs):
-                    self.inputs.append((kind, index, begin + 1 + names.index(f"input_{number:02d}")))
-                    places[number] = first + i
-            rows[component] = len(self.laws)
-            self._add_law_row(f"contact '{name}'", compiled, begin)
-        for side, count in enumerate(form.moving):
-            of_side = [rows[3 * side + axis] for axis in range(count)]
-            for load, place, axis in self._add_wrench(name, contact.bodies[side], of_side):
-                for (of, by), slope in laws.slopes.items():
-                    if of == 3 * side + axis:
-                        self.slopes.append((load, place, len(self.laws), places[by], -1))
-                        compiled, _ = bind_law(slope, contact.options, name)
-                        self._add_law_row(f"contact '{name}'", compiled, begin)
-
-    def _add_wrench(self, name: str, body: int, laws: Sequence[int]) -> list[tuple[int, int, int]]:
-        """Add a force at the centre of mass of a body, and a torque if there is a third law.
-
-        Returns for each law the index of its load, the component of the load that it computes, and the index of the law
-        in `laws`.
-        """
-        added = []
+    def _add_wrench(self, name: str, body: int, laws: Sequence[int]) -> None:
+        """Add a force at the centre of mass of a body, and a torque if there is a third law."""
         for kind, components in (("point_force", (0, 1)), ("torque", (2,)))[: max(len(laws) - 1, 0)]:
             motions = [self.motions.add(f'contacts["{name}"].{len(self.loads)}.{one}') for one in components]
             self.load_places.append(len(self.elements))
             self.elements.append(ForceElement(name, ("ground", "ground"), "m"))
             self.load_values += [(laws[one], motion) for one, motion in zip(components, motions, strict=True)]
-            added += [(len(self.loads), place, one) for place, one in enumerate(components)]
             self.loads.append((LOADS[kind], body, self.number["ground"], *motions, *[-1] * (2 - len(motions))))
             self.load_points.append((0.0, 0.0))
-        return added
 
     def _add_held(self, contacts: Sequence[ActingContact], bodies: Sequence[str]) -> list[ActingContact]:
         """Add the states that store the forces and modes of rigid contacts, and the sum of these forces on each body.

@@ -1,25 +1,25 @@
-"""Contacts that act in a run: loads at the centres of mass, whose values are traced functions of the state.
+"""Contacts that act in a run: the parameters of their laws, and their recorded quantities.
 
-A contact exerts a force and a torque on each of its bodies that is not ground. Their values are laws without a pathway
-(see `mbdkit.engine.state_expressions`) that share one block of parameters: the coordinates and velocities of the
-bodies, which kernels update, the parameters of the shapes, and the parameters of the force laws. The tangents are the
-derivatives of the traced functions with respect to these coordinates and velocities.
+A law of `mbdkit.engine.kernels.contact_laws` evaluates all rows of two shapes. It computes the forces of compliant
+contacts in runs, and the recorded quantities of all contacts.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from functools import cache, cached_property, lru_cache
-from typing import TYPE_CHECKING, Any, NamedTuple
+from functools import cache
+from itertools import groupby
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from mbdkit.base.errors import SpecError
-from mbdkit.engine.kernels.applied_forces import POSITION_INPUT, VELOCITY_INPUT
+from mbdkit.engine.force_laws import CompiledLaw, NativeLaw, native_law
+from mbdkit.engine.kernels.contact_laws import EDGE, FORCE_LAWS, KINDS, POSE, ROW, VALUE, VALUES, contact, contact_rows
 from mbdkit.engine.traced_law import Source, Traced
 from mbdkit.mechanism.bodies import GROUND
-from mbdkit.mechanism.contacts import OPEN, SLIP, STICK, Contact, ContactPair
+from mbdkit.mechanism.contacts import OPEN, SLIP, STICK, ContactPair
 from mbdkit.mechanism.force_law import TracedLaw
 
 if TYPE_CHECKING:
@@ -34,7 +34,7 @@ HELD = {"normal_force": "N", "friction_force": "N", "mode": "1"}
 rates.
 """
 
-NO_LAW = (0.0,) * 7
+NO_LAW = (0.0, 0.0, 0.0, 0.0, 0.0, 1.0)
 """Parameters of the law of a rigid contact, which exerts no compliant force."""
 
 HELD_BY_BODY = {"contact_force_x": "N", "contact_force_y": "N", "contact_torque": "N m"}
@@ -42,59 +42,9 @@ HELD_BY_BODY = {"contact_force_x": "N", "contact_force_y": "N", "contact_torque"
 centre of mass.
 """
 
-COORDINATES = 6
-"""Number of coordinates and velocities of a body: x, y, angle and their rates."""
-
 FORCES = {"hunt-crossley": "hertz", "flores": "hertz", "lankarani-nikravesh": "hertz", "linear": "linear",
           "smooth-sphere-half-space": "smooth"}  # fmt: skip
-"""Form of the normal force of each law; see `mbdkit.symbolic.contact_definitions.normal_force`."""
-
-
-class Form(NamedTuple):
-    """All properties of a contact on which its programs depend; parameters are left out.
-
-    Attributes
-    ----------
-    kind, law, has_friction
-        See `mbdkit.symbolic.contact_definitions.definition`.
-    moving
-        Number of coordinates of the first and of the second body: 0 for ground, 2 for a point mass, else 3.
-    """
-
-    kind: tuple[str, int]
-    law: str
-    has_friction: bool
-    moving: tuple[int, int]
-
-    @property
-    def inputs(self) -> list[int]:
-        """Indices, among the coordinates and velocities of both bodies, of the inputs: those that can change."""
-        return [
-            COORDINATES * side + 3 * rate + axis
-            for side, count in enumerate(self.moving)
-            for rate in range(2)
-            for axis in range(count)
-        ]
-
-    @property
-    def wrenches(self) -> list[int]:
-        """Indices, among the components of force and torque on both bodies, of those that have an effect."""
-        return [3 * side + axis for side, count in enumerate(self.moving) for axis in range(count)]
-
-
-class ContactLaws(NamedTuple):
-    """Laws that contacts of one `Form` share.
-
-    Attributes
-    ----------
-    values
-        Law of each component of `Form.wrenches`.
-    slopes
-        Laws of the derivatives that are not always zero, by index of the component and of the input.
-    """
-
-    values: dict[int, TracedLaw]
-    slopes: dict[tuple[int, int], TracedLaw]
+"""Form of the normal force of each law, one of `mbdkit.engine.kernels.contact_laws.FORCE_LAWS`."""
 
 
 @dataclass(frozen=True)
@@ -105,12 +55,14 @@ class ActingContact:
     ----------
     pair
         Names, bodies and geometry of the row.
-    form
-        The properties on which its programs depend.
+    force
+        Form of its normal force, one of `mbdkit.engine.kernels.contact_laws.FORCE_LAWS`.
+    moving
+        Number of coordinates of the first and of the second body: 0 for ground, 2 for a point mass, else 3.
     bodies
         Indices of its bodies.
     law
-        Parameters of its force law, in the order of `mbdkit.symbolic.contact_definitions.LAW`.
+        Parameters of its force law; see `mbdkit.mechanism.contacts.Contact.law_numbers`.
     first_state
         Index of the first of the `HELD` states of a rigid contact; -1 for a compliant contact.
     coefficients
@@ -118,32 +70,44 @@ class ActingContact:
     """
 
     pair: ContactPair
-    form: Form
+    force: str
+    moving: tuple[int, int]
     bodies: tuple[int, int]
     law: tuple[float, ...]
     first_state: int = -1
     coefficients: tuple[float, float, float] = (0.0, 0.0, 0.0)
 
     @property
-    def numbers(self) -> tuple[float, ...]:
-        """Parameters of the shapes and of the force law."""
-        return *self.pair.numbers, *self.law
+    def edges(self) -> list[float]:
+        """Start, normal and length of each edge of the first body's polygon."""
+        return list(self.pair.numbers[len(self.pair.numbers) - EDGE * self.pair.kind[1] :])
 
-    @property
-    def inputs(self) -> list[tuple[int, int, int]]:
-        """For each input, kind and index as in `mbdkit.engine.kernels.applied_forces`, and item of `Form.inputs`."""
-        found = []
-        for one in self.form.inputs:
-            side, place = divmod(one, COORDINATES)
-            kind = POSITION_INPUT if place < 3 else VELOCITY_INPUT
-            found.append((kind, 3 * self.bodies[side] + place % 3, one))
-        return found
 
-    @cached_property
-    def options(self) -> dict[str, float]:
-        """Parameters of the laws by name; those that are inputs are zero."""
-        given = {_input(one): 0.0 for one in self.form.inputs}
-        return given | {_number(i): float(x) for i, x in enumerate(self.numbers)}
+def pairs_of_shapes(contacts: Sequence[ActingContact]) -> list[list[ActingContact]]:
+    """Return the rows of each pair of shapes."""
+    return [list(rows) for _, rows in groupby(contacts, lambda one: (one.pair.key, frozenset(one.pair.bodies)))]
+
+
+def contact_law(rows: Sequence[ActingContact], mode: int) -> CompiledLaw:
+    """Return the law of a pair of shapes in a mode of `mbdkit.engine.kernels.contact_laws`."""
+    one, (kind, edges) = rows[0], rows[0].pair.kind
+    count = edges or len(rows)
+    turns = (int(moving == 3) for moving in one.moving)
+    program = (mode, KINDS.index(kind), count, len(rows) - count, FORCE_LAWS.index(one.force), *turns)
+    return native_law(NativeLaw(contact, program))
+
+
+def contact_numbers(rows: Sequence[ActingContact]) -> list[float]:
+    """Return the parameters of the law of a pair of shapes, preceded by their number; the states of bodies are zero."""
+    one, kind = rows[0], rows[0].pair.kind[0]
+    if kind == "edge":
+        shapes = [*one.pair.numbers[:3], *one.edges]
+    elif kind == "inside":
+        shapes = one.edges + rows[-1].edges
+    else:
+        shapes = [number for row in rows for number in (*row.pair.numbers, 0.0)[:ROW]]
+    numbers = [*[0.0] * (2 * POSE), *one.law, *shapes]
+    return [float(len(numbers)), *numbers]
 
 
 def contact_values(
@@ -154,35 +118,29 @@ def contact_values(
     Positions and velocities are (T, 3 (B + 1)), first-order states (T, Z). Points, at which the forces act, and normals
     are given in the global frame.
     """
-    found = {name: np.zeros((len(q), len(contacts))) for name in ("gap", "slip", *HELD)}
-    found |= {name: np.zeros((len(q), len(contacts), 2)) for name in ("point", "normal")}
-    alike: dict[Form, list[int]] = {}
+    table, numbers, first = [], list[float](), 0
+    for rows in pairs_of_shapes(contacts):
+        law = contact_law(rows, VALUES)
+        table.append((*rows[0].bodies, law.address, law.program, len(numbers), first))
+        numbers += contact_numbers(rows)
+        first += len(rows)
+    values = np.zeros((len(q), len(contacts), VALUE))
+    q, v = (np.ascontiguousarray(x, dtype=float) for x in (q, v))
+    contact_rows(np.array(table, dtype=np.int64).reshape(-1, 6), np.array(numbers), q, v, values)
+    gap, normal, friction, slip = values[..., :4].transpose(2, 0, 1).copy()
+    has_friction, transition = np.array([(one.law[3] > 0.0, one.law[5]) for one in contacts]).T
+    sticks = (has_friction > 0.0) & (np.abs(slip) <= transition)
+    mode = np.where((gap < 0.0) & (normal > 0.0), np.where(sticks, STICK, SLIP), OPEN).astype(float)
+    found = {"gap": gap, "slip": slip, "normal_force": normal, "friction_force": friction, "mode": mode}
     for i, one in enumerate(contacts):
-        alike.setdefault(one.form, []).append(i)
-    for form, places in alike.items():
-        some = [contacts[i] for i in places]
-        bodies, numbers = np.array([one.bodies for one in some]).T, np.array([one.numbers for one in some]).T
-        state = [x[:, 3 * side + axis] for side in bodies for x in (q, v) for axis in range(3)]
-        with np.errstate(all="ignore"):
-            gap, normal, friction, slip, *_, x, y, nx, ny = _function(form)(*state, *numbers)
-        found["gap"][:, places], found["slip"][:, places] = gap, slip
-        for name, pair in (("point", (x, y)), ("normal", (nx, ny))):
-            for axis, values in enumerate(pair):
-                found[name][:, places, axis] = values
-        if form.law == "none":
-            first = np.array([one.first_state for one in some])
-            for i, name in enumerate(HELD):
-                found[name][:, places] = z[:, first + i]
-            continue
-        found["normal_force"][:, places], found["friction_force"][:, places] = normal, friction
-        sticks = form.has_friction & (np.abs(slip) <= numbers[-1])
-        found["mode"][:, places] = np.where((gap < 0.0) & (normal > 0.0), np.where(sticks, STICK, SLIP), OPEN)
-    return found
+        for k, name in enumerate(HELD if one.first_state >= 0 else ()):
+            found[name][:, i] = z[:, one.first_state + k]
+    return found | {"point": values[..., 4:6].copy(), "normal": values[..., 6:].copy()}
 
 
 def held_coordinates(contacts: Sequence[ActingContact]) -> list[int]:
     """Return the indices of the coordinates on which forces of rigid contacts act, in increasing order."""
-    sides = [side for one in contacts if one.first_state >= 0 for side in zip(one.bodies, one.form.moving, strict=True)]
+    sides = [side for one in contacts if one.first_state >= 0 for side in zip(one.bodies, one.moving, strict=True)]
     return [3 * body + axis for body, count in sorted(set(sides)) for axis in range(count)]
 
 
@@ -210,28 +168,23 @@ def acting_contacts(mechanism: Mechanism, number: Mapping[str, int]) -> list[Act
         return []
     found = []
     is_rigid = mechanism.contact_treatment.is_rigid
-    for name, contact in mechanism.contacts.items():
-        for pair in contact.pairs(name, mechanism.joints):
-            moving = tuple(_coordinates(mechanism, body) for body in pair.bodies)
+    for name, own in mechanism.contacts.items():
+        for pair in own.pairs(name, mechanism.joints):
+            moving = _coordinates(mechanism, pair.bodies[0]), _coordinates(mechanism, pair.bodies[1])
             bodies = (number[pair.bodies[0]], number[pair.bodies[1]])
-            static, kinetic = contact.coefficients
+            static, kinetic = own.coefficients
             if is_rigid:
-                form = Form(pair.kind, "none", False, moving)  # type: ignore[arg-type]
-                given = contact.restitution, static, kinetic
-                found.append(ActingContact(pair, form, bodies, NO_LAW, 0, given))
+                given = own.restitution, static, kinetic
+                found.append(ActingContact(pair, "none", moving, bodies, NO_LAW, 0, given))
                 continue
-            if contact.compliance is None:
+            if own.compliance is None:
                 raise SpecError(
                     "is missing: the compliant treatment needs a law of the normal force, such as {stiffness: 1.0e6}",
                     key=f"{pair.key}.compliance",
                 )
-            form = Form(pair.kind, FORCES[contact.compliance.law], static > 0.0, moving)  # type: ignore[arg-type]
-            found.append(ActingContact(pair, form, bodies, _law_numbers(contact, pair.radius)))
+            law = tuple(own.law_numbers(pair.radius).values())
+            found.append(ActingContact(pair, FORCES[own.compliance.law], moving, bodies, law))
     return found
-
-
-def _law_numbers(contact: Contact, radius: float) -> tuple[float, ...]:
-    return tuple(contact.law_numbers(radius).values())
 
 
 def _coordinates(mechanism: Mechanism, body: str) -> int:
@@ -240,50 +193,11 @@ def _coordinates(mechanism: Mechanism, body: str) -> int:
     return 2 if mechanism.bodies[body].inertia is None else 3
 
 
-def _input(number: int) -> str:
-    return f"input_{number:02d}"
-
-
-def _number(index: int) -> str:
-    return f"number_{index:03d}"
-
-
-def _function(form: Form) -> Any:
-    from mbdkit.symbolic.contact_definitions import contact_function  # loads SymPy
-
-    return contact_function(form.kind, form.law, form.has_friction)
-
-
-@lru_cache(maxsize=64)
-def contact_laws(form: Form, numbers: int) -> ContactLaws:
-    """Return the laws of a form; `numbers` is the number of parameters of its shapes and force law."""
-    # The functions are traced once, with all derivatives; each law needs a part of the result.
-    source, inputs = Source(), form.inputs
-    parameters = [Traced(source, f"parameters[{i}]") for i in range(len(inputs) + numbers)]  # in the order of names
-    state: list[Any] = [0.0] * (2 * COORDINATES)
-    for i, one in enumerate(inputs):
-        seed = tuple(float(i == k) for k in range(len(inputs)))
-        state[one] = Traced(source, parameters[i].term, seed)
-    wrenches = _function(form)(*state, *parameters[len(inputs) :])[4:]
-    values, slopes = {}, {}
-    for component in form.wrenches:
-        value = wrenches[component]
-        values[component] = _law(value)
-        for by, slope in zip(inputs, value.slopes, strict=bool(value.slopes)):
-            if isinstance(slope, Traced):
-                slopes[component, by] = _law(slope)
-    return ContactLaws(values, slopes)
-
-
-def _law(value: Traced) -> TracedLaw:
-    plain = Traced(value.source, value.term)
-    return TracedLaw(lambda length, rate, time, p: plain, dict, has_derivatives=False)
-
-
 @cache
 def held_law() -> TracedLaw:
     """Return a law whose value is its only parameter."""
-    return _law(Traced(Source(), "parameters[0]"))
+    held = Traced(Source(), "parameters[0]")
+    return TracedLaw(lambda length, rate, time, p: held, dict, has_derivatives=False)
 
 
 def check_start(

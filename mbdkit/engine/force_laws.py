@@ -63,8 +63,36 @@ class CompiledLaw:
     program: int
     claims: int
     keeper: Any = field(compare=False)
-    law: ForceLaw
+    law: ForceLaw | NativeLaw
     parameters: tuple[tuple[str, float], ...]
+
+
+@dataclass(frozen=True)
+class NativeLaw:
+    """A law that consists of machine code and integers of its own, which the code finds at the address of its program.
+
+    Attributes
+    ----------
+    function
+        The code.
+    program
+        The integers.
+    """
+
+    function: LawFunction
+    program: tuple[int, ...]
+
+
+@cache
+def native_law(law: NativeLaw) -> CompiledLaw:
+    """Return a native law that kernels can call."""
+    address, program, keeper = _code_of(law, {}, duals=False)
+    return CompiledLaw(address, program, 0, keeper, law, ())
+
+
+@cache
+def _integers(program: tuple[int, ...]) -> np.ndarray:
+    return np.array(program, dtype=np.int64)
 
 
 def bind_law(law: ForceLaw, options: Any, name: str) -> tuple[CompiledLaw, list[float]]:
@@ -121,8 +149,11 @@ def law_for_duals(compiled_law: CompiledLaw, name: str) -> CompiledLaw:
     return CompiledLaw(address, program, compiled_law.claims, keeper, law, compiled_law.parameters)
 
 
-def _code_of(law: ForceLaw, example: dict[str, float], *, duals: bool) -> tuple[int, int, Any]:
+def _code_of(law: ForceLaw | NativeLaw, example: dict[str, float], *, duals: bool) -> tuple[int, int, Any]:
     """Return the addresses of a law's function and of its program, and an object that keeps them in memory."""
+    if isinstance(law, NativeLaw):
+        block = _integers(law.program)
+        return (law.function.address_for_duals if duals else law.function.address), block.ctypes.data, block
     if law in _STORED and tuple(example) == law_kernels.PARAMETERS.get(_STORED[law].function.__name__, ()):
         stored = _STORED[law]
         return (stored.address_for_duals if duals else stored.address), 0, stored

@@ -84,7 +84,7 @@ class Sampler:
         """Return the value of an expression."""
         address, first, _, program = (int(x) for x in self._workspace.mechanism.topology.laws[row])
         out = np.zeros((1, 4))
-        call_law(address, program, 0.0, 0.0, t, self._workspace.scratch.law_values, first, out, 0)
+        call_law(address, program, 0.0, 0.0, t, self._workspace.scratch.law_values, first, out, 0, 4)
         return float(out[0, 0])
 
     def stored(self) -> dict[str, Any]:

@@ -26,7 +26,7 @@ MODES = ("open", "stick", "slip")
 """Names of the modes."""
 
 MOST_CORNERS = 16
-"""Largest number of corners of a polygon; each force of a contact has all corners among its parameters."""
+"""Largest number of corners of a polygon."""
 
 RELEASED = 1e300
 """Speed of separation [m/s] at which the law smooth-sphere-half-space without dissipation stops pushing.
@@ -229,9 +229,14 @@ class ContactPair(NamedTuple):
     bodies
         The two bodies, in the order that the formulas of the `kind` assume.
     kind
-        Kind of geometry, see `mbdkit.symbolic.contact_definitions`, and number of edges if there is a polygon.
+        Kind of geometry, and number of edges of the first body's polygon, if it has one. The first body has a ``line``;
+        both have circles (``circles``); the first body has a ``hole``; it has a polygon, and the row belongs to one
+        ``edge`` and the corner at which this begins; or both have polygons, and the row belongs to a corner of the
+        second body's (``inside``).
     numbers
-        Parameters of the geometry, in the frames of the bodies.
+        Parameters of the geometry, in the frames of the bodies: center and radius of the circle; then a point and the
+        normal of the line, or center and radius of the first body's circle or hole, or for each edge of the first
+        body's polygon its start, normal and length. The three corners of an ``edge`` come before the latter.
     radius
         Radius of the circle [m], 0 for a point.
     swapped
@@ -372,12 +377,14 @@ class Contact(Element):
         own = self.compliance
         assert own is not None
         static, kinetic = self.coefficients
-        c = self.dissipation
+        c, stiffness = self.dissipation, own.stiffness
+        if own.law == "smooth-sphere-half-space":  # in the force k d^(3/2) of H. Hertz
+            modulus = 0.5 * stiffness ** (2.0 / 3.0)
+            stiffness = 4.0 / 3.0 * modulus * math.sqrt(radius * modulus)
         return {
-            "stiffness": own.stiffness,
+            "stiffness": stiffness,
             "dissipation": c,
             "release": 2.0 / (3.0 * c) if c > 0.0 else RELEASED,
-            "curvature": radius,
             "static": static,
             "kinetic": kinetic,
             "transition": own.transition_speed,
@@ -472,11 +479,11 @@ def _rows(name: str, key: str, bodies: tuple[str, str], first: Shape, second: Sh
 
 
 def _edges(corners: tuple[Pair, ...]) -> tuple[float, ...]:
-    """Return (x, y) of a point and of the unit outward normal of each edge, one edge after the other."""
+    """Return (x, y) of the start and of the unit outward normal of each edge, and its length, edge after edge."""
     found: list[float] = []
     for (ax, ay), (bx, by) in zip(corners, corners[1:] + corners[:1], strict=True):
         size = math.hypot(bx - ax, by - ay)
-        found += [ax, ay, (by - ay) / size, (ax - bx) / size]
+        found += [ax, ay, (by - ay) / size, (ax - bx) / size, size]
     return tuple(found)
 
 

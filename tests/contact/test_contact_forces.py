@@ -14,6 +14,7 @@ from mbdkit.mechanism.mechanism import Mechanism
 
 FLOOR = {"line": {"normal": (0.0, 1.0)}}
 SQUARE = {"polygon": [(-0.2, -0.1), (0.2, -0.1), (0.2, 0.1), (-0.2, 0.1)]}
+OCTAGON = [(0.12 * math.cos(k * math.pi / 4 + 0.4), 0.12 * math.sin(k * math.pi / 4 + 0.4)) for k in range(8)]
 RUBBER = {"stiffness": 3.0e4, "dissipation": 0.2, "transition_speed": 0.05}
 PULL = 2000.0
 """Weight of 1 kg in these tests, so that any overlap at the start is small against what bodies at rest may have."""
@@ -115,6 +116,10 @@ PAIRS = {
     "corner": ((SQUARE, {"circle": {"radius": 0.05}}), (0.22, 0.125), 0.3),
     "point inside": (({"point": (0.03, 0.0)}, SQUARE), (0.0, 0.08), 0.1),
     "polygons": ((SQUARE, SQUARE), (0.31, 0.16), 0.3),
+    "edge on edge": ((SQUARE, SQUARE), (0.15, 0.195), 0.41),
+    "end of an edge": ((SQUARE, SQUARE), (-0.15, -0.195), 0.38),
+    "side of a polygon": (({"polygon": OCTAGON}, SQUARE), (0.31, 0.02), 0.42),
+    "polygon before circle": (({"circle": {"radius": 0.05}}, SQUARE), (0.1, 0.13), 0.3),
     "corners on a line": (({"line": {"normal": (0.2, 1)}}, SQUARE), (0.0, 0.08), 0.5),
 }
 

@@ -1,4 +1,5 @@
-"""Applied forces: force elements (a law on a pathway), beams, torques and point forces; tangents, powers, potentials.
+"""Applied forces: force elements (a law on a pathway), beams, contacts, torques, point forces; tangents, powers,
+potentials.
 
 A force element pulls its two bodies together with the tension ``F(s, s', t)`` along a pathway of length ``s``. Its
 generalized force is ``Q = -F s_q``. Gravity is not part of these forces: it is a constant acceleration, and the solvers
@@ -39,8 +40,8 @@ coordinate_x_hessian, coordinate_y_hessian = e.coordinate_x_hessian, e.coordinat
 
 @inlined
 def any_forces(top):
-    """Return whether there are force elements, loads or beams; without them, `applied_forces` writes zeros."""
-    return len(top.springs) + len(top.loads) + len(top.sections) > 0
+    """Return whether there are force elements, loads, contacts or beams; if not, `applied_forces` writes zeros."""
+    return len(top.springs) + len(top.loads) + len(top.contacts) + len(top.sections) > 0
 
 
 @subkernel
@@ -140,7 +141,7 @@ def evaluate_tension(top, w, k, rate):
         tension[k, 3] = 0.5 * stiffness * stretch * stretch
     else:
         code, program, first = top.laws[law, 0], top.laws[law, 3], top.laws[law, 1]
-        call_law(code, program, length, rate, w.time[0], w.law_values, first, tension, k)
+        call_law(code, program, length, rate, w.time[0], w.law_values, first, tension, k, 4)
         is_law_at_fault = (abs(length) < np.inf) & (abs(rate) < np.inf) & (not abs(tension[k, 0]) < np.inf)
         if is_refused(not is_law_at_fault):
             w.faulty[0] = law
@@ -165,7 +166,7 @@ def law_value(top, w, law, length, rate, t):
     """Return the value of the law in row `law` of ``top.laws`` for its current parameters."""
     spare = len(top.springs)
     code, program, first = top.laws[law, 0], top.laws[law, 3], top.laws[law, 1]
-    call_law(code, program, length, rate, t, w.law_values, first, w.tension, spare)
+    call_law(code, program, length, rate, t, w.law_values, first, w.tension, spare, 4)
     return w.tension[spare, 0]
 
 
@@ -311,8 +312,52 @@ def applied_forces(top, w, q, v):
             force[3 * body] += fx
             force[3 * body + 1] += fy
             force[3 * body + 2] += px * fy - py * fx
+    for k in range(len(top.contacts)):
+        add_contact_forces(top, w, q, v, k)
     if len(top.sections) > 0:
         add_beam_forces(top, w, q, v)
+
+
+@subkernel
+def add_contact_forces(top, w, q, v, k):
+    """Evaluate the forces and torques of compliant contact `k` into its row of ``w.contact`` (C, 6), and add them."""
+    law = top.contacts[k, 2]
+    place_bodies(top, w, q, v, k)
+    code, program, first = top.laws[law, 0], top.laws[law, 3], top.laws[law, 1]
+    call_law(code, program, 0.0 * w.cs[0, 0], 0.0, w.time[0], w.law_values, first, w.contact, k, 6)
+    total = 0.0
+    for i in range(6):
+        w.force[3 * top.contacts[k, i // 3] + i % 3] += w.contact[k, i]
+        total += w.contact[k, i]
+    if is_refused(abs(total) < np.inf):
+        w.faulty[0] = law
+
+
+@inlined
+def place_bodies(top, w, q, v, k):
+    """Store the states of the bodies of contact `k` as parameters of its law; `mbdkit.engine.kernels.contact_laws`."""
+    place = top.laws[top.contacts[k, 2], 1] + 1
+    for side in range(2):
+        body = top.contacts[k, side]
+        put_in_place(w.law_values, place, q[3 * body])
+        put_in_place(w.law_values, place + 1, q[3 * body + 1])
+        put_in_place(w.law_values, place + 2, w.cs[body, 0])
+        put_in_place(w.law_values, place + 3, w.cs[body, 1])
+        for i in range(3):
+            put_in_place(w.law_values, place + 4 + i, v[3 * body + i])
+        place += 7
+
+
+@subkernel
+def contact_tangents(top, w, q, v, k):
+    """Write -dQ/dq and -dQ/dv of compliant contact `k` into its rows of ``w.contact_stiff`` and ``w.contact_damp``."""
+    law = top.contacts[k, 2] + 1
+    place_bodies(top, w, q, v, k)
+    code, program, first = top.laws[law, 0], top.laws[law, 3], top.laws[law, 1]
+    call_law(code, program, 0.0 * w.cs[0, 0], 0.0, w.time[0], w.law_values, first, w.contact_slopes, 0, 72)
+    for i in range(36):
+        w.contact_stiff[k, i] = -w.contact_slopes[0, i]
+        w.contact_damp[k, i] = -w.contact_slopes[0, 36 + i]
 
 
 @subkernel
@@ -420,13 +465,15 @@ def force_tangents(top, w, q, v):
             load_stiff[k, 1] = -fx
         else:
             load_stiff[k, 2] = px * fx + py * fy
+    for k in range(len(top.contacts)):
+        contact_tangents(top, w, q, v, k)
     if len(top.sections) > 0:
         beam_tangents(top, w, q, v)
 
 
 @subkernel
 def powers(top, w, v, lam):
-    """Return two powers [W]: that of loads, drivers and active laws, and the dissipated power.
+    """Return two powers [W]: that of loads, contacts, drivers and active laws, and the dissipated power.
 
     Requires `applied_forces` and Phi_t at the same state. The bodies supply the power ``F s'`` to a force element. If
     the law has a potential V, the part ``V_s s'`` is stored as potential energy. The rest counts as dissipated if the
@@ -449,7 +496,7 @@ def powers(top, w, v, lam):
         if claims & HAS_POTENTIAL != 0:
             spare = len(springs)
             code, program, first = laws[law, 0], laws[law, 3], laws[law, 1]
-            call_law(code, program, w.s[k, 0], 0.0, w.time[0], w.law_values, first, tension, spare)
+            call_law(code, program, w.s[k, 0], 0.0, w.time[0], w.law_values, first, tension, spare, 4)
             rest -= tension[spare, 0]
         if claims & PASSIVE != 0:
             lost += rest * rate
@@ -463,6 +510,9 @@ def powers(top, w, v, lam):
             fx, fy, px, py = point_force(top, w, k)
             spin = v[3 * body + 2]
             work += fx * (v[3 * body] - spin * py) + fy * (v[3 * body + 1] + spin * px)
+    for k in range(len(top.contacts)):
+        for i in range(6):
+            work += w.contact[k, i] * v[3 * top.contacts[k, i // 3] + i % 3]
     for k in range(len(top.sections)):
         lost += w.section_energy[k, 1]
     for k in range(len(pairs)):

@@ -14,9 +14,9 @@ class Topology(NamedTuple):
     """A compiled mechanism: all data that do not change during a run.
 
     B is the number of bodies without ground, P of pairs of constraint rows, S of segments of springs, X of pairs of
-    segments of the same spring, L of loads, G of cross-sections of beams, E of their elements, J of joints, K of
-    markers. All force elements on a pathway are called springs, whatever their law. Most have one segment; the length
-    of one with several is the sum over its segments.
+    segments of the same spring, L of loads, C of pairs of shapes with compliant contacts, G of cross-sections of beams,
+    E of their elements, J of joints, K of markers. All force elements on a pathway are called springs, whatever their
+    law. Most have one segment; the length of one with several is the sum over its segments.
     """
 
     mass: Annotated[RealMatrix, 3]
@@ -78,6 +78,9 @@ class Topology(NamedTuple):
     """(L, 5) kind, body, reaction body, motion x (or of the torque), motion y."""
     load_points: Annotated[RealMatrix, 2]
     """(L, 2) point of application of each load in the frame of its body [m]."""
+    contacts: Annotated[IntMatrix, 3]
+    """(C, 3) compliant contacts: first body, second body, row of `laws` of the forces; the next row is that of their
+    derivatives (`mbdkit.engine.kernels.contact_laws`)."""
     sections: Annotated[IntMatrix, 5]
     """(G, 5) cross-sections at which the elements of beams are integrated: element, number of its nodes, the nodes."""
     section_parameters: Annotated[RealMatrix, 16]
@@ -142,6 +145,10 @@ class Scratch(NamedTuple):
     tension: Annotated[RealMatrix, 4]
     """(S + 1, 4) force, derivatives with respect to length and rate, and potential of the spring of each segment; the
     last row is a work array."""
+    contact: Annotated[RealMatrix, 6]
+    """(C, 6) forces and torques of the contacts on their first and second bodies."""
+    contact_slopes: Annotated[RealMatrix, 72]
+    """(1, 72) work array: the derivatives of these with respect to positions and velocities of both bodies."""
     section: Annotated[RealMatrix, 10]
     """(G, 10) state of each cross-section of a beam, its rates, cosine and sine of its angle."""
     section_force: Annotated[RealMatrix, 4]
@@ -156,7 +163,7 @@ class Scratch(NamedTuple):
     """(G, 16) derivatives of the forces with respect to the rates."""
     law_values: RealVector
     """(N,) parameters of laws as in `Topology.law_parameters`, but with the present values of states and inputs.
-    Without states and inputs, it is that array itself."""
+    Without states, inputs and contacts, it is that array itself."""
     friction: RealMatrix
     """(F, F + 3) matrix and right side of Newton's method for the friction in joints, the frictions, and their
     scales."""
@@ -187,6 +194,10 @@ class Scratch(NamedTuple):
     """(D, 36) -dQ/dq of loads whose value is an expression of the state, due to one of its inputs."""
     slope_damp: Annotated[RealMatrix, 36]
     """(D, 36) -dQ/dv of the same loads."""
+    contact_stiff: Annotated[RealMatrix, 36]
+    """(C, 36) -dQ/dq of the contacts."""
+    contact_damp: Annotated[RealMatrix, 36]
+    """(C, 36) -dQ/dv of the contacts."""
     load_stiff: Annotated[RealMatrix, 3]
     """(L, 3) -dQ/dq of the loads; see `mbdkit.engine.kernels.applied_forces.force_tangents`."""
     beam_stiff: Annotated[RealMatrix, 81]

@@ -3,7 +3,8 @@
 A law is a C function ``void law(int64 program, double length, double rate, double time, const double *parameters,
 double *out)``. It writes the force, its derivatives with respect to length and rate, and the potential into
 ``out[0..3]``; ``parameters[0]`` is the number of parameters that follow, and ``program`` the address of further data of
-the law (`mbdkit.engine.kernels.law_programs`). Kernels read the addresses of the law and of its program from an array,
+the law (`mbdkit.engine.kernels.law_programs`). The law of contacts (`mbdkit.engine.kernels.contact_laws`) writes other
+numbers. Kernels read the addresses of the law and of its program from an array,
 so that they need not be compiled again for a new law.
 
 Laws for dual numbers have the same arguments, but all numbers except the time are addresses of dual numbers.
@@ -35,10 +36,11 @@ def call_entry(address, first, second, t, h, x):
 
 
 @placeholder
-def call_law(address, program, length, rate, time, parameters, begin, out, row):
-    """Call the law at `address` with `parameters` (N,) from index `begin` on; it writes row `row` of `out` (K, 4).
+def call_law(address, program, length, rate, time, parameters, begin, out, row, count):
+    """Call the law at `address` with `parameters` (N,) from index `begin` on.
 
-    In lanes, `parameters` are (WIDTH, N), and the law is called for one lane after the other.
+    It writes row `row` of `out` (K, count), or several rows from this one on; `count` is a constant. In lanes,
+    `parameters` are (WIDTH, N), and the law is called for one lane after the other.
     """
     LAW(int(address))(int(program), length, rate, time, parameters[begin:].ctypes.data, out[row].ctypes.data)
 

@@ -33,28 +33,25 @@ def _law_type() -> ir.FunctionType:
 
 
 @implement(call_law)
-def _call_law(typing, address, program, length, rate, time, parameters, begin, out, row):
-    """Call the law at `address` with `parameters` (N,) from index `begin` on; it writes row `row` of `out` (K, 4).
-
-    In lanes, `parameters` are (WIDTH, N), and the law is called for one lane after the other.
-    """
+def _call_law(typing, address, program, length, rate, time, parameters, begin, out, row, count):
+    if not isinstance(count, types.IntegerLiteral):
+        return None
     if isinstance(out, LaneArray):
-        return _call_in_lanes()
+        return _call_in_lanes(count.literal_value)
     if isinstance(out, DualArray):
         return _call_with_derivatives()
     number, real = types.int64, types.float64
     vector, matrix = types.Array(real, 1, "C"), types.Array(real, 2, "C")
-    signature = types.void(number, number, real, real, real, vector, number, matrix, number)
+    signature = types.void(number, number, real, real, real, vector, number, matrix, number, number)
 
     def generate(context, builder, signature, arguments):
-        address, program, length, rate, time, parameters, begin, out, row = arguments
+        address, program, length, rate, time, parameters, begin, out, row, count = arguments
         function = _law_type()
         block = context.make_array(signature.args[5])(context, builder, parameters).data
         results = context.make_array(signature.args[7])(context, builder, out).data
-        four = ir.Constant(row.type, 4)
         builder.call(
             builder.inttoptr(address, function.as_pointer()),
-            [program, length, rate, time, builder.gep(block, [begin]), builder.gep(results, [builder.mul(row, four)])],
+            [program, length, rate, time, builder.gep(block, [begin]), builder.gep(results, [builder.mul(row, count)])],
         )
         return context.get_dummy_value()
 
@@ -64,10 +61,10 @@ def _call_law(typing, address, program, length, rate, time, parameters, begin, o
 def _call_with_derivatives():
     """Return signature and code of `call_law` for dual numbers; the time is an ordinary number."""
     number, vector, matrix = types.int64, DualArray(1), DualArray(2)
-    signature = types.void(number, number, DUAL, DUAL, types.float64, vector, number, matrix, number)
+    signature = types.void(number, number, DUAL, DUAL, types.float64, vector, number, matrix, number, number)
 
     def generate(context, builder, signature, arguments):
-        address, program, length, rate, time, parameters, begin, out, row = arguments
+        address, program, length, rate, time, parameters, begin, out, row, _ = arguments
         double = ir.DoubleType()
         pointers = [double.as_pointer()] * 2
         kind = ir.FunctionType(ir.VoidType(), [ir.IntType(64), *pointers, double, *pointers])
@@ -82,27 +79,27 @@ def _call_with_derivatives():
     return signature, generate
 
 
-def _call_in_lanes():
+def _call_in_lanes(count):
     """Return signature and code of `call_law` for lanes; `parameters` are an array (WIDTH, N) of numbers."""
     number, matrix, lanes = types.int64, types.Array(types.float64, 2, "C"), LaneArray(2)
-    signature = types.void(number, number, REAL, REAL, REAL, matrix, number, lanes, number)
+    signature = types.void(number, number, REAL, REAL, REAL, matrix, number, lanes, number, number)
 
     def generate(context, builder, signature, arguments):
-        address, program, *state, parameters, begin, out, row = arguments
+        address, program, *state, parameters, begin, out, row, _ = arguments
         word = ir.IntType(32)
         function = builder.inttoptr(address, _law_type().as_pointer())
         given = context.make_array(signature.args[5])(context, builder, parameters)
         size = cgutils.unpack_tuple(builder, given.shape)[1]
-        results = cgutils.alloca_once(builder, ir.DoubleType(), 4)
-        columns = [ir.Constant(context.get_value_type(REAL), ir.Undefined)] * 4
+        results = cgutils.alloca_once(builder, ir.DoubleType(), count)
+        columns = [ir.Constant(context.get_value_type(REAL), ir.Undefined)] * count
         for lane in range(WIDTH):
             numbers = [builder.extract_element(value, word(lane)) for value in state]
             block = builder.gep(given.data, [builder.add(builder.mul(size, size.type(lane)), begin)])
             builder.call(function, [program, *numbers, block, results])
-            for i in range(4):
+            for i in range(count):
                 one = builder.load(builder.gep(results, [word(i)]))
                 columns[i] = builder.insert_element(columns[i], one, word(lane))
-        for i in range(4):
+        for i in range(count):
             lanes.put(builder, out, [row, row.type(i)], columns[i])
         return context.get_dummy_value()
 

@@ -100,7 +100,7 @@ def features_of(pair: ContactPair) -> list[Feature]:
     kind, numbers = pair.kind[0], pair.numbers
     if kind not in ("inside", "edge"):
         return [(kind, numbers)]
-    own, edges = numbers[:3], _edges(pair).tolist()
+    own, edges = numbers[:3], _edges(pair)[:, :4].tolist()
     if kind == "inside":
         return [("line", (*own, *edge)) for edge in edges]
     corner = numbers[5:7]
@@ -109,8 +109,8 @@ def features_of(pair: ContactPair) -> list[Feature]:
 
 
 def _edges(pair: ContactPair) -> np.ndarray:
-    """Return x and y of a point and of the normal of each edge (n, 4), for the polygon of a row."""
-    return np.reshape(pair.numbers[-4 * pair.kind[1] :], (-1, 4))
+    """Return x and y of the start and of the normal of each edge, and its length (n, 5), for the polygon of a row."""
+    return np.reshape(pair.numbers[-5 * pair.kind[1] :], (-1, 5))
 
 
 def shapes_of(contacts: Sequence[ActingContact], bodies: int, exact: float) -> Shapes:
@@ -124,12 +124,10 @@ def shapes_of(contacts: Sequence[ActingContact], bodies: int, exact: float) -> S
     def outline(contact: ActingContact) -> int:
         """Add the polygon of the first body of a row; return its index."""
         edges = _edges(contact.pair)
-        places, normals = edges[:, :2], edges[:, 2:]
-        along = np.column_stack([-normals[:, 1], normals[:, 0]])
-        lengths = np.sum((np.roll(places, -1, axis=0) - places) * along, axis=1)
+        places = edges[:, :2]
         center = np.mean(places, axis=0)
         outlines.append((contact.bodies[0], sum(map(len, corners)), len(edges)))
-        corners.append(np.column_stack([edges, lengths]))
+        corners.append(edges)
         around.append((*center, float(np.max(np.linalg.norm(places - center, axis=1)))))
         return len(outlines) - 1
 

@@ -1,12 +1,26 @@
 """Constraint rows of rigid contacts: gap and slip, their gradients, and the velocity-dependent terms of their second
 time derivatives.
+
+The first body has a line, circle or hole as its outline; the second body has a circle with center c and radius r, or a
+point, for which r = 0. The normal n points from the first body to the second. The velocity of the second body at the
+point ``c - n r``, relative to that of the first body there, has the component ``gap'`` along n and the slip along t,
+which is n turned by -90 degrees.
 """
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import sympy as sp
 
-from mbdkit.symbolic.contact_definitions import CIRCLE, FIRST, SECOND, Definition, Steps, choose, geometry, sliding
+FIRST = sp.symbols("x1 y1 th1 vx1 vy1 w1", real=True)
+SECOND = sp.symbols("x2 y2 th2 vx2 vy2 w2", real=True)
+"""Position, angle, velocity and angular velocity of the first and of the second body."""
+cx, cy, r = CIRCLE = sp.symbols("cx cy r", real=True)
+"""Center of the circle in the frame of the second body, and its radius."""
+
+choose = sp.Function("choose")
+"""``choose(x, a, b)`` is a where x > 0, and b elsewhere."""
 
 TURNED = sp.symbols("cos1 sin1 cos2 sin2", real=True)
 """Cosine and sine of the angles of both bodies."""
@@ -17,6 +31,86 @@ ARGUMENTS = (*FIRST[:2], *TURNED[:2], *FIRST[3:], *SECOND[:2], *TURNED[2:], *SEC
 """Symbols in the formulas: for each body x, y, cosine and sine of its angle, and its velocities. The parameters of the
 geometry follow.
 """
+
+
+def numbers_of(kind: str) -> tuple[sp.Symbol, ...]:
+    """Return the symbols of the parameters of a kind of geometry, in the order of `ContactPair.numbers`."""
+    return (*CIRCLE, *sp.symbols("px py mx my" if kind == "line" else "px py other", real=True))
+
+
+@dataclass(frozen=True)
+class Definition:
+    """Formulas for the quantities of a contact row.
+
+    Attributes
+    ----------
+    steps
+        Symbols of intermediate quantities with their expressions in `ARGUMENTS`, the parameters of the geometry and
+        earlier intermediate quantities.
+    quantities
+        Expressions for `QUANTITIES`, in this order.
+    """
+
+    steps: tuple[tuple[sp.Symbol, sp.Expr], ...]
+    quantities: tuple[sp.Expr, ...]
+
+
+class Steps:
+    """Assigns symbols to intermediate quantities in the order of their computation, so that formulas stay small."""
+
+    def __init__(self) -> None:
+        self.named: list[tuple[sp.Symbol, sp.Expr]] = []
+
+    def __call__(self, expression: sp.Expr) -> sp.Expr:
+        """Return a symbol that stands for an expression; numbers and symbols are returned unchanged."""
+        if expression.is_Atom:
+            return expression
+        symbol = sp.Symbol(f"s{len(self.named)}", real=True)
+        self.named.append((symbol, expression))
+        return symbol
+
+    def rotated(self, angle: sp.Expr, x: sp.Expr, y: sp.Expr) -> tuple[sp.Expr, sp.Expr]:
+        """Return a vector rotated by an angle."""
+        c, s = self(sp.cos(angle)), self(sp.sin(angle))
+        return self(c * x - s * y), self(s * x + c * y)
+
+    def direction(self, dx: sp.Expr, dy: sp.Expr) -> tuple[sp.Expr, sp.Expr, sp.Expr]:
+        """Return the length of a vector and its direction, which is (0, 0) where the length is 0."""
+        square = self(dx**2 + dy**2)
+        divisor = self(sp.sqrt(choose(square, square, 1)))
+        return self(choose(square, divisor, 0)), self(dx / divisor), self(dy / divisor)
+
+
+def _geometry(kind: str, step: Steps) -> tuple[sp.Expr, sp.Expr, sp.Expr]:
+    """Return the gap and the normal (x, y) in the global frame of a kind of geometry: ``line``, ``circles`` or
+    ``hole``.
+    """
+    (x1, y1, th1), (x2, y2, th2) = FIRST[:3], SECOND[:3]
+    px, py = step.rotated(th2, cx, cy)
+    # vector from the first body's centre of mass to the center of the circle
+    gx, gy = step(x2 + px - x1), step(y2 + py - y1)
+    numbers = numbers_of(kind)[3:]
+    if kind == "line":
+        ux, uy = step.rotated(-th1, gx, gy)  # the center of the circle in the frame of the first body
+        px, py, mx, my = numbers
+        return (ux - px) * mx + (uy - py) * my - r, *step.rotated(th1, mx, my)
+    ox, oy = step.rotated(th1, *numbers[:2])
+    distance, nx, ny = step.direction(gx - ox, gy - oy)
+    if kind == "hole":  # the wall pushes the circle towards the center
+        return numbers[2] - r - distance, -nx, -ny
+    return distance - r - numbers[2], nx, ny
+
+
+def _sliding(
+    second: tuple[sp.Expr, sp.Expr], first: tuple[sp.Expr, sp.Expr], normal: tuple[sp.Expr, sp.Expr], step: Steps
+) -> tuple[sp.Expr, sp.Expr]:
+    """Return the slip and the rate of the gap at a point. `second` and `first` are the vectors to the point from the
+    centres of mass of the second and of the first body.
+    """
+    (*_, vx1, vy1, w1), (*_, vx2, vy2, w2) = FIRST, SECOND
+    (px, py), (ox, oy), (nx, ny) = second, first, normal
+    vx, vy = step(vx2 - w2 * py - vx1 + w1 * oy), step(vy2 + w2 * px - vy1 - w1 * ox)
+    return step(vx * ny - vy * nx), step(vx * nx + vy * ny)
 
 
 class _Moving(Steps):
@@ -61,15 +155,15 @@ these equations leave gap' and slip constant.
 """
 
 
-def row_definition(kind: tuple[str, int]) -> Definition:
+def row_definition(kind: str) -> Definition:
     """Return the formulas for the `QUANTITIES` of a kind of geometry."""
     step = _Moving()
-    gap, *normal, _ = geometry(kind, step)
+    gap, *normal = _geometry(kind, step)
     nx, ny = map(step, normal)
-    (x1, y1), (x2, y2, th2), (cx, cy, r) = FIRST[:2], SECOND[:3], CIRCLE
+    (x1, y1), (x2, y2, th2) = FIRST[:2], SECOND[:3]
     px, py = (step(p - r * n) for p, n in zip(step.rotated(th2, cx, cy), (nx, ny), strict=True))
     ox, oy = step(x2 + px - x1), step(y2 + py - y1)
-    slip, rate = sliding((px, py), (ox, oy), (nx, ny), step)
+    slip, rate = _sliding((px, py), (ox, oy), (nx, ny), step)
     along = [-nx, -ny, oy * nx - ox * ny, nx, ny, px * ny - py * nx]
     across = [-ny, nx, oy * ny + ox * nx, ny, -nx, -py * ny - px * nx]
     found = [gap, slip, *along, *across, -step.rate(rate), -step.rate(slip)]

@@ -3,7 +3,7 @@
 Each function has the arguments
 
 a, b : (7,) x, y, cosine and sine of the angle, and velocities of the first and of the second body
-p : (7,) parameters of the geometry; see `mbdkit.symbolic.contact_definitions.numbers_of`
+p : (7,) parameters of the geometry; see `mbdkit_contact.contact_rows.numbers_of`
 out : (16,) receives `mbdkit_contact.contact_rows.QUANTITIES`
 """
 
