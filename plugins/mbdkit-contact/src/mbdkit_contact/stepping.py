@@ -20,9 +20,10 @@ from mbdkit_contact.contact_state import ContactState
 from mbdkit_contact.kernels.active_set import new_active_set
 from mbdkit_contact.kernels.impacts import new_impacts
 from mbdkit_contact.kernels.pivoting import new_cones
+from mbdkit_contact.kernels.smooth_steps import NO_IMPULSES, OVERLAP, STAGES
 from mbdkit_contact.kernels.step_impulses import FEW, MOST_PIVOTED
 from mbdkit_contact.kernels.stepping_bundle import Held, Stepping
-from mbdkit_contact.kernels.time_stepping import NO_IMPULSES, OVERLAP, STAGES, attempt, dense, keep
+from mbdkit_contact.kernels.time_stepping import attempt, dense, keep
 from mbdkit_contact.rigid_contacts import RigidContacts
 from mbdkit_contact.time_stepping_methods import GeneralizedAlpha, MoreauJean
 

@@ -131,7 +131,10 @@ def _product(x, y, count):
 
 @subkernel
 def _residual(c, m, velocities, out):
-    """Write the residual of the equations of the impulses into `out` (2 C,); return its largest entry, infinity if one is not finite."""
+    """Write the residual of the equations of the impulses into `out` (2 C,); return its largest entry.
+
+    This is infinite if an entry is not finite.
+    """
     k, worst = m.count[0], 0.0
     _find_after(c, m, velocities)
     for j in range(k):

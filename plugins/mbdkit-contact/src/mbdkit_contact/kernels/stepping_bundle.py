@@ -148,7 +148,7 @@ class Stepping(NamedTuple):
     active: ActiveSet
     impacts: Impacts
     reason: IntVector
-    """(1,) why the last attempt failed; see `mbdkit_contact.kernels.time_stepping`."""
+    """(1,) why the last attempt failed; see `mbdkit_contact.kernels.smooth_steps`."""
 
 
 @subkernel
