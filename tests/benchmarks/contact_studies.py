@@ -116,6 +116,14 @@ def discs(console: Console, end: float) -> None:
     console.print(table)
 
 
+TREATMENTS: dict[str, dict[str, Any]] = {
+    "time-stepping": {"integrator": {"name": "moreau-jean"}, "time": {"end": 3.0, "step": 2e-3}},
+    "compliant": {},
+    "event-driven": {},
+}
+"""Sections of the spec, by treatment."""
+
+
 def _study(count: int, treatment: str) -> tuple[float, int]:
     """Return the wall time [s] and the number of complete runs."""
     rng = np.random.default_rng(1)
@@ -123,7 +131,7 @@ def _study(count: int, treatment: str) -> tuple[float, int]:
         "parameters.seat": rng.uniform(0.42, 0.50, count),
         "model.bodies.trunk.mass": rng.uniform(40.0, 62.0, count),
     }
-    spec = load_spec("sit-down", contact={"treatment": treatment})
+    spec = load_spec("sit-down", contact={"treatment": treatment}, **TREATMENTS[treatment])
     with tempfile.TemporaryDirectory() as folder:
         begin = time.perf_counter()
         study = mbdkit.ensemble(spec, values, workers=2, out=Path(folder) / "study", notify=lambda text: None)
@@ -136,7 +144,7 @@ def sit_downs(console: Console, quick: bool) -> None:
     table = Table(title=f"{SIT_DOWNS} sit-downs as a study with two workers")
     for heading in ("treatment", "runs", "complete", "wall time", f"of {SIT_DOWNS} runs"):
         table.add_column(heading)
-    for treatment in ("compliant", "event-driven"):
+    for treatment in TREATMENTS:
         count = FEW
         while (result := _study(count, treatment))[0] < (SHORT if quick else LONG) and count < SIT_DOWNS:
             count = min(5 * count, SIT_DOWNS)
