@@ -117,7 +117,11 @@ def discs(console: Console, end: float) -> None:
 
 
 TREATMENTS: dict[str, dict[str, Any]] = {
-    "time-stepping": {"integrator": {"name": "moreau-jean"}, "time": {"end": 3.0, "step": 2e-3}},
+    "time-stepping": {
+        "integrator": {"name": "moreau-jean"},
+        "time": {"end": 3.0, "step": 2e-3},
+        "output": {"every": 5},
+    },
     "compliant": {},
     "event-driven": {},
 }

@@ -125,7 +125,7 @@ class CompiledTimeStepping(CompiledMethod):
             z=np.zeros(len(top.states)),
             **dict(zip(("point", "x", "y", "force"), vectors(4, size), strict=True)),
             **{name: np.zeros((pairs, 2)) for name in ("lam", "lam_x", "miss")},
-            count=np.zeros(1, dtype=np.int64),
+            number=np.zeros(1, dtype=np.int64),
             **dict(zip(("some", "is_some"), integers(2, count), strict=True)),
             gaps=np.zeros(count),
             rows=np.zeros((count, 16)),

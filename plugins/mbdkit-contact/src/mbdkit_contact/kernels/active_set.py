@@ -34,7 +34,7 @@ class ActiveSet(NamedTuple):
     """(K,) modes: on input a guess, on output those of the solution; ``-SLIP`` is slip in the negative direction."""
     start: RealVector
     """(U,) forces with which the solution begins, normal ones first."""
-    index: IntVector
+    unknown: IntVector
     """(U,) index of each unknown: that of a normal force, or k more for a friction force."""
     share: RealVector
     """(K,) ratios of friction force and normal force of contacts that slip."""
@@ -64,18 +64,18 @@ def _assemble(s, w, k):
     for i in range(k):
         s.share[i] = 0.0
         if s.modes[i] != OPEN:
-            s.index[count] = i
+            s.unknown[count] = i
             count += 1
             if s.modes[i] != STICK:
                 s.share[i] = -w.friction[i] if s.modes[i] == SLIP else w.friction[i]
     for i in range(k):
         if s.modes[i] == STICK and w.friction[i] > 0.0:
-            s.index[count] = k + i
+            s.unknown[count] = k + i
             count += 1
     for a in range(count):
-        row = s.index[a]
+        row = s.unknown[a]
         for b in range(count):
-            column = s.index[b]
+            column = s.unknown[b]
             value = w.response[row, column]
             if column < k and s.share[column] != 0.0:
                 value += s.share[column] * w.response[row, k + column]
@@ -118,13 +118,13 @@ def _solve(s, w, k, count, size):
     """Write the scaled forces of the closed contacts into ``s.x``; return whether they satisfy the equations."""
     f = s.factors
     for a in range(count):
-        row = s.index[a]
+        row = s.unknown[a]
         s.x[a] = s.start[row] / s.scale[row % k]
     worst = np.inf
     for _ in range(MOST_REFINEMENTS):
         worst = 0.0
         for a in range(count):
-            row = s.index[a]
+            row = s.unknown[a]
             rest = -s.scale[row % k] * w.free[row]
             for b in range(count):
                 rest -= s.matrix[a, b] * s.x[b]
@@ -215,7 +215,7 @@ def solve_active_set(s, w, k):
         for i in range(2 * k):
             w.forces[i] = 0.0
         for a in range(count):
-            row = s.index[a]
+            row = s.unknown[a]
             w.forces[row] = s.scale[row % k] * s.x[a]
         for i in range(k):
             if s.share[i] != 0.0:

@@ -52,7 +52,7 @@ def _move(c, m, j, at, size, out):
 def _find_after(c, m, velocities):
     """Write the velocities after the present impulses into ``m.after``."""
     copy(velocities, m.after)
-    for j in range(m.count[0]):
+    for j in range(m.number[0]):
         if m.normal[j] != 0.0:
             _move(c, m, j, ALONG, m.normal[j], m.after)
         if m.tangent[j] != 0.0:
@@ -65,7 +65,7 @@ def _sweep(c, m, most, tolerance):
     worst = 0.0
     for _ in range(most):
         worst = 0.0
-        for j in range(m.count[0]):
+        for j in range(m.number[0]):
             nn, nt, tn, tt, mu = m.block[j, 0], m.block[j, 1], m.block[j, 2], m.block[j, 3], m.friction[j]
             p, r = m.normal[j], m.tangent[j]
             normal = rate_of(m, j, ALONG, m.after) + m.more[j] - nn * p - nt * r
@@ -102,7 +102,7 @@ def _share(m, j):
 @subkernel
 def _times(c, m, x, out):
     """Multiply the scaled equations of the impulses in the present modes by `x` (2 C,)."""
-    k = m.count[0]
+    k = m.number[0]
     fill(m.x, 0.0)
     for j in range(k):
         if m.states[j] == OPEN:
@@ -135,7 +135,7 @@ def _residual(c, m, velocities, out):
 
     This is infinite if an entry is not finite.
     """
-    k, worst = m.count[0], 0.0
+    k, worst = m.number[0], 0.0
     _find_after(c, m, velocities)
     for j in range(k):
         out[j] = out[k + j] = 0.0
@@ -152,7 +152,7 @@ def _residual(c, m, velocities, out):
 @subkernel
 def _add_impulses(m, x):
     """Add scaled changes (2 C,) to the impulses."""
-    k = m.count[0]
+    k = m.number[0]
     for j in range(k):
         if m.states[j] == OPEN:
             continue
@@ -168,7 +168,7 @@ def _solve(c, m, velocities, size):
     """Solve the equations of the impulses in the present modes, beginning with the present impulses; return whether
     they are satisfied.
     """
-    k = m.count[0]
+    k = m.number[0]
     for j in range(k):
         if m.states[j] == OPEN:
             m.normal[j] = m.tangent[j] = 0.0
@@ -234,7 +234,7 @@ def _correct_modes(m, size, chosen):
     """Change all modes that contradict the impulses, or only one, whose number is `chosen` modulo the number of
     contradictions; return this number.
     """
-    k, count, largest = m.count[0], 0, 0.0
+    k, count, largest = m.number[0], 0, 0.0
     for j in range(k):
         largest = max(largest, m.normal[j] * sqrt(m.block[j, 0]))
     for j in range(k):
@@ -252,7 +252,7 @@ def _correct_modes(m, size, chosen):
 @subkernel
 def _take_modes(m):
     """Take the modes from the impulses of sweeps."""
-    for j in range(m.count[0]):
+    for j in range(m.number[0]):
         limit = m.friction[j] * m.normal[j]
         m.states[j] = OPEN
         if m.normal[j] > 0.0:
@@ -269,8 +269,8 @@ def _agree(c, m, velocities, size):
     J. J. Judice and F. M. Pires, Computers and Operations Research 21:587-596, 1994).
     """
     _take_modes(m)
-    for j in range(m.count[0]):  # redundant contacts share their impulses as before, not as sweeps have left them
-        m.normal[j], m.tangent[j] = m.krylov[8, j], m.krylov[8, m.count[0] + j]
+    for j in range(m.number[0]):  # redundant contacts share their impulses as before, not as sweeps have left them
+        m.normal[j], m.tangent[j] = m.krylov[8, j], m.krylov[8, m.number[0] + j]
     least, patience = len(m.states) + 1, PATIENCE
     for turn in range(MOST_CHANGES):
         if not _solve(c, m, velocities, size):
@@ -291,7 +291,7 @@ def push_many(c, m, velocities, precision):
 
     If `precision` is above `PRECISION`, sweeps suffice.
     """
-    k, size, scaled = m.count[0], 0.0, 0.0
+    k, size, scaled = m.number[0], 0.0, 0.0
     for j in range(k):
         normal, slip = rate_of(m, j, ALONG, velocities) + m.more[j], rate_of(m, j, ACROSS, velocities)
         size = max(size, abs(normal), abs(slip))

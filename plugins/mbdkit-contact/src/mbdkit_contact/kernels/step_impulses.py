@@ -93,7 +93,7 @@ def find_rows(m, at, where, v, acts):
                 if acts and s.pairs[last, 0] != SINGLE:
                     for k in range(s.pairs[last, 1], s.pairs[last, 1] + s.pairs[last, 2]):
                         s.least[k] = NOWHERE
-    m.count[0] = count
+    m.number[0] = count
     place(s, where, v)
     for j in range(count):
         row_of(s, m.some[j], m.rows[j])
@@ -104,7 +104,7 @@ def find_responses(c, m):
     """Write the velocities that unit impulses of the contacts cause, and their effects on the contact itself; return
     whether the system is regular.
     """
-    k, is_small = m.count[0], m.count[0] <= MOST_PIVOTED
+    k, is_small = m.number[0], m.number[0] <= MOST_PIVOTED
     free = True
     for j in range(k):
         free &= all_free(m, j)
@@ -150,7 +150,7 @@ def push_apart(c, m, velocities, precision):
     ``m.more`` is added to the normal velocities. A few contacts are solved by an active set that begins with the modes
     and forces of the last step, and if this fails by pivoting; for many, see `push_many`.
     """
-    k, w, s = m.count[0], m.cones, m.active
+    k, w, s = m.number[0], m.cones, m.active
     m.error[0] = 0.0
     if k > MOST_PIVOTED:
         return push_many(c, m, velocities, precision)
@@ -176,7 +176,7 @@ def push_apart(c, m, velocities, precision):
 def _gains(m):
     """Return whether the impulses increase the kinetic energy by more than their errors explain."""
     gain = size = 0.0
-    for j in range(m.count[0]):
+    for j in range(m.number[0]):
         for at in (ALONG, ACROSS):
             impulse = m.normal[j] if at == ALONG else m.tangent[j]
             before, then = rate_of(m, j, at, m.v), rate_of(m, j, at, m.after)
@@ -188,7 +188,7 @@ def _gains(m):
 @subkernel
 def _by_newton(c, m):
     """Find the impulses by Newton's law with the coefficients ``m.restitution``."""
-    for j in range(m.count[0]):
+    for j in range(m.number[0]):
         approach = min(rate_of(m, j, ALONG, m.v), 0.0)
         m.more[j] = m.restitution[j] * approach + m.closing[m.some[j]]
     return push_apart(c, m, m.free, PRECISION)
@@ -201,7 +201,7 @@ def _strike(c, m):
     If they would gain energy, the law of Stronge is used for a single contact, and else smaller coefficients of
     restitution.
     """
-    k = m.count[0]
+    k = m.number[0]
     bounces = False
     for j in range(k):
         m.restitution[j] = m.coefficients[m.some[j], 0]
@@ -246,7 +246,7 @@ def _gained(m, j, h):
 def _negligible(m, error):
     """Return the slip velocity [m/s] that counts as zero if velocities have this relative error."""
     size = 0.0
-    for j in range(m.count[0]):
+    for j in range(m.number[0]):
         for at in (ALONG, ACROSS):
             size = max(size, abs(rate_of(m, j, at, m.v)), abs(rate_of(m, j, at, m.free)))
     return max(SAME_VELOCITY, error) * size
@@ -274,7 +274,7 @@ def _find_still_pressed(m, h):
     rest.
     """
     fallen = 0.0
-    for j in range(m.count[0]):
+    for j in range(m.number[0]):
         fallen = max(fallen, h * _gained(m, j, h))
     for i in range(len(m.gaps)):
         if m.now.normal[i] > 0.0 and m.gaps[i] <= AT_REST * fallen:
@@ -293,7 +293,7 @@ def _find_pressed(m, h, length):
     write_end(m, m.after)
     place(m.shapes, m.end, m.v)
     find_gaps(m.shapes, m.reach[0], m.gaps)
-    kept, count = m.count[0], 0
+    kept, count = m.number[0], 0
     for i in range(len(m.gaps)):
         if m.is_some[i] == 0 and m.gaps[i] < -SMALL * length:
             count += 1
@@ -322,7 +322,7 @@ def _note_order(m, h):
     """Note contacts of at most `FEW` that strike in this step or are closed, and whose velocities depend on the order
     of the impacts.
     """
-    k, x = m.count[0], m.impacts
+    k, x = m.number[0], m.impacts
     all_known, strikes = True, False
     for j in range(k):
         all_known &= m.now.ordered[m.some[j]] != 0
@@ -359,7 +359,7 @@ def _find_impulses(c, m, h, length):
             if not find_responses(c, m):
                 return False
         is_new = False
-        k = m.count[0]
+        k = m.number[0]
         rest = _negligible(m, m.now.residual[0])
         for j in range(k):
             i = m.some[j]
@@ -433,7 +433,7 @@ def apply_impulses(c, m, h, length):
         _note_order(m, h)
         negligible = _negligible(m, m.error[0])
         new.residual[0] = max(new.residual[0], m.error[0])
-        for j in range(m.count[0]):
+        for j in range(m.number[0]):
             i = m.some[j]
             new.normal[i], new.tangent[i] = m.normal[j] / h, m.tangent[j] / h
             slip = _slip(m, j, negligible, m.coefficients[i, 1] == 0.0)

@@ -108,7 +108,7 @@ class Stepping(NamedTuple):
     """(P, 2) multipliers at the start of the step, and work arrays."""
     lam_x: RealMatrix
     miss: RealMatrix
-    count: IntVector
+    number: IntVector
     """(1,) number of contacts with impulses."""
     some: IntVector
     """(C,) their indices, in increasing order, and whether each contact is one of them."""

@@ -118,7 +118,7 @@ def _close(c, m, t):
             find_rows(m, m.end, m.end, m.v, False)
             if not find_responses(c, m):
                 return REPIVOT_STAGES
-            for j in range(m.count[0]):
+            for j in range(m.number[0]):
                 m.more[j], m.friction[j] = m.rows[j, GAP], 0.0
                 m.normal[j] = m.tangent[j] = 0.0
             if not push_apart(c, m, m.y, ROUGH if is_last else PRECISION):
