@@ -62,6 +62,8 @@ class CompiledMethod(ABC):
         Whether the method computes multipliers itself.
     carries_stages
         Whether a step solves equations by iteration, so that a failure may be divergence instead of overflow.
+    remembers
+        Whether the values that `forget` discards stay valid with other pivots.
     limit
         Default limit of the number of iterations in a step, which fixed steps may extend; None if the user has set the
         limit.
@@ -77,6 +79,7 @@ class CompiledMethod(ABC):
     has_dense_output: bool = False
     carries_multipliers: bool = False
     carries_stages: ClassVar[bool] = False
+    remembers: ClassVar[bool] = False
     limit: IterationLimit | None = None
 
     def __init__(self, workspace: Workspace):

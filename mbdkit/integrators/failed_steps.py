@@ -118,7 +118,8 @@ class FailedSteps:
         self.run_state.base_state[0] = MODIFIED
         if status == REPIVOT:
             self.workspace.use_pivots()
-            self.method.forget()
+            if not self.method.remembers:
+                self.method.forget()
         helped = status == REPIVOT or self.method.renew(self.run_state, self.time, self._size_tried())
         self._take_up_pivots()
         return helped

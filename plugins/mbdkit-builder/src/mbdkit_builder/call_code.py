@@ -37,7 +37,7 @@ def _call_law(typing, address, program, length, rate, time, parameters, begin, o
     if not isinstance(count, types.IntegerLiteral):
         return None
     if isinstance(out, LaneArray):
-        return _call_in_lanes(count.literal_value)
+        return _call_in_lanes(count)
     if isinstance(out, DualArray):
         return _call_with_derivatives()
     number, real = types.int64, types.float64
@@ -79,10 +79,14 @@ def _call_with_derivatives():
     return signature, generate
 
 
-def _call_in_lanes(count):
-    """Return signature and code of `call_law` for lanes; `parameters` are an array (WIDTH, N) of numbers."""
+def _call_in_lanes(literal):
+    """Return signature and code of `call_law` for lanes; `parameters` are an array (WIDTH, N) of numbers.
+
+    The number of results is part of the signature: Numba keeps one code for each signature.
+    """
     number, matrix, lanes = types.int64, types.Array(types.float64, 2, "C"), LaneArray(2)
-    signature = types.void(number, number, REAL, REAL, REAL, matrix, number, lanes, number, number)
+    signature = types.void(number, number, REAL, REAL, REAL, matrix, number, lanes, number, literal)
+    count = literal.literal_value
 
     def generate(context, builder, signature, arguments):
         address, program, *state, parameters, begin, out, row, _ = arguments

@@ -75,6 +75,7 @@ class CompiledTimeStepping(CompiledMethod):
 
     attempt, dense, keep = attempt, dense, keep
     has_dense_output = True
+    remembers = True
     stages = 1
 
     def __init__(self, method: MoreauJean | GeneralizedAlpha, workspace: Workspace, control: Control | None = None):
@@ -87,7 +88,11 @@ class CompiledTimeStepping(CompiledMethod):
         is_coupling = classes != MASS
         # rows of constraints couple the bodies of their columns
         sides = [np.where(x < n, x, y) // 3 for x, y in ((terms.row, terms.column), (terms.column, terms.row))]
-        states, is_jointed = contacts.held.states, bool(np.any(is_coupling))
+        states, coordinates = contacts.held.states, np.array(contacts.held.coordinates, dtype=np.int64)
+        # the loads of contacts have no derivatives: a force if a body has two coordinates, and a torque if three
+        of_contacts = int(np.sum(np.unique(coordinates // 3, return_counts=True)[1] - 1))
+        others = len(top.loads) - of_contacts
+        is_jointed = len(top.pairs) + len(top.springs) + len(top.sections) + others > 0
 
         def vectors(number: int, length: int) -> list[np.ndarray]:
             return [np.zeros(length) for _ in range(number)]
@@ -102,7 +107,7 @@ class CompiledTimeStepping(CompiledMethod):
             shapes=contacts.kinematics.shapes,
             coefficients=np.column_stack([contacts.restitution, contacts.static, contacts.kinetic]),
             places=np.array([states.start, len(states)]),
-            coordinates=np.array(contacts.held.coordinates, dtype=np.int64),
+            coordinates=coordinates,
             reach=np.array([contacts.kinematics.reach]),
             now=new_held(count, size),
             before=new_held(count, size),

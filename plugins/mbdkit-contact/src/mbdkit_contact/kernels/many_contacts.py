@@ -304,7 +304,7 @@ def push_many(c, m, velocities, precision):
     worst = _sweep(c, m, SWEEPS if is_rough else ROUND, precision * size)
     for turn in range(0 if is_rough else SWEEPS // ROUND):
         if turn > 0:
-            worst = min(worst, _sweep(c, m, ROUND, 0.0))
+            worst = _sweep(c, m, ROUND, 0.0)
         for j in range(k):
             given[j], given[k + j] = m.normal[j], m.tangent[j]
         is_exact = _agree(c, m, velocities, scaled)

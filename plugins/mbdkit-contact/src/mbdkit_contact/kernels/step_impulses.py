@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from mbdkit.engine.kernels.accelerations import substitute_by_pivots, substitute_by_schur
 from mbdkit.engine.kernels.lu import solve_refined
+from mbdkit.engine.kernels.system import DIVERGED, OK, REPIVOT_STAGES
 from mbdkit.engine.kernels.vectors import copy, fill, fill_rows
 from mbdkit.engine.native.functions import subkernel
 from mbdkit.mechanism.contacts import OPEN, SLIP, STICK
@@ -44,7 +45,7 @@ SAME_VELOCITY = 1e-9
 @subkernel
 def answer(c, m, impulse, out, lam):
     """Write the change of the velocities (N,) by a generalized impulse (N,), and the impulses (P, 2) of the joints;
-    return whether the system is regular.
+    return a status.
     """
     n = len(out) - 3
     if m.by_matrix[0] != 0:
@@ -52,19 +53,19 @@ def answer(c, m, impulse, out, lam):
         for d in range(n):
             m.right[d] = impulse[d]
         if not solve_refined(m.pattern, m.factors, m.right, m.solution, m.correction) < 1e-9:
-            return False
+            return REPIVOT_STAGES
         for d in range(n):
             out[d] = m.solution[d]
         for k in range(len(lam)):
             for r in range(c.top.rows[k]):
                 lam[k, r] = m.solution[c.solver.row_index[k, r]]
-        return True
+        return OK
     fill_rows(c.w.gamma, 0.0)
     copy(impulse, c.w.force)
     if c.solver.pivoted[0] != 0:
-        return substitute_by_pivots(c.still, c.w, c.solver, True, out, lam) == 0
+        return substitute_by_pivots(c.still, c.w, c.solver, True, out, lam)
     substitute_by_schur(c.still, c.w, c.solver.schur, True, out, lam, True)
-    return True
+    return OK
 
 
 @subkernel
@@ -102,7 +103,7 @@ def find_rows(m, at, where, v, acts):
 @subkernel
 def find_responses(c, m):
     """Write the velocities that unit impulses of the contacts cause, and their effects on the contact itself; return
-    whether the system is regular.
+    a status.
     """
     k, is_small = m.number[0], m.number[0] <= MOST_PIVOTED
     free = True
@@ -118,8 +119,9 @@ def find_responses(c, m):
                 else:
                     fill(m.x, 0.0)
                     add_force(m, j, at, 1.0, m.x)
-                    if not answer(c, m, m.x, m.moved[row], m.lam_x):
-                        return False
+                    status = answer(c, m, m.x, m.moved[row], m.lam_x)
+                    if status != OK:
+                        return status
     if is_small:
         for i in range(k):
             for j in range(k):
@@ -127,7 +129,7 @@ def find_responses(c, m):
                 m.cones.response[i, k + j] = rate_of(m, i, ALONG, m.moved[2 * j + 1])
                 m.cones.response[k + i, j] = rate_of(m, i, ACROSS, m.moved[2 * j])
                 m.cones.response[k + i, k + j] = rate_of(m, i, ACROSS, m.moved[2 * j + 1])
-        return True
+        return OK
     for j in range(k):
         for way in range(2):
             at, row = (ALONG, 2 * j) if way == 0 else (ACROSS, 2 * j + 1)
@@ -139,7 +141,7 @@ def find_responses(c, m):
                 m.block[j, way] = rate_of(m, j, ALONG, m.moved[row])
                 m.block[j, 2 + way] = rate_of(m, j, ACROSS, m.moved[row])
     m.is_sparse[0] = free
-    return True
+    return OK
 
 
 @subkernel
@@ -343,8 +345,8 @@ def _note_order(m, h):
 
 @subkernel
 def _find_impulses(c, m, h, length):
-    """Find the contacts that have impulses in the step, beginning with ``m.is_some``, and the impulses; return whether
-    there are such impulses.
+    """Find the contacts that have impulses in the step, beginning with ``m.is_some``, and the impulses; return
+    a status, DIVERGED if there are none.
 
     Contacts that stick, or whose slip would change its direction, have static friction, unless they slip with it. If
     there are impacts, contacts that are struck by them have kinetic friction.
@@ -356,8 +358,9 @@ def _find_impulses(c, m, h, length):
         if is_new:
             write_end(m, m.free)
             find_rows(m, m.end, m.middle, m.v, True)
-            if not find_responses(c, m):
-                return False
+            status = find_responses(c, m)
+            if status != OK:
+                return status
         is_new = False
         k = m.number[0]
         rest = _negligible(m, m.now.residual[0])
@@ -368,7 +371,7 @@ def _find_impulses(c, m, h, length):
             sticks = (m.now.modes[i] == STICK or rests or m.stops[i] != 0) and m.slides[i] == 0
             m.friction[j] = m.coefficients[i, 1] if sticks else m.coefficients[i, 2]
         if not _strike(c, m):
-            return False
+            return DIVERGED
         negligible = _negligible(m, m.error[0])
         again = False
         for j in range(k):
@@ -384,7 +387,7 @@ def _find_impulses(c, m, h, length):
             continue
         # With many contacts, the following search takes long, and the order of impacts has larger effects anyway.
         if k > MANY:
-            return True
+            return OK
         if _find_pressed(m, h, length) > 0:
             is_new = True
             continue
@@ -398,7 +401,7 @@ def _find_impulses(c, m, h, length):
                 m.slides[i] = 1
                 begins = True
         if not begins:
-            return True
+            return OK
 
 
 @subkernel
@@ -428,8 +431,9 @@ def apply_impulses(c, m, h, length):
         if count > MANY:
             find_rows(m, m.end, m.middle, m.v, True)
             _find_still_pressed(m, h)
-        if not _find_impulses(c, m, h, length):
-            return False
+        status = _find_impulses(c, m, h, length)
+        if status != OK:
+            return status
         _note_order(m, h)
         negligible = _negligible(m, m.error[0])
         new.residual[0] = max(new.residual[0], m.error[0])
@@ -447,4 +451,4 @@ def apply_impulses(c, m, h, length):
                 rates = rate_of(m, j, at, m.v) + rate_of(m, j, at, m.after)
                 m.lost[0] -= 0.5 * (m.normal[j] if at == ALONG else m.tangent[j]) * rates
     keep_held(new, held)
-    return True
+    return OK

@@ -23,7 +23,6 @@ from mbdkit.engine.kernels.system import (
     DIVERGED,
     NOT_FINITE,
     OK,
-    REPIVOT_STAGES,
     evaluate_powers,
     prepare,
     solved_rows,
@@ -116,8 +115,9 @@ def _close(c, m, t):
         if count > 0:
             m.by_matrix[0] = 0
             find_rows(m, m.end, m.end, m.v, False)
-            if not find_responses(c, m):
-                return REPIVOT_STAGES
+            status = find_responses(c, m)
+            if status != OK:
+                return status
             for j in range(m.number[0]):
                 m.more[j], m.friction[j] = m.rows[j, GAP], 0.0
                 m.normal[j] = m.tangent[j] = 0.0
@@ -153,9 +153,11 @@ def _take_part(c, m, t, h):
     if status != OK:
         return status
     length, owed, n = c.top.length[0], m.now.owed[0], len(m.q) - 3
-    if not apply_impulses(c, m, h, length):
+    status = apply_impulses(c, m, h, length)
+    if status == DIVERGED:
         m.reason[0] = NO_IMPULSES
-        return DIVERGED
+    if status != OK:
+        return status
     fill(m.force, 0.0)
     any_force = False
     for d in range(n):
@@ -174,8 +176,9 @@ def _take_part(c, m, t, h):
             status = prepare_answers(c, m, t + h, m.smooth)
             if status != OK:
                 return status
-        if not answer(c, m, m.y, m.x, m.miss):
-            return REPIVOT_STAGES
+        status = answer(c, m, m.y, m.x, m.miss)
+        if status != OK:
+            return status
     write_end(m, m.free)
     copy(m.end, m.unchanged)
     write_end(m, m.after)
@@ -282,7 +285,7 @@ def dense(run, method, t, h, theta):
 
     Positions and velocities are on the cubic through both ends; forces of contacts are means over the step.
     """
-    c, m = load_run_state(run), load_stepping(method)
+    c = load_run_state(run)
     rest = 1.0 - theta
     for d in range(len(c.q)):
         v0, v1 = h * c.from_v[d], h * (c.from_v[d] + c.dv[d])
@@ -291,7 +294,8 @@ def dense(run, method, t, h, theta):
         )
         slope = 6.0 * theta * rest * c.dq[d] + rest * (1.0 - 3.0 * theta) * v0 + theta * (3.0 * theta - 2.0) * v1
         c.point_v[d] = slope / h
-    copy(m.z, c.point_z)
+    for d in range(len(c.from_z)):
+        c.point_z[d] = c.from_z[d] + c.dz[d]
     c.point_gain[0], c.point_gain[1] = theta * c.gain[0], theta * c.gain[1]
     return OK
 
