@@ -46,6 +46,11 @@ class EvaluatedEquations:
         self._no_force, self._no_rows = np.zeros(self.n), np.zeros(self.m)
 
     @property
+    def workspace(self) -> Workspace:
+        """Mechanism, working arrays and solver, for internal use."""
+        return self._workspace
+
+    @property
     def length(self) -> float:
         """Characteristic length of the mechanism [m]."""
         return self._workspace.mechanism.length

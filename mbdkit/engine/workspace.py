@@ -344,6 +344,7 @@ def new_scratch(mechanism: CompiledMechanism) -> tuple[Scratch, dict[str, int]]:
     cs = np.zeros((len(mechanism.bodies) + 1, 2))
     cs[:, 0] = 1.0
     unknowns = mechanism.unknowns
+    is_rigid = mechanism.contact_treatment.is_rigid
     changing = len(top.states) + len(top.inputs) + len(top.reactions) + len(top.contacts) > 0
     scratch = Scratch(
         time=np.zeros(1),
@@ -371,6 +372,10 @@ def new_scratch(mechanism: CompiledMechanism) -> tuple[Scratch, dict[str, int]]:
         law_values=top.law_parameters.copy() if changing else top.law_parameters,
         friction=np.zeros((len(top.frictions), len(top.frictions) + 3)),
         response=np.zeros((len(top.reactions), len(top.frictions) + 1)),
+        reacting=np.zeros(7, dtype=np.int64),
+        reaction=np.zeros((3, mechanism.size) if is_rigid else (0, 0)),
+        reaction_lam=np.zeros((p if is_rigid else 0, 2)),
+        reaction_power=np.zeros(1),
         faulty=np.array([-1]),
         source=source,
         loose=np.zeros((len(top.spare), 6)),

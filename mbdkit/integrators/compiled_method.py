@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, Protocol
 
 import numpy as np
 
+from mbdkit.engine.kernels.bundle_types import kept
 from mbdkit.integrators.convergence import MOST_EXTENDED, MOST_ITERATIONS, IterationLimit
 from mbdkit.registry.target import Target
 
@@ -101,6 +102,15 @@ class CompiledMethod(ABC):
 
     def forget(self) -> None:  # noqa: B027
         """Discard the values stored by the last step for the next one."""
+
+    def serve(self) -> None:  # noqa: B027
+        """Do what the last attempt has left to Python; called before steps whose start may be restored, and when an
+        attempt has returned `mbdkit.integrators.step_loop.PAUSED`.
+        """
+
+    def kept(self, *roles: str) -> dict[str, np.ndarray]:
+        """Return the arrays of the method that are declared with a role; see `bundle_types.kept`."""
+        return kept(self.pinned.bundle, *roles)
 
     def stored_systems(self) -> Any:
         """Return the linear systems of the method with their pivots as plain values for a checkpoint; None if it has

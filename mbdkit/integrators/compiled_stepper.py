@@ -109,8 +109,7 @@ class CompiledStepper(FailedSteps):
         )
         self.run_state.nodes[0] = method.keep.address if timetable.nodes else 0
         self._pinned_state = PinnedBundle(self.run_state)
-        bundles = self.run_state, method.pinned.bundle
-        self._state = (*(x for one in bundles for x in kept(one, STATE).values()), *self._node_arrays())
+        self._state = (*kept(self.run_state, STATE).values(), *method.kept(STATE).values(), *self._node_arrays())
         self._new_plan()
         self.worst_pairs = self.run_state.worst
         self._renewed: set[tuple[int, int]] = set()
@@ -173,7 +172,8 @@ class CompiledStepper(FailedSteps):
             return self._advance(self.pace.steps)
         accepted, t0 = self._accepted, self.time
         self._begin_after_stop()
-        self.last_step, self._before, z0 = None, [x.copy() for x in self._memory()], self.run_state.z.copy()
+        self.method.serve()
+        self.last_step, self._before = None, [x.copy() for x in self._memory()]
         stretches = [self._advance(1)]
         while self._is_pending and self.failure is None:
             stretches.append(self._advance(1))
@@ -182,8 +182,9 @@ class CompiledStepper(FailedSteps):
             c = self.run_state
             self._row_times, self._last_rows = stretch.time, stretch
             self.last_step = StepTaken(
-                t0, self.time, c.before_q.copy(), c.before_v.copy(), c.q.copy(), c.v.copy(), z0, c.z.copy()
-            )
+                t0, self.time, c.before_q.copy(), c.before_v.copy(), c.q.copy(), c.v.copy(), c.before_z.copy(),
+                c.z.copy(),
+            )  # fmt: skip
         return stretch
 
     def _advance(self, budget: int) -> Stretch:
@@ -203,7 +204,9 @@ class CompiledStepper(FailedSteps):
                     self._drive_extended() if self.method.is_extended else self._drive(self._plan, max(left, 0))
                 )
             stretches.append(self._collect(rows))
-            if status != step_loop.AT_STOP:
+            if status == step_loop.PAUSED:
+                self.method.serve()
+            elif status != step_loop.AT_STOP:
                 break
             status = OK
         if not self.timetable.single:

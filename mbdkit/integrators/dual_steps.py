@@ -34,6 +34,7 @@ from mbdkit.integrators.element_states import (
     add_up_states,
     end_of_element,
     is_coupled,
+    is_held,
     linearize,
     put_state,
     solve_dense,
@@ -187,6 +188,9 @@ def _change_states(c, n, m, k, t, h):
     take_lengths(c, m, t, h)
     first = 0
     while first < count:
+        if is_held(c.top, first):
+            first += 1
+            continue
         last = end_of_element(c.top, first)
         for _ in range(STATE_ITERATIONS):
             add_up_states(c, m, h, first, last)

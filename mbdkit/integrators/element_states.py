@@ -52,6 +52,9 @@ def _solve_states(c, m, t, h):
     take_lengths(c, m, t, h)
     first = 0
     while first < len(c.from_z):
+        if is_held(c.top, first):
+            first += 1
+            continue
         last = end_of_element(c.top, first)
         if not _solve_element(c, m, t, h, first, last):
             c.report[0] = np.inf
@@ -80,7 +83,15 @@ def end_of_element(top, first):
     last = first + 1
     while last < len(top.states) and (is_coupled(top) or top.states[last, 0] == top.states[first, 0]):
         last += 1
+    while is_held(top, last - 1):
+        last -= 1
     return last
+
+
+@inlined
+def is_held(top, e):
+    """Return whether a state is constant in each step: its rate is zero, and no equation has to be solved for it."""
+    return top.states[e, 2] < 0
 
 
 @overload(solve_states)

@@ -68,6 +68,9 @@ class FailedSteps:
             self.failure = guard_failure(status, self.workspace.mechanism, known, limits, self.time, self.method.hint)
             return
         done = self._accepted
+        if status == step_loop.REFUSED:
+            self.failure = self._failure(status, None, f"in step {done + 1} from t = {self.time:.6g} s")
+            return
         where = f"in step {done + 1} from t = {self.time:.6g} s"
         if unusable := self.workspace.unusable():
             if not (self.controlled and status != step_loop.TOO_SMALL and self._shrink()):

@@ -39,6 +39,9 @@ class Progress(NamedTuple):
     """Size of the next step with step size control [s]."""
     last_size: np.ndarray
     """Size of the last accepted step [s]."""
+    part: np.ndarray
+    """Size of the part of the attempted step that the method has taken [s], if that ends at an event of the method; 0
+    for whole steps."""
     last_error: np.ndarray
     """Scaled error of the last accepted step; 0 before the first."""
     next_row: np.ndarray
@@ -47,7 +50,7 @@ class Progress(NamedTuple):
     """Start and size of the last attempt [s]."""
     tried_size: np.ndarray
     restart: np.ndarray
-    """Start of the next step after a stop [s]."""
+    """Start of the next step after a stop or a part of a step [s]."""
     accepted: np.ndarray
     """Number of accepted steps."""
     rejected: np.ndarray
@@ -65,11 +68,13 @@ class Progress(NamedTuple):
     """Whether the step accepted last ends at a stop."""
     after_stop: np.ndarray
     """Whether the next step begins at a stop."""
+    after_part: np.ndarray
+    """Whether the step accepted last is a part of a step, so that the next one is its rest."""
 
     @property
     def counts(self) -> tuple[np.ndarray, ...]:
         """The integer fields."""
-        return self[-8:]
+        return self[-9:]
 
 
 class Interval(NamedTuple):
@@ -98,7 +103,7 @@ INTERVAL_FIELDS = Interval._fields[1:]
 
 def new_progress() -> Progress:
     """Return the progress at the start of a run."""
-    reals, counts = np.zeros((9, 1)), np.zeros((8, 1), dtype=np.int64)
+    reals, counts = np.zeros((10, 1)), np.zeros((9, 1), dtype=np.int64)
     return Progress(*reals, *counts)
 
 
@@ -181,6 +186,7 @@ class RunState(NamedTuple):
     before_q: np.ndarray
     """State at the start of the last step, if the plan asks for it."""
     before_v: np.ndarray
+    before_z: np.ndarray
     worst: Record
     """(P,) largest squared norm so far of the constraint residuals Phi of each pair of rows."""
     counts: Record
@@ -250,7 +256,7 @@ def new_run_state(
         point_q=vector(), point_v=vector(), point_z=np.zeros_like(z), point_gain=np.zeros(2), point_lam=by_pair(),
         new_q=vector(), new_v=vector(), shift_q=vector(), shift_v=vector(),
         mu=by_pair(), nu=by_pair(), rest=vector(), x=vector(), lam=by_pair(), miss=by_pair(),
-        before_q=q.copy(), before_v=v.copy(),
+        before_q=q.copy(), before_v=v.copy(), before_z=z.copy(),
         worst=np.zeros(pairs), counts=np.zeros(5, dtype=np.int64), report=np.zeros(3),
         progress=new_progress(), interval=new_interval(), guards=new_guard_state(workspace.mechanism),
         row_time=np.zeros(rows), row_q=np.zeros((rows, size)), row_v=np.zeros((rows, size)),

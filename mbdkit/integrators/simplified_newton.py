@@ -9,7 +9,8 @@ from __future__ import annotations
 from mbdkit.engine.kernels.lu import Factors, factorize, substitute
 from mbdkit.engine.kernels.system import OK, REPIVOT_STAGES, gather_values
 from mbdkit.engine.kernels.vectors import fill_rows
-from mbdkit.engine.native.functions import inlined
+from mbdkit.engine.native.calls import call_entry
+from mbdkit.engine.native.functions import inlined, overload
 from mbdkit.integrators.run_state import FACTORIZATIONS, JACOBIANS
 
 
@@ -68,6 +69,31 @@ def _transformed(weights, residual, z):
 
 
 @inlined
+def _constrain_by_address(c, solver, e):
+    if c.w.reacting[0] != 0:
+        call_entry(c.w.reacting[4], c.w.reacting[5], c.w.reacting[6], float(e), 0.0, 0.0)
+
+
+@inlined
+def _no_constraints(c, solver, e):
+    """Do nothing: runs with rigid contacts are neither vectorized nor differentiated with respect to parameters."""
+
+
+def constrain_solution(c, solver, e):
+    """Let the solution for eigenvalue number `e` satisfy the constraints of rigid contacts; see `Scratch.reacting`.
+
+    Numbers of complex eigenvalues are -1, -2, ...
+    """
+    _constrain_by_address(c, solver, e)
+
+
+@overload(constrain_solution)
+def _constrain_solution(c, solver, e):
+    constrain = _constrain_by_address if "pivoted" in solver.bundle.fields else _no_constraints
+    return lambda c, solver, e: constrain(c, solver, e)
+
+
+@inlined
 def newton_changes(c, m, h, right_side):
     """Solve the transformed systems for the change of every stage, from ``m.residual`` into ``m.change``.
 
@@ -81,6 +107,7 @@ def newton_changes(c, m, h, right_side):
         _transformed(rk.t_real_inv[e], residual, systems.z_real)
         right_side(c, m, rk.t_real_inv[e], h * rk.mu_real[e], systems.z_real, systems.b_real)
         substitute(pattern, one_of(systems.real, e), systems.b_real, systems.x_real)
+        constrain_solution(c, c.solver, e)
         for i in range(s):
             w = rk.t_real[i, e]
             for d in range(width):
@@ -89,6 +116,7 @@ def newton_changes(c, m, h, right_side):
         _transformed(rk.t_complex_inv[e], residual, systems.z_complex)
         right_side(c, m, rk.t_complex_inv[e], h * rk.mu_complex[e], systems.z_complex, systems.b_complex)
         substitute(pattern, one_of(systems.cplx, e), systems.b_complex, systems.x_complex)
+        constrain_solution(c, c.solver, -1 - e)
         for i in range(s):
             z = rk.t_complex[i, e]
             for d in range(width):
@@ -97,7 +125,7 @@ def newton_changes(c, m, h, right_side):
 
 
 @inlined
-def _filter(c, m, estimate_side, factors, z, b, solution, x):
+def _filter(c, m, estimate_side, factors, e, z, b, solution, x):
     """Replace `x` (3 (B + 1),) by the solution of the system with these `factors`; if complex, by its real part."""
     n3 = len(x) - 3
     for d in range(n3):
@@ -106,6 +134,7 @@ def _filter(c, m, estimate_side, factors, z, b, solution, x):
         z[d] = 0.0
     estimate_side(c, m, z, b)
     substitute(m.systems.pattern, factors, b, solution)
+    constrain_solution(c, c.solver, e)
     for d in range(n3):
         x[d] = solution[d].real
 
@@ -119,6 +148,6 @@ def filter_estimate(c, m, estimate_side, x):
     """
     y = m.systems
     if len(y.real.a) > 0:
-        _filter(c, m, estimate_side, one_of(y.real, 0), y.z_real, y.b_real, y.x_real, x)
+        _filter(c, m, estimate_side, one_of(y.real, 0), 0, y.z_real, y.b_real, y.x_real, x)
     else:
-        _filter(c, m, estimate_side, one_of(y.cplx, 0), y.z_complex, y.b_complex, y.x_complex, x)
+        _filter(c, m, estimate_side, one_of(y.cplx, 0), -1, y.z_complex, y.b_complex, y.x_complex, x)

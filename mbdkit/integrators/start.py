@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from typing import Any
 
 from mbdkit.base.errors import MbdkitError
@@ -16,6 +17,7 @@ from mbdkit.integrators.interface import Stepper, Timetable
 from mbdkit.integrators.step_control import Control, unit_of_length
 from mbdkit.integrators.step_host import StepHost
 from mbdkit.methods.kinds import Method, Traits
+from mbdkit.methods.step_methods import ExternalMethod, StepMethod
 from mbdkit.registry.treatments import treatment_of
 
 
@@ -79,14 +81,17 @@ def start_method(method: Method, workspace: Workspace, timetable: Timetable) -> 
         If the method does not support the mechanism.
     """
     traits, treatment = method.traits, workspace.mechanism.contact_treatment
+    between: Callable[[CompiledMethod], CompiledMethod] | None = None
     if treatment.is_rigid and (steps_of := treatment_of(treatment.kind).method) is not None:
-        return StepHost(steps_of()(method, treatment), workspace, timetable)
+        between = steps_of()(method, treatment)
+        if isinstance(between, StepMethod | ExternalMethod):
+            return StepHost(between, workspace, timetable)
     if traits.compiled is None:
         method.require_formulation(FORMULATIONS[workspace.formulation])
         steps: Any = method if traits.steps is None else traits.steps()(method)
         return StepHost(steps, workspace, timetable)
     compiled, control = compiled_method(method, workspace)
-    return CompiledStepper(compiled, workspace, timetable, control)
+    return CompiledStepper(compiled if between is None else between(compiled), workspace, timetable, control)
 
 
 def require_derivatives(method: Method, formulation: Formulation, stabilization: Stabilization) -> None:

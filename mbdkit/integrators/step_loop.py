@@ -7,7 +7,8 @@ bundle of the run (`mbdkit.integrators.run_state`), and `method`, of the method'
     Computes a step of size `h` from the base state ``from_q, from_v, from_z``, which it does not change. Writes ``dq``,
     ``dv`` and ``dz``; if ``has_power``, ``gain``; the multipliers of the method, if it has any, into ``own_lam``; and
     if `want_error` is not 0, the estimates ``est_q, est_v, est_z``. ``base_state`` describes how the base state is
-    related to the last attempt.
+    related to the last attempt. A method with events of its own may end the step at one of them: it writes the size of
+    this part of the step into ``progress.part``. At its start, it may change the state by an event (`MODIFIED`).
 ``dense(run, method, t, h, theta)``
     Writes ``point_q, point_v, point_z, point_gain`` and ``point_lam``: the state at ``t + theta h`` within the last
     attempt.
@@ -65,6 +66,9 @@ TOO_SMALL = 5
 AT_STOP = 8
 """Status: a step has ended at a stop; the values that the method stores are not valid for the next step."""
 
+PAUSED, REFUSED = 9, 10
+"""Statuses of attempts: the method asks for `CompiledMethod.serve` before the attempt, or no step can succeed."""
+
 ROW_MARGIN = 1e-9
 """A row recorded by `interval` that is closer to the end than this share of the interval is replaced by the row at the
 end."""
@@ -112,10 +116,11 @@ def _chosen_step(plan, progress):
         h = fitted_size(t, min(progress.next_size[0], plan.control.max_size[0]), target)
         return t, h, stop < times.end[0] and h == stop - t
     # a product, since the rounding errors of a sum would grow with the number of steps
-    t = progress.restart[0] if progress.after_stop[0] != 0 else times.start[0] + progress.whole[0] * times.step[0]
+    is_rest = progress.after_stop[0] != 0 or progress.after_part[0] != 0
+    t = progress.restart[0] if is_rest else times.start[0] + progress.whole[0] * times.step[0]
     if stop < _end_of_whole_step(plan, progress) or _is_end_of_whole_step(plan, progress, stop):
         return t, stop - t, True
-    if progress.after_stop[0] != 0:
+    if is_rest:
         return t, _end_of_whole_step(plan, progress) - t, False
     return t, times.step[0] if progress.whole[0] < times.steps[0] - 1 else times.last_step[0], False
 
@@ -124,6 +129,8 @@ def _chosen_step(plan, progress):
 def _end_of_step(plan, progress, t, h, at_stop):
     """Return the end of a step of size `h` from `t`, and whether it is the last of the run."""
     times = plan.times
+    if progress.part[0] != 0.0:
+        return t + h, False
     if at_stop:
         return _next_stop(plan, progress), False
     last = t + h >= times.end[0] if plan.control.controlled[0] else progress.whole[0] + 1 >= times.steps[0]
@@ -152,18 +159,18 @@ def _reject(c, plan, h, solved, error):
 def _accept(c, plan, t, h, error, at_stop):
     """Accept a step of size `h` from `t`, and choose the size of the next.
 
-    Size and error of a step that ends at a stop say little about the next step; the error is discarded.
+    Size and error of a step that ends at a stop or an event say little about the next step; the error is discarded.
     """
     progress, interval = c.progress, c.interval
     interval.steps[0] += 1
     interval.last_size[0] = h
     if plan.control.controlled[0]:
         factor = factor_after_acceptance(plan.control, error, progress.last_error[0], progress.retrying[0])
-        if at_stop:
+        if at_stop or progress.part[0] != 0.0:
             progress.next_size[0] = factor * h if factor < 1.0 else max(progress.next_size[0], factor * h)
         elif t + h < plan.times.end[0]:  # the last step is shortened, so its size says nothing about the next
             progress.next_size[0] = factor * h
-        progress.last_error[0] = 0.0 if at_stop else max(error, MIN_LAST_ERROR)
+        progress.last_error[0] = 0.0 if at_stop or progress.part[0] != 0.0 else max(error, MIN_LAST_ERROR)
     progress.retrying[0] = 0
     progress.at_stop[0] = at_stop
     progress.last_size[0] = h
@@ -219,9 +226,12 @@ def _try_step(run, method, attempt, plan):
     if np.isnan(guards.energy[0]):
         begin_energy(c, guards, t, c.q, c.v)
     before = c.counts[ITERATIONS]
+    progress.part[0] = 0.0
     c.w.faulty[0] = -1  # only a force law that fails in this attempt is to be named if the run stops
     status = take(run, method, attempt, t, h, control.controlled[0], mode)
     iterations = c.counts[ITERATIONS] - before
+    if progress.part[0] != 0.0:
+        h, at_stop = progress.part[0], False
     error = 0.0
     projected = jumped = False
     at = jump = total = kinetic = rounding = 0.0
@@ -370,6 +380,11 @@ def _advance_time(plan, progress):
     progress.accepted[0] += 1
     progress.pending[0] = 0
     progress.after_stop[0] = progress.at_stop[0]
+    progress.after_part[0] = progress.part[0] != 0.0
+    if progress.after_part[0] != 0:
+        progress.time[0] = progress.restart[0] = reached
+        progress.time_low[0] = 0.0
+        return False, False
     if progress.at_stop[0] != 0:
         return False, _pass_stop(plan, progress)
     progress.whole[0] += 1
@@ -395,6 +410,7 @@ def _advance(c, plan):
     if plan.recording.start_of_step[0]:
         copy(c.q, c.before_q)
         copy(c.v, c.before_v)
+        copy(c.z, c.before_z)
     if plan.projection.mode[0] != NO_PROJECTION:
         for d in range(len(c.q)):
             c.dq[d] += c.shift_q[d]

@@ -419,7 +419,8 @@ class Treatment(Feature):
         of contacts at the initial state.
     method
         Function that takes the method of a run and the `mbdkit.mechanism.contacts.ChosenTreatment`, and returns the
-        `mbdkit.StepMethod` or `mbdkit.ExternalMethod` that takes the steps. Its memory has the attributes of
+        `mbdkit.StepMethod` or `mbdkit.ExternalMethod` that takes the steps, or a function that returns this from the
+        `mbdkit.integrators.compiled_method.CompiledMethod` of the method. Its memory has the attributes of
         `mbdkit.integrators.impulse.ContactMemory`. By default, the method itself takes the steps.
     guards
         Function that takes the method of a run, and returns names of fixed-step methods for comparison runs, with the

@@ -13,8 +13,6 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-
 from mbdkit.archive.writer import ArchiveWriter
 from mbdkit.base.errors import SpecError
 from mbdkit.base.logs import logger_of
@@ -175,16 +173,11 @@ class Checkpoints:
         self._due = end + max(INTERVAL, (end - begin) / SHARE)
 
 
-def _kept(bundle: Any) -> dict[str, np.ndarray]:
-    """Return those working arrays of a stepper or method that a checkpoint contains; `bundle` is a tuple of arrays."""
-    return kept(bundle, STATE, RECORD)
-
-
 def _stored_stepper(stepper: CompiledStepper) -> dict[str, Any]:
-    own, bundle = stepper.run_state.solver, stepper.method.pinned.bundle
+    own = stepper.run_state.solver
     return {
-        "run": _kept(stepper.run_state),
-        "method": _kept(bundle),
+        "run": kept(stepper.run_state, STATE, RECORD),
+        "method": stepper.method.kept(STATE, RECORD),
         "systems": stepper.method.stored_systems(),
         # the evaluation of an event may have chosen new pivots, which the stepper does not use
         "solver": None if own is stepper.workspace.solver else stored_solver(own),
@@ -197,12 +190,12 @@ def _stored_stepper(stepper: CompiledStepper) -> dict[str, Any]:
 
 def _restore_stepper(stepper: CompiledStepper, state: Mapping[str, Any]) -> None:
     workspace, bundle = stepper.workspace, stepper.method.pinned.bundle
-    restore(_kept(stepper.run_state), state["run"])
+    restore(kept(stepper.run_state, STATE, RECORD), state["run"])
     for stop in state["inserted"]:
         stepper.stop_at(float(stop))
     if stepper.run_state.progress.passed[0] > len(stepper.timetable.stops):
         raise ValueError("it has passed more stops than exist")
-    restore(_kept(bundle), state["method"])
+    restore(stepper.method.kept(STATE, RECORD), state["method"])
     past = getattr(bundle, "past", None)  # methods that extrapolate over several steps have this
     if past is not None and past.known[0] > len(past.acc):
         raise ValueError("it refers to more steps than are stored")

@@ -25,8 +25,9 @@ from mbdkit.engine.kernels.lu import factorize, solve_refined
 from mbdkit.engine.kernels.schur import factor as schur_factor
 from mbdkit.engine.kernels.schur import solve as schur_solve
 from mbdkit.engine.kernels.system import NOT_FINITE, OK, REPIVOT, gather_values, solved_rows, unfold_multipliers
-from mbdkit.engine.kernels.vectors import fill_rows
+from mbdkit.engine.kernels.vectors import copy, fill_rows
 from mbdkit.engine.native.arithmetic import any_of, renewed
+from mbdkit.engine.native.calls import call_entry
 from mbdkit.engine.native.functions import inlined, overload, subkernel
 
 SETTLED = 4.0 * np.finfo(float).eps
@@ -166,7 +167,43 @@ def solve_loaded(top, w, solver, q, v, acc, lam, refine):
     status = solve_system(top, w, solver, has_forces, acc, lam, refine)
     if len(top.frictions) > 0 and status == OK:
         status = settle_friction(top, w, solver, v, acc, lam, refine)
+    if status == OK:
+        status = add_reactions(w, solver, q, v, acc, lam)
     return status
+
+
+@inlined
+def _add_by_address(w, solver, q, v, acc, lam):
+    """Add the accelerations and multipliers that rigid contacts cause, by the function in ``w.reacting``, if any."""
+    if w.reacting[0] == 0:
+        return OK
+    copy(q, w.reaction[0])
+    copy(v, w.reaction[1])
+    copy(acc, w.reaction[2])
+    for k in range(len(lam)):
+        copy(lam[k], w.reaction_lam[k])
+    status = call_entry(w.reacting[1], w.reacting[2], w.reacting[3], w.time[0], 0.0, 0.0)
+    copy(w.reaction[2], acc)
+    for k in range(len(lam)):
+        copy(w.reaction_lam[k], lam[k])
+    return status
+
+
+@inlined
+def _no_reactions(w, solver, q, v, acc, lam):
+    """Return OK: runs with rigid contacts are neither vectorized nor differentiated with respect to parameters."""
+    return OK
+
+
+def add_reactions(w, solver, q, v, acc, lam):
+    """Add what rigid contacts cause to a solution of the index-1 system; return a status."""
+    return _add_by_address(w, solver, q, v, acc, lam)
+
+
+@overload(add_reactions)
+def _add_reactions(w, solver, q, v, acc, lam):
+    add = _add_by_address if "pivoted" in solver.bundle.fields else _no_reactions
+    return lambda w, solver, q, v, acc, lam: add(w, solver, q, v, acc, lam)
 
 
 @inlined

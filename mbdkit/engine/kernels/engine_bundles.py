@@ -170,6 +170,15 @@ class Scratch(NamedTuple):
     response: RealMatrix
     """(N, F + 1) change of each multiplier in ``Topology.reactions`` by a unit of each friction; the value of the
     multiplier in the last column."""
+    reacting: IntVector
+    """(7,) whether rigid contacts act in the equations of motion; address of the function that adds their forces, and
+    its first two arguments; address of the function that constrains the solutions of implicit steps, and its own."""
+    reaction: RealMatrix
+    """(3, 3 (B + 1)) positions, velocities and accelerations, which this function reads and changes, and (P, 2)
+    multipliers; both empty without rigid contacts."""
+    reaction_lam: Annotated[RealMatrix, 2]
+    reaction_power: RealVector
+    """(1,) power that the friction of these contacts dissipates [W]."""
     faulty: IntVector
     """(1,) row of the last law whose force or required derivatives were not finite; -1 for none."""
     source: RealVector

@@ -19,8 +19,8 @@ from mbdkit.engine.kernels.constraints import (
 )
 from mbdkit.engine.kernels.motions import OF_CENTER, centers, motions
 from mbdkit.engine.kernels.vectors import fill, fill_rows
-from mbdkit.engine.native.arithmetic import any_of
-from mbdkit.engine.native.functions import inlined, subkernel
+from mbdkit.engine.native.arithmetic import any_of, is_dual, is_lanes
+from mbdkit.engine.native.functions import inlined, overload, subkernel
 
 OK, REPIVOT, REPIVOT_STAGES, NOT_FINITE, DIVERGED = range(5)
 """Status of a kernel: success; the index-1 system or the stage matrix needs new pivots; overflow; no convergence."""
@@ -63,7 +63,20 @@ def evaluate_powers(top, w, q, v, lam):
     Requires `prepare` and `applied_forces`.
     """
     evaluate_positions(top, w, q)
-    return powers(top, w, v, lam)
+    work, lost = powers(top, w, v, lam)
+    return work, lost + power_of_reactions(w, v)
+
+
+def power_of_reactions(w, v):
+    """Return the power that the friction of rigid contacts dissipates [W]; see `Scratch.reacting`."""
+    return w.reaction_power[0]
+
+
+@overload(power_of_reactions)
+def _power_of_reactions(w, v):
+    if is_lanes(v) or is_dual(v):  # such runs have no rigid contacts
+        return lambda w, v: 0.0
+    return lambda w, v: w.reaction_power[0]
 
 
 @inlined

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, field, fields, replace
 from itertools import zip_longest
 from typing import Any
 
@@ -34,8 +34,6 @@ class ContactState:
         (n,) generalized forces of all contacts [N, N m].
     impacts
         All impacts so far.
-    energy
-        Largest kinetic energy so far [J].
     cut
         Names of contacts whose infinite sequence of impacts was cut short.
     changed
@@ -48,23 +46,15 @@ class ContactState:
         Time at which a sequence of impacts was first cut short [s].
     time
         Time at which the step ended [s]; before its planned end if there was an event.
-    event
-        Event to be applied before the next step, or None. See `mbdkit_contact.event_driven`.
-    streak
-        Number of consecutive steps that ended at an event.
     is_over_step
         Whether the forces are means over the step, not values at its end.
     undecided
         First time at which several contacts that affect each other have closed at once, in an unknown order [s].
     residual
         Largest error of the velocities of contacts, relative to the largest velocity in the same step.
-    accelerations
-        Accelerations that a time-stepping method passes to its next step.
-    owed
-        Energy that a time-stepping method has added by moving overlapping shapes apart, and that contacts have not
-        dissipated yet [J].
-    features
-        (C,) see `mbdkit_contact.contact_kinematics.ContactKinematics.held`.
+    known
+        Arrays that kernels pass to the next step, by name (`mbdkit_contact.kernels.event_bundle.Known`); none before
+        the first step.
     between
         Memory of the method that takes the steps between events; None after an event.
     is_new
@@ -76,32 +66,31 @@ class ContactState:
     tangent: np.ndarray
     force: np.ndarray
     impacts: tuple[ContactImpact, ...] = ()
-    energy: float = 0.0
     cut: frozenset[str] = frozenset()
     changed: frozenset[str] = frozenset()
     undetermined: frozenset[str] = frozenset()
     ordered: frozenset[str] = frozenset()
     cut_time: float = math.inf
     time: float = math.inf
-    event: tuple[int, int] | None = None
-    streak: int = 0
     is_over_step: bool = False
     undecided: float = math.inf
     residual: float = 0.0
-    accelerations: tuple[np.ndarray, ...] = ()
-    owed: float = 0.0
-    features: np.ndarray | None = None
+    known: Mapping[str, np.ndarray] = field(default_factory=dict)
     between: Any = None
     is_new: bool = True
 
     def after_stop(self) -> ContactState:
         """Return the state after a discontinuity of a motion or load; the next step determines the modes anew."""
-        return replace(self, modes=np.zeros(0, dtype=int), accelerations=(), between=None)
+        known = dict(self.known)
+        if known:
+            known |= {"determined": np.zeros(1, dtype=np.int64), "event": np.zeros(2, dtype=np.int64)}
+        return replace(self, modes=np.zeros(0, dtype=int), known=known, between=None)
 
     def stored(self) -> dict[str, Any]:
         """Return the state as plain data; the impacts are stored as joined arrays."""
         values = {item.name: getattr(self, item.name) for item in fields(self)}
         return values | {
+            "known": dict(self.known),
             "impacts": np.array([impact[:-1] for impact in self.impacts], dtype=float),
             "reactions": np.array([impact.reactions for impact in self.impacts], dtype=float),
             **{name: sorted(values[name]) for name in _NAMES},
@@ -116,9 +105,8 @@ class ContactState:
             values[name].shape != shape for name, shape in sizes.items()
         ):
             raise ValueError("it has other parts")
-        chosen = [int(impact[1]) for impact in values["impacts"]] + [event[1] for event in [values["event"]] if event]
-        if any(not 0 <= contact < count for contact in chosen):
-            raise ValueError("an impact or event is that of another contact")
+        if any(not 0 <= int(impact[1]) < count for impact in values["impacts"]):
+            raise ValueError("an impact is that of another contact")
         values["impacts"] = tuple(
             ContactImpact(t, int(contact), normal, tangential, lost, own)
             for (t, contact, normal, tangential, lost), own in zip(values["impacts"].tolist(), reactions, strict=True)

@@ -15,17 +15,16 @@ from mbdkit.engine.workspace import Workspace
 from mbdkit.integrators.sampled_control import states_at_start
 from mbdkit.mechanism.contacts import ChosenTreatment
 from mbdkit.methods.step_methods import Dense, ExternalMethod, Step, StepMethod, StepState, Why
-from mbdkit_contact.closed_contacts import ClosedSystem
+from mbdkit_contact.contact_events import ContactEvents
 from mbdkit_contact.contact_state import ContactState
-from mbdkit_contact.event_step import MOST_EVENTS, SAME_INSTANT, EventStep, NotAcceptedError, Point, gains
-from mbdkit_contact.rigid_contacts import RigidContacts
+from mbdkit_contact.event_step import SAME_INSTANT, Event, EventStep, NotAcceptedError, Point, gains
 
 DRIFT = 1e-7
 """Largest gap of joints and closed contacts in the steps of a library, relative to the length of the mechanism."""
 
 
 class EventDriven(StepMethod):
-    """A method with events of rigid contacts.
+    """A method in Python with events of rigid contacts.
 
     Parameters
     ----------
@@ -42,15 +41,18 @@ class EventDriven(StepMethod):
 
     def begin(self, equations: EquationsOfMotion, t: float, state: StepState, why: Why) -> ContactState:
         """See `StepMethod.begin`: the modes are determined anew."""
-        return state.memory if why == "projection" else RigidContacts.on(equations).begun(state)
+        return state.memory if why == "projection" else self._on(equations).contacts.begun(state)
+
+    def _on(self, equations: EquationsOfMotion) -> ContactEvents:
+        return ContactEvents.on(equations, self.treatment)
 
     def step(self, equations: EquationsOfMotion, t: float, state: StepState, h: float) -> Step:
         """Take a step, or only its part before the first event, which `after_event` applies later.
 
         The time reached is stored in `StepState.memory`, a `ContactState`.
         """
-        contacts = RigidContacts.on(equations)
-        step = EventStep(self.treatment, self.between, contacts, t, state)
+        events = self._on(equations)
+        step = EventStep(self.between, events, t, state)
         try:
             event = step.to(t + h)
         except NotAcceptedError as rejected:
@@ -61,29 +63,31 @@ class EventDriven(StepMethod):
         if made is not None and made.dense is not None and step.begin is not None:
             dense = _closing(made.dense, step.begin, step.now)
         happens = None if event is None else ContactEvent(self.after_event, end.memory.time)
-        result = contacts.step((t, end.memory.time), state, end, happens, dense)
+        result = events.contacts.step((t, end.memory.time), state, end, happens, dense)
         error = step.error
         if error is not None:
             n = 2 * equations.n
-            error = np.concatenate([error[:n], contacts.all_states(error[n:])])
+            error = np.concatenate([error[:n], events.contacts.all_states(error[n:])])
         return replace(result, error=error, next_step=None if made is None else made.next_step)
 
     def after_event(self, equations: EquationsOfMotion, t: float, state: StepState) -> StepState:
         """Return the state after the event at which a step has ended."""
-        step = EventStep(self.treatment, self.between, RigidContacts.on(equations), t, state)
-        assert step.state.event is not None
-        step.happen(step.state.event)
-        return step.reached(None, step.state.streak)
+        return _after_event(EventStep(None, self._on(equations), t, state))
 
 
-def reached(step: EventStep, event: tuple[int, int] | None, carries_multipliers: bool) -> StepState:
-    """Return the state to which a step has led, with the number of steps in turn that ended at an event."""
-    streak = 0 if event is None else step.state.streak + 1
-    if streak > MOST_EVENTS:
-        raise StepError("zeno", f"contacts changed {MOST_EVENTS} times without a step between")
-    end = step.reached(event, streak)
+def _after_event(step: EventStep) -> StepState:
+    """Return the state after the event that the memory of a step has."""
+    kind, contact = step.before.known["event"].tolist()
+    step.happen((kind - 1, contact))
+    return step.state()
+
+
+def reached(step: EventStep, event: Event | None, carries_multipliers: bool) -> StepState:
+    """Return the state to which a step has led."""
+    end = step.reached(event)
     if carries_multipliers and end.multipliers is None:
-        end = replace(end, multipliers=step.equations().accelerations(step.now.t, end.q, end.v)[1])
+        with step.events.acting():
+            end = replace(end, multipliers=step.equations().accelerations(step.now.t, end.q, end.v)[1])
     return end
 
 
@@ -137,9 +141,9 @@ class EventDrivenLibrary(ExternalMethod):
         """See `ExternalMethod.open`."""
         self._library = copy.copy(self._given)
         self._stop, self._opened = stop, state
-        contacts = RigidContacts.on(equations)
-        self._before = replace(state, memory=contacts.begun(state))
-        self._begin(_LibraryStep(self.treatment, None, contacts, t, self._before))
+        events = ContactEvents.on(equations, self.treatment)
+        self._before = replace(state, memory=events.contacts.begun(state))
+        self._begin(_LibraryStep(None, events, t, self._before))
 
     def _begin(self, step: _LibraryStep, until: float | None = None) -> None:
         """Open the library at the present state of a step; it stops where a contact could open and close unnoticed."""
@@ -147,16 +151,18 @@ class EventDrivenLibrary(ExternalMethod):
         self._step, self._ended = step, False
         self._until = now.t + step.limited(self._stop - now.t) if until is None else until
         equations = step.equations()
-        equations.first_step = step.p.first_step
+        equations.first_step = step.events.p.first_step
         begin = StepState(now.q, now.v, now.multipliers, z=now.z)
-        self._library.open(equations, now.t, begin, self._until)
+        with step.events.acting():
+            self._library.open(equations, now.t, begin, self._until)
 
     def advance(self) -> Step:
         """See `ExternalMethod.advance`."""
         if self._ended:
             self._begin(self._step)
         step, begin = self._step, self._step.now
-        made = self._library.advance()
+        with step.events.acting():
+            made = step.acting(self._library.advance())
         if made.dense is None or made.time is None:
             raise StepError("not-finite", "the library gives no states within its steps")
         end = made.state
@@ -167,31 +173,34 @@ class EventDrivenLibrary(ExternalMethod):
         if share < 1.0:
             there = step.inside(there, share)
         is_over = there.t >= self._until - SAME_INSTANT * max(abs(self._until), 1.0)
-        if event is not None or is_over or step.drift(there) > DRIFT * step.length:  # the library is opened again
+        if (
+            event is not None or is_over or step.drift(there) > DRIFT * step.events.p.length
+        ):  # the library is opened again
             there = step.closed(there)
             self._ended = True
         h = there.t - begin.t
         inside = _closing(lambda theta: dense(theta * share), begin, replace(there, made=Step(_end(made, share))))
         if event is None and end.work is not None and end.dissipated is not None:
             work, lost = end.work, end.dissipated
+        elif h > 0.0:
+            with step.events.acting():
+                work, lost = gains(step.equations(), begin, there, Step(end, dense=inside))
         else:
-            work, lost = gains(step.equations(), begin, there, Step(end, dense=inside)) if h > 0.0 else (0.0, 0.0)
+            work = lost = 0.0
         # an impact at the start of the step, where the library was opened, has dissipated energy too
         step.go_to(replace(there, work=begin.work + work, dissipated=begin.dissipated + lost))
         state = reached(step, event, self.carries_multipliers)
         before, self._before = self._before, state
-        step.state = state.memory
+        step.before = state.memory
         happens = None if event is None else ContactEvent(self._after_event, there.t)
-        result = step.contacts.step((begin.t, there.t), before, state, happens, inside)
+        result = step.events.contacts.step((begin.t, there.t), before, state, happens, inside)
         step.now = replace(step.now, work=0.0, dissipated=0.0)
         return replace(result, time=there.t)
 
     def _after_event(self, equations: EquationsOfMotion, t: float, state: StepState) -> StepState:
-        step = _LibraryStep(self.treatment, None, RigidContacts.on(equations), t, state)
-        assert step.state.event is not None
-        step.happen(step.state.event)
-        after = step.reached(None, step.state.streak)
-        step.state, step.now = after.memory, replace(step.now, work=0.0, dissipated=0.0)
+        step = _LibraryStep(None, ContactEvents.on(equations, self.treatment), t, state)
+        after = _after_event(step)
+        step.before, step.now = after.memory, replace(step.now, work=0.0, dissipated=0.0)
         self._step, self._ended, self._before = step, True, after
         return after
 
@@ -205,7 +214,7 @@ class EventDrivenLibrary(ExternalMethod):
     def restore(self, stored: bytes) -> None:
         """See `ExternalMethod.restore`."""
         (until,) = struct.unpack("d", stored[:8])
-        step = _LibraryStep(self.treatment, None, self._step.contacts, self._step.now.t, self._opened)
+        step = _LibraryStep(None, self._step.events, self._step.now.t, self._opened)
         self._before = self._opened
         if np.isnan(until):
             self._step, self._ended = step, True
@@ -236,22 +245,13 @@ class _LibraryStep(EventStep):
     def _inside(self, there: Point, share: float) -> Point:
         return self.inside(there, share)
 
-    def first_event(self, there: Point) -> tuple[float, tuple[int, int]] | None:
+    def first_event(self, there: Point) -> tuple[float, Event] | None:
         """See `EventStep.first_event`."""
         self._there = there
         return super().first_event(there)
 
     def _moved(self, h: float) -> Point:
         return self.inside(self._there, h / (self._there.t - self.now.t)) if h > 0.0 else self.now
-
-    def drift(self, at: Point) -> float:
-        """Return the largest gap of joints and closed contacts at a state [m, rad]."""
-        return float(np.max(np.abs(ClosedSystem(self.contacts, self.modes).constraints(at.t, at.q)), initial=0.0))
-
-    def closed(self, at: Point) -> Point:
-        """Return a state with joints and closed contacts closed."""
-        q, v = self._closed(at.t, at.q, at.v)
-        return replace(at, q=q, v=v)
 
 
 def with_contact_forces(workspace: Workspace) -> Workspace:
@@ -265,12 +265,13 @@ def with_contact_forces(workspace: Workspace) -> Workspace:
     mechanism = workspace.mechanism
     top = mechanism.topology
     p = EquationsOfMotion(workspace, states_at_start(workspace))
-    contacts = RigidContacts.on(p)
+    events = ContactEvents.on(p, mechanism.contact_treatment)
     begin = StepState(p.q0, p.v0, z=p.z0)
-    begin = replace(begin, memory=contacts.begun(begin))
-    step = EventStep(mechanism.contact_treatment, None, contacts, workspace.t0, begin)
+    begin = replace(begin, memory=events.contacts.begun(begin))
+    state = EventStep(None, events, workspace.t0, begin).state()
+    held = events.contacts.held
     parameters = top.law_parameters.copy()
-    parameters[top.states[contacts.held.states, 1]] = contacts.held.of(step.contact_state())
+    parameters[top.states[held.states, 1]] = held.of(state.memory)
     started = replace(mechanism, topology=top._replace(law_parameters=parameters))
     return Workspace(
         started,

@@ -11,11 +11,10 @@ from mbdkit.base.errors import StepError
 from mbdkit.engine.equations_of_motion import EquationsOfMotion
 from mbdkit.engine.state_derivatives import differences
 from mbdkit.engine.tangents import Tangents
-from mbdkit.mechanism.contacts import OPEN
 
 if TYPE_CHECKING:
     from mbdkit.engine.counters import Counters
-    from mbdkit_contact.rigid_contacts import Forced, RigidContacts
+    from mbdkit_contact.contact_events import ContactEvents
 
 Rates = tuple[np.ndarray, np.ndarray, np.ndarray]
 Powers = tuple[float, float]
@@ -25,48 +24,31 @@ Powers = tuple[float, float]
 class ForcedEquations(EquationsOfMotion):
     """Equations of motion on which closed contacts act, as loads that are functions of time and state.
 
-    The loads are those with which the gaps of closed contacts, and the slips of those that stick, do not accelerate.
-    First-order states are those that do not belong to contacts. Derivatives are central differences.
+    The loads are those with which the gaps of closed contacts, and the slips of those that stick, do not accelerate;
+    they act while `ContactEvents.acting` is in force. First-order states are those that do not belong to contacts.
+    Derivatives are central differences.
 
     Parameters
     ----------
-    contacts
-        The contacts.
-    modes
-        (C,) their modes.
+    events
+        The contacts, in their present modes.
     """
 
-    def __init__(self, contacts: RigidContacts, modes: np.ndarray):
-        self.__dict__.update(contacts.p.__dict__)  # the arrays and counters of the same run
-        self._contacts, self._modes, self._derived = contacts, modes, {}
-        self.z0 = contacts.own(contacts.p.z0)
-        self.has_power = contacts.p.has_power or bool(np.any(contacts.kinetic > 0.0))
+    def __init__(self, events: ContactEvents):
+        self.__dict__.update(events.p.__dict__)  # the arrays and counters of the same run
+        self._events, self._contacts, self._derived = events, events.contacts, {}
+        self._own = self.z0 = self._contacts.own(events.p.z0)
+        self.has_power = events.p.has_power or bool(np.any(self._contacts.kinetic > 0.0))
 
     def hold(self, z: np.ndarray) -> None:
         """See `EquationsOfMotion.hold`."""
+        self._own = z
         self._contacts.hold(z)
-
-    def accelerations(self, t: float, q: np.ndarray, v: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """See `EquationsOfMotion.accelerations`."""
-        forced = self._forced(t, q, v)
-        return forced.a, forced.multipliers
-
-    def derivatives(self, t: float, q: np.ndarray, v: np.ndarray, z: np.ndarray) -> Rates:
-        """See `EquationsOfMotion.derivatives`."""
-        rates = self._rates(t, q, v, z)
-        return *self.accelerations(t, q, v), rates
-
-    def rate(self, t: float, q: np.ndarray, v: np.ndarray, z: np.ndarray) -> tuple[np.ndarray, np.ndarray, Powers]:
-        """Return accelerations (n,), rates (Z,), and powers."""
-        rates = self._rates(t, q, v, z)
-        forced = self._forced(t, q, v)
-        work, lost = self._contacts.p.powers(t, q, v, forced.multipliers)
-        return forced.a, rates, (work, lost + self._friction(forced))
 
     def powers(self, t: float, q: np.ndarray, v: np.ndarray, lam: np.ndarray) -> Powers:
         """See `EquationsOfMotion.powers`; the dissipated power includes that of friction."""
-        work, lost = self._contacts.p.powers(t, q, v, lam)
-        return work, lost + self._friction(self._forced(t, q, v))
+        self.accelerations(t, q, v)  # which evaluates the forces of contacts at this state
+        return super().powers(t, q, v, lam)
 
     def jacobian(self, t: float, q: np.ndarray, v: np.ndarray, z: np.ndarray) -> np.ndarray:
         """See `EquationsOfMotion.jacobian`."""
@@ -91,7 +73,13 @@ class ForcedEquations(EquationsOfMotion):
         return super()._residual(t, q, v, a, lam) - push
 
     def _derivatives(self, t: float, q: np.ndarray, v: np.ndarray, z: np.ndarray) -> Rates:
-        return self.derivatives(t, q, v, z)
+        self._own = z
+        a, lam, rates = self._events.p._derivatives(t, q, v, self._contacts.all_states(z))
+        self._events.raise_failure()
+        return a, lam, self._contacts.own(rates)
+
+    def _not_finite(self) -> StepError:
+        return self._events.failure or super()._not_finite()
 
     def _sparse_tangents(self, t: float, q: np.ndarray, v: np.ndarray, a: np.ndarray, lam: np.ndarray) -> Tangents:
         from scipy.sparse import csr_array
@@ -99,7 +87,7 @@ class ForcedEquations(EquationsOfMotion):
         n = self.n
         by_q = differences(lambda x: self._push(t, x, v), np.asarray(q, dtype=float), range(n))
         by_v = differences(lambda x: self._push(t, q, x), np.asarray(v, dtype=float), range(n))
-        parts = self._contacts.p.tangents(t, q, v, a, lam)
+        parts = self._events.p.tangents(t, q, v, a, lam)
         stiffness, damping = csr_array(parts.stiffness.toarray() - by_q), csr_array(parts.damping.toarray() - by_v)
         return Tangents(stiffness, damping, parts.gamma_v, parts.residual_q)
 
@@ -113,23 +101,12 @@ class ForcedEquations(EquationsOfMotion):
         self.counters.factorizations += 1
         return _Dense(np.block([[upper, rows.T], [lower, np.zeros((self.m, self.m))]]), self.n, self.counters)
 
-    def _forced(self, t: float, q: np.ndarray, v: np.ndarray) -> Forced:
-        return self._contacts.accelerations(t, q, v, self._modes, only_closed=True)
-
     def _push(self, t: float, q: np.ndarray, v: np.ndarray) -> np.ndarray:
         """Return the generalized forces (n,) of closed contacts."""
-        forced, closed = self._forced(t, q, v), self._modes != OPEN
-        return forced.normal[closed] @ forced.rows.normal + forced.tangent[closed] @ forced.rows.tangent
-
-    def _rates(self, t: float, q: np.ndarray, v: np.ndarray, z: np.ndarray) -> np.ndarray:
-        """Return the rates of first-order states, and use these states in the following evaluations."""
-        if not len(z):
-            return z
-        return self._contacts.own(self._contacts.p.derivatives(t, q, v, self._contacts.all_states(z))[2])
-
-    def _friction(self, forced: Forced) -> float:
-        """Return the power that friction dissipates [W]."""
-        return -float(forced.tangent[self._modes != OPEN] @ forced.rows.slip)
+        events = self._events
+        events.at(t, q, v, self._own)
+        events.show_forces()
+        return events.bundle.known.force[:-3].copy()
 
 
 class _Dense:

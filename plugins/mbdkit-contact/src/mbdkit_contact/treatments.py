@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 from mbdkit.engine.formulation import INDEX_1
+from mbdkit.integrators.compiled_method import CompiledMethod
 from mbdkit.mechanism.contacts import ChosenTreatment
 from mbdkit.plugin import ExternalMethod, Method, RunSpec, SpecError, StepMethod
+from mbdkit_contact.compiled_events import CompiledEventDriven
 from mbdkit_contact.event_driven import EventDriven, EventDrivenLibrary, with_contact_forces
-from mbdkit_contact.runge_kutta_steps import RungeKuttaSteps
 
 __all__ = ["event_driven", "guards", "require_event_driven", "require_time_stepping", "with_contact_forces"]
 
@@ -27,7 +30,7 @@ def require_event_driven(spec: RunSpec, method: Method) -> None:
     if traits.is_time_stepping:
         message = f"the integrator {name} does not locate impacts; use the treatment time-stepping"
         raise SpecError(message, key="contact.treatment")
-    if traits.tableau is None and traits.compiled:
+    if traits.tableau is None and traits.compiled is not None:
         message = (
             f"the treatment event-driven cannot use {name}, whose steps exist in machine code only; use a Runge-Kutta "
             "method, such as dop853 or gauss"
@@ -36,13 +39,20 @@ def require_event_driven(spec: RunSpec, method: Method) -> None:
     if traits.tableau is not None and spec.formulated != INDEX_1:
         message = "the treatment event-driven solves the index-1 equations with Runge-Kutta methods; omit `formulation`"
         raise SpecError(message, key="formulation")
+    if spec.stabilized.symmetric:
+        message = "the treatment event-driven closes joints and contacts itself; omit `stabilization`"
+        raise SpecError(message, key="stabilization")
 
 
-def event_driven(method: Method, treatment: ChosenTreatment) -> EventDriven | EventDrivenLibrary:
-    """Return the method that takes the steps of `method` between events."""
+def event_driven(
+    method: Method, treatment: ChosenTreatment
+) -> EventDriven | EventDrivenLibrary | Callable[[CompiledMethod], CompiledMethod]:
+    """Return the method that takes the steps of `method` between events, or the function that makes it of a compiled
+    method.
+    """
     traits = method.traits
-    if traits.tableau is not None:
-        return EventDriven(RungeKuttaSteps(method), treatment)
+    if traits.compiled is not None:
+        return lambda between: CompiledEventDriven(between, treatment)
     steps = method if traits.steps is None else traits.steps()(method)
     if isinstance(steps, ExternalMethod):
         return EventDrivenLibrary(steps, treatment)

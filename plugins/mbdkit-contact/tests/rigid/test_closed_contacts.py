@@ -2,21 +2,24 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 import pytest
 
 import mbdkit
 from mbdkit import EquationsOfMotion
 from mbdkit.mechanism.contacts import OPEN, SLIP, STICK
-from mbdkit_contact.rigid_contacts import RigidContacts
+from mbdkit_contact.contact_events import ContactEvents
+from mbdkit_contact.forced_equations import ForcedEquations
 
 SQUARE = {"polygon": [[-0.5, -0.5], [0.5, -0.5], [0.5, 0.5], [-0.5, 0.5]]}
 FLOOR = {"line": {"normal": [0.0, 1.0]}}
 T = 0.1
 
 
-def contacts_of(*, slope: float = 0.0, only_box: bool = False) -> RigidContacts:
-    """Return the contacts of a mechanism, whose equations of motion are ``contacts.p``."""
+def contacts_of(*, slope: float = 0.0, only_box: bool = False) -> ContactEvents:
+    """Return the contacts of a mechanism, whose equations of motion are ``events.p``."""
     bodies = {
         "box": {"mass": 1.0, "inertia": 0.2, "position": [0.0, 0.5]},
         "top": {"mass": 2.0, "inertia": 0.3, "position": [0.1, 1.5]},
@@ -37,66 +40,99 @@ def contacts_of(*, slope: float = 0.0, only_box: bool = False) -> RigidContacts:
         "joints": joints, "contacts": contacts,
     }  # fmt: skip
     spec = {"mbdkit": 1, "model": model, "contact": {"treatment": "event-driven"}, "integrator": {"name": "rk4"}}
-    equations = EquationsOfMotion.of(mbdkit.RunSpec(**spec, time={"end": 1.0, "step": 0.1}).mechanism())
-    return RigidContacts.on(equations)
+    return ContactEvents(EquationsOfMotion.of(mbdkit.RunSpec(**spec, time={"end": 1.0, "step": 0.1}).mechanism()))
+
+
+class Forced(NamedTuple):
+    """Accelerations (n,), multipliers (m,), normal and friction forces (C,) in a state."""
+
+    a: np.ndarray
+    multipliers: np.ndarray
+    normal: np.ndarray
+    tangent: np.ndarray
+
+
+def forced(events: ContactEvents, q: np.ndarray, v: np.ndarray, modes: np.ndarray) -> Forced:
+    """Return what contacts in given modes cause."""
+    put(events, q, v, modes)
+    events.accelerations()
+    with events.acting():
+        a, multipliers = ForcedEquations(events).accelerations(T, q, v)
+    bundle = events.bundle
+    np.testing.assert_allclose(bundle.a[: len(q)], a, rtol=0.0, atol=1e-12 * (1.0 + np.abs(a).max()))
+    return Forced(a, multipliers, bundle.normal.copy(), bundle.tangent.copy())
+
+
+def put(events: ContactEvents, q: np.ndarray, v: np.ndarray, modes: np.ndarray) -> None:
+    """Look at a state with contacts in given modes, at the features nearest to touching."""
+    events.load({})
+    kinematics = events.contacts.kinematics
+    kinematics.held = kinematics.none_held()
+    kinematics.hold(q, modes != OPEN)
+    events.load(events.state().known | {"modes": modes.astype(float), "features": kinematics.held.astype(float)})
+    events.at(T, q, v, np.zeros(0))
 
 
 def test_accelerations_and_forces_satisfy_the_equations_of_motion_and_the_laws_of_the_modes() -> None:
-    contacts, random = contacts_of(), np.random.default_rng(53)
-    p, redundant = contacts.p, 0
+    events, random = contacts_of(), np.random.default_rng(53)
+    contacts, p, redundant = events.contacts, events.p, 0
     for _ in range(100):
         q, v = p.q0 + 0.02 * random.standard_normal(p.n), random.standard_normal(p.n)
         modes = np.full(len(contacts.names), OPEN)
         some = random.choice(len(modes), random.integers(0, 6), replace=False)
         modes[some] = random.choice([STICK, SLIP, -SLIP], len(some))
-        forced = contacts.accelerations(T, q, v, modes)
-        rows, size = forced.rows, 1.0 + max(np.abs(forced.a).max(), np.abs(forced.normal).max(initial=0.0))
+        a, multipliers, normal, tangent = forced(events, q, v, modes)
+        rows, size = contacts.kinematics.rows(q, v), 1.0 + max(np.abs(a).max(), np.abs(normal).max(initial=0.0))
         close = {"rtol": 0.0, "atol": 1e-9 * size}
-        push = rows.normal.T @ forced.normal + rows.tangent.T @ forced.tangent
-        np.testing.assert_allclose(p.residual(T, q, v, forced.a, forced.multipliers), push, **close)
-        np.testing.assert_allclose(p.constraint_jacobian(T, q) @ forced.a, p.gamma(T, q, v), **close)
-        np.testing.assert_array_equal(forced.normal[modes == OPEN], 0.0)
+        push = rows.normal.T @ normal + rows.tangent.T @ tangent
+        np.testing.assert_allclose(p.residual(T, q, v, a, multipliers), push, **close)
+        np.testing.assert_allclose(p.constraint_jacobian(T, q) @ a, p.gamma(T, q, v), **close)
+        np.testing.assert_array_equal(normal[modes == OPEN], 0.0)
         slips = np.abs(modes) == SLIP
-        friction = -np.sign(modes[slips]) * contacts.kinetic[slips] * forced.normal[slips]
-        np.testing.assert_allclose(forced.tangent[slips], friction, **close)
+        friction = -np.sign(modes[slips]) * contacts.kinetic[slips] * normal[slips]
+        np.testing.assert_allclose(tangent[slips], friction, **close)
         held = np.vstack([rows.normal[modes != OPEN], rows.tangent[modes == STICK]])
         if np.linalg.matrix_rank(np.vstack([held, p.constraint_jacobian(T, q).toarray()])) < len(held) + p.m:
             redundant += 1  # more constraints than can be met
             continue
         right = np.concatenate([rows.normal_right[modes != OPEN], rows.tangent_right[modes == STICK]])
-        np.testing.assert_allclose(held @ forced.a, right, **close)
+        np.testing.assert_allclose(held @ a, right, **close)
     assert redundant < 70
 
 
 def test_contacts_that_stick_share_friction_in_proportion_to_their_normal_forces() -> None:
     # expected: a block at rest on a slope; weight times cosine and sine, and moments about its centre
     slope = 0.3
-    contacts = contacts_of(slope=slope, only_box=True)
-    p = contacts.p
+    events = contacts_of(slope=slope, only_box=True)
     modes = np.array([STICK, STICK, OPEN, OPEN])
-    forced = contacts.accelerations(T, p.q0, 0.0 * p.q0, modes)
-    np.testing.assert_allclose(forced.a, 0.0, atol=1e-12)
-    assert forced.normal.sum() == pytest.approx(9.81 * np.cos(slope), rel=1e-12)
-    assert np.abs(forced.tangent.sum()) == pytest.approx(9.81 * np.sin(slope), rel=1e-12)
-    assert np.ptp(forced.normal[:2]) == pytest.approx(9.81 * np.sin(slope), rel=1e-12)
-    assert np.ptp(forced.tangent[:2] / forced.normal[:2]) == pytest.approx(0.0, abs=1e-9)
+    a, _, normal, tangent = forced(events, events.p.q0, 0.0 * events.p.q0, modes)
+    np.testing.assert_allclose(a, 0.0, atol=1e-12)
+    assert normal.sum() == pytest.approx(9.81 * np.cos(slope), rel=1e-12)
+    assert np.abs(tangent.sum()) == pytest.approx(9.81 * np.sin(slope), rel=1e-12)
+    assert np.ptp(normal[:2]) == pytest.approx(9.81 * np.sin(slope), rel=1e-12)
+    assert np.ptp(tangent[:2] / normal[:2]) == pytest.approx(0.0, abs=1e-9)
 
 
-def test_solutions_hold_the_gaps_of_closed_contacts_with_the_smallest_change() -> None:
-    # expected: M x + Phi_q^T mu differs from the given force by forces of the contacts alone
-    contacts, random = contacts_of(), np.random.default_rng(5)
-    p = contacts.p
-    modes = np.full(len(contacts.names), OPEN)
-    modes[[0, 1, contacts.names.index("tip")]] = STICK, SLIP, STICK
-    q, force = p.q0 + 0.02 * random.standard_normal(p.n), random.standard_normal(p.n)
-    rows = contacts.kinematics.rows(q, 0.0 * q)
-    closed, sticks = rows.normal[modes != OPEN], rows.tangent[modes == STICK]
-    jacobian = p.constraint_jacobian(T, q).toarray()
-    for held in (closed, np.vstack([closed, sticks])):
-        constraints = np.vstack([jacobian, held])
-        given = constraints @ random.standard_normal(p.n)  # which some motion satisfies
-        x, mu = contacts.solution(T, q, force, given, modes)
-        np.testing.assert_allclose(constraints @ x, given, rtol=0, atol=1e-9)
-        left = p.mass * x + jacobian.T @ mu - force
-        forces = np.linalg.lstsq(held.T, left, rcond=None)[0]
-        np.testing.assert_allclose(held.T @ forces, left, rtol=0, atol=1e-9)
+def test_closed_contacts_and_joints_are_closed_with_the_smallest_change() -> None:
+    # expected: gaps, joints and slips of contacts that stick vanish; changes are caused by forces of these alone
+    events, random = contacts_of(), np.random.default_rng(5)
+    p, kinematics = events.p, events.contacts.kinematics
+    modes = np.full(len(events.contacts.names), OPEN)
+    modes[[0, 1, events.contacts.names.index("tip")]] = STICK, SLIP, STICK
+    for _ in range(20):
+        q, v = p.q0 + 1e-3 * random.standard_normal(p.n), random.standard_normal(p.n)
+        put(events, q, v, modes)
+        events.close()
+        new_q, new_v = events.bundle.q[: p.n], events.bundle.v[: p.n]
+        rows = kinematics.rows(new_q, new_v)
+        assert np.abs(rows.gap[modes != OPEN]).max() < 1e-12
+        assert np.abs(p.constraints(T, new_q)).max() < 1e-12
+        assert np.abs(p.constraint_rates(T, new_q, new_v)).max() < 1e-12
+        gaps, slips = rows.rates(new_v)
+        assert max(np.abs(gaps[modes != OPEN]).max(), np.abs(slips[modes == STICK]).max()) < 1e-12
+        closed, sticks = rows.normal[modes != OPEN], rows.tangent[modes == STICK]
+        jacobian = p.constraint_jacobian(T, new_q).toarray()
+        for change, held in ((new_q - q, closed), (new_v - v, np.vstack([closed, sticks]))):
+            directions, moved = np.vstack([jacobian, held]).T, p.mass * change
+            forces = np.linalg.lstsq(directions, moved, rcond=None)[0]
+            np.testing.assert_allclose(directions @ forces, moved, rtol=0, atol=1e-10)

@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from mbdkit.engine.kernels.bundle_types import IntVector, RealVector
-from mbdkit.engine.native.functions import kernel, subkernel
+from mbdkit.engine.native.functions import subkernel
 from mbdkit_contact.kernels.pivoting import Cones, new_cones, solve_cones
 
 NEWTON, POISSON = range(2)
@@ -241,15 +241,3 @@ def find_ordered(x, k, law):
                 any_differs = True
         if any_differs:
             return
-
-
-@kernel
-def strike_all(s: Strike, k: int, law: int) -> int:
-    """Write the impulses of an impact of k contacts; see `strike`."""
-    return strike(s, k, law)
-
-
-@kernel
-def order_matters(x: Impacts, k: int, law: int) -> None:
-    """Find contacts whose velocities depend on the order of impacts; see `find_ordered`."""
-    find_ordered(x, k, law)

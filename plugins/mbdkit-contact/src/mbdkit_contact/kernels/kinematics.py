@@ -63,11 +63,23 @@ def place(s, q, v):
     """Write the states of all bodies at positions and velocities (n,) or longer."""
     for b in range(len(s.states) - 1):
         c, sine = cosine_and_sine(q[3 * b + 2])
-        s.states[b, 0], s.states[b, 1], s.states[b, 2], s.states[b, 3] = q[3 * b], q[3 * b + 1], c, sine
-        for d in range(3):
-            s.states[b, 4 + d] = v[3 * b + d]
-    ground = len(s.states) - 1
-    s.states[ground, 2] = 1.0
+        _place_body(s, b, c, sine, q, v)
+    s.states[len(s.states) - 1, 2] = 1.0
+
+
+@subkernel
+def place_turned(s, cs, q, v):
+    """Write the states of all bodies whose cosines and sines (B + 1, 2) are known; see `place`."""
+    for b in range(len(s.states) - 1):
+        _place_body(s, b, cs[b, 0], cs[b, 1], q, v)
+    s.states[len(s.states) - 1, 2] = 1.0
+
+
+@subkernel
+def _place_body(s, b, c, sine, q, v):
+    s.states[b, 0], s.states[b, 1], s.states[b, 2], s.states[b, 3] = q[3 * b], q[3 * b + 1], c, sine
+    for d in range(3):
+        s.states[b, 4 + d] = v[3 * b + d]
 
 
 @subkernel
@@ -269,12 +281,9 @@ def rows_at(s: Shapes, q: RealVector, v: RealVector, some: IntVector, rows: Real
         row_of(s, some[k], rows[k])
 
 
-@kernel
-def hold_at(s: Shapes, q: RealVector, closed: IntVector) -> None:
-    """Fix the features of contacts for which `closed` (C,) is not 0, and release all others.
-
-    Features that are fixed already stay, others are those nearest to touching at positions (n,).
-    """
+@subkernel
+def hold(s, q, closed):
+    """Fix the features of closed contacts; see `hold_at`."""
     place(s, q, q)
     for pair in range(len(s.pairs)):
         wanted = False
@@ -287,12 +296,17 @@ def hold_at(s: Shapes, q: RealVector, closed: IntVector) -> None:
 
 
 @kernel
-def margins_at(s: Shapes, q: RealVector, margins: RealVector) -> None:
-    """Compute the distances by which contacts (C,) may still slide until they leave their fixed features [m].
+def hold_at(s: Shapes, q: RealVector, closed: IntVector) -> None:
+    """Fix the features of contacts for which `closed` (C,) is not 0, and release all others.
 
-    They are negative beyond the end of a feature, and infinite for contacts without one.
+    Features that are fixed already stay, others are those nearest to touching at positions (n,).
     """
-    place(s, q, q)
+    hold(s, q, closed)
+
+
+@subkernel
+def find_margins(s, margins):
+    """Compute the distances to the ends of features; see `margins_at`. Requires `place`."""
     for i in range(len(margins)):
         margins[i] = np.inf
         pair = s.contacts[i, 3]
@@ -317,3 +331,13 @@ def margins_at(s: Shapes, q: RealVector, margins: RealVector) -> None:
             along = _over(s, edge, x, y)[1]
             margins[i] = min(along, s.corners[edge, 4] - along)
         margins[i] += 2.0 * s.exact[0]
+
+
+@kernel
+def margins_at(s: Shapes, q: RealVector, margins: RealVector) -> None:
+    """Compute the distances by which contacts (C,) may still slide until they leave their fixed features [m].
+
+    They are negative beyond the end of a feature, and infinite for contacts without one.
+    """
+    place(s, q, q)
+    find_margins(s, margins)

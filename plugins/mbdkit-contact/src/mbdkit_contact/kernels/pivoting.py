@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from mbdkit.engine.kernels.bundle_types import IntVector, RealMatrix, RealVector
-from mbdkit.engine.native.functions import kernel, subkernel
+from mbdkit.engine.native.functions import subkernel
 
 TINY = (1e-11, 1e-8, 1e-5)
 """Entries of a scaled tableau whose magnitude is below the first of these are treated as zero; the next one is tried if
@@ -271,9 +271,3 @@ def solve_cones(w, k):
         w.closed[i] = w.basic[i]
         w.forces[i], w.forces[k + i] = w.scale[i] * normal, w.scale[i] * tangent
     return True
-
-
-@kernel
-def cone_forces(w: Cones, k: int) -> bool:
-    """Find the forces of the first k contacts; return whether there is a solution."""
-    return solve_cones(w, k)

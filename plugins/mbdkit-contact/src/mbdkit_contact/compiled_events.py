@@ -1,0 +1,114 @@
+"""Compiled methods with events of rigid contacts."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from mbdkit.engine.equations_of_motion import EquationsOfMotion
+from mbdkit.integrators.compiled_method import CompiledMethod
+from mbdkit.integrators.sampled_control import states_at_start
+from mbdkit_contact.contact_events import ContactEvents
+from mbdkit_contact.contact_state import ContactState
+from mbdkit_contact.kernels.event_driven import attempt, dense, keep
+from mbdkit_contact.kernels.implicit_steps import constrain
+
+if TYPE_CHECKING:
+    from mbdkit.integrators.run_state import RunState
+    from mbdkit.mechanism.contacts import ChosenTreatment
+
+
+class CompiledEventDriven(CompiledMethod):
+    """A compiled method with events of rigid contacts; see `mbdkit_contact.kernels.event_driven`.
+
+    Parameters
+    ----------
+    between
+        The method between events, which evaluates the index-1 accelerations at all of its stages.
+    treatment
+        Treatment of contacts in the run.
+    """
+
+    attempt, keep = attempt, keep
+
+    def __init__(self, between: CompiledMethod, treatment: ChosenTreatment):
+        super().__init__(between.workspace)
+        workspace = between.workspace
+        self.between = between
+        self.events = ContactEvents(EquationsOfMotion(workspace, states_at_start(workspace)))
+        self.events.use(treatment)
+        self.dense = None if between.dense is None else dense
+        self.has_dense_output, self.stages, self.limit = between.has_dense_output, between.stages, between.limit
+        self.hint, self.carries_stages = between.hint, between.carries_stages  # type: ignore[misc]
+        self.pinned = self.events.pinned
+        self._take_up_addresses()
+
+    def _take_up_addresses(self) -> None:
+        between = self.between
+        functions = between.attempt, between.dense, between.keep
+        self.events.bundle.inner[:] = [between.pinned.address, *(0 if f is None else f.address for f in functions)]
+        self.workspace.scratch.reacting[4:] = constrain.address, 0, between.pinned.address
+
+    def kept(self, *roles: str) -> dict[str, np.ndarray]:
+        """See `CompiledMethod.kept`."""
+        inner = {f"between.{name}": array for name, array in self.between.kept(*roles).items()}
+        return super().kept(*roles) | inner
+
+    def start(self, run_state: RunState, h: float) -> None:
+        """See `CompiledMethod.start`."""
+        run_state.has_power[0] = 1  # friction and impacts dissipate energy
+        self.between.start(run_state, h)
+        self._take_up_addresses()
+
+    def renew(self, run_state: RunState, t: float, h: float) -> bool:
+        """See `CompiledMethod.renew`."""
+        helped = self.between.renew(run_state, t, h)
+        self._take_up_addresses()
+        return helped
+
+    def forget(self) -> None:
+        """See `CompiledMethod.forget`: after a discontinuity, the modes are determined anew."""
+        self.between.forget()
+        self.events.bundle.known.determined[0] = 0
+
+    def serve(self) -> None:
+        """See `CompiledMethod.serve`."""
+        self.events.serve()
+
+    def switch_iteration(self) -> bool:
+        """See `CompiledMethod.switch_iteration`."""
+        return self.between.switch_iteration()
+
+    def describe_divergence(self, report: np.ndarray) -> str:
+        """See `CompiledMethod.describe_divergence`."""
+        return self.between.describe_divergence(report)
+
+    def stored_systems(self) -> Any:
+        """See `CompiledMethod.stored_systems`: those of the method between events, and the impacts so far."""
+        state = self.contacts.stored()
+        return {"between": self.between.stored_systems(), **{name: state[name] for name in ("impacts", "reactions")}}
+
+    def restore_systems(self, state: Any) -> None:
+        """See `CompiledMethod.restore_systems`."""
+        events = self.events
+        self.between.restore_systems(state["between"])
+        self._take_up_addresses()
+        events.check_indices()
+        own = events.state()
+        events.impacts[:] = own.restored(
+            own.stored() | {name: state[name] for name in ("impacts", "reactions")}
+        ).impacts
+        events.bundle.known.number[:] = 0
+
+    @property
+    def contacts(self) -> ContactState:
+        """See `CompiledMethod.contacts`."""
+        self.events.serve()
+        return self.events.state(tuple(self.events.impacts))
+
+    @property
+    def failure(self) -> tuple[str, str] | None:
+        """See `CompiledMethod.failure`."""
+        failure = self.events.failure
+        return None if failure is None else (failure.code, failure.sentence)

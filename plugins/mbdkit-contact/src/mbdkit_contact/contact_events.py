@@ -1,0 +1,311 @@
+"""Event-driven contacts of one mechanism: their arrays, and calls of their kernels."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from mbdkit.base.errors import StepCode, StepError
+from mbdkit.engine.elimination_order import SingularSystemError
+from mbdkit.engine.equations_of_motion import EquationsOfMotion
+from mbdkit.engine.kernels.system import NOT_FINITE, OK
+from mbdkit.engine.native.bundle import PinnedBundle
+from mbdkit.integrators.impulse import ContactImpact
+from mbdkit.integrators.step_loop import PAUSED
+from mbdkit.mechanism.contacts import OPEN, ChosenTreatment
+from mbdkit_contact.contact_state import ContactState
+from mbdkit_contact.kernels.contact_forces import new_closed_contacts
+from mbdkit_contact.kernels.contact_modes import react
+from mbdkit_contact.kernels.event_bundle import (
+    CHANGED,
+    CUT,
+    KEPT_STRIKES,
+    MORE_ROOM,
+    NO_IMPULSES,
+    NO_MODES,
+    OPEN_JOINTS,
+    ORDERED,
+    PAINLEVE,
+    UNDETERMINED,
+    ZENO,
+    Events,
+    Known,
+    Newton,
+    Search,
+)
+from mbdkit_contact.kernels.event_driven import MOST_EVENTS, accelerations_at, close_at, forces_at, happen_at
+from mbdkit_contact.kernels.impacts import LAWS, new_impacts
+from mbdkit_contact.rigid_contacts import RigidContacts
+
+if TYPE_CHECKING:
+    from mbdkit.engine.workspace import Workspace
+
+FAILURES: dict[int, tuple[StepCode, str]] = {
+    PAINLEVE: ("painleve", "the friction of contact {name} presses it together more than it is pressed"),
+    NO_MODES: ("painleve", "no forces at contact {name} satisfy Coulomb's law"),
+    NO_IMPULSES: ("contact-solver", "no impulses of the contacts satisfy the law of impact"),
+    ZENO: ("zeno", f"contacts changed {MOST_EVENTS} times without a step between"),
+    OPEN_JOINTS: ("newton-failed", "no positions with closed joints and contacts were found"),
+}
+"""Codes and clauses of the reasons for which a step fails."""
+FIRST_ROOM, MOST_SAMPLES = 8, 64
+"""Number of contacts that may act at once before larger arrays are needed, and largest number of samples in a step."""
+_PASSED = tuple(name for name in Known._fields if name not in ("number", "rows", "strikes"))
+"""Arrays that steps in Python pass to the next step."""
+
+
+def _new_known(count: int, size: int, pairs: int, held: int) -> Known:
+    def integers(*shape: int) -> np.ndarray:
+        return np.zeros(shape, dtype=np.int64)
+
+    rows = max(2 * KEPT_STRIKES, 4 * count)
+    return Known(
+        modes=np.zeros(count), features=np.full(count, -1.0), determined=integers(1), event=integers(2),
+        streak=integers(1), normal=np.zeros(count), tangent=np.zeros(count), force=np.zeros(size),
+        energy=np.zeros(1), times=np.full(2, np.inf), flags=integers(4, count), number=integers(2),
+        rows=np.zeros((rows, 6)), strikes=np.zeros((KEPT_STRIKES, size + 2 * pairs)), until=np.zeros(1),
+        shown=np.zeros((2, held)), shift_q=np.zeros(size), shift_v=np.zeros(size),
+    )  # fmt: skip
+
+
+class ContactEvents:
+    """Event-driven contacts of a mechanism in one run.
+
+    Parameters
+    ----------
+    equations
+        The equations of motion, whose forces do not include those of contacts.
+    """
+
+    def __init__(self, equations: EquationsOfMotion):
+        self.p, self.contacts = equations, RigidContacts(equations)
+        self.workspace: Workspace = equations.workspace
+        self.impacts: list[ContactImpact] = []
+        top, size, states = self.workspace.mechanism.topology, equations.n + 3, len(equations.z0)
+        count, pairs, held = len(self.contacts.names), len(top.pairs), self.contacts.held
+
+        def integers(*shape: int) -> np.ndarray:
+            return np.zeros(shape, dtype=np.int64)
+
+        self._shapes = self.contacts.kinematics.shapes
+        given: dict[str, Any] = {
+            "coefficients": np.column_stack([self.contacts.restitution, self.contacts.static, self.contacts.kinetic]),
+            "limits": np.array([0.0, equations.length, np.sum(equations.mass[::3])]),
+            "reach": np.array([self.contacts.kinematics.reach]),
+            "places": np.array([held.states.start, len(held.states)]),
+            "coordinates": np.array(held.coordinates, dtype=np.int64),
+            "known": _new_known(count, size, pairs, len(held.states)),
+            "still": top._replace(gravity=np.zeros(2)),
+            "z": np.zeros(states),
+            "lam": np.zeros((pairs, 2)),
+            "lam_x": np.zeros((pairs, 2)),
+            "rows": np.zeros((count, 16)),
+            "sample_values": np.zeros((MOST_SAMPLES, 2, count)),
+            "search": Search(
+                np.zeros((3, count, 2)), np.zeros((3, count, 4)), np.zeros((3, count)), np.zeros((3, count)),
+                integers(4), np.zeros(7), np.zeros(1), integers(2),
+            ),
+            **self._of_room(max(1, min(count, FIRST_ROOM)), size, pairs),
+        }  # fmt: skip
+        sizes: dict[str, tuple[int, ...]] = {"t": (1,), "gained": (2,), "sample_times": (MOST_SAMPLES,)}
+        sizes |= dict.fromkeys(("q", "v", "a", "free", "x", "y", "rest"), (size,))
+        sizes |= dict.fromkeys(("normal", "tangent", "sliding", "approach", "pace", "gaps"), (count,))
+        sizes |= dict.fromkeys(("modes", "kept_modes", "kept_features"), (count,))
+        sizes |= dict.fromkeys(("values", "begin", "end"), (3, count))
+        given |= {name: np.zeros(shape) for name, shape in sizes.items()}
+        counts: dict[str, int] = {"inner": 4, "engine": 1, "law": 1, "samples": 2, "reason": 2}
+        counts |= dict.fromkeys(("touching", "struck"), count)
+        given |= {name: integers(number) for name, number in counts.items()}
+        self.bundle = Events(**given)
+        self.pinned = PinnedBundle(self.bundle)
+        self.contacts.hold(self.contacts.own(equations.z0))
+        self._take_up_addresses()
+
+    def _of_room(self, most: int, size: int, pairs: int) -> dict[str, Any]:
+        """Return the arrays of up to `most` contacts that act at once."""
+        unknowns, forces = self.workspace.unknowns, 2 * most
+        answers, matrix = np.zeros((forces, unknowns), complex), np.zeros((forces, forces + 1), complex)
+        newton = Newton(answers, np.zeros(unknowns, complex), matrix, np.zeros(unknowns), np.zeros(unknowns))
+        closed = new_closed_contacts(self._shapes, most, size, pairs)
+        return {"closed": closed, "newton": newton, "impacts": new_impacts(most)}
+
+    @classmethod
+    def on(cls, equations: EquationsOfMotion, treatment: ChosenTreatment) -> ContactEvents:
+        """Return the contacts of equations of motion, and exclude their forces, computed here, from the equations."""
+        events = equations.derived(cls)
+        events.use(treatment)
+        return events
+
+    def use(self, treatment: ChosenTreatment) -> None:
+        """Use the law of impact of a treatment, and its limit of energies."""
+        self.bundle.law[0], self.bundle.limits[0] = LAWS.index(treatment.impact_law), treatment.rest_energy
+
+    def _take_up_addresses(self) -> None:
+        """Take up the addresses of all arrays, which may have changed."""
+        self.bundle.engine[0] = self.workspace.stepping_engine
+        self.workspace.scratch.reacting[1:4] = react.address, self.workspace.stepping_engine, self.pinned.address
+
+    def grow(self) -> None:
+        """Allocate arrays for twice as many contacts that act at once."""
+        bundle = self.bundle
+        most, size, pairs = 2 * len(bundle.closed.chosen), len(bundle.q), len(bundle.lam)
+        self.bundle = bundle._replace(**self._of_room(most, size, pairs))
+        self.pinned.replace(self.bundle)
+        self._take_up_addresses()
+
+    # ---- impacts and what one step passes to the next --------------------------------------------------------------
+
+    def take_impacts(self) -> list[ContactImpact]:
+        """Return the impacts that kernels have stored since the last call."""
+        known, n, p = self.bundle.known, self.p.n, self.p
+        rows, strikes = known.rows[: known.number[0]], known.strikes[: known.number[1]]
+        unknowns = self.workspace.mechanism.row_index
+        found, reactions = list[ContactImpact](), list[np.ndarray]()
+        times = {int(row[5]): float(row[0]) for row in rows}
+        for number, strike in enumerate(strikes):
+            lam, pairs = np.zeros(p.m), strike[n + 3 :].reshape(-1, 2)
+            lam[unknowns[unknowns >= 0] - n] = pairs[unknowns >= 0]
+            reactions.append(p.reactions(times.get(number, 0.0), strike[:n].copy(), lam))
+        none = 0.0 * p.reactions(0.0, p.q0, np.zeros(p.m)) if len(rows) > 0 else np.zeros((0, 3))
+        for time, contact, normal, tangent, lost, strike_of in rows.tolist():
+            own = none if strike_of < 0 else reactions[int(strike_of)]
+            found.append(ContactImpact(time, int(contact), normal, tangent, lost, own))
+        known.number[:] = 0
+        return found
+
+    def serve(self) -> None:
+        """See `mbdkit.integrators.compiled_method.CompiledMethod.serve`."""
+        if self.bundle.reason[0] == MORE_ROOM and not self.bundle.known.number[0]:
+            self.grow()
+        self.bundle.reason[0] = 0
+        if self.bundle.known.number[0]:
+            self.impacts += self.take_impacts()
+
+    def state(self, impacts: tuple[ContactImpact, ...] = (), **more: Any) -> ContactState:
+        """Return the present data of the contacts, with impacts so far."""
+        known = self.bundle.known
+
+        def names(row: int) -> frozenset[str]:
+            return frozenset(self.contacts.names[i] for i in np.flatnonzero(known.flags[row]).tolist())
+
+        return ContactState(
+            known.modes.astype(int),
+            known.normal.copy(),
+            known.tangent.copy(),
+            known.force[:-3].copy(),
+            impacts=impacts,
+            cut=names(CUT),
+            changed=names(CHANGED),
+            undetermined=names(UNDETERMINED),
+            ordered=names(ORDERED),
+            cut_time=float(known.times[0]),
+            undecided=float(known.times[1]),
+            known={name: getattr(known, name).copy() for name in _PASSED},
+            is_new=False,
+            **more,
+        )
+
+    def load(self, arrays: Mapping[str, np.ndarray]) -> None:
+        """Use the arrays of a `ContactState`; without any, those of contacts before the first step."""
+        known, bundle = self.bundle.known, self.bundle
+        if not arrays:
+            arrays = _new_known(len(known.modes), len(known.force), len(bundle.lam), known.shown.shape[1])._asdict()
+        for name in _PASSED:
+            getattr(known, name)[...] = arrays[name]
+        while np.count_nonzero(known.modes != OPEN) > len(self.bundle.closed.chosen):
+            self.grow()
+
+    def check_indices(self) -> None:
+        """Raise ValueError if data from a file contain places of arrays that do not exist."""
+        known, shapes = self.bundle.known, self._shapes
+        counts = np.diff(np.append(shapes.contacts[:, 2], len(shapes.kinds)))
+        whole = known.features == np.round(known.features)
+        if (
+            known.event[0] > 3
+            or known.event[1] >= max(1, len(known.modes))
+            or np.any(known.number > [len(known.rows), len(known.strikes)])
+            or not np.all(whole & (known.features >= -1) & (known.features < counts))
+            or not np.all(np.isin(known.modes, (-2.0, 0.0, 1.0, 2.0)))
+        ):
+            raise ValueError("a contact, a feature or a mode does not exist")
+
+    # ---- calls of kernels ------------------------------------------------------------------------------------------
+
+    @property
+    def modes(self) -> np.ndarray:
+        """(C,) modes of the contacts."""
+        return self.bundle.known.modes
+
+    def at(self, t: float, q: np.ndarray, v: np.ndarray, own: np.ndarray) -> None:
+        """Look at a point: time, positions and velocities (n,), and the states that do not belong to contacts."""
+        bundle, n = self.bundle, self.p.n
+        bundle.t[0], bundle.q[:n], bundle.v[:n] = t, q, v
+        bundle.z[:] = self.contacts.all_states(own)
+
+    def called(self, kernel: Callable[..., Any], *given: float) -> None:
+        """Call a kernel at the point that returns a status; raise StepError if there is no solution."""
+        reacting = self.workspace.scratch.reacting
+        acts = int(reacting[0])
+
+        def solve(t: float) -> int:
+            self._take_up_addresses()
+            reacting[0] = 0  # the kernels add the forces of contacts themselves
+            while (status := int(kernel(self.workspace.stepping_engine, self.pinned.address, *given))) == PAUSED:
+                self.grow()
+            return status if status in (OK, NOT_FINITE) or not self.bundle.reason[0] else NOT_FINITE
+
+        try:
+            self.p.solved_by(solve, float(self.bundle.t[0]))
+        except (StepError, SingularSystemError):
+            self.raise_failure()
+            raise
+        finally:
+            reacting[0] = acts
+
+    def raise_failure(self) -> None:
+        """Raise StepError if the last call has failed for a reason of contacts."""
+        if (failure := self.failure) is not None:
+            self.bundle.reason[0] = 0
+            raise failure
+
+    @property
+    def failure(self) -> StepError | None:
+        """Why the last call has failed, if that is a reason of contacts."""
+        reason, contact = self.bundle.reason.tolist()
+        if reason not in FAILURES:
+            return None
+        code, clause = FAILURES[reason]
+        return StepError(code, clause.format(name=f"'{self.contacts.names[contact]}'"))
+
+    def happen(self, kind: int, contact: int) -> None:
+        """Apply an event to the point, or determine the modes anew if `kind` is negative."""
+        self.called(happen_at, kind, contact)
+
+    def show_forces(self) -> None:
+        """Evaluate the forces at the point, in the data for the next step."""
+        self.called(forces_at)
+
+    def accelerations(self) -> None:
+        """Evaluate accelerations, multipliers and forces at the point."""
+        self.p.counters.rhs_evaluations += 1
+        self.called(accelerations_at)
+
+    def close(self) -> None:
+        """Close joints and contacts at the point."""
+        self.called(close_at)
+
+    @contextmanager
+    def acting(self) -> Iterator[None]:
+        """Let closed contacts act in the equations of motion."""
+        reacting = self.workspace.scratch.reacting
+        before = reacting[0]
+        self._take_up_addresses()
+        reacting[0] = 1
+        try:
+            yield
+        finally:
+            reacting[0] = before
+            self.workspace.scratch.reaction_power[0] = 0.0

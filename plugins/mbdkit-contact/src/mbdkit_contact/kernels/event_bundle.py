@@ -1,0 +1,194 @@
+"""Arrays of event-driven contacts on one mechanism."""
+
+from __future__ import annotations
+
+from typing import Annotated, NamedTuple
+
+from mbdkit.engine.kernels.bundle_types import (
+    STATE,
+    ComplexMatrix,
+    ComplexVector,
+    IntMatrix,
+    IntVector,
+    RealCube,
+    RealMatrix,
+    RealVector,
+    example_of,
+)
+from mbdkit.engine.kernels.engine_bundles import Topology
+from mbdkit.engine.native.bundle import bundle_loader
+from mbdkit_contact.kernels.contact_forces import ClosedContacts
+from mbdkit_contact.kernels.impacts import Impacts
+
+NORMAL, FRICTION, PLACE = range(3)
+"""Kinds of event functions: gap or normal force, slip or how far the friction force is from its limit, and the place on
+an edge of a polygon.
+"""
+PAINLEVE, NO_MODES, NO_IMPULSES, ZENO, OPEN_JOINTS, MORE_ROOM = range(1, 7)
+"""Why a step fails: a contact that its own friction presses together, no forces satisfy Coulomb's law, no impulses
+satisfy the law of impact, too many events, no positions in which joints and contacts are closed, or a larger number of
+contacts that act at once than the arrays have room for, which is no failure.
+"""
+KEPT_STRIKES = 32
+"""Number of impacts whose data are kept until Python takes them."""
+
+
+class Known(NamedTuple):
+    """What one step passes to the next; C contacts, N = 3 (B + 1)."""
+
+    modes: RealVector
+    """(C,) modes: `OPEN`, `STICK`, or `SLIP` times the direction of the slip."""
+    features: RealVector
+    """(C,) features at which closed contacts stay, or -1; see `Shapes.held`."""
+    determined: IntVector
+    """(1,) whether the modes are known; not at the start and after a discontinuity."""
+    event: IntVector
+    """(2,) event at which the last step has ended, and with which the next one begins: its kind plus 1, or 0 if there
+    is none, and its contact."""
+    streak: IntVector
+    """(1,) number of consecutive steps that ended at an event."""
+    normal: RealVector
+    """(C,) forces at the end of the step [N]."""
+    tangent: RealVector
+    force: RealVector
+    """(N,) generalized forces of all contacts."""
+    energy: RealVector
+    """(1,) largest kinetic energy so far [J]."""
+    times: RealVector
+    """(2,) first times at which a sequence of impacts was cut short, and at which several contacts that affect each
+    other closed at once [s]; infinite without these."""
+    flags: IntMatrix
+    """(4, C) contacts whose infinite sequence of impacts was cut short, with another law of impact than the chosen one,
+    with normal forces that were not unique, and with simultaneous impacts whose order matters."""
+    number: IntVector
+    """(2,) numbers of rows in `rows` and of impacts in `strikes` that Python has not taken yet."""
+    rows: RealMatrix
+    """(R, 6) impacts of contacts: time [s], contact, impulses [N s], lost energy [J], row of `strikes` or -1."""
+    strikes: RealMatrix
+    """(S, N + 2 P) positions, and multipliers of the impulses of joints."""
+    until: RealVector
+    """(1,) time at which `event` happens [s]."""
+    shown: RealMatrix
+    """(2, H) forces and modes that rows show at the start and at the end of the last step."""
+    shift_q: RealVector
+    """(N,) change of the end of the last step by closing joints and contacts."""
+    shift_v: RealVector
+
+
+CUT, CHANGED, UNDETERMINED, ORDERED = range(4)
+"""Rows of `Known.flags`."""
+
+
+class Search(NamedTuple):
+    """Search for the first event in a step; shares are those of the step, arrays (3, C) belong to event functions."""
+
+    best: RealCube
+    """(3, C, 2) share and value of the largest sample before the first negative one."""
+    last: RealCube
+    """(3, C, 4) shares and values of the last two samples."""
+    high: RealMatrix
+    """(3, C) share of the first sample that is negative or may be; infinite if there is none."""
+    limits: RealMatrix
+    """(3, C) smallest absolute values that do not count as zero."""
+    state: IntVector
+    """(4,) phase, kind and contact of the function that is searched, and number of its evaluations in the phase."""
+    bracket: RealVector
+    """(7,) share and value at both ends of the bracket and at the point before, and the share to be evaluated."""
+    first: RealVector
+    """(1,) share of the first event found, and (2,) its kind and contact."""
+    event: IntVector
+
+
+class Newton(NamedTuple):
+    """Constraints of up to K closed contacts in the linear systems of implicit steps, U = 2 K."""
+
+    answers: ComplexMatrix
+    """(U, N + M) solutions of these systems for unit forces; M is the number of multipliers."""
+    right: ComplexVector
+    """(N + M,) right side of a system."""
+    matrix: ComplexMatrix
+    """(U, U + 1) equations of the forces with which solutions satisfy the constraints, and their right side."""
+    real: RealVector
+    """(N + M,) right side and solution of a real system."""
+    solved: RealVector
+
+
+class Events(NamedTuple):
+    """Event-driven contacts of a mechanism; U <= 2 K forces of contacts that act at once, L < 64 samples in a step."""
+
+    inner: IntVector
+    """(4,) addresses of the bundle and of the functions ``attempt``, ``dense`` and ``keep`` of the method between
+    events."""
+    engine: IntVector
+    """(1,) address of the bundle of mechanism, working arrays and solver."""
+    still: Topology
+    """The mechanism without gravity."""
+    coefficients: Annotated[RealMatrix, 3]
+    """(C, 3) coefficients of restitution, and of static and kinetic friction."""
+    law: IntVector
+    """(1,) number of the law of impact."""
+    limits: RealVector
+    """(3,) share of the energy below which sequences of impacts are cut, length of the mechanism [m], mass [kg]."""
+    reach: RealVector
+    """(1,) largest gap that is always computed exactly [m]."""
+    places: IntVector
+    """(2,) index of the first of the states that hold forces and modes, and their number; (D,) coordinates whose sums
+    of forces follow them."""
+    coordinates: IntVector
+    known: Annotated[Known, STATE]
+    t: RealVector
+    """(1,) time, and (N,) positions, velocities, and (Z,) first-order states of the point that is looked at."""
+    q: RealVector
+    v: RealVector
+    z: RealVector
+    a: RealVector
+    """(N,) accelerations at the point, those without contacts, and work arrays."""
+    free: RealVector
+    x: RealVector
+    y: RealVector
+    rest: RealVector
+    """(N,) zeros."""
+    gained: RealVector
+    """(2,) work and dissipated energy of an event [J]."""
+    lam: Annotated[RealMatrix, 2]
+    """(P, 2) multipliers, and those of impulses."""
+    lam_x: Annotated[RealMatrix, 2]
+    rows: Annotated[RealMatrix, 16]
+    """(C, 16) quantities of all contacts at the point; see `mbdkit_contact.contact_rows.QUANTITIES`."""
+    normal: RealVector
+    """(C,) forces at the point [N]."""
+    tangent: RealVector
+    touching: IntVector
+    """(C,) contacts that touch, or that act in another way."""
+    sliding: RealVector
+    """(C,) directions of slip, 1 or -1; 0 for contacts that do not slip."""
+    struck: IntVector
+    """(C,) contacts that take part in an impact, and the rates of their gaps before it."""
+    approach: RealVector
+    pace: RealVector
+    """(C,) sizes of the rate of the gap of open contacts, and of the slip of others, at the start of the step."""
+    modes: RealVector
+    """(C,) modes that are decided, and copies of modes and features."""
+    kept_modes: RealVector
+    kept_features: RealVector
+    values: RealMatrix
+    """(3, C) event functions at the point, negative after an event; nan where they are not evaluated."""
+    gaps: RealVector
+    """(C,) gaps within a step."""
+    samples: IntVector
+    """(2,) number of samples of contact forces in the step; whether they are taken."""
+    sample_times: RealVector
+    """(L,) their times, and (L, 2, C) normal forces, and slips or distances of friction forces from their limits."""
+    sample_values: RealCube
+    begin: RealMatrix
+    """(3, C) event functions at the start and at the end of the step."""
+    end: RealMatrix
+    search: Search
+    closed: ClosedContacts
+    newton: Newton
+    impacts: Impacts
+    reason: IntVector
+    """(2,) why the last call failed, and the contact; 0 if not."""
+
+
+load_events = bundle_loader(lambda: example_of(Events))

@@ -1,0 +1,494 @@
+"""Steps of compiled methods between events of rigid contacts, and the events.
+
+Contacts are open, stick or slip. Between events, closed contacts are constraints of the accelerations, and those that
+slip have the friction force -mu N against the slip (`mbdkit_contact.kernels.contact_modes.react`). Events are zeros of
+functions of the state: a gap that closes, a normal force that vanishes, a friction force that reaches its limit, slip
+that ends, and the end of an edge of a polygon. A step ends at its first event, which is located by steps of the method
+itself. The next step begins with the event: a linear complementarity problem determines the new modes, and at an impact
+also the impulses.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from mbdkit.engine.kernels.bundle_types import RealCube, RealVector
+from mbdkit.engine.kernels.engine_bundles import load_engine
+from mbdkit.engine.kernels.system import NOT_FINITE, OK
+from mbdkit.engine.kernels.vectors import copy, fill
+from mbdkit.engine.native.calls import call_entry
+from mbdkit.engine.native.functions import entry, kernel, separate, subkernel
+from mbdkit.integrators.run_state import AT_END_OF_LAST, AT_START_OF_LAST, MODIFIED, RHS, load_run_state
+from mbdkit.integrators.step_guards import begin_energy
+from mbdkit.integrators.step_loop import REFUSED
+from mbdkit.mechanism.contacts import OPEN
+from mbdkit_contact.kernels.contact_events import book_energy, close, drift, happen, limited
+from mbdkit_contact.kernels.contact_forces import gap_rate
+from mbdkit_contact.kernels.contact_modes import (
+    decide_at_rest,
+    find_accelerations,
+    find_limits,
+    find_rows,
+    find_values,
+    friction_value,
+    rate_of_gap,
+    show_forces,
+    switch,
+    use_modes,
+)
+from mbdkit_contact.kernels.event_bundle import FRICTION, NORMAL, PAINLEVE, PLACE, ZENO, load_events
+from mbdkit_contact.kernels.event_search import (
+    add_sample,
+    add_samples,
+    asks_for_decision,
+    begin_search,
+    needs_forces,
+    next_place,
+    note_value,
+    release_sticking,
+)
+from mbdkit_contact.kernels.kinematics import find_gaps, find_margins, place, row_of
+
+MOST_EVENTS = 1000
+"""The run stops after this many consecutive events without a complete step."""
+SAMPLES = 8
+"""Number of places in a step, the last one at its end, at which gaps and places on edges are evaluated."""
+CLEAR = 0.5
+"""No gap is evaluated within a step if all gaps at both ends are larger than this times the sum of what they would
+change at the rates of both ends."""
+WHOLE = 1.0 - 1e-12
+"""Share of a step from which on an event counts as one at its end."""
+SAME_SHARE = 1e-9
+"""Times that differ by less than this share of a step are equal."""
+
+
+@subkernel
+def copy_rows(x, out):
+    """Copy event functions (3, C)."""
+    for kind in range(3):
+        copy(x[kind], out[kind])
+
+
+@subkernel
+def _take_point(c, m, t):
+    """Take the state of the run as the point, without the forces of contacts."""
+    m.t[0] = t
+    copy(c.q, m.q)
+    copy(c.v, m.v)
+    copy(c.z, m.z)
+    for k in range(m.places[1]):
+        m.z[m.places[0] + k] = 0.0
+
+
+@subkernel
+def _show(m, row):
+    """Write forces and modes of contacts as the states that a row has to ``shown``."""
+    known, count, out = m.known, len(m.known.modes), m.known.shown[row]
+    for i in range(count):
+        out[3 * i], out[3 * i + 1], out[3 * i + 2] = known.normal[i], known.tangent[i], abs(known.modes[i])
+    for i in range(len(m.coordinates)):
+        out[3 * count + i] = known.force[m.coordinates[i]]
+
+
+@separate
+def _change_state(e, c, m, t, kind, contact):
+    """Apply an event to the state of the run at the start of a step; return a status.
+
+    If `kind` is negative, the modes are determined anew.
+    """
+    known = m.known
+    _take_point(c, m, t)
+    status = happen(e, m, kind, contact)
+    if status == OK:
+        status = show_forces(e, m)
+    if status != OK:
+        return _status(m, status)
+    known.determined[0], known.event[0] = 1, 0
+    _show(m, 0)
+    for d in range(len(m.v)):
+        if m.v[d] != c.v[d]:
+            c.v[d], c.v_low[d] = m.v[d], 0.0
+    for k in range(m.places[1]):
+        c.z[m.places[0] + k], c.z_low[m.places[0] + k] = known.shown[0, k], 0.0
+    copy(c.v, c.from_v)
+    c.energy[0] += m.gained[0]
+    c.energy[1] += m.gained[1]
+    begin_energy(c, c.guards, t, c.q, c.v)
+    c.base_state[0] = MODIFIED
+    return OK
+
+
+@separate
+def _begin(e, c, m, t, h):
+    """Prepare a step, with the event at its start; return a status."""
+    use_modes(m)
+    known, is_due = m.known, False
+    _take_point(c, m, t)
+    book_energy(e, m)
+    if known.event[0] > 0:
+        is_due = abs(t - known.until[0]) <= SAME_SHARE * h  # not if the step that ended there was rejected
+        if not is_due:
+            known.event[0] = 0
+    if c.progress.retrying[0] == 0 and not is_due:
+        known.streak[0] = 0
+    if known.determined[0] == 0:
+        return _change_state(e, c, m, t, -1, 0)
+    if is_due:
+        known.streak[0] += 1
+        return _change_state(e, c, m, t, known.event[0] - 1, known.event[1])
+    for k in range(m.places[1]):
+        known.shown[0, k] = c.z[m.places[0] + k]
+    return OK
+
+
+@subkernel
+def _begin_values(e, c, m, t):
+    """Write the event functions at the start of the step; return a status."""
+    _take_point(c, m, t)
+    status = find_values(e, m, False)
+    for i in range(len(m.known.modes)):
+        mode = m.known.modes[i]
+        m.pace[i] = abs(rate_of_gap(m, i, 2, m.v)) if mode == OPEN else abs(m.rows[i, 1])
+        for kind in range(3):
+            m.begin[kind, i] = m.values[kind, i]
+        if mode != OPEN:
+            normal, tangent = m.known.shown[0, 3 * i], m.known.shown[0, 3 * i + 1]
+            m.begin[NORMAL, i] = normal
+            m.begin[FRICTION, i] = friction_value(m, i, m.rows[i, 1], normal, tangent)
+    return status
+
+
+@subkernel
+def _status(m, status):
+    """Return `REFUSED` for a failure that smaller steps do not avoid."""
+    return REFUSED if status == NOT_FINITE and m.reason[0] == PAINLEVE else status
+
+
+@separate
+def _take(e, c, m, run, t, h, want_error):
+    """Take a step of the method, whose end becomes the point, with closed joints and contacts; return a status."""
+    known = m.known
+    m.samples[0], m.samples[1], m.reason[0] = 0, 1, 0
+    switch(e, m, 1)
+    status = call_entry(m.inner[1], run, m.inner[0], t, h, want_error)
+    switch(e, m, 0)
+    m.samples[1] = 0
+    if status != OK:
+        return _status(m, status)
+    c.base_state[0] = AT_START_OF_LAST
+    m.t[0] = t + h
+    for d in range(len(m.q)):
+        m.q[d] = known.shift_q[d] = c.from_q[d] + c.dq[d]
+        m.v[d] = known.shift_v[d] = c.from_v[d] + c.dv[d]
+    for d in range(len(m.z)):
+        m.z[d] = c.from_z[d] + c.dz[d]
+    status = close(e, m)
+    for d in range(len(m.q)):
+        known.shift_q[d] = m.q[d] - known.shift_q[d]
+        known.shift_v[d] = m.v[d] - known.shift_v[d]
+    return _status(m, status)
+
+
+@subkernel
+def _is_clear(m, h):
+    """Return whether no gap can close, and no contact can leave its edge, within a step whose end is the point."""
+    for i in range(len(m.known.modes)):
+        if m.known.modes[i] == OPEN:
+            change = CLEAR * h * (m.pace[i] + abs(rate_of_gap(m, i, 2, m.v)))
+            if min(m.begin[NORMAL, i], m.rows[i, 0]) <= change:
+                return False
+        elif min(m.begin[PLACE, i], m.end[PLACE, i]) <= h * (m.pace[i] + abs(m.rows[i, 1])):
+            return False
+    return True
+
+
+@separate
+def _sample_motion(c, m, h):
+    """Add samples of gaps and places on edges within the step, from the cubic through its ends."""
+    shapes, known, row = m.closed.shapes, m.known, m.closed.rows[0]
+    for k in range(1, SAMPLES):
+        theta = k / SAMPLES
+        rest = 1.0 - theta
+        for d in range(len(m.q)):
+            dq, v0, v1 = m.q[d] - c.from_q[d], h * c.from_v[d], h * m.v[d]
+            m.x[d] = c.from_q[d] + theta * theta * (3.0 - 2.0 * theta) * dq + theta * rest * (rest * v0 - theta * v1)
+            slope = 6.0 * theta * rest * dq + rest * (1.0 - 3.0 * theta) * v0 + theta * (3.0 * theta - 2.0) * v1
+            m.y[d] = slope / h
+        place(shapes, m.x, m.y)
+        find_gaps(shapes, m.reach[0], m.gaps)
+        find_margins(shapes, m.values[PLACE])
+        for i in range(len(known.modes)):
+            add_sample(m, PLACE, i, theta, m.values[PLACE, i])
+            if known.modes[i] != OPEN:
+                continue
+            gap = m.gaps[i]
+            if gap < 0.0:  # only shapes that approach each other are about to touch
+                row_of(shapes, i, row)
+                a, b = 3 * shapes.contacts[i, 0], 3 * shapes.contacts[i, 1]
+                gap = abs(gap) if gap_rate(row, a, b, 2, m.y) >= 0.0 else gap
+            add_sample(m, NORMAL, i, theta, gap)
+
+
+@separate
+def _sample_forces(m, t, h):
+    """Add samples of contact forces, slips and limits of friction, at the stages of the method."""
+    for _ in range(m.samples[0]):
+        first, at = 0, np.inf
+        for j in range(m.samples[0]):
+            if m.sample_times[j] < at:
+                first, at = j, m.sample_times[j]
+        share = (at - t) / h
+        m.sample_times[first] = np.inf
+        if 0.0 < share < 1.0:
+            for i in range(len(m.known.modes)):
+                if m.known.modes[i] != OPEN:
+                    add_sample(m, NORMAL, i, share, m.sample_values[first, 0, i])
+                    add_sample(m, FRICTION, i, share, m.sample_values[first, 1, i])
+
+
+@separate
+def _begin_search(e, c, m, t, h):
+    """Begin the search for the first event in a step whose end is the point; return a status."""
+    status = find_values(e, m, True)
+    if status != OK:
+        return status
+    copy_rows(m.values, m.end)
+    find_limits(e, m, m.search.limits)
+    begin_search(m)
+    copy_rows(m.begin, m.values)
+    add_samples(m, 0.0)
+    if not _is_clear(m, h):
+        _sample_motion(c, m, h)
+    _sample_forces(m, t, h)
+    copy_rows(m.end, m.values)
+    add_samples(m, 1.0)
+    return release_redundant(e, m)
+
+
+@separate
+def release_redundant(e, m):
+    """Ignore events of sticking contacts if all modes persist at the point; return a status."""
+    if not asks_for_decision(m):
+        return OK
+    fill(m.sliding, 0.0)
+    for i in range(len(m.touching)):
+        m.touching[i] = m.known.modes[i] != OPEN
+    status = decide_at_rest(e, m)
+    if status != OK:
+        return status
+    for i in range(len(m.modes)):
+        if m.modes[i] != m.known.modes[i]:
+            return OK
+    release_sticking(m)
+    return OK
+
+
+@separate
+def _advance(e, c, m, run, t, h, want_error):
+    """Take a step, or its part up to the first event; return a status, the size of the part, and whether there is an
+    event.
+    """
+    status = _take(e, c, m, run, t, h, want_error)
+    if status == OK:
+        status = _begin_search(e, c, m, t, h)
+    if status != OK:
+        return status, h, False
+    x, is_at_end = m.search, True
+    while True:
+        share = next_place(m)
+        if share < 0.0:
+            break
+        is_at_end = share == 1.0
+        status = _take(e, c, m, run, t, share * h, 0.0)
+        if status == OK:
+            status = find_values(e, m, needs_forces(m))
+        if status != OK:
+            return status, h, False
+        note_value(m)
+    has_event = x.first[0] < np.inf
+    size = h
+    if has_event and x.first[0] < WHOLE:
+        size = x.first[0] * h
+    if size != h or not is_at_end:
+        if t + size > t:
+            status = _take(e, c, m, run, t, size, want_error)
+            if status == OK:
+                status = find_values(e, m, True)
+        else:
+            size = 0.0
+    return status, size, has_event
+
+
+@entry
+def attempt(run, method, t, h, want_error):
+    """Compute a step from the base state, or the part of it before an event; see `mbdkit.integrators.step_loop`."""
+    c, m = load_run_state(run), load_events(method)
+    e = load_engine(m.engine[0])
+    e.w.reacting[5] = run
+    known = m.known
+    if c.base_state[0] == AT_END_OF_LAST:
+        for d in range(len(m.q)):
+            if known.shift_q[d] != 0.0 or known.shift_v[d] != 0.0:
+                c.base_state[0] = MODIFIED
+    status = _begin(e, c, m, t, h)
+    size, has_event = h, False
+    while status == OK:
+        for k in range(m.places[1]):
+            c.from_z[m.places[0] + k] = 0.0
+        status = _begin_values(e, c, m, t)
+        if status == OK:
+            size, status = limited(e, m, h)
+        if status != OK:
+            break
+        status, size, has_event = _advance(e, c, m, run, t, size, want_error)
+        if status != OK or size > 0.0:
+            break
+        known.streak[0] += 1  # the event is at the start of the step, which is then taken again
+        if known.streak[0] > MOST_EVENTS:
+            m.reason[0] = ZENO
+            return REFUSED
+        c.counts[RHS] += 1
+        status = _change_state(e, c, m, t, m.search.event[0], m.search.event[1])
+    if status != OK:
+        return _status(m, status)
+    if has_event:
+        known.event[0], known.event[1], known.until[0] = m.search.event[0] + 1, m.search.event[1], t + size
+    if known.streak[0] > MOST_EVENTS:
+        m.reason[0] = ZENO
+        return REFUSED
+    if size < h:
+        c.progress.part[0] = size
+    _show(m, 1)
+    for d in range(len(m.q)):
+        c.dq[d] += known.shift_q[d]
+        c.dv[d] += known.shift_v[d]
+    for k in range(m.places[1]):
+        d = m.places[0] + k
+        c.dz[d], c.z_low[d] = known.shown[1, k] - c.z[d], 0.0
+    return OK
+
+
+@entry
+def dense(run, method, t, h, theta):
+    """Write the state at ``t + theta h`` within the last attempt; see `mbdkit.integrators.step_loop`.
+
+    The correction of the end of the step is blended in by a cubic of theta. Forces of contacts are linear.
+    """
+    c, m = load_run_state(run), load_events(method)
+    e, known = load_engine(m.engine[0]), m.known
+    switch(e, m, 1)
+    status = call_entry(m.inner[2], run, m.inner[0], t, h, theta)
+    switch(e, m, 0)
+    fade = theta * theta * (3.0 - 2.0 * theta)
+    for d in range(len(m.q)):
+        c.point_q[d] += fade * known.shift_q[d]
+        c.point_v[d] += fade * known.shift_v[d]
+    for k in range(m.places[1]):
+        begin, end = known.shown[0, k], known.shown[1, k]
+        c.point_z[m.places[0] + k] = begin + theta * (end - begin)
+    return status
+
+
+@entry
+def keep(run, method, t, h, unused):
+    """Store the stages of the last attempt as quadrature nodes; see `mbdkit.integrators.step_loop`."""
+    m = load_events(method)
+    return call_entry(m.inner[3], run, m.inner[0], t, h, 0.0)
+
+
+# ---- calls from Python, for methods whose steps are taken there ------------------------------------------------------
+
+
+@kernel
+def happen_at(engine: int, method: int, kind: int, contact: int) -> int:
+    """Apply an event to the point, and evaluate the forces there; if `kind` is negative, determine the modes anew."""
+    e, m = load_engine(engine), load_events(method)
+    m.reason[0] = 0
+    use_modes(m)
+    status = happen(e, m, kind, contact)
+    if status == OK:
+        m.known.determined[0] = 1
+        status = show_forces(e, m)
+    return _status(m, status)
+
+
+@kernel
+def forces_at(engine: int, method: int) -> int:
+    """Evaluate the forces of contacts at the point; return a status."""
+    e, m = load_engine(engine), load_events(method)
+    m.reason[0] = 0
+    use_modes(m)
+    return _status(m, show_forces(e, m))
+
+
+@kernel
+def accelerations_at(engine: int, method: int) -> int:
+    """Evaluate accelerations, multipliers and forces at the point; return a status."""
+    e, m = load_engine(engine), load_events(method)
+    m.reason[0] = 0
+    use_modes(m)
+    return _status(m, find_accelerations(e, m))
+
+
+@kernel
+def close_at(engine: int, method: int) -> int:
+    """Close joints and contacts at the point; return a status."""
+    e, m = load_engine(engine), load_events(method)
+    m.reason[0] = 0
+    use_modes(m)
+    return close(e, m)
+
+
+@kernel
+def drift_at(engine: int, method: int) -> float:
+    """Return the largest gap of joints and closed contacts at the point [m, rad]."""
+    e, m = load_engine(engine), load_events(method)
+    use_modes(m)
+    return drift(e, m)
+
+
+@kernel
+def limited_at(engine: int, method: int, h: float) -> tuple[float, int]:
+    """Note the kinetic energy at the point; return a step size, and a status; see `limited`."""
+    e, m = load_engine(engine), load_events(method)
+    m.reason[0] = 0
+    use_modes(m)
+    book_energy(e, m)
+    find_rows(m)
+    return limited(e, m, h)
+
+
+@kernel
+def values_at(engine: int, method: int) -> int:
+    """Evaluate the event functions at the point; return a status."""
+    e, m = load_engine(engine), load_events(method)
+    m.reason[0] = 0
+    use_modes(m)
+    return _status(m, find_values(e, m, True))
+
+
+@kernel
+def begin_search_at(engine: int, method: int, shares: RealVector, samples: RealCube) -> int:
+    """Begin the search for the first event of a step whose end is the point, with samples (L, 3, C) of the event
+    functions at increasing shares (L,) of the step, the last one at its end; return a status.
+    """
+    e, m = load_engine(engine), load_events(method)
+    m.reason[0] = 0
+    status = find_accelerations(e, m)
+    if status != OK:
+        return _status(m, status)
+    find_limits(e, m, m.search.limits)
+    begin_search(m)
+    for j in range(len(shares)):
+        copy_rows(samples[j], m.values)
+        add_samples(m, shares[j])
+    return _status(m, release_redundant(e, m))
+
+
+@kernel
+def search_at(method: int, has_value: bool) -> float:
+    """Use the event functions in ``m.values``, if there are any, and return the next place; see `next_place`."""
+    m = load_events(method)
+    if has_value:
+        note_value(m)
+    return next_place(m)
