@@ -13,6 +13,10 @@ from mbdkit.integrators import step_loop
 from mbdkit.integrators.compiled_stepper import CompiledStepper
 from mbdkit.integrators.interface import ConsecutiveSteps, Stepper, Stretch
 from mbdkit.integrators.step_path import new_path
+from mbdkit.registry.treatments import treatment_of
+
+MOST_STEPS, COORDINATES = 256, 20_000
+"""Largest number of steps at once, and of coordinates in all of them; they take less than about 0.1 s."""
 
 MOST_BYTES = 1 << 23
 """Largest size of the buffer of states [bytes]."""
@@ -41,7 +45,8 @@ class StepsAhead:
     def __init__(self, stepper: CompiledStepper, shares: Sequence[float]):
         self.stepper, self.parts, self._shares = stepper, len(shares) + 1, np.array(shares)
         size, states = len(stepper.run_state.q), len(stepper.run_state.z)
-        self.most = max(1, min(stepper.pace.steps, MOST_BYTES // (16 * self.parts * size)))
+        steps = max(stepper.pace.steps, min(MOST_STEPS, COORDINATES // size))
+        self.most = max(1, min(steps, MOST_BYTES // (16 * self.parts * size)))
         by_method = tuple(shares) if stepper.has_dense_output else ()
         self._path: PinnedBundle = PinnedBundle(new_path(self.most, by_method, size, states))
         bundles = stepper.run_state, stepper.method.pinned.bundle
@@ -54,13 +59,15 @@ class StepsAhead:
     def of(cls, stepper: Stepper, shares: Sequence[float]) -> StepsAhead | None:
         """Return an object for a stepper; None if its steps must be taken one by one.
 
-        These are steps that are taken in Python, differentiated or in contact with rigid bodies, and those within which
-        first-order states are known only right after the step.
+        These are steps that are taken in Python, steps that are differentiated, those that end at events of rigid
+        contacts, and those within which first-order states are known only right after the step.
         """
         if not isinstance(stepper, CompiledStepper) or not stepper.can_take_back:
             return None
         needs_rates = shares and len(stepper.run_state.z) and not stepper.has_dense_output
-        if needs_rates or stepper.workspace.mechanism.contact_treatment.is_rigid:
+        contact = stepper.workspace.mechanism.contact_treatment
+        has_jumps = contact.is_rigid and not treatment_of(contact.kind).includes_impacts
+        if needs_rates or has_jumps:
             return None
         return cls(stepper, shares)
 
@@ -99,7 +106,8 @@ class StepsAhead:
         """Keep the first `count` of the steps taken, return to the state after them, and return their rows."""
         stepper, path = self.stepper, self._path.bundle
         status, rows = self._result
-        if count < path.stored[0] or stepper._is_pending:
+        is_complete = status in (OK, step_loop.AT_STOP) and not stepper._is_pending
+        if count < path.stored[0] or not is_complete:  # a failed attempt is repeated, because its arrays were used
             for now, then in zip(self._memory, self._before, strict=True):
                 now[...] = then
             status, rows = stepper._drive(stepper._plan, int(path.attempts[count - 1])) if count else (OK, 0)
