@@ -152,7 +152,7 @@ class _Change:
 class Lookahead:
     """The number of steps that are taken at once.
 
-    It depends only on earlier steps, not on wall time, so that a run can be repeated to the bit.
+    It depends on earlier steps only, not on wall time, so that a run can be repeated to the bit.
 
     Attributes
     ----------
@@ -173,7 +173,7 @@ class Lookahead:
         if clear == taken > 0:
             self.steps, self.pause = min(2 * self.steps, MOST_AHEAD), 1
             return
-        # events may follow in each of the next steps; steps that are taken back should be a small part of all
+        # further events may follow soon, and steps that are taken back should be a small part of all steps
         self.single = self.pause = 1 if clear else min(2 * self.pause, MOST_SINGLE)
         self.steps = max(1, clear)
 
@@ -277,7 +277,7 @@ class Watch:
         return joined(parts)
 
     def _several_steps(self) -> Stretch:
-        """Advance by steps without events up to the next one that may contain an event, or by one step."""
+        """Advance by one step, or by several steps that certainly contain no event; return the rows."""
         ahead, pace = self._ahead, self._pace
         if ahead is None or pace.single > 0 or self._fired or not ahead.is_possible:
             pace.single = max(0, pace.single - 1)
@@ -289,8 +289,9 @@ class Watch:
         if self._screen is not None and taken:
             clear = self._screen.clear_steps(states, self._signs, self._largest)
         part = ahead.keep(clear)
-        self._steps.append(ConsecutiveSteps(*(x[: clear + 1] for x in ends)))
-        self._values = None
+        if clear:
+            self._steps.append(ConsecutiveSteps(*(x[: clear + 1] for x in ends)))
+            self._values = None
         pace.took(clear, taken)
         return self._done(part)
 

@@ -1,4 +1,4 @@
-"""Several steps of a compiled method in one call of the step loop, the last of which can be taken back."""
+"""Several steps of a compiled method in one call of the step loop, some of which can be taken back."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ MOST_BYTES = 1 << 23
 class StepsAhead:
     """Takes several steps at once, and keeps those before the first one that has to be examined in Python.
 
-    A copy of the state before these steps allows to return to it and to repeat some of them, with the same bits.
+    To take steps back, the state before all of them is restored, and those to be kept are repeated, with the same bits.
 
     Parameters
     ----------
@@ -121,8 +121,8 @@ class StepsAhead:
     ) -> Iterator[np.ndarray]:
         """Yield positions and velocities (K, P, n) of the cubic Hermite interpolant of each step, and at its end.
 
-        `ends` are positions, velocities and first-order states (K, 1, n) at the ends of the steps, which are of size
-        `h` (K, 1, 1). Methods without first-order states use them; see `StepTaken.hermite`.
+        `ends` are positions, velocities and first-order states (K, 1, n) at the ends of the steps of size `h`
+        (K, 1, 1). See `StepTaken.hermite`; first-order states are interpolated by dense output only.
         """
         s, (q1, v1, _) = self._shares[:, None], ends
         q0, v0 = (np.concatenate([x[None], y])[:-1] for x, y in zip(begin[1:3], (q1, v1), strict=True))
