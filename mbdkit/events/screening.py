@@ -108,8 +108,9 @@ def _is_even(expression: CompiledExpression, columns: Sequence[np.ndarray]) -> n
     return even
 
 
+@np.errstate(all="ignore")
 def _is_clear(values: np.ndarray, sign: int, largest: float) -> np.ndarray:
-    """Return whether the scalar of an event stays away from zero in each step (K,).
+    """Return whether the scalar of an event stays away from zero in each step (K,); false if it is not finite.
 
     Parameters
     ----------
@@ -130,8 +131,7 @@ def _is_clear(values: np.ndarray, sign: int, largest: float) -> np.ndarray:
     is_noise = largest_in_step <= NOISE * np.maximum(np.maximum.accumulate(largest_in_step), largest)
     # the extremum of the parabola through three values, which `crossings` examines
     a, b, c = own[:, :-2], own[:, 1:-1], own[:, 2:]
-    with np.errstate(divide="ignore", invalid="ignore"):
-        bend = a - 2.0 * b + c
-        dips = (bend > 0.0) & (np.abs(c - a) <= 2.0 * bend) & (b - (c - a) ** 2 / (8.0 * bend) < (LOW + MARGIN) * b)
+    bend = a - 2.0 * b + c
+    dips = (bend > 0.0) & (np.abs(c - a) <= 2.0 * bend) & (b - (c - a) ** 2 / (8.0 * bend) < (LOW + MARGIN) * b)
     stays = np.isfinite(largest_in_step) & np.all(own >= 0.0, axis=1) & ~np.any(dips, axis=1)
     return np.asarray(stays & (is_noise | is_away))

@@ -48,6 +48,7 @@ def test_steps_with_other_signs_than_before_and_steps_on_zero() -> None:
     assert screening._is_clear(values, 0, 0.0).tolist() == [True, True, True]
     assert screening._is_clear(values, -1, 0.0).tolist() == [False, True, False]
     assert not screening._is_clear(np.array([[1.0, 1.0, np.nan, 1.0, 1.0]]), 0, 0.0)[0]
+    assert not screening._is_clear(np.array([[1e300, 1.0, 1e300, 1.0, 1e300]]), 0, 0.0)[0]
 
 
 DOUBLE = {"mbdkit": 1, "model": {"name": "double-pendulum", "angles": [-1.0, -0.4]}}
