@@ -17,6 +17,9 @@ POLE = 100.0
 times as large as at both points.
 """
 
+LOW = 0.1
+"""The extremum of a parabola through three points is examined if it is below this share of the middle one."""
+
 _ROUNDING = 2.0**-52
 
 Scalar = Callable[[float], float]
@@ -121,7 +124,7 @@ def _with_turns(points: list[Point], dense: Scalar) -> list[Point]:
         if bend == 0.0:
             continue
         place = 0.5 * (a + b) - 0.5 * left / bend
-        if a < place < c and place != b and sign(fb) * (fb + (left + bend * (place - a)) * (place - b)) < 0.1 * abs(fb):
+        if a < place < c and place != b and sign(fb) * (fb + (left + bend * (place - a)) * (place - b)) < LOW * abs(fb):
             value = dense(place)
             if math.isfinite(value) and sign(value) == -sign(fb):
                 more.append((place, value))

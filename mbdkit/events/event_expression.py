@@ -16,7 +16,7 @@ import operator
 import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import ClassVar, NamedTuple, NoReturn
+from typing import Any, ClassVar, NamedTuple, NoReturn
 
 from mbdkit.base.errors import SpecError
 from mbdkit.base.text import did_you_mean, listed
@@ -35,8 +35,8 @@ _BARE = tuple(word for word, kind in _KINDS.items() if kind.is_bare)
 """Kinds of elements whose quantities may be written without the kind, as NAME.ATTRIBUTE."""
 _ANGLES = ("angle", "angular_velocity", "angular_acceleration")
 
-Function = Callable[[Sequence[float]], float]
-"""A function of the time and the quantities in an expression."""
+Function = Callable[[Sequence[Any]], Any]
+"""A function of the time and the quantities in an expression: numbers, or arrays."""
 
 
 class CompiledExpression(NamedTuple):
@@ -106,8 +106,11 @@ class RunExpression:
         """
         return self.compiled(places).value
 
-    def compiled(self, places: Mapping[Quantity, int]) -> CompiledExpression:
-        """Return the expression, with the parts that determine how densely it must be sampled; see `function`."""
+    def compiled(self, places: Mapping[Quantity, int], *, of_arrays: bool = False) -> CompiledExpression:
+        """Return the expression, with the parts that determine how densely it must be sampled; see `function`.
+
+        If `of_arrays`, the functions receive and return arrays, except that constants return numbers.
+        """
         phases: list[Function] = []
         breaks: list[Function] = []
 
@@ -126,12 +129,12 @@ class RunExpression:
                 breaks.append(_total(operands[0] if is_first else _applied(operator.sub, *operands)))
             if name == "powi":
                 return _applied(lambda base: base ** int(number), *operands)
-            return _applied(operation.number, *operands)
+            return _applied(operation.array if of_arrays else operation.number, *operands)
 
         return CompiledExpression(_total(execute(self.program, step)), tuple(phases), tuple(breaks))
 
 
-def _applied(function: Callable[..., float], of: Function, other: Function | None = None) -> Function:
+def _applied(function: Callable[..., Any], of: Function, other: Function | None = None) -> Function:
     """Return a function that applies `function` to the values of one or two other functions."""
     if other is None:
         return lambda values: function(of(values))
@@ -141,7 +144,7 @@ def _applied(function: Callable[..., float], of: Function, other: Function | Non
 def _total(function: Function) -> Function:
     """Return a function that is nan where `function` is undefined, such as at the square root of a negative number."""
 
-    def evaluated(values: Sequence[float]) -> float:
+    def evaluated(values: Sequence[Any]) -> Any:
         try:
             return function(values)
         except (ArithmeticError, ValueError):

@@ -14,6 +14,9 @@ from mbdkit.quantities.names import archive_names
 from mbdkit.quantities.quantity import Quantity
 from mbdkit.quantities.states import States
 
+MOST_KEPT = 8
+"""Largest number of states whose buffers are kept for the next evaluation."""
+
 
 @dataclass(frozen=True)
 class _WatchedStates(States):
@@ -77,22 +80,23 @@ class QuantityEvaluator:
         z
             (K, Z) first-order states.
         """
-        time = np.array(times)
+        columns = (column.tolist() for column in self.columns(np.array(times), q, v, z))
+        return [list(row) for row in zip(*columns, strict=True)]
+
+    def columns(self, time: np.ndarray, q: np.ndarray, v: np.ndarray, z: np.ndarray) -> list[np.ndarray]:
+        """Return arrays (K,) of the time and all quantities; see `values`."""
         states = _WatchedStates(
             self.mechanism, time, q, v, lambda: self._observed(time, q, v, z), travels=self._travels, z=z
         )
-        columns = [times]
-        for take, is_vector in self._takers:
-            found = take(states)
-            columns.append((np.hypot(*found.T) if is_vector else found).tolist())
-        return [list(row) for row in zip(*columns, strict=True)]
+        taken = ((take(states), is_vector) for take, is_vector in self._takers)
+        return [time, *(np.hypot(*values.T) if is_vector else values for values, is_vector in taken)]
 
     def _observed(self, times: np.ndarray, q: np.ndarray, v: np.ndarray, z: np.ndarray) -> Observed:
         """Return the values computed by the engine; nan for states without unique accelerations."""
         count, begin = len(times), 0
-        if count not in self._buffers:
-            self._buffers[count] = self._observer.arrays(count)
-        observed = self._buffers[count]
+        observed = self._buffers.get(count) or self._observer.arrays(count)
+        if count <= MOST_KEPT:
+            self._buffers[count] = observed
         while begin < count:
             rest = slice(begin, count)
             singular = self._observer.observe(times[rest], q[rest], v[rest], observed.rows(rest), z=z[rest])

@@ -154,7 +154,7 @@ def _root(function: Callable[[float], float], a: float, b: float) -> float:
 
 
 @lru_cache(maxsize=256)
-def _interpolation(nodes: tuple[float, ...]) -> tuple[np.ndarray, np.ndarray]:
+def interpolation(nodes: tuple[float, ...]) -> tuple[np.ndarray, np.ndarray]:
     """Return the matrices that map five values at `nodes` (from 0 to 1) to their polynomial of degree 4 and its errors.
 
     The first matrix (5, 5) yields the coefficients of the polynomial in ascending powers. The rows of the second matrix
@@ -189,7 +189,7 @@ def _roots_are_clear(five: Sequence[float], values: Sequence[float]) -> tuple[bo
     nodes = [round((place - begin) / width, 9) for place in five]
     if min(b - a for a, b in pairwise(nodes)) < 1e-6:
         return True, []
-    inverse, error = _interpolation(tuple(nodes))
+    inverse, error = interpolation(tuple(nodes))
     f = np.array(values)
     value_error, slope_error = np.max(np.abs(error @ f).reshape(2, 2), axis=0).tolist()
     coefficients: list[float] = (inverse @ f).tolist()

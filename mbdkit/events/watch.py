@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import Any, Literal, cast
 
 import numpy as np
@@ -17,10 +17,23 @@ from mbdkit.events.crossing import ACCURACY, Crossing, UndefinedError, crossings
 from mbdkit.events.event_expression import CompiledExpression, RunExpression
 from mbdkit.events.quantities import QuantityEvaluator
 from mbdkit.events.sampling import INSIDE, refined
+from mbdkit.events.screening import Screen
 from mbdkit.integrators import interface
-from mbdkit.integrators.interface import Failure, Moment, Nodes, StepEvidence, Stepper, StepTaken, Stretch, joined
+from mbdkit.integrators.interface import (
+    ConsecutiveSteps,
+    Failure,
+    Moment,
+    Nodes,
+    StepEvidence,
+    Stepper,
+    StepTaken,
+    Stretch,
+    joined,
+)
 from mbdkit.integrators.sampled_control import states_at_start
 from mbdkit.integrators.splitting import Splitting
+from mbdkit.integrators.steps_ahead import StepsAhead
+from mbdkit.quantities.quantity import Quantity
 
 DIRECTIONS = {"any": (1, -1), "rising": (1,), "falling": (-1,)}
 
@@ -40,6 +53,11 @@ CLOSER = 0.1
 """After an event has set states, its expression is sampled at shares of the step that decrease by this factor.
 
 The next crossing is then found, however soon it follows.
+"""
+
+
+MOST_AHEAD, MOST_SINGLE = 256, 16
+"""Largest number of steps that are taken at once, and that are taken one by one before several are taken at once again.
 """
 
 
@@ -92,13 +110,18 @@ def values_at_start(expressions: Mapping[str, RunExpression], workspace: Workspa
     return {name: one.value(values) for name, one in zip(expressions, compiled, strict=True)}
 
 
+def _places(expressions: Sequence[RunExpression]) -> dict[Quantity, int]:
+    """Return the indices of all quantities of expressions in the values of their evaluator, from 1."""
+    quantities = dict.fromkeys(quantity for expression in expressions for quantity in expression.quantities)
+    return {quantity: index for index, quantity in enumerate(quantities, start=1)}
+
+
 def _prepared(
     expressions: Sequence[RunExpression], workspace: Workspace
 ) -> tuple[QuantityEvaluator, list[CompiledExpression]]:
     """Return an evaluator of the quantities of all expressions, and the expressions as functions of its values."""
-    quantities = list(dict.fromkeys(quantity for expression in expressions for quantity in expression.quantities))
-    places = {quantity: index for index, quantity in enumerate(quantities, start=1)}
-    return QuantityEvaluator(workspace, quantities), [expression.compiled(places) for expression in expressions]
+    places = _places(expressions)
+    return QuantityEvaluator(workspace, list(places)), [expression.compiled(places) for expression in expressions]
 
 
 class _Change:
@@ -125,6 +148,36 @@ class _Change:
         return after
 
 
+@dataclass
+class Lookahead:
+    """The number of steps that are taken at once.
+
+    It depends on earlier steps only, not on wall time, so that a run can be repeated to the bit.
+
+    Attributes
+    ----------
+    steps
+        Number of steps that are taken next.
+    single
+        Number of steps that are taken one by one before.
+    pause
+        The value of `single` after the next step that may contain an event.
+    """
+
+    steps: int = 8
+    single: int = 0
+    pause: int = 1
+
+    def took(self, clear: int, taken: int) -> None:
+        """Choose the next steps after `taken` steps, of which the first `clear` ones have no event."""
+        if clear == taken > 0:
+            self.steps, self.pause = min(2 * self.steps, MOST_AHEAD), 1
+            return
+        # further events may follow soon, and steps that are taken back should be a small part of all steps
+        self.single = self.pause = 1 if clear else min(2 * self.pause, MOST_SINGLE)
+        self.steps = max(1, clear)
+
+
 class Watch:
     """Wraps a stepper to detect events, to end the run at an event with the action ``stop``, to set states at events,
     and to keep all steps.
@@ -147,12 +200,16 @@ class Watch:
         self._fired: list[int] = []  # indices of events that set states before the next step
         self._set_at = [-math.inf] * len(events)
         self._latest = -math.inf
-        self._quantities, self._expressions = _prepared([event.when for event in events], workspace)
+        expressions = [event.when for event in events]
+        self._quantities, self._expressions = _prepared(expressions, workspace)
+        self._ahead = StepsAhead.of(stepper, INSIDE if events else ())
+        self._screen = Screen(workspace, expressions, _places(expressions)) if events and self._ahead else None
+        self._pace = Lookahead()
         self._signs = [0] * len(events)
         self._recorded = workspace.t0
         self._found: list[Found] = []
         self._nodes: list[Nodes] = []
-        self._steps: list[StepTaken] = []
+        self._steps: list[ConsecutiveSteps] = []
         self._raised: Exception | None = None
         self._failure: Failure | None = None
         self._values: list[float] | None = None
@@ -207,7 +264,7 @@ class Watch:
         parts: list[Stretch] = []
         while True:
             try:
-                part = self.step()
+                part = self._several_steps()
             except Exception as error:
                 if not parts:
                     raise
@@ -219,13 +276,35 @@ class Watch:
                 break
         return joined(parts)
 
+    def _several_steps(self) -> Stretch:
+        """Advance by one step, or by several steps that certainly contain no event; return the rows."""
+        ahead, pace = self._ahead, self._pace
+        if ahead is None or pace.single > 0 or self._fired or not ahead.is_possible:
+            pace.single = max(0, pace.single - 1)
+            return self.step()
+        wanted = min(pace.steps, ahead.most)
+        states = ahead.take(wanted)
+        ends = states.every(ahead.parts)
+        taken = clear = len(ends.time) - 1
+        if self._screen is not None and taken:
+            clear = self._screen.clear_steps(states, self._signs, self._largest)
+        part = ahead.keep(clear)
+        if clear:
+            self._steps.append(ConsecutiveSteps(*(x[: clear + 1] for x in ends)))
+            self._values = None
+        pace.took(clear, taken)
+        return self._done(part)
+
     def step(self) -> Stretch:
         """Advance by one step, or by the part of it up to an event that sets states; return the rows."""
         self._worst_before[:] = self.stepper.worst_pairs
         stretch = self.stepper.advance()
         if self.stepper.last_step is not None:
-            self._steps.append(self.stepper.last_step)
-        part = self._look(stretch)
+            self._steps.append(self.stepper.last_step.ends)
+        return self._done(self._look(stretch))
+
+    def _done(self, part: Stretch) -> Stretch:
+        """Store the quadrature nodes of steps and the time of the last of their rows; return the rows."""
         self._nodes.append(self.stepper.taken_nodes())
         if len(part.time):
             self._recorded = float(part.time[-1])
@@ -240,7 +319,7 @@ class Watch:
         taken, self._nodes = self._nodes, []
         return Nodes.joined([*taken, self.stepper.taken_nodes()])
 
-    def taken_steps(self) -> list[StepTaken]:
+    def taken_steps(self) -> list[ConsecutiveSteps]:
         """Return the steps since the last call; if an event has stopped the run, the last step ends at this event."""
         steps, self._steps = self._steps, []
         return steps
@@ -260,6 +339,7 @@ class Watch:
             "fired": self._fired,
             "set_at": self._set_at,
             "latest": self._latest,
+            "ahead": vars(self._pace),
         }
 
     def restore(self, state: Mapping[str, Any]) -> None:
@@ -275,6 +355,8 @@ class Watch:
         self._fired = [int(number) for number in state["fired"]]
         self._set_at = [float(time) for time in state["set_at"]]
         self._latest = float(state["latest"])
+        if "ahead" in state:  # checkpoints of earlier versions lack it
+            self._pace = Lookahead(**{name: int(number) for name, number in state["ahead"].items()})
 
     def _look(self, stretch: Stretch) -> Stretch:
         """Find the events of the last step; return its rows, up to an event that stops the run or sets states."""
@@ -317,7 +399,7 @@ class Watch:
         self._steps.pop()
         self.stepper.worst_pairs[:] = self._worst_before
         stretch, steps = cast(Splitting, self.stepper).split(theta, change.states)
-        self._steps += steps
+        self._steps += [step.ends for step in steps]
         self._values, t = None, self._latest
         self._fired.append(number)
         since, self._set_at[number] = t - self._set_at[number], t
@@ -391,9 +473,11 @@ class Watch:
 
     def _cut(self, stretch: Stretch, theta: float) -> Stretch:
         """End the run at the share `theta` of the last step; return the rows before, and the last one if missing."""
-        step, end = self._steps.pop(), self.stepper.cut(theta)
+        begin, end = self._steps.pop().every(2), self.stepper.cut(theta)
         if theta > 0.0:
-            self._steps.append(replace(step, t1=float(end.time[0]), q1=end.q[0], v1=end.v[0]))
+            z = begin.z[:, :0] if end.z is None else end.z
+            ends = zip(begin, (end.time, end.q, end.v, z), strict=True)
+            self._steps.append(ConsecutiveSteps(*map(np.concatenate, ends)))
         kept = stretch.rows(stretch.time < end.time[0])
         if end.time[0] <= max([self._recorded, *kept.time]):
             return kept

@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from bisect import bisect
 from dataclasses import replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 
@@ -31,8 +31,6 @@ from mbdkit.integrators.interface import (
     joined,
 )
 from mbdkit.integrators.run_plan import (
-    NEAR_SINGULARITY,
-    PLAIN,
     SYMMETRIC,
     guard_limits,
     new_plan,
@@ -90,7 +88,11 @@ class CompiledStepper(FailedSteps):
     ----------
     inserted
         Stops that `stop_at` has added to those of the timetable [s].
+    can_take_back
+        Whether steps can be taken back by restoring the arrays of the run and of the method.
     """
+
+    can_take_back: ClassVar[bool] = True
 
     def __init__(
         self, method: CompiledMethod, workspace: Workspace, timetable: Timetable, control: Control | None = None
@@ -103,13 +105,14 @@ class CompiledStepper(FailedSteps):
         self.time = timetable.start
         rows = max(2, min(MAX_ROWS, MAX_ROW_BYTES // (16 * workspace.mechanism.size)))
         stages = method.stages if timetable.nodes else 0
-        nodes = stages if timetable.single else stages * -(-rows // max(1, stages))
+        nodes = stages * -(-rows // max(1, stages))
         self.run_state = new_run_state(
             workspace, rows, own_multipliers=method.carries_multipliers, stages=stages, nodes=nodes
         )
         self.run_state.nodes[0] = method.keep.address if timetable.nodes else 0
         self._pinned_state = PinnedBundle(self.run_state)
-        self._state = (*kept(self.run_state, STATE).values(), *method.kept(STATE).values(), *self._node_arrays())
+        self._state = *kept(self.run_state, STATE).values(), *method.kept(STATE).values()
+        self._first_node = 0  # index of the first node of the last step
         self._new_plan()
         self.worst_pairs = self.run_state.worst
         self._renewed: set[tuple[int, int]] = set()
@@ -140,11 +143,20 @@ class CompiledStepper(FailedSteps):
         self._last_rows = self._collect(0)
         self._drive(self._plan, 0)  # compiles or loads the step loop before the first step is timed
 
-    def _drive(self, plan: PinnedBundle, budget: int) -> tuple[int, int]:
-        """Attempt up to `budget` steps of a plan in compiled code; return the status and the number of rows written."""
+    def _drive(self, plan: PinnedBundle, budget: int, path: int = 0) -> tuple[int, int]:
+        """Attempt up to `budget` steps of a plan in compiled code; return the status and the number of rows written.
+
+        `path` is the address of the `StepPath` that receives the steps, if any.
+        """
         method = self.method
         status, rows = step_loop.drive(
-            self._pinned_state.address, method.pinned.address, method.attempt.address, self._dense, plan.address, budget
+            self._pinned_state.address,
+            method.pinned.address,
+            method.attempt.address,
+            self._dense,
+            plan.address,
+            budget,
+            path,
         )
         return int(status), int(rows)
 
@@ -173,10 +185,11 @@ class CompiledStepper(FailedSteps):
         accepted, t0 = self._accepted, self.time
         self._begin_after_stop()
         self.method.serve()
+        self._first_node = int(self.run_state.nodes[1])
         self.last_step, self._before = None, [x.copy() for x in self._memory()]
         stretches = [self._advance(1)]
         while self._is_pending and self.failure is None:
-            stretches.append(self._advance(1))
+            stretches.append(self._advance(0))
         stretch = joined(stretches)
         if self._accepted > accepted:
             c = self.run_state
@@ -189,7 +202,6 @@ class CompiledStepper(FailedSteps):
 
     def _advance(self, budget: int) -> Stretch:
         begin = time.perf_counter()
-        progress = self.run_state.progress
         before = self._attempts()
         stretches: list[Stretch] = []
         while True:
@@ -211,17 +223,20 @@ class CompiledStepper(FailedSteps):
             status = OK
         if not self.timetable.single:
             self.pace.timed(self._attempts() - before, begin)
+        self._conclude(status)
+        return joined(stretches)
+
+    def _conclude(self, status: int) -> None:
+        """React to the status of the step loop after its last call: count, and handle a failed step or the end."""
         self._count()
-        stretch = joined(stretches)
         if status != OK:
             self._handle(status)
-        elif self.failure is not None:
+        elif self.failure is not None or self._is_pending:
             pass
-        elif self.time >= self.timetable.end and not progress.pending[0]:
+        elif self.time >= self.timetable.end:
             self.finished, self.time = True, self.timetable.end
-        elif self._allowed <= 0 and not progress.pending[0]:
+        elif self._allowed <= 0:
             self.failure = Failure("max-steps", f"stopped after limits.max_steps = {self.timetable.max_steps} steps.")
-        return stretch
 
     def _begin_after_stop(self) -> None:
         """At a stop, discard the values that the method stores for the next step, and apply an impulse if there is one.
@@ -258,13 +273,18 @@ class CompiledStepper(FailedSteps):
         """See `Stepper.evidence`."""
         return guard_evidence(self.run_state.guards, self.impacts)
 
+    @property
+    def has_dense_output(self) -> bool:
+        """Whether states within a step are computed by the method; otherwise, they are interpolated."""
+        return self._dense != 0 and self.method.has_dense_output and self.mode != SYMMETRIC
+
     def _attempts(self) -> int:
         """Return the number of steps accepted and rejected so far."""
         return self._accepted + int(self.run_state.progress.rejected[0])
 
     def _memory(self) -> tuple[np.ndarray, ...]:
         """Return the arrays of the previous step that the next step reads, and the quadrature nodes stored so far."""
-        return self._state
+        return *self._state, *self._node_arrays()
 
     def _recall(self, memory: list[np.ndarray]) -> None:
         """Restore the arrays returned by `_memory` from copies."""
@@ -275,17 +295,13 @@ class CompiledStepper(FailedSteps):
         """See `Stepper.inside`."""
         step, c = self.last_step, self.run_state
         assert step is not None
-        if self._dense == 0 or not self.method.has_dense_output or self.mode == SYMMETRIC:
+        if not self.has_dense_output:
             return self._between(step, theta)
         t, h = float(c.progress.tried_begin[0]), float(c.progress.last_size[0])
-        status = step_loop.look_inside(self._pinned_state.address, self.method.pinned.address, self._dense, t, h, theta)
-        if status != OK:
+        run, method = self._pinned_state.address, self.method.pinned.address
+        if step_loop.look_inside(run, method, self._dense, t, h, theta, self.mode) != OK:
             return step.between(theta)
-        q, v = c.point_q.copy(), c.point_v.copy()
-        if self.mode in (PLAIN, NEAR_SINGULARITY):
-            fade = theta * theta * (3.0 - 2.0 * theta)
-            q, v = q + fade * c.shift_q, v + fade * c.shift_v
-        return q, v, c.point_z.copy()
+        return c.point_q.copy(), c.point_v.copy(), c.point_z.copy()
 
     def _between(self, step: StepTaken, theta: float) -> Moment:
         """Return the state at the share `theta` of a step by interpolation.
@@ -348,7 +364,7 @@ class CompiledStepper(FailedSteps):
                 c.energy[:] += theta * (ends - c.energy)
                 for now, then in zip(self._node_arrays(), whole, strict=True):
                     now[...] = then
-                c.node_weight[...] *= theta
+                self._node_arrays()[2][...] *= theta
             progress.accepted[0] += 1
         else:
             self._recall(self._before)
@@ -443,9 +459,9 @@ class CompiledStepper(FailedSteps):
         return self._stretch(states, c.row_energy[some], c.row_interval[some], c.row_lam[some])
 
     def _node_arrays(self) -> tuple[np.ndarray, ...]:
-        """Return the number of quadrature nodes that have been stored, and their buffers."""
-        c = self.run_state
-        return c.nodes, c.node_time, c.node_weight, c.node_q, c.node_v
+        """Return the number of quadrature nodes that have been stored, and those of the last step."""
+        c, some = self.run_state, slice(self._first_node, self._first_node + int(self.run_state.nodes[2]))
+        return c.nodes, c.node_time[some], c.node_weight[some], c.node_q[some], c.node_v[some]
 
     def taken_nodes(self) -> Nodes:
         """See `Stepper.taken_nodes`."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
@@ -193,6 +193,8 @@ class DifferentiatedStepper(CompiledStepper):
         Sizes of the steps [s], if given; the error estimate then rejects no step. Ignored without step-size control.
     """
 
+    can_take_back: ClassVar[bool] = False
+
     def __init__(
         self,
         method: CompiledMethod,
@@ -278,10 +280,10 @@ class DifferentiatedStepper(CompiledStepper):
         run = steps.run
         return self.time, (np.copy(run.q), np.copy(run.v), np.copy(run.z)), np.copy(run.energy)
 
-    def _drive(self, plan: PinnedBundle, budget: int) -> tuple[int, int]:
+    def _drive(self, plan: PinnedBundle, budget: int, path: int = 0) -> tuple[int, int]:
         """Attempt up to `budget` steps of a plan, one after another, and differentiate those that are accepted."""
         if self.steps is None or budget <= 0:
-            return super()._drive(plan, budget)
+            return super()._drive(plan, budget, path)
         c = self.run_state
         progress, rows, limit = (
             c.progress,
@@ -293,7 +295,7 @@ class DifferentiatedStepper(CompiledStepper):
             before, projections = int(progress.accepted[0]), int(c.counts[PROJECTIONS])
             if self._sizes is not None and progress.retrying[0] == 0:
                 progress.next_size[0] = self._sizes[min(before, len(self._sizes) - 1)]
-            status, written = super()._drive(plan, 1)
+            status, written = super()._drive(plan, 1, path)
             if int(progress.accepted[0]) > before:
                 step = float(progress.tried_begin[0]), float(progress.last_size[0])
                 self.sizes_taken.append(step[1])

@@ -7,7 +7,7 @@ import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, fields
 from functools import cached_property
-from typing import Any, Protocol
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 from numpy.polynomial.legendre import leggauss
@@ -281,6 +281,22 @@ class KeptNodes:
         return Nodes.joined([Nodes.none(self._size), *taken])
 
 
+class ConsecutiveSteps(NamedTuple):
+    """States at the start and at the ends of K steps, between which no velocity or first-order state jumps."""
+
+    time: np.ndarray
+    """(K + 1,) times [s]."""
+    q: np.ndarray
+    """(K + 1, 3 (B + 1)) positions and velocities, ground last."""
+    v: np.ndarray
+    z: np.ndarray
+    """(K + 1, Z) first-order states."""
+
+    def every(self, count: int) -> ConsecutiveSteps:
+        """Return each `count`-th state, from the first one on."""
+        return ConsecutiveSteps(*(values[::count] for values in self))
+
+
 @dataclass(frozen=True)
 class StepTaken:
     """One accepted step: the times [s] of its start and its end, positions and velocities there (3 (B + 1),), ground
@@ -295,6 +311,12 @@ class StepTaken:
     v1: np.ndarray
     z0: np.ndarray = field(default_factory=lambda: np.zeros(0))
     z1: np.ndarray = field(default_factory=lambda: np.zeros(0))
+
+    @property
+    def ends(self) -> ConsecutiveSteps:
+        """The states at the start and at the end of the step."""
+        pairs = (self.t0, self.t1), (self.q0, self.q1), (self.v0, self.v1), (self.z0, self.z1)
+        return ConsecutiveSteps(*map(np.array, pairs))
 
     def between(self, theta: float) -> Moment:
         """Return the state at the share `theta` of the step: exact at its ends, otherwise by interpolation.

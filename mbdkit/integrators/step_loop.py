@@ -27,7 +27,7 @@ import numpy as np
 from mbdkit.engine.kernels.misalignment import raise_misalignments
 from mbdkit.engine.kernels.projection import mass_norm, project_positions, project_velocities
 from mbdkit.engine.kernels.system import DIVERGED, NOT_FINITE, OK, constraint_rows, prepare
-from mbdkit.engine.kernels.vectors import copy, stays_finite
+from mbdkit.engine.kernels.vectors import copy, fill, stays_finite
 from mbdkit.engine.native.calls import call_entry
 from mbdkit.engine.native.functions import kernel, subkernel
 from mbdkit.integrators.interface import SAME_TIME
@@ -59,6 +59,7 @@ from mbdkit.integrators.step_guards import (
     note_jump,
     watch_branch,
 )
+from mbdkit.integrators.step_path import has_room, load_path, store_end, store_state
 
 TOO_SMALL = 5
 """Status: the step size fell below the smallest one."""
@@ -290,22 +291,43 @@ def _write_row(c, row, t, q, v, z, gain, lam):
 
 
 @subkernel
-def _dense_row(run, method, dense, row, t, h, at, mode):
-    """Write the state at a time within the pending step, by dense output; return a status.
+def _evaluate_inside(run, method, dense, t, h, theta, mode):
+    """Write the state at the share `theta` of the last attempt into ``point_q`` and others; return a status.
 
-    The correction of the end of the step by projection is blended in by a cubic of theta. If states are projected, the
-    result is projected as well.
+    The correction of the end of the step by projection is blended in by a cubic of theta.
     """
     c = load_run_state(run)
-    theta = min(1.0, (at - t) / h)
     status = call_entry(dense, run, method, t, h, theta)
-    if status != OK:
-        return status
-    if mode in (PLAIN, NEAR_SINGULARITY):
+    if status == OK and mode in (PLAIN, NEAR_SINGULARITY):
         fade = theta * theta * (3.0 - 2.0 * theta)
         for d in range(len(c.q)):
             c.point_q[d] += fade * c.shift_q[d]
             c.point_v[d] += fade * c.shift_v[d]
+    return status
+
+
+@subkernel
+def _store_inside(run, method, dense, path, mode):
+    """Store the states within the pending step in the path at an address; nan where dense output fails."""
+    c, shares = load_run_state(run), load_path(path).shares
+    for part in range(len(shares)):
+        t, h = c.progress.tried_begin[0], c.progress.last_size[0]
+        if _evaluate_inside(run, method, dense, t, h, shares[part], mode) != OK:
+            for x in (c.point_q, c.point_v, c.point_z):
+                fill(x, np.nan)
+        store_state(path, part, c.point_q, c.point_v, c.point_z)
+
+
+@subkernel
+def _dense_row(run, method, dense, row, t, h, at, mode):
+    """Write the state at a time within the pending step, by dense output; return a status.
+
+    If states are projected, the result is projected as well.
+    """
+    c = load_run_state(run)
+    status = _evaluate_inside(run, method, dense, t, h, min(1.0, (at - t) / h), mode)
+    if status != OK:
+        return status
     if mode == PLAIN:
         status = project_positions(c.still, c.w, c.solver, at, c.point_q, c.est_q, c.rest, c.x, c.lam)
         if status != OK:
@@ -432,13 +454,13 @@ def _has_room(c):
 
 
 @kernel
-def look_inside(run: int, method: int, dense: int, t: float, h: float, theta: float) -> int:
-    """Evaluate dense output of the last attempt into ``point_q, point_v``; return a status."""
-    return call_entry(dense, run, method, t, h, theta)
+def look_inside(run: int, method: int, dense: int, t: float, h: float, theta: float, mode: int) -> int:
+    """Evaluate dense output of the last attempt into ``point_q, point_v, point_z``; return a status."""
+    return _evaluate_inside(run, method, dense, t, h, theta, mode)
 
 
 @kernel
-def drive(run: int, method: int, attempt: int, dense: int, plan: int, budget: int) -> tuple[int, int]:
+def drive(run: int, method: int, attempt: int, dense: int, plan: int, budget: int, path: int) -> tuple[int, int]:
     """Attempt up to `budget` steps; return (status, rows written).
 
     Parameters
@@ -451,15 +473,19 @@ def drive(run: int, method: int, attempt: int, dense: int, plan: int, budget: in
         Address of the plan (`mbdkit.integrators.run_plan.RunPlan`).
     budget
         Number of attempts; rows of a pending step are written even if it is 0.
+    path
+        Address of the `mbdkit.integrators.step_path.StepPath` that receives the steps; 0 if they are not stored.
     """
     c, planned = load_run_state(run), load_plan(plan)
     progress, every = c.progress, planned.recording.every[0]
-    rows = 0
+    rows = attempts = 0
     while True:
         if progress.pending[0] == 0:
-            if _has_ended(planned, progress) or budget <= 0 or rows >= len(c.row_time) or not _has_room(c):
+            if _has_ended(planned, progress) or attempts >= budget or rows >= len(c.row_time):
                 return OK, rows
-            budget -= 1
+            if not (_has_room(c) and has_room(path)):
+                return OK, rows
+            attempts += 1
             status = _try_step(run, method, attempt, planned)
             if status != OK:
                 return status, rows
@@ -473,9 +499,13 @@ def drive(run: int, method: int, attempt: int, dense: int, plan: int, budget: in
             status = call_entry(c.nodes[0], run, method, progress.tried_begin[0], progress.last_size[0], 0.0)
             if status != OK:
                 return status, rows
+        if path != 0:
+            _store_inside(run, method, dense, path, planned.projection.mode[0])
         status, last, whole = _advance(c, planned)
         if status == NOT_FINITE:
             return status, rows
+        if path != 0:
+            store_end(path, attempts, progress.time[0], c.q, c.v, c.z)
         if last or (every > 0 and whole and progress.whole[0] % every == 0):
             c.point_gain[0] = c.point_gain[1] = 0.0
             _write_row(c, rows, progress.time[0], c.q, c.v, c.z, c.point_gain, c.own_lam)

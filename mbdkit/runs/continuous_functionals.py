@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
@@ -11,7 +11,7 @@ import numpy as np
 
 from mbdkit.archive.measured_values import Integrals
 from mbdkit.engine.observed_states import StateObserver
-from mbdkit.integrators.interface import SAME_TIME, StepTaken, Timetable
+from mbdkit.integrators.interface import SAME_TIME, ConsecutiveSteps, Timetable
 from mbdkit.integrators.sampled_control import states_at_start
 from mbdkit.measures.reductions import EventTimes, Functional
 from mbdkit.quantities.names import archive_names
@@ -48,10 +48,11 @@ class _Ends:
     done: int = 0
     """Number of steps that have been evaluated."""
 
-    def add(self, time: float, q: np.ndarray, v: np.ndarray, z: np.ndarray) -> None:
-        self.time.append(float(time))
+    def add(self, time: np.ndarray, q: np.ndarray, v: np.ndarray, z: np.ndarray) -> None:
+        """Add the states (T, ...) at times (T,)."""
+        self.time += time.tolist()
         for own, given in ((self.q, q), (self.v, v), (self.z, z)):
-            own.append(np.array(given))
+            own.extend(np.array(given))
 
     def drop(self, count: int) -> None:
         """Discard the first `count` ends, which are not needed any more."""
@@ -98,7 +99,7 @@ class ContinuousFunctionals:
 
     def _new_part(self, time: float, q: np.ndarray, v: np.ndarray, z: np.ndarray) -> _Ends:
         part = _Ends(begin=self._beside_stop(time, 1.0))
-        part.add(time, q, v, z)
+        part.add(np.array([time]), q[None], v[None], z[None])
         return part
 
     def _beside_stop(self, time: float, side: float) -> float:
@@ -110,23 +111,22 @@ class ContinuousFunctionals:
 
     def add_ends(self, time: np.ndarray, q: np.ndarray, v: np.ndarray, z: np.ndarray) -> None:
         """Add the ends (T,) of further steps. Motions and loads of the run must have no discontinuities."""
-        for row in range(len(time)):
-            if time[row] > self._ends.time[-1]:
-                self._ends.add(time[row], q[row], v[row], z[row])
+        new = time > self._ends.time[-1]
+        self._ends.add(time[new], q[new], v[new], z[new])
         self._take(whole=True)
 
-    def add_steps(self, steps: Sequence[StepTaken]) -> None:
+    def add_steps(self, steps: Iterable[ConsecutiveSteps]) -> None:
         """Add further steps."""
-        for step in steps:
+        for time, q, v, z in steps:
             ends = self._ends
-            is_same = np.array_equal(step.v0, ends.v[-1]) and np.array_equal(step.z0, ends.z[-1])
-            continues = is_same and math.isinf(self._beside_stop(step.t0, 1.0))
+            is_same = np.array_equal(v[0], ends.v[-1]) and np.array_equal(z[0], ends.z[-1])
+            continues = is_same and math.isinf(self._beside_stop(time[0], 1.0))
             if not continues and len(ends.time) > 1:
                 self._close()
-                self._ends = self._new_part(step.t0, step.q0, step.v0, step.z0)
+                self._ends = self._new_part(time[0], q[0], v[0], z[0])
                 if self._keeps:
                     self._parts.append(self._ends)
-            self._ends.add(step.t1, step.q1, step.v1, step.z1)
+            self._ends.add(time[1:], q[1:], v[1:], z[1:])
         self._take(whole=True)
 
     def _close(self) -> None:

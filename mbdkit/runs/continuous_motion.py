@@ -335,14 +335,17 @@ def steps_of_extremum(
     values = sign * functional.values(part.at_ends, known, duration)
     count = len(part.steps)
     values = np.broadcast_to(values, count + 1)
-    best = max(best, float(np.max(values)))
+    largest = int(np.argmax(values))
+    before, best = best, max(best, float(values[largest]))
     if count <= FEW or not np.all(np.isfinite(values)):
         return np.arange(count), best
     bend = np.abs(np.diff(values, 2))
     bend = np.concatenate([bend[:1], bend, bend[-1:]])  # repeated for the first and the last step
     wide = np.maximum(bend, np.maximum(np.append(bend[1:], 0.0), np.append(0.0, bend[:-1])))
     rise = POTENTIAL * np.maximum(wide[:-1], wide[1:])
-    return np.flatnonzero(np.maximum(values[:-1], values[1:]) + rise >= best), best
+    may_exceed = np.maximum(values[:-1], values[1:]) + rise > best
+    may_exceed[min(largest, count - 1)] |= best > before  # one of many steps, if the quantity is constant over them
+    return np.flatnonzero(may_exceed), best
 
 
 _At = Callable[[np.ndarray, np.ndarray], np.ndarray]

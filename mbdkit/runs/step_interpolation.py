@@ -107,7 +107,22 @@ class StepEnds:
         return value, slope / h[place][more]
 
     def _newton(self, steps: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return nodes (K, S) and coefficients (K, S, n) of the Newton form over each step, in units of the step."""
+        """Return nodes (K, S) and coefficients (K, S, n) of the Newton form over each step, in units of the step.
+
+        Those of the last call are kept, because an extremum is refined by many evaluations in one step.
+        """
+        key = steps.tobytes()
+        if key not in self._last:
+            self._last.clear()
+            self._last[key] = self._new_newton(steps)
+        return self._last[key]
+
+    @cached_property
+    def _last(self) -> dict[bytes, tuple[np.ndarray, np.ndarray]]:
+        """The last result of `_newton`, by its steps."""
+        return {}
+
+    def _new_newton(self, steps: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         count = min(NODES if self.a is not None else NODES_WITHOUT_ACCELERATIONS, len(self.time))
         first = np.clip(steps - (count - 2) // 2, 0, len(self.time) - count)
         window = first + np.arange(count)[:, None]  # (NODES, S)

@@ -165,3 +165,13 @@ def test_a_value_that_is_not_finite_stops_the_run() -> None:
     events = {"fires": FIRES["fires"] | {"set": {"charge": "1/(states.charge - states.charge)"}}}
     run = mbdkit.run(spec_of(RK4, 0.01, events=events))
     assert run.status_reason.startswith("not-finite: the value of 'charge' that event 'fires' sets is not finite")
+
+
+def test_measures_of_states_end_with_the_event_that_stops_the_run() -> None:
+    model = rotor(charge={"rate": "2*t"})
+    end = {"end": {"when": "t - 0.55", "action": "stop"}}
+    measures = {"largest": "max(states.charge)", "sum": "integral(states.charge)"}
+    spec = {"mbdkit": 1, "model": model, "integrator": RK4, "time": {"end": 1.0, "step": 0.1}, "events": end}
+    values = mbdkit.run(spec | {"measures": measures}).measures
+    assert values["largest"] == pytest.approx(0.55**2, abs=1e-13)
+    assert values["sum"] == pytest.approx(0.55**3 / 3, abs=1e-13)

@@ -207,7 +207,7 @@ def ensemble(
     measures
         Measures to compute, as in a study spec.
     block
-        Number of runs in a block; by default 1000, or fewer if their arrays are large.
+        Number of runs in a block; by default an eighth of all runs, from 64 to 1000, or fewer if arrays are large.
     compress
         Whether arrays are compressed.
     progress, notify, overwrite

@@ -23,6 +23,11 @@ MOST_FILES = 500
 RUNS = 1000
 """Default of the largest number of runs in a block."""
 
+BLOCKS, FEWEST = 8, 64
+"""Number of blocks of studies with fewer than `BLOCKS` times `RUNS` runs, so that all processes have work, and smallest
+number of runs in each of them, which vectorized runs need; both are defaults.
+"""
+
 BYTES = 1 << 26
 """Largest size of the arrays of a block [bytes], which must fit in memory; blocks of large runs have fewer runs."""
 
@@ -86,8 +91,8 @@ class StudyBlocks:
                 row = _bytes(point.spec, stored(spec))
             except MbdkitError:
                 continue
-            return cls(len(points), max(1, min(RUNS, BYTES // max(1, row))))
-        return cls(len(points), RUNS)
+            return cls(len(points), max(1, min(_most_runs(len(points)), BYTES // max(1, row))))
+        return cls(len(points), _most_runs(len(points)))
 
     @property
     def count(self) -> int:
@@ -101,6 +106,11 @@ class StudyBlocks:
     def block_of(self, place: int) -> int:
         """Return the number of the block that contains the run with this index; both are counted from 0."""
         return place // self.size
+
+
+def _most_runs(runs: int) -> int:
+    """Return the largest number of runs in a block of a study with `runs` runs."""
+    return min(RUNS, max(FEWEST, math.ceil(runs / BLOCKS)))
 
 
 def stored(spec: StudySpec) -> Store:

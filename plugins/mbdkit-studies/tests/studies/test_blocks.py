@@ -29,8 +29,11 @@ from mbdkit_studies import compute_block as compute_block_module
 from mbdkit_studies.blocks import Block
 from mbdkit_studies.compute_block import compute_block
 from mbdkit_studies.folder_lock import Shard
+from mbdkit_studies.planned_points import PlannedPoints
 from mbdkit_studies.runs_table import export_runs
+from mbdkit_studies.study_blocks import StudyBlocks
 from mbdkit_studies.study_folder import StudyFolder
+from mbdkit_studies.study_loading import load_study_spec
 from mbdkit_studies.tasks import mark_of, run_at_work
 
 BASE: dict[str, Any] = {
@@ -74,6 +77,14 @@ def pendulums(count: int = 12, **options: Any) -> mbdkit.Study:
     """Return an ensemble of double pendulums."""
     angles = np.linspace(-1.0, 1.0, count)
     return mbdkit.ensemble(BASE, {"model.angles.0": angles, "time.step": [0.01, 0.02] * (count // 2)}, **options)
+
+
+@pytest.mark.parametrize(("runs", "size"), [(10, 64), (100, 64), (600, 75), (1000, 125), (10_000, 1000)])
+def test_small_studies_have_several_blocks_for_several_processes(runs: int, size: int) -> None:
+    angles = np.linspace(-1.0, 1.0, runs).tolist()
+    spec = load_study_spec({"mbdkit_study": 1, "base": BASE, "store": "summary", "axes": [{"model.angles.0": angles}]})
+    blocks = StudyBlocks.of(spec, PlannedPoints(spec))
+    assert (blocks.size, blocks.count) == (size, -(-runs // size))
 
 
 def test_runs_of_all_methods_have_the_bits_of_single_runs(grid: mbdkit.Study) -> None:
