@@ -118,10 +118,20 @@ def contact(program, length, rate, time, parameters, out):
             if shape == _HOLE:  # the wall pushes the circle towards the center
                 gap, nx, ny, bend = radius - r - distance, -nx, -ny, -bend
         _act(head, x, first, second, row, acts, gap, nx, ny, cx, cy, r, bend, results)
+    if mode == SLOPES:
+        _oppose(results)
     if mode != VALUES:
         for side in range(2):
             if head[FIRST_TURNS + side] == 0:
                 _clear_torque(head, 3 * side + 2, results)
+
+
+@inlined
+def _oppose(out):
+    """Write the derivatives with respect to translations of the first body: those of the second with opposite signs."""
+    for row in range(12):
+        out[6 * row] = 0.0 - out[6 * row + 3]
+        out[6 * row + 1] = 0.0 - out[6 * row + 4]
 
 
 @inlined
@@ -256,16 +266,29 @@ def _height(x, polygon, count, px, py):
 def _separation(x, polygon, count, points, begin, other, mode):
     """Return the edge of a polygon from which another one is farthest, this distance, and the corner nearest to it.
 
-    If only forces are wanted, any edge that separates the polygons is enough.
+    If only forces are wanted, any edge that separates the polygons is enough. The mean of the other corners is at least
+    as far from an edge as the nearest corner is; edges to which it is nearer than this cannot be the result.
     """
-    best, apart, corner = 0, 0.0 * points[begin], 0
-    for e in range(count):
+    best, apart, corner = -1, 0.0 * points[begin], 0
+    mx, my = points[begin], points[begin + 1]
+    for k in range(1, other):
+        mx, my = mx + points[begin + 2 * k], my + points[begin + 2 * k + 1]
+    mx, my = mx / other, my / other
+    top, highest = 0, _over(x, polygon, mx, my)[0]
+    for e in range(1, count):
+        height = _over(x, polygon + EDGE * e, mx, my)[0]
+        if height > highest:
+            top, highest = e, height
+    for i in range(count):
+        e = (top + i) % count
+        if best >= 0 and _over(x, polygon + EDGE * e, mx, my)[0] <= apart:
+            continue
         least, nearest = _over(x, polygon + EDGE * e, points[begin], points[begin + 1])[0], 0
         for k in range(1, other):
             height = _over(x, polygon + EDGE * e, points[begin + 2 * k], points[begin + 2 * k + 1])[0]
             if height < least:
                 least, nearest = height, k
-        if e == 0 or least > apart:
+        if best < 0 or least > apart:
             best, apart, corner = e, least, nearest
         if mode != VALUES and apart >= 0.0:
             break
@@ -350,14 +373,19 @@ def _friction_force(law, x, normal, slip):
     soft = _CF if law == _SMOOTH else 0.0
     square = slip * slip + soft
     ratio = square * per * per
-    share, by_slip = slip * per, per + 0.0 * slip
-    if ratio >= 1.0:
+    share, by_slip, size = slip * per, per + 0.0 * slip, kinetic + 0.0 * ratio
+    if ratio >= 1.0 and law == _SMOOTH:
         root = 1.0 / sqrt(square)
         share, by_slip = slip * root, soft * root * root * root
-    part = 1.0 / (1.0 + ratio)
-    more = 2.0 * (static - kinetic) * part
-    size = kinetic + more
-    by_slip = size * by_slip - 2.0 * more * part * slip * per * per * share
+    elif ratio >= 1.0:
+        share, by_slip = (1.0 if slip > 0.0 else -1.0) + 0.0 * slip, 0.0 * slip
+    if static != kinetic:
+        part = 1.0 / (1.0 + ratio)
+        more = 2.0 * (static - kinetic) * part
+        size += more
+        by_slip = size * by_slip - 2.0 * more * part * slip * per * per * share
+    else:
+        by_slip = size * by_slip
     return 0.0 - normal * size * share, -size * share, -normal * by_slip
 
 
@@ -398,6 +426,8 @@ def _act(head, x, first, second, row, acts, gap, nx, ny, cx, cy, r, bend, out):
     ax, ay = ox + half * nx, oy + half * ny  # from the first body's centre of mass to the circle
     for column in range(12):
         axis, of_second = column % 3, (column // 3) % 2 == two // 3
+        if column % 6 < 2:  # forces depend on relative positions; see `_oppose`
+            continue
         ex, ey, sign = 1.0 if axis == 0 else 0.0, 1.0 if axis == 1 else 0.0, 1.0 if of_second else -1.0
         qx, qy, hx, hy, turn = 0.0 * ax, 0.0 * ax, 0.0 * ax, 0.0 * ax, 0.0 * ax
         if column >= 6:
