@@ -279,29 +279,18 @@ def _height(x, polygon, count, px, py):
 def _separation(x, polygon, count, points, begin, other, mode):
     """Return the edge of a polygon from which another one is farthest, this distance, and the corner nearest to it.
 
-    If only forces are wanted, any edge that separates the polygons is enough. The mean of the other corners is at least
-    as far from an edge as the nearest corner is; edges to which it is nearer than this cannot be the result.
+    If only forces are wanted, any edge that separates the polygons is enough.
     """
-    best, apart, corner = -1, 0.0 * points[begin], 0
-    mx, my = points[begin], points[begin + 1]
-    for k in range(1, other):
-        mx, my = mx + points[begin + 2 * k], my + points[begin + 2 * k + 1]
-    mx, my = mx / other, my / other
-    top, highest = 0, _over(x, polygon, mx, my)[0]
-    for e in range(1, count):
-        height = _over(x, polygon + EDGE * e, mx, my)[0]
-        if height > highest:
-            top, highest = e, height
-    for i in range(count):
-        e = (top + i) % count
-        if best >= 0 and _over(x, polygon + EDGE * e, mx, my)[0] <= apart:
-            continue
+    best, apart, corner = 0, 0.0 * points[begin], 0
+    for e in range(count):
         least, nearest = _over(x, polygon + EDGE * e, points[begin], points[begin + 1])[0], 0
         for k in range(1, other):
+            if e > 0 and least <= apart:  # another edge is farther
+                break
             height = _over(x, polygon + EDGE * e, points[begin + 2 * k], points[begin + 2 * k + 1])[0]
             if height < least:
                 least, nearest = height, k
-        if best < 0 or least > apart:
+        if e == 0 or least > apart:
             best, apart, corner = e, least, nearest
         if mode != VALUES and apart >= 0.0:
             break
