@@ -106,8 +106,13 @@ def contact_numbers(rows: Sequence[ActingContact]) -> list[float]:
         shapes = one.edges + rows[-1].edges
     else:
         shapes = [number for row in rows for number in (*row.pair.numbers, 0.0)[:ROW]]
-    numbers = [*[0.0] * (2 * POSE), *one.law, *shapes]
+    numbers = [*[0.0] * (2 * POSE), *one.law, *shapes, *[0.0] * (len(rows) if has_sides(rows) else 0)]
     return [float(len(numbers)), *numbers]
+
+
+def has_sides(rows: Sequence[ActingContact]) -> bool:
+    """Return whether the law of a pair of shapes has a parameter for each row that decides whether it touches."""
+    return rows[0].force == "linear" and rows[0].pair.kind[0] in ("line", "circles", "hole")
 
 
 def contact_values(

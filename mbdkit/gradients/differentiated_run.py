@@ -21,7 +21,7 @@ from mbdkit.gradients.differentiated_expressions import of_event, slopes_of
 from mbdkit.gradients.differentiated_motion import DifferentiatedMotion
 from mbdkit.gradients.differentiated_states import DifferentiatedStates, joined_states, one_after_another, series_of
 from mbdkit.gradients.evaluated_states import StateEvaluator, rate_of
-from mbdkit.gradients.law_corners import with_sides, with_unknown_corners
+from mbdkit.gradients.law_corners import with_jumping_polygons, with_sides, with_unknown_corners
 from mbdkit.gradients.sided_stepper import SidedStepper
 from mbdkit.integrators.differentiated_stepper import DifferentiatedStepper
 from mbdkit.integrators.dual_run import NO_SEEDS, Seeds, constants
@@ -349,17 +349,26 @@ class _Pass:
         """Return warnings about force laws that have, or may have, discontinuities inside steps."""
         mechanism = self.workspace.mechanism
         sided = None if self._sided is not None else with_sides(mechanism)
-        passed = () if sided is None else sided.passed(rows.observed.forces[..., 0])
+        passed = () if sided is None else sided.passed(rows.observed.forces[..., 0], rows.q[..., 0], rows.v[..., 0])
         unknown = tuple(
             f"the law of the force '{name}' is a function, so its discontinuities are not known. If the run passes "
             f"one, the derivatives lack its contribution; write the law as a SymPy expression"
             for name in with_unknown_corners(mechanism)
         )
-        return unknown + tuple(
-            f"the run passes a point at which the force '{name}', or its derivative, is discontinuous; adaptive "
-            f"steps do not end there, so that the derivatives lack the contribution of the discontinuity or are "
-            f"inaccurate after it: use fixed steps"
-            for name in passed
+        jumping = tuple(
+            f"steps do not end where the shapes of the contact '{name}' begin to touch. If the run passes such a "
+            f"point, the derivatives lack the contribution of the jump of the force; use another law than `linear`"
+            for name in with_jumping_polygons(mechanism)
+        )
+        return (
+            unknown
+            + jumping
+            + tuple(
+                f"the run passes a point at which the force '{name}', or its derivative, is discontinuous; adaptive "
+                f"steps do not end there, so that the derivatives lack the contribution of the discontinuity or are "
+                f"inaccurate after it: use fixed steps"
+                for name in passed
+            )
         )
 
     def _nodes(self, history: Sequence[tuple[int, np.ndarray]]) -> DifferentiatedStates:

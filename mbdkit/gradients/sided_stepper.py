@@ -21,7 +21,7 @@ from mbdkit.engine.observed_states import StateObserver
 from mbdkit.engine.workspace import Workspace
 from mbdkit.gradients.differentiated_states import DifferentiatedStates
 from mbdkit.gradients.evaluated_states import StateEvaluator, rate_of
-from mbdkit.gradients.law_corners import Condition
+from mbdkit.gradients.law_corners import Condition, Push
 from mbdkit.integrators.compiled_method import CompiledMethod
 from mbdkit.integrators.differentiated_stepper import DifferentiatedStepper
 from mbdkit.integrators.dual_run import Seeds
@@ -102,7 +102,7 @@ class SidedStepper(DifferentiatedStepper):
         workspace: Workspace,
         timetable: Timetable,
         seeds: Seeds,
-        conditions: Sequence[Condition],
+        conditions: Sequence[Condition | Push],
         *,
         with_nodes: bool,
     ):
@@ -205,15 +205,7 @@ class SidedStepper(DifferentiatedStepper):
         q, v, z = (np.ascontiguousarray([state[i] for state in states]) for i in range(3))
         observed = self._observer.arrays(len(q))
         self._observer.observe(np.array(times), q, v, observed, z=z)
-        return np.array(
-            [
-                [
-                    condition.function(*row[condition.element, :2], *self._numbers[condition.parameters])[0]
-                    for condition in self.conditions
-                ]
-                for row in observed.forces
-            ]
-        )
+        return np.transpose([condition.values(observed.forces, q, v, self._numbers) for condition in self.conditions])
 
     # --- corners
 
@@ -228,12 +220,23 @@ class SidedStepper(DifferentiatedStepper):
         around, distance = self._evaluator.around(here, float(self.timetable.step or 1.0))
         forces, moved = here.observed.forces[0], around.observed.forces[:, :, 1, 0]
         values, slopes, rates = [], [], []
+        width = forces.shape[-1]
+        numbers = np.asarray(self.steps.run.top.law_parameters)[:, :width]
+        state = here.q[0, :, 0], here.v[0, :, 0], self._numbers
+        directions = [(here.q[0, :, k], here.v[0, :, k], numbers[:, k]) for k in range(1, width)]
+        motion = here.v[0, :, 0], here.observed.acc[0, :, 0], 0.0 * self._numbers
         for condition in self.conditions:
+            if isinstance(condition, Push):
+                values += condition.values(forces[None], state[0][None], state[1][None], self._numbers)
+                *own_slopes, own_rate = condition.slopes(state, [*directions, motion])
+                slopes.append(np.array(own_slopes))
+                rates.append(own_rate)
+                continue
             length, rate = forces[condition.element, :2]
             g, by_length, by_rate, *by_parameter = condition.function(
                 length[0], rate[0], *self._numbers[condition.parameters]
             )
-            own = np.asarray(self.steps.run.top.law_parameters)[condition.parameters, 1 : forces.shape[-1]]
+            own = numbers[condition.parameters, 1:]
             values.append(g)
             slopes.append(by_length * length[1:] + by_rate * rate[1:] + np.array(by_parameter) @ own)
             rates.append(by_length * rate[0] + by_rate * rate_of(moved[:, condition.element], rate[0], distance))

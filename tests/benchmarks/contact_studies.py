@@ -29,8 +29,8 @@ def law_errors(run: mbdkit.Run, spec: dict[str, Any], step: float) -> tuple[floa
     The error of complementarity is the largest of min(P, m u_n) and -m (u_n + g/h), and that of friction the largest
     |min(mu P - |T|, m |u_t|)|, of all contacts with P > 0 or g = 0. Here g is the gap that the contact would have at
     the end of the step without impulses, or 0 if it would overlap: a pressed contact may stay as it is or close its
-    gap. The step is that of the method of Moreau and Jean; gaps and gradients are computed here, from the recorded
-    positions and velocities.
+    gap. The step is that of the method of Moreau and Jean, whose friction acts on the second body's circle; gaps and
+    gradients are computed here, from the recorded positions and velocities.
     """
     bodies, contacts = spec["model"]["bodies"], spec["model"]["contacts"]
     q = np.stack([np.column_stack([run.bodies[name].position, run.bodies[name].angle]) for name in bodies], axis=1)
@@ -65,13 +65,13 @@ def law_errors(run: mbdkit.Run, spec: dict[str, Any], step: float) -> tuple[floa
     for i in range(1, len(q)):
         free = q[i - 1] + step * (v[i - 1] + 0.5 * step * gravity)
         gap, _ = normals(free)
-        _, n = normals(q[i - 1] + 0.5 * step * v[i - 1])
+        middle, n = normals(q[i - 1] + 0.5 * step * v[i - 1])
         t = np.column_stack([n[:, 1], -n[:, 0]])
         first = np.concatenate([v[i][a], np.zeros((len(walls), 3))])
         second = np.concatenate([v[i][b], v[i][at_wall]])
         u = second[:, :2] - first[:, :2]
         u_n = np.sum(u * n, axis=1)
-        u_t = np.sum(u * t, axis=1) + RADIUS * (second[:, 2] + first[:, 2])
+        u_t = np.sum(u * t, axis=1) + RADIUS * second[:, 2] + (RADIUS + middle) * first[:, 2]
         p, f = step * normal_force[i], step * friction_force[i]
         lowest = -np.maximum(gap, 0.0) / step
         acting = (gap <= 0.0) | (p > 0.0)

@@ -41,7 +41,7 @@ PROFILED = 0.1
 """Duration of the runs of which --profile counts the calls [s]."""
 TOO_LONG = "wall-time"
 """Why a run stopped that takes longer."""
-QUIET_STEPS, QUIET_TIME = 5000, 0.05
+QUIET_STEPS, QUIET_TIME = 50000, 0.05
 """Largest number of steps between events, and time of a run [s] that suffices instead."""
 
 
@@ -207,20 +207,28 @@ def _measured(case: Case, limit: float) -> dict[str, list[Point]]:
 
 
 def _over_no_contact(case: Case, treatment: str, integrator: dict[str, Any], limit: float) -> float:
-    """Return the time a step while no contact changes, over that of the same steps without contacts; nan if stopped."""
+    """Return the time a step while no contact changes, over that of the same steps without contacts; nan if stopped.
+
+    The time that a run takes to begin and to end is that of a run with a tenth of the steps, extrapolated.
+    """
 
     def outcome(treatment: str | None, steps: int) -> Outcome:
-        times = {"end": case.quiet, "step": case.quiet / steps}
+        times = {"end": case.quiet * steps / most, "step": case.quiet / most}
         return _timed(case, _spec(case, integrator, treatment, times, limit))
 
-    steps = 50
-    while (first := outcome(treatment, steps)).seconds < QUIET_TIME and steps < QUIET_STEPS:
-        steps *= 10
+    most = 50
+    while (first := outcome(treatment, most)).seconds < QUIET_TIME and most < QUIET_STEPS:
+        most *= 10
     if first.stopped:
         return math.nan
-    tasks = {"with": lambda: outcome(treatment, steps).seconds, "without": lambda: outcome(None, steps).seconds}
+    tasks = {
+        f"{kind} {steps}": (lambda kind=kind, steps=steps: outcome(kind, steps).seconds)
+        for kind in (treatment, None)
+        for steps in (most, most // 10)
+    }
     times = take_turns(tasks, REPEATS if first.seconds <= SHORT else 1)
-    return times["with"].median / times["without"].median
+    long, short, long_without, short_without = (timing.median for timing in times.values())
+    return (long - short) / (long_without - short_without)
 
 
 def _between_events(case: Case, limit: float) -> dict[str, float]:

@@ -64,3 +64,15 @@ def test_complementarity_of_few_discs_holds_to_rounding_and_wrong_forces_are_see
     elastic = {name: {**contact, "restitution": 0.5} for name, contact in elastic.items()}
     bounced = mbdkit.run(spec | {"model": {**spec["model"], "contacts": elastic}})
     assert law_errors(bounced, spec, 1e-3)[0] > 1e-2  # these impulses are not those of discs without restitution
+
+
+def test_laws_of_100_discs_hold_to_rounding_errors() -> None:
+    spec: dict[str, Any] = pit(10, 10) | {
+        "time": {"end": 0.3, "step": 1e-3},
+        "output": {"every": 1, "quantities": []},
+    }
+    run = mbdkit.run(spec)
+    complementarity, friction, closed = law_errors(run, spec, 1e-3)
+    assert closed / run.stats["steps"] > 64  # more contacts than are solved by elimination
+    assert max(complementarity, friction) < 1e-10
+    assert not any("laws of contact" in warning for warning in run.warnings)

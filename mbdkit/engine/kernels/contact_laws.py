@@ -22,6 +22,10 @@ from `SHAPES` on, those of the shapes:
   which it starts, its normal and its length;
 - two polygons: the edges of the first, then those of the second.
 
+For the linear law and shapes without polygon, the side of each row follows: 1 if the force of spring and damper acts,
+-1 if it does not, and 0 if it acts where the shapes overlap and it pushes them apart. Gradients need steps with
+constant sides (`mbdkit.gradients.law_corners`), because a damper makes this force jump where shapes begin to touch.
+
 The results depend on the mode: forces and torques on both bodies (6); their derivatives with respect to the positions
 (36) and velocities (36) of both bodies; or the `VALUE` quantities of each row.
 """
@@ -45,6 +49,8 @@ _LINE, _CIRCLES, _HOLE, _EDGE, _INSIDE = range(len(KINDS))
 FORCE_LAWS = ("none", "hertz", "linear", "smooth")
 """Laws of the normal force; rigid contacts have no law."""
 _NONE, _HERTZ, _LINEAR, _SMOOTH = range(len(FORCE_LAWS))
+_BOTH = len(FORCE_LAWS)
+"""The linear law of a row whose side is 1, which may also pull."""
 
 MODE, KIND, FIRST_COUNT, SECOND_COUNT, FORCE_LAW, FIRST_TURNS, SECOND_TURNS = range(7)
 """Integers of the program: mode, kind of geometry, number of edges of the first shape (of rows, if it is no polygon)
@@ -74,6 +80,7 @@ def contact(program, length, rate, time, parameters, out):
     results = numbers_at(out, 0, 6 if mode == FORCES else 72 if mode == SLOPES else VALUE * rows, length)
     fill(results, 0.0)
     points = new_registers(64, length)
+    has_sides = head[FORCE_LAW] == _LINEAR and kind <= _HOLE
     edge, facing, start, end, own_start, own_end, is_corner = 0, 0, -1, -1, -1, -1, False
     if kind == _EDGE:
         start, is_corner = _nearest(head, x)
@@ -117,11 +124,27 @@ def contact(program, length, rate, time, parameters, out):
             gap = distance - r - radius
             if shape == _HOLE:  # the wall pushes the circle towards the center
                 gap, nx, ny, bend = radius - r - distance, -nx, -ny, -bend
-        _act(head, x, first, second, row, acts, gap, nx, ny, cx, cy, r, bend, results)
+        touches, law = gap < 0.0, head[FORCE_LAW]
+        if has_sides:
+            side = x[numbers - rows + row]
+            touches = (side > 0.0) | (touches & (side == 0.0))
+            law = _BOTH if side > 0.0 else law
+        law = law if acts and (touches or law == _SMOOTH) else _NONE
+        _act(mode, law, x, first, second, row, gap, nx, ny, cx, cy, r, bend, results)
+    if mode == SLOPES:
+        _oppose(results)
     if mode != VALUES:
         for side in range(2):
             if head[FIRST_TURNS + side] == 0:
                 _clear_torque(head, 3 * side + 2, results)
+
+
+@inlined
+def _oppose(out):
+    """Write the derivatives with respect to translations of the first body: those of the second with opposite signs."""
+    for row in range(12):
+        out[6 * row] = 0.0 - out[6 * row + 3]
+        out[6 * row + 1] = 0.0 - out[6 * row + 4]
 
 
 @inlined
@@ -262,6 +285,8 @@ def _separation(x, polygon, count, points, begin, other, mode):
     for e in range(count):
         least, nearest = _over(x, polygon + EDGE * e, points[begin], points[begin + 1])[0], 0
         for k in range(1, other):
+            if e > 0 and least <= apart:  # another edge is farther
+                break
             height = _over(x, polygon + EDGE * e, points[begin + 2 * k], points[begin + 2 * k + 1])[0]
             if height < least:
                 least, nearest = height, k
@@ -325,16 +350,16 @@ def _normal_force(law, x, depth, rate):
         by_depth = (1.5 * size * depth / square * touch + 0.5 * size * _BD * (1.0 - near * near)) * damped * hold
         by_rate = size * touch * (1.5 * c * hold + 0.5 * damped * _BV * (1.0 - free * free))
         return size * damped * touch * hold, by_depth, by_rate
-    if law == _NONE or not depth > 0.0:
+    if law == _NONE:
         return none, none, none
-    if law == _LINEAR:
+    if law in (_LINEAR, _BOTH):
         force, by_depth, by_rate = k * depth + c * rate, k, c
     else:
         root = sqrt(depth)
         damped = 1.0 + 1.5 * c * rate
         size = k * depth * root
         force, by_depth, by_rate = size * damped, 1.5 * k * root * damped, 1.5 * c * size
-    if force > 0.0:
+    if force > 0.0 or law == _BOTH:
         return force, by_depth, by_rate
     return none, none, none
 
@@ -350,27 +375,31 @@ def _friction_force(law, x, normal, slip):
     soft = _CF if law == _SMOOTH else 0.0
     square = slip * slip + soft
     ratio = square * per * per
-    share, by_slip = slip * per, per + 0.0 * slip
-    if ratio >= 1.0:
+    share, by_slip, size = slip * per, per + 0.0 * slip, kinetic + 0.0 * ratio
+    if ratio >= 1.0 and law == _SMOOTH:
         root = 1.0 / sqrt(square)
         share, by_slip = slip * root, soft * root * root * root
-    part = 1.0 / (1.0 + ratio)
-    more = 2.0 * (static - kinetic) * part
-    size = kinetic + more
-    by_slip = size * by_slip - 2.0 * more * part * slip * per * per * share
+    elif ratio >= 1.0:
+        share, by_slip = (1.0 if slip > 0.0 else -1.0) + 0.0 * slip, 0.0 * slip
+    if static != kinetic:
+        part = 1.0 / (1.0 + ratio)
+        more = 2.0 * (static - kinetic) * part
+        size += more
+        by_slip = size * by_slip - 2.0 * more * part * slip * per * per * share
+    else:
+        by_slip = size * by_slip
     return 0.0 - normal * size * share, -size * share, -normal * by_slip
 
 
 @inlined
-def _act(head, x, first, second, row, acts, gap, nx, ny, cx, cy, r, bend, out):
+def _act(mode, law, x, first, second, row, gap, nx, ny, cx, cy, r, bend, out):
     """Compute the forces of a row, and add them or their derivatives to `out`, or write the quantities of the row.
 
     (cx, cy) is the global vector from the second body's centre of mass to the center of its circle, which has the
     radius `r`. `bend` is the curvature by which n turns: 0 for a line, otherwise the inverse of the distance of both
     centers, negative for a hole.
     """
-    law, mode = head[FORCE_LAW], head[MODE]
-    if mode != VALUES and (not acts or (gap >= 0.0 and law != _SMOOTH)):
+    if mode != VALUES and law == _NONE:
         return
     half = r + 0.5 * gap
     px, py = cx - half * nx, cy - half * ny
@@ -378,7 +407,7 @@ def _act(head, x, first, second, row, acts, gap, nx, ny, cx, cy, r, bend, out):
     vx = x[second + 4] - x[second + 6] * py - x[first + 4] + x[first + 6] * oy
     vy = x[second + 5] + x[second + 6] * px - x[first + 5] - x[first + 6] * ox
     slip, rate = vx * ny - vy * nx, vx * nx + vy * ny
-    normal, by_depth, by_rate = _normal_force(law if acts else _NONE, x, -gap, -rate)
+    normal, by_depth, by_rate = _normal_force(law, x, -gap, -rate)
     friction, by_normal, by_slip = _friction_force(law, x, normal, slip)
     if mode == VALUES:
         at = VALUE * row
@@ -398,6 +427,8 @@ def _act(head, x, first, second, row, acts, gap, nx, ny, cx, cy, r, bend, out):
     ax, ay = ox + half * nx, oy + half * ny  # from the first body's centre of mass to the circle
     for column in range(12):
         axis, of_second = column % 3, (column // 3) % 2 == two // 3
+        if column % 6 < 2:  # forces depend on relative positions; see `_oppose`
+            continue
         ex, ey, sign = 1.0 if axis == 0 else 0.0, 1.0 if axis == 1 else 0.0, 1.0 if of_second else -1.0
         qx, qy, hx, hy, turn = 0.0 * ax, 0.0 * ax, 0.0 * ax, 0.0 * ax, 0.0 * ax
         if column >= 6:

@@ -19,6 +19,7 @@ from mbdkit.integrators.sampled_control import states_at_start
 from mbdkit_contact.contact_state import ContactState
 from mbdkit_contact.kernels.active_set import new_active_set
 from mbdkit_contact.kernels.impacts import new_impacts
+from mbdkit_contact.kernels.many_contacts import MOST_FACTORIZED
 from mbdkit_contact.kernels.pivoting import new_cones
 from mbdkit_contact.kernels.smooth_steps import NO_IMPULSES, OVERLAP, STAGES
 from mbdkit_contact.kernels.step_impulses import FEW, MOST_PIVOTED
@@ -145,8 +146,8 @@ class CompiledTimeStepping(CompiledMethod):
             other_law=np.zeros(1, dtype=np.int64),
             states=np.zeros(count, dtype=np.int64),
             krylov=np.zeros((9, 2 * count if count > few else 0)),
-            cones=new_cones(few),
-            active=new_active_set(few),
+            cones=new_cones(min(count, MOST_FACTORIZED), few),
+            active=new_active_set(min(count, MOST_FACTORIZED)),
             impacts=new_impacts(min(count, FEW)),
             reason=np.zeros(1, dtype=np.int64),
         )

@@ -2,8 +2,8 @@
 
 For given modes, the forces of the closed contacts are the solution of linear equations. These may be singular, because
 contacts can be redundant; the solution is then the one nearest to the forces of before, by the proximal-point iteration
-``(A + eps D) (x' - x) = b - A x``. Modes that contradict the solution change, until none does: the forces then satisfy
-all laws to rounding errors. `mbdkit_contact.kernels.pivoting` finds the forces where this does not succeed.
+``(A + eps D) (x' - x) = b - A x``. All modes that contradict the solution change, until none does: the forces then
+satisfy all laws to rounding errors. `mbdkit_contact.kernels.mode_path` finds the forces where this does not succeed.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ PROXIMAL = 1e-9
 MOST_REFINEMENTS = 8
 """Largest number of iterations of the proximal-point method; two or three are usual."""
 MOST_CHANGES, PATIENCE = 24, 3
-"""Largest number of times that modes change, and number of times that all of them may change without progress."""
+"""Largest number of times that modes change, and number of times that they may change without progress."""
 EXACT = 1e-12
 """Errors of velocities and forces below this share of the largest ones count as zero."""
 
@@ -33,7 +33,7 @@ class ActiveSet(NamedTuple):
     modes: IntVector
     """(K,) modes: on input a guess, on output those of the solution; ``-SLIP`` is slip in the negative direction."""
     start: RealVector
-    """(U,) forces with which the solution begins, normal ones first."""
+    """(U,) forces to which the solution is the nearest one, normal ones first."""
     unknown: IntVector
     """(U,) index of each unknown: that of a normal force, or k more for a friction force."""
     share: RealVector
@@ -44,8 +44,13 @@ class ActiveSet(NamedTuple):
     """(U, U) equations of the forces, and (U, U) factors."""
     factors: RealMatrix
     x: RealVector
+    """(U,) work arrays: scaled forces, the right sides of equations and their solution."""
     change: RealVector
+    z: RealVector
     order: IntVector
+    """(U,) order of the rows of the factors."""
+    path: RealMatrix
+    """(8, U) vectors of `mbdkit_contact.kernels.mode_path`."""
 
 
 def new_active_set(most: int) -> ActiveSet:
@@ -53,12 +58,13 @@ def new_active_set(most: int) -> ActiveSet:
     u = 2 * most
     return ActiveSet(
         np.zeros(most, dtype=np.int64), np.zeros(u), np.zeros(u, dtype=np.int64), np.zeros(most), np.zeros(most),
-        np.zeros((u, u)), np.zeros((u, u)), np.zeros(u), np.zeros(u), np.zeros(u, dtype=np.int64),
+        np.zeros((u, u)), np.zeros((u, u)), np.zeros(u), np.zeros(u), np.zeros(u), np.zeros(u, dtype=np.int64),
+        np.zeros((8, u)),
     )  # fmt: skip
 
 
 @subkernel
-def _assemble(s, w, k):
+def assemble(s, w, k):
     """Write the scaled equations of the forces in the present modes; return their number."""
     count = 0
     for i in range(k):
@@ -84,14 +90,17 @@ def _assemble(s, w, k):
 
 
 @subkernel
-def _factorize(s, count):
-    """Factorize the equations with a proximal term by elimination with row exchange; return whether it succeeded."""
+def factorize(s, count, share):
+    """Factorize the equations by elimination with row exchange; return whether it succeeded.
+
+    `share` is the share of the diagonal that is added to it.
+    """
     f = s.factors
     for a in range(count):
         s.order[a] = a
         for b in range(count):
             f[a, b] = s.matrix[a, b]
-        f[a, a] += PROXIMAL
+        f[a, a] += share
     for j in range(count):
         best = j
         for a in range(j + 1, count):
@@ -114,9 +123,24 @@ def _factorize(s, count):
 
 
 @subkernel
+def substitute(s, count):
+    """Solve the factorized equations with the right side ``s.change`` for ``s.z``."""
+    f = s.factors
+    for a in range(count):  # the factors have the rows in the order of the exchanges
+        value = s.change[s.order[a]]
+        for b in range(a):
+            value -= f[a, b] * s.z[b]
+        s.z[a] = value
+    for a in range(count - 1, -1, -1):
+        value = s.z[a]
+        for b in range(a + 1, count):
+            value -= f[a, b] * s.z[b]
+        s.z[a] = value / f[a, a]
+
+
+@subkernel
 def _solve(s, w, k, count, size):
     """Write the scaled forces of the closed contacts into ``s.x``; return whether they satisfy the equations."""
-    f = s.factors
     for a in range(count):
         row = s.unknown[a]
         s.x[a] = s.start[row] / s.scale[row % k]
@@ -134,18 +158,9 @@ def _solve(s, w, k, count, size):
             s.change[a] = rest
         if worst <= 0.01 * EXACT * size:
             break
-        for a in range(count):  # the factors have the rows in the order of the exchanges
-            value = s.change[s.order[a]]
-            for b in range(a):
-                value -= f[a, b] * w.z[b]
-            w.z[a] = value
-        for a in range(count - 1, -1, -1):
-            value = w.z[a]
-            for b in range(a + 1, count):
-                value -= f[a, b] * w.z[b]
-            w.z[a] = value / f[a, a]
+        substitute(s, count)
         for a in range(count):
-            s.x[a] += w.z[a]
+            s.x[a] += s.z[a]
     return worst <= EXACT * size
 
 
@@ -175,60 +190,75 @@ def _better_mode(s, w, k, i, size, largest):
 
 
 @subkernel
-def _correct_modes(s, w, k, size, chosen):
-    """Change all modes that contradict the forces, or only one, whose number is `chosen` modulo the number of
-    contradictions; return this number.
-    """
-    count, largest = 0, 0.0
-    for i in range(k):
-        largest = max(largest, w.forces[i] / s.scale[i])
-    for i in range(k):
-        s.order[i] = _better_mode(s, w, k, i, size, largest)
-        count += s.order[i] != s.modes[i]
-    place = 0
-    for i in range(k):
-        if s.order[i] != s.modes[i]:
-            if chosen < 0 or place == chosen % count:
-                s.modes[i] = s.order[i]
-            place += 1
-    return count
-
-
-@subkernel
-def solve_active_set(s, w, k):
-    """Find the forces of the first k contacts of the `Cones` `w` from a guess; return whether there is a solution.
-
-    No contact may slip already, or be pressed. If the number of contradictions does not decrease any more, only one of
-    them, another each time, is mended (compare J. J. Judice and F. M. Pires, Computers and Operations Research
-    21:587-596, 1994).
-    """
+def find_scales(s, w, k):
+    """Write the scale of each contact; return the largest scaled velocity without forces."""
     size = 0.0
     for i in range(k):
         diagonal = sqrt(max(w.response[i, i], w.response[k + i, k + i]))
         s.scale[i] = 1.0 / diagonal if diagonal > 0.0 else 1.0
         size = max(size, s.scale[i] * abs(w.free[i]), s.scale[i] * abs(w.free[k + i]))
-    least, patience = k + 1, PATIENCE
-    for turn in range(MOST_CHANGES):
-        count = _assemble(s, w, k)
-        if not _factorize(s, count) or not _solve(s, w, k, count, size):
-            return False
-        for i in range(2 * k):
-            w.forces[i] = 0.0
-        for a in range(count):
-            row = s.unknown[a]
-            w.forces[row] = s.scale[row % k] * s.x[a]
+    return size
+
+
+@subkernel
+def solve_modes(s, w, k, size):
+    """Find the forces in the present modes; return whether they satisfy the equations of these modes."""
+    count = assemble(s, w, k)
+    if not factorize(s, count, PROXIMAL) or not _solve(s, w, k, count, size):
+        return False
+    for i in range(2 * k):
+        w.forces[i] = 0.0
+    for a in range(count):
+        row = s.unknown[a]
+        w.forces[row] = s.scale[row % k] * s.x[a]
+    for i in range(k):
+        if s.share[i] != 0.0:
+            w.forces[k + i] = s.share[i] * w.forces[i]
+    return True
+
+
+@subkernel
+def find_better_modes(s, w, k, size):
+    """Write the modes that the forces do not contradict into ``s.order``; return the number of contradictions.
+
+    If there are none, the results are written.
+    """
+    wrong, largest = 0, 0.0
+    for i in range(k):
+        largest = max(largest, w.forces[i] / s.scale[i])
+    for i in range(k):
+        s.order[i] = _better_mode(s, w, k, i, size, largest)
+        wrong += s.order[i] != s.modes[i]
+    if wrong == 0:
         for i in range(k):
-            if s.share[i] != 0.0:
-                w.forces[k + i] = s.share[i] * w.forces[i]
-        wrong = _correct_modes(s, w, k, size, -1 if patience > 0 else turn)
+            w.forces[i] = max(w.forces[i], 0.0)
+            w.closed[i] = s.modes[i] != OPEN
+            w.slipping[i] = abs(s.modes[i]) == SLIP or (s.modes[i] != OPEN and w.friction[i] == 0.0)
+    return wrong
+
+
+@subkernel
+def solve_active_set(s, w, k):
+    """Find the forces of the first k contacts of the `Cones` `w` from a guess; return whether this succeeds.
+
+    No contact may slip already, or be pressed.
+    """
+    size = find_scales(s, w, k)
+    for i in range(2 * k):
+        w.forces[i] = s.start[i]
+    least, patience = k + 1, PATIENCE
+    for _ in range(MOST_CHANGES):
+        if not solve_modes(s, w, k, size):
+            return False
+        wrong = find_better_modes(s, w, k, size)
         if wrong == 0:
-            for i in range(k):
-                w.forces[i] = max(w.forces[i], 0.0)
-                w.closed[i] = s.modes[i] != OPEN
-                w.slipping[i] = abs(s.modes[i]) == SLIP or (s.modes[i] != OPEN and w.friction[i] == 0.0)
             return True
         if wrong < least:
             least, patience = wrong, PATIENCE
+        elif patience == 0:
+            return False
         else:
             patience -= 1
+        for i in range(k):
+            s.modes[i] = s.order[i]
     return False

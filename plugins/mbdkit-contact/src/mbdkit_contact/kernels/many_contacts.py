@@ -6,7 +6,8 @@ B. Brogliato, Numerical Methods for Nonsmooth Dynamical Systems, 2008, section 1
 are open, stick and slip, but their impulses converge slowly. For given modes, the impulses solve linear equations,
 which the method of H. A. van der Vorst solves without their matrix (Bi-CGSTAB, SIAM Journal on Scientific and
 Statistical Computing 13:631-644, 1992): its products are velocities of bodies. Modes that contradict the solution
-change, as in `mbdkit_contact.kernels.active_set`.
+change, as in `mbdkit_contact.kernels.active_set`. If this does not end, the modes change one at a time, as in
+`mbdkit_contact.kernels.mode_path`, which factorizes the matrix of up to `MOST_FACTORIZED` contacts.
 """
 
 from __future__ import annotations
@@ -19,10 +20,11 @@ from mbdkit.engine.kernels.vectors import copy, fill
 from mbdkit.engine.native.functions import subkernel
 from mbdkit.mechanism.contacts import OPEN, SLIP, STICK
 from mbdkit_contact.kernels.active_set import EXACT
+from mbdkit_contact.kernels.mode_path import solve_by_path
 from mbdkit_contact.kernels.stepping_bundle import ACROSS, ALONG, add_move, rate_of
 
-ROUND, SWEEPS = 100, 500
-"""Number of sweeps before modes are taken from them, each time, and largest number of all."""
+FIRST_SWEEPS, SWEEPS = 100, 500
+"""Number of sweeps before modes are taken from them, and before this is repeated if modes and impulses do not agree."""
 PRECISION, ACCEPTED = 1e-8, 1e-2
 """Limits of the relative change of velocities in a sweep. If modes and impulses do not agree, the result
 is accepted if the last change is at most `ACCEPTED`.
@@ -31,8 +33,9 @@ Changes are relative to the largest velocity without impulses. If more contacts 
 forces between them ever more slowly.
 """
 MOST_CHANGES, PATIENCE = 60, 3
-"""Largest number of times that modes change before further sweeps, and number of times that all of them may change
-without progress."""
+"""Largest number of times that modes change, and number of times that they may change without progress."""
+MOST_FACTORIZED = 256
+"""Largest number of contacts of which the matrix of all responses is stored; 2 MB."""
 MOST_RESTARTS = 4
 """Largest number of times that the iteration for given modes starts again, with the residual computed anew."""
 
@@ -230,22 +233,15 @@ def _better_mode(m, j, size, largest):
 
 
 @subkernel
-def _correct_modes(m, size, chosen):
-    """Change all modes that contradict the impulses, or only one, whose number is `chosen` modulo the number of
-    contradictions; return this number.
-    """
+def _correct_modes(m, size):
+    """Change all modes that contradict the impulses; return their number."""
     k, count, largest = m.number[0], 0, 0.0
     for j in range(k):
         largest = max(largest, m.normal[j] * sqrt(m.block[j, 0]))
     for j in range(k):
-        count += _better_mode(m, j, size, largest) != m.states[j]
-    place = 0
-    for j in range(k):
         better = _better_mode(m, j, size, largest)
-        if better != m.states[j]:
-            if chosen < 0 or place == chosen % count:
-                m.states[j] = better
-            place += 1
+        count += better != m.states[j]
+        m.states[j] = better
     return count
 
 
@@ -263,26 +259,52 @@ def _take_modes(m):
 
 @subkernel
 def _agree(c, m, velocities, size):
-    """Find modes and impulses that agree, beginning with those of sweeps; return whether this succeeds.
-
-    If the number of contradictions does not decrease any more, only one of them, another each time, is mended (compare
-    J. J. Judice and F. M. Pires, Computers and Operations Research 21:587-596, 1994).
-    """
+    """Find modes and impulses that agree, beginning with those of sweeps; return whether this succeeds."""
     _take_modes(m)
     for j in range(m.number[0]):  # redundant contacts share their impulses as before, not as sweeps have left them
         m.normal[j], m.tangent[j] = m.krylov[8, j], m.krylov[8, m.number[0] + j]
     least, patience = len(m.states) + 1, PATIENCE
-    for turn in range(MOST_CHANGES):
+    for _ in range(MOST_CHANGES):
         if not _solve(c, m, velocities, size):
             return False
-        count = _correct_modes(m, size, -1 if patience > 0 else turn)
+        count = _correct_modes(m, size)
         if count == 0:
             return True
         if count < least:
             least, patience = count, PATIENCE
+        elif patience == 0:
+            return False
         else:
             patience -= 1
     return False
+
+
+@subkernel
+def _agree_by_path(c, m, velocities):
+    """Find modes and impulses that agree, beginning with those of sweeps, by a path; return whether this succeeds."""
+    k, w, s = m.number[0], m.cones, m.active
+    if k > MOST_FACTORIZED:
+        return False
+    for column in range(2 * k):
+        j, at = column % k, ALONG if column < k else ACROSS
+        fill(m.x, 0.0)
+        _move(c, m, j, at, 1.0, m.x)
+        for i in range(k):
+            w.response[i, column], w.response[k + i, column] = rate_of(m, i, ALONG, m.x), rate_of(m, i, ACROSS, m.x)
+    for j in range(k):
+        m.normal[j], m.tangent[j] = m.krylov[7, j], m.krylov[7, k + j]
+    _take_modes(m)
+    for j in range(k):
+        w.free[j], w.free[k + j] = rate_of(m, j, ALONG, velocities) + m.more[j], rate_of(m, j, ACROSS, velocities)
+        w.friction[j], s.modes[j] = m.friction[j], m.states[j]
+        w.forces[j], w.forces[k + j] = m.normal[j], m.tangent[j]
+        s.start[j], s.start[k + j] = m.krylov[8, j], m.krylov[8, k + j]
+    if not solve_by_path(s, w, k):
+        return False
+    for j in range(k):
+        m.states[j], m.normal[j], m.tangent[j] = s.modes[j], w.forces[j], w.forces[k + j]
+    _find_after(c, m, velocities)
+    return True
 
 
 @subkernel
@@ -301,13 +323,13 @@ def push_many(c, m, velocities, precision):
         before[j], before[k + j] = m.normal[j], m.tangent[j]
     _find_after(c, m, velocities)
     is_rough, is_exact = precision > PRECISION, False
-    worst = _sweep(c, m, SWEEPS if is_rough else ROUND, precision * size)
-    for turn in range(0 if is_rough else SWEEPS // ROUND):
+    worst = _sweep(c, m, SWEEPS if is_rough else FIRST_SWEEPS, precision * size)
+    for turn in range(0 if is_rough else 2):
         if turn > 0:
-            worst = _sweep(c, m, ROUND, 0.0)
+            worst = _sweep(c, m, SWEEPS - FIRST_SWEEPS, 0.0)
         for j in range(k):
             given[j], given[k + j] = m.normal[j], m.tangent[j]
-        is_exact = _agree(c, m, velocities, scaled)
+        is_exact = _agree(c, m, velocities, scaled) or _agree_by_path(c, m, velocities)
         if is_exact:
             worst = EXACT * size
             for j in range(k):

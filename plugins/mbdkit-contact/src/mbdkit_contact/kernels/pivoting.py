@@ -64,9 +64,9 @@ class Cones(NamedTuple):
     able: IntVector
 
 
-def new_cones(most: int) -> Cones:
-    """Return arrays for up to `most` contacts."""
-    n = 4 * most
+def new_cones(most: int, most_pivoted: int | None = None) -> Cones:
+    """Return arrays for up to `most` contacts, of which up to `most_pivoted` (None: all) are solved by pivoting."""
+    n = 4 * (most if most_pivoted is None else most_pivoted)
 
     def integers(size: int) -> np.ndarray:
         return np.zeros(size, dtype=np.int64)

@@ -12,6 +12,7 @@ from mbdkit_contact.kernels.active_set import solve_active_set
 from mbdkit_contact.kernels.impacts import NEWTON, SMALL_RESTITUTION, find_ordered, stronge
 from mbdkit_contact.kernels.kinematics import NOWHERE, SINGLE, choose, find_gaps, place, row_of
 from mbdkit_contact.kernels.many_contacts import PRECISION, push_many
+from mbdkit_contact.kernels.mode_path import solve_by_path
 from mbdkit_contact.kernels.pivoting import solve_cones
 from mbdkit_contact.kernels.stepping_bundle import (
     ACROSS,
@@ -150,7 +151,7 @@ def push_apart(c, m, velocities, precision):
     are such impulses.
 
     ``m.more`` is added to the normal velocities. A few contacts are solved by an active set that begins with the modes
-    and forces of the last step, and if this fails by pivoting; for many, see `push_many`.
+    and forces of the last step, and if this fails along a path of solutions or by pivoting; for many, see `push_many`.
     """
     k, w, s = m.number[0], m.cones, m.active
     m.error[0] = 0.0
@@ -163,7 +164,7 @@ def push_apart(c, m, velocities, precision):
         s.start[j], s.start[k + j] = m.normal[j], m.tangent[j]
         mode = m.now.modes[m.some[j]]
         s.modes[j] = STICK if mode == OPEN or m.friction[j] == 0.0 else int(mode)
-    if not solve_active_set(s, w, k) and not solve_cones(w, k):
+    if not (solve_active_set(s, w, k) or solve_by_path(s, w, k) or solve_cones(w, k)):
         return False
     copy(velocities, m.after)
     for j in range(k):
