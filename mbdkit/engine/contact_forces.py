@@ -16,11 +16,13 @@ import numpy as np
 
 from mbdkit.base.errors import SpecError
 from mbdkit.engine.force_laws import CompiledLaw, NativeLaw, native_law
-from mbdkit.engine.kernels.contact_laws import EDGE, FORCE_LAWS, KINDS, POSE, ROW, VALUE, VALUES, contact, contact_rows
+from mbdkit.engine.kernels.contact_laws import FORCE_LAWS, KINDS, POSE, ROW, VALUE, VALUES, contact, contact_rows
+from mbdkit.engine.kernels.uneven_ground import EDGE, OWN, SEGMENT
 from mbdkit.engine.traced_law import Source, Traced
 from mbdkit.mechanism.bodies import GROUND
 from mbdkit.mechanism.contacts import OPEN, SLIP, STICK, ContactPair
 from mbdkit.mechanism.force_law import TracedLaw
+from mbdkit.mechanism.polylines import reaching_segments
 
 if TYPE_CHECKING:
     from mbdkit.mechanism.mechanism import Mechanism
@@ -92,8 +94,9 @@ def contact_law(rows: Sequence[ActingContact], mode: int) -> CompiledLaw:
     """Return the law of a pair of shapes in a mode of `mbdkit.engine.kernels.contact_laws`."""
     one, (kind, edges) = rows[0], rows[0].pair.kind
     count = edges or len(rows)
+    other = polygon_edges(one) if kind == "polyline" else len(rows) - count
     turns = (int(moving == 3) for moving in one.moving)
-    program = (mode, KINDS.index(kind), count, len(rows) - count, FORCE_LAWS.index(one.force), *turns)
+    program = (mode, KINDS.index(kind), count, other, FORCE_LAWS.index(one.force), *turns, len(rows))
     return native_law(NativeLaw(contact, program))
 
 
@@ -104,10 +107,25 @@ def contact_numbers(rows: Sequence[ActingContact]) -> list[float]:
         shapes = [*one.pair.numbers[:3], *one.edges]
     elif kind == "inside":
         shapes = one.edges + rows[-1].edges
+    elif kind == "polyline":
+        shapes = surface_numbers(one)
     else:
         shapes = [number for row in rows for number in (*row.pair.numbers, 0.0)[:ROW]]
     numbers = [*[0.0] * (2 * POSE), *one.law, *shapes]
     return [float(len(numbers)), *numbers]
+
+
+def polygon_edges(contact: ActingContact) -> int:
+    """Return the number of edges of the polygon that touches a polyline; 0 for a circle."""
+    return (len(contact.pair.numbers) - OWN - SEGMENT * contact.pair.kind[1]) // EDGE
+
+
+def surface_numbers(contact: ActingContact) -> list[float]:
+    """Return the parameters of a row on a polyline (`mbdkit.engine.kernels.uneven_ground`). For rigid bodies, segments
+    reach into the material at concave corners.
+    """
+    numbers, begin = contact.pair.numbers, -SEGMENT * contact.pair.kind[1]
+    return [*numbers[:begin], *reaching_segments(numbers[begin:])] if contact.force == "none" else list(numbers)
 
 
 def contact_values(

@@ -107,6 +107,7 @@ def two_bodies(first: Mapping[str, Any], second: Mapping[str, Any], at: tuple[fl
     return m
 
 
+STEPS = {"polyline": [(-1.0, 0.0), (0.2, 0.0), (0.2, 0.1), (0.4, 0.08), (0.45, 0.2)]}
 PAIRS = {
     "circles": (({"circle": {"center": (0.1, 0), "radius": 0.2}}, {"circle": {"radius": 0.1}}), (0.3, 0.18), 0.2),
     "hole": (({"hole": {"center": (0.1, 0), "radius": 0.3}}, {"circle": {"radius": 0.1}}), (0.15, 0.21), 0.2),
@@ -120,6 +121,11 @@ PAIRS = {
     "end of an edge": ((SQUARE, SQUARE), (-0.15, -0.195), 0.38),
     "side of a polygon": (({"polygon": OCTAGON}, SQUARE), (0.31, 0.02), 0.42),
     "polygon before circle": (({"circle": {"radius": 0.05}}, SQUARE), (0.1, 0.13), 0.3),
+    "circle on a segment": ((STEPS, {"circle": {"radius": 0.05}}), (0.1, 0.045), 0.3),
+    "circle in a concave corner": ((STEPS, {"circle": {"radius": 0.05}}), (0.16, 0.046), 0.3),
+    "circle on a convex corner": ((STEPS, {"circle": {"radius": 0.05}}), (0.19, 0.145), 0.3),
+    "box on steps": ((STEPS, SQUARE), (0.25, 0.14), 0.2),
+    "polyline after circle": (({"circle": {"radius": 0.05}}, STEPS), (0.02, -0.04), 0.4),
     "corners on a line": (({"line": {"normal": (0.2, 1)}}, SQUARE), (0.0, 0.08), 0.5),
 }
 
