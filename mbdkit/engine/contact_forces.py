@@ -36,7 +36,7 @@ HELD = {"normal_force": "N", "friction_force": "N", "mode": "1"}
 rates.
 """
 
-NO_LAW = (0.0, 0.0, 0.0, 0.0, 0.0, 1.0)
+NO_LAW = (0.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0)
 """Parameters of the law of a rigid contact, which exerts no compliant force."""
 
 HELD_BY_BODY = {"contact_force_x": "N", "contact_force_y": "N", "contact_torque": "N m"}
@@ -191,6 +191,11 @@ def acting_contacts(mechanism: Mechanism, number: Mapping[str, int]) -> list[Act
             moving = _coordinates(mechanism, pair.bodies[0]), _coordinates(mechanism, pair.bodies[1])
             bodies = (number[pair.bodies[0]], number[pair.bodies[1]])
             static, kinetic = own.coefficients
+            if is_rigid and own.rolling_resistance > 0.0:
+                raise SpecError(
+                    "rigid contacts have no rolling resistance; omit it, or use the compliant treatment",
+                    key=f"{pair.key}.rolling_resistance",
+                )
             if is_rigid:
                 given = own.restitution, static, kinetic
                 found.append(ActingContact(pair, "none", moving, bodies, NO_LAW, 0, given))

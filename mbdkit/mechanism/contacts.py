@@ -279,7 +279,7 @@ class Contact(Element):
     point midway between the two outlines.
     """
 
-    ABSENT_BY_DEFAULT: ClassVar[tuple[str, ...]] = ("bodies", "among", "compliance")
+    ABSENT_BY_DEFAULT: ClassVar[tuple[str, ...]] = ("bodies", "among", "rolling_resistance", "compliance")
 
     bodies: BodyPair | None = None
     """Names of the two bodies [a, b]; `ground` is the fixed global frame."""
@@ -292,6 +292,8 @@ class Contact(Element):
     """Coefficient of restitution: ratio of the normal velocity after an impact to that before it."""
     friction: NotNegative | Friction = 0.0
     """Coefficient of friction, or ``{static: number, kinetic: number}``."""
+    rolling_resistance: NotNegative = 0.0
+    """Arm e of the normal force N when a circle rolls [m]: the torque e N opposes the relative angular velocity."""
     compliance: Compliance | None = None
     """Law of the normal force, which the compliant treatment needs."""
 
@@ -305,6 +307,7 @@ class Contact(Element):
             _check_kinds(*self.shapes, "shapes")
         else:
             self._check_among()
+        self._check_rolling()
         self._check_law()
         return self
 
@@ -323,6 +326,11 @@ class Contact(Element):
                 raise SpecError(f"has no shape for '{name}'", key="shapes")
         for a, b in combinations(self.among, 2):
             _check_kinds(self.shapes[a], self.shapes[b], "shapes")
+
+    def _check_rolling(self) -> None:
+        for first, second in combinations([shape.kind for shape in self._ordered()], 2):
+            if self.rolling_resistance > 0.0 and "circle" not in (first, second):
+                raise SpecError(f"needs a circle that rolls, not a {first} and a {second}", key="rolling_resistance")
 
     def _check_law(self) -> None:
         own = self.compliance
@@ -382,7 +390,7 @@ class Contact(Element):
         return factor / (1.5 * own.impact_speed)
 
     def law_numbers(self, radius: float) -> dict[str, float]:
-        """Return the parameters of the laws of normal force and friction by name.
+        """Return the parameters of the laws of normal force, friction and rolling resistance by name.
 
         Parameters
         ----------
@@ -403,6 +411,7 @@ class Contact(Element):
             "static": static,
             "kinetic": kinetic,
             "transition": own.transition_speed,
+            "rolling": self.rolling_resistance,
         }
 
     def pairs(self, name: str, joints: Mapping[str, Joint]) -> Iterator[ContactPair]:
@@ -507,14 +516,17 @@ def _rows_on_polyline(
     corners = second.polygon or ()
     (cx, cy), radius = ((0.0, 0.0), 0.0) if corners else second.circle_of
     surface = surface_of(points, 2.0 * radius, max((math.dist(*two) for two in combinations(corners, 2)), default=0.0))
-    numbers = (cx, cy, radius, float(surface.colors), *_edges(corners), *surface.segments)
+    outlines = (float(surface.colors), *_edges(corners), *surface.segments)
     own = surface.colors * max(len(corners), 1)
     count = own + (surface.corner_colors if corners else 0)
     for i in range(count):
         label = name if count == 1 else f"{name}.{i}"
         if i < own:
+            x, y = corners[i % len(corners)] if corners else (cx, cy)
+            numbers = (x, y, radius, *outlines)
             yield ContactPair(label, key, bodies, ("polyline", surface.segment_count), numbers, radius, swapped)
         else:
+            numbers = (0.0, 0.0, 0.0, *outlines)
             yield ContactPair(label, key, bodies[::-1], ("corner", surface.segment_count), numbers, 0.0, not swapped)
 
 

@@ -5,7 +5,10 @@ of radius 0. A row (`mbdkit.mechanism.contacts.ContactPair`) is a possible conta
 from the first shape to the second. With the center c and radius r of the second body's circle, the normal force N and
 the friction force T act at the point ``P = c - n (r + gap/2)``, midway between the two outlines. The velocity of the
 second body at P, relative to that of the first body at P, has the component ``gap'`` along n and the slip along t,
-which is n turned by -90 degrees. The force on the second body is ``N n + T t``.
+which is n turned by -90 degrees. The force on the second body is ``N n + T t``. Rolling resistance adds a torque on
+the second body, ``-e N`` times the sign of its angular velocity relative to the first body, and the opposite torque on
+the first; e is the arm of the normal force. Below the transition speed, the sign is replaced by the ratio of the
+rolling speed r omega to the transition speed.
 
 A circle or point touches the part of a polygon that is nearest: an edge, or the corner between two edges. By the
 theorem of separating axes, two polygons touch only along the edge from which the other polygon is farthest, and along
@@ -66,7 +69,7 @@ force, whether torques act on the bodies, and the number of rows."""
 _HEAD = 8
 POSE = 7
 """Numbers of a body: x, y, cosine and sine of its angle, and its velocities."""
-STIFFNESS, DISSIPATION, RELEASE, STATIC, KINETIC, TRANSITION, SHAPES = range(2 * POSE, 2 * POSE + 7)
+STIFFNESS, DISSIPATION, RELEASE, STATIC, KINETIC, TRANSITION, ROLLING, SHAPES = range(2 * POSE, 2 * POSE + 8)
 """Places of the parameters of the force law, see `mbdkit.mechanism.contacts.Contact.law_numbers`, and of the shapes."""
 ROW = 7
 """Parameters of a row without polygon."""
@@ -224,7 +227,7 @@ def _on_polyline(head, x, row):
         px, py = _turned(x, POSE, x[circle], x[circle + 1])
         p = _seen(x, 0, POSE, px, py)
         window = window_around(x, SHAPES, sizes, p, r + reach)
-        height, part, acts = touched_part(x, SHAPES, sizes, row, p, turn, window)
+        height, part, acts = touched_part(x, SHAPES, sizes, row, p, turn, window, 0.0)
         feature, shape = ground + SEGMENT * (part // 2), _LINE
         if part % 2 == 1:
             shape = _CIRCLES if x[feature + TURN] > 0.0 else _HOLE
@@ -420,6 +423,10 @@ def _act(head, x, first, second, row, acts, gap, nx, ny, cx, cy, r, bend, out):
     slip, rate = vx * ny - vy * nx, vx * nx + vy * ny
     normal, by_depth, by_rate = _normal_force(law if acts else _NONE, x, -gap, -rate)
     friction, by_normal, by_slip = _friction_force(law, x, normal, slip)
+    per = r / x[TRANSITION]
+    share = per * (x[second + 6] - x[first + 6])
+    if share > 1.0 or share < -1.0:
+        share, per = share / abs(share), 0.0 * per
     if mode == VALUES:
         at = VALUE * row
         out[at], out[at + 1], out[at + 2], out[at + 3] = gap, normal, friction, slip
@@ -430,10 +437,11 @@ def _act(head, x, first, second, row, acts, gap, nx, ny, cx, cy, r, bend, out):
     if mode == FORCES:
         out[one] -= fx
         out[one + 1] -= fy
-        out[one + 2] -= ox * fy - oy * fx
+        torque = -x[ROLLING] * normal * share
+        out[one + 2] -= ox * fy - oy * fx + torque
         out[two] += fx
         out[two + 1] += fy
-        out[two + 2] += px * fy - py * fx
+        out[two + 2] += px * fy - py * fx + torque
         return
     ax, ay = ox + half * nx, oy + half * ny  # from the first body's centre of mass to the circle
     for column in range(12):
@@ -473,10 +481,12 @@ def _act(head, x, first, second, row, acts, gap, nx, ny, cx, cy, r, bend, out):
         at = 36 * (column // 6) + column % 6
         out[at + 6 * one] -= gx
         out[at + 6 * one + 6] -= gy
-        out[at + 6 * one + 12] -= hx * fy - hy * fx + ox * gy - oy * gx
+        by_spin = sign * per if column >= 6 and axis == 2 else 0.0 * per
+        d_torque = -x[ROLLING] * (d_normal * share + normal * by_spin)
+        out[at + 6 * one + 12] -= hx * fy - hy * fx + ox * gy - oy * gx + d_torque
         out[at + 6 * two] += gx
         out[at + 6 * two + 6] += gy
-        out[at + 6 * two + 12] += qx * fy - qy * fx + px * gy - py * gx
+        out[at + 6 * two + 12] += qx * fy - qy * fx + px * gy - py * gx + d_torque
 
 
 @kernel

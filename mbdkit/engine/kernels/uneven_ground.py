@@ -98,12 +98,13 @@ def _faces(x, at, n, corner, segment, turn):
 
 
 @inlined
-def touched_part(x, at, sizes, row, p, turn, window):
+def touched_part(x, at, sizes, row, p, turn, window, exact):
     """Return the height of a point over the part that it touches, the part, and whether it lies over this part.
 
     The part is twice the number of its segment, plus 1 for the corner at its start. If the point does not lie over any
     part, the result is its distance from the nearest segment. `row` is the number of the corner of the polygon that is
     the point, plus the number of corners times the color of the pieces that are searched. For circles, it is the color.
+    A point that is outside a piece by at most `exact` may be in the material behind its other segments.
     """
     n, ground = sizes[0], at + OWN + EDGE * sizes[0]
     corner, color = (row % n, row // n) if n > 0 else (0, row)
@@ -119,7 +120,7 @@ def touched_part(x, at, sizes, row, p, turn, window):
         while j <= last and x[ground + SEGMENT * j + COLOR] == color:
             k = ground + SEGMENT * j
             height, along = height_over_segment(x, k, px, py)
-            is_outside = is_outside or height > 0.0
+            is_outside = is_outside or height > exact
             own, past, faces = 2 * j, 0.0 * height, n == 0 or _faces(x, at, n, corner, k, turn)
             if along > x[k + HIGH]:
                 past, own = along - x[k + HIGH], -1
@@ -201,8 +202,8 @@ def touching_corner(x, at, sizes, color, origin, turn, window, exact):
             apart = height if height > apart else apart
             if e in (one, two) and -exact <= along and along <= x[edge + 4] + exact and height > highest:
                 highest, top, over = height, e, True
-        if not over:
-            highest = apart
+        if not over or (apart > exact and highest < 0.0):
+            highest, over = apart, False
         if highest < best:
             best, part, acts = highest, n * j + top, over
     return best, part, acts
