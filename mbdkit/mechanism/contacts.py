@@ -7,7 +7,8 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from itertools import combinations
 from typing import Annotated, Any, ClassVar, Literal, NamedTuple
 
-from pydantic import BeforeValidator, Field, model_validator
+from pydantic import BeforeValidator, Field, GetJsonSchemaHandler, model_validator
+from pydantic_core import CoreSchema
 
 from mbdkit.base.errors import SpecError
 from mbdkit.base.plain_data import quoted
@@ -73,6 +74,36 @@ class HoleShape(CircleShape):
 Corners = Annotated[tuple[Point, ...], BeforeValidator(sequence)]
 
 
+class PolylineFile(StrictModel):
+    """A file with the points of a polyline: CSV with a line of headings, relative to the folder of the spec."""
+
+    file: str
+    """Name of the file."""
+    x: str = "x"
+    """Heading of the column of x."""
+    y: str = "y"
+    """Heading of the column of y."""
+    unit: str = "m"
+    """Unit of both columns."""
+
+
+def _polyline(value: Any) -> Any:
+    if isinstance(value, Mapping):
+        raise SpecError("files of points are read from spec files only; in Python, give the points [[x, y], ...]")
+    return sequence(value)
+
+
+class _OrFile:
+    """Annotation of points that spec files may give by a `PolylineFile`."""
+
+    def __get_pydantic_json_schema__(self, core: CoreSchema, handler: GetJsonSchemaHandler) -> dict[str, Any]:
+        return {"anyOf": [handler(core), PolylineFile.model_json_schema()]}
+
+
+Polyline = Annotated[tuple[Point, ...], BeforeValidator(_polyline), _OrFile()]
+"""Points of a polyline, or in spec files a table of them."""
+
+
 class Shape(StrictModel):
     """The outline of a body where it touches others: exactly one of `line`, `polyline`, `point`, `circle`, `hole` and
     `polygon`.
@@ -82,9 +113,10 @@ class Shape(StrictModel):
 
     line: LineShape | None = None
     """A straight line, ``{point: [x, y], normal: [x, y]}``, such as a floor."""
-    polyline: Corners | None = None
+    polyline: Polyline | None = None
     """Uneven ground: points [[x, y], ...] in the body's frame [m], from left to right, with the material below. The
-    first and the last segment continue straight without end."""
+    first and the last segment continue straight without end. In a spec file, ``{file: NAME, x: COLUMN, y: COLUMN, unit:
+    UNIT}`` reads the points from a table in CSV."""
     point: Point | None = None
     """A point (x, y) [m] in the body's frame."""
     circle: CircleShape | None = None
