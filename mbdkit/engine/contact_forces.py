@@ -131,7 +131,8 @@ def surface_numbers(contact: ActingContact) -> list[float]:
 def contact_values(
     contacts: Sequence[ActingContact], q: np.ndarray, v: np.ndarray, z: np.ndarray
 ) -> dict[str, np.ndarray]:
-    """Return the quantities (T, C) of contacts in recorded states, their points and their normals (T, C, 2).
+    """Return the quantities (T, C) of contacts in recorded states, the torques of rolling resistance on their second
+    bodies (T, C), their points and their normals (T, C, 2).
 
     Positions and velocities are (T, 3 (B + 1)), first-order states (T, Z). Points, at which the forces act, and normals
     are given in the global frame.
@@ -153,7 +154,8 @@ def contact_values(
     for i, one in enumerate(contacts):
         for k, name in enumerate(HELD if one.first_state >= 0 else ()):
             found[name][:, i] = z[:, one.first_state + k]
-    return found | {"point": values[..., 4:6].copy(), "normal": values[..., 6:].copy()}
+    found["rolling_torque"] = values[..., 8].copy()
+    return found | {"point": values[..., 4:6].copy(), "normal": values[..., 6:8].copy()}
 
 
 def held_coordinates(contacts: Sequence[ActingContact]) -> list[int]:

@@ -73,8 +73,9 @@ STIFFNESS, DISSIPATION, RELEASE, STATIC, KINETIC, TRANSITION, ROLLING, SHAPES = 
 """Places of the parameters of the force law, see `mbdkit.mechanism.contacts.Contact.law_numbers`, and of the shapes."""
 ROW = 7
 """Parameters of a row without polygon."""
-VALUE = 8
-"""Quantities of a row: gap, normal force, friction force, slip, the point P and the normal."""
+VALUE = 9
+"""Quantities of a row: gap, normal force, friction force, slip, the point P, the normal, and the torque of rolling
+resistance on the second body."""
 
 _CF, _BD, _BV = 1e-5, 300.0, 50.0
 """Smoothing constants of Simbody's SmoothSphereHalfSpaceForce, with the default values of OpenSim."""
@@ -427,17 +428,18 @@ def _act(head, x, first, second, row, acts, gap, nx, ny, cx, cy, r, bend, out):
     share = per * (x[second + 6] - x[first + 6])
     if share > 1.0 or share < -1.0:
         share, per = share / abs(share), 0.0 * per
+    torque = -x[ROLLING] * normal * share
     if mode == VALUES:
         at = VALUE * row
         out[at], out[at + 1], out[at + 2], out[at + 3] = gap, normal, friction, slip
         out[at + 4], out[at + 5], out[at + 6], out[at + 7] = x[second] + px, x[second + 1] + py, nx, ny
+        out[at + 8] = torque
         return
     fx, fy = normal * nx + friction * ny, normal * ny - friction * nx
     one, two = 3 * (first // POSE), 3 * (second // POSE)
     if mode == FORCES:
         out[one] -= fx
         out[one + 1] -= fy
-        torque = -x[ROLLING] * normal * share
         out[one + 2] -= ox * fy - oy * fx + torque
         out[two] += fx
         out[two + 1] += fy
@@ -505,4 +507,4 @@ def contact_rows(contacts: IntMatrix, parameters: RealVector, q: RealMatrix, v: 
                 parameters[at + 2], parameters[at + 3] = cosine_and_sine(q[t, body + 2])
                 for i in range(3):
                     parameters[at + 4 + i] = v[t, body + i]
-            call_law(contacts[k, 2], contacts[k, 3], 0.0, 0.0, 0.0, parameters, begin, out[t], contacts[k, 5], 8)
+            call_law(contacts[k, 2], contacts[k, 3], 0.0, 0.0, 0.0, parameters, begin, out[t], contacts[k, 5], 9)
