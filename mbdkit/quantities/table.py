@@ -251,7 +251,7 @@ KINDS = (
     _kind(
         "contacts",
         _TIME,
-        _texts("contact", "contact", "name of the contact; of polygons, with the number of the corner",
+        _texts("contact", "contact", "name of the contact; of polygons and polylines, with a number",
             lambda names: names.names_of("contacts")),
         _texts("first_body", "contact", "first body of the contact, from which the normal points",
             lambda names: names.bodies_of("contacts", 0), label="bodies"),
