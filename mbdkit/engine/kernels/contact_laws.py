@@ -38,11 +38,11 @@ from mbdkit.engine.kernels.angles import cosine_and_sine
 from mbdkit.engine.kernels.bundle_types import IntMatrix, RealCube, RealMatrix, RealVector
 from mbdkit.engine.kernels.uneven_ground import (
     EDGE,
-    FAR,
     OWN,
     SEGMENT,
     TURN,
     corners_window,
+    spacing,
     touched_part,
     touching_corner,
     window_around,
@@ -218,25 +218,35 @@ def _on_polyline(head, x, row):
 
     In the rows of corners of the polyline, which come last, the polygon's body is the first.
     """
-    count, n, reach = head[FIRST_COUNT], head[SECOND_COUNT], FAR if head[MODE] == VALUES else 0.0
+    count, n = head[FIRST_COUNT], head[SECOND_COUNT]
     sizes, ground, corners = (n, count), SHAPES + OWN + EDGE * n, int(value_of(x[SHAPES + 3])) * max(n, 1)
     turn = (x[2] * x[POSE + 2] + x[3] * x[POSE + 3], x[2] * x[POSE + 3] - x[3] * x[POSE + 2])
+    circle, r = SHAPES, x[SHAPES + 2]
+    if n > 0 and row < corners:
+        circle, r = SHAPES + OWN + EDGE * (row % n), 0.0 * r
+    p = _seen(x, 0, POSE, 0.0 * r, 0.0 * r)  # the origin of the polygon
     if row < corners:
-        circle, r = SHAPES, x[SHAPES + 2]
-        if n > 0:
-            circle, r = SHAPES + OWN + EDGE * (row % n), 0.0 * r
         px, py = _turned(x, POSE, x[circle], x[circle + 1])
         p = _seen(x, 0, POSE, px, py)
-        window = window_around(x, SHAPES, sizes, p, r + reach)
-        height, part, acts = touched_part(x, SHAPES, sizes, row, p, turn, window, 0.0)
-        feature, shape = ground + SEGMENT * (part // 2), _LINE
-        if part % 2 == 1:
-            shape = _CIRCLES if x[feature + TURN] > 0.0 else _HOLE
-        return 0, POSE, circle, feature, shape, height, acts
-    origin = _seen(x, 0, POSE, 0.0 * turn[0], 0.0 * turn[0])
-    window = corners_window(x, SHAPES, sizes, origin, turn, reach)
-    height, part, acts = touching_corner(x, SHAPES, sizes, row - corners, origin, turn, window, 0.0)
-    return POSE, 0, ground + SEGMENT * (part // n), SHAPES + OWN + EDGE * (part % n), _LINE, height, acts
+    # Forces need only what touches; quantities need what is nearest, which is searched at increasing distances.
+    reach = 0.0 * r if head[MODE] != VALUES else spacing(x, SHAPES, sizes) + 0.0 * r
+    while True:
+        if row < corners:
+            window = window_around(x, SHAPES, sizes, p, r + reach)
+            height, part, acts = touched_part(x, SHAPES, sizes, row, p, turn, window, 0.0)
+        else:
+            window = corners_window(x, SHAPES, sizes, p, turn, reach)
+            height, part, acts = touching_corner(x, SHAPES, sizes, row - corners, p, turn, window, 0.0)
+        is_whole = window[0] == 0 and window[1] == count - 1
+        if head[MODE] != VALUES or is_whole or height <= r + reach:
+            break
+        reach *= 4.0
+    if row >= corners:
+        return POSE, 0, ground + SEGMENT * (part // n), SHAPES + OWN + EDGE * (part % n), _LINE, height, acts
+    feature, shape = ground + SEGMENT * (part // 2), _LINE
+    if part % 2 == 1:
+        shape = _CIRCLES if x[feature + TURN] > 0.0 else _HOLE
+    return 0, POSE, circle, feature, shape, height, acts
 
 
 @inlined

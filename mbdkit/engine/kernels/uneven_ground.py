@@ -7,7 +7,7 @@ both segments there: outside a convex corner, or in the material below a concave
 
 A corner of a polygon touches only segments that face one of its two edges, as with two polygons
 (`mbdkit.engine.kernels.contact_laws`), so that a corner just inside the end of a segment is not pushed out sideways.
-Convex corners of the polyline touch the edges of the polygon that face their segments.
+Convex corners of the polyline touch the edges of the polygon that face their segments, or that lie between these.
 
 The parameters `x` contain, from index `at` on: center and radius of the circle, the number of colors, the `EDGE`
 numbers of each of the n edges of the polygon (0 for a circle), and the `SEGMENT` numbers of each segment. `sizes` are
@@ -59,13 +59,18 @@ def _segment_at(x, ground, count, px):
 
 
 @inlined
+def spacing(x, at, sizes):
+    """Return the mean distance of the corners of a polyline along x."""
+    ground, last = at + OWN + EDGE * sizes[0], sizes[1] - 1
+    return (x[ground + SEGMENT * last] - x[ground]) / max(last, 1)
+
+
+@inlined
 def window_around(x, at, sizes, p, reach):
     """Return the first and the last segment with parts nearer to a point than `reach`; in the material, also the
     nearest part of all.
     """
     count, ground = sizes[1], at + OWN + EDGE * sizes[0]
-    if reach >= FAR:
-        return 0, count - 1
     px, py = p
     below = ground + SEGMENT * _segment_at(x, ground, count, px)
     height, ny = height_over(x, below, px, py)[0], x[below + 3]
@@ -154,8 +159,6 @@ def corners_window(x, at, sizes, origin, turn, reach):
     """
     n, count = sizes
     ground = at + OWN + EDGE * n
-    if reach >= FAR:
-        return 0, count - 1
     left, right = FAR + 0.0 * origin[0], -FAR + 0.0 * origin[0]
     for k in range(n):
         edge = at + OWN + EDGE * k
@@ -194,13 +197,16 @@ def touching_corner(x, at, sizes, color, origin, turn, window, exact):
             continue
         dx, dy = x[k] - origin[0], x[k + 1] - origin[1]
         px, py = turn[0] * dx + turn[1] * dy, turn[0] * dy - turn[1] * dx
-        one, two = _facing_edge(x, at, n, k - SEGMENT, turn), _facing_edge(x, at, n, k, turn)
-        highest, top, over, apart = -FAR + 0.0 * px, one, False, 0.0 * px
+        # The edges that face one of the two segments, and those between them, may touch the corner.
+        facing = _facing_edge(x, at, n, k - SEGMENT, turn)
+        more = (facing - _facing_edge(x, at, n, k, turn) + n) % n
+        highest, top, over, apart = -FAR + 0.0 * px, facing, False, 0.0 * px
         for e in range(n):
             edge = at + OWN + EDGE * e
             height, along = height_over(x, edge, px, py)
             apart = height if height > apart else apart
-            if e in (one, two) and -exact <= along and along <= x[edge + 4] + exact and height > highest:
+            faces = (facing - e + n) % n <= more
+            if faces and -exact <= along and along <= x[edge + 4] + exact and height > highest:
                 highest, top, over = height, e, True
         if not over or (apart > exact and highest < 0.0):
             highest, over = apart, False
