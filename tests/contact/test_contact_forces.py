@@ -129,6 +129,7 @@ PAIRS = {
     "circle on a segment": ((STEPS, {"circle": {"radius": 0.05}}), (0.1, 0.045), 0.3),
     "circle in a concave corner": ((STEPS, {"circle": {"radius": 0.05}}), (0.16, 0.046), 0.3),
     "circle on a convex corner": ((STEPS, {"circle": {"radius": 0.05}}), (0.19, 0.145), 0.3),
+    "point behind a concave corner": ((STEPS, {"point": (0.0, 0.0)}), (0.203, -0.004), 0.3),
     "box on steps": ((STEPS, SQUARE), (0.25, 0.14), 0.2),
     "polyline after circle": (({"circle": {"radius": 0.05}}, STEPS), (0.02, -0.04), 0.4),
     "corners on a line": (({"line": {"normal": (0.2, 1)}}, SQUARE), (0.0, 0.08), 0.5),

@@ -86,20 +86,25 @@ def window_around(x, at, sizes, p, reach):
 
 
 @inlined
+def _in_frame_of_polygon(x, segment, turn):
+    """Return the normal of a segment in the frame of the polygon's body."""
+    nx, ny = x[segment + 2], x[segment + 3]
+    return turn[0] * nx + turn[1] * ny, turn[0] * ny - turn[1] * nx
+
+
+@inlined
+def _along_edge_normal(x, at, n, edge, m):
+    """Return the component of a vector along the normal of an edge; -1 for the opposite of this normal."""
+    k = at + OWN + EDGE * ((edge + n) % n)
+    return m[0] * x[k + 2] + m[1] * x[k + 3]
+
+
+@inlined
 def _faces(x, at, n, corner, segment, turn):
     """Whether the edge of a polygon that faces a segment ends at a corner of the polygon."""
-    nx, ny = x[segment + 2], x[segment + 3]
-    mx, my = turn[0] * nx + turn[1] * ny, turn[0] * ny - turn[1] * nx
-    edge = at + OWN + EDGE * ((corner + n - 2) % n)
-    outer = mx * x[edge + 2] + my * x[edge + 3]
-    edge = at + OWN + EDGE * ((corner + 1) % n)
-    other = mx * x[edge + 2] + my * x[edge + 3]
-    outer = other if other < outer else outer
-    edge = at + OWN + EDGE * ((corner + n - 1) % n)
-    inner = mx * x[edge + 2] + my * x[edge + 3]
-    edge = at + OWN + EDGE * corner
-    other = mx * x[edge + 2] + my * x[edge + 3]
-    return inner <= outer or other <= outer
+    m = _in_frame_of_polygon(x, segment, turn)
+    own = min(_along_edge_normal(x, at, n, corner - 1, m), _along_edge_normal(x, at, n, corner, m))
+    return own <= min(_along_edge_normal(x, at, n, corner - 2, m), _along_edge_normal(x, at, n, corner + 1, m))
 
 
 @inlined
@@ -170,12 +175,10 @@ def corners_window(x, at, sizes, origin, turn, reach):
 @inlined
 def _facing_edge(x, at, n, segment, turn):
     """Return the edge of a polygon that faces a segment."""
-    nx, ny = x[segment + 2], x[segment + 3]
-    mx, my = turn[0] * nx + turn[1] * ny, turn[0] * ny - turn[1] * nx
-    best, least = 0, FAR + 0.0 * mx
+    m = _in_frame_of_polygon(x, segment, turn)
+    best, least = 0, FAR + 0.0 * m[0]
     for e in range(n):
-        edge = at + OWN + EDGE * e
-        product = mx * x[edge + 2] + my * x[edge + 3]
+        product = _along_edge_normal(x, at, n, e, m)
         if product < least:
             best, least = e, product
     return best
