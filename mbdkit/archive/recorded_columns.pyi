@@ -135,7 +135,7 @@ class GroundReactions(View, of="ground_reactions"):
     normal_force: np.ndarray
     """sum of the normal forces of these contacts, (T,), N"""
     center_of_pressure: np.ndarray
-    """mean of the points of contact with the normal forces as weights, global frame; nan where none is closed, (T, 2), m"""
+    """point about which the contacts with the ground have no moment, global frame; nan where none is closed, (T, 2), m"""
 
 class Loads(View, of="loads"):
     force: np.ndarray

@@ -334,7 +334,7 @@ class RecordedData:
 
     @evaluated
     def contacts(self) -> history.ContactHistories:
-        """Gaps, forces, slip and modes of the contacts by name; a polygon has one contact for each corner, `NAME.i`."""
+        """Gaps, forces, slip and modes of the contacts by name; polygons and polylines have several, `NAME.i`."""
         return history.ContactHistories(BY_WORD["contacts"], self)
 
     @evaluated

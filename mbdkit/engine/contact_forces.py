@@ -16,11 +16,13 @@ import numpy as np
 
 from mbdkit.base.errors import SpecError
 from mbdkit.engine.force_laws import CompiledLaw, NativeLaw, native_law
-from mbdkit.engine.kernels.contact_laws import EDGE, FORCE_LAWS, KINDS, POSE, ROW, VALUE, VALUES, contact, contact_rows
+from mbdkit.engine.kernels.contact_laws import FORCE_LAWS, KINDS, POSE, ROW, VALUE, VALUES, contact, contact_rows
+from mbdkit.engine.kernels.uneven_ground import EDGE, OWN, SEGMENT
 from mbdkit.engine.traced_law import Source, Traced
 from mbdkit.mechanism.bodies import GROUND
 from mbdkit.mechanism.contacts import OPEN, SLIP, STICK, ContactPair
 from mbdkit.mechanism.force_law import TracedLaw
+from mbdkit.mechanism.polylines import reaching_segments
 
 if TYPE_CHECKING:
     from mbdkit.mechanism.mechanism import Mechanism
@@ -34,7 +36,7 @@ HELD = {"normal_force": "N", "friction_force": "N", "mode": "1"}
 rates.
 """
 
-NO_LAW = (0.0, 0.0, 0.0, 0.0, 0.0, 1.0)
+NO_LAW = (0.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0)
 """Parameters of the law of a rigid contact, which exerts no compliant force."""
 
 HELD_BY_BODY = {"contact_force_x": "N", "contact_force_y": "N", "contact_torque": "N m"}
@@ -92,8 +94,9 @@ def contact_law(rows: Sequence[ActingContact], mode: int) -> CompiledLaw:
     """Return the law of a pair of shapes in a mode of `mbdkit.engine.kernels.contact_laws`."""
     one, (kind, edges) = rows[0], rows[0].pair.kind
     count = edges or len(rows)
+    other = polygon_edges(one) if kind == "polyline" else len(rows) - count
     turns = (int(moving == 3) for moving in one.moving)
-    program = (mode, KINDS.index(kind), count, len(rows) - count, FORCE_LAWS.index(one.force), *turns)
+    program = (mode, KINDS.index(kind), count, other, FORCE_LAWS.index(one.force), *turns, len(rows))
     return native_law(NativeLaw(contact, program))
 
 
@@ -104,6 +107,8 @@ def contact_numbers(rows: Sequence[ActingContact]) -> list[float]:
         shapes = [*one.pair.numbers[:3], *one.edges]
     elif kind == "inside":
         shapes = one.edges + rows[-1].edges
+    elif kind == "polyline":
+        shapes = surface_numbers(one)
     else:
         shapes = [number for row in rows for number in (*row.pair.numbers, 0.0)[:ROW]]
     numbers = [*[0.0] * (2 * POSE), *one.law, *shapes, *[0.0] * (len(rows) if has_sides(rows) else 0)]
@@ -115,10 +120,24 @@ def has_sides(rows: Sequence[ActingContact]) -> bool:
     return rows[0].force == "linear" and rows[0].pair.kind[0] in ("line", "circles", "hole")
 
 
+def polygon_edges(contact: ActingContact) -> int:
+    """Return the number of edges of the polygon that touches a polyline; 0 for a circle."""
+    return (len(contact.pair.numbers) - OWN - SEGMENT * contact.pair.kind[1]) // EDGE
+
+
+def surface_numbers(contact: ActingContact) -> list[float]:
+    """Return the parameters of a row on a polyline (`mbdkit.engine.kernels.uneven_ground`). For rigid bodies, segments
+    reach into the material at concave corners.
+    """
+    numbers, begin = contact.pair.numbers, -SEGMENT * contact.pair.kind[1]
+    return [*numbers[:begin], *reaching_segments(numbers[begin:])] if contact.force == "none" else list(numbers)
+
+
 def contact_values(
     contacts: Sequence[ActingContact], q: np.ndarray, v: np.ndarray, z: np.ndarray
 ) -> dict[str, np.ndarray]:
-    """Return the quantities (T, C) of contacts in recorded states, their points and their normals (T, C, 2).
+    """Return the quantities (T, C) of contacts in recorded states, the torques of rolling resistance on their second
+    bodies (T, C), their points and their normals (T, C, 2).
 
     Positions and velocities are (T, 3 (B + 1)), first-order states (T, Z). Points, at which the forces act, and normals
     are given in the global frame.
@@ -140,7 +159,8 @@ def contact_values(
     for i, one in enumerate(contacts):
         for k, name in enumerate(HELD if one.first_state >= 0 else ()):
             found[name][:, i] = z[:, one.first_state + k]
-    return found | {"point": values[..., 4:6].copy(), "normal": values[..., 6:].copy()}
+    found["rolling_torque"] = values[..., 8].copy()
+    return found | {"point": values[..., 4:6].copy(), "normal": values[..., 6:8].copy()}
 
 
 def held_coordinates(contacts: Sequence[ActingContact]) -> list[int]:
@@ -178,6 +198,11 @@ def acting_contacts(mechanism: Mechanism, number: Mapping[str, int]) -> list[Act
             moving = _coordinates(mechanism, pair.bodies[0]), _coordinates(mechanism, pair.bodies[1])
             bodies = (number[pair.bodies[0]], number[pair.bodies[1]])
             static, kinetic = own.coefficients
+            if is_rigid and own.rolling_resistance > 0.0:
+                raise SpecError(
+                    "rigid contacts have no rolling resistance; omit it, or use the compliant treatment",
+                    key=f"{pair.key}.rolling_resistance",
+                )
             if is_rigid:
                 given = own.restitution, static, kinetic
                 found.append(ActingContact(pair, "none", moving, bodies, NO_LAW, 0, given))

@@ -25,8 +25,10 @@ def ground_reactions(contacts: Sequence[ActingContact], values: Mapping[str, np.
     -------
     dict
         For T states and F bodies: ``force`` (T, F, 2) and ``normal_force`` (T, F), sums over the contacts of a body
-        [N], and ``center_of_pressure`` (T, F, 2), the mean of the contact points weighted with the normal forces [m].
-        The latter is nan where no contact is closed.
+        [N], and ``center_of_pressure`` (T, F, 2) [m], nan where no contact is closed. The moment of all contacts about
+        this point is zero. It lies on the line through the mean of the contact points, weighted with the normal forces,
+        at right angles to the vector sum of the normal forces. On flat ground without rolling resistance, it is this
+        mean.
     """
     pairs = [one.pair.ordered for one in contacts]
     names = feet(pairs)
@@ -47,9 +49,16 @@ def ground_reactions(contacts: Sequence[ActingContact], values: Mapping[str, np.
         for place, name in enumerate(names):
             own = touching[name]
             signs = np.array([1.0 if contacts[i].pair.bodies[1] == name else -1.0 for i in own])
-            found["force"][:, place] = np.sum(signs[:, None] * on_second[:, own], axis=1)
-            found["normal_force"][:, place] = np.sum(push[:, own], axis=1)
+            on_body, points = signs[:, None] * on_second[:, own], values["point"][:, own]
+            force = np.sum(on_body, axis=1)
+            found["force"][:, place], found["normal_force"][:, place] = force, np.sum(push[:, own], axis=1)
             pressed = np.where(values["mode"][:, own] != OPEN, push[:, own], 0.0)
-            moments = np.sum(pressed[..., None] * values["point"][:, own], axis=1)
-            found["center_of_pressure"][:, place] = moments / np.sum(pressed, axis=1)[:, None]
+            mean = np.sum(pressed[..., None] * points, axis=1) / np.sum(pressed, axis=1)[:, None]
+            arms = points - mean[:, None]
+            torques = arms[..., 0] * on_body[..., 1] - arms[..., 1] * on_body[..., 0]
+            torque = np.sum(torques + signs * values["rolling_torque"][:, own], axis=1)
+            total = np.sum((signs * pressed)[..., None] * normal[:, own], axis=1)  # of the normal forces, as vectors
+            ahead = torque / np.sum(total * force, axis=1)
+            along = np.stack([total[:, 1], -total[:, 0]], axis=1)
+            found["center_of_pressure"][:, place] = mean + ahead[:, None] * along
     return found

@@ -7,7 +7,8 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from itertools import combinations
 from typing import Annotated, Any, ClassVar, Literal, NamedTuple
 
-from pydantic import BeforeValidator, Field, model_validator
+from pydantic import BeforeValidator, Field, GetJsonSchemaHandler, model_validator
+from pydantic_core import CoreSchema
 
 from mbdkit.base.errors import SpecError
 from mbdkit.base.plain_data import quoted
@@ -15,6 +16,7 @@ from mbdkit.base.strict_model import StrictModel
 from mbdkit.base.text import did_you_mean, listed
 from mbdkit.mechanism.bodies import GROUND, Attachment, Element
 from mbdkit.mechanism.joints import Joint, Revolute, Weld
+from mbdkit.mechanism.polylines import check_polyline, surface_of
 from mbdkit.mechanism.values import BodyPair, NotNegative, Point, Positive, sequence
 
 Pair = tuple[float, float]
@@ -72,13 +74,49 @@ class HoleShape(CircleShape):
 Corners = Annotated[tuple[Point, ...], BeforeValidator(sequence)]
 
 
-class Shape(StrictModel):
-    """The outline of a body where it touches others: exactly one of `line`, `point`, `circle`, `hole` and `polygon`."""
+class PolylineFile(StrictModel):
+    """A file with the points of a polyline: CSV with a line of headings, relative to the folder of the spec."""
 
-    ABSENT_BY_DEFAULT: ClassVar[tuple[str, ...]] = ("line", "point", "circle", "hole", "polygon")
+    file: str
+    """Name of the file."""
+    x: str = "x"
+    """Heading of the column of x."""
+    y: str = "y"
+    """Heading of the column of y."""
+    unit: str = "m"
+    """Unit of both columns."""
+
+
+def _polyline(value: Any) -> Any:
+    if isinstance(value, Mapping):
+        raise SpecError("files of points are read from spec files only; in Python, give the points [[x, y], ...]")
+    return sequence(value)
+
+
+class _OrFile:
+    """Annotation of points that spec files may give by a `PolylineFile`."""
+
+    def __get_pydantic_json_schema__(self, core: CoreSchema, handler: GetJsonSchemaHandler) -> dict[str, Any]:
+        return {"anyOf": [handler(core), PolylineFile.model_json_schema()]}
+
+
+Polyline = Annotated[tuple[Point, ...], BeforeValidator(_polyline), _OrFile()]
+"""Points of a polyline, or in spec files a table of them."""
+
+
+class Shape(StrictModel):
+    """The outline of a body where it touches others: exactly one of `line`, `polyline`, `point`, `circle`, `hole` and
+    `polygon`.
+    """
+
+    ABSENT_BY_DEFAULT: ClassVar[tuple[str, ...]] = ("line", "polyline", "point", "circle", "hole", "polygon")
 
     line: LineShape | None = None
     """A straight line, ``{point: [x, y], normal: [x, y]}``, such as a floor."""
+    polyline: Polyline | None = None
+    """Uneven ground: points [[x, y], ...] in the body's frame [m], from left to right, with the material below. The
+    first and the last segment continue straight without end. In a spec file, ``{file: NAME, x: COLUMN, y: COLUMN, unit:
+    UNIT}`` reads the points from a table in CSV."""
     point: Point | None = None
     """A point (x, y) [m] in the body's frame."""
     circle: CircleShape | None = None
@@ -93,7 +131,12 @@ class Shape(StrictModel):
         given = [name for name in self.ABSENT_BY_DEFAULT if getattr(self, name) is not None]
         if len(given) != 1:
             what = f"not {listed(given, 'and')}" if given else "for example {circle: {radius: 0.1}}"
-            raise SpecError(f"a shape is one of line, point, circle, hole and polygon, {what}")
+            raise SpecError(f"a shape is one of {listed(self.ABSENT_BY_DEFAULT, 'and')}, {what}")
+        if self.polyline is not None:
+            try:
+                check_polyline(self.polyline)
+            except SpecError as error:
+                raise error.located(prefix="polyline") from None
         if self.polygon is not None:
             _check_convex(self.polygon)
         return self
@@ -118,9 +161,10 @@ class Shape(StrictModel):
             return [("line.point", self.line.point)]
         if self.point is not None:
             return [("point", self.point)]
-        if self.polygon is None:
+        corners = self.polygon or self.polyline
+        if corners is None:
             return [(f"{self.kind}.center", self.circle_of[0])]
-        return [(f"polygon[{i}]", corner) for i, corner in enumerate(self.polygon)]
+        return [(f"{self.kind}[{i}]", corner) for i, corner in enumerate(corners)]
 
 
 def _check_convex(corners: tuple[Pair, ...]) -> None:
@@ -229,14 +273,17 @@ class ContactPair(NamedTuple):
     bodies
         The two bodies, in the order that the formulas of the `kind` assume.
     kind
-        Kind of geometry, and number of edges of the first body's polygon, if it has one. The first body has a ``line``;
-        both have circles (``circles``); the first body has a ``hole``; it has a polygon, and the row belongs to one
-        ``edge`` and the corner at which this begins; or both have polygons, and the row belongs to a corner of the
-        second body's (``inside``).
+        Kind of geometry, and number of edges of the first body's polygon or of segments of a polyline, if there is one.
+        The first body has a ``line``; both have circles (``circles``); the first body has a ``hole``; it has a polygon,
+        and the row belongs to one ``edge`` and the corner at which this begins; both have polygons, and the row belongs
+        to a corner of the second body's (``inside``); the first body has a ``polyline``; or the second body has one,
+        and the row belongs to any ``corner`` of it that touches the first body's polygon.
     numbers
         Parameters of the geometry, in the frames of the bodies: center and radius of the circle; then a point and the
         normal of the line, or center and radius of the first body's circle or hole, or for each edge of the first
-        body's polygon its start, normal and length. The three corners of an ``edge`` come before the latter.
+        body's polygon its start, normal and length. The three corners of an ``edge`` come before the latter. With a
+        polyline: center and radius of the circle, the number of colors, the edges of the polygon, and the segments of
+        the polyline (`mbdkit.mechanism.polylines`).
     radius
         Radius of the circle [m], 0 for a point.
     swapped
@@ -264,7 +311,7 @@ class Contact(Element):
     point midway between the two outlines.
     """
 
-    ABSENT_BY_DEFAULT: ClassVar[tuple[str, ...]] = ("bodies", "among", "compliance")
+    ABSENT_BY_DEFAULT: ClassVar[tuple[str, ...]] = ("bodies", "among", "rolling_resistance", "compliance")
 
     bodies: BodyPair | None = None
     """Names of the two bodies [a, b]; `ground` is the fixed global frame."""
@@ -277,6 +324,8 @@ class Contact(Element):
     """Coefficient of restitution: ratio of the normal velocity after an impact to that before it."""
     friction: NotNegative | Friction = 0.0
     """Coefficient of friction, or ``{static: number, kinetic: number}``."""
+    rolling_resistance: NotNegative = 0.0
+    """Arm e of the normal force N when a circle rolls [m]: the torque e N opposes the relative angular velocity."""
     compliance: Compliance | None = None
     """Law of the normal force, which the compliant treatment needs."""
 
@@ -290,6 +339,7 @@ class Contact(Element):
             _check_kinds(*self.shapes, "shapes")
         else:
             self._check_among()
+        self._check_rolling()
         self._check_law()
         return self
 
@@ -308,6 +358,11 @@ class Contact(Element):
                 raise SpecError(f"has no shape for '{name}'", key="shapes")
         for a, b in combinations(self.among, 2):
             _check_kinds(self.shapes[a], self.shapes[b], "shapes")
+
+    def _check_rolling(self) -> None:
+        for first, second in combinations([shape.kind for shape in self._ordered()], 2):
+            if self.rolling_resistance > 0.0 and "circle" not in (first, second):
+                raise SpecError(f"needs a circle that rolls, not a {first} and a {second}", key="rolling_resistance")
 
     def _check_law(self) -> None:
         own = self.compliance
@@ -367,7 +422,7 @@ class Contact(Element):
         return factor / (1.5 * own.impact_speed)
 
     def law_numbers(self, radius: float) -> dict[str, float]:
-        """Return the parameters of the laws of normal force and friction by name.
+        """Return the parameters of the laws of normal force, friction and rolling resistance by name.
 
         Parameters
         ----------
@@ -388,6 +443,7 @@ class Contact(Element):
             "static": static,
             "kinetic": kinetic,
             "transition": own.transition_speed,
+            "rolling": self.rolling_resistance,
         }
 
     def pairs(self, name: str, joints: Mapping[str, Joint]) -> Iterator[ContactPair]:
@@ -415,13 +471,13 @@ class Contact(Element):
 
     def angles(self) -> list[tuple[str, str]]:
         """Return (key, body name) of each body whose angle the element uses; these bodies cannot be point masses."""
-        return [(key, name) for key, _, name, shape in self.by_body if shape.kind in ("line", "polygon")]
+        return [(key, name) for key, _, name, shape in self.by_body if shape.kind in ("line", "polyline", "polygon")]
 
 
 def _check_kinds(first: Shape, second: Shape, key: str) -> None:
     """Raise SpecError for two shapes that cannot touch."""
     kinds = {first.kind, second.kind}
-    if kinds == {"line"}:
+    if kinds <= {"line", "polyline"}:
         told = "two lines cannot touch each other, because they have no ends; use a polygon for one of the bodies"
         raise SpecError(told, key=key)
     if kinds == {"point"}:
@@ -443,7 +499,7 @@ def _check_hole(first: Shape, second: Shape, key: str) -> None:
 
 def _rows(name: str, key: str, bodies: tuple[str, str], first: Shape, second: Shape) -> Iterator[ContactPair]:
     """Yield the rows of two shapes, which may be given in either order."""
-    order = {"line": 0, "polygon": 1, "hole": 2, "circle": 3, "point": 4}
+    order = {"line": 0, "polyline": 0, "polygon": 1, "hole": 2, "circle": 3, "point": 4}
     swapped = order[first.kind] > order[second.kind]
     if swapped:
         bodies, first, second = (bodies[1], bodies[0]), second, first
@@ -453,6 +509,9 @@ def _rows(name: str, key: str, bodies: tuple[str, str], first: Shape, second: Sh
         count = 0 if first.polygon is None else len(first.polygon)
         return ContactPair(own, key, bodies, (kind, count), tuple(numbers), radius, swapped)
 
+    if first.polyline is not None:
+        yield from _rows_on_polyline(name, key, bodies, first.polyline, second, swapped)
+        return
     if second.polygon is not None:
         for i, corner in enumerate(second.polygon):
             if first.line is not None:
@@ -476,6 +535,31 @@ def _rows(name: str, key: str, bodies: tuple[str, str], first: Shape, second: Sh
     else:
         middle, other = first.circle_of
         yield row(None, "hole" if first.hole is not None else "circles", (*center, radius, *middle, other), radius)
+
+
+def _rows_on_polyline(
+    name: str, key: str, bodies: tuple[str, str], points: tuple[Pair, ...], second: Shape, swapped: bool
+) -> Iterator[ContactPair]:
+    """Yield the rows of a polyline and a circle, point or polygon, whose body is the second.
+
+    First come those of the circle or of the corners of the polygon, for each color of the pieces, and then those of the
+    corners of the polyline, for each of their colors (`mbdkit.mechanism.polylines`).
+    """
+    corners = second.polygon or ()
+    (cx, cy), radius = ((0.0, 0.0), 0.0) if corners else second.circle_of
+    surface = surface_of(points, 2.0 * radius, max((math.dist(*two) for two in combinations(corners, 2)), default=0.0))
+    outlines = (float(surface.colors), *_edges(corners), *surface.segments)
+    own = surface.colors * max(len(corners), 1)
+    count = own + (surface.corner_colors if corners else 0)
+    for i in range(count):
+        label = name if count == 1 else f"{name}.{i}"
+        if i < own:
+            x, y = corners[i % len(corners)] if corners else (cx, cy)
+            numbers = (x, y, radius, *outlines)
+            yield ContactPair(label, key, bodies, ("polyline", surface.segment_count), numbers, radius, swapped)
+        else:
+            numbers = (0.0, 0.0, 0.0, *outlines)
+            yield ContactPair(label, key, bodies[::-1], ("corner", surface.segment_count), numbers, 0.0, not swapped)
 
 
 def _edges(corners: tuple[Pair, ...]) -> tuple[float, ...]:

@@ -555,7 +555,7 @@ class ElementMethods(NamedElements):
         self, name: str, a: str | None = None, b: str | None = None, *, among: Sequence[str] | None = None,
         shapes: Sequence[Mapping[str, Any] | Shape] | Mapping[str, Mapping[str, Any] | Shape],
         restitution: float = 0.0, friction: float | Mapping[str, Any] | Friction = 0.0,
-        compliance: Mapping[str, Any] | Compliance | None = None
+        rolling_resistance: float = 0.0, compliance: Mapping[str, Any] | Compliance | None = None
     ) -> None:
         """Add a contact.
 
@@ -577,11 +577,14 @@ class ElementMethods(NamedElements):
             are included, except pairs that a joint connects.
         shapes
             One shape for each of the two `bodies`; with `among`, a mapping from the body to its shape. Keys of
-            `Shape`: line, point, circle, hole, polygon.
+            `Shape`: line, polyline, point, circle, hole, polygon.
         restitution
             Coefficient of restitution: ratio of the normal velocity after an impact to that before it.
         friction
             Coefficient of friction, or ``{static: number, kinetic: number}``. Keys of `Friction`: static, kinetic.
+        rolling_resistance
+            Arm e of the normal force N when a circle rolls [m]: the torque e N opposes the relative angular
+            velocity.
         compliance
             Law of the normal force, which the compliant treatment needs. Keys of `Compliance`: law, stiffness,
             dissipation, impact_speed, transition_speed.

@@ -162,7 +162,7 @@ class Mechanism(ElementMethods, HtmlView):
     def contact_names(self) -> list[str]:
         """Return the names of all possible contact points: ``contact``, or ``contact.a.b`` for two bodies of a group.
 
-        If a shape is a polygon, there is one name for each corner, which ends with the number of the corner.
+        If a shape is a polygon or polyline, there may be several names, which end with a number.
         """
         return [pair.name for name, one in self.contacts.items() for pair in one.pairs(name, self.joints)]
 

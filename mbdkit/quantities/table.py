@@ -251,7 +251,7 @@ KINDS = (
     _kind(
         "contacts",
         _TIME,
-        _texts("contact", "contact", "name of the contact; of polygons, with the number of the corner",
+        _texts("contact", "contact", "name of the contact; of polygons and polylines, with a number",
             lambda names: names.names_of("contacts")),
         _texts("first_body", "contact", "first body of the contact, from which the normal points",
             lambda names: names.bodies_of("contacts", 0), label="bodies"),
@@ -279,7 +279,7 @@ KINDS = (
             charts=(Chart("ground-reactions", "Ground reactions", "Normal force of the ground on each body.", "force",
                 "N"),)),
         _of_ground("center_of_pressure", "m",
-            "mean of the points of contact with the normal forces as weights, global frame; nan where none is closed",
+            "point about which the contacts with the ground have no moment, global frame; nan where none is closed",
             vector="center_of_pressure", components=("center_of_pressure_x", "center_of_pressure_y")),
         since="1.1", optional=True, word="ground_reactions", one="ground reaction", example="force_y",
         axis="foot", is_optional=True, may_be_unknown=True,

@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any, Literal, TypeAlias, TypedDict, TypeVar, cast
 
 from mbdkit.base.errors import SpecError
+from mbdkit.base.files_read import FilesRead, recording
 from mbdkit.base.plain_data import copied
 from mbdkit.base.text import did_you_mean, listed
 from mbdkit.engine.formulation import FormulationName
@@ -19,6 +20,7 @@ from mbdkit.mechanism.mechanism import Mechanism
 from mbdkit.registry.feature_items import Example
 from mbdkit.registry.manager import registry
 from mbdkit.spec.model_spec import ModelSpec
+from mbdkit.spec.polyline_files import read_polylines
 from mbdkit.spec.reading import Document, read_file, read_stdin, read_text, set_value
 from mbdkit.spec.run_spec import RunSpec
 from mbdkit.spec.spec_kinds import refused, spec_kinds
@@ -92,9 +94,14 @@ def loaded(name: str, kind: type[S], source: Any, overrides: Iterable[str], sect
         raise document.place(error)
     for assignment in overrides:
         set_value(document, assignment)
+    files = FilesRead()
     try:
+        with recording(files):
+            read_polylines(document)
         spec = kind(**document.data)
-        spec.mechanism()
+        mechanism = spec.mechanism()
+        if files.all:
+            spec.adopt(mechanism, files.all)
     except SpecError as error:
         raise document.place(error) from None
     spec._document = document

@@ -2,8 +2,8 @@
 
 ``python -m tests.benchmarks.contact_mechanisms --count 200`` draws free bodies, chains and closed loops with 1 to 20
 contacts, runs each of them event-driven and by time-stepping with three steps, and prints what does not hold; see
-`tests.rigid.random_contacts`. With ``--piles``, they are polygons that fall on each other. It ends with status 1 if
-there is anything.
+`tests.rigid.random_contacts`. With ``--piles``, they are polygons that fall on each other, with ``--hills``
+bodies on uneven ground. It ends with status 1 if there is anything.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ import argparse
 import sys
 
 import numpy as np
-from tests.rigid.random_contacts import KINDS, PILES, STEPS, examined
+from tests.rigid.random_contacts import HILLS, KINDS, PILES, STEPS, examined
 
 
 def main() -> None:
@@ -23,8 +23,9 @@ def main() -> None:
     parser.add_argument("--law", choices=("newton", "poisson"), default="newton", help="law of impact")
     parser.add_argument("--events", action="store_true", help="do not compare with time-stepping")
     parser.add_argument("--piles", action="store_true", help="draw piles of polygons")
+    parser.add_argument("--hills", action="store_true", help="draw bodies on uneven ground")
     asked = parser.parse_args()
-    kinds = PILES if asked.piles else KINDS
+    kinds = PILES if asked.piles else HILLS if asked.hills else KINDS
     every = []
     for seed in range(asked.first, asked.first + asked.count):
         found = examined(seed, asked.law, compare=not asked.events, kinds=kinds)

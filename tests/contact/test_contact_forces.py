@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+import mbdkit
 from mbdkit.engine.equations_of_motion import EquationsOfMotion
 from mbdkit.mechanism.mechanism import Mechanism
 
@@ -16,6 +17,7 @@ FLOOR = {"line": {"normal": (0.0, 1.0)}}
 SQUARE = {"polygon": [(-0.2, -0.1), (0.2, -0.1), (0.2, 0.1), (-0.2, 0.1)]}
 OCTAGON = [(0.12 * math.cos(k * math.pi / 4 + 0.4), 0.12 * math.sin(k * math.pi / 4 + 0.4)) for k in range(8)]
 RUBBER = {"stiffness": 3.0e4, "dissipation": 0.2, "transition_speed": 0.05}
+G = 9.81
 PULL = 2000.0
 """Weight of 1 kg in these tests, so that any overlap at the start is small against what bodies at rest may have."""
 
@@ -103,10 +105,14 @@ def two_bodies(first: Mapping[str, Any], second: Mapping[str, Any], at: tuple[fl
     m.body("a", mass=1.0, inertia=0.2, position=(0.3, 0.1), angle=0.4, velocity=(0.3, -0.2), angular_velocity=0.7)
     x, y = m.to_global("a", at)
     m.body("b", mass=2.0, inertia=0.3, position=(x, y), angle=angle, velocity=(-0.1, 0.4), angular_velocity=-1.1)
-    m.contact("c", "a", "b", shapes=[first, second], friction={"static": 0.5, "kinetic": 0.3}, compliance=RUBBER)
+    friction = {"static": 0.5, "kinetic": 0.3}
+    rolling = 0.02 if "circle" in {*first, *second} else 0.0
+    shapes = [first, second]
+    m.contact("c", "a", "b", shapes=shapes, friction=friction, rolling_resistance=rolling, compliance=RUBBER)
     return m
 
 
+STEPS = {"polyline": [(-1.0, 0.0), (0.2, 0.0), (0.2, 0.1), (0.4, 0.08), (0.45, 0.2)]}
 PAIRS = {
     "circles": (({"circle": {"center": (0.1, 0), "radius": 0.2}}, {"circle": {"radius": 0.1}}), (0.3, 0.18), 0.2),
     "hole": (({"hole": {"center": (0.1, 0), "radius": 0.3}}, {"circle": {"radius": 0.1}}), (0.15, 0.21), 0.2),
@@ -120,6 +126,12 @@ PAIRS = {
     "end of an edge": ((SQUARE, SQUARE), (-0.15, -0.195), 0.38),
     "side of a polygon": (({"polygon": OCTAGON}, SQUARE), (0.31, 0.02), 0.42),
     "polygon before circle": (({"circle": {"radius": 0.05}}, SQUARE), (0.1, 0.13), 0.3),
+    "circle on a segment": ((STEPS, {"circle": {"radius": 0.05}}), (0.1, 0.045), 0.3),
+    "circle in a concave corner": ((STEPS, {"circle": {"radius": 0.05}}), (0.16, 0.046), 0.3),
+    "circle on a convex corner": ((STEPS, {"circle": {"radius": 0.05}}), (0.19, 0.145), 0.3),
+    "point behind a concave corner": ((STEPS, {"point": (0.0, 0.0)}), (0.203, -0.004), 0.3),
+    "box on steps": ((STEPS, SQUARE), (0.25, 0.14), 0.2),
+    "polyline after circle": (({"circle": {"radius": 0.05}}, STEPS), (0.02, -0.04), 0.4),
     "corners on a line": (({"line": {"normal": (0.2, 1)}}, SQUARE), (0.0, 0.08), 0.5),
 }
 
@@ -164,3 +176,25 @@ def test_a_circle_that_rolls_around_a_polygon_has_one_force_without_jumps() -> N
         m.contact("c", "ground", "b", shapes=[SQUARE, {"circle": {"radius": 0.05}}], compliance={"stiffness": 1e4})
         sizes.append(np.hypot(*forces_of(m)[0, :2]))
     np.testing.assert_allclose(sizes, 1e4 * 0.005**1.5, rtol=1e-9)
+
+
+def test_a_wheel_rolls_to_rest() -> None:
+    """Deceleration e g / (R (1 + I / (m R^2))) while it rolls: I alpha = -e m g - R F, m a = F, and a = R alpha."""
+    radius, mass, inertia, arm = 0.2, 3.0, 0.06, 0.01
+    k = 1e7
+    m = Mechanism(gravity=(0.0, -G))
+    m.body(
+        "wheel", mass=mass, inertia=inertia, position=(0.0, radius - mass * G / k), velocity=(1.0, 0.0),
+        angular_velocity=-1.0 / radius,
+    )  # fmt: skip
+    law = {"law": "linear", "stiffness": k, "dissipation": 2e3, "transition_speed": 1e-3}
+    shapes = [{"line": {"normal": (0, 1)}}, {"circle": {"radius": radius}}]
+    m.contact("road", "ground", "wheel", shapes=shapes, friction=0.6, rolling_resistance=arm, compliance=law)
+    done = mbdkit.run(m, integrator={"name": "radau-iia"}, time={"end": 4.0, "step": 1e-3})
+    slows = arm * G / (radius * (1.0 + inertia / (mass * radius**2)))
+    velocity = done["wheel"].velocity[:, 0]
+    at = int(np.searchsorted(done.time, 2.0))
+    assert velocity[at] == pytest.approx(1.0 - slows * done.time[at], rel=1e-4)
+    assert 1.0 / slows < 3.9
+    assert abs(velocity[-1]) < 1e-3  # below the transition speed
+    assert done["wheel"].position[-1, 0] == pytest.approx(0.5 / slows, rel=1e-3)

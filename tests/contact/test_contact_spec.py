@@ -59,7 +59,16 @@ REFUSED = {
     "overlap": ({"shapes": [FLOOR, {"circle": {"radius": 0.7}}]}, "model.contacts.k.shapes", "overlap by 0.2 m"),
     "no compliance": ({"compliance": None}, "model.contacts.k.compliance", "is missing"),
     "flores": ({"compliance": {"law": "flores", "stiffness": 1.0}}, f"{K}.compliance.impact_speed", "needs"),
-    "no shape": ({"shapes": [FLOOR, {}]}, "model.contacts.k.shapes[1]", "one of line, point, circle, hole and polygon"),
+    "no shape": (
+        {"shapes": [FLOOR, {}]},
+        "model.contacts.k.shapes[1]",
+        "one of line, polyline, point, circle, hole and polygon",
+    ),
+    "one point": ({"shapes": [{"polyline": [[0, 0]]}, BALL]}, f"{K}.shapes[0].polyline", "at least two points"),
+    "repeated point": ({"shapes": [{"polyline": SAME[:3]}, BALL]}, f"{K}.shapes[0].polyline[2]", "repeats"),
+    "leftwards": ({"shapes": [{"polyline": [[0, 0], [1, 0], [0.5, 1]]}, BALL]}, f"{K}.shapes[0].polyline[2]", "decr"),
+    "turns back": ({"shapes": [{"polyline": [[0, 0], [0, 2], [0, 1]]}, BALL]}, f"{K}.shapes[0].polyline[1]", "back"),
+    "polyline and line": ({"shapes": [FLOOR, {"polyline": [[0, 0], [1, 0]]}]}, f"{K}.shapes", "two lines"),
     "among": ({"bodies": None, "among": ["b", "c"]}, "model.contacts.k.shapes", "mapping"),
 }
 

@@ -15,10 +15,12 @@ BOX = {"polygon": [[-0.2, -0.1], [0.2, -0.1], [0.2, 0.1], [-0.2, 0.1]]}
 COMPLIANCE = {"law": "linear", "stiffness": 1e6, "dissipation": 2e3}
 
 
-def run(treatment: str, body: dict[str, Any], end: float, step: float, **more: Any) -> mbdkit.Run:
+def run(
+    treatment: str, body: dict[str, Any], end: float, step: float, floor: dict[str, Any] = FLOOR, **more: Any
+) -> mbdkit.Run:
     """Return a run of a box that a force of 3 N pushes to the right at its centre."""
     methods = {"compliant": "dopri5", "event-driven": "dop853", "time-stepping": "moreau-jean"}
-    contact = {"bodies": ["box", "ground"], "shapes": [BOX, FLOOR], "friction": 0.5, "compliance": COMPLIANCE}
+    contact = {"bodies": ["box", "ground"], "shapes": [BOX, floor], "friction": 0.5, "compliance": COMPLIANCE}
     model = {
         "name": "mechanism",
         "bodies": {"box": {"mass": MASS, "inertia": INERTIA, "position": [0.3, 0.1]} | body},
@@ -56,7 +58,43 @@ def test_ground_reactions_are_what_the_motion_needs(treatment: str) -> None:
     assert 0 < np.sum(touches) < len(touches)
     (x, y), (fx, fy) = (foot.center_of_pressure - box.position)[touches].T, foot.force[touches].T
     moments = INERTIA * box.angular_acceleration[touches]
-    assert x * fy - y * fx == pytest.approx(moments, abs=1e-3 * np.max(np.abs(moments)))
+    assert x * fy - y * fx == pytest.approx(moments, abs=1e-9 * np.max(np.abs(moments)))
+
+
+@pytest.mark.parametrize("treatment", ["compliant", "event-driven"])
+def test_the_moment_about_the_center_of_pressure_is_zero_on_steps(treatment: str) -> None:
+    # expected: Euler's law for a box that leans on the edges of two steps and slides down
+    steps = {"polyline": [[-1.0, 0.0], [0.0, 0.0], [0.0, -0.1], [0.2, -0.1], [0.2, -0.2], [2.0, -0.2]]}
+    tilt = float(np.arctan(-0.5))
+    middle = np.array([0.1, -0.05]) + 0.1 * np.array([-np.sin(tilt), np.cos(tilt)])
+    drop = {"position": middle.tolist(), "angle": tilt}
+    found = run(treatment, drop, 0.1, 0.002, floor=steps)
+    foot, box = found.ground_reactions["box"], found["box"]
+    (x, y), (fx, fy) = (foot.center_of_pressure - box.position)[1:].T, foot.force[1:].T
+    moments = INERTIA * box.angular_acceleration[1:]
+    assert x * fy - y * fx == pytest.approx(moments, abs=1e-8 * MASS * G)
+    assert sum(row.normal_force[10] > 0.0 for row in found.contacts.values()) == 2
+
+
+def test_the_center_of_pressure_of_a_rolling_wheel_is_ahead_by_the_arm_of_its_resistance() -> None:
+    arm = 0.01
+    contact = {
+        "bodies": ["wheel", "ground"], "shapes": [{"circle": {"radius": 0.2}}, FLOOR], "friction": 0.5,
+        "rolling_resistance": arm, "compliance": COMPLIANCE,
+    }  # fmt: skip
+    wheel = {
+        "mass": MASS, "inertia": INERTIA, "position": [0.0, 0.2 - MASS * G / 1e6], "velocity": [1.0, 0.0],
+        "angular_velocity": -5.0,
+    }  # fmt: skip
+    model = {"name": "mechanism", "bodies": {"wheel": wheel}, "contacts": {"road": contact}}
+    given = {"mbdkit": 1, "model": model, "integrator": {"name": "dopri5", "adaptive": True}}
+    found = mbdkit.run(given, time={"end": 0.3, "step": 0.01})
+    ahead = found.ground_reactions["wheel"].center_of_pressure[-1] - found["wheel"].position[-1]
+    assert ahead == pytest.approx([arm, -0.2], abs=1e-4)
+    force = found.ground_reactions["wheel"].force[-1]
+    assert ahead[0] * force[1] - ahead[1] * force[0] == pytest.approx(
+        INERTIA * found["wheel"].angular_acceleration[-1], abs=1e-9
+    )
 
 
 def test_forces_of_time_stepping_add_up_to_the_change_of_momentum() -> None:

@@ -1,11 +1,14 @@
 """The law of compliant contacts: where two shapes touch, with which forces, and the derivatives of these forces.
 
-The first shape is a line, polygon, circle or hole, the second a polygon, circle or point; a point is a circle of radius
-0. A row (`mbdkit.mechanism.contacts.ContactPair`) is a possible contact point. The normal n of a row points from the
-first shape to the second. With the center c and radius r of the second body's circle, the normal force N and the
-friction force T act at the point ``P = c - n (r + gap/2)``, midway between the two outlines. The velocity of the second
-body at P, relative to that of the first body at P, has the component ``gap'`` along n and the slip along t, which is n
-turned by -90 degrees. The force on the second body is ``N n + T t``.
+The first shape is a line, polyline, polygon, circle or hole, the second a polygon, circle or point; a point is a circle
+of radius 0. A row (`mbdkit.mechanism.contacts.ContactPair`) is a possible contact point. The normal n of a row points
+from the first shape to the second. With the center c and radius r of the second body's circle, the normal force N and
+the friction force T act at the point ``P = c - n (r + gap/2)``, midway between the two outlines. The velocity of the
+second body at P, relative to that of the first body at P, has the component ``gap'`` along n and the slip along t,
+which is n turned by -90 degrees. The force on the second body is ``N n + T t``. Rolling resistance adds a torque on
+the second body, ``-e N`` times the sign of its angular velocity relative to the first body, and the opposite torque on
+the first; e is the arm of the normal force. Below the transition speed, the sign is replaced by the ratio of the
+rolling speed r omega to the transition speed.
 
 A circle or point touches the part of a polygon that is nearest: an edge, or the corner between two edges. By the
 theorem of separating axes, two polygons touch only along the edge from which the other polygon is farthest, and along
@@ -20,7 +23,8 @@ from `SHAPES` on, those of the shapes:
   normal of the line, or the center and radius of the circle or hole of the first body;
 - a polygon and a circle: center and radius of the circle, then `EDGE` numbers for each edge, which are the corner at
   which it starts, its normal and its length;
-- two polygons: the edges of the first, then those of the second.
+- two polygons: the edges of the first, then those of the second;
+- a polyline and a circle or polygon: see `mbdkit.engine.kernels.uneven_ground`.
 
 For the linear law and shapes without polygon, the side of each row follows: 1 if the force of spring and damper acts,
 -1 if it does not, and 0 if it acts where the shapes overlap and it pushes them apart. Gradients need steps with
@@ -36,6 +40,18 @@ from math import sqrt, tanh
 
 from mbdkit.engine.kernels.angles import cosine_and_sine
 from mbdkit.engine.kernels.bundle_types import IntMatrix, RealCube, RealMatrix, RealVector
+from mbdkit.engine.kernels.uneven_ground import (
+    EDGE,
+    OWN,
+    SEGMENT,
+    TURN,
+    corners_window,
+    spacing,
+    touched_part,
+    touching_corner,
+    window_around,
+)
+from mbdkit.engine.kernels.uneven_ground import height_over as _over
 from mbdkit.engine.kernels.vectors import fill
 from mbdkit.engine.native.arithmetic import value_of
 from mbdkit.engine.native.calls import call_law, integers_at, new_registers, numbers_at
@@ -43,27 +59,29 @@ from mbdkit.engine.native.functions import inlined, kernel, law_function
 
 FORCES, SLOPES, VALUES = range(3)
 """Modes: what the law computes."""
-KINDS = ("line", "circles", "hole", "edge", "inside")
+KINDS = ("line", "circles", "hole", "edge", "inside", "polyline")
 """Kinds of geometry; see `mbdkit.mechanism.contacts.ContactPair`."""
-_LINE, _CIRCLES, _HOLE, _EDGE, _INSIDE = range(len(KINDS))
+_LINE, _CIRCLES, _HOLE, _EDGE, _INSIDE, _POLYLINE = range(len(KINDS))
 FORCE_LAWS = ("none", "hertz", "linear", "smooth")
 """Laws of the normal force; rigid contacts have no law."""
 _NONE, _HERTZ, _LINEAR, _SMOOTH = range(len(FORCE_LAWS))
 _BOTH = len(FORCE_LAWS)
 """The linear law of a row whose side is 1, which may also pull."""
 
-MODE, KIND, FIRST_COUNT, SECOND_COUNT, FORCE_LAW, FIRST_TURNS, SECOND_TURNS = range(7)
-"""Integers of the program: mode, kind of geometry, number of edges of the first shape (of rows, if it is no polygon)
-and of the second (0, if not both are polygons), law of the normal force, and whether torques act on the bodies."""
-_HEAD = 7
+MODE, KIND, FIRST_COUNT, SECOND_COUNT, FORCE_LAW, FIRST_TURNS, SECOND_TURNS, ROWS = range(8)
+"""Integers of the program: mode, kind of geometry, number of edges of the first shape (of rows, if it is no polygon, or
+of segments of a polyline) and of the second (0, if it is no polygon, or only the second is one), law of the normal
+force, whether torques act on the bodies, and the number of rows."""
+_HEAD = 8
 POSE = 7
 """Numbers of a body: x, y, cosine and sine of its angle, and its velocities."""
-STIFFNESS, DISSIPATION, RELEASE, STATIC, KINETIC, TRANSITION, SHAPES = range(2 * POSE, 2 * POSE + 7)
+STIFFNESS, DISSIPATION, RELEASE, STATIC, KINETIC, TRANSITION, ROLLING, SHAPES = range(2 * POSE, 2 * POSE + 8)
 """Places of the parameters of the force law, see `mbdkit.mechanism.contacts.Contact.law_numbers`, and of the shapes."""
-ROW, EDGE = 7, 5
-"""Parameters of a row without polygon, and of an edge."""
-VALUE = 8
-"""Quantities of a row: gap, normal force, friction force, slip, the point P and the normal."""
+ROW = 7
+"""Parameters of a row without polygon."""
+VALUE = 9
+"""Quantities of a row: gap, normal force, friction force, slip, the point P, the normal, and the torque of rolling
+resistance on the second body."""
 
 _CF, _BD, _BV = 1e-5, 300.0, 50.0
 """Smoothing constants of Simbody's SmoothSphereHalfSpaceForce, with the default values of OpenSim."""
@@ -76,12 +94,13 @@ def contact(program, length, rate, time, parameters, out):
     numbers = int(value_of(numbers_at(parameters, 0, 1, length)[0]))
     x = numbers_at(parameters, 1, numbers, length)
     mode, kind, count, other = head[MODE], head[KIND], head[FIRST_COUNT], head[SECOND_COUNT]
-    rows = count + other
+    rows = head[ROWS]
     results = numbers_at(out, 0, 6 if mode == FORCES else 72 if mode == SLOPES else VALUE * rows, length)
     fill(results, 0.0)
     points = new_registers(64, length)
     has_sides = head[FORCE_LAW] == _LINEAR and kind <= _HOLE
     edge, facing, start, end, own_start, own_end, is_corner = 0, 0, -1, -1, -1, -1, False
+    height = 0.0 * x[0]
     if kind == _EDGE:
         start, is_corner = _nearest(head, x)
     elif kind == _INSIDE:
@@ -99,9 +118,11 @@ def contact(program, length, rate, time, parameters, out):
             acts = (row - other == own_start) | (row - other == own_end)
             first, second, shape = POSE, 0, _LINE
             circle, feature = SHAPES + EDGE * (row - other), SHAPES + EDGE * (count + facing)
+        elif kind == _POLYLINE:
+            first, second, circle, feature, shape, height, acts = _on_polyline(head, x, row)
         if not acts and mode != VALUES:
             continue
-        r = 0.0 * x[circle] if kind == _INSIDE else x[circle + 2]
+        r = 0.0 * x[circle] if kind == _INSIDE or (kind == _POLYLINE and other > 0) else x[circle + 2]
         cx, cy = _turned(x, second, x[circle], x[circle + 1])
         if shape == _LINE:
             ux, uy = _seen(x, first, second, cx, cy)
@@ -109,7 +130,9 @@ def contact(program, length, rate, time, parameters, out):
             nx, ny = _turned(x, first, x[feature + 2], x[feature + 3])
             if not acts:
                 least = 0.0 * gap
-                if kind == _EDGE:
+                if kind == _POLYLINE:
+                    least = height - r
+                elif kind == _EDGE:
                     least = sqrt(_beyond(x, feature, ux, uy)) - r
                 elif row < other:
                     least = _height(x, SHAPES, count, ux, uy)
@@ -118,7 +141,7 @@ def contact(program, length, rate, time, parameters, out):
                 gap = least if least > gap else gap
                 gap = gap if gap > 0.0 else 0.0 * r
         else:
-            radius = 0.0 * r if kind == _EDGE else x[feature + 2]
+            radius = 0.0 * r if kind in (_EDGE, _POLYLINE) else x[feature + 2]
             ox, oy = _turned(x, first, x[feature], x[feature + 1])
             distance, nx, ny, bend = _direction(x[second] + cx - x[first] - ox, x[second + 1] + cy - x[first + 1] - oy)
             gap = distance - r - radius
@@ -174,13 +197,6 @@ def _seen(x, first, second, px, py):
 
 
 @inlined
-def _over(x, edge, px, py):
-    """Return the height of a point over an edge, and its place along the edge."""
-    dx, dy, nx, ny = px - x[edge], py - x[edge + 1], x[edge + 2], x[edge + 3]
-    return dx * nx + dy * ny, dy * nx - dx * ny
-
-
-@inlined
 def _direction(dx, dy):
     """Return the length of a vector, its direction and the inverse of the length; zeros where the length is 0."""
     square = dx * dx + dy * dy
@@ -216,6 +232,44 @@ def _nearest(head, x):
     if along > x[first + EDGE * nearest + 4]:
         return (nearest + 1) % count, True
     return nearest, along < 0.0
+
+
+@inlined
+def _on_polyline(head, x, row):
+    """Return how a row on a polyline touches: places of the two bodies, of the circle and of the part that it touches
+    among the parameters, kind of this part, height over it, and whether the row acts.
+
+    In the rows of corners of the polyline, which come last, the polygon's body is the first.
+    """
+    count, n = head[FIRST_COUNT], head[SECOND_COUNT]
+    sizes, ground, corners = (n, count), SHAPES + OWN + EDGE * n, int(value_of(x[SHAPES + 3])) * max(n, 1)
+    turn = (x[2] * x[POSE + 2] + x[3] * x[POSE + 3], x[2] * x[POSE + 3] - x[3] * x[POSE + 2])
+    circle, r = SHAPES, x[SHAPES + 2]
+    if n > 0 and row < corners:
+        circle, r = SHAPES + OWN + EDGE * (row % n), 0.0 * r
+    p = _seen(x, 0, POSE, 0.0 * r, 0.0 * r)  # the origin of the polygon
+    if row < corners:
+        px, py = _turned(x, POSE, x[circle], x[circle + 1])
+        p = _seen(x, 0, POSE, px, py)
+    # Forces need only what touches; quantities need what is nearest, which is searched at increasing distances.
+    reach = 0.0 * r if head[MODE] != VALUES else spacing(x, SHAPES, sizes) + 0.0 * r
+    while True:
+        if row < corners:
+            window = window_around(x, SHAPES, sizes, p, r + reach)
+            height, part, acts = touched_part(x, SHAPES, sizes, row, p, turn, window, 0.0)
+        else:
+            window = corners_window(x, SHAPES, sizes, p, turn, reach)
+            height, part, acts = touching_corner(x, SHAPES, sizes, row - corners, p, turn, window, 0.0)
+        is_whole = window[0] == 0 and window[1] == count - 1
+        if head[MODE] != VALUES or is_whole or height <= r + reach:
+            break
+        reach *= 4.0
+    if row >= corners:
+        return POSE, 0, ground + SEGMENT * (part // n), SHAPES + OWN + EDGE * (part % n), _LINE, height, acts
+    feature, shape = ground + SEGMENT * (part // 2), _LINE
+    if part % 2 == 1:
+        shape = _CIRCLES if x[feature + TURN] > 0.0 else _HOLE
+    return 0, POSE, circle, feature, shape, height, acts
 
 
 @inlined
@@ -409,20 +463,26 @@ def _act(mode, law, x, first, second, row, gap, nx, ny, cx, cy, r, bend, out):
     slip, rate = vx * ny - vy * nx, vx * nx + vy * ny
     normal, by_depth, by_rate = _normal_force(law, x, -gap, -rate)
     friction, by_normal, by_slip = _friction_force(law, x, normal, slip)
+    per = r / x[TRANSITION]
+    share = per * (x[second + 6] - x[first + 6])
+    if share > 1.0 or share < -1.0:
+        share, per = share / abs(share), 0.0 * per
+    torque = -x[ROLLING] * normal * share
     if mode == VALUES:
         at = VALUE * row
         out[at], out[at + 1], out[at + 2], out[at + 3] = gap, normal, friction, slip
         out[at + 4], out[at + 5], out[at + 6], out[at + 7] = x[second] + px, x[second + 1] + py, nx, ny
+        out[at + 8] = torque
         return
     fx, fy = normal * nx + friction * ny, normal * ny - friction * nx
     one, two = 3 * (first // POSE), 3 * (second // POSE)
     if mode == FORCES:
         out[one] -= fx
         out[one + 1] -= fy
-        out[one + 2] -= ox * fy - oy * fx
+        out[one + 2] -= ox * fy - oy * fx + torque
         out[two] += fx
         out[two + 1] += fy
-        out[two + 2] += px * fy - py * fx
+        out[two + 2] += px * fy - py * fx + torque
         return
     ax, ay = ox + half * nx, oy + half * ny  # from the first body's centre of mass to the circle
     for column in range(12):
@@ -464,10 +524,12 @@ def _act(mode, law, x, first, second, row, gap, nx, ny, cx, cy, r, bend, out):
         at = 36 * (column // 6) + column % 6
         out[at + 6 * one] -= gx
         out[at + 6 * one + 6] -= gy
-        out[at + 6 * one + 12] -= hx * fy - hy * fx + ox * gy - oy * gx
+        by_spin = sign * per if column >= 6 and axis == 2 else 0.0 * per
+        d_torque = -x[ROLLING] * (d_normal * share + normal * by_spin)
+        out[at + 6 * one + 12] -= hx * fy - hy * fx + ox * gy - oy * gx + d_torque
         out[at + 6 * two] += gx
         out[at + 6 * two + 6] += gy
-        out[at + 6 * two + 12] += qx * fy - qy * fx + px * gy - py * gx
+        out[at + 6 * two + 12] += qx * fy - qy * fx + px * gy - py * gx + d_torque
 
 
 @kernel
@@ -486,4 +548,4 @@ def contact_rows(contacts: IntMatrix, parameters: RealVector, q: RealMatrix, v: 
                 parameters[at + 2], parameters[at + 3] = cosine_and_sine(q[t, body + 2])
                 for i in range(3):
                     parameters[at + 4 + i] = v[t, body + i]
-            call_law(contacts[k, 2], contacts[k, 3], 0.0, 0.0, 0.0, parameters, begin, out[t], contacts[k, 5], 8)
+            call_law(contacts[k, 2], contacts[k, 3], 0.0, 0.0, 0.0, parameters, begin, out[t], contacts[k, 5], 9)

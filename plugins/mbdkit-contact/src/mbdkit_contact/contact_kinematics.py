@@ -10,7 +10,8 @@ from itertools import groupby
 
 import numpy as np
 
-from mbdkit.engine.contact_forces import ActingContact
+from mbdkit.engine.contact_forces import ActingContact, polygon_edges, surface_numbers
+from mbdkit.engine.kernels.uneven_ground import EDGE, FAR, HIGH, LOW, OWN, SEGMENT
 from mbdkit.engine.repeated_call import RepeatedCall
 from mbdkit.mechanism.contacts import ContactPair
 from mbdkit_contact.kernels.kinematics import (
@@ -18,6 +19,7 @@ from mbdkit_contact.kernels.kinematics import (
     POLYGONS,
     ROUND,
     SINGLE,
+    UNEVEN,
     Shapes,
     gaps_at,
     hold_at,
@@ -33,6 +35,10 @@ EXACT = 1e-9
 """Distance, relative to the length of the mechanism, up to which a corner beyond the end of an edge still acts; closed
 contacts remain closed up to twice this distance.
 """
+SEGMENTS_IN_FULL = 32
+"""Up to this number of segments, distances from polylines are computed exactly, else up to `REACH`."""
+REACH = 0.1
+"""Distance from a polyline, relative to the length of the mechanism, above which gaps may be too small."""
 
 
 @dataclass(frozen=True)
@@ -96,8 +102,10 @@ Feature = tuple[str, tuple[float, ...]]
 
 
 def features_of(pair: ContactPair) -> list[Feature]:
-    """Return the features of a row; only one if the row does not belong to a polygon."""
+    """Return the features of a row; only one if the row belongs neither to a polygon nor to a polyline."""
     kind, numbers = pair.kind[0], pair.numbers
+    if kind in ("polyline", "corner"):
+        return _features_on_polyline(pair)
     if kind not in ("inside", "edge"):
         return [(kind, numbers)]
     own, edges = numbers[:3], _edges(pair)[:, :4].tolist()
@@ -106,6 +114,18 @@ def features_of(pair: ContactPair) -> list[Feature]:
     corner = numbers[5:7]
     after = next(edge for edge in edges if tuple(edge[:2]) == corner)
     return [("line", (*own, *after)), ("circles", (*own, *corner, 0.0))]
+
+
+def _features_on_polyline(pair: ContactPair) -> list[Feature]:
+    """Return the segments of a polyline, each followed by the corner at its start, or its corners on each edge of a
+    polygon.
+    """
+    segments = np.reshape(pair.numbers[-SEGMENT * pair.kind[1] :], (-1, SEGMENT))[:, :4].tolist()
+    if pair.kind[0] == "polyline":
+        own = pair.numbers[:3]
+        return [feature for s in segments for feature in (("line", (*own, *s)), ("circles", (*own, *s[:2], 0.0)))]
+    edges = np.reshape(pair.numbers[OWN : -SEGMENT * pair.kind[1]], (-1, EDGE))[:, :4].tolist()
+    return [("line", (*s[:2], 0.0, *edge)) for s in segments for edge in edges]
 
 
 def _edges(pair: ContactPair) -> np.ndarray:
@@ -120,6 +140,7 @@ def shapes_of(contacts: Sequence[ActingContact], bodies: int, exact: float) -> S
     """
     features, rows, pairs = list[Feature](), list[tuple[int, ...]](), list[tuple[int, ...]]()
     outlines, corners, around = list[tuple[int, ...]](), list[np.ndarray](), list[tuple[float, ...]]()
+    surfaces, surface = list[tuple[int, ...]](), list[float]()
 
     def outline(contact: ActingContact) -> int:
         """Add the polygon of the first body of a row; return its index."""
@@ -131,20 +152,36 @@ def shapes_of(contacts: Sequence[ActingContact], bodies: int, exact: float) -> S
         around.append((*center, float(np.max(np.linalg.norm(places - center, axis=1)))))
         return len(outlines) - 1
 
+    def polyline(own: Sequence[ActingContact]) -> int:
+        """Add the polyline of the first body of rows; return its index."""
+        kind, count = own[0].pair.kind
+        numbers = surface_numbers(own[0])
+        segments = np.reshape(numbers[-SEGMENT * count :], (-1, SEGMENT))
+        segments[:, LOW] -= exact
+        segments[:, HIGH] += exact
+        edges, of_second = polygon_edges(own[0]), sum(one.pair.kind[0] == kind for one in own)
+        surfaces.append((*own[0].bodies, len(surface), edges, count, of_second))
+        surface.extend([*numbers[: -SEGMENT * count], *segments.ravel().tolist()])
+        return len(surfaces) - 1
+
     def pair_of(place: tuple[int, ActingContact]) -> object:
         number, contact = place
         is_single = contact.pair.kind[0] in KINDS
-        return number if is_single else contact.pair.name.rpartition(".")[0]
+        return number if is_single else (contact.pair.key, frozenset(contact.pair.bodies))
 
     for _, some in groupby(enumerate(contacts), pair_of):
         own = [contact for _, contact in some]
-        kind = {"edge": ROUND, "inside": POLYGONS}.get(own[0].pair.kind[0], SINGLE)
-        first = -1 if kind == SINGLE else outline(own[0])
+        kind = {"edge": ROUND, "inside": POLYGONS, "polyline": UNEVEN}.get(own[0].pair.kind[0], SINGLE)
+        first = -1 if kind == SINGLE else polyline(own) if kind == UNEVEN else outline(own[0])
         second = outline(own[-1]) if kind == POLYGONS else -1
         pairs.append((kind, len(rows), len(own), first, second))
+        begins = dict[tuple[object, ...], int]()  # rows of the same circle or corner share their features
         for contact in own:
-            rows.append((*contact.bodies, len(features), len(pairs) - 1))
-            features += features_of(contact.pair)
+            geometry = contact.pair.kind, contact.pair.numbers
+            if geometry not in begins:
+                begins[geometry] = len(features)
+                features += features_of(contact.pair)
+            rows.append((*contact.bodies, begins[geometry], len(pairs) - 1))
     count = len(contacts)
     numbers = np.zeros((len(features), 7))
     for row, (_, given) in zip(numbers, features, strict=True):
@@ -157,6 +194,9 @@ def shapes_of(contacts: Sequence[ActingContact], bodies: int, exact: float) -> S
         np.array(outlines, dtype=np.int64).reshape(-1, 3),
         np.concatenate([np.zeros((0, 5)), *corners]),
         np.array(around).reshape(-1, 3),
+        np.array(surfaces, dtype=np.int64).reshape(-1, 6),
+        np.array(surface),
+        np.array([FAR if all(one[4] <= SEGMENTS_IN_FULL for one in surfaces) else REACH / EXACT * exact]),
         np.array([exact]),
         np.full(count, -1),
         np.zeros((bodies + 1, 7)),

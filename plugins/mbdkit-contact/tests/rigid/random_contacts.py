@@ -169,10 +169,34 @@ def pile(random: np.random.Generator) -> dict[str, Any]:
     return {"bodies": bodies, "contacts": contacts}
 
 
+def hill(random: np.random.Generator) -> dict[str, Any]:
+    """Return one or two bodies that fall on uneven ground, with vertical steps in half of the cases."""
+    count = int(random.integers(3, 20))
+    x = np.sort(random.uniform(-1.0, 1.0, count))
+    if random.random() < 0.5:
+        x[1::3] = x[0::3][: len(x[1::3])]
+    y = random.choice([0.02, 0.1, 0.2]) * random.standard_normal(count)
+    points = np.column_stack([[-2.0, *x, 2.0], [y[0], *y, y[-1]]])  # with level ends
+    ground = {"polyline": points.tolist()}
+    bodies, contacts = {}, {}
+    for i in range(int(random.integers(1, 3))):
+        name, mass, size = f"b{i}", float(random.uniform(0.5, 2.0)), float(random.uniform(0.1, 0.3))
+        bodies[name] = {
+            "mass": mass, "inertia": 0.1 * mass * size**2,
+            "position": [float(random.uniform(-0.8, 0.8)), float(np.max(y)) + 0.5],
+            "angle": float(random.uniform(-3.0, 3.0)), "velocity": random.uniform(-1.0, 1.0, 2).tolist(),
+            "angular_velocity": float(random.uniform(-4.0, 4.0)),
+        }  # fmt: skip
+        shape = _shape(random, size, random.uniform(-0.02, 0.02, 2).tolist())
+        contacts[f"floor{i}"] = {"bodies": ["ground", name], "shapes": [ground, shape]} | _law(random)
+    return {"bodies": bodies, "contacts": contacts}
+
+
 Kinds = Sequence[Callable[[np.random.Generator], dict[str, Any]]]
 
 KINDS: Kinds = (free_bodies, chain, loop)
 PILES: Kinds = (pile,)
+HILLS: Kinds = (hill,)
 
 
 def drawn(seed: int, kinds: Kinds = KINDS) -> dict[str, Any]:

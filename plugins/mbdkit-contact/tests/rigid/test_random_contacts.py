@@ -4,12 +4,17 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from tests.rigid.random_contacts import STEP, computed, drawn, examined, positions
+from tests.rigid.random_contacts import HILLS, STEP, computed, drawn, examined, positions
 
 
 @pytest.mark.parametrize("seed", [8, 20, 28, 98])
 def test_random_contacts_keep_their_laws(seed: int) -> None:
     assert examined(seed, compare=False).faults == []
+
+
+@pytest.mark.parametrize("seed", [0, 1, 5, 6, 7])
+def test_bodies_on_uneven_ground_keep_the_laws_of_contact_and_treatments_converge(seed: int) -> None:
+    assert examined(seed, kinds=HILLS).faults == []
 
 
 def test_both_treatments_converge_to_the_same_motion() -> None:

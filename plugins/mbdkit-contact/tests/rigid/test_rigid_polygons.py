@@ -14,6 +14,8 @@ from mbdkit.base.errors import SpecError
 
 TABLE = {"polygon": [[-1.0, -0.5], [0.0, -0.5], [0.0, 0.0], [-1.0, 0.0]]}
 """A table whose corner is the origin."""
+EDGE_OF_GROUND = {"polyline": [[-1.0, 0.0], [0.0, 0.0], [0.0, -0.5]]}
+"""Ground that ends at the origin like the table."""
 TREATMENTS = [("event-driven", 0.02, 1e-8), ("time-stepping", 0.001, 0.01)]
 """ChosenTreatment, step [s] and largest error of the position at the end [m]; that of time-stepping is of order 1."""
 
@@ -23,8 +25,10 @@ def outline(half_width: float, half_height: float) -> dict[str, Any]:
     return {"polygon": [[-b, -h], [b, -h], [b, h], [-b, h]]}
 
 
-def on_table(body: dict[str, Any], shape: dict[str, Any], friction: float) -> dict[str, Any]:
-    contact = {"bodies": ["ground", "body"], "shapes": [TABLE, shape], "friction": friction}
+def on_table(
+    body: dict[str, Any], shape: dict[str, Any], friction: float, table: dict[str, Any] = TABLE
+) -> dict[str, Any]:
+    contact = {"bodies": ["ground", "body"], "shapes": [table, shape], "friction": friction}
     return {"bodies": {"body": {"mass": 1.0} | body}, "contacts": {"table": contact}}
 
 
@@ -90,8 +94,11 @@ def test_forces_of_a_body_that_joints_hold_are_not_unique() -> None:
     assert found.contacts["floor.0"].normal_force[-1] == pytest.approx(G / 2)
 
 
+@pytest.mark.parametrize(("table", "corner"), [(TABLE, "table.6"), (EDGE_OF_GROUND, "table.4")])
 @pytest.mark.parametrize(("treatment", "step", "error"), TREATMENTS)
-def test_a_box_slides_off_a_table_and_tips_around_its_corner(treatment: str, step: float, error: float) -> None:
+def test_a_box_slides_off_a_table_and_tips_around_its_corner(
+    treatment: str, step: float, error: float, table: dict[str, Any], corner: str
+) -> None:
     # expected: Lagrange's equations with the distance s of the centre along the box from the corner, by DOP853, from
     # the time on at which the centre is above the corner, until the corner no longer pushes; then free flight
     b, h, speed, end = 0.2, 0.1, 0.5, 0.5
@@ -117,16 +124,19 @@ def test_a_box_slides_off_a_table_and_tips_around_its_corner(treatment: str, ste
     assert begin < leaves < end
     expected = flown(end - leaves, *place(state))
     body = {"inertia": inertia, "position": [-0.05, h], "velocity": [speed, 0.0]}
-    with run(on_table(body, outline(b, h), 0.0), end, step, treatment) as found:
+    with run(on_table(body, outline(b, h), 0.0, table), end, step, treatment) as found:
         assert end_of(found) == pytest.approx(expected, abs=error)
         assert min(np.min(row.gap) for row in found.contacts.values()) > -1e-9
         assert len(found.impacts.time) == 0
         hands_over = [name for name, row in found.contacts.items() if np.any(row.normal_force > 0.1)]
-        assert hands_over == ["table.0", "table.6"]  # the box's rear corner, then the corner of the table
+        assert hands_over == ["table.0", corner]  # the box's rear corner, then the corner of the table
 
 
+@pytest.mark.parametrize("table", [TABLE, EDGE_OF_GROUND])
 @pytest.mark.parametrize(("treatment", "step", "error"), TREATMENTS)
-def test_a_disc_rolls_off_a_table_and_slips_on_its_corner(treatment: str, step: float, error: float) -> None:
+def test_a_disc_rolls_off_a_table_and_slips_on_its_corner(
+    treatment: str, step: float, error: float, table: dict[str, Any]
+) -> None:
     # expected: rolling about the corner until friction reaches its limit, slipping until the corner no longer pushes,
     # both by DOP853, then free flight
     r, speed, mu, share, end = 0.1, 0.3, 0.4, 0.5, 0.6
@@ -154,7 +164,7 @@ def test_a_disc_rolls_off_a_table_and_slips_on_its_corner(treatment: str, step: 
     body = {
         "inertia": share * r * r, "position": [-0.05, r], "velocity": [speed, 0.0], "angular_velocity": -speed / r,
     }  # fmt: skip
-    with run(on_table(body, {"circle": {"radius": r}}, mu), end, step, treatment) as found:
+    with run(on_table(body, {"circle": {"radius": r}}, mu, table), end, step, treatment) as found:
         assert end_of(found) == pytest.approx(expected, abs=error)
         assert min(np.min(row.gap) for row in found.contacts.values()) > -1e-9
 

@@ -6,6 +6,10 @@ and the corner before it. Circles and points touch the nearest feature. By the t
 can touch only along the edge from which the other polygon is farthest, and along the edge of the other polygon that
 faces it. A corner of one edge acts where it is opposite the other edge. When a corner slides past the end of an edge,
 the corner of the other polygon therefore takes over, and the side of the polygon does not stop the motion.
+
+A row on a polyline (`mbdkit.engine.kernels.uneven_ground`) belongs to a circle or to a corner of a polygon, and to all
+pieces of one color: its features are the parts of the polyline. Or it belongs to all convex corners of one color: its
+features are these corners on the edges of the polygon.
 """
 
 from __future__ import annotations
@@ -17,14 +21,29 @@ import numpy as np
 
 from mbdkit.engine.kernels.angles import cosine_and_sine
 from mbdkit.engine.kernels.bundle_types import IntMatrix, IntVector, RealMatrix, RealVector
+from mbdkit.engine.kernels.uneven_ground import (
+    EDGE,
+    HIGH,
+    LOW,
+    OWN,
+    SEGMENT,
+    TURN,
+    corners_window,
+    height_over,
+    height_over_segment,
+    touched_part,
+    touching_corner,
+    window_around,
+)
 from mbdkit.engine.native.functions import kernel, subkernel
 from mbdkit_contact.kernels.row_kernels import circles_gap, circles_row, hole_gap, hole_row, line_gap, line_row
 
 KINDS = ("line", "circles", "hole")
 """Kinds of features, by their numbers."""
 LINE, CIRCLES, HOLE = range(3)
-SINGLE, ROUND, POLYGONS = range(3)
-"""Kinds of pairs of shapes: neither has a polygon, a polygon and a circle or point, and two polygons."""
+SINGLE, ROUND, POLYGONS, UNEVEN = range(4)
+"""Kinds of pairs of shapes: neither has a polygon, a polygon and a circle or point, two polygons, and a polyline with a
+circle, point or polygon."""
 NOWHERE = -np.inf
 
 
@@ -38,13 +57,21 @@ class Shapes(NamedTuple):
     numbers: Annotated[RealMatrix, 7]
     """(F, 7) parameters of the features."""
     pairs: Annotated[IntMatrix, 5]
-    """(P, 5) kind, first contact, number of contacts, and polygons of the first and of the second body (or -1)."""
+    """(P, 5) kind, first contact, number of contacts, and polygons of the first and of the second body (or -1); instead
+    of the first polygon, the surface of a polyline."""
     outlines: Annotated[IntMatrix, 3]
     """(Q, 3) body, first corner and number of corners of the polygons."""
     corners: Annotated[RealMatrix, 5]
     """(N, 5) place of each corner, and the normal and length of the edge that starts there."""
     around: Annotated[RealMatrix, 3]
     """(Q, 3) centre and radius of circles around the polygons."""
+    surfaces: Annotated[IntMatrix, 6]
+    """(S, 6) body of each polyline, body on it, index of its parameters in `surface`, number of edges of the polygon on
+    it, number of segments, and number of contacts that belong to the circle or to corners of the polygon."""
+    surface: RealVector
+    """Parameters of the polylines."""
+    reach: RealVector
+    """(1,) largest distance from a polyline that is computed exactly [m]."""
     exact: RealVector
     """(1,) distance up to which a corner beyond the end of an edge still acts [m]."""
     held: IntVector
@@ -193,6 +220,56 @@ def _choose_corners(s, first, one, edge, other, facing):
 
 
 @subkernel
+def _turn(s, frame, body):
+    """Return the cosine and sine of the angle of a body in the frame of another one."""
+    f, b = s.states[frame], s.states[body]
+    return f[2] * b[2] + f[3] * b[3], f[2] * b[3] - f[3] * b[2]
+
+
+@subkernel
+def _choose_uneven(s, pair):
+    """Choose the part of a polyline, or its corner and an edge of a polygon, for each contact of a polyline."""
+    g = s.surfaces[s.pairs[pair, 3]]
+    ground, body, begin, n, count, own = g[0], g[1], g[2], g[3], g[4], g[5]
+    turn, x, first, reach, sizes = _turn(s, ground, body), s.surface, s.pairs[pair, 1], s.reach[0], (n, count)
+    for row in range(s.pairs[pair, 2]):
+        r = x[begin + 2]
+        if row < own:
+            at = begin + OWN + EDGE * (row % n) if n > 0 else begin
+            p = _seen(s, body, ground, x[at], x[at + 1])
+            window = window_around(x, begin, sizes, p, r + reach)
+            height, feature, acts = touched_part(x, begin, sizes, row, p, turn, window, s.exact[0])
+            acts &= feature % 2 == 0 or x[begin + OWN + EDGE * n + SEGMENT * (feature // 2) + TURN] > 0.0
+        else:
+            origin = _seen(s, body, ground, 0.0, 0.0)
+            window = corners_window(x, begin, sizes, origin, turn, reach)
+            height, feature, acts = touching_corner(x, begin, sizes, row - own, origin, turn, window, s.exact[0])
+        s.features[first + row] = feature
+        s.least[first + row] = NOWHERE if acts else max(min(height - r, reach), s.exact[0])
+
+
+@subkernel
+def _uneven_margin(s, i, pair):
+    """Return the distance by which a contact of a polyline may still slide until it leaves its feature."""
+    g = s.surfaces[s.pairs[pair, 3]]
+    ground, body, begin, n, own = g[0], g[1], g[2], g[3], g[5]
+    x, row, feature, segments = s.surface, i - s.pairs[pair, 1], s.held[i], begin + OWN + EDGE * n
+    if row >= own:
+        corner, edge = segments + SEGMENT * (feature // n), begin + OWN + EDGE * (feature % n)
+        px, py = _seen(s, ground, body, x[corner], x[corner + 1])
+        along = height_over(x, edge, px, py)[1]
+        return min(along, x[edge + 4] - along)
+    at = begin + OWN + EDGE * (row % n) if n > 0 else begin
+    px, py = _seen(s, body, ground, x[at], x[at + 1])
+    k = segments + SEGMENT * (feature // 2)
+    along = height_over_segment(x, k, px, py)[1]
+    if feature % 2 == 0:
+        return min(along - x[k + LOW], x[k + HIGH] - along) - s.exact[0]  # segments are lengthened by this distance
+    before = height_over_segment(x, k - SEGMENT, px, py)[1] - x[k - SEGMENT + HIGH]
+    return min(before, x[k + LOW] - along) + s.exact[0]
+
+
+@subkernel
 def choose(s, pair):
     """Choose the features of the contacts of a pair of shapes that are not held."""
     first, count = s.pairs[pair, 1], s.pairs[pair, 2]
@@ -202,6 +279,8 @@ def choose(s, pair):
         return
     if s.pairs[pair, 0] == ROUND:
         _choose_round(s, pair)
+    elif s.pairs[pair, 0] == UNEVEN:
+        _choose_uneven(s, pair)
     else:
         one, other = s.pairs[pair, 3], s.pairs[pair, 4]
         edge, apart = _separation(s, one, other)
@@ -248,7 +327,7 @@ def find_gaps(s, within, gaps):
     """Compute the gaps of all contacts in the states of the bodies; see `gaps_at`."""
     for pair in range(len(s.pairs)):
         first, count = s.pairs[pair, 1], s.pairs[pair, 2]
-        if s.pairs[pair, 0] != SINGLE:
+        if s.pairs[pair, 0] == ROUND or s.pairs[pair, 0] == POLYGONS:
             apart = _distance(s, pair)
             if apart > within:
                 for i in range(first, first + count):
@@ -313,7 +392,9 @@ def find_margins(s, margins):
         if s.held[i] < 0 or s.pairs[pair, 0] == SINGLE:
             continue
         row, one, other = i - s.pairs[pair, 1], s.pairs[pair, 3], s.pairs[pair, 4]
-        if s.pairs[pair, 0] == ROUND:
+        if s.pairs[pair, 0] == UNEVEN:
+            margins[i] = _uneven_margin(s, i, pair)
+        elif s.pairs[pair, 0] == ROUND:
             numbers = s.numbers[s.contacts[i, 2]]
             x, y = _seen(s, s.contacts[i, 1], s.outlines[one, 0], numbers[0], numbers[1])
             begin, count = s.outlines[one, 1], s.outlines[one, 2]

@@ -8,7 +8,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from mbdkit.mechanism.bodies import GROUND
-from mbdkit.mechanism.contacts import LineShape, Shape
+from mbdkit.mechanism.contacts import Shape
 from mbdkit.mechanism.coordinate_function import CoordinateFunction, names_of, value_and_slopes
 from mbdkit.mechanism.joints import Joint
 from mbdkit.mechanism.mechanism import Mechanism
@@ -106,24 +106,34 @@ def _value(mechanism: Mechanism, part: CoordinateFunction) -> float:
 def contact_places(mechanism: Mechanism, body: str, shape: Shape) -> list[Place]:
     """Return the points through which the shape of a contact is drawn; none for a point, which has no outline."""
     if shape.line is not None:
-        points = _line(mechanism, body, shape.line)
+        nx, ny = shape.line.unit
+        points = [_far_end(mechanism, body, shape.line.point, side) for side in ((-ny, nx), (ny, -nx))]
+    elif shape.polyline is not None:
+        given = shape.polyline
+        ends = [(end, (end[0] - inner[0], end[1] - inner[1])) for end, inner in (given[:2], given[:-3:-1])]
+        first, last = (_far_end(mechanism, body, *end) for end in ends)
+        points = [first, *given, last]
     elif shape.circle is not None or shape.hole is not None:
         (x, y), radius = shape.circle_of
         turns = np.linspace(0.0, 2.0 * np.pi, ON_CIRCLE, endpoint=False).tolist()
         points = [(x + radius * math.cos(turn), y + radius * math.sin(turn)) for turn in turns]
     else:
         points = list(shape.polygon or ())
-    closed = points[:1] if shape.line is None else []
+    closed = points[:1] if shape.line is None and shape.polyline is None else []
     return [(body, point) for point in [*points, *closed]]
 
 
-def _line(mechanism: Mechanism, body: str, line: LineShape) -> list[tuple[float, float]]:
-    """Return the ends of the drawn part of a line, which extends beyond all bodies by half of their total extent."""
-    (x, y), (nx, ny) = line.point, line.unit
+def _far_end(
+    mechanism: Mechanism, body: str, start: tuple[float, float], direction: tuple[float, float]
+) -> tuple[float, float]:
+    """Return the end of the drawn part of a line without end. It extends beyond all bodies by half of their total
+    extent.
+    """
     elements = [*mechanism.joints.values(), *mechanism.contacts.values()]
     places = [mechanism.to_global(name, point) for element in elements for _, name, point in element.attachments()]
     places += [body.position for body in mechanism.bodies.values()]
-    local = [mechanism.to_local(body, place) for place in places]
-    along = [(px - x) * ny - (py - y) * nx for px, py in local]
     room = 0.5 * float(np.max(np.ptp(np.array(places), axis=0))) or 1.0
-    return [(x + s * ny, y - s * nx) for s in (min(along) - room, max(along) + room)]
+    (x, y), (dx, dy), size = start, direction, math.hypot(*direction)
+    local = [mechanism.to_local(body, place) for place in places]
+    far = room + max(0.0, *(((px - x) * dx + (py - y) * dy) / size for px, py in local))
+    return x + far * dx / size, y + far * dy / size
