@@ -152,7 +152,7 @@ CONTACTS = {
 }  # fmt: skip
 SPECS |= {
     "rigid contacts, event-driven": spec_of(
-        {"name": "rk4"}, {"end": 0.35, "step": 0.01}, CONTACTS, contact={"treatment": "event-driven"},
+        {"name": "rk4"}, {"end": 0.35, "step": 1e-5}, CONTACTS, contact={"treatment": "event-driven"},
         measures={"lowest": "min(a.y)", "peak": "max(contacts.a.normal_force)"}, impacts="allow",
     ),
     "rigid contacts, time-stepping": spec_of(

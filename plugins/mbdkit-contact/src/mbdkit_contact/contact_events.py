@@ -221,7 +221,8 @@ class ContactEvents:
     def check_indices(self) -> None:
         """Raise ValueError if data from a file contain places of arrays that do not exist."""
         known, shapes = self.bundle.known, self._shapes
-        counts = np.diff(np.append(shapes.contacts[:, 2], len(shapes.kinds)))
+        starts = np.append(np.unique(shapes.contacts[:, 2]), len(shapes.kinds))  # rows may share their features
+        counts = starts[np.searchsorted(starts, shapes.contacts[:, 2], side="right")] - shapes.contacts[:, 2]
         whole = known.features == np.round(known.features)
         if (
             known.event[0] > 3

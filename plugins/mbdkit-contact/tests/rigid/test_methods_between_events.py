@@ -30,7 +30,6 @@ METHODS: dict[str, tuple[dict[str, Any], float]] = {
 
 def spec(integrator: dict[str, Any], **sections: Any) -> dict[str, Any]:
     """Return a ball that a force by a first-order state moves, and a block that a spring pulls over a floor."""
-    floor = {"line": {"normal": [0, 1]}}
     model = {
         "name": "mechanism",
         "bodies": {
@@ -46,8 +45,8 @@ def spec(integrator: dict[str, Any], **sections: Any) -> dict[str, Any]:
         },
         "states": {"x": {"initial": 0.5, "rate": "-3*states.x + 2*cos(9*t)"}},
         "contacts": {
-            "bounce": {"bodies": ["ground", "ball"], "shapes": [floor, {"point": [0, 0]}], "restitution": RESTITUTION},
-            "slide": {"bodies": ["ground", "block"], "shapes": [floor, {"polygon": BOX}], "friction": FRICTION},
+            "bounce": {"bodies": ["ground", "ball"], "shapes": [FLOOR, {"point": [0, 0]}], "restitution": RESTITUTION},
+            "slide": {"bodies": ["ground", "block"], "shapes": [FLOOR, {"polygon": BOX}], "friction": FRICTION},
         },
     }  # fmt: skip
     time = {"end": END, "step": STEP}
@@ -56,6 +55,7 @@ def spec(integrator: dict[str, Any], **sections: Any) -> dict[str, Any]:
     }  # fmt: skip
 
 
+FLOOR = {"line": {"normal": [0, 1]}}
 BOX = [[-0.3, -0.1], [0.3, -0.1], [0.3, 0.1], [-0.3, 0.1]]
 TIGHT = {"method": "DOP853", "rtol": 1e-12, "atol": 1e-13}
 
@@ -126,6 +126,36 @@ def test_errors_of_implicit_methods_with_contacts_decrease_with_their_order() ->
         run = mbdkit.run(spec({"name": "gauss", "stages": 2}, time={"end": END, "step": step})).check()
         errors.append(abs(run.states["x"].value[-1] - exact[2]))
     assert math.log2(errors[0] / errors[1]) == pytest.approx(4.0, abs=0.3)
+
+
+@pytest.mark.parametrize("method", [{"name": "radau-iia", "stages": 2}, {"name": "gauss", "stages": 2}])
+def test_stiff_forces_on_a_sticking_block_take_few_iterations(method: dict[str, Any]) -> None:
+    # expected: the spring is so stiff that the load follows its force; friction holds the block against it
+    stiffness = 1e7  # N/m, for steps of 30 periods of the spring
+    bodies = {
+        "block": {"mass": 2.0, "inertia": 0.1, "position": [0.0, 0.1]},
+        "load": {"mass": 1.0, "inertia": 0.1, "position": [1.0, 0.1]},
+    }
+    model = {
+        "name": "mechanism",
+        "bodies": bodies,
+        "joints": {"rail": {"type": "prismatic", "bodies": ["ground", "load"], "points": [[0, 0.1], [0, 0]], "axis": [1, 0]}},
+        "forces": {
+            "spring": {
+                "type": "spring-damper", "bodies": ["block", "load"], "points": [[0, 0], [0, 0]],
+                "stiffness": stiffness, "damping": 2e3, "free_length": 1.0,
+            },
+            "push": {"type": "force", "body": "load", "point": [0, 0], "value": ["5*sin(2*t)", 0]},
+        },
+        "contacts": {"floor": {"bodies": ["ground", "block"], "shapes": [FLOOR, {"polygon": BOX}], "friction": 0.9}},
+    }  # fmt: skip
+    run = mbdkit.run(
+        {"mbdkit": 1, "model": model, "integrator": method, "time": {"end": 1.0, "step": 0.05}},
+        contact={"treatment": "event-driven"},
+    ).check()
+    friction = sum(run.contacts[f"floor.{i}"].friction_force for i in range(4))
+    np.testing.assert_allclose(np.abs(friction[-5:]), np.abs(5.0 * np.sin(2.0 * run.time[-5:])), rtol=1e-3)
+    assert run.stats["newton_iterations"] < 10 * run.stats["steps"]
 
 
 def test_errors_of_a_controlled_run_are_estimated_by_runs_with_other_methods() -> None:

@@ -99,6 +99,7 @@ def _change_state(e, c, m, t, kind, contact):
     known = m.known
     _take_point(c, m, t)
     status = happen(e, m, kind, contact)
+    c.counts[RHS] += 1
     if status == OK:
         status = show_forces(e, m)
     if status != OK:
@@ -249,6 +250,7 @@ def _sample_forces(m, t, h):
 @separate
 def _begin_search(e, c, m, t, h):
     """Begin the search for the first event in a step whose end is the point; return a status."""
+    c.counts[RHS] += 1
     status = find_values(e, m, True)
     if status != OK:
         return status
@@ -301,7 +303,9 @@ def _advance(e, c, m, run, t, h, want_error):
         is_at_end = share == 1.0
         status = _take(e, c, m, run, t, share * h, 0.0)
         if status == OK:
-            status = find_values(e, m, needs_forces(m))
+            has_forces = needs_forces(m)
+            c.counts[RHS] += has_forces
+            status = find_values(e, m, has_forces)
         if status != OK:
             return status, h, False
         note_value(m)
@@ -313,6 +317,7 @@ def _advance(e, c, m, run, t, h, want_error):
         if t + size > t:
             status = _take(e, c, m, run, t, size, want_error)
             if status == OK:
+                c.counts[RHS] += 1
                 status = find_values(e, m, True)
         else:
             size = 0.0
@@ -347,7 +352,6 @@ def attempt(run, method, t, h, want_error):
         if known.streak[0] > MOST_EVENTS:
             m.reason[0] = ZENO
             return REFUSED
-        c.counts[RHS] += 1
         status = _change_state(e, c, m, t, m.search.event[0], m.search.event[1])
     if status != OK:
         return _status(m, status)
