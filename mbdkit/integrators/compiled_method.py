@@ -104,9 +104,13 @@ class CompiledMethod(ABC):
         """Discard the values stored by the last step for the next one."""
 
     def serve(self) -> None:  # noqa: B027
-        """Do what the last attempt has left to Python; called before steps whose start may be restored, and when an
-        attempt has returned `mbdkit.integrators.step_loop.PAUSED`.
-        """
+        """Take what earlier steps have left to Python; called before steps whose start may be restored."""
+
+    def resume(self) -> None:  # noqa: B027
+        """Prepare for another attempt after one that has returned `mbdkit.integrators.step_loop.PAUSED`."""
+
+    def pause_at_events(self) -> None:  # noqa: B027
+        """From now on, return PAUSED after an event of the method has changed the state at the start of a step."""
 
     def kept(self, *roles: str) -> dict[str, np.ndarray]:
         """Return the arrays of the method that are declared with a role; see `bundle_types.kept`."""

@@ -217,7 +217,7 @@ class CompiledStepper(FailedSteps):
                 )
             stretches.append(self._collect(rows))
             if status == step_loop.PAUSED:
-                self.method.serve()
+                self.method.resume()
             elif status != step_loop.AT_STOP:
                 break
             status = OK
@@ -343,7 +343,10 @@ class CompiledStepper(FailedSteps):
         worst, before = c.worst.copy(), [x.copy() for x in counts]
         for x in counts:
             x[0] = 0
-        status, _ = self._drive(PinnedBundle(plan), 1)
+        single = PinnedBundle(plan)
+        status, _ = self._drive(single, 1)
+        if status == step_loop.PAUSED:  # after an event at the start
+            status, _ = self._drive(single, 1)
         done = status == OK and self._accepted == 1
         for x, value in zip(counts, before, strict=True):
             x[:] = value

@@ -68,7 +68,7 @@ AT_STOP = 8
 """Status: a step has ended at a stop; the values that the method stores are not valid for the next step."""
 
 PAUSED, REFUSED = 9, 10
-"""Statuses of attempts: the method asks for `CompiledMethod.serve` before the attempt, or no step can succeed."""
+"""Statuses of attempts: `CompiledMethod.resume` is to be called before another one, or no step can succeed."""
 
 ROW_MARGIN = 1e-9
 """A row recorded by `interval` that is closer to the end than this share of the interval is replaced by the row at the

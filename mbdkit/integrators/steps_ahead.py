@@ -13,7 +13,6 @@ from mbdkit.integrators import step_loop
 from mbdkit.integrators.compiled_stepper import CompiledStepper
 from mbdkit.integrators.interface import ConsecutiveSteps, Stepper, Stretch
 from mbdkit.integrators.step_path import new_path
-from mbdkit.registry.treatments import treatment_of
 
 MOST_STEPS, COORDINATES = 256, 20_000
 """Largest number of steps at once, and of coordinates in all of them; they take less than about 0.1 s."""
@@ -59,16 +58,15 @@ class StepsAhead:
     def of(cls, stepper: Stepper, shares: Sequence[float]) -> StepsAhead | None:
         """Return an object for a stepper; None if its steps must be taken one by one.
 
-        These are steps that are taken in Python, steps that are differentiated, those that end at events of rigid
-        contacts, and those within which first-order states are known only right after the step.
+        These are steps that are taken in Python, steps that are differentiated, and those within which first-order
+        states are known only right after the step.
         """
         if not isinstance(stepper, CompiledStepper) or not stepper.can_take_back:
             return None
         needs_rates = shares and len(stepper.run_state.z) and not stepper.has_dense_output
-        contact = stepper.workspace.mechanism.contact_treatment
-        has_jumps = contact.is_rigid and not treatment_of(contact.kind).includes_impacts
-        if needs_rates or has_jumps:
+        if needs_rates:
             return None
+        stepper.method.pause_at_events()  # no velocity jumps between the steps of a call
         return cls(stepper, shares)
 
     @property
@@ -86,6 +84,7 @@ class StepsAhead:
         """
         stepper, path = self.stepper, self._path.bundle
         stepper._begin_after_stop()
+        stepper.method.serve()
         c = stepper.run_state
         self._before = [x.copy() for x in self._memory]
         begin = np.array([stepper.time]), c.q[None].copy(), c.v[None].copy(), c.z[None].copy()
@@ -106,14 +105,18 @@ class StepsAhead:
         """Keep the first `count` of the steps taken, return to the state after them, and return their rows."""
         stepper, path = self.stepper, self._path.bundle
         status, rows = self._result
-        is_complete = status in (OK, step_loop.AT_STOP) and not stepper._is_pending
+        ended = status in (step_loop.AT_STOP, step_loop.PAUSED)
+        is_complete = (status == OK or ended) and not stepper._is_pending
         if count < path.stored[0] or not is_complete:  # a failed attempt is repeated, because its arrays were used
             for now, then in zip(self._memory, self._before, strict=True):
                 now[...] = then
             status, rows = stepper._drive(stepper._plan, int(path.attempts[count - 1])) if count else (OK, 0)
+            ended = status == step_loop.AT_STOP
         stepper.last_step = None
         stretch = stepper._collect(rows)
-        stepper._conclude(OK if status == step_loop.AT_STOP else status)
+        if status == step_loop.PAUSED:
+            stepper.method.resume()
+        stepper._conclude(OK if ended else status)
         return stretch
 
     def _interpolated(

@@ -9,10 +9,10 @@ import numpy as np
 from mbdkit.engine.equations_of_motion import EquationsOfMotion
 from mbdkit.integrators.compiled_method import CompiledMethod
 from mbdkit.integrators.sampled_control import states_at_start
-from mbdkit_contact.contact_events import ContactEvents
 from mbdkit_contact.contact_state import ContactState
-from mbdkit_contact.kernels.event_driven import attempt, dense, keep
+from mbdkit_contact.events_of_contacts import ContactEvents
 from mbdkit_contact.kernels.implicit_steps import constrain
+from mbdkit_contact.kernels.steps_to_events import attempt, dense, keep
 
 if TYPE_CHECKING:
     from mbdkit.integrators.run_state import RunState
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 
 class CompiledEventDriven(CompiledMethod):
-    """A compiled method with events of rigid contacts; see `mbdkit_contact.kernels.event_driven`.
+    """A compiled method with events of rigid contacts; see `mbdkit_contact.kernels.steps_to_events`.
 
     Parameters
     ----------
@@ -75,6 +75,14 @@ class CompiledEventDriven(CompiledMethod):
     def serve(self) -> None:
         """See `CompiledMethod.serve`."""
         self.events.serve()
+
+    def resume(self) -> None:
+        """See `CompiledMethod.resume`."""
+        self.events.resume()
+
+    def pause_at_events(self) -> None:
+        """See `CompiledMethod.pause_at_events`."""
+        self.events.bundle.pauses[0] = 1
 
     def switch_iteration(self) -> bool:
         """See `CompiledMethod.switch_iteration`."""

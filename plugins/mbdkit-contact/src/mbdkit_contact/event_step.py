@@ -1,6 +1,6 @@
 """Steps of methods in Python between events of rigid contacts, and the events.
 
-The events, their search and what they change are those of `mbdkit_contact.kernels.event_driven`.
+The events, their search and what they change are those of `mbdkit_contact.kernels.steps_to_events`.
 """
 
 from __future__ import annotations
@@ -14,10 +14,10 @@ from numpy.polynomial.legendre import leggauss
 from mbdkit.base.errors import StepError
 from mbdkit.integrators.interface import StepTaken
 from mbdkit.methods.step_methods import Step, StepMethod, StepState
-from mbdkit_contact.contact_events import ContactEvents
 from mbdkit_contact.contact_state import ContactState
+from mbdkit_contact.events_of_contacts import ContactEvents
 from mbdkit_contact.forced_equations import ForcedEquations
-from mbdkit_contact.kernels.event_driven import (
+from mbdkit_contact.kernels.steps_to_events import (
     MOST_EVENTS,
     SAMPLES,
     begin_search_at,

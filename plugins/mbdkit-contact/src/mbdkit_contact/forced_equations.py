@@ -14,7 +14,7 @@ from mbdkit.engine.tangents import Tangents
 
 if TYPE_CHECKING:
     from mbdkit.engine.counters import Counters
-    from mbdkit_contact.contact_events import ContactEvents
+    from mbdkit_contact.events_of_contacts import ContactEvents
 
 Rates = tuple[np.ndarray, np.ndarray, np.ndarray]
 Powers = tuple[float, float]

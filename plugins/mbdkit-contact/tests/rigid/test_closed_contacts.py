@@ -10,7 +10,7 @@ import pytest
 import mbdkit
 from mbdkit import EquationsOfMotion
 from mbdkit.mechanism.contacts import OPEN, SLIP, STICK
-from mbdkit_contact.contact_events import ContactEvents
+from mbdkit_contact.events_of_contacts import ContactEvents
 from mbdkit_contact.forced_equations import ForcedEquations
 
 SQUARE = {"polygon": [[-0.5, -0.5], [0.5, -0.5], [0.5, 0.5], [-0.5, 0.5]]}

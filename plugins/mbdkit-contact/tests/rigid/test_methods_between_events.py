@@ -139,7 +139,9 @@ def test_stiff_forces_on_a_sticking_block_take_few_iterations(method: dict[str, 
     model = {
         "name": "mechanism",
         "bodies": bodies,
-        "joints": {"rail": {"type": "prismatic", "bodies": ["ground", "load"], "points": [[0, 0.1], [0, 0]], "axis": [1, 0]}},
+        "joints": {
+            "rail": {"type": "prismatic", "bodies": ["ground", "load"], "points": [[0, 0.1], [0, 0]], "axis": [1, 0]}
+        },
         "forces": {
             "spring": {
                 "type": "spring-damper", "bodies": ["block", "load"], "points": [[0, 0], [0, 0]],

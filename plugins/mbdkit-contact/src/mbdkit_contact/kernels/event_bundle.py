@@ -187,6 +187,8 @@ class Events(NamedTuple):
     closed: ClosedContacts
     newton: Newton
     impacts: Impacts
+    pauses: IntVector
+    """(1,) whether attempts return `PAUSED` after an event at their start."""
     reason: IntVector
     """(2,) why the last call failed, and the contact; 0 if not."""
 

@@ -36,8 +36,8 @@ from mbdkit_contact.kernels.event_bundle import (
     Newton,
     Search,
 )
-from mbdkit_contact.kernels.event_driven import MOST_EVENTS, accelerations_at, close_at, forces_at, happen_at
 from mbdkit_contact.kernels.impacts import LAWS, new_impacts
+from mbdkit_contact.kernels.steps_to_events import MOST_EVENTS, accelerations_at, close_at, forces_at, happen_at
 from mbdkit_contact.rigid_contacts import RigidContacts
 
 if TYPE_CHECKING:
@@ -116,7 +116,7 @@ class ContactEvents:
         sizes |= dict.fromkeys(("modes", "kept_modes", "kept_features"), (count,))
         sizes |= dict.fromkeys(("values", "begin", "end"), (3, count))
         given |= {name: np.zeros(shape) for name, shape in sizes.items()}
-        counts: dict[str, int] = {"inner": 4, "engine": 1, "law": 1, "samples": 2, "reason": 2}
+        counts: dict[str, int] = {"inner": 4, "engine": 1, "law": 1, "samples": 2, "reason": 2, "pauses": 1}
         counts |= dict.fromkeys(("touching", "struck"), count)
         given |= {name: integers(number) for name, number in counts.items()}
         self.bundle = Events(**given)
@@ -178,11 +178,17 @@ class ContactEvents:
 
     def serve(self) -> None:
         """See `mbdkit.integrators.compiled_method.CompiledMethod.serve`."""
-        if self.bundle.reason[0] == MORE_ROOM and not self.bundle.known.number[0]:
-            self.grow()
-        self.bundle.reason[0] = 0
         if self.bundle.known.number[0]:
             self.impacts += self.take_impacts()
+
+    def resume(self) -> None:
+        """See `mbdkit.integrators.compiled_method.CompiledMethod.resume`."""
+        if self.bundle.reason[0] == MORE_ROOM:
+            if self.bundle.known.number[0]:
+                self.serve()
+            else:
+                self.grow()
+        self.bundle.reason[0] = 0
 
     def state(self, impacts: tuple[ContactImpact, ...] = (), **more: Any) -> ContactState:
         """Return the present data of the contacts, with impacts so far."""

@@ -20,7 +20,7 @@ from mbdkit.engine.native.calls import call_entry
 from mbdkit.engine.native.functions import entry, kernel, separate, subkernel
 from mbdkit.integrators.run_state import AT_END_OF_LAST, AT_START_OF_LAST, MODIFIED, RHS, load_run_state
 from mbdkit.integrators.step_guards import begin_energy
-from mbdkit.integrators.step_loop import REFUSED
+from mbdkit.integrators.step_loop import PAUSED, REFUSED
 from mbdkit.mechanism.contacts import OPEN
 from mbdkit_contact.kernels.contact_events import book_energy, close, drift, happen, limited
 from mbdkit_contact.kernels.contact_forces import gap_rate
@@ -92,7 +92,7 @@ def _show(m, row):
 
 @separate
 def _change_state(e, c, m, t, kind, contact):
-    """Apply an event to the state of the run at the start of a step; return a status.
+    """Apply an event to the state of the run at the start of a step; return a status, or `PAUSED` if that is asked for.
 
     If `kind` is negative, the modes are determined anew.
     """
@@ -116,7 +116,7 @@ def _change_state(e, c, m, t, kind, contact):
     c.energy[1] += m.gained[1]
     begin_energy(c, c.guards, t, c.q, c.v)
     c.base_state[0] = MODIFIED
-    return OK
+    return PAUSED if m.pauses[0] != 0 else OK
 
 
 @separate
@@ -130,8 +130,6 @@ def _begin(e, c, m, t, h):
         is_due = abs(t - known.until[0]) <= SAME_SHARE * h  # not if the step that ended there was rejected
         if not is_due:
             known.event[0] = 0
-    if c.progress.retrying[0] == 0 and not is_due:
-        known.streak[0] = 0
     if known.determined[0] == 0:
         return _change_state(e, c, m, t, -1, 0)
     if is_due:
@@ -355,7 +353,9 @@ def attempt(run, method, t, h, want_error):
         status = _change_state(e, c, m, t, m.search.event[0], m.search.event[1])
     if status != OK:
         return _status(m, status)
-    if has_event:
+    if not has_event:
+        known.streak[0] = 0
+    else:
         known.event[0], known.event[1], known.until[0] = m.search.event[0] + 1, m.search.event[1], t + size
     if known.streak[0] > MOST_EVENTS:
         m.reason[0] = ZENO
