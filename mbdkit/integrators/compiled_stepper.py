@@ -204,19 +204,22 @@ class CompiledStepper(FailedSteps):
         begin = time.perf_counter()
         before = self._attempts()
         stretches: list[Stretch] = []
+        is_paused = False
         while True:
             left = min(budget - self._attempts() + before, self._allowed)
             if left <= 0 and not self._is_pending and stretches:
                 status = OK
                 break
-            self._begin_after_stop()  # not earlier: the recorded state at a stop is that before its impulse
+            if not is_paused:
+                self._begin_after_stop()  # not earlier: the recorded state at a stop is that before its impulse
             status, rows = OK, 0
             if self.failure is None and (self._allowed > 0 or self._is_pending):
                 status, rows = (
                     self._drive_extended() if self.method.is_extended else self._drive(self._plan, max(left, 0))
                 )
             stretches.append(self._collect(rows))
-            if status == step_loop.PAUSED:
+            is_paused = status == step_loop.PAUSED
+            if is_paused:
                 self.method.resume()
             elif status != step_loop.AT_STOP:
                 break

@@ -36,6 +36,7 @@ RUNS: dict[str, dict[str, Any]] = {
     "radau-iia, index-3": {"integrator": {"name": "radau-iia"}, "formulation": "index-3"},
     "radau-iia, ggl": {"integrator": {"name": "radau-iia"}, "formulation": "ggl"},
     "lobatto-pair": {"integrator": {"name": "lobatto-pair"}, "formulation": "index-3"},
+    "rk4, an event": {"integrator": {"name": "rk4"}, "events": {"middle": {"when": "t - 0.012"}}},
     "steps taken in Python": {"integrator": {"name": "scipy-dop853"}, "formulation": "index-1"},
 }
 

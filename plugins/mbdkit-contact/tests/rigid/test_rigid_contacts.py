@@ -276,6 +276,19 @@ def test_a_plate_does_work_on_a_block_that_it_strikes(treatment: str) -> None:
         assert pushes == pytest.approx([3.0, 2.0, -6.0, 4.0], rel=1e-9)
 
 
+@pytest.mark.parametrize("method", ["dopri5", "rk4", "scipy-dop853"])
+def test_events_of_a_gap_happen_once_when_a_contact_closes_and_once_when_it_opens(method: str) -> None:
+    # expected: the fall of a ball from 0.5 m, without restitution; it is lifted where the load 20 t exceeds its weight
+    bodies = {"ball": {"mass": 1.0, "inertia": 0.01, "position": [0.0, 0.6]}}
+    contact = {"bodies": ["ground", "ball"], "shapes": [FLOOR, {"circle": {"radius": 0.1}}]}
+    lift = {"type": "force", "body": "ball", "point": [0, 0], "value": [0.0, "20*max(t - 0.4, 0)"]}
+    model = {"bodies": bodies, "contacts": {"floor": contact}, "forces": {"lift": lift}}
+    found = run(model, 1.2, 0.01, method=method, events={"touch": {"when": "contacts.floor.gap"}})
+    assert [event.direction for event in found.events] == [-1, 1]
+    times = [event.time for event in found.events]
+    assert times == pytest.approx([np.sqrt(2.0 * 0.5 / G), 0.4 + G / 20.0], abs=1e-5)
+
+
 def test_forces_of_many_contacts_satisfy_the_laws() -> None:
     """Coulomb's law in random systems with redundant contacts."""
     random = np.random.default_rng(4)
