@@ -178,10 +178,11 @@ class ContactEvents:
 
     def serve(self) -> None:
         """See `mbdkit.integrators.compiled_method.CompiledMethod.serve`."""
-        if self.bundle.reason[0] == MORE_ROOM and not self.bundle.known.number[0]:
+        has_impacts = np.any(self.bundle.known.number)  # an impact without impulses has a place, but no row
+        if self.bundle.reason[0] == MORE_ROOM and not has_impacts:
             self.grow()
         self.bundle.reason[0] = 0
-        if self.bundle.known.number[0]:
+        if has_impacts:
             self.impacts += self.take_impacts()
 
     def state(self, impacts: tuple[ContactImpact, ...] = (), **more: Any) -> ContactState:
@@ -225,8 +226,10 @@ class ContactEvents:
         counts = starts[np.searchsorted(starts, shapes.contacts[:, 2], side="right")] - shapes.contacts[:, 2]
         whole = known.features == np.round(known.features)
         if (
-            known.event[0] > 3
+            np.any(known.event < 0)
+            or known.event[0] > 3
             or known.event[1] >= max(1, len(known.modes))
+            or np.any(known.number < 0)
             or np.any(known.number > [len(known.rows), len(known.strikes)])
             or not np.all(whole & (known.features >= -1) & (known.features < counts))
             or not np.all(np.isin(known.modes, (-2.0, 0.0, 1.0, 2.0)))
