@@ -221,6 +221,8 @@ class CompiledStepper(FailedSteps):
             is_paused = status == step_loop.PAUSED
             if is_paused:
                 self.method.resume()
+                if self.timetable.single:  # the step begins with the state after the event
+                    self._before = [x.copy() for x in self._memory()]
             elif status != step_loop.AT_STOP:
                 break
             status = OK

@@ -164,7 +164,8 @@ class FailedSteps:
             return Failure("not-finite", f"numbers overflowed {where}; {hint}{self._stiffness()}.")
         if self.method.failure is not None:
             code, what = self.method.failure
-            return Failure(code, f"{what} {where}; {hint}.")
+            advice = "tighter tolerances may help" if self.controlled else hint
+            return Failure(code, f"{what} {where}; {advice}.")
         if status == DIVERGED:
             return Failure("newton-failed", f"{where}{self.method.describe_divergence(self.run_state.report)}; {hint}.")
         unknown = workspace.failed_unknown if singular is None else singular.index

@@ -64,10 +64,8 @@ class StepsAhead:
         if not isinstance(stepper, CompiledStepper) or not stepper.can_take_back:
             return None
         needs_rates = shares and len(stepper.run_state.z) and not stepper.has_dense_output
-        if needs_rates:
-            return None
         stepper.method.pause_at_events()  # no velocity jumps between the steps of a call
-        return cls(stepper, shares)
+        return None if needs_rates else cls(stepper, shares)
 
     @property
     def is_possible(self) -> bool:

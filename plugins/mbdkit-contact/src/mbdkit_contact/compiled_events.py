@@ -31,6 +31,7 @@ class CompiledEventDriven(CompiledMethod):
     """
 
     attempt, keep = attempt, keep
+    remembers = True
 
     def __init__(self, between: CompiledMethod, treatment: ChosenTreatment):
         super().__init__(between.workspace)

@@ -30,6 +30,9 @@ from mbdkit_contact.kernels.steps_to_events import (
 SAME_INSTANT = 4e-16
 """Times that differ by less than this, in seconds or relative to their size, are equal."""
 
+TURN, MOST_PLACES = 0.5, 1000.0
+"""Largest angle by which a body turns between two samples of a step [rad], up to this number of samples."""
+
 _NODES, _WEIGHTS = (0.5 * x for x in (1.0 + leggauss(4)[0], leggauss(4)[1]))
 """Gauss-Legendre quadrature of order 8 on [0, 1]."""
 
@@ -232,7 +235,9 @@ class EventStep:
 
     def first_event(self, there: Point) -> tuple[float, Event] | None:
         """Return the share of a step at which its first event happens, and the event; None if there is none."""
-        h, shares = there.t - self.now.t, np.arange(SAMPLES + 1) / SAMPLES
+        h = there.t - self.now.t
+        places = self._places(there)
+        shares = np.arange(places + 1) / places
         points = (self.now, *(self._inside(there, share) for share in shares[1:-1].tolist()), there)
         samples = np.stack([self._values(point) for point in points])
         self._look_at(there)
@@ -244,6 +249,12 @@ class EventStep:
             place = search_at(self.events.pinned.address, True)
         share = float(search.first[0])
         return None if share == np.inf else (share, (int(search.event[0]), int(search.event[1])))
+
+    def _places(self, there: Point) -> int:
+        """Return the number of places of the samples in a step, more than `SAMPLES` if a body turns far."""
+        fastest = max(float(np.max(np.abs(at.v[2::3]), initial=0.0)) for at in (self.now, there))
+        turn = fastest * (there.t - self.now.t)
+        return max(SAMPLES, int(min(turn / TURN, MOST_PLACES)))
 
     def _inside(self, there: Point, share: float) -> Point:
         """Return an interpolated state within a step that leads to `there`."""

@@ -178,13 +178,13 @@ class ContactEvents:
 
     def serve(self) -> None:
         """See `mbdkit.integrators.compiled_method.CompiledMethod.serve`."""
-        if self.bundle.known.number[0]:
+        if np.any(self.bundle.known.number):  # an impact without impulses has a place, but no row
             self.impacts += self.take_impacts()
 
     def resume(self) -> None:
         """See `mbdkit.integrators.compiled_method.CompiledMethod.resume`."""
         if self.bundle.reason[0] == MORE_ROOM:
-            if self.bundle.known.number[0]:
+            if np.any(self.bundle.known.number):
                 self.serve()
             else:
                 self.grow()
@@ -221,6 +221,7 @@ class ContactEvents:
             arrays = _new_known(len(known.modes), len(known.force), len(bundle.lam), known.shown.shape[1])._asdict()
         for name in _PASSED:
             getattr(known, name)[...] = arrays[name]
+        self.check_indices()
         while np.count_nonzero(known.modes != OPEN) > len(self.bundle.closed.chosen):
             self.grow()
 
@@ -231,8 +232,10 @@ class ContactEvents:
         counts = starts[np.searchsorted(starts, shapes.contacts[:, 2], side="right")] - shapes.contacts[:, 2]
         whole = known.features == np.round(known.features)
         if (
-            known.event[0] > 3
+            np.any(known.event < 0)
+            or known.event[0] > 3
             or known.event[1] >= max(1, len(known.modes))
+            or np.any(known.number < 0)
             or np.any(known.number > [len(known.rows), len(known.strikes)])
             or not np.all(whole & (known.features >= -1) & (known.features < counts))
             or not np.all(np.isin(known.modes, (-2.0, 0.0, 1.0, 2.0)))

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from math import sqrt
+
 import numpy as np
 
 from mbdkit.engine.kernels.accelerations import solve_system
@@ -203,7 +205,10 @@ def limited(e, m, h):
     """
     near, slow, any_leaves = SAME * m.limits[1], SAME * speed(m), False
     for i in range(len(m.known.modes)):
-        any_leaves |= m.known.modes[i] == OPEN and m.rows[i, 0] <= near and rate_of_gap(m, i, 2, m.v) > slow
+        rate = rate_of_gap(m, i, 2, m.v)
+        leaves = m.rows[i, 0] <= near and rate > slow
+        meets = rate < -slow and m.rows[i, 0] < -h * rate
+        any_leaves |= m.known.modes[i] == OPEN and (leaves or meets)
     if not any_leaves:
         return h, OK
     status = find_accelerations(e, m)
@@ -213,6 +218,11 @@ def limited(e, m, h):
             curve = rate_of_gap(m, i, 2, m.a) - m.rows[i, 14]
             if curve < 0.0:
                 h = min(h, -3.0 * rate / curve)
+        elif m.known.modes[i] == OPEN and rate < -slow and 0.0 < m.rows[i, 0] < -h * rate:
+            curve = rate_of_gap(m, i, 2, m.a) - m.rows[i, 14]
+            square = rate * rate - 2.0 * curve * m.rows[i, 0]
+            if curve > 0.0 and square > 0.0:  # the gap closes and opens again: the step ends while it is closed
+                h = min(h, (-rate - 0.5 * sqrt(square)) / curve)
     return h, status
 
 
@@ -256,7 +266,7 @@ def _note_coupling(m, k):
     for i in range(k):
         for j in range(i):
             if x.before[i] < -slow and x.before[j] < -slow:
-                size = np.sqrt(abs(x.cones.response[i, i] * x.cones.response[j, j]))
+                size = sqrt(abs(x.cones.response[i, i] * x.cones.response[j, j]))
                 if abs(x.cones.response[i, j]) > SAME_ACCELERATION * size:
                     m.known.times[1] = min(m.known.times[1], m.t[0])
 
@@ -353,7 +363,7 @@ def _cut(e, m):
         known.flags[CUT, i] = 1
         known.times[0] = min(known.times[0], m.t[0])
         restitution = m.coefficients[i, 0]
-        if m.approach[i] < 0.0 and 0.0 < restitution < 1.0:
+        if m.approach[i] < -SAME * speed(m) and 0.0 < restitution < 1.0:
             at = known.number[0]
             fill(known.rows[at], 0.0)
             known.rows[at, 0] = m.t[0] - 2.0 * after / curve / (1.0 - restitution)

@@ -193,8 +193,9 @@ def note_value(m):
             b[6] = 0.1 * share
         return
     if x.state[0] == LOW:
-        if value <= 0.0:
-            _accept(x, share)
+        if value <= 0.0:  # the approximate sample was wrong
+            b[0], b[1], b[6] = share, value, 0.1 * share
+            x.state[0], x.state[3] = RISE, 0
             return
         x.state[0], x.state[3] = ROOT, 0
         b[2], b[3] = share, value

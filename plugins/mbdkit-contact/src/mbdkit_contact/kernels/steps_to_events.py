@@ -10,6 +10,8 @@ also the impulses.
 
 from __future__ import annotations
 
+from math import sqrt
+
 import numpy as np
 
 from mbdkit.engine.kernels.bundle_types import RealCube, RealVector
@@ -36,7 +38,7 @@ from mbdkit_contact.kernels.contact_modes import (
     switch,
     use_modes,
 )
-from mbdkit_contact.kernels.event_bundle import FRICTION, NORMAL, PAINLEVE, PLACE, ZENO, load_events
+from mbdkit_contact.kernels.event_bundle import FRICTION, MORE_ROOM, NORMAL, PAINLEVE, PLACE, ZENO, load_events
 from mbdkit_contact.kernels.event_search import (
     add_sample,
     add_samples,
@@ -53,6 +55,8 @@ MOST_EVENTS = 1000
 """The run stops after this many consecutive events without a complete step."""
 SAMPLES = 8
 """Number of places in a step, the last one at its end, at which gaps and places on edges are evaluated."""
+TURN, MOST_SAMPLES = 0.5, 1000.0
+"""Largest angle by which a body turns between two such places [rad], up to this number of places."""
 CLEAR = 0.5
 """No gap is evaluated within a step if all gaps at both ends are larger than this times the sum of what they would
 change at the rates of both ends."""
@@ -60,6 +64,8 @@ WHOLE = 1.0 - 1e-12
 """Share of a step from which on an event counts as one at its end."""
 SAME_SHARE = 1e-9
 """Times that differ by less than this share of a step are equal."""
+SAME_INSTANT = 4e-16
+"""Times that differ by less than this, in seconds or relative to their size, are equal."""
 
 
 @subkernel
@@ -127,14 +133,16 @@ def _begin(e, c, m, t, h):
     _take_point(c, m, t)
     book_energy(e, m)
     if known.event[0] > 0:
-        is_due = abs(t - known.until[0]) <= SAME_SHARE * h  # not if the step that ended there was rejected
+        # not if the step that ended there was rejected
+        is_due = abs(t - known.until[0]) <= SAME_SHARE * h + SAME_INSTANT * max(abs(t), 1.0)
         if not is_due:
             known.event[0] = 0
     if known.determined[0] == 0:
         return _change_state(e, c, m, t, -1, 0)
     if is_due:
-        known.streak[0] += 1
-        return _change_state(e, c, m, t, known.event[0] - 1, known.event[1])
+        status = _change_state(e, c, m, t, known.event[0] - 1, known.event[1])
+        known.streak[0] += known.event[0] == 0
+        return status
     for k in range(m.places[1]):
         known.shown[0, k] = c.z[m.places[0] + k]
     return OK
@@ -189,8 +197,19 @@ def _take(e, c, m, run, t, h, want_error):
 
 
 @subkernel
-def _is_clear(m, h):
+def _places(c, m, h):
+    """Return the number of places within a step, and at its end, at which the motion is sampled."""
+    fastest = 0.0
+    for d in range(2, len(m.v), 3):
+        fastest = max(fastest, abs(c.from_v[d]), abs(m.v[d]))
+    return max(SAMPLES, int(min(h * fastest / TURN, MOST_SAMPLES)))
+
+
+@subkernel
+def _is_clear(c, m, h):
     """Return whether no gap can close, and no contact can leave its edge, within a step whose end is the point."""
+    if _places(c, m, h) > SAMPLES:  # rates at both ends say little about bodies that turn so far
+        return False
     for i in range(len(m.known.modes)):
         if m.known.modes[i] == OPEN:
             change = CLEAR * h * (m.pace[i] + abs(rate_of_gap(m, i, 2, m.v)))
@@ -201,12 +220,28 @@ def _is_clear(m, h):
     return True
 
 
+@subkernel
+def _lowest(g0, r0, g1, r1):
+    """Return place and value of the minimum, from 0 to 1, of a cubic that falls at 0 and rises at 1.
+
+    Arguments are its values and slopes at both ends.
+    """
+    b, c = 3.0 * (g1 - g0) - 2.0 * r0 - r1, 2.0 * (g0 - g1) + r0 + r1
+    s = -r0 / (b + sqrt(max(b * b - 3.0 * c * r0, 0.0)))
+    return s, g0 + s * (r0 + s * (b + s * c))
+
+
 @separate
 def _sample_motion(c, m, h):
-    """Add samples of gaps and places on edges within the step, from the cubic through its ends."""
+    """Add samples of gaps and places on edges within the step, from the cubic through its ends.
+
+    A gap that falls at one place and rises at the next has another sample at the minimum of the cubic between them.
+    """
     shapes, known, row = m.closed.shapes, m.known, m.closed.rows[0]
-    for k in range(1, SAMPLES):
-        theta = k / SAMPLES
+    count = _places(c, m, h)
+    part = h / count
+    for k in range(count + 1):
+        theta = k / count
         rest = 1.0 - theta
         for d in range(len(m.q)):
             dq, v0, v1 = m.q[d] - c.from_q[d], h * c.from_v[d], h * m.v[d]
@@ -215,17 +250,26 @@ def _sample_motion(c, m, h):
             m.y[d] = slope / h
         place(shapes, m.x, m.y)
         find_gaps(shapes, m.reach[0], m.gaps)
-        find_margins(shapes, m.values[PLACE])
+        is_inside = 0 < k < count
+        if is_inside:
+            find_margins(shapes, m.values[PLACE])
         for i in range(len(known.modes)):
-            add_sample(m, PLACE, i, theta, m.values[PLACE, i])
+            if is_inside:
+                add_sample(m, PLACE, i, theta, m.values[PLACE, i])
             if known.modes[i] != OPEN:
                 continue
-            gap = m.gaps[i]
-            if gap < 0.0:  # only shapes that approach each other are about to touch
+            gap, rate = m.gaps[i], 0.0
+            if gap <= m.reach[0]:
                 row_of(shapes, i, row)
-                a, b = 3 * shapes.contacts[i, 0], 3 * shapes.contacts[i, 1]
-                gap = abs(gap) if gap_rate(row, a, b, 2, m.y) >= 0.0 else gap
-            add_sample(m, NORMAL, i, theta, gap)
+                rate = gap_rate(row, 3 * shapes.contacts[i, 0], 3 * shapes.contacts[i, 1], 2, m.y)
+            before, rate_before = m.approach[i], m.pace[i]
+            if k > 0 and before > 0.0 and gap > 0.0 and rate_before < 0.0 and rate > 0.0:
+                share, least = _lowest(before, part * rate_before, gap, part * rate)
+                if least < 0.0:
+                    add_sample(m, NORMAL, i, (k - 1 + share) / count, least)
+            m.approach[i], m.pace[i] = gap, rate
+            if is_inside:  # only shapes that approach each other are about to touch
+                add_sample(m, NORMAL, i, theta, abs(gap) if rate >= 0.0 else gap)
 
 
 @separate
@@ -257,7 +301,7 @@ def _begin_search(e, c, m, t, h):
     begin_search(m)
     copy_rows(m.begin, m.values)
     add_samples(m, 0.0)
-    if not _is_clear(m, h):
+    if not _is_clear(c, m, h):
         _sample_motion(c, m, h)
     _sample_forces(m, t, h)
     copy_rows(m.end, m.values)
@@ -344,13 +388,16 @@ def attempt(run, method, t, h, want_error):
         if status != OK:
             break
         status, size, has_event = _advance(e, c, m, run, t, size, want_error)
-        if status != OK or size > 0.0:
+        if status != OK or size > 0.0 or not has_event:
             break
         known.streak[0] += 1  # the event is at the start of the step, which is then taken again
         if known.streak[0] > MOST_EVENTS:
             m.reason[0] = ZENO
             return REFUSED
-        status = _change_state(e, c, m, t, m.search.event[0], m.search.event[1])
+        kind, contact = m.search.event[0], m.search.event[1]
+        status = _change_state(e, c, m, t, kind, contact)
+        if status == PAUSED and m.reason[0] == MORE_ROOM:  # the next attempt begins with the event
+            known.event[0], known.event[1], known.until[0] = kind + 1, contact, t
     if status != OK:
         return _status(m, status)
     if not has_event:
@@ -360,7 +407,7 @@ def attempt(run, method, t, h, want_error):
     if known.streak[0] > MOST_EVENTS:
         m.reason[0] = ZENO
         return REFUSED
-    if size < h:
+    if h - size > SAME_INSTANT * max(abs(t + h), 1.0):  # otherwise, nothing would remain of the step
         c.progress.part[0] = size
     _show(m, 1)
     for d in range(len(m.q)):
