@@ -118,6 +118,64 @@ def test_a_ball_with_a_state_and_a_sliding_block_move_as_by_scipy(name: str) -> 
     assert np.max(np.abs(run.energy.balance)) < 100 * bound  # friction, impacts and the force are booked
 
 
+@pytest.mark.parametrize("restitution", [0.0, 1.0])
+def test_an_impact_within_rounding_errors_of_the_end_of_a_step_happens_once(restitution: float) -> None:
+    # expected: uniform motion until 100 s, which is the end of a step
+    speed = 0.9
+    bodies = {"b": {"mass": 1.0, "position": [0.0, 100.0 * speed], "velocity": [0.0, -speed]}}
+    contact = {"bodies": ["ground", "b"], "shapes": [FLOOR, {"point": [0, 0]}], "restitution": restitution}
+    model = {"name": "mechanism", "gravity": [0, 0], "bodies": bodies, "contacts": {"floor": contact}}
+    run = mbdkit.run(
+        {"mbdkit": 1, "model": model, "integrator": {"name": "rk4"}, "time": {"end": 100.2, "step": 0.01}},
+        contact={"treatment": "event-driven"}, output={"every": 100},
+    ).check()  # fmt: skip
+    assert run.impacts.time == pytest.approx([100.0], abs=1e-11)
+    assert run["b"].velocity[-1, 1] == pytest.approx(restitution * speed)
+
+
+@pytest.mark.parametrize("method", ["dopri5", "radau-iia"])
+def test_a_rod_that_turns_far_in_one_step_strikes_the_floor_when_its_first_end_does(method: str) -> None:
+    # expected: the first zero of y - g t^2 / 2 - (l / 2) |sin(w t)| of free flight, on a fine grid and by bisection
+    height, half, rate = 3.0, 0.5, 25.0
+    bodies = {
+        "rod": {
+            "mass": 1.0, "inertia": 1.0 / 12.0, "position": [0.0, height], "velocity": [1.0, 0.0],
+            "angular_velocity": rate,
+        }
+    }  # fmt: skip
+    contacts = {
+        f"end{i}": {"bodies": ["ground", "rod"], "shapes": [FLOOR, {"point": [x, 0.0]}], "restitution": 0.5}
+        for i, x in enumerate((-half, half))
+    }
+    model = {"name": "mechanism", "bodies": bodies, "contacts": contacts}
+    run = mbdkit.run(
+        {"mbdkit": 1, "model": model, "integrator": {"name": method, "adaptive": True, "rtol": 1e-6}},
+        time={"end": 1.0}, contact={"treatment": "event-driven"},
+    ).check()  # fmt: skip
+
+    def lowest(t: float) -> float:
+        return height - 0.5 * G * t * t - half * abs(math.sin(rate * t))
+
+    low = next(t for t in np.arange(0.0, 1.0, 1e-5) if lowest(t + 1e-5) < 0.0)
+    assert run.impacts.time[0] == pytest.approx(low, abs=2e-5)
+
+
+def test_a_run_that_stops_at_an_impact_ends_after_it() -> None:
+    # expected: the velocity jumps from -v to e v
+    bodies = {"b": {"mass": 1.0, "position": [0.0, 1.0]}}
+    contact = {"bodies": ["ground", "b"], "shapes": [FLOOR, {"point": [0, 0]}], "restitution": 0.5}
+    model = {"name": "mechanism", "bodies": bodies, "contacts": {"floor": contact}}
+    for name in ("dopri5", "rk4"):
+        run = mbdkit.run(
+            {"mbdkit": 1, "model": model, "integrator": {"name": name}, "time": {"end": 1.0, "step": 0.01}},
+            contact={"treatment": "event-driven"},
+            events={"up": {"when": "b.vy", "direction": "rising", "action": "stop"}},
+        )  # fmt: skip
+        assert run.time[-1] == pytest.approx(math.sqrt(2.0 / G), abs=1e-9)
+        assert run["b"].velocity[-1, 1] == pytest.approx(0.5 * math.sqrt(2.0 * G), rel=1e-9)
+        assert len(run.impacts.time) == 1
+
+
 def test_errors_of_implicit_methods_with_contacts_decrease_with_their_order() -> None:
     # expected: order 4 of the velocity of a ball, whose force is a smooth state, behind an impact
     exact = ball_at_end()[0]
