@@ -16,8 +16,9 @@ from mbdkit.integrators.sampled_control import states_at_start
 from mbdkit.mechanism.contacts import ChosenTreatment
 from mbdkit.methods.step_methods import Dense, ExternalMethod, Step, StepMethod, StepState, Why
 from mbdkit_contact.contact_state import ContactState
-from mbdkit_contact.event_step import SAME_INSTANT, Event, EventStep, NotAcceptedError, Point, gains
+from mbdkit_contact.event_step import Event, EventStep, NotAcceptedError, Point, gains
 from mbdkit_contact.events_of_contacts import ContactEvents
+from mbdkit_contact.kernels.steps_to_events import SAME_INSTANT
 
 DRIFT = 1e-7
 """Largest gap of joints and closed contacts in the steps of a library, relative to the length of the mechanism."""

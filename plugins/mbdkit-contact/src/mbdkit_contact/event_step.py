@@ -19,19 +19,16 @@ from mbdkit_contact.events_of_contacts import ContactEvents
 from mbdkit_contact.forced_equations import ForcedEquations
 from mbdkit_contact.kernels.steps_to_events import (
     MOST_EVENTS,
+    MOST_SAMPLES,
+    SAME_INSTANT,
     SAMPLES,
+    TURN,
     begin_search_at,
     drift_at,
     limited_at,
     search_at,
     values_at,
 )
-
-SAME_INSTANT = 4e-16
-"""Times that differ by less than this, in seconds or relative to their size, are equal."""
-
-TURN, MOST_PLACES = 0.5, 1000.0
-"""Largest angle by which a body turns between two samples of a step [rad], up to this number of samples."""
 
 _NODES, _WEIGHTS = (0.5 * x for x in (1.0 + leggauss(4)[0], leggauss(4)[1]))
 """Gauss-Legendre quadrature of order 8 on [0, 1]."""
@@ -254,7 +251,7 @@ class EventStep:
         """Return the number of places of the samples in a step, more than `SAMPLES` if a body turns far."""
         fastest = max(float(np.max(np.abs(at.v[2::3]), initial=0.0)) for at in (self.now, there))
         turn = fastest * (there.t - self.now.t)
-        return max(SAMPLES, int(min(turn / TURN, MOST_PLACES)))
+        return max(SAMPLES, int(min(turn / TURN, MOST_SAMPLES)))
 
     def _inside(self, there: Point, share: float) -> Point:
         """Return an interpolated state within a step that leads to `there`."""
