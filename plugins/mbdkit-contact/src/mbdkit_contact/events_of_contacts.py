@@ -63,8 +63,9 @@ def _new_known(count: int, size: int, pairs: int, held: int) -> Known:
 
     rows = max(2 * KEPT_STRIKES, 4 * count)
     return Known(
-        modes=np.zeros(count), features=np.full(count, -1.0), determined=integers(1), event=integers(2),
-        streak=integers(1), normal=np.zeros(count), tangent=np.zeros(count), force=np.zeros(size),
+        modes=np.zeros(count), features=np.full(count, -1.0), basis=integers(1 + 2 * count),
+        determined=integers(1), event=integers(2), streak=integers(1),
+        normal=np.zeros(count), tangent=np.zeros(count), force=np.zeros(size),
         energy=np.zeros(1), times=np.full(2, np.inf), flags=integers(4, count), number=integers(2),
         rows=np.zeros((rows, 6)), strikes=np.zeros((KEPT_STRIKES, size + 2 * pairs)), until=np.zeros(1),
         shown=np.zeros((2, held)), shift_q=np.zeros(size), shift_v=np.zeros(size),
@@ -117,6 +118,7 @@ class ContactEvents:
         sizes |= dict.fromkeys(("values", "begin", "end"), (3, count))
         given |= {name: np.zeros(shape) for name, shape in sizes.items()}
         counts: dict[str, int] = {"inner": 4, "engine": 1, "law": 1, "samples": 2, "reason": 2, "pauses": 1}
+        counts |= {"basis": 1 + 2 * count}
         counts |= dict.fromkeys(("touching", "struck"), count)
         given |= {name: integers(number) for name, number in counts.items()}
         self.bundle = Events(**given)
@@ -237,6 +239,7 @@ class ContactEvents:
             or known.event[1] >= max(1, len(known.modes))
             or np.any(known.number < 0)
             or np.any(known.number > [len(known.rows), len(known.strikes)])
+            or np.any(known.basis < 0)
             or not np.all(whole & (known.features >= -1) & (known.features < counts))
             or not np.all(np.isin(known.modes, (-2.0, 0.0, 1.0, 2.0)))
         ):

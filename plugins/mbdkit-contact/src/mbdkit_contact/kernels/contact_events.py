@@ -60,6 +60,9 @@ from mbdkit_contact.kernels.event_bundle import (
 from mbdkit_contact.kernels.impacts import OTHER_LAW, UNSOLVED, find_ordered, strike
 from mbdkit_contact.kernels.kinematics import place
 
+QUADRATIC = 1e-9
+"""Relative residual from which one iteration of Newton's method leaves nothing but rounding errors."""
+
 
 @subkernel
 def _closing(m, with_slips):
@@ -132,6 +135,8 @@ def close_positions(e, m):
             return status
         for d in range(len(m.q) - 3):
             m.q[d] += m.y[d]
+        if now <= QUADRATIC * size:
+            return OK
     m.reason[0] = OPEN_JOINTS
     return DIVERGED
 
@@ -163,6 +168,8 @@ def close_velocities(e, m):
             return status
         for d in range(len(m.v) - 3):
             m.v[d] += m.y[d]
+        if now <= QUADRATIC * size:
+            return OK
     return OK
 
 

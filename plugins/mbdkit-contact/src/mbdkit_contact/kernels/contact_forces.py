@@ -18,10 +18,16 @@ from mbdkit.engine.kernels.schur import solve as schur_solve
 from mbdkit.engine.kernels.system import OK
 from mbdkit.engine.kernels.vectors import fill, fill_rows
 from mbdkit.engine.native.functions import separate, subkernel
-from mbdkit_contact.kernels.kinematics import Shapes, choose, row_of
+from mbdkit_contact.kernels.kinematics import NOWHERE, Shapes, choose, row_of
 
 SINGULAR = 1e-11
 """Singular values of the equations of contact forces below this share of the largest one indicate redundant rows."""
+
+
+WEAK = 1e-7
+"""Pivots below this share of the largest diagonal element show that equations are no longer independent."""
+SHARED = 1e-9
+"""Largest component of a null vector of the equations, relative to its redundant force, that counts as zero."""
 
 
 class ClosedContacts(NamedTuple):
@@ -182,7 +188,9 @@ def find_directions(s, k):
     last, count = -1, k
     for j in range(k):
         i = s.chosen[j]
-        if s.shapes.contacts[i, 3] != last:
+        if s.shapes.held[i] >= 0:
+            s.shapes.features[i], s.shapes.least[i] = s.shapes.held[i], NOWHERE
+        elif s.shapes.contacts[i, 3] != last:
             last = s.shapes.contacts[i, 3]
             choose(s.shapes, last)
         row_of(s.shapes, i, s.rows[j])
@@ -261,22 +269,84 @@ def assemble(s, count):
             s.matrix[i, j] = along(s, i, s.moved[j])
 
 
-@separate
-def find_forces(s, k, count, free):
-    """Write the forces with which gaps and slips do not accelerate, for accelerations `free` (N,) without them.
-
-    Redundant contacts that stick share the friction force in proportion to their normal forces. Returns the place of a
-    contact that its own friction presses together more than it is pressed, or -1.
-    """
+@subkernel
+def _balance(s, k, free):
+    """Write the right sides of the equations with which gaps and slips do not accelerate; `free` is (N,)."""
     for j in range(k):
         s.right[j] = s.rows[j, 14] - along(s, j, free)
         if s.sticks[j] >= 0:
             s.right[s.sticks[j]] = s.rows[j, 15] - along(s, s.sticks[j], free)
+
+
+@separate
+def find_few_forces(s, k, count, free, basis):
+    """Write forces as `find_forces` does, but with those of redundant equations zero; return whether there are any.
+
+    The accelerations that they cause are the same. `basis` holds the number of independent equations, 0 if it is
+    unknown, and these equations.
+    """
+    a, b, rank, largest = s.matrix, s.sizes, basis[0], 0.0
+    if rank == 0 or rank > count:
+        return False
+    _balance(s, k, free)
+    for i in range(rank):
+        at = basis[1 + i]
+        if at >= count:
+            return False
+        b[i] = s.right[at]
+        for j in range(rank):
+            a[i, j] = along(s, at, s.moved[basis[1 + j]])
+        if not a[i, i] > 0.0:
+            return False
+        largest = max(largest, a[i, i])
+    for i in range(rank):
+        if not a[i, i] > WEAK * largest:
+            return False
+        for j in range(i + 1, rank):
+            factor = a[j, i] / a[i, i]
+            b[j] -= factor * b[i]
+            for x in range(i + 1, rank):
+                a[j, x] -= factor * a[i, x]
+    for j in range(count):
+        s.forces[j] = 0.0
+    for i in range(rank - 1, -1, -1):
+        for j in range(i + 1, rank):
+            b[i] -= a[i, j] * b[j]
+        b[i] /= a[i, i]
+        s.forces[basis[1 + i]] = b[i]
+    return True
+
+
+@subkernel
+def _note_basis(s, k, count, rank, basis):
+    """Write the independent equations of the last solution by `least_squares`; their number is 0 if the redundant
+    forces change the accelerations, through the friction of contacts that slip.
+    """
+    basis[0] = rank
+    for i in range(rank):
+        basis[1 + i] = s.order[i]
+    for e in range(rank, count):
+        if s.order[e] < k and s.share[s.order[e]] != 0.0:
+            basis[0] = 0
+        for i in range(rank):
+            if s.order[i] < k and s.share[s.order[i]] != 0.0 and abs(s.turns[e - rank, i]) > SHARED:
+                basis[0] = 0
+
+
+@separate
+def find_forces(s, k, count, free, basis):
+    """Write the forces with which gaps and slips do not accelerate, for accelerations `free` (N,) without them.
+
+    Redundant contacts that stick share the friction force in proportion to their normal forces. Returns the place of a
+    contact that its own friction presses together more than it is pressed, or -1. `basis` is for `find_few_forces`.
+    """
+    _balance(s, k, free)
     assemble(s, count)
     for j in range(k):
         if s.matrix[j, j] <= 0.0 and s.share[j] != 0.0:
             return j
     rank = least_squares(s, count)
+    _note_basis(s, k, count, rank, basis)
     if rank < count and count > k:
         largest = 0.0
         for j in range(k):

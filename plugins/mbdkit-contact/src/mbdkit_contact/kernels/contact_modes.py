@@ -20,6 +20,7 @@ from mbdkit_contact.kernels.contact_forces import (
     along,
     find_answers,
     find_directions,
+    find_few_forces,
     find_forces,
     gap_rate,
     solve_triangle,
@@ -74,6 +75,7 @@ def use_modes(m):
 @subkernel
 def set_modes(m, modes):
     """Set the modes, and fix the polygon features of closed contacts at the point."""
+    m.known.basis[0] = 0
     for i in range(len(modes)):
         m.known.modes[i] = modes[i]
         m.touching[i] = modes[i] != OPEN
@@ -114,6 +116,15 @@ def friction_value(m, i, slip, normal, tangent):
 
 
 @subkernel
+def any_closed(m):
+    """Return whether a contact is closed."""
+    closed = 0
+    for i in range(len(m.known.modes)):
+        closed += m.known.modes[i] != OPEN
+    return closed > 0
+
+
+@subkernel
 def collect_closed(m):
     """Write the closed contacts to ``m.closed``, with the constraints of their modes; return their number, or -1 if
     there are more than the arrays have room for.
@@ -139,7 +150,8 @@ def collect_closed(m):
 def react(engine, method, t, unused, none):
     """Add the forces of closed contacts to a solution of the equations of motion; see `Scratch.reacting`.
 
-    The forces are stored as a sample of the step.
+    Within a step, only independent forces are computed, which cause the same accelerations. If all are independent,
+    they are stored as a sample of the step.
     """
     e, m = load_engine(engine), load_events(method)
     w, s = e.w, m.closed
@@ -154,15 +166,18 @@ def react(engine, method, t, unused, none):
     status = find_answers(m.still, w, e.solver, s, count, False)
     if status != OK:
         return status
-    failed = find_forces(s, k, count, w.reaction[2])
-    if failed >= 0:
-        m.reason[0], m.reason[1] = PAINLEVE, s.chosen[failed]
-        return NOT_FINITE
+    is_unique = m.known.basis[0] == count
+    if not (m.samples[1] != 0 and find_few_forces(s, k, count, w.reaction[2], m.known.basis)):
+        is_unique = True
+        failed = find_forces(s, k, count, w.reaction[2], m.basis)
+        if failed >= 0:
+            m.reason[0], m.reason[1] = PAINLEVE, s.chosen[failed]
+            return NOT_FINITE
     add_answers(s, count, w.reaction[2], w.reaction_lam)
     for d in range(len(w.reaction[2]) - 3):
         if not abs(w.reaction[2, d]) < np.inf:
             return NOT_FINITE
-    place_of_sample = _sample_at(m, t)
+    place_of_sample = _sample_at(m, t) if is_unique else -1
     for j in range(k):
         i, normal, tangent = s.chosen[j], s.forces[j], tangential(s, j)
         w.reaction_power[0] -= tangent * s.rows[j, 1]
@@ -220,7 +235,7 @@ def find_accelerations(e, m):
     status = find_answers(m.still, e.w, e.solver, s, count, True)
     if status != OK:
         return status
-    failed = find_forces(s, k, count, m.free)
+    failed = find_forces(s, k, count, m.free, m.known.basis)
     if failed >= 0:
         m.reason[0], m.reason[1] = PAINLEVE, s.chosen[failed]
         return REFUSED
@@ -389,7 +404,11 @@ def find_values(e, m, with_forces):
     status = OK
     find_rows(m)
     if with_forces:
-        status = find_accelerations(e, m)
+        if any_closed(m):
+            status = find_accelerations(e, m)
+        else:
+            fill(m.normal, 0.0)
+            fill(m.tangent, 0.0)
         if status == OK:
             sum_forces(m)
             status = share_forces(e, m)
@@ -414,14 +433,15 @@ def find_values(e, m, with_forces):
 def find_limits(e, m, out):
     """Write the smallest absolute values of event functions (3, C) that do not count as zero.
 
-    Requires `find_accelerations` at the point.
+    Requires `find_accelerations` at the point if a contact is closed.
     """
     weight = 1e-300
-    for i in range(len(m.normal)):
-        weight = max(weight, abs(m.normal[i]))
-    for b in range(len(e.top.mass) - 1):
-        for d in range(2):
-            weight = max(weight, abs(e.top.mass[b, d] * m.a[3 * b + d]))
+    if any_closed(m):
+        for i in range(len(m.normal)):
+            weight = max(weight, abs(m.normal[i]))
+        for b in range(len(e.top.mass) - 1):
+            for d in range(2):
+                weight = max(weight, abs(e.top.mass[b, d] * m.a[3 * b + d]))
     for i in range(len(m.normal)):
         mode = m.known.modes[i]
         out[NORMAL, i] = EXACT_GAP * m.limits[1] if mode == OPEN else SAME * weight

@@ -40,6 +40,9 @@ class Known(NamedTuple):
     """(C,) modes: `OPEN`, `STICK`, or `SLIP` times the direction of the slip."""
     features: RealVector
     """(C,) features at which closed contacts stay, or -1; see `Shapes.held`."""
+    basis: IntVector
+    """(1 + 2 C,) number of independent equations of the forces in these modes, or 0, and their places; see
+    `mbdkit_contact.kernels.contact_forces.find_few_forces`."""
     determined: IntVector
     """(1,) whether the modes are known; not at the start and after a discontinuity."""
     event: IntVector
@@ -185,6 +188,8 @@ class Events(NamedTuple):
     end: RealMatrix
     search: Search
     closed: ClosedContacts
+    basis: IntVector
+    """(1 + 2 C,) work array in place of ``known.basis``."""
     newton: Newton
     impacts: Impacts
     pauses: IntVector

@@ -63,13 +63,24 @@ def _solve(matrix, count):
             continue
         for j in range(count + 1):
             matrix[k, j], matrix[pivot, j] = matrix[pivot, j], matrix[k, j]
-        for i in range(count):
-            if i != k:
-                factor = matrix[i, k] / matrix[k, k]
-                for j in range(k, count + 1):
-                    matrix[i, j] -= factor * matrix[k, j]
-    for k in range(count):
+        for i in range(k + 1, count):
+            factor = matrix[i, k] / matrix[k, k]
+            for j in range(k + 1, count + 1):
+                matrix[i, j] -= factor * matrix[k, j]
+    for k in range(count - 1, -1, -1):
+        for j in range(k + 1, count):
+            matrix[k, count] -= matrix[k, j] * matrix[j, count]
         matrix[k, count] /= matrix[k, k]
+
+
+@subkernel
+def _independent(events, count):
+    """Write the places of independent constraints, or of all if unknown, to ``s.order``; return their number."""
+    order, basis = events.closed.order, events.known.basis
+    few = basis[0] if 0 < basis[0] < count else count
+    for i in range(few):
+        order[i] = min(basis[1 + i], count - 1) if few < count else i
+    return few
 
 
 @entry
@@ -85,7 +96,9 @@ def constrain(run, stages, number, unused, none):
     count = find_directions(s, k)
     e = int(number)
     y = m.systems
-    for j in range(count):
+    count = _independent(events, count)
+    for i in range(count):
+        j = s.order[i]
         a, b = s.sites[j, 0], s.sites[j, 1]
         for d in range(len(x.real)):
             x.real[d], x.right[d] = 0.0, 0.0
@@ -97,18 +110,19 @@ def constrain(run, stages, number, unused, none):
         if e >= 0:
             substitute(y.pattern, one_of(y.real, e), x.real, x.solved)
             for d in range(len(x.real)):
-                x.answers[j, d] = x.solved[d]
+                x.answers[i, d] = x.solved[d]
         else:
             for d in range(n):
                 x.right[d] = x.real[d]
-            substitute(y.pattern, one_of(y.cplx, -1 - e), x.right, x.answers[j])
+            substitute(y.pattern, one_of(y.cplx, -1 - e), x.right, x.answers[i])
     for i in range(count):
+        at = s.order[i]
         for j in range(count):
-            x.matrix[i, j] = _along(s, i, n, x.answers[j])
+            x.matrix[i, j] = _along(s, at, n, x.answers[j])
         if e >= 0:
-            x.matrix[i, count] = _along(s, i, n, y.x_real) - _along(s, i, n, y.z_real)
+            x.matrix[i, count] = _along(s, at, n, y.x_real) - _along(s, at, n, y.z_real)
         else:
-            x.matrix[i, count] = _along(s, i, n, y.x_complex) - _along(s, i, n, y.z_complex)
+            x.matrix[i, count] = _along(s, at, n, y.x_complex) - _along(s, at, n, y.z_complex)
     _solve(x.matrix, count)
     for j in range(count):
         force = x.matrix[j, count]

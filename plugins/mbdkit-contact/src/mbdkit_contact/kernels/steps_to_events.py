@@ -27,6 +27,7 @@ from mbdkit.mechanism.contacts import OPEN
 from mbdkit_contact.kernels.contact_events import book_energy, close, drift, happen, limited
 from mbdkit_contact.kernels.contact_forces import gap_rate
 from mbdkit_contact.kernels.contact_modes import (
+    any_closed,
     decide_at_rest,
     find_accelerations,
     find_limits,
@@ -292,7 +293,7 @@ def _sample_forces(m, t, h):
 @separate
 def _begin_search(e, c, m, t, h):
     """Begin the search for the first event in a step whose end is the point; return a status."""
-    c.counts[RHS] += 1
+    c.counts[RHS] += any_closed(m)
     status = find_values(e, m, True)
     if status != OK:
         return status
@@ -359,7 +360,7 @@ def _advance(e, c, m, run, t, h, want_error):
         if t + size > t:
             status = _take(e, c, m, run, t, size, want_error)
             if status == OK:
-                c.counts[RHS] += 1
+                c.counts[RHS] += any_closed(m)
                 status = find_values(e, m, True)
         else:
             size = 0.0
