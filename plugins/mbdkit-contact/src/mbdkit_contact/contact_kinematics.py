@@ -23,7 +23,6 @@ from mbdkit_contact.kernels.kinematics import (
     Shapes,
     gaps_at,
     hold_at,
-    margins_at,
     rows_at,
 )
 
@@ -227,9 +226,7 @@ class ContactKinematics:
         self._all = np.arange(self._count)
         self._rows_at = RepeatedCall(rows_at, self.shapes, None, None, None, None)
         self._gaps_at = RepeatedCall(gaps_at, self.shapes, None, None, None)
-        self._hold_at, self._margins_at = (
-            RepeatedCall(kernel, self.shapes, None, None) for kernel in (hold_at, margins_at)
-        )
+        self._hold_at = RepeatedCall(hold_at, self.shapes, None, None)
 
     @property
     def held(self) -> np.ndarray:
@@ -251,14 +248,6 @@ class ContactKinematics:
         position `q`.
         """
         self._hold_at(np.ascontiguousarray(q), np.asarray(closed, dtype=np.int64))
-
-    def margins(self, q: np.ndarray) -> np.ndarray:
-        """Return the distances [m] by which contacts (C,) may still slide until they leave their fixed features;
-        infinite for contacts without one.
-        """
-        margins = np.empty(self._count)
-        self._margins_at(np.ascontiguousarray(q), margins)
-        return margins
 
     def gaps(self, q: np.ndarray, within: float = 0.0) -> np.ndarray:
         """Return the gaps (C,) of all contacts at a position [m].

@@ -175,7 +175,7 @@ class EventDrivenLibrary(ExternalMethod):
             there = step.inside(there, share)
         is_over = there.t >= self._until - SAME_INSTANT * max(abs(self._until), 1.0)
         if (
-            event is not None or is_over or step.drift(there) > DRIFT * step.events.p.length
+            share < 1.0 or event is not None or is_over or step.drift(there) > DRIFT * step.events.p.length
         ):  # the library is opened again
             there = step.closed(there)
             self._ended = True
@@ -246,7 +246,7 @@ class _LibraryStep(EventStep):
     def _inside(self, there: Point, share: float) -> Point:
         return self.inside(there, share)
 
-    def first_event(self, there: Point) -> tuple[float, Event] | None:
+    def first_event(self, there: Point) -> tuple[float, Event | None] | None:
         """See `EventStep.first_event`."""
         self._there = there
         return super().first_event(there)

@@ -199,9 +199,12 @@ class EventStep:
             if found is not None:
                 share, event = found
                 if share > 0.0:
-                    self.go_to(self._moved(share * (there.t - self.now.t)))
-                return event
-            self.go_to(there)
+                    there = self._moved(share * (there.t - self.now.t))
+                    self.go_to(there)
+                if event is not None:
+                    return event
+            else:
+                self.go_to(there)
         self.now = replace(self.now, t=end)
         return None
 
@@ -230,22 +233,29 @@ class EventStep:
         self.events.called(values_at)
         return self.events.bundle.values.copy()
 
-    def first_event(self, there: Point) -> tuple[float, Event] | None:
-        """Return the share of a step at which its first event happens, and the event; None if there is none."""
+    def first_event(self, there: Point) -> tuple[float, Event | None] | None:
+        """Return the share of a step at which its first event happens, and the event; None if there is none.
+
+        Without an event, the share is where the step has to end because a gap has a minimum there.
+        """
         h = there.t - self.now.t
         places = self._places(there)
         shares = np.arange(places + 1) / places
         points = (self.now, *(self._inside(there, share) for share in shares[1:-1].tolist()), there)
-        samples = np.stack([self._values(point) for point in points])
+        values, gap_rates = zip(
+            *((self._values(point), self.events.bundle.pace.copy()) for point in points), strict=True
+        )
+        samples, rates = np.stack(values), np.stack(gap_rates)
         self._look_at(there)
-        self.events.called(lambda engine, method: begin_search_at(engine, method, shares, samples))
+        self.events.called(lambda engine, method: begin_search_at(engine, method, h, shares, samples, rates))
         method, search = self.events.pinned.address, self.events.bundle.search
         place = search_at(method, False)
         while place >= 0.0:
             self._values(self._moved(place * h))
             place = search_at(self.events.pinned.address, True)
         share = float(search.first[0])
-        return None if share == np.inf else (share, (int(search.event[0]), int(search.event[1])))
+        kind, contact = search.event.tolist()
+        return None if share == np.inf else (share, None if kind < 0 else (kind, contact))
 
     def _places(self, there: Point) -> int:
         """Return the number of places of the samples in a step, more than `SAMPLES` if a body turns far."""

@@ -37,7 +37,7 @@ from mbdkit_contact.kernels.event_bundle import (
     Search,
 )
 from mbdkit_contact.kernels.impacts import LAWS, new_impacts
-from mbdkit_contact.kernels.steps_to_events import MOST_EVENTS, accelerations_at, close_at, forces_at, happen_at
+from mbdkit_contact.kernels.steps_to_events import MOST_EVENTS, close_at, forces_at, happen_at
 from mbdkit_contact.rigid_contacts import RigidContacts
 
 if TYPE_CHECKING:
@@ -107,7 +107,7 @@ class ContactEvents:
             "sample_values": np.zeros((MOST_SAMPLES, 2, count)),
             "search": Search(
                 np.zeros((3, count, 2)), np.zeros((3, count, 4)), np.zeros((3, count)), np.zeros((3, count)),
-                integers(4), np.zeros(7), np.zeros(1), integers(2),
+                np.zeros(count), integers(4), np.zeros(7), np.zeros(1), integers(2), np.zeros(1),
             ),
             **self._of_room(max(1, min(count, FIRST_ROOM)), size, pairs),
         }  # fmt: skip
@@ -298,13 +298,8 @@ class ContactEvents:
         self.called(happen_at, kind, contact)
 
     def show_forces(self) -> None:
-        """Evaluate the forces at the point, in the data for the next step."""
+        """Evaluate accelerations, multipliers and forces at the point; the forces are data for the next step."""
         self.called(forces_at)
-
-    def accelerations(self) -> None:
-        """Evaluate accelerations, multipliers and forces at the point."""
-        self.p.counters.rhs_evaluations += 1
-        self.called(accelerations_at)
 
     def close(self) -> None:
         """Close joints and contacts at the point."""

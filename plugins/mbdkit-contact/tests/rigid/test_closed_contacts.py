@@ -55,7 +55,7 @@ class Forced(NamedTuple):
 def forced(events: ContactEvents, q: np.ndarray, v: np.ndarray, modes: np.ndarray) -> Forced:
     """Return what contacts in given modes cause."""
     put(events, q, v, modes)
-    events.accelerations()
+    events.show_forces()
     with events.acting():
         a, multipliers = ForcedEquations(events).accelerations(T, q, v)
     bundle = events.bundle

@@ -244,8 +244,11 @@ def _decide_and_set(e, m):
 
 @subkernel
 def _note_impact(m, k, outcome):
-    """Note the impact of the contacts in ``m.closed``, whose impulses are ``s.forces``; return its number of rows."""
-    s, known, new = m.closed, m.known, 0
+    """Note the impact of the contacts in ``m.closed``, whose impulses are ``s.forces``; return its number of rows.
+
+    Impulses that change the velocity of their contact by rounding errors only are left out.
+    """
+    s, known, new, slow = m.closed, m.known, 0, SAME * speed(m)
     row = known.number[1]
     for d in range(len(m.q)):
         known.strikes[row, d] = m.q[d]
@@ -254,7 +257,7 @@ def _note_impact(m, k, outcome):
             known.strikes[row, len(m.q) + 2 * p + r] = m.lam_x[p, r]
     known.number[1] = row + 1
     for j in range(k):
-        if not s.forces[j] > 0.0:
+        if not s.forces[j] * m.impacts.all.cones.response[j, j] > slow:
             continue
         at = known.number[0]
         known.rows[at, 0], known.rows[at, 1] = m.t[0], s.chosen[j]
@@ -276,6 +279,15 @@ def _note_coupling(m, k):
                 size = sqrt(abs(x.cones.response[i, i] * x.cones.response[j, j]))
                 if abs(x.cones.response[i, j]) > SAME_ACCELERATION * size:
                     m.known.times[1] = min(m.known.times[1], m.t[0])
+
+
+@subkernel
+def _energy_lost(e, m):
+    """Return the kinetic energy that is lost from the velocities ``m.x`` to those of the point [J]."""
+    lost = 0.0
+    for d in range(len(m.v) - 3):
+        lost += 0.5 * (m.x[d] - m.v[d]) * e.top.mass[d // 3, d % 3] * (m.x[d] + m.v[d])
+    return lost
 
 
 @separate
@@ -310,6 +322,7 @@ def strike_contacts(e, m):
     copy(m.v, m.x)
     fill_rows(m.lam_x, 0.0)
     add_answers(s, 2 * k, m.v, m.lam_x)
+    lost = _energy_lost(e, m)
     new = _note_impact(m, k, outcome)
     find_ordered(x, k, m.law[0])
     for j in range(k):
@@ -323,14 +336,12 @@ def strike_contacts(e, m):
     if status != OK:
         return status
     position_rows(m.still, e.w, m.t[0], m.q)
-    work = lost = 0.0
+    work = 0.0
     for p in range(len(m.lam_x)):
         for r in range(m.still.rows[p]):
             work += m.lam_x[p, r] * e.w.phi_t[p, r]  # of drivers that move
-    for d in range(len(m.v) - 3):
-        lost += 0.5 * (m.x[d] - m.v[d]) * e.top.mass[d // 3, d % 3] * (m.x[d] + m.v[d])
     m.gained[0] += work
-    m.gained[1] += work + lost
+    m.gained[1] += work + _energy_lost(e, m)
     for row in range(first, first + new):
         m.known.rows[row, 4] = work + lost
     return OK
@@ -392,7 +403,8 @@ def _change_by_tail(e, m):
 
     Until the sequence ends, a contact at rest exerts the normal impulse of the sequence and, in addition, the impulse
     that stops the separation. The change removes the additional impulse, with its friction: otherwise the slip after
-    the sequence would have an error of the first order in the velocity of separation.
+    the sequence would have an error of the first order in the velocity of separation. The energy that a slip gains
+    here is dissipated again until the sequence ends; it is no part of the energy that the impact loses.
     """
     s, k, slow = m.closed, 0, SAME * speed(m)
     for i in range(len(m.touching)):

@@ -105,6 +105,13 @@ def rate_of_gap(m, i, at, x):
 
 
 @subkernel
+def find_rates(m, out):
+    """Write the rates (C,) of all gaps at the point; requires `find_rows`."""
+    for i in range(len(out)):
+        out[i] = rate_of_gap(m, i, 2, m.v)
+
+
+@subkernel
 def friction_value(m, i, slip, normal, tangent):
     """Return the event function of friction of a closed contact; see `find_values`."""
     mode = m.known.modes[i]
@@ -417,9 +424,9 @@ def find_values(e, m, with_forces):
         note_forces(m)
     find_margins(m.closed.shapes, m.values[PLACE])
     for i in range(len(m.touching)):
-        mode, gap = m.known.modes[i], m.rows[i, 0]
+        mode = m.known.modes[i]
         if mode == OPEN:
-            m.values[NORMAL, i] = abs(gap) if rate_of_gap(m, i, 2, m.v) >= 0.0 else gap
+            m.values[NORMAL, i] = m.rows[i, 0]
             m.values[FRICTION, i] = 1.0
         elif with_forces or mode != STICK:
             m.values[NORMAL, i] = m.normal[i] if with_forces else np.nan

@@ -93,13 +93,18 @@ class Search(NamedTuple):
     """(3, C) share of the first sample that is negative or may be; infinite if there is none."""
     limits: RealMatrix
     """(3, C) smallest absolute values that do not count as zero."""
+    level: RealVector
+    """(C,) gaps of open contacts at the start of the step that are negative, for example by rounding errors; else 0."""
     state: IntVector
     """(4,) phase, kind and contact of the function that is searched, and number of its evaluations in the phase."""
     bracket: RealVector
     """(7,) share and value at both ends of the bracket and at the point before, and the share to be evaluated."""
     first: RealVector
-    """(1,) share of the first event found, and (2,) its kind and contact."""
+    """(1,) share of the first event found, and (2,) its kind and contact; the kind is -1 if the step has to end there
+    without an event."""
     event: IntVector
+    step: RealVector
+    """(1,) size of the step [s]."""
 
 
 class Newton(NamedTuple):

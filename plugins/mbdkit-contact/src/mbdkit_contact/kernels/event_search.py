@@ -3,16 +3,22 @@
 Samples of the event functions within the step show which of them become negative, or may be negative between two
 samples. Each of these is then evaluated at more places, until the place of its zero is known. The search does not take
 steps itself: it asks for one place after another, so that methods in machine code and in Python use the same search.
+
+A gap that is negative at the start of the step, by rounding errors, has an event if it becomes smaller than there. As
+long as no gap was positive, only shapes that approach each other are about to touch; later, all that overlap.
 """
 
 from __future__ import annotations
+
+from math import sqrt
 
 import numpy as np
 
 from mbdkit.engine.kernels.vectors import fill
 from mbdkit.engine.native.functions import separate, subkernel
-from mbdkit.mechanism.contacts import STICK
-from mbdkit_contact.kernels.event_bundle import PLACE
+from mbdkit.mechanism.contacts import OPEN, STICK
+from mbdkit_contact.kernels.contact_modes import rate_of_gap
+from mbdkit_contact.kernels.event_bundle import NORMAL, PLACE
 
 NEXT, RISE, HIGH, LOW, ROOT = range(5)
 """Phases: choose the next function; look for a positive value of a function that starts at zero; evaluate the function
@@ -20,6 +26,12 @@ where it is negative, and before; narrow the bracket of a zero."""
 MOST_RISES = 5
 """Largest number of places, each a tenth of the one before, at which a function that starts at zero is evaluated. It
 may be slip that begins just before the contact opens, for example."""
+MOST_DIPS = 5
+"""Largest number of places at which a gap is evaluated to find its minimum."""
+CUBIC_ERROR = 0.02
+"""Error of the minimum of a gap from a cubic between two samples, relative to the difference between the minimum and
+the smaller sample: angle^2 / 12 if the gap is a sine of an angle, which changes by `TURN` at most between samples.
+"""
 MOST_EVALUATIONS = 60
 """Largest number of evaluations in a bracket; about ten are usual."""
 NARROW = 8.9e-16
@@ -27,9 +39,11 @@ NARROW = 8.9e-16
 
 
 @separate
-def begin_search(m):
-    """Begin the search in a new step."""
+def begin_search(m, h):
+    """Begin the search in a new step of size `h`."""
     x = m.search
+    x.step[0], x.event[0] = h, -1
+    fill(x.level, 0.0)
     for kind in range(3):
         for i in range(len(m.touching)):
             x.best[kind, i, 0], x.best[kind, i, 1] = 0.0, -np.inf
@@ -37,6 +51,12 @@ def begin_search(m):
             fill(x.last[kind, i], np.nan)
     x.state[0] = NEXT
     x.first[0] = np.inf
+
+
+@subkernel
+def is_open_gap(m, kind, i):
+    """Return whether an event function is the gap of an open contact."""
+    return kind == NORMAL and m.known.modes[i] == OPEN
 
 
 @subkernel
@@ -69,11 +89,53 @@ def add_sample(m, kind, i, share, value):
 
 
 @subkernel
-def add_samples(m, share):
-    """Add the samples in ``m.values`` of all event functions."""
+def _leaves(m, i, gap, rate):
+    """Return whether a gap is only negative because the contact has just opened."""
+    return gap < 0.0 and rate >= 0.0 and not m.search.best[NORMAL, i, 1] > 0.0
+
+
+@subkernel
+def add_gap(m, i, share, gap, rate):
+    """Add a sample of the gap of an open contact, and of its rate; see `add_sample`."""
+    level = m.search.level
+    if share == 0.0:
+        level[i] = min(gap, 0.0)
+    if not _leaves(m, i, gap - level[i], rate):
+        add_sample(m, NORMAL, i, share, gap - level[i])
+
+
+@subkernel
+def add_samples(m, share, rates):
+    """Add the samples in ``m.values`` of all event functions, and the rates (C,) of gaps."""
     for kind in range(3):
         for i in range(len(m.touching)):
-            add_sample(m, kind, i, share, m.values[kind, i])
+            if is_open_gap(m, kind, i):
+                add_gap(m, i, share, m.values[kind, i], rates[i])
+            else:
+                add_sample(m, kind, i, share, m.values[kind, i])
+
+
+@subkernel
+def _lowest(g0, r0, g1, r1):
+    """Return place and value of the minimum, from 0 to 1, of a cubic that falls at 0 and rises at 1.
+
+    Arguments are its values and slopes at both ends.
+    """
+    b, c = 3.0 * (g1 - g0) - 2.0 * r0 - r1, 2.0 * (g0 - g1) + r0 + r1
+    s = -r0 / (b + sqrt(max(b * b - 3.0 * c * r0, 0.0)))
+    return s, g0 + s * (r0 + s * (b + s * c))
+
+
+@subkernel
+def add_dip(m, i, share, part, before, after):
+    """Let an open contact be examined where it may touch between two samples, `part` of the step apart, the second one
+    at `share`; both are gaps and their rates. A gap that falls and then rises has a minimum between them.
+    """
+    (g0, r0), (g1, r1), t = before, after, part * m.search.step[0]
+    if g0 > 0.0 and g1 > 0.0 and r0 < 0.0 and r1 > 0.0:
+        at, least = _lowest(g0, t * r0, g1, t * r1)
+        if least < CUBIC_ERROR * (min(g0, g1) - least):
+            add_sample(m, NORMAL, i, share - part + at * part, -np.inf)
 
 
 @separate
@@ -157,13 +219,52 @@ def needs_forces(m):
     return kind != PLACE and mode != 0 and (kind == 0 or mode == STICK)
 
 
+@subkernel
+def _value(m):
+    """Return the event function that is searched, from ``m.values``."""
+    kind, i = m.search.state[1], m.search.state[2]
+    value = m.values[kind, i]
+    if is_open_gap(m, kind, i):
+        value -= m.search.level[i]
+        if _leaves(m, i, value, rate_of_gap(m, i, 2, m.v)):
+            value = -value
+    return value
+
+
+@subkernel
+def is_above(m):
+    """Return whether the gap of an open contact in ``m.values`` is positive where an approximate sample was negative.
+
+    `note_value` requires the accelerations at this place.
+    """
+    return m.search.state[0] == HIGH and is_open_gap(m, m.search.state[1], m.search.state[2]) and _value(m) >= 0.0
+
+
+@subkernel
+def _follow_dip(m, i, value):
+    """Go on to the minimum of a positive gap, or end the step here: what follows is examined from here on."""
+    x = m.search
+    share, rate, curve = x.bracket[6], rate_of_gap(m, i, 2, m.v), rate_of_gap(m, i, 2, m.a) - m.rows[i, 14]
+    if x.state[3] < MOST_DIPS and curve > 0.0 and value - 0.5 * rate * rate / curve < -x.limits[NORMAL, i]:
+        lowest = share - rate / (curve * x.step[0])
+        if 0.0 < lowest <= 1.0:
+            x.bracket[6] = lowest
+            return
+    x.state[0], x.high[NORMAL, i] = NEXT, np.inf
+    if share < min(x.first[0], 1.0):
+        x.first[0], x.event[0] = share, -1
+
+
 @separate
 def note_value(m):
     """Use the event function in ``m.values`` at the place that `next_place` has returned."""
     x = m.search
     b, kind, i = x.bracket, x.state[1], x.state[2]
-    share, value, limit = b[6], m.values[kind, i], x.limits[kind, i]
+    share, value, limit = b[6], _value(m), x.limits[kind, i]
     x.state[3] += 1
+    if is_above(m):
+        _follow_dip(m, i, value)
+        return
     if x.state[0] == HIGH:
         if value >= 0.0:  # an approximate sample showed an event, but a step of the method does not
             x.best[kind, i, 0], x.best[kind, i, 1] = share, value

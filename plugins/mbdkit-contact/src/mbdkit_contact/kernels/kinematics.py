@@ -385,7 +385,10 @@ def hold_at(s: Shapes, q: RealVector, closed: IntVector) -> None:
 
 @subkernel
 def find_margins(s, margins):
-    """Compute the distances to the ends of features; see `margins_at`. Requires `place`."""
+    """Compute the distances by which contacts (C,) may still slide until they leave their fixed features [m].
+
+    They are negative beyond the end of a feature, and infinite for contacts without one. Requires `place`.
+    """
     for i in range(len(margins)):
         margins[i] = np.inf
         pair = s.contacts[i, 3]
@@ -412,13 +415,3 @@ def find_margins(s, margins):
             along = _over(s, edge, x, y)[1]
             margins[i] = min(along, s.corners[edge, 4] - along)
         margins[i] += 2.0 * s.exact[0]
-
-
-@kernel
-def margins_at(s: Shapes, q: RealVector, margins: RealVector) -> None:
-    """Compute the distances by which contacts (C,) may still slide until they leave their fixed features [m].
-
-    They are negative beyond the end of a feature, and infinite for contacts without one.
-    """
-    place(s, q, q)
-    find_margins(s, margins)

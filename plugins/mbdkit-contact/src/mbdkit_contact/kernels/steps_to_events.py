@@ -10,11 +10,9 @@ also the impulses.
 
 from __future__ import annotations
 
-from math import sqrt
-
 import numpy as np
 
-from mbdkit.engine.kernels.bundle_types import RealCube, RealVector
+from mbdkit.engine.kernels.bundle_types import RealCube, RealMatrix, RealVector
 from mbdkit.engine.kernels.engine_bundles import load_engine
 from mbdkit.engine.kernels.system import NOT_FINITE, OK
 from mbdkit.engine.kernels.vectors import copy, fill
@@ -31,6 +29,7 @@ from mbdkit_contact.kernels.contact_modes import (
     decide_at_rest,
     find_accelerations,
     find_limits,
+    find_rates,
     find_rows,
     find_values,
     friction_value,
@@ -41,10 +40,13 @@ from mbdkit_contact.kernels.contact_modes import (
 )
 from mbdkit_contact.kernels.event_bundle import FRICTION, MORE_ROOM, NORMAL, PAINLEVE, PLACE, ZENO, load_events
 from mbdkit_contact.kernels.event_search import (
+    add_dip,
+    add_gap,
     add_sample,
     add_samples,
     asks_for_decision,
     begin_search,
+    is_above,
     needs_forces,
     next_place,
     note_value,
@@ -207,6 +209,19 @@ def _places(c, m, h):
 
 
 @subkernel
+def _way(c, m, part):
+    """Return a bound of the way of any point of a body in the time `part` [m]."""
+    fastest = turning = 0.0
+    for d in range(len(m.v) - 3):
+        rate = max(abs(c.from_v[d]), abs(m.v[d]))
+        if d % 3 == 2:
+            turning = max(turning, rate)
+        else:
+            fastest = max(fastest, rate)
+    return part * (2.0 * fastest + turning * m.limits[1])
+
+
+@subkernel
 def _is_clear(c, m, h):
     """Return whether no gap can close, and no contact can leave its edge, within a step whose end is the point."""
     if _places(c, m, h) > SAMPLES:  # rates at both ends say little about bodies that turn so far
@@ -221,26 +236,15 @@ def _is_clear(c, m, h):
     return True
 
 
-@subkernel
-def _lowest(g0, r0, g1, r1):
-    """Return place and value of the minimum, from 0 to 1, of a cubic that falls at 0 and rises at 1.
-
-    Arguments are its values and slopes at both ends.
-    """
-    b, c = 3.0 * (g1 - g0) - 2.0 * r0 - r1, 2.0 * (g0 - g1) + r0 + r1
-    s = -r0 / (b + sqrt(max(b * b - 3.0 * c * r0, 0.0)))
-    return s, g0 + s * (r0 + s * (b + s * c))
-
-
 @separate
 def _sample_motion(c, m, h):
     """Add samples of gaps and places on edges within the step, from the cubic through its ends.
 
-    A gap that falls at one place and rises at the next has another sample at the minimum of the cubic between them.
+    A gap that falls at one place and rises at the next may have its minimum between them.
     """
     shapes, known, row = m.closed.shapes, m.known, m.closed.rows[0]
     count = _places(c, m, h)
-    part = h / count
+    within = max(m.reach[0], _way(c, m, h / count))
     for k in range(count + 1):
         theta = k / count
         rest = 1.0 - theta
@@ -250,7 +254,7 @@ def _sample_motion(c, m, h):
             slope = 6.0 * theta * rest * dq + rest * (1.0 - 3.0 * theta) * v0 + theta * (3.0 * theta - 2.0) * v1
             m.y[d] = slope / h
         place(shapes, m.x, m.y)
-        find_gaps(shapes, m.reach[0], m.gaps)
+        find_gaps(shapes, within, m.gaps)
         is_inside = 0 < k < count
         if is_inside:
             find_margins(shapes, m.values[PLACE])
@@ -260,17 +264,14 @@ def _sample_motion(c, m, h):
             if known.modes[i] != OPEN:
                 continue
             gap, rate = m.gaps[i], 0.0
-            if gap <= m.reach[0]:
+            if gap <= within:
                 row_of(shapes, i, row)
                 rate = gap_rate(row, 3 * shapes.contacts[i, 0], 3 * shapes.contacts[i, 1], 2, m.y)
-            before, rate_before = m.approach[i], m.pace[i]
-            if k > 0 and before > 0.0 and gap > 0.0 and rate_before < 0.0 and rate > 0.0:
-                share, least = _lowest(before, part * rate_before, gap, part * rate)
-                if least < 0.0:
-                    add_sample(m, NORMAL, i, (k - 1 + share) / count, least)
+            if k > 0:
+                add_dip(m, i, theta, 1.0 / count, (m.approach[i], m.pace[i]), (gap, rate))
             m.approach[i], m.pace[i] = gap, rate
-            if is_inside:  # only shapes that approach each other are about to touch
-                add_sample(m, NORMAL, i, theta, abs(gap) if rate >= 0.0 else gap)
+            if is_inside:
+                add_gap(m, i, theta, gap, rate)
 
 
 @separate
@@ -299,14 +300,15 @@ def _begin_search(e, c, m, t, h):
         return status
     copy_rows(m.values, m.end)
     find_limits(e, m, m.search.limits)
-    begin_search(m)
+    begin_search(m, h)
     copy_rows(m.begin, m.values)
-    add_samples(m, 0.0)
+    add_samples(m, 0.0, m.pace)
     if not _is_clear(c, m, h):
         _sample_motion(c, m, h)
     _sample_forces(m, t, h)
     copy_rows(m.end, m.values)
-    add_samples(m, 1.0)
+    find_rates(m, m.pace)
+    add_samples(m, 1.0, m.pace)
     return release_redundant(e, m)
 
 
@@ -349,12 +351,15 @@ def _advance(e, c, m, run, t, h, want_error):
             has_forces = needs_forces(m)
             c.counts[RHS] += has_forces
             status = find_values(e, m, has_forces)
+        if status == OK and is_above(m):
+            c.counts[RHS] += 1
+            status = find_accelerations(e, m)
         if status != OK:
             return status, h, False
         note_value(m)
-    has_event = x.first[0] < np.inf
+    has_event = x.event[0] >= 0
     size = h
-    if has_event and x.first[0] < WHOLE:
+    if x.first[0] < WHOLE and (has_event or t + x.first[0] * h > t):
         size = x.first[0] * h
     if size != h or not is_at_end:
         if t + size > t:
@@ -466,20 +471,11 @@ def happen_at(engine: int, method: int, kind: int, contact: int) -> int:
 
 @kernel
 def forces_at(engine: int, method: int) -> int:
-    """Evaluate the forces of contacts at the point; return a status."""
+    """Evaluate accelerations, multipliers and the forces of contacts at the point; return a status."""
     e, m = load_engine(engine), load_events(method)
     m.reason[0] = 0
     use_modes(m)
     return _status(m, show_forces(e, m))
-
-
-@kernel
-def accelerations_at(engine: int, method: int) -> int:
-    """Evaluate accelerations, multipliers and forces at the point; return a status."""
-    e, m = load_engine(engine), load_events(method)
-    m.reason[0] = 0
-    use_modes(m)
-    return _status(m, find_accelerations(e, m))
 
 
 @kernel
@@ -512,17 +508,21 @@ def limited_at(engine: int, method: int, h: float) -> tuple[float, int]:
 
 @kernel
 def values_at(engine: int, method: int) -> int:
-    """Evaluate the event functions at the point; return a status."""
+    """Evaluate the event functions, and the rates ``m.pace`` of the gaps, at the point; return a status."""
     e, m = load_engine(engine), load_events(method)
     m.reason[0] = 0
     use_modes(m)
-    return _status(m, find_values(e, m, True))
+    status = find_values(e, m, True)
+    find_rates(m, m.pace)
+    return _status(m, status)
 
 
 @kernel
-def begin_search_at(engine: int, method: int, shares: RealVector, samples: RealCube) -> int:
-    """Begin the search for the first event of a step whose end is the point, with samples (L, 3, C) of the event
-    functions at increasing shares (L,) of the step, the last one at its end; return a status.
+def begin_search_at(
+    engine: int, method: int, h: float, shares: RealVector, samples: RealCube, rates: RealMatrix
+) -> int:
+    """Begin the search for the first event of a step of size `h` whose end is the point, with samples (L, 3, C) of the
+    event functions, and the rates (L, C) of the gaps, at shares (L,) of the step from 0 to 1; return a status.
     """
     e, m = load_engine(engine), load_events(method)
     m.reason[0] = 0
@@ -530,10 +530,14 @@ def begin_search_at(engine: int, method: int, shares: RealVector, samples: RealC
     if status != OK:
         return _status(m, status)
     find_limits(e, m, m.search.limits)
-    begin_search(m)
+    begin_search(m, h)
     for j in range(len(shares)):
         copy_rows(samples[j], m.values)
-        add_samples(m, shares[j])
+        for i in range(len(m.known.modes)):
+            if j > 0 and m.known.modes[i] == OPEN:
+                before, after = (samples[j - 1, NORMAL, i], rates[j - 1, i]), (samples[j, NORMAL, i], rates[j, i])
+                add_dip(m, i, shares[j], shares[j] - shares[j - 1], before, after)
+        add_samples(m, shares[j], rates[j])
     return _status(m, release_redundant(e, m))
 
 

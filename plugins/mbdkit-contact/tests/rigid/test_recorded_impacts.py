@@ -1,0 +1,79 @@
+"""Impulses and energies of impacts that event-driven runs record."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+from tests.rigid.random_contacts import PILES, STEP, computed, drawn
+
+import mbdkit
+from mbdkit.engine.equations_of_motion import EquationsOfMotion
+from mbdkit_contact.events_of_contacts import ContactEvents
+from mbdkit_contact.kernels.event_bundle import KEPT_STRIKES, MORE_ROOM
+
+G = 9.81
+FLOOR = {"line": {"normal": [0.0, 1.0]}}
+
+
+def run(gravity: list[float], bodies: dict[str, Any], contacts: dict[str, Any], method: str = "dopri5") -> mbdkit.Run:
+    model = {"name": "mechanism", "gravity": gravity, "bodies": bodies, "contacts": contacts}
+    return mbdkit.run(
+        {"mbdkit": 1, "model": model, "integrator": {"name": method}, "time": {"end": 1.0, "step": 0.05}},
+        contact={"treatment": "event-driven"},
+    )
+
+
+@pytest.mark.parametrize("method", ["rk4", "dopri5", "gauss", "scipy-dop853"])
+def test_a_sliding_point_loses_the_energy_of_each_impact_until_their_infinite_sequence_ends(method: str) -> None:
+    # expected: impacts at t_n = t_0 (1 + 2 e + ... + 2 e^n) with t_0^2 = 2 h / g and normal velocities e^n g t_0, and
+    # friction impulses of mu times the normal ones. At the end of the sequence, there is an impact without impulses.
+    height, e, mu, slip, mass = 0.5, 0.25, 0.3, 6.0, 2.0
+    bodies = {"b": {"mass": mass, "position": [0.0, height], "velocity": [slip, 0.0]}}
+    contact = {"bodies": ["ground", "b"], "shapes": [FLOOR, {"point": [0.0, 0.0]}], "restitution": e, "friction": mu}
+    found = run([0.0, -G], bodies, {"floor": contact}, method)
+    fall, n = math.sqrt(2.0 * height / G), np.arange(len(found.impacts.time) - 1)
+    times = fall * (1.0 + 2.0 * e * (1.0 - e**n) / (1.0 - e))
+    normal = mass * (1.0 + e) * G * fall * e**n
+    slips = slip - mu * np.cumsum([0.0, *normal]) / mass
+    lost = 0.5 * mass * ((1.0 - e * e) * (G * fall * e**n) ** 2 + slips[:-1] ** 2 - slips[1:] ** 2)
+    close = {"rel": 1e-6, "abs": 1e-12}
+    assert found.impacts.time == pytest.approx([*times, fall * (1.0 + e) / (1.0 - e)], abs=1e-9)
+    assert found.impacts.normal_impulse == pytest.approx([*normal, 0.0], **close)
+    assert found.impacts.tangential_impulse == pytest.approx([*-mu * normal, 0.0], **close)
+    assert found.impacts.energy_lost == pytest.approx([*lost, 0.0], **close)
+    assert np.max(np.abs(found.energy.balance)) < 1e-6
+
+
+def test_impacts_record_no_impulses_that_are_rounding_errors() -> None:
+    # expected: an impulse changes the velocity of its contact by more than 1e-10 of the largest velocity so far, and
+    # the effective mass of a contact is more than a tenth of that of a body. In this pile, contacts that stay closed
+    # have impulses of 1e-16 N s at impacts of others.
+    model = drawn(1, PILES)
+    found = computed(model, "event-driven", STEP, end=0.45)
+    masses = [body["mass"] for body in model["bodies"].values()]
+    speed = math.sqrt(2.0 * np.max(found.energy.kinetic) / sum(masses))
+    impulses = found.impacts.normal_impulse
+    assert len(impulses) > 10
+    assert np.min(impulses[impulses != 0.0]) > 1e-12 * min(masses) * speed
+
+
+def events_of_a_ball() -> ContactEvents:
+    bodies = {"b": {"mass": 1.0, "position": [0.0, 0.0]}}
+    contacts = {"floor": {"bodies": ["ground", "b"], "shapes": [FLOOR, {"point": [0.0, 0.0]}]}}
+    model = {"name": "mechanism", "bodies": bodies, "contacts": contacts}
+    spec = {"mbdkit": 1, "model": model, "contact": {"treatment": "event-driven"}, "integrator": {"name": "rk4"}}
+    return ContactEvents(EquationsOfMotion.of(mbdkit.RunSpec(**spec, time={"end": 1.0, "step": 0.1}).mechanism()))
+
+
+def test_impacts_without_impulses_make_room_for_more_when_there_is_none_left() -> None:
+    events = events_of_a_ball()
+    room = len(events.bundle.closed.chosen)
+    events.bundle.known.number[:] = 0, KEPT_STRIKES
+    events.bundle.reason[0] = MORE_ROOM
+    events.resume()
+    assert events.bundle.known.number.tolist() == [0, 0]
+    assert events.impacts == []
+    assert len(events.bundle.closed.chosen) == room
