@@ -7,7 +7,7 @@ at most 1/4; its numerator is exact. The arctangent of t is ``t + t^3 p(t^2)``.
 The arcsine of s is ``s + s^3 p(s^2)`` for ``|s| <= 1/2``. Beyond, it follows from the sine of half the complementary
 angle, ``sin^2(a/2) = (1 - cos a)/2``, where the difference is exact.
 
-The polynomials are minimax fits of ``plugins/mbdkit-builder/minimax.py``; the relative errors of arctangent and arcsine
+The polynomials are minimax fits of `mbdkit_builder.minimax`; the relative errors of arctangent and arcsine
 are below 2^-63.7 and 2^-60. Quotients, roots, and the angles that are added to them are pairs of numbers, so that the
 error of a result is close to half a unit in the last place (ulp).
 """

@@ -5,7 +5,7 @@ elementary functions, 1980): pi/2 is split into two parts of 37 bits and a remai
 with the number of quarter turns are exact. The result is the sum of a number and a small `tail`, with an error of 2^-64
 of its value, even for the doubles that are closest to multiples of pi/2. Larger angles are reduced with integers.
 
-The polynomials of sine and cosine are minimax fits of ``plugins/mbdkit-builder/minimax.py`` on [-pi/4, pi/4]; their
+The polynomials of sine and cosine are minimax fits of `mbdkit_builder.minimax` on [-pi/4, pi/4]; their
 relative errors are below 2^-57.8 and 2^-63.9. The first term of each sum is exact, which keeps the error of the result
 close to half a unit in the last place (ulp).
 """

@@ -32,9 +32,6 @@ cpu_target.target_context.codegen()  # which makes LLVM look into the libraries 
 for _name in FUNCTIONS:
     llvm.add_symbol(f"{_PREFIX}{_name}", llvm.address_of_symbol(_name))
 
-MEMORY_FUNCTIONS = frozenset({"memcpy", "memmove", "memset"})
-"""The only functions that machine code may take from outside."""
-
 
 def with_own_names(code: str) -> str:
     """Return the code of a module in which elementary functions have names that mean nothing to LLVM."""

@@ -5,7 +5,7 @@ largest |f(x) - p(x)| w(x) (Remez's algorithm, with 60 digits). Its coefficients
 other, the lowest power first, and the rest is fitted again after each one, so that the others compensate the rounding
 of the large coefficients.
 
-``python plugins/mbdkit-builder/minimax.py`` prints the coefficients and the largest weighted error, as a power of two.
+``python -m mbdkit_builder.minimax`` prints the coefficients and the largest weighted error, as a power of two.
 """
 
 from __future__ import annotations
