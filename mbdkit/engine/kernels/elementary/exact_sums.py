@@ -12,12 +12,13 @@ from __future__ import annotations
 import math
 import struct
 
-from mbdkit.engine.native.functions import inlined, placeholder
+from mbdkit.engine.native.arithmetic import where
+from mbdkit.engine.native.functions import inlined, overload, placeholder
 
 _SPLITTER = 134217729.0
 """2^27 + 1: the product with it splits a double into two halves of 26 bits (Veltkamp)."""
 _MAGIC, _MAGIC_BITS = 6755399441055744.0, 0x4338000000000000
-"""1.5 * 2^52, and its bits: in a sum with it, the last bits of the mantissa are the nearest integer of the other term."""
+"""1.5 * 2^52, and its bits: the last bits of a sum with it are the nearest integer of the other term."""
 _LEADING = -(2**27)
 _SIGN, _REST = -(2**63), 2**63 - 1
 
@@ -34,10 +35,14 @@ def from_bits(bits):
     return struct.unpack("<d", struct.pack("<Q", int(bits) & (2**64 - 1)))[0]
 
 
-@placeholder
 def square_root(x):
     """Return the square root of `x`; NaN if it is negative."""
-    return math.sqrt(x) if x >= 0.0 else x - x if x != x else math.nan
+    return math.sqrt(x) if x >= 0.0 else math.nan
+
+
+@overload(square_root)
+def _square_root(x):
+    return lambda x: math.sqrt(x)
 
 
 @inlined
@@ -123,6 +128,15 @@ def square_of(x):
     high = leading_bits(x)
     low = x - high
     return high * high, low * (x + high)
+
+
+@inlined
+def root_of_pair(x, x_low):
+    """Return the square root of an unevaluated sum of numbers, with a relative error of about 2^-101."""
+    root = square_root(x)
+    high, _ = halves(root)
+    rest = (x - high * high) + x_low  # the difference is exact
+    return fast_two_sum(high, rest / where(root == 0.0, 1.0, root + high))
 
 
 @inlined

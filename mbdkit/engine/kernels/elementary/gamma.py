@@ -26,10 +26,12 @@ from mbdkit.engine.kernels.elementary.exact_sums import (
     scaled,
     two_product,
     two_sum,
+    with_sign,
 )
 from mbdkit.engine.kernels.elementary.exponentials import exponential_of_pair
 from mbdkit.engine.kernels.elementary.logarithms import log, logarithm_pair
 from mbdkit.engine.kernels.elementary.polynomials import polynomial
+from mbdkit.engine.native.arithmetic import below, lane_by_lane
 from mbdkit.engine.native.functions import inlined, separate, subkernel
 
 _LARGE = 8.0
@@ -128,16 +130,21 @@ def tgamma(x):
 
     For results below 2^-1022, it is below 0.8 ulp.
     """
+    return _tgamma(x)
+
+
+@lane_by_lane
+def _tgamma(x):
     if not x > -math.inf:
         return math.nan
     if abs(x) < 2.0**-60:
-        return 1.0 / x if x != 0.0 else math.copysign(math.inf, x)
+        return 1.0 / x if x != 0.0 else with_sign(math.inf, x)
     if x > 172.0:
         return math.inf
-    if x < 0.0 and math.floor(x) == x:
+    if x < 0.0 and below(x) == x:
         return math.nan
     if x < -184.0:
-        return 0.0 if 2.0 * math.floor(0.5 * math.floor(x)) == math.floor(x) else -0.0
+        return 0.0 if 2.0 * below(0.5 * below(x)) == below(x) else -0.0
     if x >= _LARGE:
         logarithm, logarithm_low = _stirling(x, 0.0)
         k, near_one, small = exponential_of_pair(logarithm, logarithm_low)
@@ -161,7 +168,7 @@ def _near_zero(t, slope, coefficients):
 @separate
 def _reflected(x):
     """Return log|Gamma(-x)| for ``x > 20``."""
-    rest = abs(x - math.floor(x + 0.5))
+    rest = abs(x - below(x + 0.5))
     z = rest * rest
     sine = rest * (math.pi + z * polynomial(z, _SINE))
     if sine == 0.0:
@@ -176,8 +183,13 @@ def _reflected(x):
 def lgamma(x):
     """Return the logarithm of the absolute value of the gamma function.
 
-    The error is below 0.9 ulp for ``x > 0``, and for negative `x` below 0.95 ulp or 2^-57, whichever is larger.
+    The error is below 0.9 ulp for ``x > 0``, and for negative `x` below 0.9 ulp or 2^-57, whichever is larger.
     """
+    return _lgamma(x)
+
+
+@lane_by_lane
+def _lgamma(x):
     if abs(x) == math.inf:
         return math.inf
     if x != x:
@@ -191,7 +203,7 @@ def lgamma(x):
         return _near_zero(x - 1.0, _ONE, _NEAR_ONE)
     if abs(x - 2.0) <= 0.125:
         return _near_zero(x - 2.0, _TWO, _NEAR_TWO)
-    if x <= 0.0 and math.floor(x) == x:
+    if x <= 0.0 and below(x) == x:
         return math.inf
     if x < -20.0:
         return _reflected(-x)

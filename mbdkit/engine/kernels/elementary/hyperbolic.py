@@ -13,11 +13,10 @@ import math
 
 from mbdkit.engine.kernels.elementary.exact_sums import (
     fast_two_sum,
-    leading_bits,
     power_of_two,
     quotient,
+    root_of_pair,
     square_of,
-    square_root,
     two_sum,
     with_sign,
 )
@@ -77,16 +76,6 @@ def tanh(x):
     return where(size < _SMALL, x, with_sign(first + rest, x))
 
 
-@inlined
-def _root(x, x_low):
-    """Return the square root of a pair of numbers that is not negative."""
-    x, x_low = fast_two_sum(x, x_low)
-    root = square_root(x)
-    first = leading_bits(root)
-    total = root + first
-    return fast_two_sum(first, ((x - first * first) + x_low) / where(total > 0.0, total, 1.0))
-
-
 @subkernel
 def asinh(x):
     """Return the inverse hyperbolic sine; the error is below 0.7 ulp."""
@@ -95,7 +84,8 @@ def asinh(x):
     moderate = where(is_large, 1.0, size)
     square, square_low = square_of(moderate)
     total, error = two_sum(1.0, square)
-    root, root_low = _root(total, error + square_low)
+    total, error = fast_two_sum(total, error + square_low)
+    root, root_low = root_of_pair(total, error)
     t, t_low = two_sum(moderate, root - 1.0)
     large, large_low = two_sum(size, -1.0)
     t, t_low = where(is_large, large, t), where(is_large, large_low, t_low + root_low)
@@ -112,7 +102,8 @@ def acosh(x):
     excess = moderate - 1.0
     square, square_low = square_of(excess)
     total, error = two_sum(2.0 * excess, square)
-    root, root_low = _root(total, error + square_low)
+    total, error = fast_two_sum(total, error + square_low)
+    root, root_low = root_of_pair(total, error)
     large, large_low = two_sum(x, -1.0)
     t, t_low = two_sum(excess, root)
     t, t_low = where(is_large, large, t), where(is_large, large_low, t_low + root_low)

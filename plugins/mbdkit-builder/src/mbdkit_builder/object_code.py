@@ -26,6 +26,7 @@ from mbdkit_builder.dual_arrays import DualArray
 from mbdkit_builder.dual_types import DUAL
 from mbdkit_builder.implementation import dispatcher
 from mbdkit_builder.libraries import group_of
+from mbdkit_builder.library_functions import link_definitions, with_own_names
 
 _WORD, _REAL, _BIT = ir.IntType(64), ir.DoubleType(), ir.IntType(1)
 _POINTER = _REAL.as_pointer()
@@ -39,9 +40,6 @@ the path of a source file, so that the code would depend on the folder in which 
 _OBJECT = re.compile(r"^(@numba\.dynamic\.globals\.\S+ = .*?global ptr) inttoptr \(.*$", re.MULTILINE)
 """The address of a Python function that is an argument of a compiled one. Nothing reads it either, because Numba
 compiles a version of the function for each such argument."""
-
-_LIBRARY_NAMES = {"numba_gamma": "tgamma"}
-"""Functions of Numba's own library, and those of the C library that take their place."""
 
 Wrap = Callable[[Any, Any, Any, Any, list[Any]], None]
 """Generates the body of a wrapper from context, builder, callee, signature and the wrapper's arguments."""
@@ -88,7 +86,7 @@ def kernel_module(kernel: Kernel) -> Any:
         builder.ret(builder.select(status.is_error, _WORD(1), _WORD(0)))
 
     kind = ir.FunctionType(_WORD, [_WORD.as_pointer()])
-    return _module(kernel.symbol, kernel.function, arguments, kind, wrap)
+    return linked_module(kernel.symbol, kernel.function, arguments, kind, wrap)
 
 
 def entry_module(symbol: str, function: Callable[..., Any]) -> Any:
@@ -99,7 +97,7 @@ def entry_module(symbol: str, function: Callable[..., Any]) -> Any:
         _, result = context.call_conv.call_function(builder, callee, signature.return_type, arguments, given)
         builder.ret(context.cast(builder, result, signature.return_type, types.int64))
 
-    return _module(symbol, function, arguments, ir.FunctionType(_WORD, [_WORD, _WORD, _REAL, _REAL, _REAL]), wrap)
+    return linked_module(symbol, function, arguments, ir.FunctionType(_WORD, [_WORD, _WORD, _REAL, _REAL, _REAL]), wrap)
 
 
 def law_module(symbol: str, function: Callable[..., Any], *, duals: bool) -> Any:
@@ -118,7 +116,7 @@ def law_module(symbol: str, function: Callable[..., Any], *, duals: bool) -> Any
 
     state = _POINTER if duals else _REAL
     kind = ir.FunctionType(ir.VoidType(), [_WORD, state, state, _REAL, _POINTER, _POINTER])
-    return _module(symbol, function, arguments, kind, wrap)
+    return linked_module(symbol, function, arguments, kind, wrap)
 
 
 def _numba_type(kind: Any) -> Any:
@@ -202,7 +200,8 @@ def _read(context: Any, builder: Any, kind: Any, address: Any) -> Any:
     return builder.trunc(word, _BIT) if kind == types.boolean else word
 
 
-def _module(symbol: str, function: Any, arguments: tuple[Any, ...], kind: ir.FunctionType, wrap: Wrap) -> Any:
+def linked_module(symbol: str, function: Any, arguments: tuple[Any, ...], kind: ir.FunctionType, wrap: Wrap) -> Any:
+    """Return the unoptimized LLVM module of a function with a C signature, `kind`, and of all that it calls."""
     compiled = dispatcher(function)
     compiled.compile(arguments)
     found = compiled.overloads[arguments]
@@ -213,8 +212,9 @@ def _module(symbol: str, function: Any, arguments: tuple[Any, ...], kind: ir.Fun
     callee = context.declare_function(module, found.fndesc)
     wrap(context, builder, callee, found.signature, list(wrapper.args))
     linked = llvm.parse_assembly(str(module))
-    code = str(found._asdict()["library"]._final_module)
+    code = with_own_names(str(found._asdict()["library"]._final_module))
     linked.link_in(llvm.parse_assembly(_OBJECT.sub(r"\1 null", _EXCEPTION.sub(r"\1 zeroinitializer", code))))
+    link_definitions(linked)
     linked.verify()
     return linked
 
@@ -242,9 +242,6 @@ def emitted(module: Any, symbol: str, platform: Platform, level: Level) -> bytes
     for value in (*copy.functions, *copy.global_variables):
         if not value.is_declaration and value.name != symbol:
             value.linkage = "internal"
-    for value in copy.functions:
-        if value.is_declaration:
-            value.name = _LIBRARY_NAMES.get(value.name, value.name)
     unused = llvm.create_new_module_pass_manager()
     unused.add_global_dead_code_eliminate_pass()
     unused.run(copy, builder)
