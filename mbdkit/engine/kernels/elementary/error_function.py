@@ -21,6 +21,7 @@ from mbdkit.engine.kernels.elementary.exact_sums import (
     scaled,
     square_of,
     two_sum,
+    with_sign,
 )
 from mbdkit.engine.kernels.elementary.exponentials import exponential_of_pair
 from mbdkit.engine.kernels.elementary.polynomials import polynomial
@@ -150,7 +151,7 @@ def _erf(x):
         z = x * x
         return x + x * (_SLOPE + z * polynomial(z, _NEAR))
     if size >= 6.0:
-        return x / size  # NaN is not above 6
+        return with_sign(1.0, x)
     if not size >= 0.5:
         return x
     k, high, low = _far(size)

@@ -179,6 +179,15 @@ def _reflected(x):
     return total + (error - (logarithm_low + other_low))
 
 
+@inlined
+def _of_huge(x):
+    """Return ``x (log(x) - 1)``, which does not overflow before log(Gamma(x))."""
+    logarithm, logarithm_low = logarithm_pair(x)
+    factor, error = fast_two_sum(logarithm, -1.0)
+    high, first = leading_bits(x), leading_bits(factor)
+    return high * first + (high * ((factor - first) + (error + logarithm_low)) + (x - high) * factor)
+
+
 @subkernel
 def lgamma(x):
     """Return the logarithm of the absolute value of the gamma function.
@@ -194,8 +203,8 @@ def _lgamma(x):
         return math.inf
     if x != x:
         return x
-    if x >= 1e306:
-        return math.inf
+    if x > 1e300:
+        return _of_huge(x)
     if x >= _LARGE:
         logarithm, logarithm_low = _stirling(x, 0.0)
         return logarithm + logarithm_low
