@@ -13,17 +13,44 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from typing import Any
 
-from mbdkit.engine.kernels.elementary import inverse_trigonometric, lengths, trigonometric
+from mbdkit.engine.kernels.elementary import (
+    error_function,
+    exponentials,
+    gamma,
+    hyperbolic,
+    inverse_trigonometric,
+    lengths,
+    logarithms,
+    powers,
+    trigonometric,
+)
 
 FUNCTIONS: Mapping[str, Callable[..., Any]] = {
     "acos": inverse_trigonometric.acos,
+    "acosh": hyperbolic.acosh,
     "asin": inverse_trigonometric.asin,
+    "asinh": hyperbolic.asinh,
     "atan": inverse_trigonometric.atan,
     "atan2": inverse_trigonometric.atan2,
+    "atanh": hyperbolic.atanh,
     "cos": trigonometric.cos,
+    "cosh": hyperbolic.cosh,
+    "erf": error_function.erf,
+    "erfc": error_function.erfc,
+    "exp": exponentials.exp,
+    "expm1": exponentials.expm1,
     "fmod": lengths.fmod,
     "hypot": lengths.hypot,
+    "lgamma": gamma.lgamma,
+    "log": logarithms.log,
+    "log10": logarithms.log10,
+    "log1p": logarithms.log1p,
+    "log2": logarithms.log2,
+    "pow": powers.power,
     "sin": trigonometric.sin,
+    "sinh": hyperbolic.sinh,
     "tan": trigonometric.tan,
+    "tanh": hyperbolic.tanh,
+    "tgamma": gamma.tgamma,
 }
 """The functions by the names of those of the C library whose place they take."""

@@ -19,6 +19,7 @@ _SPLITTER = 134217729.0
 """2^27 + 1: the product with it splits a double into two halves of 26 bits (Veltkamp)."""
 _MAGIC, _MAGIC_BITS = 6755399441055744.0, 0x4338000000000000
 """1.5 * 2^52, and its bits: the last bits of a sum with it are the nearest integer of the other term."""
+_LEADING = -(2**27)
 _SIGN, _REST = -(2**63), 2**63 - 1
 
 
@@ -68,6 +69,12 @@ def halves(x):
 
 
 @inlined
+def leading_bits(x):
+    """Return `x` without its last 27 bits, a number of 26 bits."""
+    return from_bits(bits_of(x) & _LEADING)
+
+
+@inlined
 def two_product(x, y):
     """Return the rounded product of two numbers and its error.
 
@@ -100,6 +107,27 @@ def quotient_of_pairs(x, x_low, y, y_low):
     product, error = two_product(quotient, y)
     rest = ((x - product) - error) + (x_low - quotient * y_low)
     return fast_two_sum(quotient, rest / y)
+
+
+@inlined
+def quotient(x, x_low, y, y_low):
+    """Return the quotient of two pairs of numbers as a number of 26 bits and a rest, with a relative error of 2^-76.
+
+    As the first number is short, its products with the halves of `y` are exact.
+    """
+    reciprocal = 1.0 / y
+    first = leading_bits(x * reciprocal)
+    y_high = leading_bits(y)
+    rest = ((x - first * y_high) - first * (y - y_high)) + (x_low - first * y_low)
+    return first, rest * reciprocal
+
+
+@inlined
+def square_of(x):
+    """Return the square of ``|x| < 2^500`` as two numbers."""
+    high = leading_bits(x)
+    low = x - high
+    return high * high, low * (x + high)
 
 
 @inlined
