@@ -24,6 +24,8 @@ _ALIASES = {"numba_gamma": "tgamma"}
 _PREFIX = "mbdkit.elementary."
 _NAMES = sorted({*FUNCTIONS, *(alias for alias, name in _ALIASES.items() if name in FUNCTIONS)})
 _CALLED = re.compile(rf"""@"?(?:llvm\.)?({"|".join(_NAMES)})(?:\.f64)?"?(?=\()""")
+_OWN = re.compile(rf"""@"?{re.escape(_PREFIX)}(\w+)""")
+_DECLARED = re.compile(rf"""^declare .*@"?{re.escape(_PREFIX)}\w+"?\(.*$""", re.MULTILINE)
 _REMAINDER = re.compile(r"= frem (double \S+), (\S+)")
 
 # Numba executes none of the code that is stored. It does execute functions of users, whose duals call ours: as their
@@ -36,10 +38,16 @@ for _name in FUNCTIONS:
 def with_own_names(code: str) -> str:
     """Return the code of a module in which elementary functions have names that mean nothing to LLVM."""
     code = _CALLED.sub(lambda match: f'@"{_PREFIX}{_ALIASES.get(match[1], match[1])}"', code)
-    code, count = _REMAINDER.subn(rf'= call double @"{_PREFIX}fmod"(\1, double \2)', code)
-    if count and not re.search(rf'^declare .*@"{_PREFIX}fmod"', code, re.MULTILINE):
-        code += f'\ndeclare double @"{_PREFIX}fmod"(double, double)\n'
-    return code
+    code = _REMAINDER.sub(rf'= call double @"{_PREFIX}fmod"(\1, double \2)', code)
+    # A function may have been declared by two of its old names, or not at all.
+    called = sorted(set(_OWN.findall(code)))
+    code = _DECLARED.sub("", code)
+    declared = (f'declare double @"{_PREFIX}{name}"({_arguments(name)})' for name in called)
+    return "\n".join((code, *declared, ""))
+
+
+def _arguments(name: str) -> str:
+    return ", ".join(["double"] * FUNCTIONS[name].__code__.co_argcount)
 
 
 def link_definitions(module: Any) -> None:
