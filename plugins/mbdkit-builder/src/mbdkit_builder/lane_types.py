@@ -46,9 +46,6 @@ from mbdkit.engine.native.arithmetic import (
 from mbdkit.engine.native.levels import WIDTH
 from mbdkit_builder.implementation import implement
 
-_MATH_NAMES = {"tgamma": "gamma"}
-"""Functions of `math` that have another name in the C library."""
-
 DOUBLE, _BIT, _WORD = ir.DoubleType(), ir.IntType(1), ir.IntType(64)
 VECTOR, _BITS, _WORDS = (ir.VectorType(kind, WIDTH) for kind in (DOUBLE, _BIT, _WORD))
 
@@ -398,15 +395,17 @@ def _put_in_place(values, place, x):
 
 
 @infer_global(operator.pow)
-class _Power(AbstractTemplate):
+class _WholePower(AbstractTemplate):
     def generic(self, arguments: Any, keywords: Any) -> Any:
         base, exponent = arguments
-        is_power = isinstance(base, LaneReal) and isinstance(exponent, types.Integer | types.Float)
-        return signature(REAL, REAL, exponent) if is_power else None
+        return (
+            signature(REAL, REAL, exponent)
+            if isinstance(base, LaneReal) and isinstance(exponent, types.Integer)
+            else None
+        )
 
 
 @lower_builtin(operator.pow, LaneReal, types.Integer)
-@lower_builtin(operator.pow, LaneReal, types.Float)
 def _power_of_lanes(context, builder, signature, arguments):
     kind = context.typing_context.resolve_function_type(operator.pow, (types.float64, signature.args[1]), {})
     power, result = context.get_function(operator.pow, kind), ir.Constant(VECTOR, ir.Undefined)
@@ -423,11 +422,17 @@ def _elementary(function: Any, own: Any) -> None:
     def of_two_lanes(x, y):
         return own(where(y == y, x, x), where(x == x, y, y))  # which makes lanes of a number
 
+    def typed_for_two(x, y):
+        is_defined = isinstance(x, LaneReal) or isinstance(y, LaneReal)
+        return of_two_lanes if is_defined and all(isinstance(one, LaneReal | types.Float) for one in (x, y)) else None
+
     if own.__code__.co_argcount == 1:
         overload(function)(lambda x: own if isinstance(x, LaneReal) else None)
     else:
-        overload(function)(lambda x, y: of_two_lanes if isinstance(x, LaneReal) or isinstance(y, LaneReal) else None)
+        overload(function)(typed_for_two)
 
 
+_NAMES = {"pow": operator.pow, "tgamma": math.gamma}
+"""Functions that have other names in the C library."""
 for _name, _own in FUNCTIONS.items():
-    _elementary(getattr(math, _MATH_NAMES.get(_name, _name)), _own)
+    _elementary(_NAMES.get(_name) or getattr(math, _name), _own)

@@ -62,7 +62,7 @@ def _definition(name: str) -> bytes:
         builder.ret(result)
 
     kind = ir.FunctionType(ir.DoubleType(), [ir.DoubleType()] * count)
-    module = linked_module(f"{_PREFIX}{name}", function, arguments, kind, wrap)
+    module = linked_module(f"{_PREFIX}{name}", function, arguments, kind, wrap, is_inlined=True)
     for one in module.functions:
         if not one.is_declaration:
             one.linkage = "linkonce_odr"
