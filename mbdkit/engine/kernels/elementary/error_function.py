@@ -8,7 +8,7 @@ where x^2 is computed with its rounding error, and G lies between 1.15 and 1.29 
 J. G. Laframboise, Chebyshev approximation of (1 + 2 x) exp(x^2) erfc(x), Math. Comp. 36 (1981)). G is a polynomial in
 ``r - c`` in each of three intervals, whose first coefficient is an unevaluated sum of two numbers.
 
-The polynomials are minimax fits of ``plugins/mbdkit-builder/minimax.py``; the errors are below 2^-63 in erf(x) / x, and
+The polynomials are minimax fits of `mbdkit_builder.minimax`; the errors are below 2^-63 in erf(x) / x, and
 below 2^-57 in G.
 """
 

@@ -6,7 +6,7 @@ of 42 bits and a rest, so that the first part of the reduction is exact. The red
 exp(r) are below 0.008 together; their rounding errors are below 0.02 ulp of the result.
 
 The polynomials in r^2 for the odd and the even part of ``exp(r) - 1 - r - r^2 / 2`` are minimax fits of
-``plugins/mbdkit-builder/minimax.py``; their errors are below 2^-63.
+`mbdkit_builder.minimax`; their errors are below 2^-63.
 """
 
 from __future__ import annotations

@@ -9,7 +9,7 @@ arguments, ``Gamma(x) = Gamma(x + n) / (x (x + 1) ... (x + n - 1))``, where the 
 numbers as well. Near its zeros at 1 and 2, log(Gamma(1 + t)) is t times a polynomial in t. Below -20, log(Gamma(x))
 follows from the reflection formula.
 
-The polynomials are minimax fits of ``plugins/mbdkit-builder/minimax.py``; the errors are below 2^-64 in S, 2^-57
+The polynomials are minimax fits of `mbdkit_builder.minimax`; the errors are below 2^-64 in S, 2^-57
 relative to log(Gamma(1 + t)), and 2^-58 in sin(pi r) / r.
 """
 

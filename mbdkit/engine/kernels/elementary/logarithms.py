@@ -11,7 +11,7 @@ terms below 2^-26. The third term is below 0.025; its rounding errors are below 
 `logarithm_pair` computes ``2 s (1 + s^2 / 3 + s^4 / 5 + ...)`` with `s` as an unevaluated sum of two numbers.
 
 The polynomials ``R(z) / z`` and ``(3 atanh(s) / s - 3 - z) / z^2``, with ``z = s^2``, are minimax fits of
-``plugins/mbdkit-builder/minimax.py``; the errors are below 2^-68 in log(m), and below 2^-72 relative to log(m).
+`mbdkit_builder.minimax`; the errors are below 2^-68 in log(m), and below 2^-72 relative to log(m).
 """
 
 from __future__ import annotations
