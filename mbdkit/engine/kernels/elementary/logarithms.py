@@ -66,7 +66,8 @@ def _terms(f):
     s = f / (2.0 + f)
     z = s * s
     w = z * z
-    r = z * ((_R0 + w * (_R2 + w * (_R4 + w * _R6))) + z * (_R1 + w * (_R3 + w * (_R5 + w * _R7))))
+    first, second = (_R0 + z * _R1) + w * (_R2 + z * _R3), (_R4 + z * _R5) + w * (_R6 + z * _R7)
+    r = z * (first + w * w * second)
     return high - 0.5 * high * high, low, s * (0.5 * f * f + r) - 0.5 * low * (f + high)
 
 
@@ -75,7 +76,7 @@ def _sum(n, high, low, small):
     """Return ``n ln(2)`` plus the sum of the others."""
     total, first_error = fast_two_sum(n * LN2, high)
     total, second_error = two_sum(total, low)
-    return total + (second_error + (first_error + (n * LN2_LOW + small)))
+    return total + ((second_error + (first_error + n * LN2_LOW)) + small)
 
 
 @inlined
@@ -152,25 +153,26 @@ def logarithm_pair(x):
     f = m - 1.0
     total, error = fast_two_sum(2.0, f)
     reciprocal = 1.0 / total
-    s_high = leading_bits(f * reciprocal)  # f / (2 + f) is the sum of s_high and s_low
+    s = f * reciprocal
+    s_high = leading_bits(s)  # f / (2 + f) is the sum of s_high and s_low
     total_high = leading_bits(total)
     s_low = (((f - s_high * total_high) - s_high * (total - total_high)) - s_high * error) * reciprocal
-    square = s_high * s_high
-    square_low = s_low * (s_high + s_high + s_low)
-    z = square + square_low
+    square, square_low = s_high * s_high, s_low * (s_high + s_high + s_low)  # z = square + square_low
+    z = s * s
+    w = z * z
+    first, second = (_S1 + z * _S2) + w * (_S3 + z * _S4), (_S5 + z * _S6) + w * _S7
+    series = z * w * (first + w * w * second)
     z_high = leading_bits(z)
     w_high = z_high * z_high
-    w_low = (z - z_high) * (z + z_high)
-    w = w_high + w_low
-    first = leading_bits(w_high)
-    series = z * ((_S1 + w * (_S3 + w * (_S5 + w * _S7))) + z * (_S2 + w * (_S4 + w * _S6)))
-    quartic = first * _S0_HIGH
-    small = square_low + (first * _S0_LOW + (((w_high - first) + w_low) * _S0 + w * series))
-    factor = 3.0 + (square + (quartic + small))  # log(m) = 2/3 s (3 + z + 3/5 z^2 + ...)
-    factor_high = leading_bits(factor)
+    w_first = leading_bits(w_high)
+    w_rest = (w_high - w_first) + ((square - z_high) + square_low) * (z + z_high)
+    quartic = w_first * _S0_HIGH
+    # log(m) = 2/3 s (3 + z + 3/5 z^2 + ...); the first part of the factor need not be close, but short
+    factor_high = leading_bits(3.0 + (z + (quartic + series)))
+    small = square_low + ((w_first * _S0_LOW + series) + w_rest * _S0)
     factor_low = (((3.0 - factor_high) + square) + quartic) + small
     product = s_high * factor_high
-    product_low = s_high * factor_low + s_low * factor
+    product_low = s_high * factor_low + s_low * (factor_high + factor_low)
     first = leading_bits(product)
     rest = (product - first) + product_low
     total, error = two_sum(n * LN2, first * _TWO_THIRDS_HIGH)
