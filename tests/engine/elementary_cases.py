@@ -55,6 +55,16 @@ def multiples(rng: np.random.Generator, count: int) -> np.ndarray:
     return rng.integers(-20, 21, count).astype(float)
 
 
+def positive(draw: Draw) -> Draw:
+    """Return a function that draws the absolute values."""
+    return lambda rng, count: np.abs(draw(rng, count))
+
+
+def at_least(low: float, draw: Draw) -> Draw:
+    """Return a function that reflects numbers at `low` if they are below it."""
+    return lambda rng, count: low + np.abs(draw(rng, count) - low)
+
+
 @dataclass(frozen=True)
 class Case:
     """A function with its arguments.
@@ -106,7 +116,7 @@ def largest_error(case: Case, x: np.ndarray, y: np.ndarray, values: np.ndarray) 
                 error = 0.0 if value == exact or (value != value and gmpy2.is_nan(exact)) else INF
             else:
                 unit = math.ulp(min(abs(float(exact)), 1.7976931348623157e308))
-                value_ = math.copysign(1.0, value) * beyond if math.isinf(value) else gmpy2.mpfr(value)
+                value_ = math.copysign(1.0, value) * max(beyond, abs(exact)) if math.isinf(value) else gmpy2.mpfr(value)
                 error = float(abs(value_ - exact) / unit)
                 error = INF if error != error else error
             if error > worst:
@@ -120,6 +130,12 @@ _ANGLES = (everywhere, tiny, between(-PI / 4, PI / 4), between(-8.0, 8.0), betwe
 _UNIT = (tiny, between(-1.0, 1.0), near(0.0), near(-0.5, 0.5), lambda rng, n: np.clip(near(-1.0, 1.0)(rng, n), -1, 1))
 _ANY = (everywhere, tiny, between(-4.0, 4.0), near(-1.0, 1.0), near(0.0), multiples)
 _PAIRS = [*_ANY, between(1.0, 2.0)]
+_NOTHING_NEGATIVE = [((-1.0,), NAN), ((-5e-324,), NAN), ((-INF,), NAN), ((NAN,), NAN), ((INF,), INF)]
+_LOGARITHM = [((1.0,), 0.0), ((0.0,), -INF), ((-0.0,), -INF), *_NOTHING_NEGATIVE]
+_ODD_UNBOUNDED = [*_ODD_ZERO, ((INF,), INF), ((-INF,), -INF), ((NAN,), NAN), ((5e-324,), 5e-324)]
+_POSITIVE = (positive(everywhere), positive(tiny), between(0.5, 2.0), near(1.0), near(0.5**0.5, 2**0.5))
+_HYPERBOLIC = (between(-711.0, 711.0), between(-2.0, 2.0), near(0.0, 2.0**-28), near(710.4758600739439), tiny)
+_GAMMA = (between(0.0, 172.0), between(0.0, 10.0), near(*range(20)), near(171.6), positive(tiny))
 
 CASES = {
     "acos": Case(
@@ -173,5 +189,100 @@ CASES = {
     ),
     "sin": Case(_ANGLES, gmpy2.sin, [*_ODD_ZERO, *_NO_LIMIT, ((5e-324,), 5e-324)], -1),
     "tan": Case(_ANGLES, gmpy2.tan, [*_ODD_ZERO, *_NO_LIMIT, ((5e-324,), 5e-324)], -1),
+    "acosh": Case(
+        (between(1.0, 3.0), at_least(1.0, near(1.0)), at_least(1.0, everywhere), near(2.0**28)),
+        gmpy2.acosh,
+        [((1.0,), 0.0), ((1.0 - 2**-53,), NAN), ((0.0,), NAN), ((-1.0,), NAN), *_NOTHING_NEGATIVE],
+    ),
+    "asinh": Case((*_ANY, near(2.0**28, 2.0**-28)), gmpy2.asinh, _ODD_UNBOUNDED, -1),
+    "atanh": Case(
+        (*_UNIT[:3], lambda rng, n: np.clip(near(-1.0, 1.0)(rng, n), -1 + 2**-53, 1 - 2**-53)),
+        gmpy2.atanh,
+        [((1.0,), INF), ((-1.0,), -INF), ((1.0 + 2**-52,), NAN), ((-2.0,), NAN), *_ODD_ZERO, *_NO_LIMIT],
+        -1,
+    ),
+    "cosh": Case(
+        _HYPERBOLIC, gmpy2.cosh, [((0.0,), 1.0), ((INF,), INF), ((-INF,), INF), ((NAN,), NAN), ((711.0,), INF)], 1
+    ),
+    "erf": Case(
+        (between(-6.0, 6.0), between(-1.0, 1.0), near(0.0, 0.5, -1.25, 3.0), tiny),
+        gmpy2.erf,
+        [*_ODD_ZERO, ((INF,), 1.0), ((-INF,), -1.0), ((6.0,), 1.0), ((NAN,), NAN)],
+        -1,
+    ),
+    "erfc": Case(
+        (between(-6.0, 28.0), between(-1.0, 1.0), near(0.0, 0.5, -1.25, 3.0), between(26.0, 28.0), tiny),
+        gmpy2.erfc,
+        [((0.0,), 1.0), ((-0.0,), 1.0), ((INF,), 0.0), ((-INF,), 2.0), ((28.0,), 0.0), ((NAN,), NAN)],
+    ),
+    "exp": Case(
+        (between(-746.0, 710.0), between(-1.0, 1.0), near(0.0, 709.78, -708.39, -745.13), tiny),
+        gmpy2.exp,
+        [
+            ((0.0,), 1.0), ((-0.0,), 1.0), ((INF,), INF), ((-INF,), 0.0), ((NAN,), NAN),
+            ((710.0,), INF), ((-746.0,), 0.0),
+        ],
+    ),
+    "expm1": Case(
+        (between(-60.0, 710.0), between(-1.0, 1.0), near(0.0, 709.78), tiny),
+        gmpy2.expm1,
+        [*_ODD_ZERO, ((INF,), INF), ((-INF,), -1.0), ((NAN,), NAN), ((710.0,), INF), ((-800.0,), -1.0)],
+    ),
+    "lgamma": Case(
+        (*_GAMMA, positive(everywhere), near(1.0, 2.0), between(1e305, 2.55634816e305)),
+        lambda x: gmpy2.lgamma(x)[0],
+        [
+            ((1.0,), 0.0), ((2.0,), 0.0), ((0.0,), INF), ((-0.0,), INF), ((-3.0,), INF), ((-1e300,), INF),
+            ((INF,), INF), ((-INF,), INF), ((NAN,), NAN), ((3.0,), math.log(2.0)), ((1.7e308,), INF),
+        ],
+    ),
+    "log": Case(_POSITIVE, gmpy2.log, _LOGARITHM),
+    "log10": Case(_POSITIVE, gmpy2.log10, [*_LOGARITHM, *(((float(f"1e{n}"),), float(n)) for n in range(23))]),
+    "log1p": Case(
+        (between(-1.0, 2.0), positive(everywhere), near(0.0, 2**0.5 - 1), at_least(-1.0, near(-1.0)), tiny),
+        gmpy2.log1p,
+        [*_ODD_ZERO, ((-1.0,), -INF), ((-1.0 - 2**-52,), NAN), ((INF,), INF), ((-INF,), NAN), ((NAN,), NAN)],
+    ),
+    "log2": Case(_POSITIVE, gmpy2.log2, [*_LOGARITHM, *(((2.0**n,), float(n)) for n in (-1074, -1022, -1, 1, 1023))]),
+    "pow": Case(
+        _POSITIVE,
+        lambda x, y: x**y,
+        [
+            *(((x, y), 1.0) for x in (NAN, INF, -INF, 0.0, -1.5) for y in (0.0, -0.0)),
+            *(((1.0, y), 1.0) for y in (NAN, INF, -INF, 1e300)),
+            *(((-1.0, y), 1.0) for y in (INF, -INF, 2.0, 1e300)),
+            ((-1.0, 3.0), -1.0), ((-1.0, 2.0**53 - 1), -1.0), ((-2.0, 0.5), NAN), ((-2.0, 3.0), -8.0),
+            ((-0.5, -2.0), 4.0),
+            ((0.0, 3.0), 0.0), ((-0.0, 3.0), -0.0), ((0.0, 2.5), 0.0), ((-0.0, 2.0), 0.0), ((-0.0, 2.5), 0.0),
+            ((0.0, -3.0), INF), ((-0.0, -3.0), -INF), ((-0.0, -2.0), INF), ((-0.0, -2.5), INF), ((0.0, -INF), INF),
+            ((INF, 2.0), INF), ((INF, -2.0), 0.0), ((-INF, 3.0), -INF), ((-INF, 2.0), INF), ((-INF, 2.5), INF),
+            ((-INF, -3.0), -0.0), ((-INF, -2.0), 0.0), ((-INF, -2.5), 0.0),
+            ((2.0, INF), INF), ((2.0, -INF), 0.0), ((-0.5, INF), 0.0), ((-0.5, -INF), INF), ((0.0, INF), 0.0),
+            ((NAN, 1.0), NAN), ((2.0, NAN), NAN), ((-2.0, NAN), NAN), ((INF, INF), INF), ((-INF, -INF), 0.0),
+            ((10.0, 22.0), 1e22), ((3.0, 33.0), 3.0**33), ((2.0, 1023.0), 2.0**1023), ((2.0, -1074.0), 5e-324),
+            ((2.0, 1024.0), INF), ((2.0, -1076.0), 0.0), ((-2.0, -1077.0), -0.0), ((2.25, 0.5), 1.5),
+            ((6.25, 1.5), 15.625),
+            ((1.0 + 2**-52, 1e300), INF), ((1.0 - 2**-53, 1e300), 0.0), ((5e-324, -1.0), INF), ((-5.0, 1e300), INF),
+        ],
+        0,
+        (between(-10.0, 10.0), between(-1.0, 1.0), multiples, near(0.0), between(-1000.0, 1000.0)),
+    ),
+    "sinh": Case(_HYPERBOLIC, gmpy2.sinh, _ODD_UNBOUNDED, -1),
+    "tanh": Case(
+        (between(-23.0, 23.0), between(-2.0, 2.0), near(0.0, 2.0**-28, 22.0), tiny),
+        gmpy2.tanh,
+        [*_ODD_ZERO, ((INF,), 1.0), ((-INF,), -1.0), ((NAN,), NAN), ((5e-324,), 5e-324)],
+        -1,
+    ),
+    "tgamma": Case(
+        (*_GAMMA, between(-184.0, 0.0), between(-3.0, 3.0), near(*(-1.0 * n for n in range(1, 170, 7)))),
+        gmpy2.gamma,
+        [
+            *(((float(n),), float(math.factorial(n - 1))) for n in range(1, 24)),
+            ((0.0,), INF), ((-0.0,), -INF), ((-1.0,), NAN), ((-1e300,), NAN), ((INF,), INF),
+            ((-INF,), NAN), ((NAN,), NAN), ((172.0,), INF), ((-184.5,), -0.0), ((-185.5,), 0.0), ((-1e9 - 0.5,), -0.0),
+            ((5e-324,), INF), ((-5e-324,), -INF),
+        ],
+    ),
 }  # fmt: skip
 """Cases by the name of the function in the C library."""

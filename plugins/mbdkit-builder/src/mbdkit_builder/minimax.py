@@ -3,7 +3,7 @@
 Each entry of `FITS` is a function f(x) on an interval and a weight w(x): the polynomial p of a degree minimizes the
 largest |f(x) - p(x)| w(x) (Remez's algorithm, with 60 digits). Its coefficients are rounded to doubles one after the
 other, the lowest power first, and the rest is fitted again after each one, so that the others compensate the rounding
-of the large coefficients.
+of the large coefficients. If the interval contains zero, all coefficients are rounded at once.
 
 ``python -m mbdkit_builder.minimax`` prints the coefficients and the largest weighted error, as a power of two.
 """
@@ -13,7 +13,27 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from typing import Any
 
-from mpmath import asin, atan, cos, log, lu_solve, matrix, mp, mpf, pi, sin, sqrt
+from mpmath import (
+    asin,
+    atan,
+    atanh,
+    cos,
+    cosh,
+    erf,
+    erfc,
+    euler,
+    exp,
+    log,
+    loggamma,
+    lu_solve,
+    matrix,
+    mp,
+    mpf,
+    pi,
+    sin,
+    sinh,
+    sqrt,
+)
 
 Function = Callable[[Any], Any]
 mp.dps = 60
@@ -71,7 +91,9 @@ def _extrema(error: Function, nodes: Sequence[Any], low: Any, high: Any) -> tupl
 def rounded(f: Function, weight: Function, low: Any, high: Any, count: int) -> tuple[list[float], Any]:
     """Return coefficients of the powers 0 to ``count - 1`` as doubles, and the largest weighted error."""
     fixed: list[float] = []
-    for power in range(count):
+    if low < 0 < high:  # where all other powers vanish inside the interval
+        fixed = [float(c) for c in minimax(f, weight, low, high, range(count))[0]]
+    for power in range(len(fixed), count):
 
         def rest(x: Any, known: Sequence[float] = tuple(fixed)) -> Any:
             return f(x) - _polynomial(known, x)
@@ -84,6 +106,48 @@ def rounded(f: Function, weight: Function, low: Any, high: Any, count: int) -> t
 
 _TINY = mpf(10) ** -12
 _EIGHTH = (pi / 4) ** 2 * (1 + mpf(10) ** -4)
+
+
+def _away(x: Any) -> Any:
+    """Return `x`, or a small number instead of zero, where quotients of small differences are not defined."""
+    return x if abs(x) > mpf(10) ** -18 else mpf(10) ** -18
+
+
+def _scaled_erfc(r: Any) -> Any:
+    """Return ``(1 + 2 x) exp(x^2) erfc(x)`` at ``r = 1 / (1 + 2 x)``."""
+    x = (1 / r - 1) / 2
+    return exp(x * x) * erfc(x) / r
+
+
+def _erfc_fit(start: Any, end: Any, center: float, count: int) -> Any:
+    first = mpf(float(_scaled_erfc(mpf(center))))
+    first += float(_scaled_erfc(mpf(center)) - first)
+    margin = mpf(10) ** -3
+    return (
+        f"(G(r) - G(c)) / (r - c), c = {center}, as a polynomial in r - c; see error_function.py",
+        lambda u: (_scaled_erfc(_away(u) + center) - first) / _away(u),
+        lambda u: 1,
+        1 / mpf(1 + 2 * end) * (1 - margin) - center, 1 / mpf(1 + 2 * start) * (1 + margin) - center, count,
+    )  # fmt: skip
+
+
+def _gamma_fit(zero: int, count: int) -> Any:
+    slope = -euler if zero == 1 else 1 - euler
+    return (
+        f"(log(Gamma({zero} + t)) / t - log(Gamma)'({zero})) / t",
+        lambda t: (loggamma(zero + _away(t)) / _away(t) - slope) / _away(t),
+        lambda t: 1,
+        mpf("-0.1251"), mpf("0.1251"), count,
+    )  # fmt: skip
+
+
+def _stirling_rest(z: Any) -> Any:
+    x = 1 / sqrt(z)
+    return ((loggamma(x) - (x - mpf(1) / 2) * log(x) + x - log(2 * pi) / 2) * x - mpf(1) / 12) / z
+
+
+_HALF_LN2 = log(2) / 2 * (1 + mpf(10) ** -4)
+_ATANH = ((sqrt(2) - 1) / (sqrt(2) + 1)) ** 2 * (1 + mpf(10) ** -4)
 FITS: Sequence[tuple[str, Function, Function, Any, Any, int]] = (
     (
         "(sin(y) / y - 1) / z, z = y^2, relative to sin(y) / y",
@@ -108,6 +172,53 @@ FITS: Sequence[tuple[str, Function, Function, Any, Any, int]] = (
         lambda z: (asin(sqrt(z)) / sqrt(z) - 1) / z,
         lambda z: z * sqrt(z) / asin(sqrt(z)),
         _TINY, mpf(1) / 4 * (1 + mpf(10) ** -4), 13,
+    ),
+    (
+        "(sinh(r) / r - 1) / z, z = r^2, for exp",
+        lambda z: (sinh(sqrt(z)) / sqrt(z) - 1) / z,
+        lambda z: z * sqrt(z),
+        _TINY, _HALF_LN2**2, 5,
+    ),
+    (
+        "(cosh(r) - 1 - z / 2) / z^2, z = r^2, for exp",
+        lambda z: (cosh(sqrt(z)) - 1 - z / 2) / z**2,
+        lambda z: z**2,
+        _TINY, _HALF_LN2**2, 5,
+    ),
+    (
+        "(2 atanh(s) / s - 2) / z, z = s^2, for log",
+        lambda z: (2 * atanh(sqrt(z)) / sqrt(z) - 2) / z,
+        lambda z: z * sqrt(z),
+        _TINY, _ATANH, 8,
+    ),
+    (
+        "(3 atanh(s) / s - 3 - z) / z^2, z = s^2, for pow",
+        lambda z: (3 * atanh(sqrt(z)) / sqrt(z) - 3 - z) / z**2,
+        lambda z: z**2,
+        _TINY, _ATANH, 8,
+    ),
+    (
+        "(erf(x) / x - 2 / sqrt(pi)) / z, z = x^2",
+        lambda z: (erf(sqrt(z)) / sqrt(z) - 2 / sqrt(pi)) / z,
+        lambda z: z,
+        _TINY, mpf(1) / 4 * (1 + mpf(10) ** -4), 9,
+    ),
+    _erfc_fit(mpf(1) / 2, mpf(5) / 4, 0.40625, 16),
+    _erfc_fit(mpf(5) / 4, 3, 0.21875, 16),
+    _erfc_fit(3, 28, 0.078125, 17),
+    (
+        "(x S - 1 / 12) / z, z = 1 / x^2; see gamma.py",
+        _stirling_rest,
+        lambda z: z * sqrt(z),
+        mpf(10) ** -8, mpf(1) / 64, 6,
+    ),
+    _gamma_fit(1, 14),
+    _gamma_fit(2, 11),
+    (
+        "(sin(pi r) / r - pi) / z, z = r^2, for lgamma",
+        lambda z: (sin(pi * sqrt(z)) / sqrt(z) - pi) / z,
+        lambda z: z,
+        _TINY, mpf(1) / 4, 8,
     ),
 )  # fmt: skip
 """What a polynomial approximates, as text; the function, its weight, the interval, and the number of coefficients."""
