@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import math
+
 from mbdkit.engine.kernels.applied_forces import PATHWAYS, TORQUE, path_rate, point_force
-from mbdkit.engine.native.arithmetic import hypot_of_each, where
+from mbdkit.engine.native.arithmetic import where
 from mbdkit.engine.native.calls import HAS_POTENTIAL
 from mbdkit.engine.native.functions import subkernel
 
@@ -45,7 +47,7 @@ def force_values(top, w, q, v, out):
         else:
             fx, fy, px, py = point_force(top, w, k)
             spin = v[3 * body + 2]
-            size = hypot_of_each(fx, fy)
+            size = math.hypot(fx, fy)
             power = fx * (v[3 * body] - spin * py) + fy * (v[3 * body + 1] + spin * px)
             out[row, 0] = 0.0
             out[row, 1] = where(size > 0.0, power / size, 0.0)

@@ -8,6 +8,7 @@ add it to the free accelerations.
 
 from __future__ import annotations
 
+import math
 from math import sqrt
 
 import numpy as np
@@ -15,7 +16,7 @@ import numpy as np
 from mbdkit.engine.kernels import element_kernels as e
 from mbdkit.engine.kernels.cross_sections import add_beam_forces, beam_tangents
 from mbdkit.engine.kernels.vectors import fill
-from mbdkit.engine.native.arithmetic import angle_of_each, any_of, is_refused, put_in_place, renewed, where
+from mbdkit.engine.native.arithmetic import any_of, is_refused, put_in_place, renewed, where
 from mbdkit.engine.native.calls import HAS_POTENTIAL, PASSIVE, call_law
 from mbdkit.engine.native.functions import inlined, subkernel
 
@@ -94,9 +95,9 @@ def choose_side_of_circle(k, points, s, grad):
     ux, uy = radius * -grad[k - 2, 4] - onto * grad[k - 2, 3], radius * grad[k - 2, 3] - onto * grad[k - 2, 4]
     vx, vy = off * grad[k - 1, 3] - radius * grad[k - 1, 4], off * grad[k - 1, 4] + radius * grad[k - 1, 3]
     side, size = where(radius > 0.0, 1.0, -1.0), abs(radius)
-    sweep = -side * angle_of_each(ux * vy - uy * vx, ux * vx + uy * vy)
+    sweep = -side * math.atan2(ux * vy - uy * vx, ux * vx + uy * vy)
     sweep = where(sweep < -BEHIND, sweep + 2.0 * np.pi, sweep)
-    covered = angle_of_each(size, onto) + angle_of_each(size, off)
+    covered = math.atan2(size, onto) + math.atan2(size, off)
     turn = sweep + covered - np.pi
     touches = (turn > 0.0) & (sweep <= FARTHEST)
     is_free = (turn <= 0.0) & ((sweep >= 0.0) | (covered - sweep <= np.pi))

@@ -10,11 +10,10 @@ If Python interprets the kernels, these functions get ordinary numbers.
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 
-from mbdkit.engine.native.functions import placeholder
+from mbdkit.engine.native.functions import overload, placeholder, separate
+from mbdkit.engine.native.levels import WIDTH
 
 DIRECTIONS = 12
 """Number of derivatives of a dual number. More parameters are differentiated in several passes."""
@@ -37,12 +36,12 @@ def where(condition, x, y):
 
 def nearest(x):
     """Return the nearest whole number as a float, ties to even."""
-    return np.rint(x)
+    return float(np.rint(x))
 
 
 def below(x):
     """Return the largest whole number not above `x`, as a float."""
-    return np.floor(x)
+    return float(np.floor(x))
 
 
 @placeholder
@@ -83,24 +82,40 @@ def put_in_place(values, place, x):
     values[place] = x
 
 
-def sine_of_each(x):
-    """Return the sine of `x`, or of each lane of `x`, computed by the C library."""
-    return math.sin(x)
+def lane_by_lane(function):
+    """Return a function that applies a function of numbers to each lane in turn; numbers are passed on.
+
+    The function has one argument or two; it is compiled once and not copied into its callers.
+    """
+    separate(function)
+    if function.__code__.co_argcount == 2:
+        return _lane_by_lane_of_two(function)
+
+    def apply(x):
+        return function(x)
+
+    def of_lanes(x):
+        result = x
+        for lane in range(WIDTH):
+            result = put_in(result, lane, function(number_in(x, lane)))
+        return result
+
+    overload(apply)(lambda x: of_lanes if is_lanes(x) else apply)
+    return apply
 
 
-def cosine_of_each(x):
-    """Return the cosine of `x`, or of each lane of `x`, computed by the C library."""
-    return math.cos(x)
+def _lane_by_lane_of_two(function):
+    def apply(x, y):
+        return function(x, y)
 
+    def of_lanes(x, y):
+        result = x
+        for lane in range(WIDTH):
+            result = put_in(result, lane, function(number_in(x, lane), number_in(y, lane)))
+        return result
 
-def hypot_of_each(x, y):
-    """Return ``sqrt(x^2 + y^2)``, in lanes for each of them, computed without overflow by the C library."""
-    return math.hypot(x, y)
-
-
-def angle_of_each(y, x):
-    """Return the angle of the vector (x, y) from the first axis, in lanes for each of them, by the C library."""
-    return math.atan2(y, x)
+    overload(apply)(lambda x, y: of_lanes if is_lanes(x) else apply)
+    return apply
 
 
 def value_of(x):

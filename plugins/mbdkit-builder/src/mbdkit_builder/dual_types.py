@@ -27,9 +27,7 @@ from numba.extending import intrinsic, lower_builtin, models, overload, register
 
 from mbdkit.engine.native.arithmetic import (
     DIRECTIONS,
-    angle_of_each,
     chain,
-    hypot_of_each,
     larger_derivatives,
     largest_quotient,
     value_of,
@@ -413,5 +411,3 @@ for _operation in OPERATIONS.values():
             _of_two(_function, _by_rule_of_two(compiled_rule(_operation)))
 _of_two(operator.mod, _remainder)
 _of_two(math.hypot, _length)
-_of_two(hypot_of_each, _length)
-_of_two(angle_of_each, _by_rule_of_two(compiled_rule(OPERATIONS["atan2"])))

@@ -29,27 +29,25 @@ from numba.core.typeconv import Conversion  # type: ignore[attr-defined]
 from numba.core.typing.templates import AbstractTemplate, infer_global, signature
 from numba.extending import intrinsic, lower_builtin, models, overload, register_model
 
+from mbdkit.engine.kernels.elementary import FUNCTIONS
+from mbdkit.engine.kernels.elementary.exact_sums import bits_of, from_bits
 from mbdkit.engine.native.arithmetic import (
-    angle_of_each,
     any_of,
     below,
-    cosine_of_each,
-    hypot_of_each,
     is_refused,
     nearest,
     number_in,
     put_in,
     put_in_place,
     renewed,
-    sine_of_each,
     usable,
     where,
 )
 from mbdkit.engine.native.levels import WIDTH
 from mbdkit_builder.implementation import implement
 
-DOUBLE, _BIT = ir.DoubleType(), ir.IntType(1)
-VECTOR, _BITS = ir.VectorType(DOUBLE, WIDTH), ir.VectorType(_BIT, WIDTH)
+DOUBLE, _BIT, _WORD = ir.DoubleType(), ir.IntType(1), ir.IntType(64)
+VECTOR, _BITS, _WORDS = (ir.VectorType(kind, WIDTH) for kind in (DOUBLE, _BIT, _WORD))
 
 
 class LaneReal(types.Type):
@@ -101,7 +99,24 @@ class LaneComplex(types.Type):
         return Conversion.safe if is_operand(other, self) else None
 
 
-REAL, MASK, COMPLEX = LaneReal(), LaneMask(), LaneComplex()
+class LaneInteger(types.Type):
+    """Numba type of `WIDTH` integers of 64 bits, in which elementary functions compute with the bits of doubles."""
+
+    arithmetic = "lanes"
+
+    def __init__(self) -> None:
+        super().__init__(name=f"LaneInteger{WIDTH}")
+
+    def unify(self, typing_context: Any, other: Any) -> Any:
+        """Return this type for integers."""
+        return self if is_operand(other, self) else None
+
+    def can_convert_from(self, typing_context: Any, other: Any) -> Any:
+        """Allow integers, which become equal in all lanes."""
+        return Conversion.safe if is_operand(other, self) else None
+
+
+REAL, MASK, COMPLEX, INTEGER = LaneReal(), LaneMask(), LaneComplex(), LaneInteger()
 
 
 @register_model(LaneReal)
@@ -114,6 +129,12 @@ class _RealModel(models.PrimitiveModel):
 class _MaskModel(models.PrimitiveModel):
     def __init__(self, manager: Any, kind: Any):
         super().__init__(manager, kind, _BITS)
+
+
+@register_model(LaneInteger)
+class _IntegerModel(models.PrimitiveModel):
+    def __init__(self, manager: Any, kind: Any):
+        super().__init__(manager, kind, _WORDS)
 
 
 # --- numbers become equal in all lanes
@@ -130,6 +151,11 @@ def _number_to_lanes(context, builder, given, wanted, value):
     return _splat(builder, context.cast(builder, value, given, types.float64), VECTOR)
 
 
+@lower_cast(types.Integer, LaneInteger)
+def _integer_to_lanes(context, builder, given, wanted, value):
+    return _splat(builder, context.cast(builder, value, given, types.int64), _WORDS)
+
+
 @lower_cast(types.Boolean, LaneMask)
 def _truth_to_lanes(context, builder, given, wanted, value):
     return _splat(builder, builder.trunc(value, _BIT) if value.type != _BIT else value, _BITS)
@@ -140,6 +166,8 @@ def _truth_to_lanes(context, builder, given, wanted, value):
 
 def is_operand(kind: Any, item: Any) -> bool:
     """Return whether a value of type `kind` can be used as lanes of type `item`."""
+    if isinstance(item, LaneInteger):
+        return isinstance(kind, LaneInteger | types.Integer)
     if isinstance(item, LaneReal):
         return isinstance(kind, LaneReal | types.Number) and not isinstance(kind, types.Complex)
     return isinstance(kind, type(item) | LaneReal | types.Number)
@@ -165,30 +193,48 @@ def _define(function: Any, arity: int, kind: Any, result: Any, code: Callable[..
         return code(builder, *arguments)
 
 
-for _names, _code in (
+for _functions, _code in (
     ((operator.add, operator.iadd), lambda b, x, y: b.fadd(x, y)),
     ((operator.sub, operator.isub), lambda b, x, y: b.fsub(x, y)),
     ((operator.mul, operator.imul), lambda b, x, y: b.fmul(x, y)),
     ((operator.truediv, operator.itruediv), lambda b, x, y: b.fdiv(x, y)),
 ):
-    for _function in _names:
+    for _function in _functions:
         _define(_function, 2, REAL, REAL, _code)
 for _function, _sign in (
     (operator.lt, "<"), (operator.le, "<="), (operator.gt, ">"), (operator.ge, ">="), (operator.eq, "=="),
 ):  # fmt: skip
     _define(_function, 2, REAL, MASK, lambda b, x, y, s=_sign: b.fcmp_ordered(s, x, y))
 _define(operator.ne, 2, REAL, MASK, lambda b, x, y: b.fcmp_unordered("!=", x, y))
-for _names, _code in (
+for _functions, _code in (
     ((operator.and_, operator.iand), lambda b, x, y: b.and_(x, y)),
     ((operator.or_, operator.ior), lambda b, x, y: b.or_(x, y)),
 ):
-    for _function in _names:
+    for _function in _functions:
         _define(_function, 2, MASK, MASK, _code)
 _define(operator.neg, 1, REAL, REAL, lambda b, x: b.fneg(x))
 # as for numbers: the second operand if it is larger (smaller); otherwise, and also if one is NaN, the first
 _define(max, 2, REAL, REAL, lambda b, x, y: b.select(b.fcmp_ordered(">", y, x), y, x))
 _define(min, 2, REAL, REAL, lambda b, x, y: b.select(b.fcmp_ordered("<", y, x), y, x))
 _define(operator.not_, 1, MASK, MASK, lambda b, x: b.not_(x))
+for _functions, _code in (
+    ((operator.add, operator.iadd), lambda b, x, y: b.add(x, y)),
+    ((operator.sub, operator.isub), lambda b, x, y: b.sub(x, y)),
+    ((operator.mul, operator.imul), lambda b, x, y: b.mul(x, y)),
+    ((operator.and_, operator.iand), lambda b, x, y: b.and_(x, y)),
+    ((operator.or_, operator.ior), lambda b, x, y: b.or_(x, y)),
+    ((operator.xor, operator.ixor), lambda b, x, y: b.xor(x, y)),
+    ((operator.lshift, operator.ilshift), lambda b, x, y: b.shl(x, y)),
+    ((operator.rshift, operator.irshift), lambda b, x, y: b.ashr(x, y)),
+):
+    for _function in _functions:
+        _define(_function, 2, INTEGER, INTEGER, _code)
+_define(operator.neg, 1, INTEGER, INTEGER, lambda b, x: b.neg(x))
+for _function, _sign in (
+    (operator.lt, "<"), (operator.le, "<="), (operator.gt, ">"), (operator.ge, ">="), (operator.eq, "=="),
+    (operator.ne, "!="),
+):  # fmt: skip
+    _define(_function, 2, INTEGER, MASK, lambda b, x, y, s=_sign: b.icmp_signed(s, x, y))
 
 
 def _by_intrinsic(name: str) -> Callable[..., Any]:
@@ -214,18 +260,24 @@ class _Where(AbstractTemplate):
     def generic(self, arguments: Any, keywords: Any) -> Any:
         if len(arguments) != 3 or not isinstance(arguments[0], LaneMask | types.Boolean):
             return None
+        if any(isinstance(one, LaneInteger) for one in arguments[1:]):
+            return signature(INTEGER, MASK, INTEGER, INTEGER)
         if any(isinstance(one, LaneReal) for one in arguments[1:]) or isinstance(arguments[0], LaneMask):
             return signature(REAL, MASK, REAL, REAL)
         if not all(isinstance(one, types.Number) for one in arguments[1:]):
             return None
-        return signature(types.float64, types.boolean, types.float64, types.float64)
+        are_integers = all(isinstance(one, types.Integer) for one in arguments[1:])
+        kind = types.int64 if are_integers else types.float64
+        return signature(kind, types.boolean, kind, kind)
 
 
+@lower_builtin(where, LaneMask, LaneInteger, LaneInteger)
 @lower_builtin(where, LaneMask, LaneReal, LaneReal)
 def _where_lanes(context, builder, signature, arguments):
     return builder.select(*arguments)
 
 
+@lower_builtin(where, types.Boolean, types.Integer, types.Integer)
 @lower_builtin(where, types.Boolean, types.Float, types.Float)
 def _where_number(context, builder, signature, arguments):
     return builder.select(context.is_true(builder, types.boolean, arguments[0]), *arguments[1:])
@@ -269,6 +321,22 @@ def _put_in(typing_context, x, lane, number):
         return builder.insert_element(arguments[0], arguments[2], builder.trunc(arguments[1], ir.IntType(32)))
 
     return REAL(REAL, types.int64, types.float64), generate
+
+
+def _with_bits(function: Any, numbers: Any, lanes: Any) -> None:
+    """Define a placeholder that changes the type of a value and not its bits; the signatures are for both widths."""
+
+    def typing(typing_context: Any, x: Any) -> Any:
+        def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+            return builder.bitcast(arguments[0], context.get_value_type(signature.return_type))
+
+        return (lanes if isinstance(x, LaneReal | LaneInteger) else numbers), generate
+
+    implement(function)(typing)
+
+
+_with_bits(bits_of, types.int64(types.float64), INTEGER(REAL))
+_with_bits(from_bits, types.float64(types.int64), REAL(INTEGER))
 
 
 @overload(any_of, inline="always")
@@ -327,15 +395,17 @@ def _put_in_place(values, place, x):
 
 
 @infer_global(operator.pow)
-class _Power(AbstractTemplate):
+class _WholePower(AbstractTemplate):
     def generic(self, arguments: Any, keywords: Any) -> Any:
         base, exponent = arguments
-        is_power = isinstance(base, LaneReal) and isinstance(exponent, types.Integer | types.Float)
-        return signature(REAL, REAL, exponent) if is_power else None
+        return (
+            signature(REAL, REAL, exponent)
+            if isinstance(base, LaneReal) and isinstance(exponent, types.Integer)
+            else None
+        )
 
 
 @lower_builtin(operator.pow, LaneReal, types.Integer)
-@lower_builtin(operator.pow, LaneReal, types.Float)
 def _power_of_lanes(context, builder, signature, arguments):
     kind = context.typing_context.resolve_function_type(operator.pow, (types.float64, signature.args[1]), {})
     power, result = context.get_function(operator.pow, kind), ir.Constant(VECTOR, ir.Undefined)
@@ -346,36 +416,23 @@ def _power_of_lanes(context, builder, signature, arguments):
     return result
 
 
-def _one_by_one(function: Any, of_numbers: Any) -> None:
-    """Define a function that applies a compiled function of numbers to each lane."""
+def _elementary(function: Any, own: Any) -> None:
+    """Define a function of `math` for lanes by an elementary function; one of two arguments may be a number."""
 
-    @infer_global(function)
-    class _Template(AbstractTemplate):
-        def generic(self, arguments: Any, keywords: Any) -> Any:
-            if any(isinstance(one, LaneReal) for one in arguments):
-                return signature(REAL, *(REAL,) * len(arguments))
-            if not all(isinstance(one, types.Number) for one in arguments):
-                return None
-            return signature(types.float64, *(types.float64,) * len(arguments))
+    def of_two_lanes(x, y):
+        return own(where(y == y, x, x), where(x == x, y, y))  # which makes lanes of a number
 
-    def call(context: Any, builder: Any, values: Any) -> Any:
-        kind = types.float64(*(types.float64,) * len(values))
-        return context.get_function(of_numbers, kind)(builder, values)
+    def typed_for_two(x, y):
+        is_defined = isinstance(x, LaneReal) or isinstance(y, LaneReal)
+        return of_two_lanes if is_defined and all(isinstance(one, LaneReal | types.Float) for one in (x, y)) else None
 
-    @lower_builtin(function, types.VarArg(types.Float))
-    def _lower_number(context, builder, signature, arguments):
-        return call(context, builder, arguments)
-
-    @lower_builtin(function, types.VarArg(LaneReal))
-    def _lower_lanes(context, builder, signature, arguments):
-        result = ir.Constant(VECTOR, ir.Undefined)
-        for lane in map(ir.IntType(32), range(WIDTH)):
-            one = call(context, builder, [builder.extract_element(value, lane) for value in arguments])
-            result = builder.insert_element(result, one, lane)
-        return result
+    if own.__code__.co_argcount == 1:
+        overload(function)(lambda x: own if isinstance(x, LaneReal) else None)
+    else:
+        overload(function)(typed_for_two)
 
 
-_one_by_one(sine_of_each, math.sin)
-_one_by_one(cosine_of_each, math.cos)
-_one_by_one(hypot_of_each, math.hypot)
-_one_by_one(angle_of_each, math.atan2)
+_NAMES = {"pow": operator.pow, "tgamma": math.gamma}
+"""Functions that have other names in the C library."""
+for _name, _own in FUNCTIONS.items():
+    _elementary(_NAMES.get(_name) or getattr(math, _name), _own)

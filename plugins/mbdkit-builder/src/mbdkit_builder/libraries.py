@@ -27,6 +27,7 @@ from mbdkit.base.errors import MbdkitError
 from mbdkit.engine.native.levels import Level, Platform
 from mbdkit.engine.native.machine_code import MANIFEST, PACKAGE, digest
 from mbdkit_builder import sources
+from mbdkit_builder.library_imports import check_imports
 from mbdkit_builder.sources import module_of
 
 BUILT = PACKAGE / "engine/native/built"
@@ -75,6 +76,8 @@ def build(target: Platform, names: Iterable[str], into: Path, *, only: str | Non
         for (group, level), paths in sorted(objects.items()):
             packed = new / f"{group}-{level}.xz"
             content = _linked(target, paths, Path(work) / f"{group}-{level}{_SUFFIX[target.system]}")
+            if target.system == "linux":
+                check_imports(content, f"{group}-{level}")
             packed.write_bytes(lzma.compress(content, preset=9 | lzma.PRESET_EXTREME))
             digests[packed.name] = hashlib.sha256(packed.read_bytes()).hexdigest()
         text = json.dumps(_manifest(groups, digests), indent=1, sort_keys=True) + "\n"

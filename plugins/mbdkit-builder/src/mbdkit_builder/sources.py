@@ -16,8 +16,13 @@ from mbdkit.engine.native.machine_code import CORE, digest, kernel_packages, pac
 
 _ROOMS = ("engine/kernels/", "integrators/", "engine/native/")
 """Rooms of mbdkit that kernels may import; other packages have them in ``kernels``."""
-_ALWAYS = ("engine/native/bundle.py", "engine/native/kernel.py", "engine/native/levels.py")
-_IMPORT = re.compile(r"^(?:from|import) (\w+)\.([\w.]+)(?: import \(?([\w, ]+))?", re.MULTILINE)
+_ALWAYS = (
+    "engine/kernels/elementary/__init__.py",  # imports the functions that take the place of the C library
+    "engine/native/bundle.py",
+    "engine/native/kernel.py",
+    "engine/native/levels.py",
+)
+_IMPORT = re.compile(r"^(?:from|import) (\w+)\.([\w.]+)(?: import (?:\(([\w,\s]+)\)|([\w, ]+)))?", re.MULTILINE)
 
 
 def module_of(symbol: str) -> str:
@@ -32,12 +37,12 @@ def module_of(symbol: str) -> str:
 @cache
 def _imported(file: str) -> tuple[str, ...]:
     paths = []
-    for package, module, names in _IMPORT.findall(source_file(file).read_text(encoding="utf-8")):
+    for package, module, *names in _IMPORT.findall(source_file(file).read_text(encoding="utf-8")):
         if package not in kernel_packages():
             continue
         place = module.replace(".", "/")
         rooms, prefix = (_ROOMS, "") if package == CORE else (("kernels/",), f"{package}:")
-        modules = (place, *(f"{place}/{name.strip()}" for name in names.split(",")))
+        modules = (place, *(f"{place}/{name.strip()}" for name in "".join(names).split(",")))
         paths += [f"{prefix}{path}.py" for path in modules if path.startswith(rooms)]
     return tuple(path for path in paths if source_file(path).is_file())
 
@@ -68,7 +73,9 @@ _NOT_COMPILED = {
     "function_laws.py",
     "generated_files.py",
     "libraries.py",
+    "library_imports.py",
     "method_stubs.py",
+    "minimax.py",
     "packaged_laws.py",
     "sources.py",
 }

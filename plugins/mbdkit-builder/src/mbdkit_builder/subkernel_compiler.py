@@ -12,16 +12,22 @@ from __future__ import annotations
 
 from typing import Any
 
+import llvmlite.binding as llvm
 from numba.core.codegen import JITCodeLibrary
 from numba.core.compiler import CompilerBase, DefaultPassBuilder
 from numba.core.compiler_machinery import register_pass
 from numba.core.typed_passes import NativeLowering
 
 from mbdkit.engine.native.functions import SEPARATE
+from mbdkit_builder.library_functions import with_own_names
 
 
 class _SubkernelLibrary(JITCodeLibrary):
     """The LLVM IR of a subkernel and of its callees, for linking only."""
+
+    def add_llvm_module(self, ll_module: Any) -> None:
+        """Add the module of a function, with calls of our own elementary functions."""
+        super().add_llvm_module(llvm.parse_assembly(with_own_names(str(ll_module))))
 
     def _optimize_final_module(self) -> None:
         """Skip optimization: each kernel optimizes the linked module."""
