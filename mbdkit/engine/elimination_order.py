@@ -4,16 +4,17 @@ from __future__ import annotations
 
 import heapq
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
 from mbdkit.engine.kernels.lu import Factors, Pattern
 from mbdkit.engine.kernels.schur import Schur
+from mbdkit.engine.linear_systems import SparseFactors
 
-PIVOT_STRATEGIES = (("NATURAL", 1e-3), ("MMD_AT_PLUS_A", 1e-3), ("COLAMD", 0.1), ("COLAMD", 1.0))
-"""SuperLU's column orderings in order of preference, each with its threshold for diagonal pivots, relative to the
-largest entry of the column.
+PIVOT_STRATEGIES = (("natural", 1e-3), ("symmetric", 1e-3), ("columns", 0.1), ("columns", 1.0))
+"""Orderings of the columns in order of preference, each with its threshold for diagonal pivots, relative to the largest
+entry of the column: the natural order, and that by minimum degree in the graph of A + A^T and of A^T A.
 """
 
 ACCURATE = 1e-11
@@ -160,7 +161,7 @@ def pivot_order(
 ) -> PivotChoice:
     """Choose the pivots of a sparse matrix from its values.
 
-    SuperLU factorizes the equilibrated matrix with each of `PIVOT_STRATEGIES`; the sparsest accurate factors are used.
+    The equilibrated matrix is factorized with each of `PIVOT_STRATEGIES`; the sparsest accurate factors are used.
 
     Parameters
     ----------
@@ -184,60 +185,81 @@ def pivot_order(
     SingularSystemError
         If the matrix is singular or its condition number is not below `WORST_CONDITION`.
     """
-    from scipy.sparse import csc_array
-
     place = np.empty(n, dtype=np.int64)
     place[natural] = np.arange(n)
     best, least = None, WORST_CONDITION
     for scale in scales:
         row_scale, column_scale = equilibrate(n, row, column, np.abs(values) * scale[row] * scale[column])
         row_scale, column_scale = row_scale * scale, column_scale * scale
-        # Entries that happen to be zero must stay in the pattern; a product of sparse matrices would drop them.
         entries = values * row_scale[row] * column_scale[column]
-        scaled = csc_array((entries, (place[row], place[column])), shape=(n, n))
-        lu, condition = _sparsest(scaled)
-        if condition < least:
-            best, least = PivotChoice(lu.perm_r, lu.perm_c, row_scale, column_scale), condition
+        factors, condition = _sparsest(n, place[row], place[column], entries)
+        if factors is not None and condition < least:
+            best, least = PivotChoice(factors.row_of, factors.column_of, row_scale, column_scale), condition
         if least < GOOD_CONDITION:
             break
     if best is None:
         raise SingularSystemError
-    row_of, column_of = np.empty(n, dtype=np.int64), np.empty(n, dtype=np.int64)
-    row_of[best.row_of], column_of[best.column_of] = natural, natural
-    return best._replace(row_of=row_of, column_of=column_of)
+    return best._replace(row_of=natural[best.row_of], column_of=natural[best.column_of])
 
 
-def _sparsest(matrix: Any) -> tuple[Any, float]:
-    """Return the sparsest accurate SuperLU factors of an equilibrated matrix and its 1-norm condition number.
+def _sparsest(n: int, row: np.ndarray, column: np.ndarray, values: np.ndarray) -> tuple[SparseFactors | None, float]:
+    """Return the sparsest accurate factors of an equilibrated matrix (n, n) and its 1-norm condition number.
 
     Returns None and infinity if no factors are accurate.
     """
-    from scipy.sparse.linalg import LinearOperator, onenormest, splu
-
-    probe = matrix @ np.ones(matrix.shape[0])
-    enough = LITTLE_FILL if matrix.shape[0] < MANY_UNKNOWNS else MUCH_FILL
+    probe = _row_sums(n, row, values)
+    allowed = LITTLE_FILL if n < MANY_UNKNOWNS else MUCH_FILL
     best = None
     for ordering, threshold in PIVOT_STRATEGIES:
         try:
-            options = {"SymmetricMode": threshold < 1}
-            lu = splu(matrix, permc_spec=ordering, diag_pivot_thresh=threshold, options=options)
-        except RuntimeError:
+            factors = SparseFactors(row, column, values, _column_order(ordering, n, row, column), threshold)
+        except np.linalg.LinAlgError:
             continue
-        error = np.max(np.abs(matrix @ lu.solve(probe) - probe), initial=0.0)
-        if error <= ACCURATE * np.max(np.abs(probe), initial=1.0) and (best is None or lu.nnz < 0.9 * best.nnz):
-            best = lu
-        if best is not None and best.nnz <= enough * matrix.nnz:
+        with np.errstate(all="ignore"):  # of a matrix that is singular to round-off, the solution may not be finite
+            solution = factors.solve(probe[None])[0]
+            error = np.max(np.abs(_row_sums(n, row, values * solution[column]) - probe), initial=0.0)
+        if error <= ACCURATE * np.max(np.abs(probe), initial=1.0) and (
+            best is None or factors.entries < 0.9 * best.entries
+        ):
+            best = factors
+        if best is not None and best.entries <= allowed * len(values):
             break
     if best is None:
         return None, np.inf
-    inverse = LinearOperator(
-        matrix.shape,
-        matvec=lambda x: best.solve(x.ravel()),
-        rmatvec=lambda x: best.solve(x.ravel(), "H"),
-        dtype=matrix.dtype,
-    )
-    with np.errstate(all="ignore"):  # the condition number of a matrix that is singular to round-off is not finite
-        return best, float(onenormest(inverse) * abs(matrix).sum(axis=0).max())
+    with np.errstate(all="ignore"):
+        return best, best.norm_of_inverse() * float(np.max(np.bincount(column, np.abs(values), minlength=n)))
+
+
+def _row_sums(n: int, row: np.ndarray, values: np.ndarray) -> np.ndarray:
+    if not np.iscomplexobj(values):
+        return np.bincount(row, values, minlength=n)
+    return np.bincount(row, values.real, minlength=n) + 1j * np.bincount(row, values.imag, minlength=n)
+
+
+def _column_order(ordering: str, n: int, row: np.ndarray, column: np.ndarray) -> np.ndarray:
+    """Return the order (n,) of the columns of a pattern with one of the orderings of `PIVOT_STRATEGIES`."""
+    if ordering == "natural":
+        return np.arange(n)
+    if ordering == "symmetric":
+        return symmetric_order(n, row, column)
+    in_row: list[set[int]] = [set() for _ in range(n)]
+    for i, j in zip(row.tolist(), column.tolist(), strict=True):
+        in_row[i].add(j)
+    adjacent: list[set[int]] = [set() for _ in range(n)]
+    for columns in in_row:
+        for j in columns:
+            adjacent[j] |= columns
+    return np.array(minimum_degree([others - {j} for j, others in enumerate(adjacent)])[0], dtype=np.int64)
+
+
+def symmetric_order(n: int, row: np.ndarray, column: np.ndarray) -> np.ndarray:
+    """Return the elimination order (n,) by minimum degree for the pattern of ``A + A^T``, a matrix (n, n)."""
+    adjacent: list[set[int]] = [set() for _ in range(n)]
+    for i, j in zip(row.tolist(), column.tolist(), strict=True):
+        if i != j:
+            adjacent[i].add(j)
+            adjacent[j].add(i)
+    return np.array(minimum_degree(adjacent)[0], dtype=np.int64)
 
 
 def equilibrate(n: int, row: np.ndarray, column: np.ndarray, sizes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -268,7 +290,8 @@ def equilibrate(n: int, row: np.ndarray, column: np.ndarray, sizes: np.ndarray) 
 
 def power_of_two(x: np.ndarray) -> np.ndarray:
     """Return the powers of two nearest to `x`. Scaling by them causes no rounding errors."""
-    return np.exp2(np.round(np.log2(x)))
+    share, exponent = np.frexp(x)
+    return np.asarray(np.ldexp(1.0, exponent - (share < np.sqrt(0.5))))
 
 
 def symbolic_lu(n: int, row: np.ndarray, column: np.ndarray, choice: PivotChoice) -> tuple[Pattern, np.ndarray]:

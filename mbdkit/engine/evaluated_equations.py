@@ -112,7 +112,7 @@ class EvaluatedEquations:
     def kinetic(self, v: np.ndarray) -> float:
         """Return the kinetic energy at the velocity `v` (n,) [J]."""
         v = vector(v, self.n)
-        return float(0.5 * (self.mass * v) @ v)
+        return float(0.5 * np.sum(self.mass * v * v))
 
     def solve(self, t: float, q: np.ndarray, force: np.ndarray, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Solve ``M x + Phi_q^T mu = force``, ``Phi_q x = rows`` at the position `q`.

@@ -8,6 +8,7 @@ in the frame of a body is removed, not a row.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -63,12 +64,10 @@ def choose_spare(
         best = order[np.argmax(held[order] >= min(WELL_HELD, float(np.max(held))))]
         directions = []
         for k, x in enumerate(left):
-            (a, b), (_, c) = x[best] @ x[best].T
-            angle = np.arctan2(2 * b, a - c) / 2  # angle of the leading eigenvector
-            direction = np.array([np.cos(angle), np.sin(angle)])
-            taken = direction @ x[best]
-            taken /= np.linalg.norm(taken)
-            left[k] = x - (x @ taken)[..., None] * taken
+            direction = _leading_axis(x[best])
+            taken = direction[0] * x[best, 0] + direction[1] * x[best, 1]
+            taken /= np.sqrt(np.sum(taken**2))
+            left[k] = x - np.sum(x * taken, axis=-1, keepdims=True) * taken
             directions.append(direction)
         chosen.append((int(pairs[best]), np.array(directions)))
     return chosen
@@ -76,8 +75,30 @@ def choose_spare(
 
 def _largest_part(x: np.ndarray) -> np.ndarray:
     """Return the largest singular value of each block (2, r) of `x` (P, 2, r)."""
-    a, b, c = (np.einsum("pr,pr->p", x[:, i], x[:, j]) for i, j in ((0, 0), (0, 1), (1, 1)))
-    return np.sqrt((a + c) / 2 + np.hypot((a - c) / 2, b))
+    a, b, c = _products(x[:, 0], x[:, 1])
+    return np.asarray(np.sqrt((a + c) / 2 + np.sqrt(((a - c) / 2) ** 2 + b**2)))
+
+
+def _products(x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return the sums of ``x x``, ``x y`` and ``y y`` over the last axis."""
+    return np.sum(x * x, axis=-1), np.sum(x * y, axis=-1), np.sum(y * y, axis=-1)
+
+
+def _leading_axis(x: np.ndarray) -> np.ndarray:
+    """Return the unit vector (2,) whose product with a matrix (2, r) is largest; its first component is not negative.
+
+    It is the leading eigenvector of ``[[a, b], [b, c]] = x x^T``, from the formulas for half an angle.
+    """
+    a, b, c = map(float, _products(x[0], x[1]))
+    half = (a - c) / 2
+    radius = math.sqrt(half * half + b * b)
+    if radius == 0.0:
+        return np.array([1.0, 0.0])
+    larger = math.sqrt((1.0 + abs(half) / radius) / 2)
+    smaller = b / (2 * radius * larger)
+    if half >= 0.0:
+        return np.array([larger, smaller])
+    return np.array([abs(smaller), math.copysign(larger, b)])
 
 
 def direction_frames(
@@ -122,6 +143,7 @@ def _in_frame(directions: np.ndarray, angle: np.ndarray) -> tuple[float, tuple[f
     """
     c, s = np.cos(angle), np.sin(angle)
     x, y = directions.T
-    own = np.column_stack([c * x + s * y, -s * x + c * y])
-    axis = np.linalg.svd(own, full_matrices=False)[2][0]
-    return float(1 - np.min(np.abs(own @ axis))), (float(axis[0]), float(axis[1]))
+    own = np.stack([c * x + s * y, -s * x + c * y])
+    axis = _leading_axis(own)
+    along = own[0] * axis[0] + own[1] * axis[1]
+    return float(1 - np.min(np.abs(along))), (float(axis[0]), float(axis[1]))

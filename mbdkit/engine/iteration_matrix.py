@@ -24,6 +24,7 @@ from mbdkit.engine.kernels.equations import (
     solve_complex,
     solve_real,
 )
+from mbdkit.engine.linear_systems import inverse_of, product
 from mbdkit.engine.native.bundle import PinnedBundle
 from mbdkit.engine.repeated_call import RepeatedCall
 from mbdkit.engine.stored_arrays import pattern_of, restore, stored
@@ -228,9 +229,9 @@ class IterationMatrixWithStates:
         columns = [matrix.solve(column, none) for column in damping * states.force_z.T]
         self._x = np.array([x for x, _ in columns]).reshape(count, states.rates_q.shape[1])
         self._mu = np.array([mu for _, mu in columns]).reshape(count, m)
-        complement = mass * np.eye(count) - damping * states.rates_z + self._lower @ self._x.T
+        complement = mass * np.eye(count) - damping * states.rates_z + product(self._lower, self._x.T)
         try:
-            self._inverse = np.linalg.inv(complement)
+            self._inverse = inverse_of(complement)
         except np.linalg.LinAlgError:
             raise StepError("singular", "the matrix of the iteration is singular") from None
 
@@ -255,8 +256,8 @@ class IterationMatrixWithStates:
             See `IterationMatrix.solve`.
         """
         x, mu = self._matrix.solve(force, rows)
-        r = self._inverse @ (rates + self._lower @ x)
-        return x - r @ self._x, mu - r @ self._mu, r
+        r = product(self._inverse, rates + product(self._lower, x))
+        return x - product(self._x.T, r), mu - product(self._mu.T, r), r
 
 
 class IterationMatrices:

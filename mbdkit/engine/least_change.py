@@ -10,6 +10,8 @@ import numpy as np
 from mbdkit.engine.compiled_mechanism import CompiledMechanism, with_ground
 from mbdkit.engine.kernels.constraints import KINDS
 from mbdkit.engine.kernels.observe import constraints_at, stiffness_at
+from mbdkit.engine.linear_systems import SparseFactors
+from mbdkit.engine.nested_dissection import sparse_order
 from mbdkit.engine.repeated_call import RepeatedCall
 from mbdkit.engine.workspace import new_scratch
 
@@ -18,6 +20,16 @@ Entries = tuple[np.ndarray, np.ndarray, np.ndarray]
 
 MOST_ITERATIONS = 60
 MOST_DESCENTS = 30
+
+REGULAR = 1e-13
+"""Regularisation of redundant rows, relative to the diagonal of ``J M^-1 J^T``."""
+
+HELD = 2.0**-7
+"""Diagonal of the scaled mass matrix. With 1, errors of the coordinates are as large as those of the multipliers."""
+
+LEAST_PIVOT = 0.01
+"""Smallest entry of the diagonal that is preferred as pivot, relative to the largest entry of the column; see
+`mbdkit.engine.linear_systems`."""
 
 
 class LeastChange:
@@ -210,7 +222,7 @@ class LeastChange:
 
     def distance(self, given: np.ndarray, q: np.ndarray) -> float:
         """Return the squared distance of two positions in the mass metric, which assembly minimises."""
-        return float(self.mass @ (q - given) ** 2)
+        return float(np.sum(self.mass * (q - given) ** 2))
 
     def separated(self, q: np.ndarray) -> np.ndarray:
         """Return positions at which the two points of each distance joint are distinct.
@@ -234,65 +246,62 @@ class LeastChange:
 
         The small regularisation `e` makes the matrix regular even if rows are redundant. It multiplies the change of
         the multipliers only, so that it has no influence on the converged result.
-        """
-        from scipy.sparse import csc_array
-        from scipy.sparse.linalg import splu
 
+        The choice of pivots compares entries. Therefore the system is scaled such that the diagonal of M is `HELD` and
+        rows of J have the norm 1. Most coordinates then follow from the constraints, and are accurate even if rows
+        contradict each other and their multipliers are huge.
+        """
         n, m = len(self.free), len(self.rows)
-        row, column, value = self._of_free(*jacobian)
-        masses = self.mass[self.free]
-        trace = 1e-13 * np.bincount(row, value**2 * (1 / masses)[column], minlength=m)
-        upper, place, hessian = self._hessian(stiffness)
-        rows = np.concatenate([upper, column, n + row, n + np.arange(m)])
-        columns = np.concatenate([place, n + row, column, n + np.arange(m)])
-        values = np.concatenate([hessian, value, value, -np.where(trace > 0, trace, 1.0)])
-        order = np.lexsort((rows, columns))
-        starts = np.concatenate([[0], np.cumsum(np.bincount(columns, minlength=n + m))])
-        parts = (values[order], rows[order].astype(np.int32), starts.astype(np.int32))
-        matrix = csc_array(parts, shape=(n + m, n + m))
-        try:
-            lu = splu(matrix)
-        except RuntimeError as error:  # raised if masses or lengths differ so much in size that an entry vanishes
-            raise np.linalg.LinAlgError(str(error)) from None
+        row, column, value = jacobian
+        row, column, value = self._of_free(n + row, column, value)
+        lightness = np.sqrt(HELD / self.mass[self.free])
+        square = np.bincount(row - n, (value * lightness[column]) ** 2, minlength=m)
+        scale = np.concatenate([lightness, 1.0 / np.sqrt(np.where(square > 0.0, square, 1.0))])
+        diagonal = np.arange(n + m)
+        of_diagonal = np.concatenate([np.full(n, HELD), np.where(square > 0.0, -REGULAR / HELD, -1.0)])
+        entries = value * scale[row] * scale[column]
+        rows, columns, values = [diagonal, row, column], [diagonal, column, row], [of_diagonal, entries, entries]
+        if stiffness is not None:
+            row, column, value = stiffness
+            row, column, value = self._of_free(self._free_places[row], column, value)
+            rows, columns, values = [*rows, row], [*columns, column], [*values, value * scale[row] * scale[column]]
+        parts = np.concatenate(rows), np.concatenate(columns), np.concatenate(values)
+        factors = SparseFactors(*parts, self._order, LEAST_PIVOT)
 
         def solve(gradient: np.ndarray, gap: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-            right = np.concatenate([-gradient[self.free], -gap])
-            solution = lu.solve(right)
-            solution += lu.solve(right - matrix @ solution)
+            solution = scale * factors.solve_refined(scale * np.concatenate([-gradient[self.free], -gap]))
             step = np.zeros(self.n)
-            step[self.free] = solution[: len(self.free)]
-            return step, solution[len(self.free) :]
+            step[self.free] = solution[:n]
+            return step, solution[n:]
 
         return solve
 
     def _of_free(self, row: np.ndarray, column: np.ndarray, value: np.ndarray) -> Entries:
-        """Return the entries of the Jacobian in the columns of free coordinates, column by column."""
+        """Return the entries of a matrix in the columns of free coordinates, and in rows that are not negative."""
         column = self._free_places[column]
-        order = np.lexsort((row, column))
-        order = order[column[order] >= 0]
-        return row[order], column[order], value[order]
+        is_free = (row >= 0) & (column >= 0)
+        return row[is_free], column[is_free], value[is_free]
 
-    def _hessian(self, stiffness: Entries | None) -> Entries:
-        """Return the nonzero entries of M + K over the free coordinates, column by column."""
-        from scipy.sparse import csr_array
+    @cached_property
+    def _order(self) -> np.ndarray:
+        """(n + m,) elimination order of the free coordinates and the rows.
 
-        if stiffness is None:
-            masses = self.mass[self.free]
-            (diagonal,) = np.nonzero(masses)
-            return diagonal, diagonal, masses[diagonal]
-        row, column, value = stiffness
-        summed = csr_array((value, (row, column)), shape=(self.n, self.n)).tocoo()
-        row, column = self._free_places[summed.row], self._free_places[summed.col]
-        free = (row >= 0) & (column >= 0)
-        n = len(self.free)
-        diagonal = np.arange(n)
-        keys, places = np.unique(
-            np.concatenate([diagonal * n + diagonal, column[free].astype(np.int64) * n + row[free]]),
-            return_inverse=True,
-        )
-        values = np.bincount(places, np.concatenate([self.mass[self.free], summed.data[free]]), minlength=len(keys))
-        keys, values = keys[values != 0], values[values != 0]
-        return keys % n, keys // n, values
+        Bodies are ordered by minimum degree, and the rows of a pair follow the coordinates of one of its bodies.
+        """
+        pairs = self.compiled.topology.pairs[:, 1:3].tolist()
+        rows_after: list[list[int]] = [[] for _ in range(self.n // 3 + 1)]
+        adjacent: list[set[int]] = [set() for _ in rows_after]
+        for place, pair in enumerate(self.rows[:, 0].tolist()):
+            first, second = sorted(pairs[pair])
+            rows_after[first].append(len(self.free) + place)
+            if second < len(rows_after) - 1 and first != second:  # the ground is last
+                adjacent[first].add(second)
+                adjacent[second].add(first)
+        order: list[int] = []
+        for body in sparse_order(adjacent)[0]:
+            order += [place for place in self._free_places[3 * body : 3 * body + 3].tolist() if place >= 0]
+            order += rows_after[body]
+        return np.array(order, dtype=np.int64)
 
     @cached_property
     def _free_places(self) -> np.ndarray:

@@ -199,7 +199,8 @@ class _Analysis:
         small = 0
         for part in MOVES:
             q = self.closed(self.search, start.q + part * step)
-            came = self.search.mass @ (step * (q - start.q)) / (self.search.mass @ step**2)
+            weight = self.search.mass * step
+            came = np.sum(weight * (q - start.q)) / np.sum(weight * step)
             if self.gap(self.search, q) <= CLOSED and came >= 0.5 * part:
                 places.append(self.place_at(self.search, q, spare))
                 small += part <= SMALL_MOVE
@@ -271,12 +272,12 @@ class _Analysis:
         constraints_at(top, search.scratch, self.t0, with_ground(start.q), with_ground(v0))
         gamma = search.scratch.gamma[self.pair, self.place] * start.scale
         size = max(1.0, float(np.max(np.abs(gamma))))
-        if float(np.max(np.abs(start.stresses.T @ gamma))) > CONTRADICTION * size:
+        if float(np.max(np.abs(np.sum(start.stresses.T * gamma, axis=1)))) > CONTRADICTION * size:
             raise self.contradiction(start, gamma, "they require different accelerations at the start")
 
     def contradiction(self, start: _Place, residual: np.ndarray, what: str) -> SpecError:
         """Return the error that names the joints with inconsistent residuals, only the drivers if there are several."""
-        part = start.stresses @ (start.stresses.T @ residual)
+        part = np.sum(start.stresses * np.sum(start.stresses.T * residual, axis=1), axis=1)
         names = self.joints_of(np.abs(part) > 0.1 * np.max(np.abs(part)))
         driven = [name for name in names if name in self.compiled.drivers]
         names = driven if len(driven) > 1 else names

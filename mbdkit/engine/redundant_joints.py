@@ -13,6 +13,10 @@ from __future__ import annotations
 import numpy as np
 
 from mbdkit.engine.compiled_mechanism import CompiledMechanism
+from mbdkit.engine.kernels.orthogonal import solve_each_least_squares
+
+DEPENDENT = 1e-14
+"""Self-stresses whose reactions depend on those of others to this share are rounding errors."""
 
 
 def units_of_pairs(mechanism: CompiledMechanism) -> np.ndarray:
@@ -86,7 +90,7 @@ def share_evenly(
     length
         Characteristic length of the mechanism [m].
     """
-    rows, spare, pairs, _ = self_stress.shape
+    rows, spare = self_stress.shape[:2]
     order = np.argsort(joint, kind="stable")
     begin = np.flatnonzero(np.diff(joint[order], prepend=-1))
     weight = np.array([1.0, 1.0, 1.0 / length])
@@ -95,10 +99,11 @@ def share_evenly(
         summed = np.add.reduceat(x[..., order, :], begin, axis=-2) * weight
         return summed.reshape(*x.shape[:-2], -1)
 
-    basis = by_joint(its_reactions).swapaxes(1, 2)
-    q, r = np.linalg.qr(basis)
+    basis = by_joint(its_reactions)
+    share, right = np.empty((rows, spare)), np.zeros((rows, max(basis.shape[1:])))
     for _ in range(2):  # the second pass removes the round-off of the first
-        projected = q.swapaxes(1, 2) @ by_joint(reactions)[..., None]
-        share = np.linalg.solve(r, projected)[..., 0]
-        lam -= (share[:, None] @ self_stress.reshape(rows, spare, -1)).reshape(lam.shape)
-        reactions -= (share[:, None] @ its_reactions.reshape(rows, spare, -1)).reshape(rows, pairs, 3)
+        right[:, : basis.shape[2]] = by_joint(reactions)
+        work = np.empty(spare, dtype=np.int64), np.empty((spare, spare))
+        solve_each_least_squares(basis.copy(), right, share, *work, DEPENDENT)
+        lam -= np.sum(share[:, :, None, None] * self_stress, axis=1)
+        reactions -= np.sum(share[:, :, None, None] * its_reactions, axis=1)

@@ -11,14 +11,23 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from mbdkit.engine.elimination_order import symmetric_order
+from mbdkit.engine.kernels.orthogonal import nearly_null_rows, orthonormalize_rows, rotate_to_singular_rows
+from mbdkit.engine.linear_systems import SparseFactors
+
 if TYPE_CHECKING:
     from mbdkit.engine.compiled_mechanism import CompiledMechanism
 
 SMALL = 1e-9
 """Singular values of the scaled Jacobian below this count as zero. Round-off causes values of 1e-15 to 1e-11."""
 
+CANDIDATE = 1e-5
+"""Combinations of rows below this relative size are examined for self-stresses. The triangular decomposition that finds
+them can miss a singular value only if it is smaller by the ratio of both, which does not occur for such matrices.
+"""
+
 MOST_DENSE = 300
-"""Largest number of rows for which a dense singular value decomposition is used."""
+"""Largest number of rows for which dense matrices are used."""
 
 TRACE = 1e-12
 """Regularisation of the sparse solves.
@@ -28,7 +37,7 @@ Each iteration suppresses components whose singular values are far above the squ
 
 
 MOST_PRODUCTS = 100
-"""A Jacobian J is used in the form J J^T only if computing J J^T takes at most this many multiplications per row of J.
+"""The coordinates are eliminated first only if computing J J^T takes at most this many multiplications per row of J.
 
 If a body has hundreds of joints, J J^T has too many entries to be factorized.
 """
@@ -78,9 +87,10 @@ def self_stresses(jacobian: Any, expected: int = 0) -> np.ndarray:
     Parameters
     ----------
     jacobian
-        (m, n) matrix as returned by `scaled_matrix`, with rows of norm about 1. For a dense matrix the singular value
-        decomposition is computed. For a sparse matrix inverse iteration with sparse factors is used; its cost is linear
-        in m for chains of loops with few self-stresses.
+        (m, n) matrix as returned by `scaled_matrix`, with rows of norm about 1. For a dense matrix a triangular
+        decomposition with column pivoting is computed, and the singular values of what is nearly dependent. For a
+        sparse matrix inverse iteration with sparse factors is used; its cost is linear in m for chains of loops with
+        few self-stresses.
     expected
         Expected number r of basis vectors; determines the initial size of the sparse iteration only.
     """
@@ -93,10 +103,11 @@ def self_stresses(jacobian: Any, expected: int = 0) -> np.ndarray:
         if values[0] >= SMALL:
             return basis[:, values < SMALL]
         some *= 4
-    dense = jacobian if isinstance(jacobian, np.ndarray) else jacobian.toarray()
-    u, values, _ = np.linalg.svd(dense, full_matrices=m > n)
-    null = np.concatenate([values < SMALL, np.ones(m - len(values), dtype=bool)]) if m > n else values < SMALL
-    return u[:, null]
+    dense = np.array(jacobian if isinstance(jacobian, np.ndarray) else jacobian.toarray())
+    y, z = np.zeros((m, m)), np.zeros((m, n))
+    count = nearly_null_rows(dense, np.zeros(m, dtype=np.int64), np.zeros(n), y, z, CANDIDATE)
+    basis, values = _singular_vectors(y[:count].copy(), z[:count].copy())
+    return basis[:, values < SMALL]
 
 
 def smallest_stress(jacobian: Any) -> tuple[np.ndarray, float]:
@@ -107,32 +118,47 @@ def smallest_stress(jacobian: Any) -> tuple[np.ndarray, float]:
     m, n = jacobian.shape
     if m > MOST_DENSE and m <= n:
         basis, values = _smallest(jacobian, 16)
-        return basis[:, -1], float(values[-1])
-    dense = jacobian if isinstance(jacobian, np.ndarray) else jacobian.toarray()
-    u, values, _ = np.linalg.svd(dense, full_matrices=m > n)
-    return u[:, -1], float(values[-1]) if m <= n else 0.0
+    else:
+        dense = jacobian if isinstance(jacobian, np.ndarray) else jacobian.toarray()
+        basis, values = _singular_vectors(np.eye(m), np.array(dense))
+    return basis[:, -1], float(values[-1]) if m <= n else 0.0
+
+
+def _singular_vectors(y: np.ndarray, z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return left singular vectors (m, K) of a matrix J, and singular values in descending order.
+
+    They are those of the subspace of the rows of `y` (K, m), which are linearly independent; `z` (K, n) holds ``y J``,
+    or these vectors after a rotation. Both are overwritten.
+    """
+    values = np.empty(len(y))
+    orthonormalize_rows(y, z)
+    rotate_to_singular_rows(y, z, values)
+    order = np.argsort(-values, kind="stable")
+    return np.ascontiguousarray(y[order].T), values[order]
 
 
 def _smallest(jacobian: Any, some: int) -> tuple[np.ndarray, np.ndarray]:
-    """Return left singular vectors of the `some` smallest singular values, and these values, in descending order."""
-    from scipy.sparse import block_array, eye_array
-    from scipy.sparse.linalg import splu
+    """Return left singular vectors of the `some` smallest singular values, and these values, in descending order.
 
+    The sparse matrix ``[I, J^T; J, -TRACE]`` is factorized for inverse iteration with ``J J^T + TRACE``.
+    """
     m, n = jacobian.shape
-    on_column = np.bincount(jacobian.indices, minlength=n)
-    # J J^T, without unknowns for the coordinates, is positive definite and needs no pivoting, which would cause much
-    # fill. If it has too many entries, a larger matrix with unknowns for the coordinates is used.
-    without_coordinates = np.sum(on_column**2) <= MOST_PRODUCTS * m
-    if without_coordinates:
-        matrix, threshold = (jacobian @ jacobian.T + TRACE * eye_array(m)).tocsc(), 0.0
+    row, column, value = np.repeat(np.arange(m), np.diff(jacobian.indptr)), jacobian.indices.astype(int), jacobian.data
+    on_column = np.bincount(column, minlength=n)
+    diagonal = np.arange(n + m)
+    parts = np.concatenate([diagonal, n + row, column]), np.concatenate([diagonal, column, n + row])
+    entries = np.concatenate([np.ones(n), np.full(m, -TRACE), value, value])
+    # After the coordinates, J J^T + TRACE is left, which is positive definite and needs no exchange of pivots, which
+    # would cause much fill. If J J^T has too many entries, any order is allowed.
+    if np.sum(on_column**2) <= MOST_PRODUCTS * m:
+        product = (abs(jacobian) @ abs(jacobian).T).tocoo()  # its pattern
+        order, threshold = np.concatenate([diagonal[:n], n + symmetric_order(m, product.row, product.col)]), 0.0
     else:
-        matrix = block_array([[eye_array(n), jacobian.T], [jacobian, -TRACE * eye_array(m)]], format="csc")
-        threshold = 0.01
-    lu = splu(matrix, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=threshold, options={"SymmetricMode": True})
-    x = np.random.default_rng(0).normal(size=(m, some))
-    for iteration in range(4):
-        x = lu.solve(x) if without_coordinates else lu.solve(np.concatenate([np.zeros((n, some)), x]))[n:]
-        if iteration % 2:
-            x = np.linalg.qr(x)[0]
-    _, values, turned = np.linalg.svd(jacobian.T @ x, full_matrices=False)
-    return x @ turned.T, values
+        order, threshold = symmetric_order(n + m, *parts), 0.01
+    factors = SparseFactors(*parts, entries, order, threshold)
+    x = np.random.default_rng(0).normal(size=(some, m))
+    for _ in range(4):
+        x = -factors.solve(np.concatenate([np.zeros((some, n)), x], axis=1))[:, n:]
+        orthonormalize_rows(x, np.zeros((some, 0)))
+    z = np.stack([np.bincount(column, value * one[row], minlength=n) for one in x])
+    return _singular_vectors(x, z)

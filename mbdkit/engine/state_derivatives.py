@@ -15,6 +15,7 @@ from mbdkit.engine.iteration_matrix import StateTangents, put
 from mbdkit.engine.kernels.motions import OF_CENTER
 from mbdkit.engine.kernels.observe import first_order_rates
 from mbdkit.engine.kernels.system import fold_values
+from mbdkit.engine.linear_systems import factors_of
 from mbdkit.engine.repeated_call import RepeatedCall
 from mbdkit.engine.workspace import Workspace
 
@@ -175,5 +176,4 @@ class StateDerivatives:
         matrix = np.bincount(places, values, size * (size + 2 * n)).reshape(
             size, -1
         )  # index-1 matrix, right-hand sides
-        found: np.ndarray = np.linalg.solve(matrix[:, :size], matrix[:, size:])[:n]
-        return found
+        return factors_of(matrix[:, :size]).solve(matrix[:, size:].T).T[:n]

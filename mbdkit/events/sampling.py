@@ -26,6 +26,8 @@ from itertools import pairwise
 
 import numpy as np
 
+from mbdkit.engine.linear_systems import inverse_of, product
+
 INSIDE = (0.25, 0.5, 0.75)
 """Relative positions in a step at which dense output is evaluated first."""
 
@@ -162,18 +164,19 @@ def interpolation(nodes: tuple[float, ...]) -> tuple[np.ndarray, np.ndarray]:
     derivatives, of this cubic from the parabola through three nodes, and of their derivatives.
     """
     x = np.array(nodes)
-    inverse = np.linalg.inv(np.vander(x, increasing=True))
+    inverse = inverse_of(np.vander(x, increasing=True))
     fine = np.linspace(0.0, 1.0, 33)
 
     def largest(roots: np.ndarray) -> list[float]:
         # The difference of two interpolants is the leading coefficient of the one of higher degree, times this
         # polynomial.
-        product = np.poly(roots)
-        return [float(np.max(np.abs(np.polyval(power, fine)))) for power in (product, np.polyder(product))]
+        apart = fine[:, None] - roots
+        slope = np.sum([np.prod(np.delete(apart, i, axis=1), axis=1) for i in range(len(roots))], axis=0)
+        return [float(np.max(np.abs(values))) for values in (np.prod(apart, axis=1), slope)]
 
     outer = np.array([0, 1, 3, 4])
     cubic = np.zeros(5)
-    cubic[outer] = np.linalg.inv(np.vander(x[outer], increasing=True))[3]
+    cubic[outer] = inverse_of(np.vander(x[outer], increasing=True))[3]
     estimates = np.outer(largest(x[outer]), inverse[4]), LOWER_SHARE * np.outer(largest(x[::2]), cubic)
     return inverse, SAFETY * np.vstack(estimates)
 
@@ -191,8 +194,8 @@ def _roots_are_clear(five: Sequence[float], values: Sequence[float]) -> tuple[bo
         return True, []
     inverse, error = interpolation(tuple(nodes))
     f = np.array(values)
-    value_error, slope_error = np.max(np.abs(error @ f).reshape(2, 2), axis=0).tolist()
-    coefficients: list[float] = (inverse @ f).tolist()
+    value_error, slope_error = np.max(np.abs(product(error, f)).reshape(2, 2), axis=0).tolist()
+    coefficients: list[float] = product(inverse, f).tolist()
     slope = _derivative(coefficients)
     places = sorted({*nodes, *_quadratic_roots(*_derivative(slope))})  # the slope is monotone between these places
     rates = [_polynomial(slope, place) for place in places]

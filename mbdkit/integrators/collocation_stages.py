@@ -12,6 +12,7 @@ from mbdkit.engine.formulation import INDEX_1, Formulation
 from mbdkit.engine.kernels.bundle_types import RECORD, STATE, RealMatrix, State
 from mbdkit.engine.kernels.engine_bundles import Scatter, Topology
 from mbdkit.engine.kernels.lu import Factors, Pattern
+from mbdkit.engine.linear_systems import inverse_of
 from mbdkit.engine.native.bundle import bundle_loader
 from mbdkit.engine.native.functions import inlined
 from mbdkit.engine.workspace import example_workspace
@@ -94,13 +95,12 @@ def coefficients_of(tableau: ButcherTableau) -> Coefficients:
     s = tableau.stages
     distinct = len(set(c.tolist())) == s
     dense_v, dense_q = collocation_polynomials(c) if distinct else (np.zeros((s, s)), np.zeros((s, s + 1)))
-    values, vectors = np.linalg.eig(a)
-    inverse = np.linalg.inv(vectors)
+    values, vectors, inverse = tableau.eigensystem()
     real = np.abs(values.imag) < 1e-12
     upper = ~real & (values.imag > 0)
     return Coefficients(
         a, a2, b, b2, c,
-        np.ascontiguousarray(np.linalg.inv(a)) if tableau.is_stiffly_accurate else np.full((s, s), np.nan),
+        inverse_of(a) if tableau.is_stiffly_accurate else np.full((s, s), np.nan),
         dense_v, dense_q,
         np.ascontiguousarray(vectors[:, real].real),
         np.ascontiguousarray(inverse[real].real),

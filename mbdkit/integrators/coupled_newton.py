@@ -7,8 +7,8 @@ position, so that the tangents of different stages differ strongly for any step 
     M a_i + Phi_q^T lambda_i = Q,    Phi_q a_i = gamma    at    (t_i, q_i(a), v_i(a)),    i = 1..s
 
 with q_i and v_i as in `mbdkit.integrators.collocation_index1`, are smooth. Therefore Newton's method converges, unless
-the position of a stage is singular itself. Each iteration solves one system of s (n + m) unknowns with SuperLU, which
-is acceptable because few steps need it.
+the position of a stage is singular itself. Each iteration solves one system of s (n + m) unknowns, which is acceptable
+because few steps need it.
 """
 
 from __future__ import annotations
@@ -18,16 +18,20 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from mbdkit.base.errors import StepError
-from mbdkit.engine.elimination_order import SingularSystemError, equilibrate
+from mbdkit.engine.elimination_order import SingularSystemError, equilibrate, symmetric_order
 from mbdkit.engine.equations_of_motion import EquationsOfMotion
 from mbdkit.engine.kernels import equations
 from mbdkit.engine.kernels.projection import EPS, FEW_ROUNDINGS, STAGNANT
+from mbdkit.engine.linear_systems import SparseFactors, product
 from mbdkit.integrators.convergence import NEGLIGIBLE_CHANGE, STALLED
 
 if TYPE_CHECKING:
     from mbdkit.engine.workspace import Workspace
 
 MOST_ITERATIONS = 20
+
+LEAST_PIVOT = 0.01
+"""Smallest entry of the diagonal that is preferred as pivot, relative to the largest entry of its column."""
 
 SHORT = 0.5
 """Largest displacement in a step for which this iteration is used, in rad or in characteristic lengths; chosen.
@@ -63,6 +67,7 @@ class CoupledNewton:
         self.entry = entry
         self.row = (size * i[..., None] + terms.row)[entry]
         self.column = (size * j[..., None] + terms.column)[entry]
+        self._order = symmetric_order(s * size, self.row, self.column)
 
     def solve(self, t: float, h: float, q: np.ndarray, v: np.ndarray, acc: np.ndarray, lam: np.ndarray) -> int:
         """Solve for the stages of a step, with constant accelerations as the initial guess.
@@ -93,20 +98,17 @@ class CoupledNewton:
                 return 0
             stages, multipliers = np.tile(a0, (s, 1)), np.tile(lam0, (s, 1))
             iterations = self._iterate(t, h, q[: p.n], v[: p.n], stages, multipliers)
-        except (StepError, SingularSystemError, RuntimeError):
+        except (StepError, SingularSystemError, np.linalg.LinAlgError):
             return 0
         if iterations:
             for i in range(s):
-                at = q[: p.n] + h * self.c[i] * v[: p.n] + h * h * (self.a2[i] @ stages)
+                at = q[: p.n] + h * self.c[i] * v[: p.n] + h * h * product(stages.T, self.a2[i])
                 equations.pair_multipliers_of(p.address, float(t + self.c[i] * h), at, multipliers[i], lam[i])
             acc[:, : p.n] = stages
         return iterations
 
     def _iterate(self, t: float, h: float, q: np.ndarray, v: np.ndarray, acc: np.ndarray, lam: np.ndarray) -> int:
         """Solve for stage accelerations (s, n) and multipliers (s, m) in place; return the iterations, 0 on failure."""
-        from scipy.sparse import csc_array
-        from scipy.sparse.linalg import splu
-
         n, size = self.equations.n, self.workspace.unknowns
         before = np.inf
         for iteration in range(1, MOST_ITERATIONS + 1):
@@ -116,8 +118,8 @@ class CoupledNewton:
             scaled = values * row_scale[self.row] * column_scale[self.column]
             self.counters.factorizations += 1
             self.counters.newton_iterations += 1
-            lu = splu(csc_array((scaled, (self.row, self.column)), shape=(total, total)))
-            change = (column_scale * lu.solve(row_scale * defect)).reshape(-1, size)
+            factors = SparseFactors(self.row, self.column, scaled, self._order, LEAST_PIVOT)
+            change = (column_scale * factors.solve_refined(row_scale * defect)).reshape(-1, size)
             acc -= change[:, :n]
             lam -= change[:, n:]
             now = self._relative(change[:, :n], acc)
@@ -144,8 +146,8 @@ class CoupledNewton:
         rows = terms.kept((terms.factor == 0) & (terms.row >= n))
         for i in range(s):
             at = t + self.c[i] * h
-            q_i = q + h * self.c[i] * v + h * h * (self.a2[i] @ acc)
-            v_i = v + h * (self.a[i] @ acc)
+            q_i = q + h * self.c[i] * v + h * h * product(acc.T, self.a2[i])
+            v_i = v + h * product(acc.T, self.a[i])
             defect[i, :n] = p.residual(at, q_i, v_i, acc[i], lam[i])
             gamma = p.gamma(at, q_i, v_i)
             source = p.evaluated_terms(at, q_i, v_i, acc[i], lam[i])

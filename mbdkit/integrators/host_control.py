@@ -73,7 +73,7 @@ class HostControl:
             scale *= self._rtol
             scale += self._atol
             ratio = np.divide(error, scale, out=scale)
-            square = float(np.dot(ratio, ratio)) / len(ratio)
+            square = float(np.sum(np.square(ratio, out=ratio))) / len(ratio)
         return math.sqrt(square) if square >= 0.0 else math.inf
 
     def judge(self, made: Step, end: StepState, h: float, begin: Reached, *, retrying: bool) -> tuple[float, float]:

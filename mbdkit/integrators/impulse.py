@@ -105,7 +105,7 @@ def impulse(
     p = EquationsOfMotion(workspace)
     old = v[: p.n].copy()
     new = nearest_velocities(p, t, q[: p.n].copy(), old)
-    work = 0.5 * float((new - old) @ (p.mass * (new + old)))
-    moved = float(np.sqrt((new - old) @ (p.mass * (new - old)) / np.sum(p.mass[::3])))
+    work = 0.5 * float(np.sum((new - old) * p.mass * (new + old)))
+    moved = float(np.sqrt(np.sum(p.mass * (new - old) ** 2) / np.sum(p.mass[::3])))
     multipliers = p.solve(t, q[: p.n], p.mass * (old - new), np.zeros(p.m))[1]
     return DriverImpulse(stop, work, moved, p.reactions(t, q[: p.n], multipliers)), with_ground(new)

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.polynomial.legendre import leggauss
 
 from mbdkit.engine.counters import Counters
+from mbdkit.engine.linear_systems import product
 from mbdkit.trust.criteria import BranchSuspicion
 
 SAME_TIME = 16.0
@@ -335,7 +336,7 @@ class StepTaken:
         """Return positions and velocities of the cubic Hermite interpolant of both ends, of order 3."""
         h, square = self.t1 - self.t0, theta * theta
         powers = [[1.0, theta, square, theta * square], [0.0, 1.0 / h, 2.0 * theta / h, 3.0 * square / h]]
-        q, v = np.array(powers) @ self._cubic
+        q, v = product(np.array(powers), self._cubic)
         return q, v
 
     def quintic(self, a0: np.ndarray, a1: np.ndarray) -> Callable[[float], tuple[np.ndarray, np.ndarray]]:

@@ -28,6 +28,7 @@ from mbdkit.engine.kernels.bundle_types import RECORD, STATE
 from mbdkit.engine.kernels.projection import position_rows, rate_rows
 from mbdkit.engine.kernels.system import NOT_FINITE, OK, evaluate_powers, prepare, solved_rows, unfold_multipliers
 from mbdkit.engine.kernels.vectors import copy, stays_finite
+from mbdkit.engine.linear_systems import inverse_of, product
 from mbdkit.engine.native.bundle import PinnedBundle, bundle_loader
 from mbdkit.engine.native.functions import entry, subkernel
 from mbdkit.integrators.collocation_stages import StageKernels
@@ -317,12 +318,12 @@ def keep(run, method, t, h, unused):
 def new_pair(method: LobattoPair, workspace: Workspace) -> Pair:
     """Return the bundle of a pair for a mechanism."""
     a, bar, b, c = (np.array(x, dtype=float) for x in coefficients(method.stages))
-    a2 = a @ bar
+    a2 = product(a, bar)
     s, size, pairs = method.stages, workspace.mechanism.size, len(workspace.mechanism.topology.pairs)
     acc, q_stage, v_stage, spread = (np.zeros((s, size)) for _ in range(4))
     past = PastSteps(np.zeros((MOST_PAST, s, size)), np.zeros(1), np.zeros(1), np.zeros(1, dtype=np.int64))
     return Pair(
-        rk=PairCoefficients(bar, a2, np.ascontiguousarray(np.linalg.inv(a2[1:, :-1])), b, c),
+        rk=PairCoefficients(bar, a2, inverse_of(a2[1:, :-1]), b, c),
         limit=new_limit(method.max_iterations),
         tolerance=np.array([method.tolerance if method.tolerance is not None else TOLERANCE]),
         acc=acc, lam=np.zeros((s, pairs, 2)), past=past,

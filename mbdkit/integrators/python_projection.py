@@ -148,5 +148,5 @@ class StabilizedSteps:
         reached = made.moved(
             dq, dv, multipliers=made.multipliers, memory=made.memory, work=made.work, dissipated=made.dissipated
         )
-        moved_q, moved_v = (np.sqrt(self.weight @ x**2) for x in (before_q + dq, before_v + dv))
+        moved_q, moved_v = (np.sqrt(np.sum(self.weight * x**2)) for x in (before_q + dq, before_v + dv))
         return Taken(begin, made, self.begun(end, reached), np.array([1.0, moved_q, moved_v, 0.0]), end)

@@ -147,11 +147,11 @@ def collocation_polynomials(c: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     s = len(c)
     first, second = np.zeros((s, s)), np.zeros((s, s + 1))
     for i in range(s):
-        lagrange = np.polynomial.Polynomial([1.0])
+        lagrange = np.array([1.0])  # coefficients in ascending order
         for j in range(s):
             if j != i:
-                lagrange *= np.polynomial.Polynomial([-c[j], 1.0]) / (c[i] - c[j])
-        once = lagrange.integ()
-        first[i] = once.coef[1:]
-        second[i] = once.integ().coef[1:]
+                shifted = np.append(0.0, lagrange)
+                lagrange = (shifted - c[j] * np.append(lagrange, 0.0)) / (c[i] - c[j])
+        first[i] = lagrange / np.arange(1, s + 1)
+        second[i, 1:] = first[i] / np.arange(2, s + 2)
     return first, second

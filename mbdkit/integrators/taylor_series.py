@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
+from mbdkit.base.quadrature import gauss_legendre
 from mbdkit.engine.kernels.applied_forces import any_forces, applied_forces
 from mbdkit.engine.kernels.bundle_types import State
 from mbdkit.engine.kernels.power_series import expand_motions
@@ -100,7 +101,7 @@ def new_taylor(order: int, size: int, pairs: np.ndarray, springs: int, motions: 
     pins, sides = tree[:, PLACE], tree[:, PLACE_SIDE]
     before = np.array([places[pairs[k, 2 - side]] if k >= 0 else ground for k, side in zip(pins, sides, strict=True)])
     links = np.column_stack([tree[:, BODY], pins, sides, np.where(before == ground, -1, before)]).astype(np.int64)
-    nodes, weights = np.polynomial.legendre.leggauss(order // 2 + 1)
+    nodes, weights = gauss_legendre(order // 2 + 1)
     return Taylor(
         series=np.zeros((size // 3, SERIES, terms)),
         is_expanded=np.zeros(1, dtype=np.int64),

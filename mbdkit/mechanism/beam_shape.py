@@ -8,6 +8,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from mbdkit.base.quadrature import gauss_legendre
+
 QUADRATURE = 16
 """Number of Gauss points for computing the arc length of a curve between two neighbouring given points."""
 
@@ -96,13 +98,13 @@ def curved(points: Sequence[Sequence[float]], count: int) -> tuple[list[Place], 
     knots = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(corners, axis=0).T))])
     curve = CubicSpline(knots, corners)
     rate = curve.derivative()
-    nodes, weights = np.polynomial.legendre.leggauss(QUADRATURE)
+    nodes, weights = gauss_legendre(QUADRATURE)
 
     def lengths(begin: np.ndarray, end: np.ndarray) -> np.ndarray:
         """Return the arc lengths between parameters of the curve within one piece."""
         half = 0.5 * (end - begin)
         at = (begin + half)[:, None] + half[:, None] * nodes
-        return np.asarray(np.hypot(*np.moveaxis(rate(at), -1, 0)) @ weights * half)
+        return np.asarray(np.sum(np.hypot(*np.moveaxis(rate(at), -1, 0)) * weights, axis=-1) * half)
 
     whole = np.concatenate([[0.0], np.cumsum(lengths(knots[:-1], knots[1:]))])
     wanted = np.linspace(0.0, whole[-1], count)

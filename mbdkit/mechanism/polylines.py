@@ -125,7 +125,7 @@ def _depths(corners: np.ndarray, along: np.ndarray, low: np.ndarray, high: np.nd
     far, tiny = _with_far_ends(corners)
     depths = np.empty(len(along))
     for j in range(len(along)):
-        ends = along @ along[j] < 0.0
+        ends = np.sum(along * along[j], axis=1) < 0.0
         counts = (np.abs(piece - piece[j]) > 1) | ((piece != piece[j]) & ends)
         depths[j] = 0.5 * _thickness(_ahead(far, corners[j], along[j]), counts, low[j], high[j], tiny)
     return depths
@@ -155,8 +155,8 @@ def _colors(lefts: np.ndarray, rights: np.ndarray, reach: float) -> list[int]:
 
 def _ahead(corners: np.ndarray, place: np.ndarray, along: np.ndarray) -> np.ndarray:
     """Return the corners (x, y) in a frame at a place, with the axis x in the direction `along`."""
-    turned = np.array([along, [-along[1], along[0]]])
-    return np.asarray((corners - place) @ turned.T)
+    x, y = (corners - place).T
+    return np.column_stack([x * along[0] + y * along[1], y * along[0] - x * along[1]])
 
 
 def _way_out(corners: np.ndarray, place: np.ndarray, along: np.ndarray, tiny: float) -> float:

@@ -13,6 +13,7 @@ from typing import Annotated
 import mpmath
 from pydantic import Field
 
+from mbdkit.base.quadrature import legendre_roots
 from mbdkit.engine.formulation import ORDINARY
 from mbdkit.methods.kinds import ImplicitRungeKutta
 from mbdkit.methods.method_options import OF_TREES, ORDER_DRIFT, TOLERANCE_DRIFT, ImplicitOptions
@@ -55,9 +56,7 @@ def tableau(stages: int) -> ButcherTableau:
         a, b, c = _CLOSED_FORMS[stages]
         return ButcherTableau(name, a, b, c, order=2 * stages, reference=REFERENCE)
     with mpmath.workdps(75):
-        legendre = mpmath.taylor(lambda x: mpmath.legendre(stages, x), 0, stages)
-        roots = sorted(mpmath.re(x) for x in mpmath.polyroots(legendre[::-1], maxsteps=200, extraprec=200))
-        nodes = [(1 + x) / 2 for x in roots]
+        nodes = [(1 + x) / 2 for x in legendre_roots(stages)]
     return collocation(name, nodes, order=2 * stages, reference=REFERENCE)
 
 

@@ -293,6 +293,26 @@ class ButcherTableau:
             weights = [mpmath.fsum(b[i] * a[i][j] for i in s) for j in s]
         return np.array(squared, dtype=float), np.array(weights, dtype=float)
 
+    def eigensystem(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return eigenvalues (s,) and eigenvectors of ``a``, and the inverse of their matrix, rounded once; complex.
+
+        The eigenvectors are the columns of the second array (s, s); their norm is 1, and their last element is real.
+        The matrix must be diagonalisable.
+        """
+        import numpy as np
+
+        s = self.stages
+        with mpmath.workdps(_DIGITS):
+            values, vectors = mpmath.eig(mpmath.matrix(self._numbers[0]))
+            for j in range(s):
+                column = vectors[:, j]
+                last = column[s - 1]
+                factor = (mpmath.conj(last) / abs(last) if last else 1) / mpmath.norm(column)
+                for i in range(s):
+                    vectors[i, j] *= factor
+            inverse = vectors**-1
+        return tuple(np.array(x, dtype=complex) for x in (values, vectors.tolist(), inverse.tolist()))  # type: ignore[return-value]
+
     def to_sympy(self) -> tuple[sp.Matrix, sp.Matrix, sp.Matrix]:
         """Return ``a`` (s, s), ``b`` (s, 1) and ``c`` (s, 1) as SymPy matrices; exact coefficients stay exact."""
         import sympy as sp

@@ -9,6 +9,10 @@ some are computed in blocks of a study, in lanes where possible, some are killed
 then lists everything that differs, of runs with the largest relative difference of positions over the first ten
 recorded steps and over the whole run.
 
+``--settings`` computes the results several times, with the code that libraries have for other processors
+(`bits_settings`), and prints which of them change: ``python -m tests.benchmarks.bits FOLDER --only "as packaged"
+--settings`` takes six minutes.
+
 Only the public interface is used, so that the same files run under another version: copy ``tests/benchmarks/bits*.py``
 into a clone of it.
 """
@@ -29,7 +33,7 @@ from typing import Any
 import numpy as np
 
 from mbdkit.spec import load_spec
-from tests.benchmarks import bits_examples, bits_texts
+from tests.benchmarks import bits_examples, bits_settings, bits_texts
 from tests.benchmarks.bits_examples import COUNTERS, TREATMENTS, facts
 
 EXAMPLES = (
@@ -356,10 +360,15 @@ def main() -> None:
     parser.add_argument("--only", default="", help="a part of the names of the combinations to run")
     parser.add_argument("--drawn", type=int, default=0, metavar="N", help="draw N runs instead of the combinations")
     parser.add_argument("--seed", type=int, default=1, help="of the runs that are drawn")
+    parser.add_argument(
+        "--settings", nargs="*", metavar="NAME", help=f"compare settings: {', '.join(bits_settings.settings())}; or all"
+    )
     asked = parser.parse_args()
     folder = asked.folder.resolve()
     folder.mkdir(parents=True, exist_ok=True)
     os.environ["MBDKIT_PLUGINS"] = ""  # what else is installed has no part in the comparison
+    if asked.settings is not None:
+        sys.exit(bool(bits_settings.compare_settings(folder, asked.only, asked.settings)))
     with ProcessPoolExecutor(os.cpu_count()) as pool:
         if asked.drawn:
             drawn = [(asked.seed, number, folder) for number in range(asked.drawn)]

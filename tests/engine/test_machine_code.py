@@ -18,6 +18,7 @@ from mbdkit.engine.kernels.motions import motions_at
 from mbdkit.engine.native import machine_code
 from mbdkit.engine.native.bundle import array_words
 from mbdkit.engine.native.levels import Platform, chosen_level, is_able, this_platform
+from tests.benchmarks.bits_settings import settings
 
 IS_STORED = str(this_platform()) == "linux-x86_64"
 stored = pytest.mark.skipif(not IS_STORED, reason="no machine code is stored for this platform")
@@ -40,6 +41,12 @@ SPECS: dict[str, Any] = {
     "knee radau-iia": SHORT | {"integrator": {"name": "radau-iia"}, "formulation": "index-3"},
     "knee scipy": SHORT | {"integrator": {"name": "scipy-dop853"}},
 }
+LOOPS: dict[str, Any] = {
+    "slider-crank rk-gill": {"time": {"end": 0.1, "step": 0.01}},
+    "watt-six-bar gauss": SHORT | {"integrator": {"name": "gauss", "stages": 3}},
+    "n-four-bar radau-iia": SHORT | {"integrator": {"name": "radau-iia"}},
+}
+"""Mechanisms with loops, some redundant, and methods whose stages are transformed by eigenvectors."""
 
 
 def hashes(specs: dict[str, Any], *, without_numba: bool = True, **variables: str) -> dict[str, str]:
@@ -73,6 +80,12 @@ def test_all_levels_and_the_sources_in_python_agree_to_the_bit() -> None:
     some = {name: SPECS[name] for name in ("double-pendulum rk4", "knee scipy")}
     in_python = hashes(some, MBDKIT_KERNELS="python")
     assert in_python == {name: found[0][name] for name in some}
+
+
+def test_results_do_not_depend_on_the_routines_that_libraries_choose_for_a_processor() -> None:
+    # expected: results of the processor's own routines; with those of another one, LAPACK and BLAS round differently
+    other = {"OPENBLAS_CORETYPE": "Nehalem", **settings()["NumPy"]}
+    assert hashes(LOOPS, without_numba=False, **other) == hashes(LOOPS, without_numba=False)
 
 
 def test_a_damaged_library_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -9,6 +9,7 @@ import numpy as np
 
 from mbdkit.base.errors import StepError
 from mbdkit.engine.equations_of_motion import EquationsOfMotion
+from mbdkit.engine.linear_systems import factors_of
 from mbdkit.engine.state_derivatives import differences
 from mbdkit.engine.tangents import Tangents
 
@@ -113,20 +114,19 @@ class _Dense:
     """A factorized matrix; see `mbdkit.engine.iteration_matrix.IterationMatrix`."""
 
     def __init__(self, matrix: np.ndarray, n: int, counters: Counters):
-        from scipy.linalg import lu_factor
-
         self._n, self._counters = n, counters
         self._scale = 1.0 / np.maximum(np.max(np.abs(matrix), axis=1, initial=0.0), 1e-300)
         if not np.all(np.isfinite(matrix)):
             raise StepError("not-finite", "the matrix of an iteration is not finite")
-        self._factors = lu_factor(self._scale[:, None] * matrix)
+        try:
+            self._factors = factors_of(self._scale[:, None] * matrix)
+        except np.linalg.LinAlgError:
+            raise StepError("singular", "the matrix of the iteration is singular") from None
 
     def solve(self, force: Sequence[float] | np.ndarray, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """See `IterationMatrix.solve`."""
-        from scipy.linalg import lu_solve
-
         self._counters.newton_iterations += 1
-        x = lu_solve(self._factors, self._scale * np.concatenate([force, rows]))
+        x = self._factors.solve(self._scale * np.concatenate([force, rows])[None])[0]
         if not np.all(np.isfinite(x)):
             raise StepError("singular", "the matrix of the iteration is singular")
         return x[: self._n], x[self._n :]

@@ -13,6 +13,7 @@ from mbdkit.base.units import number_in
 from mbdkit.engine.assembly import search_for
 from mbdkit.engine.compile_mechanism import compile_mechanism
 from mbdkit.engine.consistent_start import Starts
+from mbdkit.engine.linear_systems import least_norm, product
 from mbdkit.mechanism.mechanism import Mechanism
 from mbdkit.mechanism.mechanism_quantities import Coordinate, Quantity
 from mbdkit.mechanism.quantity_names import QuantityNames
@@ -25,6 +26,9 @@ LONGEST = 0.2
 
 The given values are approached in small steps, so that closed loops stay in their configuration.
 """
+DEPENDENT = 1e-12
+"""Rows that depend on others to this share are redundant."""
+
 MOST_ITERATIONS = 30
 MET = 1e-12
 """Residuals of given values and joints [m, rad, m/s, rad/s] up to this share of the largest coordinate or velocity,
@@ -129,7 +133,7 @@ class _GivenStart:
         for _ in range(MOST_ITERATIONS):
             rows, phi, _ = self._rows(q, quantities)
             lack = np.concatenate([phi, self._values(quantities, q) - values])
-            q = q - self.light * np.linalg.lstsq(rows * self.light, lack, rcond=1e-12)[0]
+            q = q - self.light * least_norm(rows * self.light, lack, DEPENDENT)
             # the step taken after this residual was evaluated reduces it further
             if np.max(np.abs(lack)) <= MET * max(1.0, float(np.max(np.abs(q)))):
                 return q
@@ -140,9 +144,9 @@ class _GivenStart:
         values = np.array([value for _, value in moving.values()])
         aim = np.concatenate([-phi_t, values])
         for _ in range(2):  # the second solution removes the rounding errors of the first
-            v = v - self.light * np.linalg.lstsq(rows * self.light, rows @ v - aim, rcond=1e-12)[0]
+            v = v - self.light * least_norm(rows * self.light, product(rows, v) - aim, DEPENDENT)
         largest = max(1.0, float(np.max(np.abs(v), initial=0.0))) * self.search.reach
-        if not np.max(np.abs(rows @ v - aim), initial=0.0) <= MET * largest:
+        if not np.max(np.abs(product(rows, v) - aim), initial=0.0) <= MET * largest:
             told = self._told(list(moving), values) or "zero"
             raise SpecError(f"no velocities satisfy the joints with these initial values: {told}", key="initial")
         return v

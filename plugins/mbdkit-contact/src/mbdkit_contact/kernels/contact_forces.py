@@ -14,6 +14,7 @@ from mbdkit.engine.kernels.accelerations import (
     substitute_by_pivots,
 )
 from mbdkit.engine.kernels.bundle_types import IntMatrix, IntVector, RealCube, RealMatrix, RealVector
+from mbdkit.engine.kernels.orthogonal import reduce_columns, solve_least_norm
 from mbdkit.engine.kernels.schur import solve as schur_solve
 from mbdkit.engine.kernels.system import OK
 from mbdkit.engine.kernels.vectors import fill, fill_rows
@@ -82,99 +83,22 @@ def new_closed_contacts(shapes: Shapes, most: int, size: int, pairs: int) -> Clo
 
 @subkernel
 def triangular(s, count):
-    """Reduce the weighted matrix to triangular form by reflections with exchange of columns; return its rank.
+    """Reduce the weighted matrix and the right-hand side to triangular form; return the rank.
 
-    ``columns[j, i]`` is then row i of column j, and ``order[j]`` its column in the matrix; ``sizes`` is the transformed
-    right-hand side.
+    The result is in ``s.columns``, ``s.order`` and ``s.sizes``; see `mbdkit.engine.kernels.orthogonal.reduce_columns`.
     """
-    a, b = s.columns, s.sizes
     for j in range(count):
-        s.order[j], b[j] = j, s.right[j]
+        s.sizes[j] = s.right[j]
         for i in range(count):
-            a[j, i] = s.matrix[i, j] * s.weights[j]
-    first = 0.0
-    for k in range(count):
-        best, largest = k, -1.0
-        for j in range(k, count):
-            square = 0.0
-            for i in range(k, count):
-                square += a[j, i] * a[j, i]
-            if square > largest:
-                best, largest = j, square
-        if k == 0:
-            first = largest
-        if not largest > SINGULAR * SINGULAR * first:
-            return k
-        s.order[k], s.order[best] = s.order[best], s.order[k]
-        for i in range(count):
-            a[k, i], a[best, i] = a[best, i], a[k, i]
-        alpha = sqrt(largest) if a[k, k] <= 0.0 else -sqrt(largest)
-        half = largest - alpha * a[k, k]
-        a[k, k] -= alpha
-        for j in range(k + 1, count):
-            product = 0.0
-            for i in range(k, count):
-                product += a[k, i] * a[j, i]
-            for i in range(k, count):
-                a[j, i] -= product / half * a[k, i]
-        product = 0.0
-        for i in range(k, count):
-            product += a[k, i] * b[i]
-        for i in range(k, count):
-            b[i] -= product / half * a[k, i]
-        a[k, k] = alpha
-    return count
-
-
-@subkernel
-def solve_triangle(a, rank, right, x):
-    """Solve the triangular system of the first columns, whose right-hand side may be the solution `x` itself."""
-    for i in range(rank - 1, -1, -1):
-        value = right[i]
-        for j in range(i + 1, rank):
-            value -= a[j, i] * x[j]
-        x[i] = value / a[i, i]
+            s.columns[j, i] = s.matrix[i, j] * s.weights[j]
+    return reduce_columns(s.columns, s.order, s.sizes, (count, count), SINGULAR)
 
 
 @separate
 def least_squares(s, count):
-    """Write the solution of least norm of ``matrix diag(weights) x = right`` into ``s.forces``; return the rank.
-
-    Of all solutions, ``y - S z`` with ``S = R11^-1 R12`` and the other components z, that of least norm satisfies
-    ``(I + S^T S) z = S^T y`` (G. H. Golub and C. F. Van Loan, Matrix Computations, 2013, section 5.5).
-    """
-    a, b, y, lean = s.columns, s.sizes, s.forces, s.turns
+    """Write the solution of least norm of ``matrix diag(weights) x = right`` into ``s.forces``; return the rank."""
     rank = triangular(s, count)
-    solve_triangle(a, rank, b, y)
-    extra = count - rank
-    for e in range(extra):
-        solve_triangle(a, rank, a[rank + e], lean[e])
-        b[e] = 0.0
-        for i in range(rank):
-            b[e] += lean[e, i] * y[i]
-    for e in range(extra):  # Cholesky factors, in the columns that are no longer needed
-        for f in range(e + 1):
-            value = 1.0 if e == f else 0.0
-            for i in range(rank):
-                value += lean[e, i] * lean[f, i]
-            for g in range(f):
-                value -= a[rank + e, g] * a[rank + f, g]
-            a[rank + e, f] = sqrt(value) if e == f else value / a[rank + f, f]
-        for f in range(e):
-            b[e] -= a[rank + e, f] * b[f]
-        b[e] /= a[rank + e, e]
-    for e in range(extra - 1, -1, -1):
-        for f in range(e + 1, extra):
-            b[e] -= a[rank + f, e] * b[f]
-        b[e] /= a[rank + e, e]
-    for e in range(extra):
-        y[rank + e] = b[e]
-        for i in range(rank):
-            y[i] -= lean[e, i] * b[e]
-    for j in range(count):
-        b[j] = y[j]
-    for j in range(count):
-        y[s.order[j]] = b[j]
+    solve_least_norm(s.columns, s.order, s.sizes, s.forces, s.turns, count, rank)
     return rank
 
 

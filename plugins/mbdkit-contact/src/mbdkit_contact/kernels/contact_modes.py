@@ -9,6 +9,7 @@ import numpy as np
 from mbdkit.engine.kernels.accelerations import solve_accelerations
 from mbdkit.engine.kernels.applied_forces import take_states
 from mbdkit.engine.kernels.engine_bundles import load_engine
+from mbdkit.engine.kernels.orthogonal import solve_triangle
 from mbdkit.engine.kernels.system import NOT_FINITE, OK, prepare
 from mbdkit.engine.kernels.vectors import copy, fill
 from mbdkit.engine.native.functions import entry, separate, subkernel
@@ -23,7 +24,6 @@ from mbdkit_contact.kernels.contact_forces import (
     find_few_forces,
     find_forces,
     gap_rate,
-    solve_triangle,
     tangential,
     triangular,
 )
