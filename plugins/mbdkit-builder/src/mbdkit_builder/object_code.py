@@ -240,8 +240,12 @@ def emitted(module: Any, symbol: str, platform: Platform, level: Level) -> bytes
     builder.getModulePassManager().run(copy, builder)
     # Only after the optimization, which would copy every internal function that is called once into its caller.
     for value in (*copy.functions, *copy.global_variables):
-        if not value.is_declaration and value.name != symbol:
+        if value.is_declaration:
+            continue
+        if value.name != symbol:
             value.linkage = "internal"
+        elif platform.system == "windows":
+            value.storage_class = "dllexport"
     for value in copy.functions:
         if value.is_declaration:
             value.name = _LIBRARY_NAMES.get(value.name, value.name)
