@@ -61,7 +61,7 @@ def test_check_names_a_manifest_of_other_sources(
     monkeypatch.setattr(builder, "_build", build)
     status = builder._check("mbdkit", [this_platform()], level)
     text = capsys.readouterr().out
-    assert (status, text.rpartition(" ")[2]) == ((1, "manifest.json\n") if key else (0, "byte\n"))
+    assert (status, text.rpartition(" ")[2]) == ((1, f"{this_platform()}/manifest.json\n") if key else (0, "byte\n"))
 
 
 def test_what_was_built_by_another_builder_is_built_again(monkeypatch: pytest.MonkeyPatch) -> None:
