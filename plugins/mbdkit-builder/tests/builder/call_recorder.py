@@ -1,9 +1,10 @@
 """Record calls of kernels, with all memory that they read and write, for `call_driver.c` on another platform.
 
-``python -m tests.builder.call_recorder FILE`` simulates a few examples and writes the calls of their kernels into a
-file. All memory that a call can reach is known here: arrays that are arguments, bundles (blocks of words at fixed
-addresses, see `mbdkit.engine.native.bundle`) and their arrays, programs of force laws, and machine code that kernels
-call by its address. A call that reaches anything else, such as a law that Numba has compiled, is not recorded.
+``python call_recorder.py FILE`` simulates a few examples, writes the calls of their kernels into a file, and prints the
+symbols of all machine code that these calls reach. All memory that a call can reach is known here: arrays that are
+arguments, bundles (blocks of words at fixed addresses, see `mbdkit.engine.native.bundle`) and their arrays, programs of
+force laws, and machine code that kernels call by its address. A call that reaches anything else, such as a law that
+Numba has compiled, is not recorded.
 
 The file consists of 64-bit words. The first one is the number of calls. A call is:
 
@@ -68,7 +69,7 @@ class Recorder:
     """Records calls of kernels into a file from its construction on."""
 
     def __init__(self, file: BinaryIO):
-        self.file, self.counts, self.recorded = file, Counter[str](), 0
+        self.file, self.counts, self.recorded, self.reached = file, Counter[str](), 0, set[str]()
         self._bundles: WeakValueDictionary[int, bundle.PinnedBundle] = WeakValueDictionary()
         self._programs: dict[int, np.ndarray] = {}
         self._symbols: dict[int, str] = {}
@@ -133,6 +134,7 @@ class Recorder:
             words += [struct.pack("<qqqq", *address) for address in addresses]
         self.file.write(b"".join(words) + struct.pack("<q", status))
         self.recorded += 1
+        self.reached |= {symbol, *memory.names}
 
 
 _Contents = tuple[list[bytes], list[tuple[int, int, int, int]]]
@@ -308,6 +310,7 @@ def main() -> None:
         recorder.counts.clear()
         mbdkit.inverse("walking")
         recorder.close()
+    print(*sorted(recorder.reached))
 
 
 if __name__ == "__main__":

@@ -62,7 +62,7 @@ def _elf(content: bytes) -> LibraryFile:
     (table,) = struct.unpack_from("<Q", content, 40)
     size, count = struct.unpack_from("<HH", content, 58)
     sections = [struct.unpack_from("<IIQQQQIIQQ", content, table + i * size) for i in range(count)]
-    libraries, imported, exported = set(), set(), set()
+    libraries, imported, exported = set[str](), set[str](), set[str]()
     for _, kind, _, _, begin, length, link, _, _, item in sections:
         if kind not in (6, 11):
             continue
@@ -97,7 +97,7 @@ def load_commands(content: bytes) -> Iterator[tuple[int, bytes]]:
 
 
 def _mach_o(content: bytes) -> LibraryFile:
-    libraries, imported, exported = set(), set(), set()
+    libraries, imported, exported = set[str](), set[str](), set[str]()
     for kind, command in load_commands(content):
         if kind == 0x0C:  # LC_LOAD_DYLIB
             libraries.add(_text(command, struct.unpack_from("<I", command, 8)[0]))
@@ -174,7 +174,7 @@ def why_not_signed(content: bytes) -> str | None:
 
 def _pe(content: bytes) -> LibraryFile:
     header, sections = _pe_header(content)
-    libraries, imported, exported = set(), set(), set()
+    libraries, imported, exported = set[str](), set[str](), set[str]()
 
     def place(address: int) -> int:
         """Return where an address is in the file."""
