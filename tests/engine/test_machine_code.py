@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import json
+import lzma
 import os
+import platform
 import shutil
 import subprocess
 import sys
@@ -15,6 +17,7 @@ import pytest
 
 from mbdkit.base.errors import MbdkitError
 from mbdkit.engine.kernels.motions import motions_at
+from mbdkit.engine.native import levels as levels_module
 from mbdkit.engine.native import machine_code
 from mbdkit.engine.native.bundle import array_words
 from mbdkit.engine.native.levels import Platform, chosen_level, is_able, this_platform
@@ -88,15 +91,87 @@ def test_results_do_not_depend_on_the_routines_that_libraries_choose_for_a_proce
     assert hashes(LOOPS, without_numba=False, **other) == hashes(LOOPS, without_numba=False)
 
 
-def test_a_damaged_library_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    folder = tmp_path / str(this_platform())
-    shutil.copytree(machine_code.STORED / str(this_platform()), folder)
-    path = next(folder.glob("core-*.xz"))
-    content = bytearray(path.read_bytes())
-    content[len(content) // 2] ^= 1
+@pytest.fixture
+def library(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> tuple[Path, bytes, str]:
+    """A copy of a stored library: its path without ``.xz``, its content and its digest; `BUILT` is an empty folder."""
+    folder = machine_code.STORED / str(this_platform())
+    packed = next(folder.glob("core-*.xz"))
+    shutil.copy(packed, tmp_path)
+    monkeypatch.setattr(machine_code, "BUILT", tmp_path / "built")
+    content = lzma.decompress(packed.read_bytes())
+    return tmp_path / packed.stem, content, machine_code.manifest()["sha256"][packed.stem]
+
+
+@stored
+@pytest.mark.parametrize("is_packed", [True, False])
+def test_a_damaged_library_is_refused(is_packed: bool, library: tuple[Path, bytes, str]) -> None:
+    path, content, digest = library
+    file = path.with_name(f"{path.name}.xz") if is_packed else path
+    damaged = bytearray(file.read_bytes() if is_packed else content)
+    damaged[len(damaged) // 2] ^= 1
+    file.write_bytes(damaged)
+    with pytest.raises(MbdkitError, match=rf"{file.name} is damaged: install mbdkit again"):
+        machine_code._loaded(path, digest)
+
+
+@stored
+def test_a_library_of_a_wheel_is_loaded_in_place(library: tuple[Path, bytes, str]) -> None:
+    path, content, digest = library
     path.write_bytes(content)
-    with pytest.raises(MbdkitError, match=r"damaged: install mbdkit again"):
-        machine_code._unpacked(path, machine_code.manifest()["sha256"][path.name])
+    assert machine_code._loaded(path, digest)._name == str(path)
+    assert not machine_code.BUILT.exists()
+
+
+@stored
+def test_without_files_in_memory_a_library_is_unpacked_once(
+    library: tuple[Path, bytes, str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path, content, digest = library
+    monkeypatch.delattr(os, "memfd_create")
+    machine_code.BUILT.mkdir()
+    old = machine_code.BUILT / f"{path.stem}-0123456789abcdef{path.suffix}"
+    old.touch()
+    unpacked = Path(machine_code._loaded(path, digest)._name)
+    assert unpacked.read_bytes() == content
+    assert os.listdir(machine_code.BUILT) == [unpacked.name]  # an older one is removed
+    path.with_name(f"{path.name}.xz").unlink()
+    assert machine_code._loaded(path, digest)._name == str(unpacked)
+    unpacked.write_bytes(b"damaged")
+    with pytest.raises(FileNotFoundError):  # it is unpacked again
+        machine_code._loaded(path, digest)
+
+
+def test_flags_of_macos_have_the_names_of_linux() -> None:
+    # expected: a Haswell of 2013, as `sysctl machdep.cpu` of macOS prints it, has all instructions of x86-64-v3
+    text = (
+        "fpu vme de pse tsc msr pae mce cx8 apic sep mtrr pge mca cmov pat pse36 clfsh ds acpi mmx fxsr sse sse2 ss "
+        "htt tm pbe sse3 pclmulqdq dtes64 mon dscpl vmx smx est tm2 ssse3 fma cx16 tpr pdcm sse4_1 sse4_2 x2apic "
+        "movbe popcnt aes pcid xsave osxsave seglim64 tsctmr avx1_0 rdrand f16c rdwrfsgs tsc_thread_offset bmi1 avx2 "
+        "smep bmi2 erms invpcid syscall xd 1gbpage em64t lahf lzcnt rdtscp tsci"
+    )
+    levels = {level.name: level.needs <= levels_module.flags_in(text) for level in Platform("linux", "x86_64").levels}
+    assert levels == {"x86-64-v4": False, "x86-64-v3": True, "x86-64-v2": True}
+
+
+@pytest.mark.parametrize(
+    ("system", "machine", "name", "levels"),
+    [
+        ("linux", "x86_64", "linux-x86_64", ["x86-64-v4", "x86-64-v3", "x86-64-v2"]),
+        ("linux", "aarch64", "linux-aarch64", ["armv8"]),
+        ("darwin", "arm64", "macos-arm64", ["apple"]),
+        ("darwin", "x86_64", "macos-x86_64", ["x86-64-v3", "x86-64-v2"]),
+        ("win32", "AMD64", "windows-x86_64", ["x86-64-v3", "x86-64-v2"]),
+        ("win32", "ARM64", "windows-aarch64", []),
+    ],
+)
+def test_platforms_and_their_levels(
+    system: str, machine: str, name: str, levels: list[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    # expected: `sys.platform` and `platform.machine()` as Python's documentation and its builds for these systems say
+    monkeypatch.setattr(sys, "platform", system)
+    monkeypatch.setattr(platform, "machine", lambda: machine)
+    found = this_platform()
+    assert (str(found), [level.name for level in found.levels]) == (name, levels)
 
 
 @pytest.mark.parametrize("damage", [b"", b"{", b"[]", b"{}", b"null", b"\xff\xfe", b"cut", b"symbols", b"sha256"])

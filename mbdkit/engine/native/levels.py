@@ -13,6 +13,7 @@ import sys
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
+from typing import Any
 
 from mbdkit.base.errors import MbdkitError
 
@@ -29,8 +30,8 @@ class Level:
         Number of doubles in a vector register.
     needs
         Flags of a processor of this level, as Linux names them.
-    processor, features
-        The processor, and its additional features in code for lanes, as LLVM names them.
+    processor, features, architecture
+        The processor, its additional features in code for lanes, and its architecture, as LLVM names them.
     shared
         Libraries of machine code that are not stored for this level, each with the level whose library is used instead.
     """
@@ -40,6 +41,7 @@ class Level:
     needs: frozenset[str]
     processor: str
     features: str = ""
+    architecture: str = "x86_64"
     shared: tuple[tuple[str, str], ...] = ()
 
     def of(self, library: str) -> str:
@@ -51,23 +53,12 @@ _V2 = frozenset(["cx16", "lahf_lm", "popcnt", "sse4_1", "sse4_2", "ssse3"])
 _V3 = _V2 | frozenset(["avx", "avx2", "bmi1", "bmi2", "f16c", "fma", "abm", "movbe", "xsave"])
 _V4 = _V3 | frozenset(["avx512f", "avx512bw", "avx512cd", "avx512dq", "avx512vl"])
 
-LEVELS = {
-    "x86_64": (
-        Level("x86-64-v4", 8, _V4, "x86-64-v4", "-prefer-256-bit", (("gradients", "x86-64-v3"),)),
-        Level("x86-64-v3", 4, _V3, "x86-64-v3"),
-        Level("x86-64-v2", 2, _V2, "x86-64-v2"),
-    ),
-    "aarch64": (Level("armv8", 2, frozenset(), "generic"),),
-}
-"""Levels by architecture, the best one first."""
-
-_ARCHITECTURES = {"amd64": "x86_64", "x64": "x86_64", "arm64": "aarch64"}
-_SYSTEMS = {"linux": "linux", "darwin": "macos", "win32": "windows"}
+_X86_64 = (Level("x86-64-v3", 4, _V3, "x86-64-v3"), Level("x86-64-v2", 2, _V2, "x86-64-v2"))
 
 
 @dataclass(frozen=True)
 class Platform:
-    """An operating system and an architecture, such as ``linux-x86_64``."""
+    """An operating system and an architecture, such as ``linux-x86_64``, named as in the tags of wheels."""
 
     system: str
     architecture: str
@@ -77,31 +68,71 @@ class Platform:
 
     @property
     def levels(self) -> tuple[Level, ...]:
-        """Its levels, the best one first."""
-        return LEVELS.get(self.architecture, ())
+        """Its levels, the best one first; none if no machine code is built for it."""
+        return PLATFORMS.get(self, ())
+
+
+PLATFORMS = {
+    Platform("linux", "x86_64"): (
+        Level("x86-64-v4", 8, _V4, "x86-64-v4", "-prefer-256-bit", shared=(("gradients", "x86-64-v3"),)),
+        *_X86_64,
+    ),
+    Platform("linux", "aarch64"): (Level("armv8", 2, frozenset(), "generic", architecture="aarch64"),),
+    Platform("macos", "arm64"): (Level("apple", 2, frozenset(), "apple-m1", architecture="aarch64"),),
+    # Few Intel Macs and few laptops with Windows have AVX-512, which only advances ensembles faster.
+    Platform("macos", "x86_64"): _X86_64,
+    Platform("windows", "x86_64"): _X86_64,
+}
+"""Levels by platform, the best one first."""
+
+_SYSTEMS = {"linux": "linux", "darwin": "macos", "win32": "windows"}
+_ARCHITECTURES = {"amd64": "x86_64", "x64": "x86_64", "arm64": "aarch64"}
 
 
 def this_platform() -> Platform:
     """Return the platform of this process."""
-    machine = platform.machine().lower()
-    return Platform(_SYSTEMS.get(sys.platform, sys.platform), _ARCHITECTURES.get(machine, machine))
+    system, machine = _SYSTEMS.get(sys.platform, sys.platform), platform.machine().lower()
+    return Platform(system, machine if system == "macos" else _ARCHITECTURES.get(machine, machine))
 
 
 def _flags_of_windows() -> frozenset[str]:
     import ctypes
 
+    system: Any = sys
     present = ctypes.windll.kernel32.IsProcessorFeaturePresent  # type: ignore[attr-defined]
-    # The system reports AVX2 and AVX-512F; processors with these have the other instructions of the level.
-    return (_V2 if present(38) else frozenset()) | (_V3 if present(40) else frozenset()) | (
-        _V4 if present(41) else frozenset()
-    )  # fmt: skip
+    # The system reports SSE4.2 and AVX2; processors with these have the other instructions of the level. Versions
+    # before Windows 10 2004 report neither.
+    is_silent = system.getwindowsversion().build < 19041
+    return _V3 if present(40) else _V2 if present(38) or is_silent else frozenset()
+
+
+def _flags_of_macos() -> frozenset[str]:
+    import ctypes
+
+    library, text = ctypes.CDLL(None), ""
+    for name in (b"machdep.cpu.features", b"machdep.cpu.leaf7_features", b"machdep.cpu.extfeatures"):
+        buffer = ctypes.create_string_buffer(4096)
+        if (
+            library.sysctlbyname(name, buffer, ctypes.byref(ctypes.c_size_t(len(buffer))), None, ctypes.c_size_t(0))
+            == 0
+        ):
+            text += buffer.value.decode().lower() + " "
+    return flags_in(text.replace(".", "_"))
+
+
+def flags_in(text: str) -> frozenset[str]:
+    """Return the flags in a list of flags, some of which macOS names otherwise than Linux."""
+    named = {"avx1_0": "avx", "lzcnt": "abm", "lahf": "lahf_lm"}
+    return frozenset(named.get(flag, flag) for flag in text.split())
 
 
 @cache
 def _flags() -> frozenset[str]:
-    """Return the flags of the processor; empty if they are unknown."""
+    """Return the flags of the processor; empty if they are unknown, as on other architectures than x86-64."""
     if sys.platform == "win32":
         return _flags_of_windows()
+    if sys.platform == "darwin":
+        return _flags_of_macos()
     try:
         text = Path("/proc/cpuinfo").read_text(encoding="ascii", errors="replace")
     except OSError:
@@ -124,9 +155,9 @@ def chosen_level() -> Level:
     MbdkitError
         If there is no such level.
     """
-    levels = this_platform().levels or LEVELS["x86_64"]
+    levels = this_platform().levels or _X86_64
     if name := os.environ.get("MBDKIT_PROCESSOR"):
-        for level in (level for group in LEVELS.values() for level in group):
+        for level in (level for group in PLATFORMS.values() for level in group):
             if level.name == name:
                 return level
         known = ", ".join(level.name for level in levels)

@@ -9,8 +9,11 @@ distribution; this needs the extra ``dev``. Which version of the compiler built 
 Packages of plugins may have kernels of their own, in a subpackage ``kernels``, and their machine code beside it in a
 folder ``stored``. They name themselves as entry points of the group ``mbdkit.kernels``.
 
-A library is decompressed into a file in memory and loaded from there; on systems other than Linux, into a temporary
-file. There is no cache, which could be out of date or damaged.
+A wheel for a platform has its libraries uncompressed, and they are loaded in place: programs that guard against
+unpacked code block copies in other folders. A clone has those of all platforms compressed, because Git keeps every
+version. There a library is decompressed into a file in memory and loaded from there; on systems other than Linux, once
+into the folder ``built``, under a name that contains its digest. The digest of a library is compared with the manifest
+before it is loaded.
 
 With ``MBDKIT_JIT=1`` the stored code is not used, for comparison. With ``MBDKIT_KERNELS=python`` kernels run as
 functions of Python, about a thousand times slower, to debug them.
@@ -25,8 +28,6 @@ import importlib.util
 import json
 import lzma
 import os
-import sys
-import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from functools import cache
@@ -131,6 +132,8 @@ def manifest(package: str = CORE) -> dict[str, Any]:
     return stored
 
 
+_SUFFIXES = {"macos": ".dylib", "windows": ".dll"}
+"""Suffix of a library by operating system; ``.so`` on others."""
 _KINDS = {"built with": dict, "files": dict, "modules": dict, "names": list, "sha256": dict, "symbols": dict}
 """Keys of the manifest, with the types of their values."""
 
@@ -151,7 +154,10 @@ def _distribution(package: str) -> str:
 
 
 def stored_file(symbol: str, level: Level) -> Path | None:
-    """Return the stored library with a symbol; None if there is none or the sources have changed."""
+    """Return the path of the stored library with a symbol; None if there is none or the sources have changed.
+
+    Where the library is compressed, it is the path without ``.xz``.
+    """
     package = package_of(symbol)
     stored = manifest(package)
     if symbol not in stored.get("symbols", {}):
@@ -161,7 +167,13 @@ def stored_file(symbol: str, level: Level) -> Path | None:
         names = (stored["names"][i] for i in stored["modules"][module])
         if any(digest(name) != stored["files"][name] for name in names):
             return None
-        return stored_folder(package, this_platform()) / f"{group}-{level.of(group)}.xz"
+        target = this_platform()
+        return stored_folder(package, target) / library_name(group, target, level.of(group))
+
+
+def library_name(group: str, target: Platform, level: str) -> str:
+    """Return the name of the file of a library; where it is compressed, ``.xz`` follows."""
+    return f"{group}-{level}{_SUFFIXES.get(target.system, '.so')}"
 
 
 def source_file(name: str) -> Path:
@@ -186,21 +198,45 @@ def _load_file(path: Path) -> ctypes.CDLL:
 def _load_stored(path: Path, package: str) -> ctypes.CDLL:
     with _damage_reported(package):
         digest = manifest(package)["sha256"][path.name]
-    return _unpacked(path, digest)
-
-
-def _unpacked(path: Path, digest: str) -> ctypes.CDLL:
-    """Decompress and load a library; raise MbdkitError if its digest is wrong or it cannot be loaded."""
-    packed = path.read_bytes()
-    if hashlib.sha256(packed).hexdigest() != digest:
-        raise MbdkitError(f"the stored machine code {path} is damaged: install mbdkit again")
-    content = lzma.decompress(packed)
     try:
-        with suppress(AttributeError, PermissionError, FileNotFoundError):  # only Linux has files in memory
-            return _from_memory_file(path.name, content)
-        return _from_temporary_file(content)
+        return _loaded(path, digest)
     except OSError as error:
         raise MbdkitError(f"the stored machine code {path} cannot be loaded: {error}") from error
+
+
+def _loaded(path: Path, digest: str) -> ctypes.CDLL:
+    """Load a library; raise MbdkitError if its digest is wrong, and OSError if it cannot be read or loaded."""
+    if path.is_file():
+        _check_digest(path, path.read_bytes(), digest)
+        return ctypes.CDLL(str(path))
+    unpacked = BUILT / f"{path.stem}-{digest[:16]}{path.suffix}"
+    if unpacked.is_file() and hashlib.sha256(unpacked.read_bytes()).hexdigest() == digest:
+        return ctypes.CDLL(str(unpacked))
+    packed = path.with_name(f"{path.name}.xz")
+    try:
+        content = lzma.decompress(packed.read_bytes())
+    except lzma.LZMAError:
+        content = b""
+    _check_digest(packed, content, digest)
+    with suppress(AttributeError, PermissionError, FileNotFoundError):  # only Linux has files in memory
+        return _from_memory_file(path.name, content)
+    BUILT.mkdir(exist_ok=True)
+    draft = unpacked.with_suffix(f".{os.getpid()}")
+    draft.write_bytes(content)
+    try:
+        draft.replace(unpacked)
+    except PermissionError:  # on Windows, if another process has loaded it in the meantime
+        draft.unlink()
+    for old in BUILT.glob(f"{path.stem}-*{path.suffix}"):
+        if old != unpacked:
+            with suppress(OSError):
+                old.unlink()
+    return ctypes.CDLL(str(unpacked))
+
+
+def _check_digest(path: Path, content: bytes, digest: str) -> None:
+    if hashlib.sha256(content).hexdigest() != digest:
+        raise MbdkitError(f"the stored machine code {path} is damaged: install mbdkit again")
 
 
 def _from_memory_file(name: str, content: bytes) -> ctypes.CDLL:
@@ -213,18 +249,6 @@ def _from_memory_file(name: str, content: bytes) -> ctypes.CDLL:
     if not os.path.exists(place):
         raise FileNotFoundError(place)
     return ctypes.CDLL(place)
-
-
-def _from_temporary_file(content: bytes) -> ctypes.CDLL:
-    suffix = {"win32": ".dll", "darwin": ".dylib"}.get(sys.platform, ".so")
-    file, name = tempfile.mkstemp(suffix=suffix, prefix="mbdkit-")
-    try:
-        with open(file, "wb") as stream:
-            stream.write(content)
-        return ctypes.CDLL(name)
-    finally:
-        with suppress(OSError):  # Windows keeps the file of a loaded library
-            os.unlink(name)
 
 
 def code_id() -> str:

@@ -1,12 +1,13 @@
 """``python -m mbdkit_builder``: build the machine code of the kernels.
 
 build
-    Build the stored libraries of this platform, or of another one, such as ``--platform linux-aarch64``, for all
-    packages with kernels, or for those that are named. With ``--only SYMBOL``, build the library of one symbol in the
-    folder ``built``.
+    Build the stored libraries of this platform, of others, as in ``--platform linux-aarch64 macos-arm64``, or of all
+    platforms with ``--all``, for all packages with kernels, or for those that are named. With ``--only SYMBOL``, build
+    the library of one symbol in the folder ``built``.
 check
-    Build the libraries again and compare every byte with the stored ones, and the digests of their sources and of this
-    package with those of the manifest. With ``--level x86-64-v3``, check only the libraries of this level.
+    Build the libraries of all platforms, or of some, again and compare every byte with the stored ones, and the digests
+    of their sources and of this package with those of the manifests. With ``--level x86-64-v3``, check only the
+    libraries of this level.
 objects
     Compile symbols to object files; `build` and `check` start processes that run this command.
 contacts, elements, laws, methods
@@ -25,11 +26,12 @@ import json
 import os
 import sys
 import tempfile
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
 from mbdkit.engine.native import machine_code
-from mbdkit.engine.native.levels import LEVELS, Platform, chosen_level, this_platform
+from mbdkit.engine.native.levels import PLATFORMS, Level, Platform, chosen_level, this_platform
 from mbdkit.engine.native.machine_code import kernel_packages, stored_folder
 
 _GENERATED = {
@@ -45,19 +47,18 @@ def main() -> int:
     """Run a command; return its exit status."""
     parser = argparse.ArgumentParser(prog="python -m mbdkit_builder", description=__doc__.partition("\n")[0])
     commands = parser.add_subparsers(dest="command", required=True)
-    for name in ("build", "check", "objects"):
+    for name in ("build", "check"):
         command = commands.add_parser(name)
-        command.add_argument("--platform", type=_platform, default=this_platform())
-        if name != "objects":
-            command.add_argument("packages", nargs="*")
-        if name == "build":
-            command.add_argument("--only")
-        if name == "check":
-            command.add_argument("--level")
-        if name == "objects":
-            command.add_argument("--into", type=Path, required=True)
-            command.add_argument("--levels", nargs="+", required=True)
-            command.add_argument("--symbols", nargs="+", required=True)
+        command.add_argument("packages", nargs="*", help=f"by default all: {', '.join(kernel_packages())}")
+        command.add_argument("--platform", type=_platform, nargs="+", action="extend", metavar="NAME")
+    build, check = (commands.choices[name] for name in ("build", "check"))
+    build.add_argument("--all", action="store_true")
+    build.add_argument("--only")
+    check.add_argument("--level")
+    objects = commands.add_parser("objects")
+    objects.add_argument("--into", type=Path, required=True)
+    objects.add_argument("--codes", nargs="+", required=True)
+    objects.add_argument("--symbols", nargs="+", required=True)
     commands.add_parser("list")
     for name in _GENERATED:
         commands.add_parser(name).add_argument("--check", action="store_true")
@@ -70,48 +71,55 @@ def main() -> int:
         module = importlib.import_module(f"mbdkit_builder.{_GENERATED[given.command]}")
         return generated_files.write(module.TARGET, module.generated(), check=given.check)
     if given.command == "objects":
-        return _objects(given.platform, given.levels, given.symbols, given.into)
+        return _objects(given.codes, given.symbols, given.into)
+    packages = given.packages or kernel_packages()
     if given.command == "check":
-        return max(_check(package, given.platform, given.level) for package in given.packages or kernel_packages())
+        return max(_check(package, given.platform or list(PLATFORMS), given.level) for package in packages)
     if given.only:
         from mbdkit_builder.libraries import build_one
 
-        print(build_one(given.only, given.platform, chosen_level()))
+        print(build_one(given.only, chosen_level()))
         return 0
-    for package in given.packages or kernel_packages():
-        _build(package, given.platform, stored_folder(package, given.platform))
+    targets = list(PLATFORMS) if given.all else given.platform or [this_platform()]
+    for package in packages:
+        _build(package, {target: stored_folder(package, target) for target in targets})
     return 0
 
 
 def _platform(text: str) -> Platform:
     system, _, architecture = text.partition("-")
-    if system not in ("linux", "macos", "windows") or architecture not in LEVELS:
-        raise argparse.ArgumentTypeError(f"'{text}' is not a platform such as linux-x86_64 or macos-aarch64")
-    return Platform(system, architecture)
+    if (target := Platform(system, architecture)) not in PLATFORMS:
+        raise argparse.ArgumentTypeError(f"'{text}' is not one of {', '.join(map(str, PLATFORMS))}")
+    return target
 
 
-def _build(package: str, target: Platform, into: Path, *, only: str | None = None) -> None:
+def _build(package: str, folders: Mapping[Platform, Path], *, only: str | None = None) -> None:
     from mbdkit_builder.libraries import build
     from mbdkit_builder.lowering import symbols
 
-    build(target, symbols(package), into, only=only)
-    size = sum(path.stat().st_size for path in into.iterdir())
-    print(f"{into}: {size / 1e6:.2f} MB")
+    build(folders, symbols(package), only=only)
+    for into in folders.values():
+        size = sum(path.stat().st_size for path in into.iterdir())
+        print(f"{into}: {size / 1e6:.2f} MB")
 
 
-def _check(package: str, target: Platform, level: str | None) -> int:
-    stored = stored_folder(package, target)
+def _check(package: str, targets: Iterable[Platform], level: str | None) -> int:
+    targets = [target for target in targets if level is None or level in (known.name for known in target.levels)]
+    wrong = []
     with tempfile.TemporaryDirectory() as work:
-        again = Path(work) / "again"
-        _build(package, target, again, only=level)
-        names = sorted({path.name for folder in (stored, again) for path in folder.glob("*")})
-        if level:
-            names = [name for name in names if name.endswith(f"-{level}.xz")]
-        _, different, missing = filecmp.cmpfiles(stored, again, names, shallow=False)
-        if level and _sources_in(stored) != _sources_in(again):
-            different.append(machine_code.MANIFEST)
-    if different or missing:
-        print(f"the stored machine code of {package} is not what the sources say: {', '.join([*different, *missing])}")
+        folders = {target: Path(work) / str(target) for target in targets}
+        _build(package, folders, only=level)
+        for target, again in folders.items():
+            stored = stored_folder(package, target)
+            names = sorted({path.name for folder in (stored, again) for path in folder.glob("*")})
+            if level:
+                names = [name for name in names if f"-{level}." in name]
+            _, different, missing = filecmp.cmpfiles(stored, again, names, shallow=False)
+            if level and _sources_in(stored) != _sources_in(again):
+                different.append(machine_code.MANIFEST)
+            wrong += [f"{target}/{name}" for name in [*different, *missing]]
+    if wrong:
+        print(f"the stored machine code of {package} is not what the sources say: {', '.join(wrong)}")
         return 1
     print(f"the stored machine code of {package} is what the sources say, to the byte")
     return 0
@@ -140,20 +148,21 @@ def _list() -> int:
     return 0
 
 
-def _objects(target: Platform, levels: list[str], names: list[str], into: Path) -> int:
-    from mbdkit_builder.libraries import object_path
+def _objects(codes: list[str], names: list[str], into: Path) -> int:
+    from mbdkit_builder.libraries import code_named, object_path
     from mbdkit_builder.lowering import prepare, symbols
-    from mbdkit_builder.object_code import emitted
+    from mbdkit_builder.object_code import emitted, optimized
 
     makers = symbols(machine_code.package_of(names[0]))
     prepare()
-    known = {level.name: level for level in target.levels}
     for symbol in names:
-        module = makers[symbol]()
-        for level in levels:
-            path = object_path(into, target, symbol, level)
+        module, by_level = makers[symbol](), dict[Level, Any]()
+        for code in map(code_named, codes):
+            if code.level not in by_level:
+                by_level[code.level] = optimized(module, symbol, code.level)
+            path = object_path(into, symbol, code)
             draft = path.with_suffix(f".{os.getpid()}")
-            draft.write_bytes(emitted(module, symbol, target, known[level]))
+            draft.write_bytes(emitted(by_level[code.level], symbol, code.platform, code.level))
             draft.replace(path)
     return 0
 

@@ -21,21 +21,39 @@ from collections.abc import Iterable, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from mbdkit.base.errors import MbdkitError
-from mbdkit.engine.native.levels import Level, Platform
-from mbdkit.engine.native.machine_code import MANIFEST, PACKAGE, digest
+from mbdkit.engine.native.levels import PLATFORMS, Level, Platform, this_platform
+from mbdkit.engine.native.machine_code import BUILT, MANIFEST, PACKAGE, digest, library_name
 from mbdkit_builder import sources
 from mbdkit_builder.library_imports import check_imports
 from mbdkit_builder.sources import module_of
 
-BUILT = PACKAGE / "engine/native/built"
 TOOLS = ("numba", "llvmlite", "ziglang")
 _LINK = {
-    "linux": "{}-linux-gnu.2.17", "macos": "{}-macos.11.0", "windows": "{}-windows-gnu",
+    "linux": ("{}-linux-gnu.2.17", "-Wl,--as-needed", "-lm"),
+    "macos": ("{}-macos.11.0",),
+    # Without a C library, whose startup code would be linked. Memory functions and stack probes are those of Zig.
+    "windows": ("{}-windows-gnu", "-nostdlib", "-rtlib=compiler-rt", "-Wl,--no-entry"),
 }  # fmt: skip
-_SUFFIX = {"linux": ".so", "macos": ".dylib", "windows": ".dll"}
+"""Target of Zig and options of the linker, by operating system."""
+
+
+class Code(NamedTuple):
+    """What machine code is compiled for; as a text, such as ``linux-x86_64/x86-64-v3``."""
+
+    platform: Platform
+    level: Level
+
+    def __str__(self) -> str:
+        return f"{self.platform}/{self.level.name}"
+
+
+def code_named(text: str) -> Code:
+    """Return the code with a text; see `Code`."""
+    known = {str(code): code for target in PLATFORMS for code in (Code(target, level) for level in target.levels)}
+    return known[text]
 
 
 def group_of(symbol: str) -> str:
@@ -48,19 +66,17 @@ def group_of(symbol: str) -> str:
     return "collocation" if name.startswith(("collocation", "lobatto")) else "core"
 
 
-def build(target: Platform, names: Iterable[str], into: Path, *, only: str | None = None) -> None:
-    """Build the libraries of a platform and their manifest into a new folder.
+def build(folders: Mapping[Platform, Path], names: Iterable[str], *, only: str | None = None) -> None:
+    """Build the libraries of platforms and their manifests into new folders.
 
     Every symbol is compiled, because the code of a symbol depends on which ones the same process compiled before it.
 
     Parameters
     ----------
-    target
-        The platform.
+    folders
+        The folder of each platform, which is replaced.
     names
         All symbols.
-    into
-        The folder, which is replaced.
     only
         Name of the only level to build, for comparison.
     """
@@ -68,22 +84,28 @@ def build(target: Platform, names: Iterable[str], into: Path, *, only: str | Non
     for symbol in names:
         groups.setdefault(group_of(symbol), []).append(symbol)
     with tempfile.TemporaryDirectory() as work:
-        levels = [level for level in target.levels if only in (None, level.name)]
-        objects = _objects(target, levels, groups, Path(work))
-        new = Path(work) / "libraries"
-        new.mkdir()
-        digests = {}
-        for (group, level), paths in sorted(objects.items()):
-            packed = new / f"{group}-{level}.xz"
-            content = _linked(target, paths, Path(work) / f"{group}-{level}{_SUFFIX[target.system]}")
-            if target.system == "linux":
-                check_imports(content, f"{group}-{level}")
-            packed.write_bytes(lzma.compress(content, preset=9 | lzma.PRESET_EXTREME))
-            digests[packed.name] = hashlib.sha256(packed.read_bytes()).hexdigest()
-        text = json.dumps(_manifest(groups, digests), indent=1, sort_keys=True) + "\n"
-        (new / MANIFEST).write_text(text, encoding="utf-8", newline="\n")
-        shutil.rmtree(into, ignore_errors=True)
-        shutil.copytree(new, into)
+        codes = [Code(target, level) for target in folders for level in target.levels if only in (None, level.name)]
+        objects = _objects(codes, groups, Path(work) / "objects")
+        with ThreadPoolExecutor(os.cpu_count() or 1) as pool:
+            contents = list(
+                pool.map(lambda item: _linked(item[0][0], item[1], item[0][1], Path(work)), objects.items())
+            )
+            for (target, name), content in zip(objects, contents, strict=True):
+                if target.system == "linux":
+                    check_imports(content, name)
+            packed = list(pool.map(lambda content: lzma.compress(content, preset=9 | lzma.PRESET_EXTREME), contents))
+        for target, into in folders.items():
+            new = Path(work) / str(target)
+            new.mkdir()
+            digests = {}
+            for (other, name), content, text in zip(objects, contents, packed, strict=True):
+                if other == target:
+                    (new / f"{name}.xz").write_bytes(text)
+                    digests[name] = hashlib.sha256(content).hexdigest()
+            listed = json.dumps(_manifest(groups, digests), indent=1, sort_keys=True) + "\n"
+            (new / MANIFEST).write_text(listed, encoding="utf-8", newline="\n")
+            shutil.rmtree(into, ignore_errors=True)
+            shutil.copytree(new, into)
 
 
 def _manifest(groups: Mapping[str, list[str]], digests: Mapping[str, str]) -> dict[str, Any]:
@@ -105,49 +127,65 @@ def _manifest(groups: Mapping[str, list[str]], digests: Mapping[str, str]) -> di
 
 
 def _objects(
-    target: Platform, levels: list[Level], groups: Mapping[str, list[str]], folder: Path
-) -> dict[tuple[str, str], list[Path]]:
-    """Compile all symbols into a folder; return the object files of each library."""
+    codes: list[Code], groups: Mapping[str, list[str]], folder: Path
+) -> dict[tuple[Platform, str], list[Path]]:
+    """Compile all symbols into a folder; return the object files of each library by platform and name of its file.
+
+    Numba takes most of the time. Its result depends on the number of lanes, and only for `lanes`.
+    """
     folder.mkdir(exist_ok=True)
-    jobs: list[tuple[list[str], list[str]]] = [([level.name], groups.get("lanes", [])) for level in levels]
+    counts = sorted({code.level.lanes for code in codes}, reverse=True)
+    jobs = [([code for code in codes if code.level.lanes == lanes], groups.get("lanes", [])) for lanes in counts]
     for name in ("gradients", "collocation", "core"):
-        own = [level.name for level in levels if level.of(name) == level.name]
+        own = [code for code in codes if code.level.of(name) == code.level.name]
         jobs += [(own, groups.get(name, [])[i::2]) for i in range(2)]
     with ThreadPoolExecutor(os.cpu_count() or 1) as pool:
-        list(pool.map(lambda job: _compile(target, job[0], job[1], folder), jobs))
-    found: dict[tuple[str, str], list[Path]] = {}
+        list(pool.map(lambda job: _compile(job[0], job[1], folder), jobs))
+    found: dict[tuple[Platform, str], list[Path]] = {}
     for built, names in jobs:
-        for name in built:
+        for code in built:
             for symbol in names:
-                found.setdefault((group_of(symbol), name), []).append(object_path(folder, target, symbol, name))
-    return found
+                library = library_name(group_of(symbol), code.platform, code.level.name)
+                found.setdefault((code.platform, library), []).append(object_path(folder, symbol, code))
+    return dict(sorted(found.items(), key=lambda item: (str(item[0][0]), item[0][1])))
 
 
-def object_path(folder: Path, target: Platform, symbol: str, level: str) -> Path:
+def object_path(folder: Path, symbol: str, code: Code) -> Path:
     """Return the path of the object file of a symbol; it contains the fingerprint of the present sources."""
-    return folder / f"{symbol}-{target}-{level}-{sources.fingerprint(module_of(symbol))}.o"
+    return folder / f"{symbol}-{code.platform}-{code.level.name}-{sources.fingerprint(module_of(symbol))}.o"
 
 
-def _compile(target: Platform, levels: list[str], names: list[str], folder: Path) -> None:
-    names = [name for name in names if not all(object_path(folder, target, name, one).is_file() for one in levels)]
-    if not names:
+def _compile(codes: list[Code], names: list[str], folder: Path) -> None:
+    names = [name for name in names if not all(object_path(folder, name, code).is_file() for code in codes)]
+    if not names or not codes:
         return
-    command = [sys.executable, "-P", "-m", __package__, "objects", "--platform", str(target), "--into",
-               str(folder), "--levels", *levels, "--symbols", *names]  # fmt: skip
+    command = [sys.executable, "-P", "-m", __package__, "objects", "--into", str(folder), "--codes", *map(str, codes),
+               "--symbols", *names]  # fmt: skip
     path = os.pathsep.join(filter(None, [str(PACKAGE.parent), *sys.path]))
     environment = {
-        "PYTHONPATH": path, "MBDKIT_KERNELS": "python", "MBDKIT_PROCESSOR": levels[0], "PYTHONHASHSEED": "0",
+        "PYTHONPATH": path, "MBDKIT_KERNELS": "python", "MBDKIT_PROCESSOR": codes[0].level.name, "PYTHONHASHSEED": "0",
     }  # fmt: skip
     subprocess.run(command, env=os.environ | environment, check=True, stdin=subprocess.DEVNULL)
 
 
-def _linked(target: Platform, objects: Iterable[Path], path: Path) -> bytes:
-    """Link object files to a library at `path`; return its content."""
-    architecture = target.architecture
-    command = [sys.executable, "-m", "ziglang", "cc", "-target", _LINK[target.system].format(architecture), "-shared",
-               "-s", "-o", path.name, *map(str, objects), "-lm"]  # fmt: skip
-    subprocess.run(command, check=True, cwd=path.parent, stdin=subprocess.DEVNULL)
-    return path.read_bytes()
+def _linked(target: Platform, objects: Iterable[Path], name: str, folder: Path) -> bytes:
+    """Link object files to a library, `name`; return its content.
+
+    Libraries for macOS are signed ad hoc by the linker, which processors of Apple require.
+    """
+    triple, *options = _LINK[target.system]
+    architecture = {"arm64": "aarch64"}.get(target.architecture, target.architecture)
+    into = folder / f"linked-{target}"
+    into.mkdir(exist_ok=True)
+    command = [sys.executable, "-m", "ziglang", "cc", "-target", triple.format(architecture), "-shared", "-s",
+               "-o", name, *map(str, objects), *options]  # fmt: skip
+    subprocess.run(command, check=True, cwd=into, stdin=subprocess.DEVNULL)
+    content = bytearray((into / name).read_bytes())
+    if target.system == "windows":
+        # The time of linking, four bytes behind the header's signature, machine and number of sections.
+        stamp = int.from_bytes(content[0x3C:0x40], "little") + 8
+        content[stamp : stamp + 4] = bytes(4)
+    return bytes(content)
 
 
 def built_path(symbol: str, level: Level) -> Path:
@@ -177,14 +215,13 @@ def built_library(symbol: str, level: Level, why: str) -> Path:
     return path
 
 
-def build_one(symbol: str, target: Platform, level: Level) -> Path:
-    """Build the library of one symbol from the present sources, for a developer; return its path."""
-    path = built_path(symbol, level)
+def build_one(symbol: str, level: Level) -> Path:
+    """Build the library of one symbol for this platform from the present sources; return its path."""
+    path, code = built_path(symbol, level), Code(this_platform(), level)
     with tempfile.TemporaryDirectory() as work:
         path.parent.mkdir(exist_ok=True)
-        _compile(target, [level.name], [symbol], path.parent)
-        one = object_path(path.parent, target, symbol, level.name)
-        content = _linked(target, [one], Path(work) / f"{symbol}.so")
+        _compile([code], [symbol], path.parent)
+        content = _linked(code.platform, [object_path(path.parent, symbol, code)], f"{symbol}.so", Path(work))
     draft = path.with_suffix(f".{os.getpid()}")
     draft.write_bytes(content)
     draft.replace(path)

@@ -8,12 +8,13 @@ import os
 import shutil
 import subprocess
 import sys
+from collections.abc import Mapping
 from pathlib import Path
 
 import pytest
 
 from mbdkit.engine.native import machine_code
-from mbdkit.engine.native.levels import Platform, chosen_level, this_platform
+from mbdkit.engine.native.levels import PLATFORMS, Platform, chosen_level, this_platform
 from mbdkit_builder import __main__ as builder
 from mbdkit_builder import libraries, library_imports, sources
 from tests.engine.test_machine_code import SPECS, hashes, stored
@@ -21,12 +22,15 @@ from tests.engine.test_machine_code import SPECS, hashes, stored
 LEVEL = "x86-64-v3"
 
 
-@stored
-def test_the_stored_code_is_that_of_this_builder() -> None:
-    # expected: an edit of the builder or of imports without a new build is noticed
-    outdated = "build the machine code again: python -m mbdkit_builder build"
+@pytest.mark.parametrize("target", PLATFORMS, ids=str)
+def test_the_stored_code_is_that_of_this_builder_and_of_the_sources(target: Platform) -> None:
+    # expected: an edit of a kernel, of the builder or of imports without a new build is noticed
+    outdated = "build the machine code again: python -m mbdkit_builder build --all"
     assert len(machine_code.kernel_packages()) > 1
-    for manifest in map(machine_code.manifest, machine_code.kernel_packages()):
+    for package in machine_code.kernel_packages():
+        path = machine_code.stored_folder(package, target) / machine_code.MANIFEST
+        manifest = json.loads(path.read_text(encoding="utf-8"))
+        assert manifest["files"] == {name: machine_code.digest(name) for name in manifest["names"]}, outdated
         assert manifest["builder"] == sources.builder_digests(), outdated
         for module, numbers in manifest["modules"].items():
             assert tuple(manifest["names"][i] for i in numbers) == sources.files_behind(module), outdated
@@ -53,7 +57,8 @@ def test_stored_libraries_take_memory_functions_only_from_outside() -> None:
 def test_check_names_a_manifest_of_other_sources(
     level: str | None, key: str | None, name: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    def build(package: str, target: Platform, into: Path, *, only: str | None) -> None:
+    def build(package: str, folders: Mapping[Platform, Path], *, only: str | None) -> None:
+        ((target, into),) = folders.items()
         shutil.copytree(machine_code.STORED / str(target), into)
         path = into / machine_code.MANIFEST
         text = json.loads(path.read_bytes())
@@ -62,9 +67,9 @@ def test_check_names_a_manifest_of_other_sources(
             path.write_text(json.dumps(text), encoding="utf-8")
 
     monkeypatch.setattr(builder, "_build", build)
-    status = builder._check("mbdkit", this_platform(), level)
+    status = builder._check("mbdkit", [this_platform()], level)
     text = capsys.readouterr().out
-    assert (status, text.rpartition(" ")[2]) == ((1, "manifest.json\n") if key else (0, "byte\n"))
+    assert (status, text.rpartition(" ")[2]) == ((1, f"{this_platform()}/manifest.json\n") if key else (0, "byte\n"))
 
 
 def test_what_was_built_by_another_builder_is_built_again(monkeypatch: pytest.MonkeyPatch) -> None:
