@@ -1,4 +1,4 @@
-"""Commands for authors of plugins: `plugins verify` and `plugins new`."""
+"""Commands that check an installation or a plugin, and create one: `doctor`, `plugins verify` and `plugins new`."""
 
 from __future__ import annotations
 
@@ -13,6 +13,28 @@ from mbdkit.base.terminal import say, show, show_json, silence
 from mbdkit.base.text import listed
 from mbdkit.cli.common_options import AsJson, Debug, Overwrite, Quiet, output_to
 from mbdkit_testing.scaffold.new_plugin import KINDS, LIKE, Like, NewKind
+
+
+def doctor(as_json: AsJson = False, debug: Debug = False) -> None:
+    """Check this installation: plugins, machine code, small runs.
+
+    The hashes of ten runs are compared with stored ones. Exit status 1 if one
+    differs, 4 if a plugin could not be loaded.
+    """
+    from mbdkit.engine.native.machine_code import code_report, code_text
+    from mbdkit.registry import describe
+    from mbdkit.registry.manager import checked, load_installed
+    from mbdkit_testing import self_test
+
+    installed, equal = checked(load_installed()), self_test.compared()
+    if as_json:
+        show_json({**describe.diagnosis(installed), "machine_code": code_report(), "self_test": equal})
+    else:
+        show(f"{describe.diagnosis_text(installed)}\n{code_text()}\n{self_test.sentence(equal)}")
+    if not describe.is_sound(installed):
+        raise typer.Exit(terminal.PLUGIN_FAILED)
+    if not all(equal.values()):
+        raise typer.Exit(terminal.DIFFERS)
 
 
 def plugins_verify(

@@ -1,4 +1,4 @@
-"""What this part adds to mbdkit: the conformance kit, and templates of new plugins."""
+"""What this part adds to mbdkit: a self-test, the conformance kit, and templates of new plugins."""
 
 from __future__ import annotations
 
@@ -9,8 +9,14 @@ from mbdkit.plugin import Command, Item, Target, hookimpl
 
 @hookimpl
 def mbdkit_items() -> Iterable[Item]:
-    """Return the commands that verify and create plugins."""
+    """Return the commands that check an installation, and verify and create plugins."""
     return [
+        Command(
+            name="doctor",
+            summary="Check this installation: plugins, machine code, small runs.",
+            order=175,
+            target=Target("mbdkit_testing.commands:doctor"),
+        ),
         Command(
             name="verify",
             group="plugins",
