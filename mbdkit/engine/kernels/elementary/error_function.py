@@ -140,7 +140,7 @@ def _far(x):
 
 @subkernel
 def erf(x):
-    """Return the error function; the error is below 0.8 ulp."""
+    """Return the error function; the error is below 0.85 ulp."""
     return _erf(x)
 
 
@@ -162,7 +162,7 @@ def _erf(x):
 
 @subkernel
 def erfc(x):
-    """Return ``1 - erf(x)``; the error is below 0.8 ulp."""
+    """Return ``1 - erf(x)``; the error is below 0.85 ulp."""
     return _erfc(x)
 
 

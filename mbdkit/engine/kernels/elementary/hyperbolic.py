@@ -59,7 +59,7 @@ def cosh(x):
 
 @subkernel
 def sinh(x):
-    """Return the hyperbolic sine; the error is below 0.6 ulp."""
+    """Return the hyperbolic sine; the error is below 0.65 ulp."""
     size = abs(x)
     _, _, sine, low = _parts(where(size > 711.0, 711.0, size))
     return where(size < _SMALL, x, with_sign(4.0 * (sine + low), x))
@@ -67,7 +67,7 @@ def sinh(x):
 
 @subkernel
 def tanh(x):
-    """Return the hyperbolic tangent; the error is below 0.55 ulp."""
+    """Return the hyperbolic tangent; the error is below 0.6 ulp. Close to 1, it is not monotone in the last bit."""
     size = abs(x)
     cosine, cosine_low, sine, sine_low = _parts(where(size > 22.0, 22.0, size))
     sine, sine_low = fast_two_sum(sine, sine_low)
@@ -78,7 +78,7 @@ def tanh(x):
 
 @subkernel
 def asinh(x):
-    """Return the inverse hyperbolic sine; the error is below 0.7 ulp."""
+    """Return the inverse hyperbolic sine; the error is below 0.75 ulp."""
     size = abs(x)
     is_large = size > _LARGE
     moderate = where(is_large, 1.0, size)
@@ -96,7 +96,7 @@ def asinh(x):
 
 @subkernel
 def acosh(x):
-    """Return the inverse hyperbolic cosine; the error is below 0.7 ulp."""
+    """Return the inverse hyperbolic cosine; the error is below 0.75 ulp."""
     is_large = x > _LARGE
     moderate = where(is_large | (x < 1.0), 1.0, x)
     excess = moderate - 1.0
@@ -113,7 +113,7 @@ def acosh(x):
 
 @subkernel
 def atanh(x):
-    """Return the inverse hyperbolic tangent; the error is below 0.7 ulp."""
+    """Return the inverse hyperbolic tangent; the error is below 0.75 ulp."""
     size = abs(x)
     inside = where(size < 1.0, size, 0.0)
     difference, error = two_sum(1.0, -inside)

@@ -88,7 +88,7 @@ def _with_limits(x, result):
 
 @subkernel
 def log(x):
-    """Return the natural logarithm; the error is below 0.65 ulp."""
+    """Return the natural logarithm; the error is below 0.7 ulp."""
     n, m = _split(x)
     high, low, small = _terms(m - 1.0)
     return _with_limits(x, _sum(n, high, low, small))
@@ -105,7 +105,7 @@ def _times(high, low, small, factor, factor_high, factor_low):
 
 @subkernel
 def log2(x):
-    """Return the logarithm to base 2, which is exact for powers of 2; the error is below 0.75 ulp."""
+    """Return the logarithm to base 2, which is exact for powers of 2; the error is below 0.8 ulp."""
     n, m = _split(x)
     high, low, small = _terms(m - 1.0)
     product, rest = _times(high, low, small, _PER_LN2, _PER_LN2_HIGH, _PER_LN2_LOW)
@@ -115,7 +115,7 @@ def log2(x):
 
 @subkernel
 def log10(x):
-    """Return the decimal logarithm, which is exact for powers of 10; the error is below 0.65 ulp."""
+    """Return the decimal logarithm, which is exact for powers of 10; the error is below 0.7 ulp."""
     n, m = _split(x)
     high, low, small = _terms(m - 1.0)
     product, rest = _times(high, low, small, _PER_LN10, _PER_LN10_HIGH, _PER_LN10_LOW)
@@ -125,7 +125,7 @@ def log10(x):
 
 @inlined
 def logarithm_of_one_and(t, t_low, doublings):
-    """Return ``log(1 + t + t_low) + doublings * ln(2)`` for finite `t` above -1; the error is below 0.65 ulp.
+    """Return ``log(1 + t + t_low) + doublings * ln(2)`` for finite `t` above -1; the error is below 0.7 ulp.
 
     `t_low` is the rounding error of `t`, or zero.
     """
@@ -140,7 +140,7 @@ def logarithm_of_one_and(t, t_low, doublings):
 
 @subkernel
 def log1p(x):
-    """Return log(1 + x); the error is below 0.65 ulp."""
+    """Return log(1 + x); the error is below 0.7 ulp."""
     result = where(abs(x) < 2.0**-54, x, logarithm_of_one_and(x, 0.0, 0.0))
     result = where(x < math.inf, result, x)
     return where(x > -1.0, result, where(x == -1.0, -math.inf, math.nan))
