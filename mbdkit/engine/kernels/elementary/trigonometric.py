@@ -6,8 +6,9 @@ with the number of quarter turns are exact. The result is the sum of a number an
 of its value, even for the doubles that are closest to multiples of pi/2. Larger angles are reduced with integers.
 
 The polynomials of sine and cosine are minimax fits of `mbdkit_builder.minimax` on [-pi/4, pi/4]; their
-relative errors are below 2^-57.8 and 2^-63.9. The first term of each sum is exact, which keeps the error of the result
-close to half a unit in the last place (ulp).
+relative errors are below 2^-57.8 and 2^-63.9. Sine and cosine have errors below 0.8 units in the last place (ulp), of
+which the rounding of the square of the reduced angle makes a quarter; the tangent, a quotient of pairs of numbers, has
+errors below 0.6 ulp.
 """
 
 from __future__ import annotations
@@ -69,10 +70,11 @@ def cosine_and_sine_of_reduced(y, tail, quadrant):
     near_one = 1.0 - half
     sine = y + (tail * near_one + z * y * (_S1 + z * _sine_terms(z, square)))
     cosine = near_one + (((1.0 - near_one) - half) + (square * _cosine_terms(z, square) - y * tail))
-    is_odd = (quadrant == 1.0) | (quadrant == 3.0)
+    # Selections by a single comparison need no branch at any level of processors, unlike those by two.
+    is_odd = abs(quadrant - 2.0) == 1.0
     s, c = where(is_odd, cosine, sine), where(is_odd, sine, cosine)
     s = where(quadrant >= 2.0, -s, s)
-    c = where((quadrant == 1.0) | (quadrant == 2.0), -c, c)
+    c = where(abs(quadrant - 1.5) < 1.0, -c, c)
     return c, s
 
 
@@ -137,7 +139,7 @@ def _tangent_of_reduced(y, tail, quadrant):
     s, s_low = sum_of_pairs(y, tail, cubic, cubic_low)
     c, c_low = fast_two_sum(1.0, -0.5 * z)
     c, c_low = sum_of_pairs(c, c_low - 0.5 * z_low, square * _cosine_terms(z, square), 0.0)
-    is_odd = (quadrant == 1.0) | (quadrant == 3.0)
+    is_odd = abs(quadrant - 2.0) == 1.0
     above, above_low = where(is_odd, -c, s), where(is_odd, -c_low, s_low)
     under, under_low = where(is_odd, s, c), where(is_odd, s_low, c_low)
     return quotient_of_pairs(above, above_low, under, under_low)[0]

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Sequence
+from functools import cache
 from typing import Any, get_args
 
 import llvmlite.binding as llvm
@@ -18,6 +19,7 @@ from numba.core import cgutils
 from numpy import dtype
 
 from mbdkit.engine.kernels.bundle_types import example_of
+from mbdkit.engine.kernels.elementary import FUNCTIONS
 from mbdkit.engine.native.bundle import ARRAY_WORDS
 from mbdkit.engine.native.kernel import DTYPES, Kernel
 from mbdkit.engine.native.levels import Level, Platform
@@ -26,7 +28,7 @@ from mbdkit_builder.dual_arrays import DualArray
 from mbdkit_builder.dual_types import DUAL
 from mbdkit_builder.implementation import dispatcher
 from mbdkit_builder.libraries import group_of
-from mbdkit_builder.library_functions import link_definitions, with_own_names
+from mbdkit_builder.library_functions import PREFIX, with_own_names
 
 _WORD, _REAL, _BIT = ir.IntType(64), ir.DoubleType(), ir.IntType(1)
 _POINTER = _REAL.as_pointer()
@@ -219,9 +221,34 @@ def linked_module(
     linked = llvm.parse_assembly(str(module))
     code = with_own_names(str(found._asdict()["library"]._final_module))
     linked.link_in(llvm.parse_assembly(_OBJECT.sub(r"\1 null", _EXCEPTION.sub(r"\1 zeroinitializer", code))))
-    link_definitions(linked)
+    _link_definitions(linked)
     linked.verify()
     return linked
+
+
+def _link_definitions(module: Any) -> None:
+    """Add the definitions of the elementary functions that a module declares."""
+    for name in [one.name for one in module.functions if one.is_declaration and one.name.startswith(PREFIX)]:
+        module.link_in(llvm.parse_bitcode(_definition(name.removeprefix(PREFIX))))
+
+
+@cache
+def _definition(name: str) -> bytes:
+    """Return the module of an elementary function, as a C function of doubles."""
+    function = FUNCTIONS[name]
+    count = function.__code__.co_argcount
+    arguments = (types.float64,) * count
+
+    def wrap(context: Any, builder: Any, callee: Any, signature: Any, given: list[Any]) -> None:
+        _, result = context.call_conv.call_function(builder, callee, signature.return_type, arguments, given)
+        builder.ret(result)
+
+    kind = ir.FunctionType(ir.DoubleType(), [ir.DoubleType()] * count)
+    module = linked_module(f"{PREFIX}{name}", function, arguments, kind, wrap, is_inlined=True)
+    for one in module.functions:
+        if not one.is_declaration:
+            one.linkage = "linkonce_odr"
+    return module.as_bitcode()
 
 
 def optimized(module: Any, symbol: str, level: Level) -> Any:
