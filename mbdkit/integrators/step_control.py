@@ -23,6 +23,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
+from mbdkit.base import elementary
 from mbdkit.engine.kernels.observe import first_order_rates
 from mbdkit.engine.native.arithmetic import where
 from mbdkit.engine.native.functions import subkernel
@@ -103,7 +104,7 @@ class Control:
     @property
     def inner_rtol(self) -> float:
         """Relative tolerance of the estimate."""
-        return float(self.scale * self.rtol ** (self.estimate_order / self.order))
+        return float(self.scale * elementary.pow(self.rtol, self.estimate_order / self.order))
 
     @property
     def inner_atol(self) -> float:
@@ -231,8 +232,8 @@ def factor_after_acceptance(control, error, last_error, retrying):
 
     `last_error` is 0 if there is no accepted step before. After a rejection (`retrying`) the size must not grow.
     """
-    factor = SAFETY * error ** (-(control.exponent[0] - INTEGRAL_SHARE * control.beta[0]))
-    factor = where(last_error > 0.0, factor * last_error ** control.beta[0], factor)
+    factor = SAFETY * elementary.pow(error, -(control.exponent[0] - INTEGRAL_SHARE * control.beta[0]))
+    factor = where(last_error > 0.0, factor * elementary.pow(last_error, control.beta[0]), factor)
     factor = min(MAX_FACTOR, max(MIN_FACTOR, where(error > 0.0, factor, MAX_FACTOR)))
     return where(retrying != 0, min(1.0, factor), factor)
 
@@ -242,7 +243,7 @@ def factor_after_rejection(control, solved, error):
     """Return h_new / h after a rejected step, by the error alone; `solved` is false if the error is unknown because the
     equations could not be solved.
     """
-    factor = max(MIN_FACTOR, SAFETY * error ** (-control.exponent[0]))
+    factor = max(MIN_FACTOR, SAFETY * elementary.pow(error, -control.exponent[0]))
     return where(solved & (error < np.inf), factor, SOLVER_FAILURE_FACTOR)
 
 
