@@ -30,8 +30,8 @@ class Level:
         Number of doubles in a vector register.
     needs
         Flags of a processor of this level, as Linux names them.
-    processor, features
-        The processor, and its additional features in code for lanes, as LLVM names them.
+    processor, features, architecture
+        The processor, its additional features in code for lanes, and its architecture, as LLVM names them.
     shared
         Libraries of machine code that are not stored for this level, each with the level whose library is used instead.
     """
@@ -41,6 +41,7 @@ class Level:
     needs: frozenset[str]
     processor: str
     features: str = ""
+    architecture: str = "x86_64"
     shared: tuple[tuple[str, str], ...] = ()
 
     def of(self, library: str) -> str:
@@ -73,11 +74,11 @@ class Platform:
 
 PLATFORMS = {
     Platform("linux", "x86_64"): (
-        Level("x86-64-v4", 8, _V4, "x86-64-v4", "-prefer-256-bit", (("gradients", "x86-64-v3"),)),
+        Level("x86-64-v4", 8, _V4, "x86-64-v4", "-prefer-256-bit", shared=(("gradients", "x86-64-v3"),)),
         *_X86_64,
     ),
-    Platform("linux", "aarch64"): (Level("armv8", 2, frozenset(), "generic"),),
-    Platform("macos", "arm64"): (Level("apple", 2, frozenset(), "apple-m1"),),
+    Platform("linux", "aarch64"): (Level("armv8", 2, frozenset(), "generic", architecture="aarch64"),),
+    Platform("macos", "arm64"): (Level("apple", 2, frozenset(), "apple-m1", architecture="aarch64"),),
     # Few Intel Macs and few laptops with Windows have AVX-512, which only advances ensembles faster.
     Platform("macos", "x86_64"): _X86_64,
     Platform("windows", "x86_64"): _X86_64,

@@ -31,7 +31,7 @@ from pathlib import Path
 from typing import Any
 
 from mbdkit.engine.native import machine_code
-from mbdkit.engine.native.levels import PLATFORMS, Platform, chosen_level, this_platform
+from mbdkit.engine.native.levels import PLATFORMS, Level, Platform, chosen_level, this_platform
 from mbdkit.engine.native.machine_code import kernel_packages, stored_folder
 
 _GENERATED = {
@@ -151,16 +151,18 @@ def _list() -> int:
 def _objects(codes: list[str], names: list[str], into: Path) -> int:
     from mbdkit_builder.libraries import code_named, object_path
     from mbdkit_builder.lowering import prepare, symbols
-    from mbdkit_builder.object_code import emitted
+    from mbdkit_builder.object_code import emitted, optimized
 
     makers = symbols(machine_code.package_of(names[0]))
     prepare()
     for symbol in names:
-        module = makers[symbol]()
+        module, by_level = makers[symbol](), dict[Level, Any]()
         for code in map(code_named, codes):
+            if code.level not in by_level:
+                by_level[code.level] = optimized(module, symbol, code.level)
             path = object_path(into, symbol, code)
             draft = path.with_suffix(f".{os.getpid()}")
-            draft.write_bytes(emitted(module, symbol, code.platform, code.level))
+            draft.write_bytes(emitted(by_level[code.level], symbol, code.platform, code.level))
             draft.replace(path)
     return 0
 

@@ -219,40 +219,51 @@ def _module(symbol: str, function: Any, arguments: tuple[Any, ...], kind: ir.Fun
     return linked
 
 
-def emitted(module: Any, symbol: str, platform: Platform, level: Level) -> bytes:
-    """Return the object file of the module of a symbol for a level of a platform."""
-    triple = _TRIPLES[platform.system].format(platform.architecture)
-    target = llvm.Target.from_triple(triple)
-    features = level.features if group_of(symbol) == "lanes" else ""
-    machine = target.create_target_machine(
-        cpu=level.processor, features=features, opt=3, reloc="pic", codemodel="small"
-    )
+def optimized(module: Any, symbol: str, level: Level) -> Any:
+    """Return a copy of the module of a symbol, optimized for a level.
+
+    It is the same for all platforms with this level, as if they were Linux: what is tested there is tested for all.
+    """
+    machine = _machine(symbol, _TRIPLES["linux"].format(level.architecture), level)
     if group_of(symbol) == "gradients":
         # Every number has twelve derivatives. If each function were copied into its callers, the code would be ten
         # times larger.
         copy = llvm.parse_assembly(str(module).replace("alwaysinline", "nounwind"))
     else:
         copy = llvm.parse_bitcode(module.as_bitcode())
-    copy.triple, copy.data_layout = triple, str(machine.target_data)
+    copy.triple, copy.data_layout = machine.triple, str(machine.target_data)
     options = llvm.create_pipeline_tuning_options(speed_level=3)
     options.loop_vectorization = True
     builder = llvm.create_pass_builder(machine, options)
     builder.getModulePassManager().run(copy, builder)
     # Only after the optimization, which would copy every internal function that is called once into its caller.
     for value in (*copy.functions, *copy.global_variables):
-        if value.is_declaration:
-            continue
-        if value.name != symbol:
+        if not value.is_declaration and value.name != symbol:
             value.linkage = "internal"
-        elif platform.system == "windows":
-            value.storage_class = "dllexport"
     for value in copy.functions:
         if value.is_declaration:
             value.name = _LIBRARY_NAMES.get(value.name, value.name)
     unused = llvm.create_new_module_pass_manager()
     unused.add_global_dead_code_eliminate_pass()
     unused.run(copy, builder)
+    return copy
+
+
+def emitted(module: Any, symbol: str, platform: Platform, level: Level) -> bytes:
+    """Return the object file of the optimized module of a symbol for a platform."""
+    machine = _machine(symbol, _TRIPLES[platform.system].format(platform.architecture), level)
+    copy = llvm.parse_bitcode(module.as_bitcode())
+    copy.triple, copy.data_layout = machine.triple, str(machine.target_data)
+    if platform.system == "windows":
+        copy.get_function(symbol).storage_class = "dllexport"
     return bytes(machine.emit_object(copy))
+
+
+def _machine(symbol: str, triple: str, level: Level) -> Any:
+    features = level.features if group_of(symbol) == "lanes" else ""
+    return llvm.Target.from_triple(triple).create_target_machine(
+        cpu=level.processor, features=features, opt=3, reloc="pic", codemodel="small"
+    )
 
 
 def initialize() -> None:
