@@ -27,7 +27,7 @@ from mbdkit.base.errors import MbdkitError
 from mbdkit.engine.native.levels import PLATFORMS, Level, Platform, this_platform
 from mbdkit.engine.native.machine_code import BUILT, MANIFEST, PACKAGE, digest, library_name
 from mbdkit_builder import sources
-from mbdkit_builder.library_imports import check_imports
+from mbdkit_builder.library_files import check_imports
 from mbdkit_builder.sources import module_of
 
 TOOLS = ("numba", "llvmlite", "ziglang")
@@ -91,8 +91,7 @@ def build(folders: Mapping[Platform, Path], names: Iterable[str], *, only: str |
                 pool.map(lambda item: _linked(item[0][0], item[1], item[0][1], Path(work)), objects.items())
             )
             for (target, name), content in zip(objects, contents, strict=True):
-                if target.system == "linux":
-                    check_imports(content, name)
+                check_imports(content, target.system, name)
             packed = list(pool.map(lambda content: lzma.compress(content, preset=9 | lzma.PRESET_EXTREME), contents))
         for target, into in folders.items():
             new = Path(work) / str(target)

@@ -73,7 +73,7 @@ _NOT_COMPILED = {
     "function_laws.py",
     "generated_files.py",
     "libraries.py",
-    "library_imports.py",
+    "library_files.py",
     "method_stubs.py",
     "minimax.py",
     "packaged_laws.py",
