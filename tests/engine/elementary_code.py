@@ -28,20 +28,22 @@ Values = Callable[[np.ndarray, np.ndarray], np.ndarray]
 
 def build(folder: Path) -> None:
     """Build the library of the chosen level."""
-    from mbdkit_builder import libraries, lowering, object_code
+    from mbdkit_builder import libraries, lowering, object_code, sources
 
     lowering.symbols()
     lowering.prepare()
     level, target = chosen_level(), this_platform()
-    objects = []
+    modules = {sources.ELEMENTARY: object_code.elementary_module()}
     for kind in (NUMBERS, LANES, C_LIBRARY):
         for name in FUNCTIONS:
-            symbol = f"{kind}__{name}"
-            code = object_code.emitted(_module(symbol, kind, name), symbol, target, level)
-            objects.append(folder / f"{symbol}.o")
-            objects[-1].write_bytes(code)
+            modules[f"{kind}__{name}"] = _module(f"{kind}__{name}", kind, name)
+    objects = []
+    for symbol, module in modules.items():
+        code = object_code.emitted(object_code.optimized(module, symbol, level), symbol, target, level)
+        objects.append(folder / f"{symbol}.o")
+        objects[-1].write_bytes(code)
     path = _path(folder, level)
-    path.write_bytes(libraries._linked(target, objects, path))
+    path.write_bytes(libraries._linked(target, objects, path.name, folder))
 
 
 def _path(folder: Path, level: Level) -> Path:

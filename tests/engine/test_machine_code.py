@@ -94,8 +94,8 @@ def test_all_levels_and_the_sources_in_python_agree_to_the_bit() -> None:
 
 
 def test_results_do_not_depend_on_the_routines_that_libraries_choose_for_a_processor() -> None:
-    # expected: results of the processor's own routines; with those of another one, LAPACK, BLAS, and the sines and powers
-    # of NumPy and of the C library (glibc; others ignore its setting) round differently
+    # expected: results of the processor's own routines; with those of another one, LAPACK, BLAS, and functions of
+    # NumPy and of the C library (glibc; others ignore its setting) round differently
     other = {"OPENBLAS_CORETYPE": "Nehalem", **settings()["NumPy"], **settings()["C library"]}
     runs = LOOPS | FORMULAS
     assert hashes(runs, without_numba=False, **other) == hashes(runs, without_numba=False)

@@ -208,9 +208,9 @@ def _lgamma(x):
     if x >= _LARGE:
         logarithm, logarithm_low = _stirling(x, 0.0)
         return logarithm + logarithm_low
-    if abs(x - 1.0) <= 0.125:
+    if abs(x - 1.0) <= 0.06:
         return _near_zero(x - 1.0, _ONE, _NEAR_ONE)
-    if abs(x - 2.0) <= 0.125:
+    if abs(x - 2.0) <= 0.1:
         return _near_zero(x - 2.0, _TWO, _NEAR_TWO)
     if x <= 0.0 and below(x) == x:
         return math.inf

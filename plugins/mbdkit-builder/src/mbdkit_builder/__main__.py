@@ -151,9 +151,10 @@ def _list() -> int:
 def _objects(codes: list[str], names: list[str], into: Path) -> int:
     from mbdkit_builder.libraries import code_named, object_path
     from mbdkit_builder.lowering import prepare, symbols
-    from mbdkit_builder.object_code import emitted, optimized
+    from mbdkit_builder.object_code import elementary_module, emitted, optimized
+    from mbdkit_builder.sources import ELEMENTARY
 
-    makers = symbols(machine_code.package_of(names[0]))
+    makers = symbols(machine_code.package_of(names[0])) | {ELEMENTARY: elementary_module}
     prepare()
     for symbol in names:
         module, by_level = makers[symbol](), dict[Level, Any]()

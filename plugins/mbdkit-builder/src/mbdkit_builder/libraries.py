@@ -27,7 +27,7 @@ from mbdkit.base.errors import MbdkitError
 from mbdkit.engine.native.levels import PLATFORMS, Level, Platform, this_platform
 from mbdkit.engine.native.machine_code import BUILT, MANIFEST, PACKAGE, digest, library_name
 from mbdkit_builder import sources
-from mbdkit_builder.library_imports import check_imports
+from mbdkit_builder.library_files import check_imports
 from mbdkit_builder.sources import module_of
 
 TOOLS = ("numba", "llvmlite", "ziglang")
@@ -91,8 +91,7 @@ def build(folders: Mapping[Platform, Path], names: Iterable[str], *, only: str |
                 pool.map(lambda item: _linked(item[0][0], item[1], item[0][1], Path(work)), objects.items())
             )
             for (target, name), content in zip(objects, contents, strict=True):
-                if target.system == "linux":
-                    check_imports(content, name)
+                check_imports(content, target.system, name)
             packed = list(pool.map(lambda content: lzma.compress(content, preset=9 | lzma.PRESET_EXTREME), contents))
         for target, into in folders.items():
             new = Path(work) / str(target)
@@ -135,6 +134,7 @@ def _objects(
     """
     folder.mkdir(exist_ok=True)
     counts = sorted({code.level.lanes for code in codes}, reverse=True)
+    _compile(codes, [sources.ELEMENTARY], folder)
     jobs = [([code for code in codes if code.level.lanes == lanes], groups.get("lanes", [])) for lanes in counts]
     for name in ("gradients", "collocation", "core"):
         own = [code for code in codes if code.level.of(name) == code.level.name]
@@ -146,7 +146,8 @@ def _objects(
         for code in built:
             for symbol in names:
                 library = library_name(group_of(symbol), code.platform, code.level.name)
-                found.setdefault((code.platform, library), []).append(object_path(folder, symbol, code))
+                paths = found.setdefault((code.platform, library), [object_path(folder, sources.ELEMENTARY, code)])
+                paths.append(object_path(folder, symbol, code))
     return dict(sorted(found.items(), key=lambda item: (str(item[0][0]), item[0][1])))
 
 
@@ -220,8 +221,10 @@ def build_one(symbol: str, level: Level) -> Path:
     path, code = built_path(symbol, level), Code(this_platform(), level)
     with tempfile.TemporaryDirectory() as work:
         path.parent.mkdir(exist_ok=True)
-        _compile([code], [symbol], path.parent)
-        content = _linked(code.platform, [object_path(path.parent, symbol, code)], f"{symbol}.so", Path(work))
+        names = [symbol, sources.ELEMENTARY]
+        _compile([code], names, path.parent)
+        objects = [object_path(path.parent, name, code) for name in names]
+        content = _linked(code.platform, objects, f"{symbol}.so", Path(work))
     draft = path.with_suffix(f".{os.getpid()}")
     draft.write_bytes(content)
     draft.replace(path)

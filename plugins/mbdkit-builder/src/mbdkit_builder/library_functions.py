@@ -3,7 +3,8 @@
 Numba translates functions of `math` and NumPy to calls of the C library, or to intrinsic functions of LLVM, which
 become such calls, and `%` to an instruction that becomes a call of ``fmod``. All of them are renamed as soon as the
 module of a function exists, since LLVM, which knows the meaning of these names, would otherwise compute values of
-constants with the C library of this machine. `mbdkit_builder.object_code` links their definitions.
+constants with the C library of this machine. They are declared without effects, and every library
+contains their definitions (`mbdkit_builder.object_code.elementary_module`).
 """
 
 from __future__ import annotations
@@ -23,6 +24,7 @@ _NAMES = sorted({*FUNCTIONS, *(alias for alias, name in _ALIASES.items() if name
 _CALLED = re.compile(rf"""@"?(?:llvm\.)?({"|".join(_NAMES)})(?:\.f64)?"?(?=\()""")
 _OWN = re.compile(rf"""@"?{re.escape(PREFIX)}(\w+)""")
 _DECLARED = re.compile(rf"""^declare .*@"?{re.escape(PREFIX)}\w+"?\(.*$""", re.MULTILINE)
+_PURE = "nounwind willreturn memory(none)"
 _REMAINDER = re.compile(r"= frem (double \S+), (\S+)")
 
 # Numba executes none of the code that is stored. It does execute functions of users, whose duals call ours: as their
@@ -39,7 +41,7 @@ def with_own_names(code: str) -> str:
     # A function may have been declared by two of its old names, or not at all.
     called = sorted(set(_OWN.findall(code)))
     code = _DECLARED.sub("", code)
-    declared = (f'declare double @"{PREFIX}{name}"({_arguments(name)})' for name in called)
+    declared = (f'declare double @"{PREFIX}{name}"({_arguments(name)}) {_PURE}' for name in called)
     return "\n".join((code, *declared, ""))
 
 

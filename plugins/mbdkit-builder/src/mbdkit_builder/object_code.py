@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Sequence
-from functools import cache
 from typing import Any, get_args
 
 import llvmlite.binding as llvm
@@ -29,6 +28,7 @@ from mbdkit_builder.dual_types import DUAL
 from mbdkit_builder.implementation import dispatcher
 from mbdkit_builder.libraries import group_of
 from mbdkit_builder.library_functions import PREFIX, with_own_names
+from mbdkit_builder.sources import ELEMENTARY
 
 _WORD, _REAL, _BIT = ir.IntType(64), ir.DoubleType(), ir.IntType(1)
 _POINTER = _REAL.as_pointer()
@@ -221,21 +221,22 @@ def linked_module(
     linked = llvm.parse_assembly(str(module))
     code = with_own_names(str(found._asdict()["library"]._final_module))
     linked.link_in(llvm.parse_assembly(_OBJECT.sub(r"\1 null", _EXCEPTION.sub(r"\1 zeroinitializer", code))))
-    _link_definitions(linked)
     linked.verify()
     return linked
 
 
-def _link_definitions(module: Any) -> None:
-    """Add the definitions of the elementary functions that a module declares."""
-    for name in [one.name for one in module.functions if one.is_declaration and one.name.startswith(PREFIX)]:
-        module.link_in(llvm.parse_bitcode(_definition(name.removeprefix(PREFIX))))
+def elementary_module() -> Any:
+    """Return the unoptimized LLVM module of all elementary functions, as C functions of doubles.
+
+    Every library has it once; kernels call these functions.
+    """
+    module = llvm.parse_assembly("")
+    for name, function in FUNCTIONS.items():
+        module.link_in(_definition(name, function))
+    return module
 
 
-@cache
-def _definition(name: str) -> bytes:
-    """Return the module of an elementary function, as a C function of doubles."""
-    function = FUNCTIONS[name]
+def _definition(name: str, function: Callable[..., Any]) -> Any:
     count = function.__code__.co_argcount
     arguments = (types.float64,) * count
 
@@ -246,9 +247,9 @@ def _definition(name: str) -> bytes:
     kind = ir.FunctionType(ir.DoubleType(), [ir.DoubleType()] * count)
     module = linked_module(f"{PREFIX}{name}", function, arguments, kind, wrap, is_inlined=True)
     for one in module.functions:
-        if not one.is_declaration:
-            one.linkage = "linkonce_odr"
-    return module.as_bitcode()
+        if not one.is_declaration and not one.name.startswith(PREFIX):
+            one.linkage = "linkonce_odr"  # several functions may share it
+    return module
 
 
 def optimized(module: Any, symbol: str, level: Level) -> Any:
@@ -270,7 +271,9 @@ def optimized(module: Any, symbol: str, level: Level) -> Any:
     builder.getModulePassManager().run(copy, builder)
     # Only after the optimization, which would copy every internal function that is called once into its caller.
     for value in (*copy.functions, *copy.global_variables):
-        if not value.is_declaration and value.name != symbol:
+        if not value.is_declaration and value.name.startswith(PREFIX):
+            value.visibility = "hidden"
+        elif not value.is_declaration and value.name != symbol:
             value.linkage = "internal"
     unused = llvm.create_new_module_pass_manager()
     unused.add_global_dead_code_eliminate_pass()
@@ -283,7 +286,7 @@ def emitted(module: Any, symbol: str, platform: Platform, level: Level) -> bytes
     machine = _machine(symbol, _TRIPLES[platform.system].format(platform.architecture), level)
     copy = llvm.parse_bitcode(module.as_bitcode())
     copy.triple, copy.data_layout = machine.triple, str(machine.target_data)
-    if platform.system == "windows":
+    if platform.system == "windows" and symbol != ELEMENTARY:
         copy.get_function(symbol).storage_class = "dllexport"
     return bytes(machine.emit_object(copy))
 

@@ -22,11 +22,15 @@ _ALWAYS = (
     "engine/native/kernel.py",
     "engine/native/levels.py",
 )
+ELEMENTARY = "elementary"
+"""Name of the object file with all elementary functions, which no symbol of a kernel has."""
 _IMPORT = re.compile(r"^(?:from|import) (\w+)\.([\w.]+)(?: import (?:\(([\w,\s]+)\)|([\w, ]+)))?", re.MULTILINE)
 
 
 def module_of(symbol: str) -> str:
     """Return the source file of a symbol; see `mbdkit.engine.native.machine_code.source_file`."""
+    if symbol == ELEMENTARY:
+        return _ALWAYS[0]
     package, name = package_of(symbol), symbol.rpartition("___")[2].partition("__")[0]
     for room in ("integrators/", "engine/kernels/") if package == CORE else (f"{package}:kernels/",):
         if source_file(f"{room}{name}.py").is_file():
@@ -73,7 +77,7 @@ _NOT_COMPILED = {
     "function_laws.py",
     "generated_files.py",
     "libraries.py",
-    "library_imports.py",
+    "library_files.py",
     "method_stubs.py",
     "minimax.py",
     "packaged_laws.py",

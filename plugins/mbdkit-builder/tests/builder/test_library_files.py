@@ -10,15 +10,8 @@ import pytest
 
 from mbdkit.engine.native import machine_code
 from mbdkit.engine.native.levels import PLATFORMS, Platform
+from mbdkit_builder import library_files
 
-from . import library_files
-
-MEMORY = {
-    "linux": {"memcpy", "memmove", "memset"},
-    "macos": {"bzero", "dyld_stub_binder", "memcpy", "memmove", "memset", "memset_pattern16"},
-    "windows": set[str](),
-}
-"""Functions that the machine code may take from the C library, by operating system."""
 LIBRARIES = {"linux": {"libc.so.6"}, "macos": {"/usr/lib/libSystem.B.dylib"}, "windows": set[str]()}
 
 
@@ -45,7 +38,7 @@ def test_a_library_needs_memory_functions_only_and_offers_its_symbols(
     group = path.name.partition("-")[0]
     assert found.architecture == {"aarch64": "arm64"}.get(target.architecture, target.architecture)
     assert found.exported == {symbol for symbol, (its_group, _) in manifest["symbols"].items() if its_group == group}
-    assert found.imported <= MEMORY[target.system]
+    assert found.imported <= library_files.MEMORY_FUNCTIONS[target.system]
     assert found.libraries <= LIBRARIES[target.system]
 
 

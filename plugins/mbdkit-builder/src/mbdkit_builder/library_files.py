@@ -1,5 +1,7 @@
 """Read what shared libraries need and offer from their files, of all platforms, on any of them.
 
+The machine code takes memory functions only from outside, whose results are the same everywhere.
+
 The formats are those of the System V ABI (ELF), of ``mach-o/loader.h``, ``mach-o/nlist.h`` and ``cs_blobs.h`` (Mach-O,
 code signatures), and of Microsoft's specification "PE Format". Only 64-bit files are read.
 """
@@ -11,6 +13,15 @@ import struct
 from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
+
+from mbdkit.base.errors import MbdkitError
+
+MEMORY_FUNCTIONS = {
+    "linux": {"memcpy", "memmove", "memset"},
+    "macos": {"bzero", "dyld_stub_binder", "memcpy", "memmove", "memset", "memset_pattern16"},
+    "windows": set[str](),
+}
+"""Functions that the machine code may take from the C library, by operating system."""
 
 
 @dataclass(frozen=True)
@@ -48,6 +59,15 @@ def read(content: bytes) -> LibraryFile:
     if content[:2] == b"MZ":
         return _pe(content)
     raise ValueError("this is not a shared library")
+
+
+def check_imports(content: bytes, system: str, name: str) -> None:
+    """Raise MbdkitError if a library of machine code takes more than memory functions from outside."""
+    if others := sorted(read(content).imported - MEMORY_FUNCTIONS[system]):
+        raise MbdkitError(
+            f"the machine code {name} calls {', '.join(others)} of the C library, whose results depend on the machine: "
+            "add a function to mbdkit.engine.kernels.elementary.FUNCTIONS"
+        )
 
 
 def _text(content: bytes, at: int) -> str:
