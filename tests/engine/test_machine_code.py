@@ -46,11 +46,11 @@ SPECS: dict[str, Any] = {
 }
 FORMULAS: dict[str, Any] = {
     "slider-crank rk-gill": SHORT | {"integrator": {"name": "rk-gill"}},
-    "slider-crank-clearance rk4": SHORT | {"integrator": {"name": "rk4"}, "events": {}},
-    "squat rk4": SHORT | {"integrator": {"name": "rk4"}},
-    "elbow-curl rk4": SHORT | {"integrator": {"name": "rk4"}},
+    "slider-crank-clearance dopri5": SHORT | {"integrator": {"name": "dopri5", "adaptive": True, "rtol": 1e-6}},
+    "crank-press gauss": SHORT | {"integrator": {"name": "gauss", "stages": 2}},
+    "squat gauss": SHORT | {"integrator": {"name": "gauss", "stages": 2}},
 }
-"""Models whose parts are placed by sines and lengths, with expressions of time and state, muscles and contact."""
+"""Models whose parts are placed by sines and lengths, with expressions, a table, muscles and contact."""
 LOOPS: dict[str, Any] = {
     "slider-crank rk-gill": {"time": {"end": 0.1, "step": 0.01}},
     "watt-six-bar gauss": SHORT | {"integrator": {"name": "gauss", "stages": 3}},
