@@ -143,9 +143,13 @@ class Names:
         return False
 
     def renamed(self, source: Any, target: Any) -> None:
-        if os.path.lexists(target):
-            raise refusal(FILE_EXISTS, target)
-        self.replaced(source, target)
+        if self._is_open(source, also_shared=False):
+            raise refusal(SHARING_VIOLATION, source)
+        try:
+            self.link(source, target)  # unlike renaming, it never replaces a file
+        except FileExistsError:
+            raise refusal(FILE_EXISTS, target) from None
+        self.remove(source)
 
     def replaced(self, source: Any, target: Any) -> None:
         if self._is_open(source, also_shared=False):

@@ -12,8 +12,7 @@ from __future__ import annotations
 import os
 import sys
 import time
-
-from mbdkit.base import windows_calls
+from types import ModuleType
 
 IS_WINDOWS = sys.platform == "win32"
 
@@ -24,6 +23,13 @@ _PAUSE = 0.02
 """Time between two attempts to lock a file on Windows [s]."""
 
 
+def _windows() -> ModuleType:
+    """Return the calls of Windows, which other systems need not import; this takes a few milliseconds."""
+    from mbdkit.base import windows_calls
+
+    return windows_calls
+
+
 def open_file(path: str | os.PathLike[str], flags: int) -> int:
     """Open a file as `os.open` does; also on Windows, it may be renamed and removed while it is open.
 
@@ -32,7 +38,7 @@ def open_file(path: str | os.PathLike[str], flags: int) -> int:
     flags
         ``os.O_RDONLY`` or ``os.O_RDWR``; ``os.O_CREAT``, ``os.O_EXCL`` and `NO_LINKS` may be added.
     """
-    return windows_calls.open_file(path, flags) if IS_WINDOWS else os.open(path, flags, 0o666)
+    return int(_windows().open_file(path, flags)) if IS_WINDOWS else os.open(path, flags, 0o666)
 
 
 def lock(handle: int, *, shared: bool = False, wait: bool = False) -> None:
@@ -61,7 +67,7 @@ def lock(handle: int, *, shared: bool = False, wait: bool = False) -> None:
         return
     while True:
         try:
-            windows_calls.lock(handle, shared=shared)
+            _windows().lock(handle, shared=shared)
         except BlockingIOError:
             if not wait:
                 raise
@@ -72,7 +78,7 @@ def lock(handle: int, *, shared: bool = False, wait: bool = False) -> None:
 
 def has_name(handle: int, path: str | os.PathLike[str]) -> bool:
     """Return whether an open file still has the name `path`; False if it has been removed, renamed or replaced."""
-    if IS_WINDOWS and windows_calls.is_removed(handle):
+    if IS_WINDOWS and _windows().is_removed(handle):
         return False
     try:
         return os.path.samestat(os.fstat(handle), os.lstat(path))
@@ -100,7 +106,7 @@ def is_locked(path: str | os.PathLike[str]) -> bool:
 def unlock(handle: int) -> None:
     """Unlock an open file."""
     if IS_WINDOWS:
-        windows_calls.unlock(handle)
+        _windows().unlock(handle)
     else:
         import fcntl
 

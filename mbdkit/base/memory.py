@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 from pathlib import Path
 
-from mbdkit.base import file_locks, windows_calls
+from mbdkit.base import file_locks
 from mbdkit.base.text import counted
 
 _MEMINFO = Path("/proc/meminfo")
@@ -17,6 +17,8 @@ def available_memory() -> int | None:
     On macOS, this is the installed memory.
     """
     if file_locks.IS_WINDOWS:
+        from mbdkit.base import windows_calls
+
         return windows_calls.memory().available
     try:
         for line in _MEMINFO.read_text(encoding="ascii").splitlines():
@@ -30,6 +32,8 @@ def available_memory() -> int | None:
 def installed_memory() -> int | None:
     """Return the installed memory [bytes]; None if unknown."""
     if file_locks.IS_WINDOWS:
+        from mbdkit.base import windows_calls
+
         return windows_calls.memory().installed
     try:
         return os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")

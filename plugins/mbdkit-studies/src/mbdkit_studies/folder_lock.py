@@ -16,7 +16,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import IO
 
-from mbdkit.base import file_locks, windows_calls
+from mbdkit.base import file_locks
 from mbdkit.base.errors import ResourceError, SpecError
 from mbdkit.base.files import rename_new
 from mbdkit.base.text import shown
@@ -143,7 +143,9 @@ def _started(pid: int) -> str:
             return ""
         return "" if status[0] in "ZX" else status[19]  # a dead process that its parent has not waited for, see proc(5)
     if file_locks.IS_WINDOWS:
-        return windows_calls.process_start(pid)
+        from mbdkit.base.windows_calls import process_start
+
+        return process_start(pid)
     command = ["ps", "-o", "stat=", "-o", "lstart=", "-p", str(pid)]
     # The output depends on language and time zone, which may differ between two calls.
     environment = os.environ | {"LC_ALL": "C", "TZ": "UTC"}
