@@ -51,6 +51,8 @@ class Kernel32:
     def CreateFileW(
         self, name: str, access: int, share: int, security: None, disposition: int, flags: int, template: None
     ) -> int:
+        if access == 0x10000:  # DELETE
+            return self._failed(SHARING_VIOLATION) - 1 if self.is_open(name, also_shared=False) else 0
         mode = os.O_RDWR if access & 0x40000000 else os.O_RDONLY
         mode |= {1: os.O_CREAT | os.O_EXCL, 3: 0, 4: os.O_CREAT}[disposition]
         try:
@@ -68,6 +70,19 @@ class Kernel32:
         if share == 7:
             self.sharing[handle] = identity(handle)
         return handle
+
+    def is_open(self, path: Any, *, also_shared: bool) -> bool:
+        """Return whether this process has a file open; unless `also_shared`, such that it may not be removed."""
+        try:
+            status = os.stat(path, follow_symlinks=False)
+        except OSError:
+            return False
+        for handle in map(int, os.listdir("/proc/self/fd")):
+            with contextlib.suppress(OSError):
+                file = identity(handle)
+                if file == (status.st_dev, status.st_ino) and (also_shared or self.sharing.get(handle) != file):
+                    return True
+        return False
 
     def _others(self, handle: int) -> dict[int, bool]:
         """Return the locks on a file by descriptors that are still open, except `handle`."""
@@ -129,21 +144,8 @@ class Names:
         self.kernel = kernel
         self.link, self.rename, self.remove, self.open = os.link, os.rename, os.unlink, os.open
 
-    def _is_open(self, path: Any, *, also_shared: bool) -> bool:
-        """Return whether this process has a file open; unless `also_shared`, such that it may not be removed."""
-        try:
-            status = os.stat(path, follow_symlinks=False)
-        except OSError:
-            return False
-        for handle in map(int, os.listdir("/proc/self/fd")):
-            with contextlib.suppress(OSError):
-                file = identity(handle)
-                if file == (status.st_dev, status.st_ino) and (also_shared or self.kernel.sharing.get(handle) != file):
-                    return True
-        return False
-
     def renamed(self, source: Any, target: Any) -> None:
-        if self._is_open(source, also_shared=False):
+        if self.kernel.is_open(source, also_shared=False):
             raise refusal(SHARING_VIOLATION, source)
         try:
             self.link(source, target)  # unlike renaming, it never replaces a file
@@ -152,14 +154,14 @@ class Names:
         self.remove(source)
 
     def replaced(self, source: Any, target: Any) -> None:
-        if self._is_open(source, also_shared=False):
+        if self.kernel.is_open(source, also_shared=False):
             raise refusal(SHARING_VIOLATION, source)
-        if self._is_open(target, also_shared=True):
+        if self.kernel.is_open(target, also_shared=True):
             raise refusal(ACCESS_DENIED, target)
         self.rename(source, target)
 
     def removed(self, path: Any, **options: Any) -> None:
-        if not options and self._is_open(path, also_shared=False):
+        if not options and self.kernel.is_open(path, also_shared=False):
             raise refusal(SHARING_VIOLATION, path)
         self.remove(path, **options)
 

@@ -103,6 +103,11 @@ def is_locked(path: str | os.PathLike[str]) -> bool:
     return False
 
 
+def is_kept_by_a_program(path: str | os.PathLike[str]) -> bool:
+    """Return whether an existing file cannot be replaced because a program has it open; always False on POSIX."""
+    return IS_WINDOWS and bool(_windows().is_open_elsewhere(path))
+
+
 def unlock(handle: int) -> None:
     """Unlock an open file."""
     if IS_WINDOWS:

@@ -118,7 +118,7 @@ def check_output(path: Path, *, overwrite: bool, source: str | Path | None = Non
     SpecError
         If the folder does not exist, or an existing file may not be replaced.
     ResourceError
-        If writing into the folder is not permitted.
+        If writing into the folder is not permitted, or the existing file cannot be replaced because it is open.
     """
     check_name_of_file(path.name)
     # os.path instead of methods of Path, which raise for names that are too long and for folders without permission
@@ -136,6 +136,11 @@ def check_output(path: Path, *, overwrite: bool, source: str | Path | None = Non
             raise SpecError(
                 "this file exists already; choose another name, or replace it with --overwrite (overwrite=True in "
                 "Python)",
+                file=path,
+            )
+        if file_locks.is_kept_by_a_program(path):
+            raise ResourceError(
+                "this file is open in this or another program, so that Windows cannot replace it; close it there",
                 file=path,
             )
     check_writable(path.parent, path)

@@ -18,15 +18,15 @@ _windows: Any = ctypes  # on other systems, ctypes has neither `WinDLL` nor `get
 
 _DWORD = ctypes.c_uint32  # on other systems, where tests run, `wintypes.DWORD` has 64 bits
 
-_GENERIC_READ, _GENERIC_WRITE = 0x80000000, 0x40000000
-_FILE_SHARE_READ, _FILE_SHARE_WRITE, _FILE_SHARE_DELETE = 1, 2, 4
+_GENERIC_READ, _GENERIC_WRITE, _DELETE = 0x80000000, 0x40000000, 0x00010000
+_SHARE_ALL = 1 | 2 | 4  # FILE_SHARE_READ, FILE_SHARE_WRITE, FILE_SHARE_DELETE
 _CREATE_NEW, _OPEN_EXISTING, _OPEN_ALWAYS = 1, 3, 4
 _FILE_ATTRIBUTE_NORMAL = 0x80
 
 _FILE_STANDARD_INFO = 1
 
 _LOCKFILE_FAIL_IMMEDIATELY, _LOCKFILE_EXCLUSIVE_LOCK = 1, 2
-_ERROR_LOCK_VIOLATION, _ERROR_IO_PENDING = 33, 997
+_ERROR_SHARING_VIOLATION, _ERROR_LOCK_VIOLATION, _ERROR_IO_PENDING = 32, 33, 997
 
 _PROCESS_QUERY_LIMITED_INFORMATION, _SYNCHRONIZE = 0x1000, 0x00100000
 _WAIT_TIMEOUT = 258
@@ -99,6 +99,16 @@ def _error(path: str | None = None) -> OSError:
     return OSError(0, _windows.FormatError(number).strip().rstrip("."), path, number)
 
 
+def _opened(path: str, access: int, disposition: int) -> int:
+    handle: int | None = _kernel32().CreateFileW(
+        path, access, _SHARE_ALL, None, disposition, _FILE_ATTRIBUTE_NORMAL, None
+    )
+    if handle in (None, -1, wintypes.HANDLE(-1).value):  # INVALID_HANDLE_VALUE
+        raise _error(path)
+    assert handle is not None
+    return handle
+
+
 def open_file(path: str | os.PathLike[str], flags: int) -> int:
     """Open a file as `os.open` does, such that it may be renamed and removed while it is open.
 
@@ -113,14 +123,20 @@ def open_file(path: str | os.PathLike[str], flags: int) -> int:
         A file descriptor, for bytes. It is not inherited by child processes.
     """
     access = _GENERIC_READ | (_GENERIC_WRITE if flags & os.O_RDWR else 0)
-    share = _FILE_SHARE_READ | _FILE_SHARE_WRITE | _FILE_SHARE_DELETE
     disposition = _OPEN_EXISTING if not flags & os.O_CREAT else _CREATE_NEW if flags & os.O_EXCL else _OPEN_ALWAYS
-    name = os.fspath(path)
-    handle = _kernel32().CreateFileW(name, access, share, None, disposition, _FILE_ATTRIBUTE_NORMAL, None)
-    if handle in (None, -1, wintypes.HANDLE(-1).value):  # INVALID_HANDLE_VALUE
-        raise _error(name)
+    handle = _opened(os.fspath(path), access, disposition)
     descriptor: int = import_module("msvcrt").open_osfhandle(handle, os.O_RDWR if flags & os.O_RDWR else os.O_RDONLY)
     return descriptor
+
+
+def is_open_elsewhere(path: str | os.PathLike[str]) -> bool:
+    """Return whether an existing file is open such that it can be neither renamed nor removed nor replaced."""
+    try:
+        handle = _opened(os.fspath(path), _DELETE, _OPEN_EXISTING)
+    except OSError as error:
+        return getattr(error, "winerror", None) == _ERROR_SHARING_VIOLATION
+    _kernel32().CloseHandle(handle)
+    return False
 
 
 def _locked_byte() -> _Overlapped:

@@ -57,6 +57,11 @@ def test_a_run_whose_archive_cannot_be_replaced_keeps_its_part(tmp_path: Path) -
     into.finish(Ending("complete", "", STATS, largest(11, names())))
     into = writer(path, overwrite=True)
     fill(into, 300, piece=100, after=into.flush_if_due)
+    with (
+        h5py.File(path),
+        pytest.raises(ResourceError, match=r"run\.h5: this file is open .* Windows cannot replace it"),
+    ):
+        writer(path, overwrite=True)  # at the start of a run
     with h5py.File(path), pytest.raises(ResourceError, match=r"run\.h5\.part cannot be renamed.*run\.h5 is open in"):
         into.finish(Ending("complete", "", STATS, largest(300, names())))
     assert check(path) == []

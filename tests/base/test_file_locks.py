@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from contextlib import ExitStack
 from pathlib import Path
 
 import pytest
@@ -71,12 +72,17 @@ def test_windows_locks_no_byte_that_a_file_can_have(windows: Kernel32, tmp_path:
 def test_a_file_that_another_program_has_open_is_named_and_nothing_is_lost(tmp_path: Path) -> None:
     path = tmp_path / "out.txt"
     path.write_text("before")
-    with (
-        path.open(),
-        pytest.raises(ResourceError, match=r"cannot be written: out\.txt is open in this or another program"),
-        replacing(path) as temporary,
-    ):
-        temporary.write_text("after")
+    with path.open(), pytest.raises(ResourceError, match="is open in this or another program"), replacing(path):
+        pytest.fail("the work was done in vain")
+
+    def write(programs: ExitStack) -> None:
+        with replacing(path) as temporary:
+            temporary.write_text("after")
+            programs.enter_context(path.open())
+
+    words = r"cannot be written: out\.txt is open in this or another program"
+    with ExitStack() as programs, pytest.raises(ResourceError, match=words):
+        write(programs)
     assert [file.read_text() for file in tmp_path.iterdir()] == ["before"]
 
 
