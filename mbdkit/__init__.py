@@ -215,6 +215,8 @@ def _of_higher_layer(module: str, name: str, wanted: str = "") -> Callable[..., 
 
 
 # Importing any module of the package first runs this file, so that these functions are always available below.
+higher_layers.elementary_functions = _of_higher_layer("mbdkit.engine.kernels.elementary_calls", "functions_of_numbers")
+higher_layers.elementary_values = _of_higher_layer("mbdkit.engine.kernels.elementary_calls", "values_of")
 higher_layers.installed_plugins = _of_higher_layer("mbdkit.spec.choices", "RegistryLookup")
 higher_layers.symbolic_system = _of_higher_layer(
     "mbdkit_statics.symbolic_equations", "build_system", "Mechanism.to_sympy"

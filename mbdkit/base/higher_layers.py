@@ -9,6 +9,12 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
+elementary_functions: Callable[[], Any]
+"""Returns the elementary functions of numbers by name; see `mbdkit.base.elementary`."""
+
+elementary_values: Callable[..., Any]
+"""Returns the values of an elementary function, given its name and arrays."""
+
 installed_plugins: Callable[[], Any]
 """Returns the `PluginLookup` of the installed plugins, which finds the models of their options."""
 

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from mbdkit.base import elementary
 from mbdkit.base.errors import SpecError
 from mbdkit.base.plain_data import quoted
 from mbdkit.engine.compile_mechanism import compile_mechanism
@@ -239,9 +240,8 @@ class _Assembly:
         changed = bool(change.any())
         moves = np.zeros((4, len(q)))
         if changed:
-            moves[:] = (
-                np.hypot(change[:, 0], change[:, 1]), change[:, 2], np.hypot(change[:, 3], change[:, 4]), change[:, 5]
-            )  # fmt: skip
+            moved, speed = elementary.hypot(change[:, 0::3], change[:, 1::3]).T
+            moves[:] = moved, change[:, 2], speed, change[:, 5]
         position, angle, velocity, spin = (dict(zip(self.mechanism.bodies, row, strict=True)) for row in moves.tolist())
         return AssembledState(q, v, changed, position, angle, velocity, spin, _largest(phi), _largest(rate))
 

@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from mbdkit.base import elementary
 from mbdkit.base.errors import SpecError
 from mbdkit.base.plain_data import plain
 from mbdkit.engine.compile_forces import CompiledForces, Numbers
@@ -295,7 +296,7 @@ def characteristic_length(mechanism: Mechanism) -> float:
             rows = max(1, MOST_DISTANCES // len(x))
             for first in range(0, len(x), rows):
                 some = slice(first, first + rows)
-                distances = np.hypot(x[some, None] - x, y[some, None] - y)
+                distances = elementary.hypot(x[some, None] - x, y[some, None] - y)
                 longest = max(longest, float(np.max(distances)))
     return longest or 1.0
 

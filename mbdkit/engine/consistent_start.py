@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 
 import numpy as np
 
+from mbdkit.base import elementary
 from mbdkit.base.errors import SpecError
 from mbdkit.engine.assembly import AssembledState, assemble, search_for
 from mbdkit.engine.compile_mechanism import compile_mechanism, compiled_content
@@ -176,7 +176,7 @@ class CompiledForStarts:
         check_springs(mechanism.forces, placed)
         check_centers(mechanism.joints, placed)
         if compiled.contacts:
-            weight = sum(body.mass for body in mechanism.bodies.values()) * math.hypot(*mechanism.gravity)
+            weight = sum(body.mass for body in mechanism.bodies.values()) * elementary.hypot(*mechanism.gravity)
             check_start(compiled.contacts, q0, v0, mechanism.assembly.tolerance, weight)
         compiled = _with_fibers(mechanism, compiled, start.q, self.search.t0)
         if self.has_loops:

@@ -13,6 +13,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from mbdkit.base import elementary
+
 WELL_HELD = 0.1
 """A row may be removed only if, at every position, the component of its pair in the self-stresses is at least this,
 relative to the largest component. If no pair satisfies this, the one that comes closest is used.
@@ -141,7 +143,7 @@ def _in_frame(directions: np.ndarray, angle: np.ndarray) -> tuple[float, tuple[f
 
     Returns the largest deviation (1 - cosine), and the fitted direction in this frame.
     """
-    c, s = np.cos(angle), np.sin(angle)
+    c, s = elementary.cos(angle), elementary.sin(angle)
     x, y = directions.T
     own = np.stack([c * x + s * y, -s * x + c * y])
     axis = _leading_axis(own)

@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from mbdkit.base import elementary
 from mbdkit.engine.compiled_mechanism import CompiledMechanism
 from mbdkit.engine.kernels.orthogonal import solve_each_least_squares
 
@@ -57,7 +58,7 @@ def unexplained_gaps(
     gap = np.abs(np.sum(multipliers * relative[:, None], axis=(2, 3)))
     others = relative.copy()
     for (pair, frame), (x, y) in zip(top.spare, top.spare_axes, strict=True):
-        c, s = np.cos(q[:, 3 * frame + 2]), np.sin(q[:, 3 * frame + 2])
+        c, s = elementary.cos(q[:, 3 * frame + 2]), elementary.sin(q[:, 3 * frame + 2])
         along = np.column_stack([c * x - s * y, s * x + c * y])
         others[:, pair] -= np.sum(others[:, pair] * along, axis=1, keepdims=True) * along
     with np.errstate(all="ignore"):

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.lib.mixins import NDArrayOperatorsMixin
 
+from mbdkit.base import elementary
 from mbdkit.mechanism.force_law import ARGUMENTS, TracedLaw
 
 Term = str | float
@@ -26,6 +27,9 @@ _TEXTS: Mapping[Any, str] = {
     np.where: "({1} if {0} else {2})",
 }  # fmt: skip
 """Functions that can be traced, with their form in the generated source."""
+
+_OWN = {function: own for own in elementary.FUNCTIONS.values() if (function := own.ufunc) in _TEXTS}
+"""Functions of constants, by those of NumPy."""
 
 _SLOPES: Mapping[Any, Callable[..., tuple[Any, ...]]] = {
     np.add: lambda f, x, y: (1.0, 1.0),
@@ -59,7 +63,7 @@ class Source:
     def term(self, function: Any, operands: Sequence[Term]) -> Term:
         """Return the variable that holds the value of a function, or the value if all operands are constants."""
         if not any(isinstance(one, str) for one in operands):
-            return float(function(*operands))
+            return float(_OWN.get(function, function)(*operands))
         same = _without_effect(function, operands)
         if same is not None:
             return same

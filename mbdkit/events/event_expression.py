@@ -18,6 +18,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, ClassVar, NamedTuple, NoReturn
 
+from mbdkit.base import elementary
 from mbdkit.base.errors import SpecError
 from mbdkit.base.text import did_you_mean, listed
 from mbdkit.expressions.operations import OPERATIONS
@@ -128,7 +129,7 @@ class RunExpression:
                 is_first = operation.switch == "first"
                 breaks.append(_total(operands[0] if is_first else _applied(operator.sub, *operands)))
             if name == "powi":
-                return _applied(lambda base: base ** int(number), *operands)
+                return _applied(lambda base: elementary.pow(base, number), *operands)
             return _applied(operation.array if of_arrays else operation.number, *operands)
 
         return CompiledExpression(_total(execute(self.program, step)), tuple(phases), tuple(breaks))

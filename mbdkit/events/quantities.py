@@ -8,6 +8,7 @@ from functools import cached_property
 
 import numpy as np
 
+from mbdkit.base import elementary
 from mbdkit.engine.contact_forces import contact_values
 from mbdkit.engine.kernels.observe import Observed
 from mbdkit.engine.observed_states import StateObserver
@@ -104,7 +105,7 @@ class QuantityEvaluator:
             self.mechanism, time, q, v, lambda: self._observed(time, q, v, z), travels=self._travels, z=z
         )
         taken = ((take(states), is_vector) for take, is_vector in self._takers)
-        return [time, *(np.hypot(*values.T) if is_vector else values for values, is_vector in taken)]
+        return [time, *(elementary.hypot(*values.T) if is_vector else values for values, is_vector in taken)]
 
     def _observed(self, times: np.ndarray, q: np.ndarray, v: np.ndarray, z: np.ndarray) -> Observed:
         """Return the values computed by the engine; nan for states without unique accelerations."""

@@ -6,8 +6,8 @@ programs, events, measures and their gradients use this table. A new operation i
 The rule of one operand x returns f(x), f'(x) and f''(x). The rule of two operands takes the value and the first two
 derivatives of each one, (a0, a1, a2) and (b0, b1, b2), and returns those of the result. Rules are written once for all
 kinds of numbers: they are compiled by Numba for numbers and for dual numbers, and evaluated on arrays and on programs.
-They therefore consist of operators, `abs`, functions of NumPy and `where`, and have no branches. Powers with the
-exponent 2 are multiplications. The order of operations determines the last bits of compiled motions.
+They therefore consist of operators, `abs`, `mbdkit.base.elementary`, ``np.sqrt`` and `where`, and have no branches.
+Powers with the exponent 2 are multiplications. The order of operations determines the last bits of compiled motions.
 """
 
 from __future__ import annotations
@@ -19,6 +19,8 @@ from dataclasses import dataclass
 from typing import Any, Literal
 
 import numpy as np
+
+from mbdkit.base import elementary
 
 Rule = Callable[..., tuple[Any, Any, Any]]
 Dimension = Literal["same", "common", "angle of common", "product", "quotient", "power", "root", "plain", "angle"]
@@ -35,9 +37,9 @@ class Operation:
     arity
         Number of operands in programs.
     number
-        The operation on numbers, computed by the C library; used for constants and events.
+        The operation on numbers; used for constants and events.
     array
-        The operation on arrays, computed by NumPy; used for measures.
+        The operation on arrays; used for measures.
     rule
         Value and derivatives; see the docstring of this module. The rule of ``powi`` has the exponent as its second
         argument.
@@ -80,6 +82,11 @@ class Operation:
     is_never_negative: bool = False
     roundings: int = 1
 
+    @property
+    def ufunc(self) -> Any:
+        """The function of NumPy by which operands of other types recognize the operation."""
+        return self.array.ufunc if isinstance(self.array, elementary.ElementaryFunction) else self.array
+
 
 def where(condition: Any, x: Any, y: Any) -> Any:
     """Return `x` where the condition holds, else `y`; both are evaluated."""
@@ -110,7 +117,7 @@ def _angle(a0, a1, a2, b0, b1, b2):
     r2 = a0 * a0 + b0 * b0
     cross = b0 * a1 - a0 * b1
     turning = (b0 * a2 - a0 * b2) / r2
-    return np.arctan2(a0, b0), cross / r2, turning - 2.0 * cross * (a0 * a1 + b0 * b1) / (r2 * r2)
+    return elementary.atan2(a0, b0), cross / r2, turning - 2.0 * cross * (a0 * a1 + b0 * b1) / (r2 * r2)
 
 
 def _smaller(a0, a1, a2, b0, b1, b2):
@@ -128,9 +135,9 @@ def power(x, n):
 
     The derivatives of n = 0 and n = 1 are set explicitly, because the formula gives 0 * inf = NaN for them at x = 0.
     """
-    first = where(n == 0.0, 0.0, n * x ** (n - 1.0))
-    second = where((n == 0.0) | (n == 1.0), 0.0, n * (n - 1.0) * x ** (n - 2.0))
-    return x**n, first, second
+    first = where(n == 0.0, 0.0, n * elementary.pow(x, n - 1.0))
+    second = where((n == 0.0) | (n == 1.0), 0.0, n * (n - 1.0) * elementary.pow(x, n - 2.0))
+    return elementary.pow(x, n), first, second
 
 
 def _general_power(a0, a1, a2, b0, b1, b2):
@@ -140,7 +147,7 @@ def _general_power(a0, a1, a2, b0, b1, b2):
     """
     f0, d1, d2 = power(a0, b0)
     is_constant = (b1 == 0.0) & (b2 == 0.0)
-    ln = np.log(a0)
+    ln = elementary.log(a0)
     g1 = b1 * ln + b0 * a1 / a0
     g2 = b2 * ln + 2.0 * b1 * a1 / a0 + b0 * (a2 / a0 - a1 * a1 / (a0 * a0))
     first = where(is_constant, d1 * a1, f0 * g1)
@@ -152,41 +159,41 @@ def _negated(x):
 
 
 def _sine(x):
-    return np.sin(x), np.cos(x), -np.sin(x)
+    return elementary.sin(x), elementary.cos(x), -elementary.sin(x)
 
 
 def _cosine(x):
-    return np.cos(x), -np.sin(x), -np.cos(x)
+    return elementary.cos(x), -elementary.sin(x), -elementary.cos(x)
 
 
 def _tangent(x):
-    f = np.tan(x)
+    f = elementary.tan(x)
     d = f**2 + 1.0
     return f, d, 2.0 * f * d
 
 
 def _arcsine(x):
     d = 1.0 / np.sqrt(1.0 - x**2)
-    return np.arcsin(x), d, x * d * d * d
+    return elementary.asin(x), d, x * d * d * d
 
 
 def _arccosine(x):
     d = 1.0 / np.sqrt(1.0 - x**2)
-    return np.arccos(x), -d, -x * d * d * d
+    return elementary.acos(x), -d, -x * d * d * d
 
 
 def _arctangent(x):
     d = 1.0 / (x**2 + 1.0)
-    return np.arctan(x), d, -2.0 * x * d * d
+    return elementary.atan(x), d, -2.0 * x * d * d
 
 
 def _exponential(x):
-    f = np.exp(x)
+    f = elementary.exp(x)
     return f, f, f
 
 
 def _logarithm(x):
-    return np.log(x), 1.0 / x, -1.0 / (x * x)
+    return elementary.log(x), 1.0 / x, -1.0 / (x * x)
 
 
 def _root(x):
@@ -199,7 +206,7 @@ def _size(x):
 
 
 def _hyperbolic_tangent(x):
-    f = np.tanh(x)
+    f = elementary.tanh(x)
     d = 1.0 - f**2
     return f, d, -2.0 * f * d
 
@@ -215,21 +222,21 @@ _TABLE = (
     _operator("sub", "-", operator.sub, np.subtract, _difference, "common"),
     _operator("mul", "*", operator.mul, np.multiply, _product, "product"),
     _operator("div", "/", operator.truediv, np.divide, _quotient, "quotient", roundings=2),
-    _operator("pow", "**", math.pow, np.power, _general_power, "power"),
-    Operation("powi", 1, operator.pow, np.power, power, "power", is_function=False),
+    _operator("pow", "**", elementary.pow, elementary.pow, _general_power, "power"),
+    Operation("powi", 1, elementary.pow, elementary.pow, power, "power", is_function=False),
     Operation("neg", 1, operator.neg, np.negative, _negated, "same", is_function=False, roundings=0),
-    Operation("sin", 1, math.sin, np.sin, _sine, is_periodic=True),
-    Operation("cos", 1, math.cos, np.cos, _cosine, is_periodic=True),
-    Operation("tan", 1, math.tan, np.tan, _tangent, is_periodic=True),
-    Operation("asin", 1, math.asin, np.arcsin, _arcsine, "angle"),
-    Operation("acos", 1, math.acos, np.arccos, _arccosine, "angle"),
-    Operation("atan", 1, math.atan, np.arctan, _arctangent, "angle"),
-    Operation("atan2", 2, math.atan2, np.arctan2, _angle, "angle of common", switch="first", jumps=True),
-    Operation("exp", 1, math.exp, np.exp, _exponential, is_never_negative=True),
-    Operation("log", 1, math.log, np.log, _logarithm),
+    Operation("sin", 1, elementary.sin, elementary.sin, _sine, is_periodic=True),
+    Operation("cos", 1, elementary.cos, elementary.cos, _cosine, is_periodic=True),
+    Operation("tan", 1, elementary.tan, elementary.tan, _tangent, is_periodic=True),
+    Operation("asin", 1, elementary.asin, elementary.asin, _arcsine, "angle"),
+    Operation("acos", 1, elementary.acos, elementary.acos, _arccosine, "angle"),
+    Operation("atan", 1, elementary.atan, elementary.atan, _arctangent, "angle"),
+    Operation("atan2", 2, elementary.atan2, elementary.atan2, _angle, "angle of common", switch="first", jumps=True),
+    Operation("exp", 1, elementary.exp, elementary.exp, _exponential, is_never_negative=True),
+    Operation("log", 1, elementary.log, elementary.log, _logarithm),
     Operation("sqrt", 1, math.sqrt, np.sqrt, _root, "root", is_never_negative=True),
     Operation("abs", 1, abs, np.abs, _size, "same", switch="first", is_never_negative=True, roundings=0),
-    Operation("tanh", 1, math.tanh, np.tanh, _hyperbolic_tangent),
+    Operation("tanh", 1, elementary.tanh, elementary.tanh, _hyperbolic_tangent),
     Operation("min", 2, min, np.minimum, _smaller, "common", takes_more=True, switch="difference", roundings=0),
     Operation("max", 2, max, np.maximum, _larger, "common", takes_more=True, switch="difference", roundings=0),
 )
@@ -243,7 +250,7 @@ FUNCTIONS = (*(one.name for one in _TABLE if one.is_function), "degrees")
 """
 
 OF_PARTS: Mapping[str, Callable[[np.ndarray], np.ndarray]] = {
-    "norm": lambda values: np.hypot(values[0], values[1]),
+    "norm": lambda values: elementary.hypot(values[0], values[1]),
     "along_max": lambda values: np.max(values, axis=0),
     "along_min": lambda values: np.min(values, axis=0),
 }

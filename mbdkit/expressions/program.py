@@ -49,7 +49,7 @@ def value_of(program: Program, leaf: Callable[[str, float], Any]) -> Any:
     def step(operation: str, number: float, *operands: Any) -> Any:
         if not operands:
             return leaf(operation, number)
-        return operands[0] ** int(number) if operation == "powi" else OPERATIONS[operation].array(*operands)
+        return OPERATIONS[operation].array(*operands, *(number,) * (operation == "powi"))
 
     return execute(program, step)
 
@@ -155,9 +155,11 @@ class _Term:
             return self if exponent else _Term.of(1.0)
         return self.then("powi", number=float(exponent))
 
-    def __array_ufunc__(self, function: Any, method: str, x: _Term) -> _Term:
-        """Apply the operation of a NumPy function to this operand."""
-        return x.then(next(one.name for one in OPERATIONS.values() if one.array is function))
+    def __array_ufunc__(self, function: Any, method: str, x: _Term, *others: Any) -> _Term:
+        """Apply the operation of a NumPy function."""
+        if others:  # powers are the only functions of two operands in rules that are differentiated
+            return _Term.of(x).__pow__(others[0])
+        return x.then(next(one.name for one in OPERATIONS.values() if one.ufunc is function))
 
 
 _ZERO: _Term = _Term.of(0.0)

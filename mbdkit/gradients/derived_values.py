@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from mbdkit.base import elementary
 from mbdkit.expressions.operations import OPERATIONS
 
 
@@ -68,6 +69,6 @@ def _aligned(x: Value, y: Value) -> tuple[Value, Value]:
 
 
 def _norm(x: Value) -> Value:
-    value = np.hypot(x.value[0], x.value[1])
+    value = elementary.hypot(x.value[0], x.value[1])
     scale = np.where(value > 0.0, value, 1.0)
     return Value(value, (x.value[0] * x.slope[:, 0] + x.value[1] * x.slope[:, 1]) / scale)

@@ -15,6 +15,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from mbdkit.archive.measured_values import Integrals
+from mbdkit.base import elementary
 from mbdkit.expressions.operations import REDUCE, arity_of
 from mbdkit.expressions.program import execute
 from mbdkit.gradients.derivative_doubts import AT_ZERO, LIMIT_POINTS, DoubtedMeasure, switch_of
@@ -327,7 +328,7 @@ class _Evaluation(DoubtedMeasure):
         step = int(np.searchsorted(part.plain.ends.time, peak.time))
         near = size[max(0, step - 2) : step + 1]  # the step itself may be very short, for example if an event cuts it
         width = min(BESIDE * float(np.max(near)), part.span[1] - part.span[0])
-        places = 0.5 - 0.5 * np.cos(np.pi * (np.arange(LIMIT_POINTS) + 0.5) / LIMIT_POINTS)
+        places = 0.5 - 0.5 * elementary.cos(np.pi * (np.arange(LIMIT_POINTS) + 0.5) / LIMIT_POINTS)
         time = np.clip(peak.time + side * width * places, *part.span)
         powers = np.vander(side * places, increasing=True)
         to_limit = np.linalg.inv(powers)[:2]

@@ -18,6 +18,7 @@ from functools import cache
 
 import numpy as np
 
+from mbdkit.base import elementary
 from mbdkit.base.errors import SpecError
 from mbdkit.engine.compiled_mechanism import CompiledMechanism
 from mbdkit.gradients.gradient_parameters import Parameter
@@ -187,7 +188,7 @@ class Preparation(ABC):
 
     def _with_places(self, parameter: Parameter, places: tuple[int, ...]) -> tuple[dict[str, np.ndarray], float]:
         """Return non-zero derivatives with respect to a parameter and their error, from points at these positions."""
-        unit = 2.0 ** np.floor(np.log2(WIDEST / 4.0 * self._scale(parameter)))
+        unit = 2.0 ** np.floor(elementary.log2(WIDEST / 4.0 * self._scale(parameter)))
         points = {place: self._point(parameter, place * unit) for place in FEW[places]}
         slopes: dict[str, np.ndarray] = {}
         errors: dict[str, float] = {}

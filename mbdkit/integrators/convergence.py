@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
+from mbdkit.base import elementary
 from mbdkit.engine.kernels.cross_sections import beam_levels
 from mbdkit.engine.kernels.projection import EPS, FEW_ROUNDINGS
 from mbdkit.engine.native.arithmetic import any_of, where
@@ -199,7 +200,7 @@ def loses_steadiness(n, limit, peak, earlier, tolerance):
     """
     if n < limit.steady_after[0] or n % STEADY != 0:
         return peak < 0.0  # nowhere
-    rate = (peak / earlier) ** (1.0 / STEADY)
+    rate = elementary.pow(peak / earlier, 1.0 / STEADY)
     return (rate >= 1.0) | predicts_failure(n, limit.most[0], peak, rate, tolerance)
 
 

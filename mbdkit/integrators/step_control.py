@@ -23,6 +23,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
+from mbdkit.base import elementary
 from mbdkit.engine.kernels.elementary.exponentials import exp
 from mbdkit.engine.kernels.elementary.logarithms import log
 from mbdkit.engine.kernels.observe import first_order_rates
@@ -105,7 +106,7 @@ class Control:
     @property
     def inner_rtol(self) -> float:
         """Relative tolerance of the estimate."""
-        return float(self.scale * self.rtol ** (self.estimate_order / self.order))
+        return float(self.scale * elementary.pow(self.rtol, self.estimate_order / self.order))
 
     @property
     def inner_atol(self) -> float:

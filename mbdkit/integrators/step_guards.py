@@ -21,6 +21,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
+from mbdkit.base import elementary
 from mbdkit.engine.kernels.applied_forces import evaluate_tension, path_rate, pathway_lengths, potential_energy
 from mbdkit.engine.kernels.cross_sections import evaluate_sections
 from mbdkit.engine.kernels.singularity_kernels import singularity_distance
@@ -260,7 +261,7 @@ def _close_dip(guards, mass, path, v):
     guards.dip_path[0] = np.nan
     if not min(before, after) > 2.0 * AT_REST * guards.kinetic[0]:
         return
-    turn = np.arccos(min(1.0, abs(_product(mass, guards.dip_v, v)) / np.sqrt(before * after)))
+    turn = elementary.acos(min(1.0, abs(_product(mass, guards.dip_v, v)) / np.sqrt(before * after)))
     if turn >= guards.sharp[0] and turn >= guards.sharp[1] * way:
         n = guards.turn_count[0]
         if n < MOST_TURNS:

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 
 from pydantic import Field
 
+from mbdkit.base import elementary
 from mbdkit.base.strict_model import StrictModel
 from mbdkit.mechanism.force_law import ExpressionLaw
 from mbdkit.mechanism.values import NotNegative, Positive
@@ -87,7 +88,7 @@ def parameters(options: GasSpringOptions) -> dict[str, float]:
     The formula for other gases is evaluated as well, with a `divisor` that is not zero.
     """
     isothermal = options.exponent == 1.0
-    volume = options.progression ** (-1.0 / options.exponent)
+    volume = elementary.pow(options.progression, -1.0 / options.exponent)
     shrinkage = (1.0 - volume) / options.stroke
     return {
         "preload": options.preload,

@@ -8,6 +8,7 @@ from typing import Annotated, Any
 import numpy as np
 from pydantic import BeforeValidator, Field
 
+from mbdkit.base import elementary
 from mbdkit.base.errors import SpecError
 from mbdkit.base.strict_model import StrictModel
 from mbdkit.mechanism.force_law import FunctionLaw
@@ -82,7 +83,7 @@ def parameters(options: TableOptions) -> list[float]:
         with np.errstate(all="raise"):
             coefficients = CubicSpline(lengths, forces).c[::-1].T
             h = np.diff(lengths)[:, None]
-            areas = np.sum(coefficients * h ** np.arange(1, 5) / np.arange(1, 5), axis=1)
+            areas = np.sum(coefficients * elementary.pow(h, np.arange(1, 5)) / np.arange(1, 5), axis=1)
     except (FloatingPointError, ValueError, np.linalg.LinAlgError):
         raise SpecError(
             "the cubic spline through these points cannot be computed in double precision", key="table"

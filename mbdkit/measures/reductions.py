@@ -9,6 +9,7 @@ from functools import cached_property
 import numpy as np
 
 from mbdkit.archive.measured_values import Integrals
+from mbdkit.base import elementary
 from mbdkit.expressions.operations import OF_PARTS, OPERATIONS, REDUCE
 from mbdkit.expressions.program import Program, execute
 from mbdkit.quantities.quantity import Quantity
@@ -242,7 +243,7 @@ def applied(
     if operation == "get":
         return series.of(quantities[int(number)])
     if operation == "powi":
-        return np.asarray(operands[0] ** number)
+        return np.asarray(elementary.pow(operands[0], number))
     return (OF_PARTS.get(operation) or OPERATIONS[operation].array)(*operands)
 
 

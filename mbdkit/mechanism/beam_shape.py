@@ -8,6 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from mbdkit.base import elementary
 from mbdkit.base.quadrature import gauss_legendre
 
 QUADRATURE = 16
@@ -76,7 +77,7 @@ which integrates cubic functions exactly. For two elements it equals Simpson's r
 
 def straight(a: Sequence[float], b: Sequence[float], count: int) -> list[Place]:
     """Return `count` equidistant points of the line from `a` to `b`, both (x, y) [m]."""
-    angle = math.atan2(b[1] - a[1], b[0] - a[0])
+    angle = elementary.atan2(b[1] - a[1], b[0] - a[0])
     parts = [i / (count - 1) for i in range(count)]
     return [Place((1.0 - t) * a[0] + t * b[0], (1.0 - t) * a[1] + t * b[1], angle) for t in parts]
 
@@ -95,7 +96,7 @@ def curved(points: Sequence[Sequence[float]], count: int) -> tuple[list[Place], 
     from scipy.interpolate import CubicSpline
 
     corners = np.array(points, dtype=float)
-    knots = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(corners, axis=0).T))])
+    knots = np.concatenate([[0.0], np.cumsum(elementary.hypot(*np.diff(corners, axis=0).T))])
     curve = CubicSpline(knots, corners)
     rate = curve.derivative()
     nodes, weights = gauss_legendre(QUADRATURE)
@@ -104,16 +105,16 @@ def curved(points: Sequence[Sequence[float]], count: int) -> tuple[list[Place], 
         """Return the arc lengths between parameters of the curve within one piece."""
         half = 0.5 * (end - begin)
         at = (begin + half)[:, None] + half[:, None] * nodes
-        return np.asarray(np.sum(np.hypot(*np.moveaxis(rate(at), -1, 0)) * weights, axis=-1) * half)
+        return np.asarray(np.sum(elementary.hypot(*np.moveaxis(rate(at), -1, 0)) * weights, axis=-1) * half)
 
     whole = np.concatenate([[0.0], np.cumsum(lengths(knots[:-1], knots[1:]))])
     wanted = np.linspace(0.0, whole[-1], count)
     piece = np.clip(np.searchsorted(whole, wanted, side="right") - 1, 0, len(knots) - 2)
     at = np.interp(wanted, whole, knots)
     for _ in range(NEWTON_STEPS):
-        at -= (whole[piece] + lengths(knots[piece], at) - wanted) / np.hypot(*rate(at).T)
+        at -= (whole[piece] + lengths(knots[piece], at) - wanted) / elementary.hypot(*rate(at).T)
     dx, dy = rate(at).T
-    angles = np.unwrap(np.arctan2(dy, dx))
+    angles = np.unwrap(elementary.atan2(dy, dx))
     return [Place(*place) for place in np.column_stack([curve(at), angles]).tolist()], float(whole[-1])
 
 
@@ -150,7 +151,7 @@ def with_ends(forces: np.ndarray, angles: np.ndarray, length: float) -> np.ndarr
     if has_middle:
         center = angles[..., 1::2]
         mean, spread = (first + last) / 6 + 2 / 3 * center, (last - first) / math.sqrt(12)
-    force = _turned(forces[..., :2], mean) / np.cos(spread)[..., None]
+    force = _turned(forces[..., :2], mean) / elementary.cos(spread)[..., None]
     ends = []
     for sign, places, own, other in ((1.0, (0, 1, 2), first, last), (-1.0, (-1, -2, -3), last, first)):
         one, two, three = (places[min(k, elements - 1)] for k in range(3))
@@ -176,7 +177,7 @@ def with_ends(forces: np.ndarray, angles: np.ndarray, length: float) -> np.ndarr
 
 def _turned(vectors: np.ndarray, angle: np.ndarray) -> np.ndarray:
     """Return vectors (..., 2) turned by angles (...) [rad]."""
-    cosine, sine = np.cos(angle), np.sin(angle)
+    cosine, sine = elementary.cos(angle), elementary.sin(angle)
     x, y = vectors[..., 0], vectors[..., 1]
     return np.stack([cosine * x - sine * y, sine * x + cosine * y], axis=-1)
 

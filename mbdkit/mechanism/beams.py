@@ -10,6 +10,7 @@ from typing import Annotated, Any, ClassVar, Literal, NamedTuple
 import numpy as np
 from pydantic import BeforeValidator, Field, ValidationError, model_validator
 
+from mbdkit.base import elementary
 from mbdkit.base.errors import SpecError
 from mbdkit.base.plain_data import Path, quoted
 from mbdkit.base.strict_model import StrictModel
@@ -279,7 +280,7 @@ class Beam(StrictModel):
             return curved(self.points, self.node_count)
         assert self.a is not None
         assert self.b is not None
-        return straight(self.a, self.b, self.node_count), math.dist(self.a, self.b)
+        return straight(self.a, self.b, self.node_count), elementary.hypot(self.b[0] - self.a[0], self.b[1] - self.a[1])
 
     @property
     def places(self) -> list[Place]:
@@ -422,7 +423,7 @@ def _strains(places: list[Place], shape: tuple[float, ...], slope: tuple[float, 
     """Return axial strain plus 1, shear strain and curvature [1/m] of a cross-section with its nodes at `places`."""
     dx, dy, turn = (sum(s * x for s, x in zip(slope, values, strict=True)) for values in zip(*places, strict=True))
     angle = sum(n * place.angle for n, place in zip(shape, places, strict=True))
-    c, s = math.cos(angle), math.sin(angle)
+    c, s = elementary.cos(angle), elementary.sin(angle)
     return c * dx + s * dy, c * dy - s * dx, turn
 
 

@@ -8,13 +8,13 @@ in radians.
 
 from __future__ import annotations
 
-import math
 import sys
 from collections.abc import Mapping
 from typing import Any, ClassVar, Self
 
 from pydantic import ConfigDict, Field, model_validator
 
+from mbdkit.base import elementary
 from mbdkit.base.errors import SpecError
 from mbdkit.base.strict_model import StrictModel
 from mbdkit.mechanism.values import BodyPair, Motion, Number, Point, Points, Positive
@@ -66,13 +66,13 @@ class Body(StrictModel):
 
     def to_global(self, point: tuple[float, float]) -> tuple[float, float]:
         """Return the global coordinates of a `point` (x, y) [m] given in the body's frame, at the initial position."""
-        c, s = math.cos(self.angle), math.sin(self.angle)
+        c, s = elementary.cos(self.angle), elementary.sin(self.angle)
         x, y = point
         return self.position[0] + c * x - s * y, self.position[1] + s * x + c * y
 
     def to_local(self, point: tuple[float, float]) -> tuple[float, float]:
         """Return the coordinates of a global `point` (x, y) [m] in the body's frame, at the initial position."""
-        c, s = math.cos(self.angle), math.sin(self.angle)
+        c, s = elementary.cos(self.angle), elementary.sin(self.angle)
         x, y = point[0] - self.position[0], point[1] - self.position[1]
         return c * x + s * y, -s * x + c * y
 
@@ -328,7 +328,7 @@ def local_point(bodies: Mapping[str, Body], name: str, point: tuple[float, float
     local = body.to_local(point)
     if body.inertia is not None:
         return local
-    if math.hypot(*local) <= ON_POINT_MASS * max(1e-3, *map(abs, (*point, *body.position))):
+    if elementary.hypot(*local) <= ON_POINT_MASS * max(1e-3, *map(abs, (*point, *body.position))):
         return 0.0, 0.0
     raise SpecError(
         f"'{name}' is a point mass (it has no inertia), so its only point is its position "

@@ -10,6 +10,7 @@ from typing import Annotated, Any, ClassVar, Literal, NamedTuple
 from pydantic import BeforeValidator, Field, GetJsonSchemaHandler, model_validator
 from pydantic_core import CoreSchema
 
+from mbdkit.base import elementary
 from mbdkit.base.errors import SpecError
 from mbdkit.base.plain_data import quoted
 from mbdkit.base.strict_model import StrictModel
@@ -47,14 +48,14 @@ class LineShape(StrictModel):
 
     @model_validator(mode="after")
     def _has_direction(self) -> LineShape:
-        if math.hypot(*self.normal) == 0.0:
+        if elementary.hypot(*self.normal) == 0.0:
             raise SpecError("should be a direction other than [0, 0]", key="normal")
         return self
 
     @property
     def unit(self) -> Pair:
         """The normal with length 1."""
-        size = math.hypot(*self.normal)
+        size = elementary.hypot(*self.normal)
         return self.normal[0] / size, self.normal[1] / size
 
 
@@ -177,7 +178,7 @@ def _check_convex(corners: tuple[Pair, ...]) -> None:
         if across <= 0.0:
             order = "with corners in counter-clockwise order, of which no three are on a line"
             raise SpecError(f"a polygon should be convex, {order}", key="polygon")
-        turns += math.atan2(across, (bx - ax) * (cx - bx) + (by - ay) * (cy - by))
+        turns += elementary.atan2(across, (bx - ax) * (cx - bx) + (by - ay) * (cy - by))
     if turns > 7.0:  # the edges of a star turn more than once
         raise SpecError("the edges of a polygon should not cross", key="polygon")
 
@@ -434,7 +435,7 @@ class Contact(Element):
         static, kinetic = self.coefficients
         c, stiffness = self.dissipation, own.stiffness
         if own.law == "smooth-sphere-half-space":  # in the force k d^(3/2) of H. Hertz
-            modulus = 0.5 * stiffness ** (2.0 / 3.0)
+            modulus = 0.5 * elementary.pow(stiffness, 2.0 / 3.0)
             stiffness = 4.0 / 3.0 * modulus * math.sqrt(radius * modulus)
         return {
             "stiffness": stiffness,
@@ -547,7 +548,8 @@ def _rows_on_polyline(
     """
     corners = second.polygon or ()
     (cx, cy), radius = ((0.0, 0.0), 0.0) if corners else second.circle_of
-    surface = surface_of(points, 2.0 * radius, max((math.dist(*two) for two in combinations(corners, 2)), default=0.0))
+    lengths = (elementary.hypot(bx - ax, by - ay) for (ax, ay), (bx, by) in combinations(corners, 2))
+    surface = surface_of(points, 2.0 * radius, max(lengths, default=0.0))
     outlines = (float(surface.colors), *_edges(corners), *surface.segments)
     own = surface.colors * max(len(corners), 1)
     count = own + (surface.corner_colors if corners else 0)
@@ -566,7 +568,7 @@ def _edges(corners: tuple[Pair, ...]) -> tuple[float, ...]:
     """Return (x, y) of the start and of the unit outward normal of each edge, and its length, edge after edge."""
     found: list[float] = []
     for (ax, ay), (bx, by) in zip(corners, corners[1:] + corners[:1], strict=True):
-        size = math.hypot(bx - ax, by - ay)
+        size = elementary.hypot(bx - ax, by - ay)
         found += [ax, ay, (by - ay) / size, (ax - bx) / size, size]
     return tuple(found)
 

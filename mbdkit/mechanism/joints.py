@@ -8,13 +8,13 @@ constraint, define it in ``mbdkit_statics/element_definitions.py``.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, Self
 
 from pydantic import BeforeValidator, Field, model_validator
 
+from mbdkit.base import elementary
 from mbdkit.base.errors import SpecError
 from mbdkit.mechanism.angle_function import Center
 from mbdkit.mechanism.bodies import At, Attachment, Between, BetweenPoints, Body, FromTo
@@ -197,7 +197,7 @@ class Revolute(PointJoint, At):
         if self.center is None:
             return separation
         x, y = self.center.at(angles[:, 1] - angles[:, 0]).T
-        c, s = np.cos(angles[:, 0]), np.sin(angles[:, 0])
+        c, s = elementary.cos(angles[:, 0]), elementary.sin(angles[:, 0])
         gap: np.ndarray = separation - np.stack([c * x - s * y, s * x + c * y], axis=-1)
         return gap
 
@@ -248,7 +248,7 @@ class Distance(PointJoint, FromTo):
         joint = super().placed(bodies, key)
         if self.length is not None or self.from_ is None or self.to is None:
             return joint
-        length = math.dist(self.from_, self.to)
+        length = elementary.hypot(self.to[0] - self.from_[0], self.to[1] - self.from_[1])
         try:
             return joint.model_copy(update={"length": _not_zero(length)})
         except SpecError as error:
@@ -258,7 +258,7 @@ class Distance(PointJoint, FromTo):
         """Return the misalignment of the joint as a vector, (F, 2) [m]."""
         import numpy as np
 
-        apart = np.hypot(separation[:, 0], separation[:, 1])[:, None]
+        apart = elementary.hypot(separation[:, 0], separation[:, 1])[:, None]
         gap: np.ndarray = separation * np.divide(apart - self._length, apart, out=np.zeros_like(apart), where=apart > 0)
         return gap
 
@@ -287,7 +287,7 @@ class SlidingJoint(PointJoint, At):
         # Scaling by the larger component avoids overflow and underflow of the squares.
         largest = max(abs(self.axis[0]), abs(self.axis[1]))
         x, y = self.axis[0] / largest, self.axis[1] / largest
-        length = math.hypot(x, y)
+        length = elementary.hypot(x, y)
         return x / length, y / length
 
     @property
@@ -305,7 +305,8 @@ class SlidingJoint(PointJoint, At):
 
         x, y = self.direction
         angle = angles[:, 0]
-        normal = np.stack([-np.sin(angle) * x - np.cos(angle) * y, np.cos(angle) * x - np.sin(angle) * y], axis=-1)
+        c, s = elementary.cos(angle), elementary.sin(angle)
+        normal = np.stack([-s * x - c * y, c * x - s * y], axis=-1)
         gap: np.ndarray = np.sum(separation * normal, axis=-1, keepdims=True) * normal
         return gap
 

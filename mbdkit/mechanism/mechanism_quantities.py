@@ -12,6 +12,8 @@ from typing import Literal
 
 import numpy as np
 
+from mbdkit.base import elementary
+
 GROUND = -1
 """Value that stands for the ground where the index of a body is expected."""
 
@@ -30,7 +32,7 @@ class Point:
         """Return the vector (x, y) from the body's origin to the point in the global frame, each (T,)."""
         if self.body == GROUND:
             return np.full(len(q), self.x), np.full(len(q), self.y)
-        c, s = np.cos(q[:, 3 * self.body + 2]), np.sin(q[:, 3 * self.body + 2])
+        c, s = elementary.cos(q[:, 3 * self.body + 2]), elementary.sin(q[:, 3 * self.body + 2])
         return c * self.x - s * self.y, s * self.x + c * self.y
 
     def position(self, q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -8,6 +8,7 @@ from typing import Annotated, Any, ClassVar, Literal
 
 from pydantic import BeforeValidator, Field, model_validator
 
+from mbdkit.base import elementary
 from mbdkit.base.errors import SpecError
 from mbdkit.base.plain_data import quoted
 from mbdkit.base.strict_model import StrictModel
@@ -220,7 +221,7 @@ class Muscle(Element):
     @property
     def thickness(self) -> float:
         """Thickness perpendicular to the tendon, which is constant [m]."""
-        return self.optimal_length * math.sin(self.pennation)
+        return self.optimal_length * elementary.sin(self.pennation)
 
     @property
     def mass(self) -> float:

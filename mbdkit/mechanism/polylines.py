@@ -16,6 +16,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from mbdkit.base import elementary
 from mbdkit.base.errors import SpecError
 
 Pair = tuple[float, float]
@@ -81,7 +82,7 @@ def surface_of(points: tuple[Pair, ...], diameter: float, size: float) -> Surfac
     """
     corners = np.array(_without_straight_corners(points), dtype=float)
     along = np.diff(corners, axis=0)
-    length = np.hypot(*along.T)
+    length = elementary.hypot(along[:, 0], along[:, 1])
     along /= length[:, None]
     turn = np.zeros(len(along))
     turn[1:] = np.where(along[:-1, 0] * along[1:, 1] - along[:-1, 1] * along[1:, 0] < 0.0, 1.0, -1.0)
@@ -136,7 +137,7 @@ def _without_straight_corners(points: Sequence[Pair]) -> list[Pair]:
     for b, c in pairwise(points[1:]):
         (ax, ay), (bx, by), (cx, cy) = kept[-1], b, c
         across = (bx - ax) * (cy - by) - (by - ay) * (cx - bx)
-        if abs(across) > STRAIGHT * math.hypot(bx - ax, by - ay) * math.hypot(cx - bx, cy - by):
+        if abs(across) > STRAIGHT * elementary.hypot(bx - ax, by - ay) * elementary.hypot(cx - bx, cy - by):
             kept.append(b)
     return [*kept, points[-1]]
 
@@ -191,5 +192,5 @@ def _with_far_ends(corners: np.ndarray) -> tuple[np.ndarray, float]:
     size = float(np.max(np.ptp(corners, axis=0)))
     for end, inner in ((0, 1), (-1, -2)):
         direction = corners[end] - corners[inner]
-        far[end] += 100.0 * size * direction / math.hypot(*direction)
+        far[end] += 100.0 * size * direction / elementary.hypot(*direction)
     return far, 1e-9 * size

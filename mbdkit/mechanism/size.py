@@ -7,6 +7,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from mbdkit.base import elementary
+
 if TYPE_CHECKING:
     from mbdkit.mechanism.mechanism import Mechanism
 
@@ -37,7 +39,7 @@ def mechanism_sizes(mechanisms: Sequence[Mechanism], positions: np.ndarray) -> n
     poses = np.concatenate([positions, np.zeros((len(positions), 1, 3))], axis=1)  # ground is the last body
     points = np.array([own for _, own in held]).reshape(len(held), -1, 2)
     at, x, y = poses[:, bodies], points[..., 0], points[..., 1]
-    c, s = np.cos(at[..., 2]), np.sin(at[..., 2])
+    c, s = elementary.cos(at[..., 2]), elementary.sin(at[..., 2])
     joints = np.stack([at[..., 0] + c * x - s * y, at[..., 1] + s * x + c * y], axis=-1)
     every = np.concatenate([positions[..., :2], joints], axis=1)
     return np.asarray(np.max(np.ptp(every, axis=1), axis=1)) if every.shape[1] else np.zeros(len(held))

@@ -13,6 +13,7 @@ from typing import Annotated
 
 from pydantic import Field
 
+from mbdkit.base import elementary
 from mbdkit.methods.kinds import TaylorSeries
 from mbdkit.methods.method_options import ControlledOptions
 from mbdkit.registry.items import Claims
@@ -45,7 +46,7 @@ class TaylorOptions(ControlledOptions):
         tolerances = self.tolerances()
         if self.order is not None:
             return self.order
-        return FIXED_ORDER if tolerances is None else math.ceil(LEAST - PER_DIGIT * math.log(tolerances.rtol))
+        return FIXED_ORDER if tolerances is None else math.ceil(LEAST - PER_DIGIT * elementary.log(tolerances.rtol))
 
 
 def claims(options: TaylorOptions) -> Claims:

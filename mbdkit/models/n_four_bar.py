@@ -8,6 +8,7 @@ from typing import Annotated
 
 from pydantic import Field
 
+from mbdkit.base import elementary
 from mbdkit.base.strict_model import StrictModel
 from mbdkit.mechanism.mechanism import Mechanism
 from mbdkit.mechanism.values import Number, Point, Positive
@@ -84,7 +85,7 @@ def build(options: NFourBarOptions) -> Mechanism:
     length, half = o.length, 0.5 * o.length
     inertia = o.mass * length**2 / 12 if o.inertia is None else o.inertia
     rate = -o.speed / length
-    x, y = length * math.cos(o.angle), length * math.sin(o.angle)
+    x, y = length * elementary.cos(o.angle), length * elementary.sin(o.angle)
     mechanism = Mechanism(o.gravity, name="n-four-bar")
     cranks = []
     for i in range(o.n + 1):

@@ -5,13 +5,13 @@ The initial positions of a chain satisfy the joints to round-off.
 
 from __future__ import annotations
 
-import math
 import sys
 from collections.abc import Sequence
 from typing import Annotated
 
 from pydantic import BeforeValidator, Field, model_validator
 
+from mbdkit.base import elementary
 from mbdkit.base.errors import SpecError
 from mbdkit.base.strict_model import StrictModel
 from mbdkit.mechanism.mechanism import Mechanism
@@ -197,7 +197,7 @@ def chain(
     before, end = mechanism.ground, (0.0, 0.0)
     fastest = 0.0
     for index, (length, mass, angle, rate) in enumerate(zip(lengths, masses, angles, rates, strict=True)):
-        half_x, half_y = 0.5 * length * math.cos(angle), 0.5 * length * math.sin(angle)
+        half_x, half_y = 0.5 * length * elementary.cos(angle), 0.5 * length * elementary.sin(angle)
         centre = (x.add(half_x), y.add(half_y))
         velocity = (u.add(-rate * half_y), v.add(rate * half_x))
         rod = mechanism.body(

@@ -9,6 +9,7 @@ from typing import ClassVar
 
 import numpy as np
 
+from mbdkit.base import elementary
 from mbdkit.base.errors import SpecError
 from mbdkit.base.plain_data import quoted
 from mbdkit.expressions.parser import Expression
@@ -139,10 +140,11 @@ class MuscleForce:
         curves, thickness, along = CURVES[muscle.curves], muscle.thickness, length - muscle.tendon_length
         lengths = f"the path is {length:.6g} m long, the tendon {muscle.tendon_length:.6g} m"
         key = f"model.muscles.{quoted(self.name)}.tendon_length"
+        longest = float(elementary.hypot(along, thickness))
         if muscle.tendon == "rigid":
             if along <= 0.0:
                 raise SpecError(f"the tendon is longer than the path at the start: {lengths}", key=key)
-            return float(np.hypot(along, thickness))
+            return longest
 
         def surplus(fiber: float) -> float:
             along = np.sqrt(fiber * fiber - thickness * thickness)
@@ -152,7 +154,7 @@ class MuscleForce:
             return float(pull * along / fiber - tendon)
 
         shortest = max(SHORTEST * muscle.optimal_length, 1.001 * thickness)
-        if along <= 0.0 or (longest := float(np.hypot(along, thickness))) <= shortest or surplus(shortest) >= 0.0:
+        if along <= 0.0 or longest <= shortest or surplus(shortest) >= 0.0:
             raise SpecError(
                 f"no length of the fibres is in equilibrium with the tendon at the start: {lengths}; correct "
                 "`tendon_length` or the path",

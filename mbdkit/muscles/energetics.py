@@ -21,6 +21,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from mbdkit.base import elementary
 from mbdkit.mechanism.muscles import Muscle
 from mbdkit.muscles.force_curves import CURVES
 
@@ -73,7 +74,7 @@ def metabolic_power(
     shortens, is_long = rate <= 0, normal > 1
     isometric = np.maximum(curves.active(normal)[0], 0.0)
     scale = np.where(excitation > activation, excitation, 0.5 * (excitation + activation))
-    maintained = scale**0.6 * (128.0 * fast + 25.0) * np.where(is_long, 0.4 + 0.6 * isometric, 1.0)
+    maintained = elementary.pow(scale, 0.6) * (128.0 * fast + 25.0) * np.where(is_long, 0.4 + 0.6 * isometric, 1.0)
     of_slow = LARGEST_SLOW_HEAT * FAST_OVER_SLOW * np.abs(speed)
     shortening = slow * np.minimum(of_slow, LARGEST_SLOW_HEAT) + fast * FAST_HEAT * np.abs(speed)
     moved = np.where(shortens, scale**2 * shortening, scale * LENGTHENING * of_slow) * np.where(is_long, isometric, 1.0)

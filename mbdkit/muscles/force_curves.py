@@ -12,6 +12,7 @@ from typing import ClassVar, Literal, Protocol
 
 import numpy as np
 
+from mbdkit.base import elementary
 from mbdkit.muscles.bezier_curve import BezierCurve, Corner
 
 Curve = tuple[np.ndarray, np.ndarray]
@@ -54,7 +55,7 @@ class DeGrooteFregly:
         for height, center, width, growth in _GAUSSIANS:
             spread = width + growth * length
             x = (length - center) / spread
-            own = height * np.exp(-0.5 * x * x)
+            own = height * elementary.exp(-0.5 * x * x)
             value += own
             slope -= own * x * (1.0 - growth * x) / spread
         return value, slope
@@ -62,9 +63,9 @@ class DeGrooteFregly:
     def passive(self, length: np.ndarray) -> Curve:
         """Return the passive force, an exponential function that is 1 at a strain of 0.6."""
         shape, strain, least = 4.0, 0.6, 0.2
-        start = np.exp(shape * (least - 1.0) / strain)
-        grown = np.exp(shape * (length - 1.0) / strain) / (np.exp(shape) - start)
-        return grown - start / (np.exp(shape) - start), grown * shape / strain
+        start = elementary.exp(shape * (least - 1.0) / strain)
+        grown = elementary.exp(shape * (length - 1.0) / strain) / (elementary.exp(shape) - start)
+        return grown - start / (elementary.exp(shape) - start), grown * shape / strain
 
     VELOCITY: ClassVar[tuple[float, float, float, float]] = -0.3211346127989808, -8.149, -0.374, 0.8825327733249912
     """Constants d1 to d4 of the force-velocity curve."""
@@ -73,20 +74,20 @@ class DeGrooteFregly:
         """Return the factor of the active force that depends on velocity, -0.0015 at -1 and 1.004 at 0."""
         d1, d2, d3, d4 = self.VELOCITY
         x = d2 * velocity + d3
-        return d1 * np.arcsinh(x) + d4, d1 * d2 / np.sqrt(x * x + 1.0)
+        return d1 * elementary.asinh(x) + d4, d1 * d2 / np.sqrt(x * x + 1.0)
 
     def tendon(self, length: np.ndarray) -> Curve:
         """Return the force of the tendon, which is 1 at a strain of 0.049."""
         c1, c3, strain = 0.2, 0.2, 0.049
-        stiffness = np.log((1.0 + c3) / c1) / strain
-        grown = c1 * np.exp(stiffness * (length - 1.0))
+        stiffness = elementary.log((1.0 + c3) / c1) / strain
+        grown = c1 * elementary.exp(stiffness * (length - 1.0))
         return grown - c3, grown * stiffness
 
     def stretch(self, force: np.ndarray) -> Curve:
         """Return the length of the tendon for a positive force, the inverse of `tendon`."""
         c1, c3, strain = 0.2, 0.2, 0.049
-        stiffness = np.log((1.0 + c3) / c1) / strain
-        return 1.0 + np.log((force + c3) / c1) / stiffness, 1.0 / (stiffness * (force + c3))
+        stiffness = elementary.log((1.0 + c3) / c1) / strain
+        return 1.0 + elementary.log((force + c3) / c1) / stiffness, 1.0 / (stiffness * (force + c3))
 
 
 _GAUSSIANS = (

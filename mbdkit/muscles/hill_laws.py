@@ -33,6 +33,7 @@ from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
+from mbdkit.base import elementary
 from mbdkit.expressions.program import Program, value_of
 from mbdkit.mechanism.force_law import LawState, TracedLaw
 from mbdkit.mechanism.muscles import Activation, Muscle
@@ -59,7 +60,7 @@ def activation_rate(excitation: Any, p: Parameters) -> Any:
     """Return the derivative of the activation with respect to time."""
     a = p["activation"]
     slowing = 0.5 + 1.5 * a
-    f = 0.5 * np.tanh(STEEPNESS * (excitation - a))
+    f = 0.5 * elementary.tanh(STEEPNESS * (excitation - a))
     return ((0.5 + f) / (p["rise"] * slowing) + (0.5 - f) * slowing / p["fall"]) * (excitation - a)
 
 
@@ -111,7 +112,7 @@ def fiber_rate(length: Any, p: Parameters, curves: ForceCurves) -> Any:
     else:
         d1, d2, d3, d4 = DeGrooteFregly.VELOCITY
         q = p["damping"] / -d2
-        velocity = (np.sinh(solved(-d1 * active, q, d4 * active + q * d3 - wanted)) - d3) / d2
+        velocity = (elementary.sinh(solved(-d1 * active, q, d4 * active + q * d3 - wanted)) - d3) / d2
     return p["max_speed"] * velocity
 
 
@@ -123,11 +124,11 @@ def solved(p: Any, q: Any, r: Any) -> Any:
     """
     size = np.where(r < 0.0, -r, r)
     steep = size / (q + TINY)
-    first, second = size / (p + q), np.log(steep + np.sqrt(steep * steep + 1.0))
+    first, second = size / (p + q), elementary.log(steep + np.sqrt(steep * steep + 1.0))
     bound = np.where(first < second, first, second)
     y = np.where(r < 0.0, -bound, bound)
     for _ in range(ITERATIONS):
-        s, c = np.sinh(y), np.cosh(y)
+        s, c = elementary.sinh(y), elementary.cosh(y)
         gap, slope = p * y + q * s - r, p + q * c
         y = y - 2.0 * gap * slope / (2.0 * slope * slope - gap * q * s)
     return y

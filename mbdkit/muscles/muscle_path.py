@@ -20,6 +20,7 @@ from itertools import combinations, pairwise
 
 import numpy as np
 
+from mbdkit.base import elementary
 from mbdkit.base.errors import RunError
 from mbdkit.base.plain_data import quoted
 from mbdkit.mechanism.coordinate_function import CoordinateFunction, names_of, value_and_slopes
@@ -166,7 +167,7 @@ class MusclePath:
             span = placed[first : last + 1]
             height = places[last].offset - places[first].offset
             planar, forces = self._taut(time, span)
-            own = np.hypot(planar, height)
+            own = elementary.hypot(planar, height)
             share = planar / np.where(own > 0, own, 1.0)
             length += own
             for one, force in zip(span, forces, strict=True):
@@ -211,7 +212,7 @@ class MusclePath:
         the other side if both overlap.
         """
         for other in (index - 1, index + 1):
-            apart = np.hypot(*(centers[other] - centers[index]).T)
+            apart = elementary.hypot(*(centers[other] - centers[index]).T)
             inside = apart < abs(radii[index] - radii[other])
             if inside.any():
                 what = "a point of its path" if radii[other] == 0 else "another of its circles"
@@ -261,7 +262,7 @@ def _string(
 
 def _tangent(a: np.ndarray, b: np.ndarray, difference: float) -> tuple[np.ndarray, np.ndarray]:
     """Return the length (T,) of a tangent of two circles, and its unit vector (T, 2); `difference` is r_a - r_b."""
-    apart = np.hypot(*(b - a).T)
+    apart = elementary.hypot(*(b - a).T)
     safe = np.where(apart > 0, apart, 1.0)
     sine = np.clip(difference / safe, -1.0, 1.0)
     cosine = np.sqrt(1.0 - sine * sine)
@@ -273,7 +274,7 @@ def _tangent(a: np.ndarray, b: np.ndarray, difference: float) -> tuple[np.ndarra
 def _sweep(before: np.ndarray, center: np.ndarray, after: np.ndarray, radius: float) -> np.ndarray:
     """Return the angle (T,) about a center, from the place before to the place after, on the side of the circle."""
     a, b = before - center, after - center
-    clockwise = -np.arctan2(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0], np.sum(a * b, axis=1))
+    clockwise = -elementary.atan2(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0], np.sum(a * b, axis=1))
     return np.asarray(np.mod(np.copysign(1.0, radius) * clockwise + BEHIND, 2 * np.pi) - BEHIND)
 
 
@@ -282,8 +283,8 @@ def _turn(centers: Sequence[np.ndarray], radii: Sequence[float], before: int, in
     own, side = radii[index], np.copysign(1.0, radii[index])
     turn = _sweep(centers[before], centers[index], centers[after], own) - np.pi
     for other in (before, after):
-        apart = np.hypot(*(centers[other] - centers[index]).T)
-        turn = turn + side * np.arcsin(np.clip((own - radii[other]) / apart, -1.0, 1.0))
+        apart = elementary.hypot(*(centers[other] - centers[index]).T)
+        turn = turn + side * elementary.asin(np.clip((own - radii[other]) / apart, -1.0, 1.0))
     return turn
 
 

@@ -9,7 +9,7 @@ from functools import cached_property
 
 import numpy as np
 
-from mbdkit.base import higher_layers
+from mbdkit.base import elementary, higher_layers
 from mbdkit.base.errors import SpecError
 from mbdkit.engine.compiled_mechanism import ActingMuscle, CompiledMechanism
 from mbdkit.engine.contact_forces import contact_values
@@ -229,7 +229,7 @@ class States:
                 return one.force.excitation_at(self.time)
             return np.asarray(higher_layers.state_values(*one.excitation, self))
         along = self.of_muscles("length")[:, number] - muscle.tendon_length
-        fiber = np.hypot(along, muscle.thickness)
+        fiber = elementary.hypot(along, muscle.thickness)
         return np.asarray(fiber if name == "fiber_length" else self.of_muscles("rate")[:, number] * along / fiber)
 
     @cached_property

@@ -18,6 +18,7 @@ import numpy as np
 from numpy.polynomial.legendre import leggauss
 
 from mbdkit.archive.measured_values import Integrals
+from mbdkit.base import elementary
 from mbdkit.engine.kernels.observe import Observed
 from mbdkit.engine.observed_states import StateObserver
 from mbdkit.measures.reductions import Functional, Series
@@ -272,7 +273,7 @@ class Sampled:
         )  # fmt: skip
         around = min(AROUND * step, 0.25 * (end - begin))
         middle = min(max(float(minimum.x), begin + around), end - around)
-        places = np.cos(np.pi * (np.arange(PEAK_POINTS) + 0.5) / PEAK_POINTS)[::-1]
+        places = elementary.cos(np.pi * (np.arange(PEAK_POINTS) + 0.5) / PEAK_POINTS)[::-1]
         power = np.polynomial.Polynomial.fit(places, sign * self.at(middle + around * places), PEAK_POINTS - 1)
         rate, place = power.deriv(), (float(minimum.x) - middle) / around
         with np.errstate(all="ignore"):

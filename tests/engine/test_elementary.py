@@ -10,8 +10,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from mbdkit.base import elementary
 from mbdkit.base.errors import MbdkitError
-from mbdkit.engine import elementary
 from mbdkit.engine.kernels.elementary import FUNCTIONS
 from mbdkit.engine.native.levels import is_able, this_platform
 from tests.engine.elementary_cases import CASES, largest_error

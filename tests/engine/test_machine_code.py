@@ -44,6 +44,13 @@ SPECS: dict[str, Any] = {
     "knee radau-iia": SHORT | {"integrator": {"name": "radau-iia"}, "formulation": "index-3"},
     "knee scipy": SHORT | {"integrator": {"name": "scipy-dop853"}},
 }
+FORMULAS: dict[str, Any] = {
+    "slider-crank rk-gill": SHORT | {"integrator": {"name": "rk-gill"}},
+    "slider-crank-clearance rk4": SHORT | {"integrator": {"name": "rk4"}, "events": {}},
+    "squat rk4": SHORT | {"integrator": {"name": "rk4"}},
+    "elbow-curl rk4": SHORT | {"integrator": {"name": "rk4"}},
+}
+"""Models whose parts are placed by sines and lengths, with expressions of time and state, muscles and contact."""
 LOOPS: dict[str, Any] = {
     "slider-crank rk-gill": {"time": {"end": 0.1, "step": 0.01}},
     "watt-six-bar gauss": SHORT | {"integrator": {"name": "gauss", "stages": 3}},
@@ -80,15 +87,25 @@ def test_all_levels_and_the_sources_in_python_agree_to_the_bit() -> None:
     assert len(levels) > 1
     found = [hashes(SPECS, MBDKIT_PROCESSOR=level) for level in levels]
     assert all(one == found[0] for one in found)
+    of_cranks = {"slider-crank rk-gill": FORMULAS["slider-crank rk-gill"]}
     some = {name: SPECS[name] for name in ("double-pendulum rk4", "knee scipy")}
-    in_python = hashes(some, MBDKIT_KERNELS="python")
-    assert in_python == {name: found[0][name] for name in some}
+    in_python = hashes(some | of_cranks, MBDKIT_KERNELS="python")
+    assert in_python == {name: found[0][name] for name in some} | hashes(of_cranks)
 
 
 def test_results_do_not_depend_on_the_routines_that_libraries_choose_for_a_processor() -> None:
-    # expected: results of the processor's own routines; with those of another one, LAPACK and BLAS round differently
-    other = {"OPENBLAS_CORETYPE": "Nehalem", **settings()["NumPy"]}
-    assert hashes(LOOPS, without_numba=False, **other) == hashes(LOOPS, without_numba=False)
+    # expected: results of the processor's own routines; with those of another one, LAPACK, BLAS, and functions of
+    # NumPy and of the C library (glibc; others ignore its setting) round differently
+    other = {"OPENBLAS_CORETYPE": "Nehalem", **settings()["NumPy"], **settings()["C library"]}
+    runs = LOOPS | FORMULAS
+    assert hashes(runs, without_numba=False, **other) == hashes(runs, without_numba=False)
+
+
+@stored
+def test_results_on_the_lowest_level_with_the_functions_of_an_old_processor_are_the_same() -> None:
+    # expected: results of the best level, with the functions that the C library chooses for this processor
+    other = {"MBDKIT_PROCESSOR": this_platform().levels[-1].name, **settings()["C library"]}
+    assert hashes(FORMULAS, **other) == hashes(FORMULAS)
 
 
 @pytest.fixture

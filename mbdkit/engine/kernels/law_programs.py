@@ -15,6 +15,7 @@ import math
 
 import numpy as np
 
+from mbdkit.base import elementary
 from mbdkit.engine.native.arithmetic import is_dual, value_of, where
 from mbdkit.engine.native.calls import integers_at, new_registers, numbers_at
 from mbdkit.engine.native.functions import inlined, law_function, overload, subkernel
@@ -100,7 +101,7 @@ def _execute(op, a, b, c, to, x):
     elif op == _SELECT:
         x[to] = where(value_of(x[a]) != 0.0, x[b], x[c])
     elif op == _POWER:
-        x[to] = x[a] ** x[b]
+        x[to] = elementary.pow(x[a], x[b])
     elif op == _REMAINDER:
         x[to] = x[a] % x[b]
     elif op == _ABS:

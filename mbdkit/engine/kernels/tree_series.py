@@ -18,6 +18,7 @@ expressions of the state have no series here.
 
 from __future__ import annotations
 
+from mbdkit.base import elementary
 from mbdkit.engine.kernels.applied_forces import BODY_FORCE, PATHWAYS, POINT_FORCE, TORQUE
 from mbdkit.engine.kernels.power_series import coefficient
 from mbdkit.engine.kernels.tree import turned
@@ -127,7 +128,7 @@ def _stretch(p, a, b, s, k):
     s[DX, k], s[DY, k] = bx - ax, by - ay
     square = coefficient(s[DX], s[DX], k) + coefficient(s[DY], s[DY], k)
     if k == 0:
-        s[LENGTH, 0] = square**0.5
+        s[LENGTH, 0] = elementary.pow(square, 0.5)
     else:
         for j in range(1, k):
             square -= s[LENGTH, j] * s[LENGTH, k - j]

@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from mbdkit.base import elementary
 from mbdkit.engine.native.functions import overload, placeholder, separate
 from mbdkit.engine.native.levels import WIDTH
 
@@ -116,6 +117,21 @@ def _lane_by_lane_of_two(function):
 
     overload(apply)(lambda x, y: of_lanes if is_lanes(x) else apply)
     return apply
+
+
+def _compiled(function):
+    """Return what compiled code calls instead of an elementary function for Python."""
+    if function is elementary.pow:
+        return lambda x, y: lambda x, y: x**y
+    ufunc = function.ufunc
+    if ufunc.nin == 2:
+        return lambda x, y: lambda x, y: ufunc(x, y)
+    return lambda x: lambda x: ufunc(x)
+
+
+_OF_EXPRESSIONS = "acos", "asin", "atan", "atan2", "cos", "exp", "log", "pow", "sin", "tan", "tanh"
+for _name in _OF_EXPRESSIONS:
+    overload(elementary.FUNCTIONS[_name])(_compiled(elementary.FUNCTIONS[_name]))
 
 
 def value_of(x):

@@ -11,7 +11,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any, TypeVar
 
-from mbdkit.engine.native.kernel import Entry, Kernel, LawFunction
+from mbdkit.engine.native.kernel import MODULES, Entry, Kernel, LawFunction
 from mbdkit.engine.native.machine_code import CORE
 
 Function = TypeVar("Function", bound=Callable[..., Any])
@@ -32,12 +32,14 @@ LAWS: dict[str, LawFunction] = {}
 
 def subkernel(function: Function) -> Function:
     """Mark a function that only kernels and other subkernels call."""
+    MODULES[function.__module__] = function.__globals__
     SUBKERNELS[function] = False
     return function
 
 
 def inlined(function: Function) -> Function:
     """Mark a function that only kernels call and that is copied into each of its callers."""
+    MODULES[function.__module__] = function.__globals__
     SUBKERNELS[function] = True
     return function
 
@@ -94,6 +96,7 @@ def law_function(function: Callable[..., Any]) -> LawFunction:
 
 
 def _symbol(function: Callable[..., Any]) -> str:
+    MODULES[function.__module__] = function.__globals__
     package, _, path = function.__module__.partition(".")
     symbol = f"{path.rpartition('.')[2]}__{function.__name__}"
     return symbol if package == CORE else f"{package}___{symbol}"

@@ -13,14 +13,17 @@ from __future__ import annotations
 
 import ctypes
 import inspect
+import math
 import struct
 from array import array
 from collections.abc import Callable, Iterable
 from functools import cached_property
+from types import BuiltinFunctionType, SimpleNamespace
 from typing import Any, get_args, get_origin
 
 import numpy as np
 
+from mbdkit.base import elementary
 from mbdkit.engine.native.bundle import ARRAY_WORDS, HEAD, ArrayType, array_words, arrays_in, arrays_of
 from mbdkit.engine.native.machine_code import IN_PYTHON, address_of
 
@@ -28,6 +31,8 @@ _CALL = ctypes.CFUNCTYPE(ctypes.c_int64, ctypes.c_int64)
 DTYPES = (np.dtype(np.float64), np.dtype(np.int64), np.dtype(np.complex128))
 """Types of the elements of arrays, in the order in which the block of a kernel names them."""
 _CODES = {int: "q", bool: "q", float: "d"}
+MODULES: dict[str, dict[str, Any]] = {}
+"""Global names of the modules of kernels."""
 _ENTRIES: dict[int, Callable[..., Any]] = {}
 """Entries by address; used only with ``MBDKIT_KERNELS=python``."""
 
@@ -62,11 +67,26 @@ class Kernel:
 
     @cached_property
     def _call(self) -> Callable[..., Any]:
-        return self.function if IN_PYTHON else _caller(self)
+        return _in_python(self.function) if IN_PYTHON else _caller(self)
 
     def __call__(self, *arguments: Any) -> Any:
         """Call the machine code; the first call loads it."""
         return self._call(*arguments)
+
+
+def _in_python(function: Callable[..., Any]) -> Callable[..., Any]:
+    """Return a function after replacing `math` by our elementary functions in all modules of kernels.
+
+    In machine code, the builder replaces them.
+    """
+    own = {getattr(math, name, math.gamma): one for name, one in elementary.FUNCTIONS.items()}
+    for names in MODULES.values():
+        for name, value in names.items():
+            if value is math:
+                names[name] = SimpleNamespace(**vars(math) | {one.__name__: own[one] for one in own})
+            elif isinstance(value, BuiltinFunctionType) and value in own:
+                names[name] = own[value]
+    return function
 
 
 def _caller(kernel: Kernel) -> Callable[..., Any]:
@@ -159,7 +179,7 @@ class Entry:
     def address(self) -> int:
         """Address of the machine code; the first access loads it."""
         if IN_PYTHON:
-            _ENTRIES[id(self)] = self.function
+            _ENTRIES[id(self)] = _in_python(self.function)
             return id(self)
         return address_of(self.symbol)
 

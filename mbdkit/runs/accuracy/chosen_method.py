@@ -21,6 +21,7 @@ from typing import Any
 
 import numpy as np
 
+from mbdkit.base import elementary
 from mbdkit.base.errors import SpecError
 from mbdkit.base.plain_data import canonical
 from mbdkit.engine.elimination_order import SingularSystemError
@@ -209,7 +210,7 @@ class Choice:
         pilots = () if self.final is None else (*self.pilots[-1:], self.final)
         factor = TENTH if pilots else 100.0 if self.candidate.adaptive else 4.0
         if math.isfinite(reached):
-            factor = max(least, (reached / (MARGIN * asked)) ** (1 / order))
+            factor = max(least, elementary.pow(reached / (MARGIN * asked), 1 / order))
         setting, limited = _limited(spec, self.candidate, self.setting / factor)
         found = f"an error of {reached:.2g}" if math.isfinite(reached) else "no error that is known to the end"
         why = f"{self.why} The check of {self.chosen} found {found}, so that it was tightened."
@@ -342,9 +343,9 @@ class _Search:
         if not differences[-1] <= SATURATED:
             return runs[-1].setting / APART
         if len(differences) == 1:  # the difference is the error of the coarser run
-            wanted = runs[-2].setting * (AIM * self.asked / differences[-1]) ** (1 / FOLLOWS)
+            wanted = runs[-2].setting * elementary.pow(AIM * self.asked / differences[-1], 1 / FOLLOWS)
         else:
-            wanted = runs[-1].setting * (AIM * self.asked / error) ** (1 / FOLLOWS)
+            wanted = runs[-1].setting * elementary.pow(AIM * self.asked / error, 1 / FOLLOWS)
         return float(min(wanted, runs[-1].setting / 4))  # runs with closer tolerances would hardly differ
 
     def why_last(self, runs: list[RecordedPilot], differences: list[float], error: float) -> str:
@@ -387,7 +388,7 @@ class _Search:
             given = candidate.integrator.get("rtol") if spec.choose == "step" else None
             # Pilots have larger tolerances than the run, so that they cost less: the tolerance decreases by one decade
             # if the requested accuracy decreases by three.
-            loose = LOOSEST * (self.asked / LOOSEST) ** (1 / 3)
+            loose = LOOSEST * elementary.pow(self.asked / LOOSEST, 1 / 3)
             return min(max(_rounded(float(given or loose)), TENTH * TIGHTEST), LOOSEST), TENTH
         span = spec.time.final - spec.time.start
         steps = span / spec.time.step if spec.time.step is not None else 2 * SAMPLES
@@ -409,7 +410,8 @@ class _Search:
             differences.append(difference(runs[-2], runs[-1], self.measure))
         order = candidate.order
         setting = self.predicted(candidate, runs[-2].setting, differences[-1], order)
-        if differences[-1] <= SATURATED and setting < runs[-1].setting / FAR[candidate.adaptive] ** (1 / order):
+        far = elementary.pow(FAR[candidate.adaptive], 1 / order)
+        if differences[-1] <= SATURATED and setting < runs[-1].setting / far:
             between = _setting(candidate, math.sqrt(runs[-1].setting * setting))
             if not candidate.adaptive:
                 span = self.spec.time.final - self.spec.time.start
@@ -430,7 +432,7 @@ class _Search:
         """
         if not error > 0:
             return setting
-        factor = math.pow(MARGIN * self.asked / max(min(error, 1.0), 1e-15), 1 / order)
+        factor = elementary.pow(MARGIN * self.asked / max(min(error, 1.0), 1e-15), 1 / order)
         return setting * min(factor, TENTH if candidate.adaptive else 2.0)
 
     def observed(self, candidate: Candidate, runs: list[PilotRun], differences: list[float]) -> float:
@@ -438,7 +440,7 @@ class _Search:
         (e0, e1), (x0, x1) = differences[-2:], (runs[-3].setting, runs[-2].setting)
         if not (e0 > 0 and e1 > 0 and e0 < math.inf):
             return candidate.order
-        return min(max(math.log(e0 / e1) / math.log(x0 / x1), 0.6 * candidate.order), 1.2 * candidate.order)
+        return min(max(elementary.log(e0 / e1) / elementary.log(x0 / x1), 0.6 * candidate.order), 1.2 * candidate.order)
 
     def why(self, candidate: Candidate, runs: list[PilotRun], differences: list[float]) -> str:
         """Return the sentence on the last two pilots and on what they mean for the choice."""
@@ -477,7 +479,7 @@ def _rounded(value: float) -> float:
 
 def _shorter(step: float, *, up: bool = False) -> float:
     """Return a step rounded down to three digits; rounded up if `up`."""
-    unit = 10.0 ** (math.floor(math.log10(step)) - 2)
+    unit = 10.0 ** (math.floor(elementary.log10(step)) - 2)
     return float(f"{(math.ceil if up else math.floor)(step / unit * (1 + 1e-12)) * unit:.2e}")
 
 
@@ -485,4 +487,4 @@ def _dividing(steps: float) -> int:
     """Return a number of steps that is at least `steps`, and a multiple or a divisor of the number of samples."""
     if steps >= SAMPLES:
         return SAMPLES * math.ceil(steps / SAMPLES - 1e-9)
-    return 1 << max(3, math.ceil(math.log2(steps)))
+    return 1 << max(3, math.ceil(elementary.log2(steps)))

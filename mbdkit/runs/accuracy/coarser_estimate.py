@@ -18,6 +18,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from mbdkit.base import elementary
 from mbdkit.runs.accuracy.error_estimate import (
     AGREED,
     AT_REST,
@@ -107,10 +108,10 @@ def _factor(differences: Sequence[np.ndarray], tolerances: Sequence[float]) -> t
     falls = np.full(differences[-1].shape, True)
     if len(differences) > 1:
         with np.errstate(divide="ignore", invalid="ignore"):
-            observed = np.log(differences[0] / differences[1]) / np.log(tolerances[0] / tolerances[1])
+            observed = elementary.log(differences[0] / differences[1]) / elementary.log(tolerances[0] / tolerances[1])
         falls = observed >= LEAST
         exponent = np.clip(np.nan_to_num(observed, nan=LEAST, posinf=ASSUMED, neginf=LEAST), LEAST, ASSUMED)
-    ratio = (tolerances[-1] / tolerances[-2]) ** exponent
+    ratio = elementary.pow(tolerances[-1] / tolerances[-2], exponent)
     differs = ratio < 1.0  # otherwise the runs are equal and contain no information
     return np.where(differs, SAFETY * ratio / np.where(differs, 1.0 - ratio, 1.0), math.inf), falls & differs
 
@@ -172,4 +173,4 @@ class _Quantity:
             return math.nan
         first, second = (float(d[count - 1, 0]) for d in self._all)
         ratio = self._tolerances[0] / self._tolerances[1]
-        return math.log(first / second) / math.log(ratio) if first > 0 and second > 0 else math.nan
+        return elementary.log(first / second) / elementary.log(ratio) if first > 0 and second > 0 else math.nan

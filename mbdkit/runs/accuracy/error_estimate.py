@@ -25,6 +25,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
+from mbdkit.base import elementary
 from mbdkit.runs.recorded_states import ObservedRows
 
 LARGEST_RATIO = 0.6
@@ -312,7 +313,9 @@ class _Quantity:
         if not count:
             return math.nan
         before, after = float(all01[count - 1, 0]), float(all12[count - 1, 0])
-        return math.log(before / after) / math.log(self._refinement) if after > 0 and before > floor else math.nan
+        if not (after > 0 and before > floor):
+            return math.nan
+        return elementary.log(before / after) / elementary.log(self._refinement)
 
 
 def _largest(*arrays: np.ndarray) -> np.ndarray:

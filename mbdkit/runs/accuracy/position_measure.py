@@ -10,6 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from mbdkit.archive.accuracy import Accuracy
+from mbdkit.base import elementary
 from mbdkit.engine.workspace import Workspace
 from mbdkit.runs.preparation import size_at_start
 from mbdkit.spec import RunSpec
@@ -42,7 +43,7 @@ class PositionMeasure:
         for joint in mechanism.joints.values():
             for _, name, point in joint.attachments():
                 if name in arm:
-                    arm[name] = max(arm[name], float(np.hypot(*point)))
+                    arm[name] = max(arm[name], float(elementary.hypot(*point)))
         return cls(size, np.array([length or size for length in arm.values()]))
 
     def share(self, error: np.ndarray) -> np.ndarray:

@@ -5,7 +5,7 @@ alike: sums, products, quotients, square roots, comparisons and operations on in
 Its results are therefore the same bits everywhere. Special values follow IEEE 754 and Annex F of C99.
 
 In machine code, these functions take the place of those of `math` and NumPy. Code in Python calls
-`mbdkit.engine.elementary`.
+`mbdkit.base.elementary`.
 """
 
 from __future__ import annotations

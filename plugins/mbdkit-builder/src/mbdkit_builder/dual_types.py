@@ -25,6 +25,7 @@ from numba.core.typeconv import Conversion  # type: ignore[attr-defined]
 from numba.core.typing.templates import AbstractTemplate, infer_global, signature
 from numba.extending import intrinsic, lower_builtin, models, overload, register_model
 
+from mbdkit.base import elementary
 from mbdkit.engine.native.arithmetic import (
     DIRECTIONS,
     chain,
@@ -35,7 +36,7 @@ from mbdkit.engine.native.arithmetic import (
     with_value,
 )
 from mbdkit.engine.native.operation_rules import compiled_rule
-from mbdkit.expressions.operations import OPERATIONS
+from mbdkit.expressions.operations import OPERATIONS, Operation
 from mbdkit_builder.implementation import implement
 
 DOUBLE = ir.DoubleType()
@@ -322,6 +323,11 @@ def _of_one(function: Any, code: Callable[..., Any]) -> None:
         return code if isinstance(x, DualNumber) else None
 
 
+def _functions_of(operation: Operation) -> set[Any]:
+    """Return the functions of Python and NumPy for an operation."""
+    return {getattr(math, operation.name, operation.number), operation.ufunc}
+
+
 def _by_rule(rule: Any) -> Callable[..., Any]:
     """Return the code of a function of one dual number from a rule of operations."""
 
@@ -334,7 +340,7 @@ def _by_rule(rule: Any) -> Callable[..., Any]:
 
 for _operation in OPERATIONS.values():
     if _operation.arity == 1 and _operation.name != "powi":
-        for _function in {_operation.number, _operation.array}:
+        for _function in _functions_of(_operation):
             _of_one(_function, _by_rule(compiled_rule(_operation)))
 _FUNCTIONS: tuple[tuple[Any, Callable[[Any], Any]], ...] = (
     (math.fabs, lambda x: abs(x)),
@@ -406,8 +412,8 @@ def _length(x, y):
 
 
 for _operation in OPERATIONS.values():
-    if _operation.arity == 2 and _operation.number not in (*_ARITHMETIC, math.pow):
-        for _function in (_operation.number, _operation.array):
+    if _operation.arity == 2 and _operation.number not in (*_ARITHMETIC, elementary.pow):
+        for _function in _functions_of(_operation):
             _of_two(_function, _by_rule_of_two(compiled_rule(_operation)))
 _of_two(operator.mod, _remainder)
 _of_two(math.hypot, _length)

@@ -10,6 +10,7 @@ from typing import Any, Unpack
 
 import numpy as np
 
+from mbdkit.base import elementary
 from mbdkit.base.html_view import HtmlView
 from mbdkit.base.logs import warn_on_stderr
 from mbdkit.base.plain_data import plain
@@ -249,7 +250,8 @@ def joint_reactions(
     on_second = -np.einsum("kr,krd->kd", lam, w.jac.reshape(-1, 2, 2, 3)[:, :, 1])
     angle = padded[3 * top.pairs[:, 2] + 2]
     px, py = top.pair_parameters[:, 2], top.pair_parameters[:, 3]
-    arm_x, arm_y = np.cos(angle) * px - np.sin(angle) * py, np.sin(angle) * px + np.cos(angle) * py
+    c, s = elementary.cos(angle), elementary.sin(angle)
+    arm_x, arm_y = c * px - s * py, s * px + c * py
     on_second[:, 2] -= arm_x * on_second[:, 1] - arm_y * on_second[:, 0]
     total = np.array([on_second[list(pairs)].sum(axis=0) for pairs in compiled.joint_pairs]).reshape(-1, 3)
     return total[:, :2], total[:, 2]

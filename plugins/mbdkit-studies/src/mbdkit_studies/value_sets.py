@@ -16,6 +16,7 @@ from typing import Annotated, Any
 
 from pydantic import BeforeValidator, WithJsonSchema
 
+from mbdkit.base import elementary
 from mbdkit.base.errors import SpecError
 from mbdkit.base.plain_data import LARGEST_NUMBER, Path, value_text
 from mbdkit.base.text import did_you_mean, listed
@@ -211,7 +212,7 @@ def _spaced(kind: str, first: float, last: float, count: int) -> list[int | floa
         elif kind == "linspace":
             number = 2 * (first / 2 + (last / 2 - first / 2) * share)  # last - first may overflow
         else:
-            number = math.copysign(math.exp(math.log(abs(first)) + _log_ratio(first, last) * share), first)
+            number = math.copysign(elementary.exp(elementary.log(abs(first)) + _log_ratio(first, last) * share), first)
         number = float(f"{number:.{DIGITS}g}") if 0 < index < count - 1 else number
         numbers.append(int(number) if whole and number.is_integer() else number)
     return numbers
@@ -220,7 +221,7 @@ def _spaced(kind: str, first: float, last: float, count: int) -> list[int | floa
 def _log_ratio(first: float, last: float) -> float:
     """Return the logarithm of last / first; the quotient itself may overflow or underflow."""
     ratio = last / first
-    return math.log(ratio) if 0 < ratio < math.inf else math.log(abs(last)) - math.log(abs(first))
+    return elementary.log(ratio) if 0 < ratio < math.inf else elementary.log(abs(last)) - elementary.log(abs(first))
 
 
 def label_of(value: Any) -> int | float | str:

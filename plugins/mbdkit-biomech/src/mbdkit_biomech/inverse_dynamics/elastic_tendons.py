@@ -21,6 +21,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from mbdkit.base import elementary
 from mbdkit.base.errors import RunError
 from mbdkit.mechanism.muscles import Muscle
 from mbdkit.muscles.force_curves import CURVES
@@ -120,7 +121,7 @@ class ElasticMuscles:
         stretch, compliance = self._curve("stretch", share)
         along = path - self._tendon * stretch
         d_along = -self._tendon * compliance / self.max_force
-        length = np.hypot(along, self._thickness)
+        length = elementary.hypot(along, self._thickness)
         cosine = along / length
         d_length = cosine * d_along
         d_cosine = (d_along - cosine * d_length) / length

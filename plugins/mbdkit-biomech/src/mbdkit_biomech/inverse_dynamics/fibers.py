@@ -13,6 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from mbdkit.base import elementary
 from mbdkit.base.errors import RunError
 from mbdkit.mechanism.muscles import Muscle
 from mbdkit.muscles.force_curves import CURVES
@@ -65,7 +66,7 @@ def fibers_on_rigid_tendon(name: str, muscle: Muscle, time: np.ndarray, length: 
             f"the tendon of muscle '{name}' is longer ({muscle.tendon_length:.6g} m) than its path "
             f"({length[frame]:.6g} m) at t = {time[frame]:.6g} s; correct `tendon_length`, or the path"
         )
-    own = np.hypot(along, muscle.thickness)
+    own = elementary.hypot(along, muscle.thickness)
     cosine = along / own
     velocity = rate * cosine
     curves = CURVES[muscle.curves]

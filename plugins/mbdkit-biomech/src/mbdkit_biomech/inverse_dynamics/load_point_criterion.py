@@ -6,6 +6,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from mbdkit.base import elementary
 from mbdkit.base.text import listed
 from mbdkit.base.units import read_unit
 from mbdkit.mechanism.bodies import GROUND
@@ -110,7 +111,7 @@ def centre_of_pressure(result: Inverse, index: int) -> tuple[np.ndarray, np.ndar
 def in_body(result: Inverse, point: np.ndarray, body: int) -> np.ndarray:
     """Return points (T, 2) in the frame of a body."""
     q = result.motion.q[:, 3 * body : 3 * body + 3]
-    (x, y), c, s = (point - q[:, :2]).T, np.cos(q[:, 2]), np.sin(q[:, 2])
+    (x, y), c, s = (point - q[:, :2]).T, elementary.cos(q[:, 2]), elementary.sin(q[:, 2])
     return np.stack([c * x + s * y, c * y - s * x], axis=1)
 
 

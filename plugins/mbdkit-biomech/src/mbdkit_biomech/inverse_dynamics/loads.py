@@ -11,6 +11,7 @@ from typing import Any, Literal, TypeAlias
 import numpy as np
 from scipy.interpolate import CubicSpline
 
+from mbdkit.base import elementary
 from mbdkit.base.errors import SpecError
 from mbdkit.base.plain_data import quoted
 from mbdkit.base.text import shown
@@ -317,6 +318,6 @@ def global_point(one: LoadSeries, time: np.ndarray, q: np.ndarray) -> np.ndarray
     if one.frame == GROUND:
         return given
     place = 3 * one.frame
-    c, s = np.cos(q[:, place + 2]), np.sin(q[:, place + 2])
+    c, s = elementary.cos(q[:, place + 2]), elementary.sin(q[:, place + 2])
     x, y = c * given[:, 0] - s * given[:, 1], s * given[:, 0] + c * given[:, 1]
     return np.column_stack([q[:, place] + x, q[:, place + 1] + y])

@@ -22,6 +22,7 @@ from scipy.optimize import linprog
 from scipy.sparse import block_array, block_diag, csc_array, csr_array, diags_array, eye_array, vstack
 from scipy.sparse.linalg import splu
 
+from mbdkit.base import elementary
 from mbdkit_biomech.inverse_dynamics.shared_loads import SOLVED, Programme, Shared
 
 ITERATIONS = 80
@@ -51,7 +52,7 @@ class ActivationDynamics:
     def of(cls, time: np.ndarray, fall: np.ndarray, rise: np.ndarray) -> ActivationDynamics:
         """Return the bounds for frames at times (T,) and time constants (M,) [s]."""
         step = np.diff(time)[:, None]
-        return cls(np.exp(-step / fall), np.exp(-step / rise))
+        return cls(elementary.exp(-step / fall), elementary.exp(-step / rise))
 
 
 @dataclass(frozen=True)
@@ -68,11 +69,11 @@ class _Whole:
     exponent: float
 
     def slope(self, x: np.ndarray) -> np.ndarray:
-        own: np.ndarray = self.exponent * np.sign(x) * np.abs(x) ** (self.exponent - 1)
+        own: np.ndarray = self.exponent * np.sign(x) * elementary.pow(np.abs(x), self.exponent - 1)
         return own
 
     def curvature(self, x: np.ndarray) -> np.ndarray:
-        own: np.ndarray = self.exponent * (self.exponent - 1) * np.abs(x) ** (self.exponent - 2)
+        own: np.ndarray = self.exponent * (self.exponent - 1) * elementary.pow(np.abs(x), self.exponent - 2)
         return np.asarray(np.maximum(own, 1e-9))
 
 
@@ -141,7 +142,7 @@ def _interior(whole: _Whole, x: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.
         ahead = one.step(one.slack * one.z)
         length = min(_longest(one.slack, ahead.slack), _longest(one.z, ahead.z), 1.0)
         left = float(np.mean((one.slack + length * ahead.slack) * (one.z + length * ahead.z)))
-        center = (left / one.gap) ** 3 * one.gap
+        center = elementary.pow(left / one.gap, 3.0) * one.gap
         change = one.step(one.slack * one.z + ahead.slack * ahead.z - center)
         length = min(1.0, 0.995 * min(_longest(one.slack, change.slack), _longest(one.z, change.z)))
         one = one.moved(change, length)

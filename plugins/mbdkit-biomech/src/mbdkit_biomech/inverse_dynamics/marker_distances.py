@@ -6,6 +6,7 @@ from itertools import combinations
 
 import numpy as np
 
+from mbdkit.base import elementary
 from mbdkit.mechanism.mechanism_quantities import MarkerCoordinate, Point
 from mbdkit_biomech.inverse_dynamics.measured import Measured
 
@@ -36,7 +37,7 @@ def unlike_distances(measured: Measured, length: float) -> str | None:
     """
     ratios = []
     for (one, (first, at)), (other, (second, there)) in combinations(_markers(measured).items(), 2):
-        expected = float(np.hypot(one.x - other.x, one.y - other.y))
+        expected = float(elementary.hypot(one.x - other.x, one.y - other.y))
         if one.body == other.body and expected > LEAST_DISTANCE * length:
             apart = float(np.median(np.linalg.norm(at - there, axis=1)))
             ratios.append((apart / expected, f"{first} and {second} are {apart:.3g} m apart, but {expected:.3g} m"))

@@ -15,6 +15,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.stats import chi2
 
+from mbdkit.base import elementary
 from mbdkit.base.errors import SpecError
 from mbdkit.spec import InverseSpec
 from mbdkit_biomech.inverse_dynamics.compute import Inverse, InverseProblem, compute, forces_of
@@ -163,7 +164,7 @@ def samples_of(result: Inverse, measures: Sequence[str]) -> SampledMeasures | No
     change = changes_in_gaps(result, path, gaps)
     for _ in range(HIDDEN_SAMPLES if gaps else 0):
         phase = random.uniform(0.0, 2 * np.pi, len(gaps))
-        other = _added(series, change, np.stack([np.cos(phase), np.sin(phase)], axis=1).ravel())
+        other = _added(series, change, np.stack([elementary.cos(phase), elementary.sin(phase)], axis=1).ravel())
         hidden = _measured(_moved(result, independent, other, result.problem.loads), measures)
         found.noisy[:, np.abs(hidden - value) > HIDDEN * found.bounds()] = np.nan
     return found

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from mbdkit.base import elementary
 from mbdkit.base.errors import RunError
 from mbdkit.base.text import listed
 from mbdkit.mechanism.mechanism_quantities import GROUND
@@ -91,5 +92,5 @@ def _without(result: Inverse, rows: np.ndarray, columns: list[int]) -> tuple[np.
 def _spread(pose: np.ndarray, at: np.ndarray) -> float:
     """Return the root mean square distance of positions (R, 2) from a fixed point of a body with poses (R, 3)."""
     x, y = (at - pose[:, :2]).T
-    c, s = np.cos(pose[:, 2]), np.sin(pose[:, 2])
+    c, s = elementary.cos(pose[:, 2]), elementary.sin(pose[:, 2])
     return float(np.sqrt(np.sum(np.var([c * x + s * y, c * y - s * x], axis=1))))

@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from mbdkit.base import elementary
 from mbdkit.base.errors import RunError
 from mbdkit_biomech.inverse_dynamics.compute import Inverse, InverseProblem, forces_of
 from mbdkit_biomech.inverse_dynamics.inverse_sections import MuscleDeviations
@@ -33,7 +34,7 @@ def _drawn(recruiter: Recruiter, deviations: MuscleDeviations, random: np.random
     """Return a recruiter whose muscles have properties drawn at random."""
     muscles = {}
     for name, muscle in recruiter.muscles.items():
-        factors = np.exp([getattr(deviations, key) * random.standard_normal() for key in PROPERTIES])
+        factors = elementary.exp([getattr(deviations, key) * random.standard_normal() for key in PROPERTIES])
         muscles[name] = muscle.model_copy(
             update={key: getattr(muscle, key) * float(by) for key, by in zip(PROPERTIES, factors, strict=True)}
         )

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from mbdkit.base import elementary
 from mbdkit.base.errors import SpecError
 from mbdkit.base.plain_data import quoted
 from mbdkit.base.text import did_you_mean, listed
@@ -84,7 +85,7 @@ class Shortening(Quantity):
 
     def _apart(self, q: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         (ax, ay), (bx, by) = self.first.position(q), self.second.position(q)
-        length = np.hypot(bx - ax, by - ay)
+        length = elementary.hypot(bx - ax, by - ay)
         safe = np.where(length > 0, length, 1.0)
         return (bx - ax) / safe, (by - ay) / safe, length
 

@@ -21,6 +21,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.optimize import linprog
 
+from mbdkit.base import elementary
+
 ITERATIONS = 60
 """Largest number of Newton iterations of one proximal problem; 5 to 15 are usual."""
 PROXIMAL = (1e-2, 1e-4, 1e-6, 1e-8, 1e-10, *(1e-11,) * 6)
@@ -134,7 +136,7 @@ def _dual_newton(programme: Programme, p: float) -> tuple[np.ndarray, np.ndarray
     y = np.zeros((frames, equations))
     if p > 2:  # start from the solution for p = 2, with the derivative of the cost converted from 2 x to p x^(p - 1)
         x, _, _ = _dual_newton(programme, 2.0)
-        cost = p * np.sign(x) * np.abs(x) ** (p - 1)
+        cost = p * np.sign(x) * elementary.pow(np.abs(x), p - 1)
         y = (np.linalg.pinv(np.swapaxes(programme.matrix, 1, 2), rcond=1e-10) @ cost[..., None])[..., 0]
     trace = np.einsum("tkn,tkn->t", programme.matrix, programme.matrix) * 0.5
     trace = np.where(trace > 0, trace, 1.0)
@@ -176,7 +178,9 @@ def _proximal_newton(programme: Programme, start: np.ndarray, p: float, proximal
         step = np.linalg.solve(jacobian, gradient[..., None])[..., 0]
         before = _dual(own, y[left], x, p) - 0.5 * near * np.sum((y[left] - own_start) ** 2, axis=1)
         rise, norm = np.sum(gradient * step, axis=1), np.max(np.abs(gradient), axis=1)
-        rounding = ROUNDING * (np.sum(np.abs(x) ** p, axis=1) + np.sum(np.abs(y[left] * own.right), axis=1))
+        rounding = ROUNDING * (
+            np.sum(elementary.pow(np.abs(x), p), axis=1) + np.sum(np.abs(y[left] * own.right), axis=1)
+        )
         size, moved = np.ones(len(left)), y[left] + step
         waiting = np.ones(len(left), dtype=bool)
         for _ in range(40):
@@ -201,7 +205,7 @@ def _unknowns(programme: Programme, y: np.ndarray, p: float) -> tuple[np.ndarray
         x, slope = 0.5 * g, np.full_like(g, 0.5)
     else:
         size = np.abs(g)
-        x = np.sign(g) * (size / p) ** (1.0 / (p - 1.0))
+        x = np.sign(g) * elementary.pow(size / p, 1.0 / (p - 1.0))
         slope = np.abs(x) / np.where(size > 0, size, 1.0) / (p - 1.0)
         slope = np.maximum(slope, LEAST_SLOPE * np.max(slope, axis=1, initial=1e-300)[:, None])
     free = (x > programme.low) & (x < programme.high)
@@ -215,13 +219,13 @@ def _residual(programme: Programme, x: np.ndarray) -> np.ndarray:
 
 def _dual(programme: Programme, y: np.ndarray, x: np.ndarray, p: float) -> np.ndarray:
     """Return the dual function (T,): the Lagrangian at its minimum."""
-    value: np.ndarray = np.sum(np.abs(x) ** p, axis=1) + np.sum(y * _residual(programme, x), axis=1)
+    value: np.ndarray = np.sum(elementary.pow(np.abs(x), p), axis=1) + np.sum(y * _residual(programme, x), axis=1)
     return value
 
 
 def _certificate(programme: Programme, x: np.ndarray, y: np.ndarray, p: float) -> np.ndarray:
     """Return the largest violation (T,) of the optimality conditions, see `Shared`."""
-    cost = p * np.sign(x) * np.abs(x) ** (p - 1)
+    cost = p * np.sign(x) * elementary.pow(np.abs(x), p - 1)
     g = (np.swapaxes(programme.matrix, 1, 2) @ y[..., None])[..., 0]
     slope = cost - g  # zero between the bounds, not negative at the lower bound, and not positive at the upper one
     slope = np.where((x <= programme.low) & (slope > 0), 0.0, slope)

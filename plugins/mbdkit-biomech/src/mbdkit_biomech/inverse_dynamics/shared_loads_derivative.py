@@ -20,6 +20,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from mbdkit.base import elementary
 from mbdkit_biomech.inverse_dynamics.shared_loads import Programme, Shared
 
 LEAST_CURVATURE = 1e-12
@@ -58,8 +59,8 @@ def change_of_shares(programme: Programme, shared: Shared, exponent: float, chan
     x, y, weight = shared.value, shared.multipliers, programme.weight
     is_free = (x > programme.low) & (x < programme.high)
     share = np.abs(x) / weight
-    slope = exponent * np.sign(x) * share ** (exponent - 1) / weight
-    curvature = exponent * (exponent - 1) * share ** (exponent - 2) / weight**2
+    slope = exponent * np.sign(x) * elementary.pow(share, exponent - 1) / weight
+    curvature = exponent * (exponent - 1) * elementary.pow(share, exponent - 2) / weight**2
     curvature = np.maximum(curvature, LEAST_CURVATURE * np.max(curvature, axis=1, keepdims=True))
     flexibility = np.where(is_free, 1.0 / curvature, 0.0)
     size = programme.size

@@ -11,6 +11,7 @@ from scipy.interpolate import BSpline, make_interp_spline, make_smoothing_spline
 from scipy.linalg import solveh_banded
 from scipy.signal import butter, filtfilt, lfilter, lfiltic
 
+from mbdkit.base import elementary
 from mbdkit.base.errors import SpecError
 from mbdkit_biomech.inverse_dynamics.inverse_sections import (
     Butterworth,
@@ -170,7 +171,7 @@ def local_derivatives(time: np.ndarray, series: np.ndarray) -> tuple[np.ndarray,
     rows = begin[:, None] + np.arange(5)
     offset = time[rows] - time[:, None]
     unit = np.max(np.abs(offset), axis=1)
-    powers = (offset / unit[:, None])[:, None, :] ** np.arange(5)[None, :, None]
+    powers = elementary.pow((offset / unit[:, None])[:, None, :], np.arange(5)[None, :, None])
     right = np.zeros((count, 5, 2))
     right[:, 1, 0], right[:, 2, 1] = 1.0 / unit, 2.0 / unit**2
     weights = np.linalg.solve(powers, right)  # (T, 5, 2)

@@ -7,6 +7,7 @@ from collections.abc import Iterator
 import numpy as np
 from scipy.signal import periodogram
 
+from mbdkit.base import elementary
 from mbdkit.base.text import listed
 from mbdkit.plugin import Finding
 from mbdkit_biomech.inverse_dynamics.compute import Inverse
@@ -50,7 +51,7 @@ def cutoff_doubts(result: Inverse) -> Iterator[Finding]:
     near, high = (frequency > 0.5 * cutoff) & (frequency < 2 * cutoff), frequency >= 2.5 * cutoff
     if np.sum(high) < FEWEST_HIGH:
         return
-    noise = np.median(removed[high], axis=0) / np.log(2)  # the median of exponentially distributed densities
+    noise = np.median(removed[high], axis=0) / elementary.log(2)  # the median of exponentially distributed densities
     tiny = np.finfo(float).tiny
     excess = np.mean(removed[near], axis=0) / np.maximum(noise, tiny)
     weight = (frequency**4 * (frequency < 2 * cutoff))[:, None]

@@ -1,0 +1,96 @@
+"""Elementary functions for formulas in Python whose values enter results: the same bits on every machine.
+
+They are those of the machine code (`mbdkit.engine.kernels.elementary`). The functions of `math` come from the C
+library, and those of NumPy depend on the processor; so does ``**``, except for squares of arrays. Unlike those of
+`math`, these functions return NaN or infinity and raise no exception.
+"""
+
+from __future__ import annotations
+
+from functools import cached_property
+from typing import Any, overload
+
+from mbdkit.base import higher_layers
+
+
+class ElementaryFunction:
+    """An elementary function of numbers or arrays.
+
+    Parameters
+    ----------
+    name
+        Its name in the C library, such as ``atan2``.
+    numpy_name
+        Its name in NumPy, if it is another one.
+    """
+
+    def __init__(self, name: str, numpy_name: str = ""):
+        self.name = self.__name__ = name
+        self._numpy_name = numpy_name or name
+
+    @cached_property
+    def ufunc(self) -> Any:
+        """The function of NumPy, or None if there is none."""
+        import numpy as np
+
+        return getattr(np, self._numpy_name, None)
+
+    @cached_property
+    def _of_numbers(self) -> Any:
+        return higher_layers.elementary_functions()[self.name]
+
+    @overload
+    def __call__(self, *operands: float) -> float: ...
+
+    @overload
+    def __call__(self, *operands: Any) -> Any: ...
+
+    def __call__(self, *operands: Any) -> Any:
+        """Return the value as a float for numbers, and element by element for arrays, which are broadcast.
+
+        Operands with a method ``__array_ufunc__`` of their own get the function of NumPy.
+        """
+        kinds = {type(operand) for operand in operands}
+        if kinds <= _NUMBERS:
+            return self._of_numbers(*map(float, operands))
+        import numpy as np
+
+        if any(hasattr(kind, "__array_ufunc__") and not issubclass(kind, np.ndarray | np.generic) for kind in kinds):
+            return self.ufunc(*operands)
+        arrays = [np.asarray(operand, dtype=np.float64) for operand in operands]
+        if all(x.ndim == 0 for x in arrays):
+            return np.float64(self._of_numbers(*map(float, arrays)))
+        return higher_layers.elementary_values(self.name, *arrays)
+
+
+_NUMBERS = {float, int}
+
+acos = ElementaryFunction("acos", "arccos")
+acosh = ElementaryFunction("acosh", "arccosh")
+asin = ElementaryFunction("asin", "arcsin")
+asinh = ElementaryFunction("asinh", "arcsinh")
+atan = ElementaryFunction("atan", "arctan")
+atan2 = ElementaryFunction("atan2", "arctan2")
+atanh = ElementaryFunction("atanh", "arctanh")
+cos = ElementaryFunction("cos")
+cosh = ElementaryFunction("cosh")
+erf = ElementaryFunction("erf")
+erfc = ElementaryFunction("erfc")
+exp = ElementaryFunction("exp")
+expm1 = ElementaryFunction("expm1")
+fmod = ElementaryFunction("fmod")
+hypot = ElementaryFunction("hypot")
+lgamma = ElementaryFunction("lgamma")
+log = ElementaryFunction("log")
+log10 = ElementaryFunction("log10")
+log1p = ElementaryFunction("log1p")
+log2 = ElementaryFunction("log2")
+pow = ElementaryFunction("pow", "power")  # noqa: A001
+sin = ElementaryFunction("sin")
+sinh = ElementaryFunction("sinh")
+tan = ElementaryFunction("tan")
+tanh = ElementaryFunction("tanh")
+tgamma = ElementaryFunction("tgamma")
+
+FUNCTIONS = {one.name: one for one in tuple(globals().values()) if isinstance(one, ElementaryFunction)}
+"""All functions by name."""
