@@ -25,6 +25,7 @@ import numpy as np
 
 from mbdkit.archive.part_file import checkpoint_path, new_checkpoint_path
 from mbdkit.base.errors import ArchiveError, SpecError
+from mbdkit.base.files import replace_file
 from mbdkit.base.files_read import FileRead, read_files
 from mbdkit.quantities.array import TEXT, Array
 
@@ -164,7 +165,7 @@ class Checkpoint:
                 stream.write(self.encoded())
                 stream.flush()
                 os.fsync(stream.fileno())
-            new.replace(checkpoint_path(part))
+            replace_file(new, checkpoint_path(part))
             _sync_folder(part.parent)
         finally:
             new.unlink(missing_ok=True)

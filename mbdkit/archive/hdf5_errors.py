@@ -24,8 +24,8 @@ def error_number(error: BaseException) -> int | None:
 
 def cause(error: BaseException) -> str:
     """Return the cause of an error of the system or of HDF5, without HDF5's internal details."""
-    number = error_number(error)
-    return os.strerror(number) if number else str(error).partition("\n")[0]
+    number, text = error_number(error), str(getattr(error, "strerror", None) or error)
+    return os.strerror(number) if number and "errno = " in text else text.partition("\n")[0]
 
 
 @contextlib.contextmanager

@@ -4,19 +4,21 @@ from __future__ import annotations
 
 import contextlib
 import errno
+import io
 import os
 import shutil
 import stat
-import sys
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import h5py
 import numpy as np
 
 from mbdkit.archive.hdf5_errors import cause, error_number
+from mbdkit.base import file_locks
 from mbdkit.base.errors import MbdkitError, ResourceError, SpecError, file_error
-from mbdkit.base.files import check_not_input, check_output, rename_new
+from mbdkit.base.files import check_not_input, check_output, rename_new, replace_file
 
 SUFFIX = ".h5"
 
@@ -82,6 +84,28 @@ def check_target(path: str | Path, *, overwrite: bool = False, source: str | Pat
     return path
 
 
+class _Stream(io.FileIO):
+    """The open ``.part`` as HDF5 uses it on Windows and macOS.
+
+    If HDF5 opened the file itself, Windows could not rename it before the end of the run, and neither system has files
+    in memory, as Linux has, to which failed writes can be redirected.
+    """
+
+    is_discarding = False
+    """Whether writes have no effect, so that HDF5 can close a file that cannot be written."""
+
+    def write(self, data: Any) -> int:
+        """Write all bytes, or raise OSError; h5py does not notice that a full disk has taken only some of them."""
+        rest = memoryview(data)
+        while rest and not self.is_discarding:
+            rest = rest[super().write(rest) :]
+        return len(data)
+
+    def truncate(self, size: int | None = None) -> int:
+        """Set the size of the file."""
+        return 0 if self.is_discarding else super().truncate(size)
+
+
 class Target:
     """An archive being written to `path`: created as ``.part`` immediately, in the end renamed (`publish`) or removed
     (`drop`).
@@ -111,6 +135,7 @@ class Target:
         self._torn = False  # whether a write is in progress or has failed halfway
         self._handle: int | None = self._create()
         self.file: h5py.File | None = None
+        self._stream: _Stream | None = None
         self._image = b""
         remove_checkpoint(self.part)  # it may have been left by an earlier file of this name
 
@@ -141,10 +166,9 @@ class Target:
     def _create(self) -> int:
         """Create an empty .part, and return its locked file descriptor."""
         # Exclusive creation: if two runs start at the same time, only one of them can create the .part.
-        flags = os.O_RDWR | os.O_CREAT | os.O_EXCL | getattr(os, "O_BINARY", 0)
         for _ in range(3):
             try:
-                handle = os.open(self.part, flags, 0o666)
+                handle = file_locks.open_file(self.part, os.O_RDWR | os.O_CREAT | os.O_EXCL)
             except FileExistsError:
                 self._remove_stale()
                 continue
@@ -158,23 +182,21 @@ class Target:
 
     def _is_locked(self, handle: int) -> bool:
         """Lock a new .part. Return False if another run took it for that of a crashed run before it was locked."""
-        if sys.platform == "win32":
-            return True
-        import fcntl
-
         try:
-            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            file_locks.lock(handle)
         except BlockingIOError:
             return False
         except OSError:  # the file system does not support locks
             return True
-        return os.fstat(handle).st_nlink > 0
+        return file_locks.has_name(handle, self.part)
 
     def open(self) -> h5py.File:
         """Open the .part as an HDF5 file, for a run that writes rows before its end."""
         self._end_if_forked()
         try:
-            self.file = h5py.File(self.part, "w", libver=LIBVER, locking=False)
+            if not hasattr(os, "memfd_create"):
+                self._stream = _Stream(self._open_handle(), "r+", closefd=False)
+            self.file = h5py.File(self._stream or self.part, "w", libver=LIBVER, locking=False)
         except BlockingIOError:  # HDF5_USE_FILE_LOCKING=TRUE: HDF5 locks the file itself
             self._unlock(self._open_handle())
             self.file = h5py.File(self.part, "w", libver=LIBVER)
@@ -189,15 +211,10 @@ class Target:
         try:
             if not stat.S_ISREG(os.lstat(self.part).st_mode):
                 raise SpecError(f"{self.part} exists and is not a regular file", file=self.path)
-            if sys.platform == "win32":  # Windows cannot remove an open file
-                remove_part(self.part)
-                return
-            import fcntl
-
-            handle = os.open(self.part, os.O_RDWR | os.O_NOFOLLOW)
+            handle = file_locks.open_file(self.part, os.O_RDWR | file_locks.NO_LINKS)
             try:
-                fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
-                if os.path.samestat(os.fstat(handle), os.lstat(self.part)):
+                file_locks.lock(handle)
+                if file_locks.has_name(handle, self.part):
                     remove_part(self.part)
             finally:
                 os.close(handle)
@@ -281,13 +298,11 @@ class Target:
             If the .part cannot be renamed; it then keeps its name.
         """
         self._end_if_forked()
-        if sys.platform == "win32" and self.file is not None:  # Windows cannot rename an open file
-            self.file.close()
         if not keep:
             remove_checkpoint(self.part)
         try:
             if self.overwrite:
-                os.replace(self.part, self.path)
+                replace_file(self.part, self.path)
             else:
                 rename_new(self.part, self.path)
         except FileExistsError as error:
@@ -298,7 +313,7 @@ class Target:
             raise ResourceError(f"the archive {self.part} cannot be renamed to {self.path} ({cause(error)})") from error
         with contextlib.suppress(OSError):  # the archive is complete; only resuming needs its checkpoint
             if keep and checkpoint_path(self.part).exists():
-                os.replace(checkpoint_path(self.part), checkpoint_path(self.path))
+                replace_file(checkpoint_path(self.part), checkpoint_path(self.path))
             else:
                 remove_checkpoint(self.path)  # of a run whose archive has been replaced
 
@@ -315,9 +330,11 @@ class Target:
             self._handle = None
 
     def _close_file(self, file: h5py.File) -> None:
-        if self._torn and file and hasattr(os, "memfd_create"):
-            # HDF5 keeps retrying a failed write and crashes the interpreter at exit. Redirecting its file descriptor to
-            # memory lets the write succeed.
+        # HDF5 keeps retrying a failed write and crashes the interpreter at exit. Redirecting its file descriptor to
+        # memory lets the write succeed.
+        if self._stream is not None:
+            self._stream.is_discarding = self._torn
+        elif self._torn and file:
             nowhere = os.memfd_create("mbdkit")
             os.dup2(nowhere, file.id.get_vfd_handle())
             os.close(nowhere)
@@ -325,14 +342,13 @@ class Target:
             self._unlock(file.id.get_vfd_handle())
         with contextlib.suppress(OSError, RuntimeError):
             file.close()
+        if self._stream is not None:
+            self._stream.close()
 
     def _unlock(self, handle: int) -> None:
         """Unlock an open file, because closing is not enough if a forked process, as of a plugin, has it open."""
-        if sys.platform != "win32":
-            import fcntl
-
-            with contextlib.suppress(OSError):
-                fcntl.flock(handle, fcntl.LOCK_UN)
+        with contextlib.suppress(OSError):
+            file_locks.unlock(handle)
 
     def drop(self) -> None:
         """Close and remove the .part and its checkpoint, unless `take_place_of` has renamed them."""
@@ -343,7 +359,8 @@ class Target:
     def take_place_of(self, part: Path) -> None:
         """Rename this .part and its checkpoint to `part` and the checkpoint of `part`, and replace existing files.
 
-        The data must have been flushed. Afterwards, `drop` does not remove the files.
+        The data must have been flushed. Afterwards, `drop` does not remove the files, even if only the checkpoint could
+        be renamed.
 
         Raises
         ------
@@ -352,13 +369,14 @@ class Target:
         """
         self.sync()
         try:
-            # A checkpoint contains the inode number of its file: if the process is killed between the two renamings,
-            # `mbdkit.runs.resuming` recognizes it.
-            os.replace(checkpoint_path(self.part), checkpoint_path(part))
-            os.replace(self.part, part)
+            # A checkpoint contains the inode number of its file: if the process is killed between the two renamings, or
+            # the second one fails, `mbdkit.runs.resuming` recognizes the file, and finishes the replacement.
+            replace_file(checkpoint_path(self.part), checkpoint_path(part))
+            self.is_kept = True
+            replace_file(self.part, part)
         except OSError as error:
             raise ResourceError(f"{self.part} cannot be renamed to {part} ({cause(error)})") from error
-        self._part, self.is_kept = part, True
+        self._part = part
 
 
 def write_image(path: Path, image: bytes, *, overwrite: bool = False) -> None:

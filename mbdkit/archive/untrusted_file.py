@@ -17,6 +17,7 @@ import numpy as np
 from h5py import h5a, h5d, h5g, h5l, h5o, h5s, h5t, h5z
 
 from mbdkit.archive.hdf5_errors import DAMAGE, cause, error_number, reading
+from mbdkit.base import file_locks
 from mbdkit.base.errors import ArchiveError, ResourceError, file_error
 from mbdkit.base.files import check_regular
 from mbdkit.base.text import shown
@@ -85,6 +86,8 @@ def open_hdf5(path: Path, what: str, *, hint: str = "", objects: int = OBJECTS) 
     check_regular(path)
     noun = what.rpartition(" ")[2]
     try:
+        if file_locks.IS_WINDOWS and file_locks.is_locked(path):
+            raise BlockingIOError  # HDF5 finds locks of its own only
         file = h5py.File(path, "r", locking="best-effort")
     except BlockingIOError:
         raise ResourceError(f"a run is still writing this {noun}; wait until it has ended", file=path) from None

@@ -22,6 +22,15 @@ def command_line() -> str:
     return os.fsencode(shlex.join(_words)).decode("utf-8", "backslashreplace")
 
 
+def for_shell(words: Sequence[str]) -> str:
+    """Return a command with the quotes that the shell of this system needs, so that users can copy it."""
+    if os.name != "nt":
+        return shlex.join(words)
+    import subprocess
+
+    return subprocess.list2cmdline(words)
+
+
 def command_words() -> list[str]:
     """Return the words of `command_line`, which are passed to processes that execute a part of the command."""
     return list(_words)

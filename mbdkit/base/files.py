@@ -10,12 +10,19 @@ import os
 import re
 import secrets
 import stat
-import sys
-from collections.abc import Iterator, Sequence
+import time
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
+from mbdkit.base import file_locks
 from mbdkit.base.errors import ResourceError, SpecError, file_error
+
+PATIENCE = 2.0
+"""Time for which Windows is asked again to rename a file that another program has open [s]."""
+
+_OPEN_ELSEWHERE = (5, 32, 33)
+"""Errors of Windows if a file is open: ERROR_ACCESS_DENIED, ERROR_SHARING_VIOLATION, ERROR_LOCK_VIOLATION."""
 
 
 def check_regular(path: str | Path) -> None:
@@ -73,6 +80,26 @@ def check_suffix(path: str | os.PathLike[str], allowed: Sequence[str], what: str
     return target
 
 
+_REFUSED_BY_WINDOWS = re.compile(
+    r'.*[<>:"|?*\x00-\x1f].*|.*[. ]|(con|prn|aux|nul|conin\$|conout\$|(com|lpt)[0-9\u00b9\u00b2\u00b3]) *(\..*)?',
+    re.IGNORECASE | re.DOTALL,
+)
+"""File names that Windows does not allow, or takes for devices or, after a colon, for streams of another file.
+
+See "Naming Files, Paths, and Namespaces" in Microsoft's documentation.
+"""
+
+
+def check_name_of_file(name: str) -> None:
+    """Raise SpecError on Windows for a file name that it does not allow."""
+    if file_locks.IS_WINDOWS and _REFUSED_BY_WINDOWS.fullmatch(name):
+        raise SpecError(
+            'Windows does not allow this name of a file: it contains one of <>:"|?*, ends with a full stop or a space, '
+            "or is that of a device; choose another name",
+            file=name,
+        )
+
+
 def check_output(path: Path, *, overwrite: bool, source: str | Path | None = None, suffix: str = "") -> None:
     """Check that a file may be written at `path`; the check does not change the file system.
 
@@ -91,8 +118,9 @@ def check_output(path: Path, *, overwrite: bool, source: str | Path | None = Non
     SpecError
         If the folder does not exist, or an existing file may not be replaced.
     ResourceError
-        If writing into the folder is not permitted.
+        If writing into the folder is not permitted, or the existing file cannot be replaced because it is open.
     """
+    check_name_of_file(path.name)
     # os.path instead of methods of Path, which raise for names that are too long and for folders without permission
     if os.path.isdir(path):
         suffix = suffix or path.suffix
@@ -108,6 +136,11 @@ def check_output(path: Path, *, overwrite: bool, source: str | Path | None = Non
             raise SpecError(
                 "this file exists already; choose another name, or replace it with --overwrite (overwrite=True in "
                 "Python)",
+                file=path,
+            )
+        if file_locks.is_kept_by_a_program(path):
+            raise ResourceError(
+                "this file is open in this or another program, so that Windows cannot replace it; close it there",
                 file=path,
             )
     check_writable(path.parent, path)
@@ -167,7 +200,7 @@ def replacing(target: Path, *, overwrite: bool = True, source: str | Path | None
         if os.path.lexists(target) and not stat.S_ISREG(os.lstat(target).st_mode):
             check_output(target, overwrite=overwrite)  # another process has created the file since the check
         if overwrite:
-            temporary.replace(target)
+            replace_file(temporary, target)
         else:
             rename_new(temporary, target)
     except FileExistsError:
@@ -187,17 +220,42 @@ def _created(target: Path, stem: str) -> tuple[Path, int]:
     """Create a temporary file in the folder of `target`, lock it, and return its path and its handle."""
     while True:
         path = target.with_name(f"{stem}-{secrets.token_hex(4)}.mbdkit{target.suffix}")
-        handle = os.open(path, os.O_RDWR | os.O_CREAT | os.O_EXCL | getattr(os, "O_NOFOLLOW", 0), 0o666)
+        handle = file_locks.open_file(path, os.O_RDWR | os.O_CREAT | os.O_EXCL)
         _locked(handle, wait=True)
         # Before the file is locked, another process may mistake it for the file of a killed process, and remove it.
-        with suppress(FileNotFoundError):
-            if sys.platform == "win32" or os.path.samestat(os.fstat(handle), os.lstat(path)):
-                return path, handle
+        if file_locks.has_name(handle, path):
+            return path, handle
         os.close(handle)
+
+
+def replace_file(source: Path, target: Path) -> None:
+    """Rename `source` to `target`, and replace a file that exists there; raise OSError if this is not possible."""
+    _rename(os.replace, source, target)
+
+
+def _rename(rename: Callable[[Path, Path], None], source: Path, target: Path) -> None:
+    """Rename a file, and on Windows wait up to `PATIENCE` until no other program has it open.
+
+    Windows cannot rename or replace a file that is open in a program that does not expect this, such as one that uses
+    HDF5. Virus scanners and search indexers open new files for a short time.
+    """
+    until = time.monotonic() + PATIENCE
+    while True:
+        try:
+            return rename(source, target)
+        except PermissionError as error:
+            if getattr(error, "winerror", None) not in _OPEN_ELSEWHERE:
+                raise
+            if time.monotonic() > until:
+                reason = f"{target.name} is open in this or another program, or is write-protected; close it there"
+                raise PermissionError(error.errno, reason) from error
+        time.sleep(0.02)
 
 
 def rename_new(source: Path, target: Path) -> None:
     """Rename `source` atomically, or raise FileExistsError if `target` exists."""
+    if file_locks.IS_WINDOWS:
+        return _rename(os.rename, source, target)  # on Windows, it replaces nothing
     try:
         os.link(source, target)
     except FileExistsError:
@@ -213,13 +271,11 @@ def rename_new(source: Path, target: Path) -> None:
 
 def _remove_left(folder: Path, pattern: re.Pattern[str]) -> None:
     """Remove temporary files of killed processes; files of running processes are locked."""
-    if sys.platform == "win32":  # Windows does not reveal whether a file is locked
-        return
     with os.scandir(folder) as entries:
         left = [entry.name for entry in entries if pattern.fullmatch(entry.name)]
     for name in left:
         with suppress(OSError):
-            handle = os.open(folder / name, os.O_RDWR | os.O_NOFOLLOW | os.O_NONBLOCK)
+            handle = file_locks.open_file(folder / name, os.O_RDWR | file_locks.NO_LINKS)
             try:
                 if stat.S_ISREG(os.fstat(handle).st_mode) and _locked(handle):
                     os.unlink(folder / name)
@@ -228,16 +284,9 @@ def _remove_left(folder: Path, pattern: re.Pattern[str]) -> None:
 
 
 def _locked(handle: int, *, wait: bool = False) -> bool:
-    """Lock an open file, and return whether this was possible; with `wait`, wait until another process unlocks it.
-
-    On Windows, files are not locked, and the result is True.
-    """
-    if sys.platform == "win32":
-        return True
-    import fcntl
-
+    """Lock an open file, and return whether this was possible; with `wait`, wait until another process unlocks it."""
     try:
-        fcntl.flock(handle, fcntl.LOCK_EX if wait else fcntl.LOCK_EX | fcntl.LOCK_NB)
+        file_locks.lock(handle, wait=wait)
     except OSError:  # locked by another process, or the file system does not support locks
         return False
     return True

@@ -1,4 +1,7 @@
-"""Interruption of runs and commands by Ctrl-C and by the signals SIGTERM and SIGHUP, which have the same effect."""
+"""Interruption of runs and commands by Ctrl-C and by the signals SIGTERM and SIGHUP, which have the same effect.
+
+On Windows, SIGBREAK (Ctrl-Break) has it too; no program can send SIGTERM there, because `os.kill` ends a process.
+"""
 
 from __future__ import annotations
 
@@ -19,7 +22,7 @@ TOGETHER = 1.0
 #: Exit status of an interrupted command.
 INTERRUPTED = 130
 
-_STOPPING = tuple(getattr(signal, name) for name in ("SIGTERM", "SIGHUP") if hasattr(signal, name))
+_STOPPING = tuple(getattr(signal, name) for name in ("SIGTERM", "SIGHUP", "SIGBREAK") if hasattr(signal, name))
 
 _last = -TOGETHER
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 from pathlib import Path
 
+from mbdkit.base import file_locks
 from mbdkit.base.text import counted
 
 _MEMINFO = Path("/proc/meminfo")
@@ -13,8 +14,12 @@ _MEMINFO = Path("/proc/meminfo")
 def available_memory() -> int | None:
     """Return the memory available without swapping [bytes]; None if unknown.
 
-    On systems without ``/proc/meminfo``, this is the installed memory.
+    On macOS, this is the installed memory.
     """
+    if file_locks.IS_WINDOWS:
+        from mbdkit.base import windows_calls
+
+        return windows_calls.memory().available
     try:
         for line in _MEMINFO.read_text(encoding="ascii").splitlines():
             if line.startswith("MemAvailable:"):
@@ -26,9 +31,13 @@ def available_memory() -> int | None:
 
 def installed_memory() -> int | None:
     """Return the installed memory [bytes]; None if unknown."""
+    if file_locks.IS_WINDOWS:
+        from mbdkit.base import windows_calls
+
+        return windows_calls.memory().installed
     try:
         return os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
-    except (AttributeError, OSError, ValueError):  # for example, on Windows
+    except (OSError, ValueError):
         return None
 
 

@@ -6,6 +6,7 @@ written to stdout, such as output of a plugin, goes to stderr.
 
 from __future__ import annotations
 
+import errno
 import functools
 import os
 import sys
@@ -104,9 +105,11 @@ class _Results:
     def show(self, text: Any) -> None:
         try:
             print(text, file=self.stream, flush=True)
-        except OSError:
+        except OSError as error:
             with suppress(OSError, ValueError):  # without this, Python would flush again at exit and print a warning
                 os.dup2(os.open(os.devnull, os.O_WRONLY), self.stream.fileno())
+            if error.errno == errno.EINVAL:  # of a closed pipe on Windows
+                raise BrokenPipeError(errno.EPIPE, os.strerror(errno.EPIPE)) from None
             raise
         self.shown = True
 

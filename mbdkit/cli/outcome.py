@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import math
-import shlex
 from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
 import typer
 
 from mbdkit.base import terminal
+from mbdkit.base.command_words import for_shell
 from mbdkit.base.terminal import say, show, show_json
 
 if TYPE_CHECKING:
@@ -43,7 +43,7 @@ def exit_with(result: Run, *, told: bool = False) -> None:
         from mbdkit.archive.part_file import checkpoint_path
 
         if result.path is not None and checkpoint_path(result.path).exists():
-            say(f"to continue: {shlex.join(['mbdkit', 'run', '--resume', str(result.path), '--overwrite'])}")
+            say(f"to continue: {for_shell(['mbdkit', 'run', '--resume', str(result.path), '--overwrite'])}")
         raise typer.Exit(terminal.INTERRUPTED)
     failed_plugin = result.status_reason.startswith("plugin-error")
     raise typer.Exit(terminal.PLUGIN_FAILED if failed_plugin else terminal.STOPPED_EARLY)

@@ -81,7 +81,7 @@ def examples_copy(
             raise SpecError("this file exists already; choose another name or folder with -o", file=target)
     for target, text in texts.items():
         with replacing(target, overwrite=False) as temporary:
-            temporary.write_text(text, encoding="utf-8")
+            temporary.write_text(text, encoding="utf-8", newline="\n")
         show(target)
 
 

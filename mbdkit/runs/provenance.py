@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import platform
+import subprocess
 from contextlib import suppress
 from functools import cache
 from importlib.metadata import version
@@ -41,15 +42,25 @@ def _processor() -> str:
     them.
     """
     content = {}
-    with suppress(OSError):  # only Linux has this file; otherwise the name is used alone
+    with suppress(OSError):  # only Linux has this file
         lines = Path("/proc/cpuinfo").read_text(encoding="utf-8", errors="replace").partition("\n\n")[0].splitlines()
         content = {key.strip(): value.strip() for key, _, value in (line.partition(":") for line in lines)}
     flags = content.get("flags", "").split()
     extensions = [name for name in ("fma", "avx2", "avx512f") if name in flags]
-    model = content.get("model name") or platform.processor()
+    model = content.get("model name") or _brand_on_macos() or platform.processor()
     numbers = [f"{key} {content[key]}" for key in ("cpu family", "model") if key in content]
     emulated = [f"{name}={os.environ[name]}" for name in _EMULATING if os.environ.get(name)]
     return ", ".join(filter(None, (platform.machine(), model, *numbers, *extensions, *emulated)))
+
+
+def _brand_on_macos() -> str:
+    """Return the model of the processor, for which `platform.processor` returns only ``arm`` or ``i386`` on macOS."""
+    if platform.system() != "Darwin":
+        return ""
+    command = ["/usr/sbin/sysctl", "-n", "machdep.cpu.brand_string"]
+    with suppress(OSError):
+        return subprocess.run(command, capture_output=True, text=True, check=False).stdout.strip()
+    return ""
 
 
 def provenance(spec: RunSpec) -> dict[str, str | int | float]:

@@ -10,7 +10,6 @@ from __future__ import annotations
 import contextlib
 import json
 import os
-import sys
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, BinaryIO
@@ -25,9 +24,10 @@ from mbdkit.archive.reader import load
 from mbdkit.archive.run import Run
 from mbdkit.archive.run_writer import Origin
 from mbdkit.archive.writer import ArchiveWriter
+from mbdkit.base import file_locks
 from mbdkit.base.command_words import command_line
 from mbdkit.base.errors import ArchiveError, ResourceError, SpecError
-from mbdkit.base.files import check_regular, rename_new
+from mbdkit.base.files import check_regular, rename_new, replace_file
 from mbdkit.base.files_read import only_known
 from mbdkit.base.logs import warn_on_stderr
 from mbdkit.base.progress_bars import in_notebook, progress_bar
@@ -166,19 +166,16 @@ def _held(part: Path) -> Iterator[BinaryIO]:
     Raises ResourceError if it cannot be read, or if a run is still writing it.
     """
     try:
-        stream = part.open("rb")
+        stream = os.fdopen(file_locks.open_file(part, os.O_RDONLY), "rb")
     except OSError as error:
         raise ResourceError(f"it cannot be read: {error.strerror}", file=part) from error
     with stream:
-        if sys.platform != "win32":
-            import fcntl
-
-            try:
-                fcntl.flock(stream, fcntl.LOCK_SH | fcntl.LOCK_NB)
-            except BlockingIOError:
-                raise _still_going(part) from None
-            except OSError:
-                pass  # the file system does not support locks
+        try:
+            file_locks.lock(stream.fileno(), shared=True)
+        except BlockingIOError:
+            raise _still_going(part) from None
+        except OSError:
+            pass  # the file system does not support locks
         yield stream
 
 
@@ -195,7 +192,7 @@ def _finish_replacement(part: Path) -> None:
     checkpoint = Checkpoint.of(part)
     if checkpoint is not None and checkpoint.file == new.stat().st_ino:
         with _held(new):
-            new.replace(part)
+            replace_file(new, part)
 
 
 def _still_going(part: Path) -> ResourceError:
@@ -229,7 +226,7 @@ def _renamed(part: Path, path: Path, overwrite: bool) -> Run:
         message = f"this run cannot be resumed: it has ended, but its archive is damaged ({problems[0]}); {_ANEW}"
         raise ArchiveError(message, file=part)
     try:
-        (os.replace if overwrite else rename_new)(part, path)
+        (replace_file if overwrite else rename_new)(part, path)
     except OSError as error:
         raise ResourceError(f"it cannot be renamed to {path.name} ({error.strerror})", file=part) from error
     return load(path)
@@ -298,6 +295,8 @@ class _Unfinished:
             return writers[0]
 
         def restored() -> None:
+            if file_locks.IS_WINDOWS:
+                self.stream.close()  # Windows cannot replace an open file
             if not self.has_ended:
                 writers[0].take_place_of(self.part)
             self.stream.close()
@@ -322,7 +321,7 @@ class _Unfinished:
             shared=shared_forces(workspace.mechanism),
         )
         # Another call may have resumed and finished the run after this call opened the file.
-        if not (self.part.exists() and os.path.samestat(os.fstat(self.stream.fileno()), os.stat(self.part))):
+        if not file_locks.has_name(self.stream.fileno(), self.part):
             writer.abandon()
             raise _still_going(self.part)
         return writer

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import importlib.util
 import os
 import signal
 import subprocess
@@ -154,6 +155,25 @@ def test_signals_are_those_of_before_after_a_run(tmp_path):
         assert signal.getsignal(signal.SIGTERM) != before[1]
     assert [signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)] == before
     assert signal.set_wakeup_fd(-1) == -1
+
+
+def test_ctrl_break_stops_a_run_on_windows(monkeypatch: pytest.MonkeyPatch) -> None:
+    """SIGUSR1 stands in for SIGBREAK."""
+    monkeypatch.setattr(signal, "SIGBREAK", signal.SIGUSR1, raising=False)
+    spec = importlib.util.spec_from_file_location("interrupts_on_windows", interrupts.__file__)
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    events: list[str] = []
+    before = signal.signal(signal.SIGUSR1, lambda *_: events.append("passed to the program"))
+    try:
+        with module.interrupts_noted(lambda: events.append("noted")):
+            signal.raise_signal(signal.SIGUSR1)
+            events.append("archive completed")
+    finally:
+        signal.signal(signal.SIGUSR1, before)
+    assert events == ["noted", "archive completed", "passed to the program"]
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="needs a pseudo-terminal")

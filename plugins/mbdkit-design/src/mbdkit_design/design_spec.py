@@ -242,6 +242,11 @@ MOST_SCENARIOS = 1000
 def _check_scenarios(scenarios: dict[str, Scenario]) -> dict[str, Scenario]:
     if len(scenarios) > MOST_SCENARIOS:
         raise SpecError(f"has {len(scenarios)} scenarios; a design has at most {MOST_SCENARIOS}")
+    known: dict[str, str] = {}
+    for name in map(str, scenarios):
+        if known.setdefault(name.casefold(), name) != name:
+            other = known[name.casefold()]
+            raise SpecError(f"'{other}' and '{name}' differ in case only, so that their archives may be the same file")
     return scenarios
 
 

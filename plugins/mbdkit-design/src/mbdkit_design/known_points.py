@@ -114,7 +114,7 @@ class PointFile:
         data = {"scenario": job.scenario, "settings": job.values, **plain}
         line = json.dumps(data | {SUM: crc32(json.dumps(data).encode())})
         try:
-            with self.path.open("a", encoding="utf-8") as file:
+            with self.path.open("a", encoding="utf-8", newline="\n") as file:
                 file.write(line + "\n")
         except OSError as error:
             raise _refused(error, self.path) from error

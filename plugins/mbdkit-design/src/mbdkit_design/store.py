@@ -100,7 +100,9 @@ class DesignFolder(OwnedFolder[DesignSpec]):
     def write_result(self, design: Design) -> None:
         """Write the result alone."""
         with replacing(self.result) as temporary:
-            temporary.write_text(json.dumps({VERSION: 1, **design.to_dict()}, indent=2) + "\n", encoding="utf-8")
+            temporary.write_text(
+                json.dumps({VERSION: 1, **design.to_dict()}, indent=2) + "\n", encoding="utf-8", newline="\n"
+            )
 
     def _archives(self, design: Design, which: str) -> Iterator[Path]:
         """Write the archives of a point, with the estimated errors of their runs, and yield their paths."""

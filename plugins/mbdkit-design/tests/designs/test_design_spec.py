@@ -126,6 +126,13 @@ def run_spec(folder: Path) -> str:
     return str(file)
 
 
+def test_scenarios_whose_archives_would_be_one_file_are_refused(tmp_path: Path) -> None:
+    """On file systems that ignore case, which Windows and macOS use by default."""
+    scenarios = "".join(f"  {name}: {{base: knee}}\n" for name in ("walk", "Walk"))
+    with pytest.raises(SpecError, match="scenarios: 'walk' and 'Walk' differ in case only"):
+        load_design_spec(written(tmp_path, f"{TEXT}scenarios:\n{scenarios}"))
+
+
 def test_too_many_scenarios_are_refused_before_their_specs_are_read(tmp_path: Path) -> None:
     scenarios = "".join(f"  s{number}: {{base: no-such-example}}\n" for number in range(1001))
     with pytest.raises(SpecError, match=r"scenarios: has 1001 scenarios; a design has at most 1000"):

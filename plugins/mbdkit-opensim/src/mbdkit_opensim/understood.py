@@ -122,7 +122,7 @@ class Unread(NamedTuple):
 @cache
 def registry() -> Mapping[str, Mapping[str, Mapping[str, str]]]:
     """Return the properties and their default values by base class and type; objects are ``:CLASS``."""
-    data = json.loads((files("mbdkit_opensim") / "registry.json").read_text())
+    data = json.loads((files("mbdkit_opensim") / "registry.json").read_text("utf-8"))
     return {kind: of for kind, of in data.items() if kind != "source"}
 
 

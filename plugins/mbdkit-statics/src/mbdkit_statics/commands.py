@@ -53,7 +53,7 @@ def equilibrium(
 
         written = spec_at(prepared, found)
         with replacing(write, overwrite=overwrite, source=spec) as temporary:
-            temporary.write_text(write_yaml(written), encoding="utf-8")
+            temporary.write_text(write_yaml(written), encoding="utf-8", newline="\n")
         if left_out := [name for name in prepared.spec.parameters if name not in written["parameters"]]:
             notes.append(f"{write.name} has numbers in place of the parameters {listed(left_out, 'and')}")
     if output is not None:

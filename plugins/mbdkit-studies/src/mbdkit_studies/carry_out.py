@@ -304,7 +304,7 @@ def _execute(
         try:
             _compute(store, engine, total, progress, notify)
         finally:
-            with interrupts_delayed(), alone(folder.runs):  # other calls may write the index
+            with interrupts_delayed(), alone(folder.spec):  # other calls may write the index
                 study_index.write(folder.index, store.spec, store.index())
 
 

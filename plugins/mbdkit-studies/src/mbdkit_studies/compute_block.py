@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import os
-import sys
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -16,6 +15,7 @@ from mbdkit.archive.finished_run import FinishedRun
 from mbdkit.archive.run import Run
 from mbdkit.archive.run_contents import ArrayContents
 from mbdkit.archive.stored_mechanism import is_determined, mechanism_json
+from mbdkit.base import file_locks
 from mbdkit.base.errors import ResourceError, SpecError
 from mbdkit.base.files_read import files_json
 from mbdkit.base.one_thread import one_thread_of_linear_algebra
@@ -299,7 +299,7 @@ class _Mark:
         self.number = 0
 
     def __enter__(self) -> _Mark:
-        self.handle = os.open(self.path, os.O_RDWR | os.O_CREAT | getattr(os, "O_NOFOLLOW", 0), 0o666)
+        self.handle = file_locks.open_file(self.path, os.O_RDWR | os.O_CREAT | file_locks.NO_LINKS)
         try:
             self._lock()
             os.ftruncate(self.handle, 0)
@@ -309,14 +309,10 @@ class _Mark:
         return self
 
     def _lock(self) -> None:
-        if sys.platform == "win32":
-            return
-        import fcntl
-
         until = time.monotonic() + PATIENCE
         while True:
             try:
-                fcntl.flock(self.handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                file_locks.lock(self.handle)
             except BlockingIOError:
                 if time.monotonic() > until:
                     message = "another process is computing this block; repeat the command when it has ended"

@@ -10,13 +10,13 @@ import re
 import secrets
 import socket
 import subprocess
-import sys
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass, fields
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import IO
 
+from mbdkit.base import file_locks
 from mbdkit.base.errors import ResourceError, SpecError
 from mbdkit.base.files import rename_new
 from mbdkit.base.text import shown
@@ -107,7 +107,7 @@ class Owner:
     def of(cls, lock: Path) -> Owner | None:
         """Return the owner of a lock; None if the file does not exist, or is not readable as a lock."""
         try:
-            handle = os.open(lock, os.O_RDONLY | getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_NONBLOCK", 0))
+            handle = file_locks.open_file(lock, os.O_RDONLY | file_locks.NO_LINKS)
             with os.fdopen(handle, "rb") as file:
                 content = json.loads(file.read(4096))
             texts = {field.name: str(content[field.name]) for field in fields(cls) if field.name != "pid"}
@@ -128,7 +128,7 @@ class Owner:
 
 def _boot() -> str:
     try:
-        return _BOOT.read_text().strip()
+        return _BOOT.read_text("ascii").strip()
     except OSError:
         return ""
 
@@ -138,12 +138,20 @@ def _started(pid: int) -> str:
     if _BOOT.exists():  # Linux
         try:
             # The fields follow the name of the program in parentheses, which may itself contain spaces and parentheses.
-            status = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
+            status = Path(f"/proc/{pid}/stat").read_text("utf-8", errors="replace").rpartition(")")[2].split()
         except OSError:
             return ""
         return "" if status[0] in "ZX" else status[19]  # a dead process that its parent has not waited for, see proc(5)
-    process = subprocess.run(["ps", "-o", "lstart=", "-p", str(pid)], capture_output=True, text=True, check=False)
-    return process.stdout.strip()
+    if file_locks.IS_WINDOWS:
+        from mbdkit.base.windows_calls import process_start
+
+        return process_start(pid)
+    command = ["ps", "-o", "stat=", "-o", "lstart=", "-p", str(pid)]
+    # The output depends on language and time zone, which may differ between two calls.
+    environment = os.environ | {"LC_ALL": "C", "TZ": "UTC"}
+    process = subprocess.run(command, capture_output=True, text=True, check=False, env=environment)
+    state, _, started = process.stdout.strip().partition(" ")
+    return "" if state.startswith("Z") else started.strip()
 
 
 @contextlib.contextmanager
@@ -152,7 +160,7 @@ def locked(folder: Path, mutex: Path, shard: Shard = WHOLE, command: str = "stud
 
     If the owner of a lock has died on this machine, the lock is removed. A process in another container may share the
     folder and the name of the machine, but its number has no meaning here. Therefore the lock file is itself locked
-    (`flock`) until the end of the block, which shows that the process is alive. There are no locks on Windows.
+    (see `mbdkit.base.file_locks`) until the end of the block, which shows that the process is alive.
 
     Parameters
     ----------
@@ -166,9 +174,6 @@ def locked(folder: Path, mutex: Path, shard: Shard = WHOLE, command: str = "stud
     ResourceError
         If another call holds the lock on a part with runs in common, or the system refuses the file.
     """
-    if sys.platform == "win32":
-        yield
-        return
     lock = folder / f"{LOCK}{shard.number}-of-{shard.count}"
     owner = Owner.this_process()
     held = None
@@ -184,20 +189,20 @@ def locked(folder: Path, mutex: Path, shard: Shard = WHOLE, command: str = "stud
         yield
     finally:
         if Owner.of(lock) == owner:
-            lock.unlink(missing_ok=True)
+            # Windows refuses this while another program has the file open; a later call then removes it.
+            with contextlib.suppress(PermissionError):
+                lock.unlink(missing_ok=True)
         if held is not None:
             held.close()
 
 
 def _write(lock: Path, owner: Owner) -> IO[str]:
     """Create a lock file and return it, open and, where the file system supports this, locked."""
-    import fcntl
-
     begun, file = lock.with_name(f"{LOCK}{owner.token}"), None
     try:
-        file = begun.open("w")
+        file = os.fdopen(file_locks.open_file(begun, os.O_RDWR | os.O_CREAT | os.O_EXCL), "w", encoding="utf-8")
         with contextlib.suppress(OSError):
-            fcntl.flock(file, fcntl.LOCK_EX)
+            file_locks.lock(file.fileno())
         file.write(json.dumps(asdict(owner)))
         file.flush()
         rename_new(begun, lock)
@@ -210,20 +215,6 @@ def _write(lock: Path, owner: Owner) -> IO[str]:
     return file
 
 
-def _is_held(lock: Path) -> bool:
-    """Return whether a process, in any container, has locked a lock file by `flock`."""
-    import fcntl
-
-    try:
-        with lock.open("rb") as file:
-            fcntl.flock(file, fcntl.LOCK_SH | fcntl.LOCK_NB)  # exclusive locks need write access on some file systems
-    except BlockingIOError:
-        return True
-    except OSError:
-        pass
-    return False
-
-
 def _remove_stale(lock: Path, command: str) -> None:
     """Remove a lock whose owner is dead; raise ResourceError if the owner may be alive."""
     owner = Owner.of(lock)
@@ -233,7 +224,7 @@ def _remove_stale(lock: Path, command: str) -> None:
     if owner is None:
         message = f"another `mbdkit {command}` may be running in this folder; if none is, remove {shown(lock)}"
         raise ResourceError(message, file=folder)
-    if owner.is_dead and not _is_held(lock):
+    if owner.is_dead and not file_locks.is_locked(lock):  # the lock of a process in any container
         lock.unlink(missing_ok=True)
         return
     who = f"process {owner.pid} on {shown(owner.host)}, since {shown(owner.since)}"
@@ -249,20 +240,15 @@ def _remove_stale(lock: Path, command: str) -> None:
 
 @contextlib.contextmanager
 def alone(path: Path, *, is_needed: bool = True) -> Iterator[None]:
-    """Hold an exclusive `flock` on a file or folder, after waiting until other processes release it.
+    """Hold an exclusive lock on a file, after waiting until other processes release it.
 
-    There is no lock on Windows. If the file system does not support locks, ResourceError is raised if the lock
-    `is_needed`; otherwise, the block runs without it.
+    If the file system does not support locks, ResourceError is raised if the lock `is_needed`; otherwise, the block
+    runs without it.
     """
-    if sys.platform == "win32":
-        yield
-        return
-    import fcntl
-
-    handle = os.open(path, os.O_RDONLY)
+    handle = file_locks.open_file(path, os.O_RDONLY)
     try:
         try:
-            fcntl.flock(handle, fcntl.LOCK_EX)
+            file_locks.lock(handle, wait=True)
         except OSError as error:
             if is_needed:
                 raise ResourceError(f"it cannot be locked: {error.strerror or error}", file=path) from error

@@ -160,7 +160,7 @@ class OwnedFolder(ABC, Generic[Spec]):
             if not self.spec.exists():
                 begun = self.path / f"{self._begun}{secrets.token_hex(4)}"
                 try:
-                    begun.write_text(write_yaml(self.plain_spec(spec)), encoding="utf-8")
+                    begun.write_text(write_yaml(self.plain_spec(spec)), encoding="utf-8", newline="\n")
                     # another call has created the spec, or has removed the temporary file, in the meantime
                     with contextlib.suppress(FileExistsError, FileNotFoundError):
                         rename_new(begun, self.spec)

@@ -35,6 +35,10 @@ PROGRAM = "mbdkit_studies.worker"
 ONE_THREAD = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "VECLIB_MAXIMUM_THREADS")
 
 
+_WINDOWS_ERROR = 0xC0000000
+"""Exit statuses of Windows from here on are codes of errors, such as 0xc0000005 for an access violation."""
+
+
 class Pool:
     """Worker processes with one thread of linear algebra each. The pool is used in a `with` block, which ends them.
 
@@ -137,8 +141,8 @@ class _Worker:
         self.errors = tempfile.TemporaryFile()  # noqa: SIM115
         environment = os.environ | dict.fromkeys(ONE_THREAD, "1")
         environment["PYTHONPATH"] = os.pathsep.join(filter(None, sys.path))
-        # The process has its own session, so that Ctrl-C interrupts only the parent process, which then ends its
-        # workers.
+        # The process has its own session, on Windows its own process group, so that Ctrl-C interrupts only the parent
+        # process, which then ends its workers.
         try:
             self.process = subprocess.Popen(
                 [sys.executable, "-P", "-m", program],
@@ -147,6 +151,7 @@ class _Worker:
                 stderr=self.errors,
                 env=environment,
                 start_new_session=True,
+                creationflags=getattr(subprocess, "CREATE_NEW_PROCESS_GROUP", 0),
                 text=True,
                 encoding="utf-8",
             )
@@ -167,14 +172,15 @@ class _Worker:
         """Send a task to the process; if the process is dead, `_listen` reports the end of its output."""
         self.task = task
         assert self.process.stdin is not None
-        with contextlib.suppress(BrokenPipeError):
+        with contextlib.suppress(OSError):  # BrokenPipeError, or EINVAL on Windows
             self.process.stdin.write(json.dumps(task.message()) + "\n")
             self.process.stdin.flush()
 
     def death(self) -> str:
         """Return a description of how the process ended."""
         code = self.process.wait()
-        how = f"was killed by {signal.Signals(-code).name}" if code < 0 else f"ended with exit status {code}"
+        status = f"{code:#x}" if code >= _WINDOWS_ERROR else code
+        how = f"was killed by {signal.Signals(-code).name}" if code < 0 else f"ended with exit status {status}"
         self.errors.seek(0)
         said = self.errors.read().decode(errors="replace").strip().splitlines()
         return f"{how}{': ' + said[-1].strip().rstrip('.') if said else ''}"
@@ -187,7 +193,7 @@ class _Worker:
         self.process.wait()
         for stream in (self.process.stdin, self.errors):
             assert stream is not None
-            with contextlib.suppress(BrokenPipeError):
+            with contextlib.suppress(OSError):
                 stream.close()
         if self.task is not None:
             part = part_path(self.task.path)

@@ -37,8 +37,8 @@ File systems record times with a resolution of 2 s or better.
 
 UNKNOWN = (0, 0, 0, 0)
 
-CHANGED = 2
-"""Index of the time of the last change (ctime) in the result of `_state`."""
+TIMES = slice(1, 3)
+"""Times of the last modification and of the last change in the result of `_state`."""
 
 
 class RunBlocks(RunStore[int]):
@@ -47,7 +47,7 @@ class RunBlocks(RunStore[int]):
     A block is complete if its file is sound and all of its runs are final (see `Outcome.is_final`). If its file has
     changed since it was indexed, the block is read again and its hashes are verified. A change is detected by the time
     (ctime) that the system records whenever the content, the modification time or the name of a file changes; programs
-    cannot set it.
+    cannot set it. On Windows, where ctime is the time of creation, the size and the modification time are compared.
     """
 
     def __init__(self, spec: StudySpec, folder: StudyFolder):
@@ -188,7 +188,7 @@ class RunBlocks(RunStore[int]):
         for block in range(self.plan.blocks.count):
             state = _state(self.folder.block(block))
             if self._indexed(block) is not None or (
-                state == self._sound.get(block) and now - state[CHANGED] > SETTLED * 1e9
+                state == self._sound.get(block) and now - max(state[TIMES]) > SETTLED * 1e9
             ):
                 states[block] = state
         return states

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-import shlex
 from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
 from typing import TYPE_CHECKING
@@ -12,6 +11,7 @@ import numpy as np
 
 from mbdkit.archive.headlines import MESH_ERROR
 from mbdkit.archive.measured_values import ERROR
+from mbdkit.base.command_words import for_shell
 from mbdkit.base.text import counted, listed, without_numbers
 from mbdkit_studies.sample_statistics import CONFIDENCE
 from mbdkit_studies.study_index import BETWEEN_REASONS, STATUSES
@@ -101,7 +101,7 @@ def _failures(study: Study) -> Iterator[tuple[str, str]]:
 def _commands(study: Study) -> Iterator[tuple[str, str]]:
     """Yield the command that lists all runs with their reasons, if any are bad, doubtful or failed."""
     if "failed" in study.statuses() or {"bad", "doubtful"} & {*study.verdicts()}:
-        yield "all runs", f"mbdkit archive export {shlex.quote(str(study.folder))} --to csv"
+        yield "all runs", for_shell(["mbdkit", "archive", "export", str(study.folder), "--to", "csv"])
 
 
 def _grouped(points: Sequence[StudyPoint], reasons: Iterable[tuple[int, str]]) -> Iterator[tuple[str, str]]:

@@ -6,12 +6,14 @@ import contextlib
 import gc
 import json
 import os
+import shutil
 import subprocess
 import sys
 import threading
 import time
 import warnings
 from dataclasses import asdict
+from datetime import datetime
 from pathlib import Path
 from typing import Any
 
@@ -25,6 +27,7 @@ from mbdkit_report.pages.report import report
 from mbdkit_studies import folder_lock
 from mbdkit_studies.folder_lock import WHOLE, Owner, Shard
 from mbdkit_studies.study_folder import StudyFolder
+from tests.windows_rules import obey_windows
 
 
 def together(calls: list[Any]) -> list[MbdkitError | OSError]:
@@ -182,6 +185,42 @@ def test_the_lock_of_a_killed_process_whose_parent_has_not_noticed_is_taken_over
         child.wait()
 
 
+@pytest.mark.skipif(shutil.which("ps") is None, reason="needs the command ps")
+def test_the_start_of_a_process_is_known_without_proc(monkeypatch: pytest.MonkeyPatch) -> None:
+    """As on macOS, where `ps` prints it in the language and the time zone of the call."""
+    monkeypatch.setattr(folder_lock, "_BOOT", Path("/nowhere"))
+    child = subprocess.Popen([sys.executable, "-c", "import time; time.sleep(100)"])
+    try:
+        starts = set()
+        for zone in ("UTC", "Asia/Tokyo"):
+            monkeypatch.setenv("TZ", zone)
+            starts.add(folder_lock._started(child.pid))
+        (start,) = starts
+        assert datetime.strptime(start, "%a %b %d %H:%M:%S %Y").year >= 2024
+        child.kill()
+        os.waitid(os.P_PID, child.pid, os.WEXITED | os.WNOWAIT)
+        assert folder_lock._started(child.pid) == ""  # although its parent has not noticed
+    finally:
+        child.kill()
+        child.wait()
+
+
+def test_a_folder_is_locked_by_the_rules_of_windows(copied: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    obey_windows(monkeypatch)
+    with StudyFolder(copied).locked():
+        held = copied / ".lock-1-of-1"
+        owner = Owner.of(held)
+        assert owner is not None
+        assert not owner.is_dead
+        with pytest.raises(ResourceError, match=f"process {os.getpid()} on .*; wait until it ends"):
+            StudyFolder(copied).locked().__enter__()
+    assert not held.exists()
+    held_by(copied, started="1")  # of a process that has ended
+    with StudyFolder(copied).locked(Shard(1, 2)), StudyFolder(copied).locked(Shard(2, 2)):
+        assert len(list(copied.glob(".lock*"))) == 2
+    assert not list(copied.glob(".lock*"))
+
+
 def test_the_lock_of_a_living_process_in_another_container_is_kept(copied: Path) -> None:
     """In another PID namespace on one machine, processes have other numbers, so that each seems to be dead."""
     hold = "import sys; from mbdkit_studies.study_folder import StudyFolder; from pathlib import Path\n"
@@ -246,7 +285,6 @@ def test_the_temporary_folder_of_a_study_is_deleted_with_it_without_a_warning() 
     assert not folder.exists()
 
 
-@pytest.mark.skipif(sys.platform == "win32", reason="there are no locks on Windows")
 def test_a_file_system_without_locks_is_refused_where_a_lock_is_needed(tmp_path, monkeypatch):
     def refuse(*_):
         raise OSError(95, "Operation not supported")

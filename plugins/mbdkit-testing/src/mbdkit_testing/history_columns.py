@@ -36,4 +36,4 @@ def _class(kind: Kind) -> str:
 
 
 if __name__ == "__main__":
-    TARGET.write_text(declarations(), encoding="utf-8")
+    TARGET.write_text(declarations(), encoding="utf-8", newline="\n")

@@ -33,4 +33,4 @@ def renewed(text: str) -> str:
 
 if __name__ == "__main__":
     document = Path(sys.argv[1])
-    document.write_text(renewed(document.read_text(encoding="utf-8")), encoding="utf-8")
+    document.write_text(renewed(document.read_text(encoding="utf-8")), encoding="utf-8", newline="\n")

@@ -197,4 +197,4 @@ def _wrapped(lines: Iterable[str]) -> list[str]:
 
 
 if __name__ == "__main__":
-    Path(sys.argv[1]).write_text(page(registry().only("mbdkit")), encoding="utf-8")
+    Path(sys.argv[1]).write_text(page(registry().only("mbdkit")), encoding="utf-8", newline="\n")

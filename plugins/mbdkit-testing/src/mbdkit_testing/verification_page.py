@@ -32,7 +32,7 @@ def write_page(reports: Sequence[Report], target: Path, *, overwrite: bool) -> N
     """Write the page of one or several reports."""
     page = html(reports)
     with replacing(target, overwrite=overwrite) as temporary:
-        temporary.write_text(page, encoding="utf-8")
+        temporary.write_text(page, encoding="utf-8", newline="\n")
 
 
 def _claimed(report: Report) -> str:

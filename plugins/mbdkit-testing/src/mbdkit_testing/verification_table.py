@@ -122,7 +122,7 @@ def main(files: Sequence[str]) -> int:
     for file in files:
         before, _, rest = Path(file).read_text(encoding="utf-8").partition(BEGIN)
         _, _, after = rest.partition(END)
-        Path(file).write_text(f"{before}{BEGIN}\n{text}\n{END}{after}", encoding="utf-8")
+        Path(file).write_text(f"{before}{BEGIN}\n{text}\n{END}{after}", encoding="utf-8", newline="\n")
     return 0 if all(report.verified for _, report in reports) else 1
 
 

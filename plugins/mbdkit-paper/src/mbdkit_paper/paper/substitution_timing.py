@@ -105,6 +105,6 @@ def _write(path: Path, times: dict[str, Substitution]) -> None:
     try:
         path.parent.mkdir(exist_ok=True)
         with replacing(path) as temporary:
-            temporary.write_text(text + "\n", "utf-8")
+            temporary.write_text(text + "\n", encoding="utf-8", newline="\n")
     except (OSError, SpecError):  # the folder is read-only: measure again next time
         return

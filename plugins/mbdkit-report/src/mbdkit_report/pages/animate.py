@@ -54,5 +54,5 @@ def page(run: Run, numbers: int = 450_000) -> str:
 WRITERS: dict[str, Callable[[Run, Path], object]] = {
     ".gif": write_gif,
     ".mp4": write_mp4,
-    ".html": lambda run, target: target.write_text(page(run), encoding="utf-8"),
+    ".html": lambda run, target: target.write_text(page(run), encoding="utf-8", newline="\n"),
 }

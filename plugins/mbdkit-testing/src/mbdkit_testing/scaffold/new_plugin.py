@@ -223,7 +223,7 @@ def new_project(name: str, kind: NewKind, folder: Path | None = None, like: Like
         made = Path(work) / name
         for path, text in _files(name, package, item, kind if kind in _FLAVOURS else sort, flavour).items():
             (made / path).parent.mkdir(parents=True, exist_ok=True)
-            (made / path).write_text(text, encoding="utf-8")
+            (made / path).write_text(text, encoding="utf-8", newline="\n")
         shutil.move(made, target)
     return target
 

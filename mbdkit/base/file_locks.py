@@ -1,0 +1,118 @@
+"""Locks on open files: `flock`, and on Windows `LockFileEx`.
+
+A lock ends when its file is closed, also by the end of its process. It excludes locks of other processes and of other
+handles of the same process, but no reading and writing.
+
+The packages filelock and portalocker do not suffice: filelock locks files of its own only. On Windows, portalocker
+locks the content of a file, which neither HDF5 nor another process can then read, and needs pywin32 for shared locks.
+"""
+
+from __future__ import annotations
+
+import os
+import sys
+import time
+from types import ModuleType
+
+IS_WINDOWS = sys.platform == "win32"
+
+NO_LINKS = getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_NONBLOCK", 0)
+"""Flags with which `open_file` refuses symbolic links, and does not wait for a writer to a pipe."""
+
+_PAUSE = 0.02
+"""Time between two attempts to lock a file on Windows [s]."""
+
+
+def _windows() -> ModuleType:
+    """Return the calls of Windows, which other systems need not import; this takes a few milliseconds."""
+    from mbdkit.base import windows_calls
+
+    return windows_calls
+
+
+def open_file(path: str | os.PathLike[str], flags: int) -> int:
+    """Open a file as `os.open` does; also on Windows, it may be renamed and removed while it is open.
+
+    Parameters
+    ----------
+    flags
+        ``os.O_RDONLY`` or ``os.O_RDWR``; ``os.O_CREAT``, ``os.O_EXCL`` and `NO_LINKS` may be added.
+    """
+    return int(_windows().open_file(path, flags)) if IS_WINDOWS else os.open(path, flags, 0o666)
+
+
+def lock(handle: int, *, shared: bool = False, wait: bool = False) -> None:
+    """Lock an open file.
+
+    Parameters
+    ----------
+    handle
+        Descriptor of a file that `open_file` has opened.
+    shared
+        Whether other shared locks are allowed.
+    wait
+        Whether to wait until other locks end.
+
+    Raises
+    ------
+    BlockingIOError
+        If there is another lock, and `wait` is not set.
+    OSError
+        If the file system does not support locks.
+    """
+    if not IS_WINDOWS:
+        import fcntl
+
+        fcntl.flock(handle, (fcntl.LOCK_SH if shared else fcntl.LOCK_EX) | (0 if wait else fcntl.LOCK_NB))
+        return
+    while True:
+        try:
+            _windows().lock(handle, shared=shared)
+        except BlockingIOError:
+            if not wait:
+                raise
+            time.sleep(_PAUSE)  # `LockFileEx` can wait too, but Ctrl-C does not end it
+        else:
+            return
+
+
+def has_name(handle: int, path: str | os.PathLike[str]) -> bool:
+    """Return whether an open file still has the name `path`; False if it has been removed, renamed or replaced."""
+    if IS_WINDOWS and _windows().is_removed(handle):
+        return False
+    try:
+        return os.path.samestat(os.fstat(handle), os.lstat(path))
+    except FileNotFoundError:
+        return False
+
+
+def is_locked(path: str | os.PathLike[str]) -> bool:
+    """Return whether a file is locked, except for shared locks; False if the file cannot be opened or locked at all."""
+    try:
+        handle = open_file(path, os.O_RDONLY)
+    except OSError:
+        return False
+    try:
+        lock(handle, shared=True)  # exclusive locks need write access on some file systems
+    except BlockingIOError:
+        return True
+    except OSError:
+        return False
+    finally:
+        os.close(handle)
+    return False
+
+
+def is_kept_by_a_program(path: str | os.PathLike[str]) -> bool:
+    """Return whether an existing file cannot be replaced because a program has it open; always False on POSIX."""
+    return IS_WINDOWS and bool(_windows().is_open_elsewhere(path))
+
+
+def unlock(handle: int) -> None:
+    """Unlock an open file."""
+    if IS_WINDOWS:
+        _windows().unlock(handle)
+    else:
+        import fcntl
+
+        fcntl.flock(handle, fcntl.LOCK_UN)
