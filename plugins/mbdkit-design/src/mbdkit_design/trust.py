@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from mbdkit.spec import InverseSpec, RunSpec
-from mbdkit_biomech.inverse_dynamics.error_bars import LEVEL
+from mbdkit_biomech.inverse_dynamics.chi_square import LEVEL
 from mbdkit_biomech.inverse_dynamics.measure_samples import SampledMeasures
 from mbdkit_design.evaluation import Evaluator, Job, Outcome, Settings
 
