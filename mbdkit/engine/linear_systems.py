@@ -20,8 +20,9 @@ from mbdkit.engine.kernels.column_lu import (
     solve_refined_by_columns,
     solve_transposed,
 )
-from mbdkit.engine.kernels.orthogonal import solve_each_least_squares
+from mbdkit.engine.kernels.orthogonal import rotate_to_singular_rows
 from mbdkit.engine.native.bundle import PinnedBundle
+from mbdkit.engine.stacked_matrices import least_norms
 
 ROOM = 4
 """Initial number of entries of each factor, relative to those of the matrix."""
@@ -149,12 +150,22 @@ def least_norm(matrix: np.ndarray, right: np.ndarray, least: float) -> np.ndarra
     least
         Remainders of columns below this share of the norm of the largest column count as zero.
     """
-    rows, count = matrix.shape
-    x, padded = np.zeros((1, count)), np.zeros((1, max(rows, count)))
-    padded[0, :rows] = right
-    order, work = np.empty(count, dtype=np.int64), np.empty((count, count))
-    solve_each_least_squares(np.array(matrix.T, order="C")[None], padded, x, order, work, least)
-    return x[0]
+    return least_norms(matrix[None], right[None], least)[0]
+
+
+def symmetric_eigenvectors(matrix: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the eigenvalues (n,) of a symmetric matrix (n, n) in ascending order, and its eigenvectors as columns.
+
+    They are the singular vectors of the matrix plus a multiple of the identity matrix that makes it positive definite.
+    Errors are relative to the norm of the matrix.
+    """
+    y = np.eye(len(matrix))
+    z = matrix + 1.5 * float(np.max(np.sum(np.abs(matrix), axis=1), initial=0.0)) * y
+    if not rotate_to_singular_rows(y, z, np.empty(len(matrix))):
+        raise np.linalg.LinAlgError("eigenvectors did not converge")
+    values = np.sum(y * product(y, matrix), axis=1)
+    order = np.argsort(values, kind="stable")
+    return values[order], y[order].T
 
 
 def product(a: np.ndarray, b: np.ndarray) -> np.ndarray:

@@ -233,14 +233,9 @@ def orthonormalize_rows(y: RealMatrix, z: RealMatrix) -> None:
             scale_vector(z[e], size)
 
 
-@kernel
-def rotate_to_singular_rows(y: RealMatrix, z: RealMatrix, values: RealVector) -> bool:
-    """Rotate the rows of `z` (K, N) among each other until they are orthogonal, and those of `y` (K, M) likewise.
-
-    If ``z = y A`` with orthonormal rows of `y`, these become left singular vectors of A, if they span all of them. The
-    norms of the rows of `z`, which are the singular values in no particular order, are written into `values` (K,).
-    Returns whether the rows are orthogonal to rounding.
-    """
+@subkernel
+def rotate_rows(y, z, values):
+    """See `rotate_to_singular_rows`."""
     count, turned = len(z), True
     sweep, least = 0, 0.0
     for p in range(count):
@@ -265,3 +260,26 @@ def rotate_to_singular_rows(y: RealMatrix, z: RealMatrix, values: RealVector) ->
     for p in range(count):
         values[p] = sqrt(inner_product(z[p], z[p]))
     return not turned
+
+
+@kernel
+def rotate_to_singular_rows(y: RealMatrix, z: RealMatrix, values: RealVector) -> bool:
+    """Rotate the rows of `z` (K, N) among each other until they are orthogonal, and those of `y` (K, M) likewise.
+
+    If ``z = y A`` with orthonormal rows of `y`, these become left singular vectors of A, if they span all of them. The
+    norms of the rows of `z`, which are the singular values in no particular order, are written into `values` (K,).
+    Returns whether the rows are orthogonal to rounding.
+    """
+    return rotate_rows(y, z, values)
+
+
+@kernel
+def singular_values_of_each(z: RealCube, none: RealMatrix, values: RealMatrix) -> bool:
+    """Write the singular values of matrices `z` (T, K, N), with K at most N, into `values` (T, K), in no order.
+
+    `z` is overwritten, and `none` is an array (K, 0). Returns whether all iterations have converged.
+    """
+    converged = True
+    for t in range(len(z)):
+        converged = rotate_rows(none, z[t], values[t]) and converged
+    return converged

@@ -14,6 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.optimize import OptimizeResult, linprog
 
+from mbdkit.engine.linear_systems import product
 from mbdkit_design.problem import FAILED, FEASIBLE, Problem
 
 PENALTY = 100.0
@@ -76,8 +77,8 @@ class Linearization:
         the values there. They occur if the functions are not convex.
         """
         step = center.point - self.point
-        cost, margins = self.cost + self.slope @ step, self.margins + self.margin_slopes @ step
-        return min(cost, center.cost), np.maximum(margins, center.margins)
+        cost, margins = self.cost + product(self.slope, step), self.margins + product(self.margin_slopes, step)
+        return min(float(cost), center.cost), np.maximum(margins, center.margins)
 
 
 def bundle_search(

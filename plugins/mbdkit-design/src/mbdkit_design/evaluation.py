@@ -18,6 +18,7 @@ from mbdkit.base.errors import MbdkitError, ResourceError, SpecError
 from mbdkit.base.one_thread import one_thread_of_linear_algebra
 from mbdkit.base.plain_data import Path, path_text, plain
 from mbdkit.engine.consistent_start import Starts
+from mbdkit.engine.linear_systems import product
 from mbdkit.measures.take import describe, error_of, take
 from mbdkit.spec import DesignSpec, InverseSpec, RunSpec
 from mbdkit.spec.reading import parse_key, variable_path
@@ -340,8 +341,8 @@ class Evaluator:
         """Return the goals (G,) from values (S, K) of goals and limits in all scenarios; see `totals`."""
         values, weights = outcomes[:, : len(self.spec.goals)], self.root_weights**2
         if self.spec.sums_squares:
-            return np.array([weights @ np.sum(values**2, axis=1)])
-        return np.asarray(weights @ values)
+            return np.array([np.sum(weights * np.sum(values**2, axis=1))])
+        return product(values.T, weights)
 
     @staticmethod
     def _width(variable: Any) -> float:

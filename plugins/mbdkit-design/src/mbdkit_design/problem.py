@@ -126,7 +126,7 @@ class Problem:
 
     def slope(self, x: np.ndarray) -> np.ndarray:
         """Return the derivatives (n,) of the cost; zero where they are unknown."""
-        return np.asarray(np.tensordot(self.weights, self._derivatives(x), 2) / self.scale)
+        return np.asarray(np.sum(self.weights[..., None] * self._derivatives(x), axis=(0, 1)) / self.scale)
 
     def margins(self, x: np.ndarray) -> np.ndarray:
         """Return distances (m,) from all limits, relative to their size; negative where a limit is violated."""
@@ -146,7 +146,7 @@ class Problem:
         by_variable = self._derivatives(x)
         rows = []
         for bound, size in zip(self.bounds, self._sizes, strict=True):
-            slope = np.tensordot(bound.weights, by_variable, 2)
+            slope = np.sum(bound.weights[..., None] * by_variable, axis=(0, 1))
             rows += [side * slope / size for side, _ in _sides(bound)]
         return np.array(rows) if rows else np.zeros((0, len(x)))
 

@@ -6,8 +6,9 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from mbdkit.engine.linear_systems import product
 from mbdkit.spec import InverseSpec, RunSpec
-from mbdkit_biomech.inverse_dynamics.error_bars import LEVEL
+from mbdkit_biomech.inverse_dynamics.chi_square import LEVEL
 from mbdkit_biomech.inverse_dynamics.measure_samples import SampledMeasures
 from mbdkit_design.evaluation import Evaluator, Job, Outcome, Settings
 
@@ -149,7 +150,7 @@ def _sampled(evaluator: Evaluator, x: np.ndarray) -> SampledMeasures | None:
         of_goals = table[..., :count, :]
         if evaluator.spec.sums_squares:
             of_goals = np.sum(of_goals**2, axis=-2, keepdims=True)
-        return np.concatenate([of_goals @ weights, np.max(table[..., count:, :], axis=-1)], axis=-1)
+        return np.concatenate([product(of_goals, weights), np.max(table[..., count:, :], axis=-1)], axis=-1)
 
     parts = ("value", "noisy", "cutoffs", "muscles")
     return SampledMeasures(*(summed([getattr(one, part) for one in known]) for part in parts))
@@ -201,4 +202,6 @@ def _errors(
     if evaluator.spec.sums_squares:  # the error of r^2 is (r + e)^2 - r^2
         values = np.abs(evaluator.values(x[None])[0][:, :count])
         of_goals = np.sum(of_goals * (2 * values + of_goals), axis=1, keepdims=True)
-    return np.concatenate([weights @ of_goals, np.max(table[:, count:], axis=0, initial=-np.inf)]), tuple(unknown)
+    return np.concatenate([product(of_goals.T, weights), np.max(table[:, count:], axis=0, initial=-np.inf)]), tuple(
+        unknown
+    )

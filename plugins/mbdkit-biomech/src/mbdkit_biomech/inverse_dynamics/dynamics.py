@@ -18,6 +18,7 @@ import numpy as np
 
 from mbdkit.base.errors import RunError, SpecError
 from mbdkit.base.text import counted
+from mbdkit.engine.stacked_matrices import products, pseudoinverses, singular_values
 from mbdkit_biomech.inverse_dynamics.fit import Fitter
 from mbdkit_biomech.inverse_dynamics.loads import Loads
 from mbdkit_biomech.inverse_dynamics.manifold import Directions, Manifold
@@ -78,7 +79,7 @@ def solve_dynamics(
     rank = _rank(fitter, balance.directions, balance.effect, motion.time, report)
     needed = manifold.mass * motion.a - frames.force - loads.generalized
     value, lam, unbalanced = balance.solved(needed)
-    power = value * (np.swapaxes(balance.columns, 1, 2) @ motion.v[..., None])[..., 0]
+    power = value * products(np.swapaxes(balance.columns, 1, 2), motion.v)
     return Dynamics(value, power, lam, unbalanced, len(actuators) - rank), balance, needed
 
 
@@ -115,7 +116,7 @@ class Balance:
         self.columns = columns_of(motion.q, actuators)
         self._free = np.swapaxes(directions.free * manifold.scale[:, None], 1, 2)  # (T, f, n)
         self._weight = weights_of(manifold, actuators)
-        self.effect = (self._free @ self.columns) / self._weight
+        self.effect = products(self._free, self.columns) / self._weight
         self._inverse: np.ndarray | None = None
 
     def solved(self, needed: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -123,26 +124,26 @@ class Balance:
         n).
         """
         inverse, effect = self._inverted(), self.effect
-        right = (self._free @ needed[..., None])[..., 0]
-        scaled = (inverse @ right[..., None])[..., 0]
+        right = products(self._free, needed)
+        scaled = products(inverse, right)
         # One step of iterative refinement reduces rounding errors.
-        scaled += (inverse @ (right - (effect @ scaled[..., None])[..., 0])[..., None])[..., 0]
+        scaled += products(inverse, right - products(effect, scaled))
         value = scaled / self._weight
-        pushed = (self.columns @ value[..., None])[..., 0]
-        left = right - (effect @ scaled[..., None])[..., 0]
+        pushed = products(self.columns, value)
+        left = right - products(effect, scaled)
         size = np.where(self._scale > 0, self._scale, 1.0)
-        unbalanced = (self.directions.free @ left[..., None])[..., 0] / size
+        unbalanced = products(self.directions.free, left) / size
         return value, self.directions.multipliers(pushed - needed), unbalanced
 
     def as_actuators(self, forces: np.ndarray) -> np.ndarray:
         """Return the values (T, U, M) of actuators that have the same effect as generalized forces (T, n, M)."""
-        values: np.ndarray = (self._inverted() @ (self._free @ forces)) / self._weight[:, None]
+        values: np.ndarray = products(self._inverted(), products(self._free, forces)) / self._weight[:, None]
         return values
 
     def _inverted(self) -> np.ndarray:
         """Return the pseudoinverse of `effect`."""
         if self._inverse is None:
-            self._inverse = np.linalg.pinv(self.effect, rcond=WEAK)
+            self._inverse = pseudoinverses(self.effect, WEAK)
         return self._inverse
 
 
@@ -151,7 +152,7 @@ def require_driven(fitter: Fitter, time: float, q: np.ndarray, actuators: Sequen
     manifold, times, poses = fitter.manifold, np.array([time]), q[None]
     directions = manifold.directions(manifold.frames(times, poses, np.zeros_like(poses)).jacobian)
     free = np.swapaxes(directions.free * manifold.scale[:, None], 1, 2)
-    effect = (free @ columns_of(poses, actuators)) / weights_of(manifold, actuators)
+    effect = products(free, columns_of(poses, actuators)) / weights_of(manifold, actuators)
     _rank(fitter, directions, effect, times, report=False)
 
 
@@ -182,7 +183,7 @@ def _rank(fitter: Fitter, directions: Directions, effect: np.ndarray, time: np.n
     freedoms = directions.free.shape[2]
     if not freedoms:
         return 0
-    values = np.linalg.svd(effect, compute_uv=False)
+    values = singular_values(effect)
     largest = np.max(values, axis=1, initial=0.0)
     ranks = np.sum(values > WEAK * largest[:, None], axis=1)
     frame = int(np.argmin(ranks))

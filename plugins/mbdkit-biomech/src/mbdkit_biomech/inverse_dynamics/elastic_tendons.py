@@ -183,7 +183,7 @@ def _relaxation(size: float, last: np.ndarray, change: np.ndarray) -> float:
     bend = last - change
     if not np.any(last) or not np.any(bend):
         return size
-    return float(np.clip(size * (last @ bend) / (bend @ bend), SMALLEST, 1.0))
+    return float(np.clip(size * np.sum(last * bend) / np.sum(bend * bend), SMALLEST, 1.0))
 
 
 Share = Callable[[int, np.ndarray, np.ndarray], np.ndarray]

@@ -26,6 +26,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from mbdkit.base.text import listed
+from mbdkit.engine.linear_systems import product, symmetric_eigenvectors
+from mbdkit.engine.stacked_matrices import products, pseudoinverses
 from mbdkit_biomech.inverse_dynamics.compute import Inverse
 from mbdkit_biomech.inverse_dynamics.inverse_sections import NoSmoothing, QuinticSpline, Smoothing
 from mbdkit_biomech.inverse_dynamics.noise import NoisePath
@@ -36,6 +38,9 @@ NAMED = 4
 
 DRAWS = 20
 """Number of samples of noise used to estimate its effect on accelerations and third derivatives at the ends."""
+
+NEGLIGIBLE = 1e-12
+"""Remainders of columns below this share of the largest column count as zero in fits of polynomials."""
 
 END_FACTOR = 1.96
 """Ratio of the bound of a Gaussian variable, with a probability of 95 %, to its root mean square."""
@@ -116,7 +121,7 @@ def changes_in_gaps(result: Inverse, path: NoisePath, gaps: Sequence[LongGap]) -
     """
     time, measured, motion = result.motion.time, result.fitted.measured, result.motion
     jacobian, curvature = measured.quantities.jacobian(motion.q), measured.quantities.curvature(motion.q, motion.v)
-    acceleration = np.abs((jacobian @ motion.a[..., None])[..., 0] + curvature)
+    acceleration = np.abs(products(jacobian, motion.a) + curvature)
     changes = np.zeros((len(time), path.columns, 2 * len(gaps)))
     for number, gap in enumerate(gaps):
         near = (time > gap.start - gap.longest) & (
@@ -180,7 +185,7 @@ def likely_at_ends(time: np.ndarray, coordinates: np.ndarray, series: Smoothed, 
     parts = (series.value, series.rate, series.acceleration)
     wrong = _response_to_ends(time, how)
     return Smoothed(*(
-        part - np.einsum("etu,eu->tu", by, estimate[:, :, 0]) for part, by in zip(parts, wrong, strict=True)
+        part - np.sum(by * estimate[:, None, :, 0], axis=0) for part, by in zip(parts, wrong, strict=True)
     ))  # fmt: skip
 
 
@@ -206,8 +211,10 @@ def _end_accelerations(time: np.ndarray, coordinates: np.ndarray, how: Sequence[
         count = min(len(time), max(FEWEST_AT_END, int(np.ceil(1 / (cutoff_of(time, one) * interval))) + 1))
         for side, (rows, end) in enumerate(((slice(count), time[0]), (slice(-count, None), time[-1]))):
             place = (time[rows] - end) / (count * interval)
-            second = 2 * np.linalg.pinv(np.vander(place, 4, increasing=True))[2] / (count * interval) ** 2
-            found[side, index] = second @ coordinates[rows, index]
+            second = (
+                2 * pseudoinverses(place[None, :, None] ** np.arange(4), NEGLIGIBLE)[0, 2] / (count * interval) ** 2
+            )
+            found[side, index] = product(second, coordinates[rows, index])
     return found
 
 
@@ -215,7 +222,7 @@ def _correlation_root(acceleration: np.ndarray) -> np.ndarray:
     """Return a root (U, U) of the matrix of the correlations of accelerations (T, U)."""
     length = np.linalg.norm(acceleration, axis=0)
     unit = acceleration / np.where(length > 0, length, 1.0)
-    square, direction = np.linalg.eigh(unit.T @ unit)
+    square, direction = symmetric_eigenvectors(product(unit.T, unit))
     return np.asarray(direction * np.sqrt(np.maximum(0.0, square)))
 
 
@@ -224,13 +231,13 @@ def _third_derivatives(time: np.ndarray, series: Smoothed, path: NoisePath, devi
     products over the record, minus that of noise.
     """
 
-    def products(acceleration: np.ndarray) -> np.ndarray:
+    def mean_products(acceleration: np.ndarray) -> np.ndarray:
         slope = np.diff(acceleration, axis=0) / np.diff(time)[:, None, None]  # (T - 1, U, S)
-        return np.asarray(np.einsum("tis,tjs->ij", slope, slope)) / len(slope)
+        return np.asarray(np.sum(products(slope, np.swapaxes(slope, 1, 2)), axis=0)) / len(slope)
 
     blocks = path.samples(deviation, DRAWS, np.random.default_rng(0))
-    noise = sum(products(path.smoothed(block).acceleration) for block in blocks) / DRAWS
-    square, direction = np.linalg.eigh(products(series.acceleration[:, :, None]) - noise)
+    noise = sum(mean_products(path.smoothed(block).acceleration) for block in blocks) / DRAWS
+    square, direction = symmetric_eigenvectors(mean_products(series.acceleration[:, :, None]) - noise)
     found: np.ndarray = END_FACTOR * direction * np.sqrt(np.maximum(0.0, square))
     return found
 

@@ -22,11 +22,12 @@ from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
-from scipy.stats import chi2
 
 from mbdkit.archive.accuracy import Accuracy
 from mbdkit.base.errors import RunError, SpecError
 from mbdkit.base.text import listed
+from mbdkit.engine.stacked_matrices import products
+from mbdkit_biomech.inverse_dynamics.chi_square import LEVEL, quantile
 from mbdkit_biomech.inverse_dynamics.compute import Inverse, forces_of, recorded_states
 from mbdkit_biomech.inverse_dynamics.ends_and_gaps import (
     LongGap,
@@ -42,9 +43,6 @@ from mbdkit_biomech.inverse_dynamics.muscle_samples import PROPERTIES, forces_wi
 from mbdkit_biomech.inverse_dynamics.noise import Noise, NoisePath, noise_of
 from mbdkit_biomech.inverse_dynamics.reduced_motion import Independent, motion_of_series, other_coordinates
 from mbdkit_biomech.inverse_dynamics.smoothing import Smoothed, fixed, smoothed, smoothed_each, with_cutoff
-
-LEVEL = 0.95
-"""Probability that an error is smaller than its bar."""
 
 CUTOFFS = (0.8, 1.25)
 """The result is compared with results whose cutoff is multiplied by these factors."""
@@ -208,7 +206,7 @@ def _covariances(
     for noise in path.samples(deviation, asked.samples, random):
         own = path.smoothed(noise).every
         for index, change in enumerate([own, *(one.noise(noise).every - own for one in others)]):
-            totals[index] = totals[index] + change @ np.swapaxes(change, 1, 2)
+            totals[index] = totals[index] + products(change, np.swapaxes(change, 1, 2))
     return [np.asarray(total / asked.samples) for total in totals]
 
 
@@ -280,7 +278,7 @@ def _muscle_squares(result: Inverse, random: np.random.Generator) -> list[np.nda
     the motion. In frames in which more than half of the draws are ignored, the bounds are nan. None is returned if the
     properties are taken as exact.
     """
-    base, factor = _outcome(result), chi2.ppf(LEVEL, 1)
+    base, factor = _outcome(result), quantile(1.0)
     unknown = tuple(np.full_like(part, np.nan) for part in base.parts)
     changes = []
     for problem in with_drawn_muscles(result.problem, random):
@@ -299,7 +297,7 @@ def _muscle_squares(result: Inverse, random: np.random.Generator) -> list[np.nda
 
 def _bounds(sensitivity: list[np.ndarray], covariance: np.ndarray) -> list[np.ndarray]:
     """Return the bounds, due to noise, of actuators, reaction forces, torques, positions, velocities and muscles."""
-    reactions, factor = sensitivity[1], np.sqrt(chi2.ppf(LEVEL, 1))
+    reactions, factor = sensitivity[1], np.sqrt(quantile(1.0))
     x, y = reactions[..., 0], reactions[..., 1]
     found = [factor * np.sqrt(square) for square in _squares(sensitivity, covariance)]
     found[1] = _norm_bound(*(_product(a, b, covariance) for a, b in ((x, x), (y, y), (x, y))))
@@ -318,13 +316,14 @@ def _squares_of_changes(sensitivity: list[np.ndarray], changes: Smoothed) -> lis
     """Return the sums of the squared changes of all quantities, in the order of `_squares`, due to changes (T, U, C) of
     the coordinates.
     """
-    return _squares(sensitivity, changes.every @ np.swapaxes(changes.every, 1, 2))
+    return _squares(sensitivity, products(changes.every, np.swapaxes(changes.every, 1, 2)))
 
 
 def _product(a: np.ndarray, b: np.ndarray, covariance: np.ndarray) -> np.ndarray:
     """Return the covariance (T, ...) of quantities with the derivatives `a` and `b` (3 U, T, ...)."""
-    found: np.ndarray = np.einsum("it...,tij,jt...->t...", a, covariance, b, optimize=True)
-    return found
+    count, shape = len(b), b.shape[1:]
+    first, second = (np.moveaxis(one, 0, 1).reshape(len(covariance), count, -1) for one in (a, b))
+    return np.asarray(np.sum(first * products(covariance, second), axis=1).reshape(shape))
 
 
 def _norm_bound(xx: np.ndarray, yy: np.ndarray, xy: np.ndarray) -> np.ndarray:
@@ -336,7 +335,7 @@ def _norm_bound(xx: np.ndarray, yy: np.ndarray, xy: np.ndarray) -> np.ndarray:
     mean, square = xx + yy, xx**2 + yy**2 + 2 * xy**2
     safe = np.where(mean > 0, mean, 1.0)
     freedoms = np.where(mean > 0, safe**2 / np.where(square > 0, square, 1.0), 1.0)
-    bound: np.ndarray = np.sqrt(np.where(mean > 0, square / safe, 0.0) * chi2.ppf(LEVEL, freedoms))
+    bound: np.ndarray = np.sqrt(np.where(mean > 0, square / safe, 0.0) * quantile(freedoms))
     return bound
 
 

@@ -10,7 +10,8 @@ from mbdkit.base.errors import RunError, SpecError
 from mbdkit.base.text import listed
 from mbdkit.engine.compiled_mechanism import CompiledMechanism
 from mbdkit.engine.joint_sums import JointSums
-from mbdkit_biomech.inverse_dynamics.manifold import Manifold, least_norm
+from mbdkit.engine.stacked_matrices import least_norms, products, pseudoinverses, singular_values
+from mbdkit_biomech.inverse_dynamics.manifold import Manifold
 from mbdkit_biomech.inverse_dynamics.several_quantities import Quantities
 
 MOST_ITERATIONS = 200
@@ -214,8 +215,8 @@ class Fitter:
         free = self.manifold.directions(jacobian).free
         if not free.shape[2]:
             return
-        seen = (target.quantities.jacobian(q) * self.manifold.scale) @ free
-        values = np.linalg.svd(seen, compute_uv=False)
+        seen = products(target.quantities.jacobian(q) * self.manifold.scale, free)
+        values = singular_values(seen)
         least = values[:, -1] if values.shape[1] == free.shape[2] else np.zeros(len(q))
         blind = np.flatnonzero(least <= UNSEEN * np.max(values, axis=1, initial=0.0))
         if not blind.size:
@@ -282,15 +283,15 @@ def raw_misalignment(manifold: Manifold, mechanism: CompiledMechanism, target: T
     for _ in range(PLACINGS):
         observed = target.quantities.jacobian(place) * target.root_weight[:, None] * manifold.scale
         left = (target.values - target.quantities.values(place)) * target.root_weight
-        step = least_norm(observed, left, NEGLIGIBLE)
+        step = least_norms(observed, left, NEGLIGIBLE)
         place += step * manifold.scale
         if np.max(np.abs(step), initial=0.0) < PLACED:
             break
     residual = manifold.reactions(target.time, place, np.zeros_like(place), none).residual
     found: np.ndarray = JointSums(mechanism).misalignment(residual)
     jacobian = manifold.frames(target.time, q).jacobian * manifold.scale
-    seen = np.linalg.pinv(observed, rcond=NEGLIGIBLE) @ observed
-    hidden = np.linalg.norm(jacobian - jacobian @ seen, axis=2) > BLIND * np.linalg.norm(jacobian, axis=2)
+    seen = products(pseudoinverses(observed, NEGLIGIBLE), observed)
+    hidden = np.linalg.norm(jacobian - products(jacobian, seen), axis=2) > BLIND * np.linalg.norm(jacobian, axis=2)
     names = [row.label.rpartition(".")[0] for row in mechanism.solved_rows]
     for number, name in enumerate(mechanism.joints):
         own = [row for row, joint in enumerate(names) if joint == name]

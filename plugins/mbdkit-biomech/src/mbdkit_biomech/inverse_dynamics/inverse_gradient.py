@@ -28,6 +28,7 @@ from mbdkit.engine.kernels.dual_observe import DualStates, describe_duals
 from mbdkit.engine.kernels.observe import Observed
 from mbdkit.engine.native.arithmetic import DIRECTIONS
 from mbdkit.engine.native.bundle import PinnedBundle
+from mbdkit.engine.stacked_matrices import products
 from mbdkit.gradients.differentiated_expressions import (
     Definitions,
     Measures,
@@ -300,16 +301,16 @@ class _Frames:
     def _changes(self, lack: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return the derivatives (T, U, K) of the actuators and (T, m, K) of the multipliers."""
         columns = self._slope("motion.columns", self._balance.columns.shape)
-        needed = self._needed(lack) - np.einsum("tnuk,tu->tnk", columns, self.result.dynamics.value)
+        needed = self._needed(lack) - np.sum(columns * self.result.dynamics.value[:, None, :, None], axis=2)
         found = [self._balance.solved(moveaxi) for moveaxi in np.moveaxis(needed, -1, 0)]
         return np.stack([one[0] for one in found], axis=-1), np.stack([one[1] for one in found], axis=-1)
 
     def _actuators(self, value: np.ndarray, slope: np.ndarray) -> np.ndarray:
         """Return values and powers (T, U, 2, 1 + K) of the actuators with values (T, U) and derivatives (T, U, K)."""
         motion, columns = self.result.motion, self._balance.columns
-        rate = np.einsum("tnu,tn->tu", columns, motion.v)
-        turned = np.einsum("tnuk,tn->tuk", self._slope("motion.columns", columns.shape), motion.v)
-        faster = np.einsum("tnu,tnk->tuk", columns, self._slope("motion.v", motion.v.shape))
+        rate = products(np.swapaxes(columns, 1, 2), motion.v)
+        turned = np.sum(self._slope("motion.columns", columns.shape) * motion.v[:, :, None, None], axis=1)
+        faster = products(np.swapaxes(columns, 1, 2), self._slope("motion.v", motion.v.shape))
         power = slope * rate[..., None] + value[..., None] * (turned + faster)
         both = (
             np.concatenate([value[..., None], slope], axis=-1),
@@ -320,6 +321,6 @@ class _Frames:
     def _load_power(self) -> np.ndarray:
         """Return the power (T, 1 + K) of all loads."""
         motion, loads = self.result.motion, self.result.loads
-        changed = np.einsum("tnk,tn->tk", self._slope("motion.loads", motion.v.shape), motion.v)
-        changed += np.einsum("tn,tnk->tk", loads.generalized, self._slope("motion.v", motion.v.shape))
+        changed = products(np.swapaxes(self._slope("motion.loads", motion.v.shape), 1, 2), motion.v)
+        changed += products(np.swapaxes(self._slope("motion.v", motion.v.shape), 1, 2), loads.generalized)
         return np.column_stack([loads.power.sum(axis=1), changed])

@@ -9,12 +9,12 @@ from difflib import SequenceMatcher
 from typing import Any, Literal, TypeAlias
 
 import numpy as np
-from scipy.interpolate import CubicSpline
 
 from mbdkit.base import elementary
 from mbdkit.base.errors import SpecError
 from mbdkit.base.plain_data import quoted
 from mbdkit.base.text import shown
+from mbdkit.engine.interpolating_splines import interpolating_spline
 from mbdkit.mechanism.mechanism_quantities import GROUND
 from mbdkit.mechanism.quantity_names import QuantityNames
 from mbdkit.spec import InverseSpec
@@ -111,7 +111,7 @@ class LoadSeries:
         if np.array_equal(times, self.time):
             return values
         if self.is_cubic:
-            return np.asarray(CubicSpline(self.time, values, axis=0)(times))
+            return interpolating_spline(self.time, values, 3)(times)
         columns = values.reshape(len(self.time), -1)
         found = np.column_stack([np.interp(times, self.time, column) for column in columns.T])
         return found.reshape(len(times), *values.shape[1:])

@@ -19,10 +19,10 @@ from functools import cached_property
 
 import numpy as np
 from scipy.optimize import linprog
-from scipy.sparse import block_array, block_diag, csc_array, csr_array, diags_array, eye_array, vstack
-from scipy.sparse.linalg import splu
+from scipy.sparse import block_array, block_diag, coo_array, csc_array, csr_array, diags_array, eye_array, vstack
 
 from mbdkit.base import elementary
+from mbdkit.engine.linear_systems import SparseFactors
 from mbdkit_biomech.inverse_dynamics.shared_loads import SOLVED, Programme, Shared
 
 ITERATIONS = 80
@@ -31,6 +31,8 @@ GAP = 1e-13
 """Mean product of slacks and multipliers below which the interior-point method ends, if its residuals are small too."""
 POLISHED = 6
 """Number of Newton iterations in which active inequalities are equations."""
+PIVOT = 0.1
+"""Entries of the diagonal are preferred as pivots if they have this share of the largest entry of their column."""
 REGULAR = 1e-11
 """Regularisation of the matrices; its effect is removed by iterative refinement."""
 
@@ -205,7 +207,8 @@ class _Iterate:
 def _longest(x: np.ndarray, change: np.ndarray) -> float:
     """Return the largest share of a change for which positive numbers remain positive."""
     falls = change < 0
-    return float(np.min(-x[falls] / change[falls], initial=np.inf))
+    with np.errstate(over="ignore"):  # infinite shares limit nothing
+        return float(np.min(-x[falls] / change[falls], initial=np.inf))
 
 
 class _System:
@@ -216,14 +219,23 @@ class _System:
         self._size = stiff.shape[0]
         self._matrix = csc_array(block_array([[stiff, equal.T], [equal, None]]))
         regular = np.concatenate([np.full(self._size, REGULAR), np.full(rows, -REGULAR)])
-        self._factors = splu(csc_array(self._matrix + diags_array(regular)))
+        entries = coo_array(self._matrix + diags_array(regular))
+        # Each equation is eliminated after its unknowns, frame by frame; the factors then have few further entries.
+        last, (row, column) = np.zeros(rows), coo_array(equal).coords
+        np.maximum.at(last, row, column + 0.5)
+        order = np.argsort(np.concatenate([np.arange(self._size), last]), kind="stable")
+        row, column = entries.coords
+        self._factors = SparseFactors(row, column, entries.data, order, PIVOT)
 
     def solved(self, first: np.ndarray, second: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         right = np.concatenate([first, second])
-        found = self._factors.solve(right)
+        found = self._solved(right)
         for _ in range(3):
-            found = found + self._factors.solve(right - self._matrix @ found)
+            found = found + self._solved(right - self._matrix @ found)
         return found[: self._size], found[self._size :]
+
+    def _solved(self, right: np.ndarray) -> np.ndarray:
+        return np.asarray(self._factors.solve(right[None])[0])
 
 
 def _polished(whole: _Whole, x: np.ndarray, y: np.ndarray, z: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -237,6 +249,8 @@ def _polished(whole: _Whole, x: np.ndarray, y: np.ndarray, z: np.ndarray) -> tup
         right = np.concatenate([whole.right, whole.most[active]])
         every = np.concatenate([y, z[active]])
         for _ in range(POLISHED):
+            if not np.all(np.isfinite(x)):
+                return given
             dual = whole.slope(x) + equal.T @ every
             dx, dy = _System(diags_array(whole.curvature(x)), equal).solved(-dual, right - equal @ x)
             x, every = x + dx, every + dy

@@ -10,17 +10,16 @@ import numpy as np
 
 from mbdkit.engine.equations_of_motion import EquationsOfMotion
 from mbdkit.engine.kernels.frames import Frames, Reactions, evaluate_frames, reactions_in_frames
+from mbdkit.engine.stacked_matrices import complete_qr, least_norms, products, solve_triangles
 from mbdkit.runs.assembled_mechanism import AssembledMechanism
-
-SAFE = 1000.0
-"""A matrix counts as having full rank if all its pivots are larger than this multiple of the threshold below which
-singular values count as zero.
-"""
 
 DEPENDENT = 1e-9
 """The position is singular if the smallest pivot of the QR decomposition of the constraint rows is at most this share
 of the largest one. The constraint rows then count as linearly dependent.
 """
+
+NEGLIGIBLE = 1e-12
+"""Remainders of columns of the matrix of a fit below this share of the largest column count as zero."""
 
 
 class Manifold:
@@ -83,10 +82,10 @@ class Manifold:
         """Return the constrained and the free directions, given the Jacobian Phi_q (T, m, n) of the constraints."""
         scaled = np.swapaxes(jacobian * self.scale, 1, 2)
         if not self.held:
-            q, r = np.linalg.qr(scaled, mode="complete")
+            q, r = complete_qr(scaled)
             return Directions(self.scale, q[:, :, : self.m], q[:, :, self.m :], r[:, : self.m])
         own = self.scale > 0  # excludes the angles of point masses
-        q, r = np.linalg.qr(scaled[:, own], mode="complete")
+        q, r = complete_qr(scaled[:, own])
         whole = np.zeros((len(jacobian), self.n, q.shape[2]))
         whole[:, own] = q
         return Directions(self.scale, whole[:, :, : self.m], whole[:, :, self.m :], r[:, : self.m])
@@ -127,8 +126,7 @@ class Directions:
         """Return the least scaled displacements (T, n) that change the constraint rows by `rows` (T, m)."""
         if not rows.shape[1]:
             return np.zeros((len(rows), len(self.scale)))
-        along = np.linalg.solve(np.swapaxes(self.triangle, 1, 2), rows[..., None])
-        return (self.held @ along)[..., 0]
+        return products(self.held, solve_triangles(self.triangle, rows, transposed=True))
 
     def multipliers(self, force: np.ndarray) -> np.ndarray:
         """Return lam (T, m) for which ``Phi_q^T lam`` is the part of a generalized force (T, n) in the constrained
@@ -136,9 +134,7 @@ class Directions:
         """
         if not self.triangle.shape[1]:
             return np.zeros((len(force), 0))
-        held = np.swapaxes(self.held, 1, 2) @ (force * self.scale)[..., None]
-        found: np.ndarray = np.linalg.solve(self.triangle, held)[..., 0]
-        return found
+        return solve_triangles(self.triangle, products(np.swapaxes(self.held, 1, 2), force * self.scale))
 
     def least_squares(self, rows: np.ndarray, observed: np.ndarray, values: np.ndarray) -> np.ndarray:
         """Return x (T, n) that satisfies ``Phi_q x = rows`` and minimises the norm of ``observed x - values``.
@@ -157,31 +153,8 @@ class Directions:
         """
         x = self.displacement(rows)
         if self.free.shape[2]:
-            seen = (observed * self.scale) @ self.free
-            rest = values - ((observed * self.scale) @ x[..., None])[..., 0]
-            x = x + (self.free @ least_norm(seen, rest, 1e-12)[..., None])[..., 0]
+            scaled = observed * self.scale
+            seen, rest = products(scaled, self.free), values - products(scaled, x)
+            x = x + products(self.free, least_norms(seen, rest, NEGLIGIBLE))
         moved: np.ndarray = x * self.scale
         return moved
-
-
-def least_norm(matrix: np.ndarray, values: np.ndarray, negligible: float) -> np.ndarray:
-    """Return the x (T, f) that minimises the norm of ``matrix x - values``; if there are several, the smallest x.
-
-    If all matrices have full rank, a QR decomposition is used, which is several times as fast as the singular value
-    decomposition that is needed otherwise.
-
-    Parameters
-    ----------
-    matrix, values
-        (T, k, f) and (T, k).
-    negligible
-        Singular values below this share of the largest one count as zero.
-    """
-    wide = matrix.shape[1] < matrix.shape[2]
-    q, r = np.linalg.qr(np.swapaxes(matrix, 1, 2) if wide else matrix)
-    pivots = np.abs(np.diagonal(r, axis1=1, axis2=2))
-    if not pivots.size or np.any(np.min(pivots, axis=1) <= SAFE * negligible * np.max(pivots, axis=1)):
-        return np.asarray((np.linalg.pinv(matrix, rcond=negligible) @ values[..., None])[..., 0])
-    if wide:
-        return np.asarray((q @ np.linalg.solve(np.swapaxes(r, 1, 2), values[..., None]))[..., 0])
-    return np.asarray(np.linalg.solve(r, np.swapaxes(q, 1, 2) @ values[..., None])[..., 0])

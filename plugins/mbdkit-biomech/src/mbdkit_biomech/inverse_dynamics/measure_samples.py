@@ -13,14 +13,15 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.stats import chi2
 
 from mbdkit.base import elementary
 from mbdkit.base.errors import SpecError
+from mbdkit.engine.linear_systems import product
 from mbdkit.spec import InverseSpec
+from mbdkit_biomech.inverse_dynamics.chi_square import quantile
 from mbdkit_biomech.inverse_dynamics.compute import Inverse, InverseProblem, compute, forces_of
 from mbdkit_biomech.inverse_dynamics.ends_and_gaps import changes_at_ends, changes_in_gaps, long_gaps
-from mbdkit_biomech.inverse_dynamics.error_bars import CUTOFFS, HIDDEN, LEVEL
+from mbdkit_biomech.inverse_dynamics.error_bars import CUTOFFS, HIDDEN
 from mbdkit_biomech.inverse_dynamics.loads import LoadSeries
 from mbdkit_biomech.inverse_dynamics.muscle_samples import forces_with, known_mean, with_drawn_muscles
 from mbdkit_biomech.inverse_dynamics.noise import NoisePath, noise_of
@@ -34,7 +35,7 @@ SAMPLES = 40
 HIDDEN_SAMPLES = 8
 """Number of samples of what long gaps may hide."""
 
-FACTOR = float(chi2.ppf(LEVEL, 1))
+FACTOR = float(quantile(1.0))
 """Ratio of the squared bound of a Gaussian variable to its mean square."""
 
 FIRST_NOISE = 1.0 / (np.sqrt(2.0) - 1.0)
@@ -191,9 +192,9 @@ def _noisy(
 def _added(series: Smoothed, changes: Smoothed, shares: np.ndarray) -> Smoothed:
     """Return series (T, U) plus changes (T, U, C) times `shares` (C,)."""
     return Smoothed(
-        series.value + changes.value @ shares,
-        series.rate + changes.rate @ shares,
-        series.acceleration + changes.acceleration @ shares,
+        series.value + product(changes.value, shares),
+        series.rate + product(changes.rate, shares),
+        series.acceleration + product(changes.acceleration, shares),
     )
 
 

@@ -10,13 +10,14 @@ from pathlib import Path
 from typing import TypeAlias
 
 import numpy as np
-from scipy.interpolate import make_interp_spline
 
 from mbdkit.archive.reader import load
 from mbdkit.base.errors import SpecError
 from mbdkit.base.plain_data import quoted
 from mbdkit.base.text import counted, listed, shown
 from mbdkit.base.units import Unit, read_unit
+from mbdkit.engine.interpolating_splines import interpolating_spline
+from mbdkit.engine.stacked_matrices import products
 from mbdkit.mechanism.mechanism_quantities import Quantity
 from mbdkit.mechanism.quantity_names import QuantityNames
 from mbdkit.spec import InverseSpec
@@ -356,7 +357,7 @@ def bridged(time: np.ndarray, values: np.ndarray, missing: np.ndarray, gaps: Gap
     """
     filled, known = values.copy(), ~missing
     degree = 1 if gaps.interpolation == "linear" or np.sum(known) < 4 else 3
-    filled[missing] = make_interp_spline(time[known], values[known], k=degree)(time[missing])
+    filled[missing] = interpolating_spline(time[known], values[known], degree)(time[missing])
     return filled
 
 
@@ -388,8 +389,8 @@ def _of_run(spec: InverseSpec, names: QuantityNames, path: Path) -> Measured:
     quantities = Quantities(list(found.values()))
     values = quantities.values(q)
     jacobian = quantities.jacobian(q)
-    rate = (jacobian @ v[..., None])[..., 0]
-    acceleration = (jacobian @ a[..., None])[..., 0] + quantities.curvature(q, v)
+    rate = products(jacobian, v)
+    acceleration = products(jacobian, a) + quantities.curvature(q, v)
     derivatives = np.stack([rate, acceleration]) if motion.smooth.name == "none" else None
     weight = np.array([column.weight for column in wanted.values()])
     deviation = np.array([column.deviation or np.nan for column in wanted.values()])

@@ -11,6 +11,8 @@ import numpy as np
 
 from mbdkit.archive.run import Run
 from mbdkit.base.errors import SpecError
+from mbdkit.engine.linear_systems import product
+from mbdkit.engine.stacked_matrices import least_norms, products
 from mbdkit.mechanism.mechanism import Mechanism
 from mbdkit.mechanism.quantity_names import QuantityNames
 from mbdkit.muscles.muscle_path import MusclePath
@@ -47,14 +49,13 @@ def moment_arms(run: Run, muscle: str, coordinate: str) -> np.ndarray:
     manifold = Manifold(AssembledMechanism.at(_Geometry(run.mechanism), float(time[0]), float(time[-1])))
     free = manifold.directions(manifold.frames(time, q).jacobian).free * manifold.scale[:, None]
     joints = [names.joint(name, "coordinate") for name in names.mechanism.joints]
-    rates = Quantities([own, *joints, *names.candidates().values()]).jacobian(q) @ free
+    rates = products(Quantities([own, *joints, *names.candidates().values()]).jacobian(q), free)
     rows = _independent(rates[len(time) // 2])
     if 0 not in rows:
         raise SpecError(f"'{coordinate}' cannot change, so muscles have no moment arms for it", key="coordinate")
-    one = np.zeros((len(time), len(rows), 1))
+    one = np.zeros((len(time), len(rows)))
     one[:, 0] = 1.0
-    alone = (free @ np.linalg.solve(rates[:, rows], one))[..., 0]
-    return -path.rate(alone)
+    return -path.rate(products(free, least_norms(rates[:, rows], one, 0.0)))
 
 
 def _independent(rates: np.ndarray) -> list[int]:
@@ -68,10 +69,10 @@ def _independent(rates: np.ndarray) -> list[int]:
     rows: list[int] = []
     basis = np.zeros((0, rates.shape[1]))
     for index, row in enumerate(rates):
-        rest = row - (row @ basis.T) @ basis
-        if len(rows) < rates.shape[1] and np.linalg.norm(rest) > DEPENDENT * np.linalg.norm(row):
+        rest = row - product(basis.T, product(basis, row))
+        if len(rows) < rates.shape[1] and np.sum(rest**2) > DEPENDENT**2 * np.sum(row**2):
             rows.append(index)
-            basis = np.vstack([basis, rest / np.linalg.norm(rest)])
+            basis = np.vstack([basis, rest / np.sqrt(np.sum(rest**2))])
     return rows
 
 

@@ -10,6 +10,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from mbdkit.engine.linear_systems import product
+from mbdkit.engine.stacked_matrices import products
 from mbdkit_biomech.inverse_dynamics.compute import Inverse
 from mbdkit_biomech.inverse_dynamics.inverse_sections import Smoothing
 from mbdkit_biomech.inverse_dynamics.manifold import Directions
@@ -52,19 +54,19 @@ class NoisePath:
         directions = manifold.directions(manifold.frames(target.time, q).jacobian)
         observed, coordinates = target.quantities.jacobian(q), independent.quantities.jacobian(q)
         moved = _solved(directions, observed * target.root_weight[:, None], np.diag(target.root_weight))
-        self._fitted = coordinates @ moved  # (T, U, K)
+        self._fitted = products(coordinates, moved)  # (T, U, K)
         self._placed = placed = result.fitted.placed
         if placed is not None:  # effect of noise on the values according to the other columns, (R, K, K)
             own, weight = directions.rows(placed.rows), placed.root_weight[..., None]
             seen = observed[placed.rows]
-            self._predicted = seen @ _solved(own, seen * weight, weight * np.eye(seen.shape[1]))
+            self._predicted = products(seen, _solved(own, seen * weight, weight * np.eye(seen.shape[1])))
         self._q, self._intervals = q, independent.intervals
         self._follow = np.zeros((len(q), manifold.n, len(independent.names)))
         for begin, end, places in independent.intervals:
             rows, columns = slice(begin, end), list(places)
             own = directions.rows(rows)
             self._follow[rows][:, :, columns] = _solved(own, coordinates[rows][:, columns], np.eye(len(columns)))
-        self._seen = observed @ self._follow
+        self._seen = products(observed, self._follow)
 
     @property
     def columns(self) -> int:
@@ -79,16 +81,16 @@ class NoisePath:
         how
             Smoothing of each coordinate that replaces the one of the result.
         """
-        return smoothed_each(self._time, self._fitted @ noise, self._how if how is None else how)
+        return smoothed_each(self._time, products(self._fitted, noise), self._how if how is None else how)
 
     def residual(self, noise: np.ndarray) -> np.ndarray:
         """Return the changes (T, K, S) that noise causes in the differences between data and smoothed motion."""
-        left: np.ndarray = noise - self._seen @ self.smoothed(noise).value
+        left: np.ndarray = noise - products(self._seen, self.smoothed(noise).value)
         return left
 
     def smoothed_as(self, quantities: Quantities, noise: np.ndarray) -> Smoothed:
         """Return the changes (T, Q, S) of other quantities and their derivatives due to noise (T, K, S) of the data."""
-        x, by = self.smoothed(noise), quantities.jacobian(self._q) @ self._follow
+        x, by = self.smoothed(noise), products(quantities.jacobian(self._q), self._follow)
         rate, bend = np.zeros((2, *by.shape))
         for begin, end, _ in self._intervals:
             if end - begin >= FEWEST:
@@ -97,8 +99,9 @@ class NoisePath:
                     part.reshape(own.shape)
                     for part in local_derivatives(self._time[begin:end], own.reshape(len(own), -1))
                 )
-        speed = by @ x.rate + rate @ x.value
-        return Smoothed(by @ x.value, speed, by @ x.acceleration + 2 * rate @ x.rate + bend @ x.value)
+        speed = products(by, x.rate) + products(rate, x.value)
+        bending = products(by, x.acceleration) + products(2 * rate, x.rate) + products(bend, x.value)
+        return Smoothed(products(by, x.value), speed, bending)
 
     def samples(self, deviation: np.ndarray, count: int, random: np.random.Generator) -> Iterator[np.ndarray]:
         """Yield blocks (T, K, S) of Gaussian noise, independent at each time, with `count` samples in total.
@@ -120,7 +123,7 @@ class NoisePath:
                 assert gaps is not None
                 noise[:, column] = bridged(self._time, noise[:, column], self._missing[:, column], gaps)
             if self._placed is not None:
-                predicted = self._predicted @ noise[self._placed.rows]
+                predicted = products(self._predicted, noise[self._placed.rows])
                 for gap in self._placed.gaps:
                     own = predicted[self._placed.of(gap), gap.column]
                     beside = noise[[gap.first - 1, gap.last], gap.column]
@@ -181,7 +184,7 @@ def noise_of(path: NoisePath, residual: np.ndarray, stated: np.ndarray, random: 
         share[:, index] = np.mean(np.sum(squares, axis=0), axis=0, where=known_rows) / DRAWS
     actual = np.nanmean(residual**2, axis=0)
     deviation, seen = _estimated(share, actual, stated), _estimated(share, actual, np.full_like(stated, np.nan))
-    expected = share @ np.nan_to_num(deviation) ** 2
+    expected = product(share, np.nan_to_num(deviation) ** 2)
     excess = np.sqrt(np.divide(expected, actual, out=np.full_like(actual, np.inf), where=actual > 0))
     return Noise(deviation, seen, excess)
 
@@ -206,12 +209,12 @@ def _estimated(share: np.ndarray, actual: np.ndarray, stated: np.ndarray) -> np.
     seen = ~known & (np.sum(share, axis=0) > LEAST_SHARE)
     variance = np.where(known, stated, 0.0) ** 2
     if np.any(seen) and np.any(actual > 0):
-        given, rest = share[:, known] @ variance[known], share[:, seen]
+        given, rest = product(share[:, known], variance[known]), share[:, seen]
         found = np.full(int(np.sum(seen)), max(0.0, np.sum(actual - given)) / np.sum(rest))
         for _ in range(ITERATIONS):
-            expected = given + rest @ found
+            expected = given + product(rest, found)
             ratio = np.divide(actual, expected, out=np.zeros_like(actual), where=expected > 0)
-            found = found * (rest.T @ ratio) / np.sum(rest, axis=0)
+            found = found * product(rest.T, ratio) / np.sum(rest, axis=0)
         variance[seen] = found
     deviation: np.ndarray = np.where(known | seen, np.sqrt(variance), np.nan)
     return deviation

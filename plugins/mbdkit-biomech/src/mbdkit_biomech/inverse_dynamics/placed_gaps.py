@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from mbdkit.engine.stacked_matrices import products, singular_values
 from mbdkit_biomech.inverse_dynamics.fit import FitError, Fitter, Target
 from mbdkit_biomech.inverse_dynamics.measured import Measured
 
@@ -142,12 +143,11 @@ def _determined(fitter: Fitter, target: Target, q: np.ndarray, root_weight: np.n
     rows = np.flatnonzero(np.any(root_weight == 0.0, axis=1))
     found = np.zeros(len(q), dtype=bool)
     free = manifold.directions(manifold.frames(target.time[rows], q[rows]).jacobian).free
-    seen = (target.quantities.jacobian(q[rows]) * manifold.scale) @ free
+    seen = products(target.quantities.jacobian(q[rows]) * manifold.scale, free)
     if not free.shape[2] or root_weight.shape[1] < free.shape[2]:
         return found
     every, others = (
-        np.linalg.svd(seen * weight[..., None], compute_uv=False)[:, -1]
-        for weight in (target.root_weight, root_weight[rows])
+        singular_values(seen * weight[..., None])[:, -1] for weight in (target.root_weight, root_weight[rows])
     )
     found[rows] = others > DETERMINED * every
     return found

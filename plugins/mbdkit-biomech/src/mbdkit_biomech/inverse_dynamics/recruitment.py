@@ -22,6 +22,7 @@ import numpy as np
 from mbdkit.base.errors import RunError, SpecError
 from mbdkit.base.plain_data import quoted
 from mbdkit.base.text import counted, listed
+from mbdkit.engine.stacked_matrices import products
 from mbdkit.mechanism.muscles import Muscle
 from mbdkit.mechanism.quantity_names import QuantityNames
 from mbdkit.muscles.muscle_path import MusclePath
@@ -173,10 +174,10 @@ class Recruiter:
             failed = ~np.isfinite(shared.certificate)
         activation = np.where(failed[:, None], np.nan, shared.value[:, : len(self.muscles)])
         force = own.capacity * activation + own.passive
-        beside = dynamics.value - (sharing.arms @ force[..., None])[..., 0]
+        beside = dynamics.value - products(sharing.arms, force)
         beside[:, self.is_taken_over(driven)] = 0.0
-        pushed = (balance.columns @ beside[..., None] + own.pull @ force[..., None])[..., 0]
-        speed = (np.swapaxes(balance.columns, 1, 2) @ motion.v[..., None])[..., 0]
+        pushed = products(balance.columns, beside) + products(own.pull, force)
+        speed = products(np.swapaxes(balance.columns, 1, 2), motion.v)
         actuator = np.where(driven, dynamics.value, beside)
         places = self.reserve_places
         reserve = np.where(driven, beside, 0.0)[:, places]
@@ -274,7 +275,7 @@ class Recruiter:
         without = np.full((frames, len(spare)), np.inf)
         return Programme(
             np.concatenate([arms[:, driven] * capacity[:, None], reserves], axis=2),
-            value[:, driven] - (arms[:, driven] @ passive[..., None])[..., 0],
+            value[:, driven] - products(arms[:, driven], passive),
             np.hstack([low, -without]),
             np.hstack([high, without]),
             np.concatenate([self.weights, np.ones(len(spare))]),

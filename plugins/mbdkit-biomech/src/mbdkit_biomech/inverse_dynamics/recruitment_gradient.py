@@ -19,6 +19,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from mbdkit.base.errors import SpecError
+from mbdkit.engine.stacked_matrices import products
 from mbdkit.integrators.dual_run import Seeds
 from mbdkit.quantities.states import Muscles
 from mbdkit_biomech.inverse_dynamics.compute import InverseProblem
@@ -140,20 +141,19 @@ def _change(
     matrix[:, :, :count] = (
         slope["arms"][:, driven] * own.capacity[:, None] + arms[:, driven] * slope["capacity"][:, None]
     )
-    right = value[:, driven] - (
-        slope["arms"][:, driven] @ own.passive[..., None] + arms[:, driven] @ slope["passive"][..., None]
-    )[..., 0]  # fmt: skip
+    passive = products(slope["arms"][:, driven], own.passive) + products(arms[:, driven], slope["passive"])
+    right = value[:, driven] - passive
     weight = np.zeros_like(programme.weight)
     weight[:count] = slope["weights"]
     shares = change_of_shares(programme, recruited.shared, recruiter.exponent, ProgrammeChange(matrix, right, weight))
     activation = shares[:, :count]
     force = own.capacity * activation + slope["capacity"] * recruited.activation + slope["passive"]
     tension = recruited.force
-    beside = value - (arms @ force[..., None] + slope["arms"] @ tension[..., None])[..., 0]
+    beside = value - (products(arms, force) + products(slope["arms"], tension))
     beside[:, recruiter.is_taken_over(driven)] = 0.0
-    pushed = columns[0] @ beside[..., None] + columns[1] @ recruited.beside[..., None]
-    pushed = pushed + own.pull @ force[..., None] + slope["pull"] @ tension[..., None]
-    return activation, force, beside, pushed[..., 0]
+    pushed = products(columns[0], beside) + products(columns[1], recruited.beside)
+    pushed = pushed + products(own.pull, force) + products(slope["pull"], tension)
+    return activation, force, beside, pushed
 
 
 def differentiated_muscles(

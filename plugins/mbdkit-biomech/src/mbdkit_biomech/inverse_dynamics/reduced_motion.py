@@ -22,6 +22,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from mbdkit.engine.stacked_matrices import products, singular_values
 from mbdkit.mechanism.mechanism_quantities import Quantity
 from mbdkit_biomech.inverse_dynamics.fit import Fitter, Target
 from mbdkit_biomech.inverse_dynamics.manifold import Manifold
@@ -146,7 +147,7 @@ def other_coordinates(
         )
     others = {name: one for name, one in candidates.items() if one not in chosen.quantities.quantities}
     rows = _rates(fitter.manifold, measured.time, q, Quantities(list(others.values())))
-    if len(others) < rows.shape[2] or np.min(np.linalg.svd(rows, compute_uv=False), initial=np.inf) < ENOUGH:
+    if len(others) < rows.shape[2] or np.min(singular_values(rows), initial=np.inf) < ENOUGH:
         return None
     return _independent(others, _chosen(rows, 0), len(q))
 
@@ -158,7 +159,7 @@ def _rates(manifold: Manifold, time: np.ndarray, q: np.ndarray, quantities: Quan
     """
     directions = manifold.directions(manifold.frames(time, q).jacobian)
     size = np.where(quantities.is_angle, 1.0, manifold.length) * quantities.scale
-    rows: np.ndarray = (quantities.jacobian(q) * manifold.scale) @ directions.free / size[:, None]
+    rows: np.ndarray = products(quantities.jacobian(q) * manifold.scale, directions.free) / size[:, None]
     return rows
 
 
@@ -215,7 +216,7 @@ def _derived(manifold: Manifold, target: Target, q: np.ndarray, rate: np.ndarray
 
     def solved(rows: np.ndarray, values: np.ndarray) -> np.ndarray:
         x = directions.least_squares(rows, observed, values * target.root_weight)
-        left = rows - (at_rest.jacobian @ x[..., None])[..., 0]  # rounding errors of the first solution
+        left = rows - products(at_rest.jacobian, x)  # rounding errors of the first solution
         refined: np.ndarray = x + directions.displacement(left) * manifold.scale
         return refined
 
@@ -282,4 +283,4 @@ def _without(rows: np.ndarray, place: int) -> tuple[np.ndarray, np.ndarray]:
     own = rows[:, place]
     pivot = np.linalg.norm(own, axis=1)
     unit = own / np.where(pivot > 0, pivot, 1.0)[:, None]
-    return rows - (rows @ unit[..., None]) * unit[:, None, :], pivot
+    return rows - products(rows, unit)[..., None] * unit[:, None, :], pivot

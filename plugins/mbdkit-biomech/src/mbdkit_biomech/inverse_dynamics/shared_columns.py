@@ -8,6 +8,7 @@ from itertools import combinations
 import numpy as np
 
 from mbdkit.base.text import listed, shown
+from mbdkit.engine.linear_systems import product
 from mbdkit.plugin import Finding
 from mbdkit_biomech.inverse_dynamics.compute import InverseProblem
 from mbdkit_biomech.inverse_dynamics.doubt import doubt
@@ -78,7 +79,7 @@ def _tied(problem: InverseProblem, first: int, second: int) -> bool:
     """Return whether the mechanism, in its initial pose, ties two observed quantities to each other."""
     manifold, pose = problem.fitter.manifold, problem.prepared.equations.q0[None]
     free = manifold.directions(manifold.frames(problem.measured.time[:1], pose).jacobian).free[0]
-    slopes = (problem.measured.quantities.jacobian(pose)[0] * manifold.scale) @ free
+    slopes = product(problem.measured.quantities.jacobian(pose)[0] * manifold.scale, free)
     a, b = slopes[first], slopes[second]
-    off = b - a * (a @ b) / max(float(a @ a), np.finfo(float).tiny)
-    return bool(np.linalg.norm(off) <= TIED * np.linalg.norm(b))
+    off = b - a * np.sum(a * b) / max(float(np.sum(a * a)), np.finfo(float).tiny)
+    return bool(np.sum(off**2) <= TIED**2 * np.sum(b**2))

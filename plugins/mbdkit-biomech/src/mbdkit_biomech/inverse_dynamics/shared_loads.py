@@ -22,6 +22,7 @@ import numpy as np
 from scipy.optimize import linprog
 
 from mbdkit.base import elementary
+from mbdkit.engine.stacked_matrices import least_norms, products
 
 ITERATIONS = 60
 """Largest number of Newton iterations of one proximal problem; 5 to 15 are usual."""
@@ -137,8 +138,8 @@ def _dual_newton(programme: Programme, p: float) -> tuple[np.ndarray, np.ndarray
     if p > 2:  # start from the solution for p = 2, with the derivative of the cost converted from 2 x to p x^(p - 1)
         x, _, _ = _dual_newton(programme, 2.0)
         cost = p * np.sign(x) * elementary.pow(np.abs(x), p - 1)
-        y = (np.linalg.pinv(np.swapaxes(programme.matrix, 1, 2), rcond=1e-10) @ cost[..., None])[..., 0]
-    trace = np.einsum("tkn,tkn->t", programme.matrix, programme.matrix) * 0.5
+        y = least_norms(np.swapaxes(programme.matrix, 1, 2), cost, 1e-10)
+    trace = np.sum(programme.matrix**2, axis=(1, 2)) * 0.5
     trace = np.where(trace > 0, trace, 1.0)
     left = np.arange(frames)
     for proximal in PROXIMAL:
@@ -158,8 +159,8 @@ def _polished(programme: Programme, y: np.ndarray, p: float, trace: np.ndarray) 
     x, slope = _unknowns(programme, y, p)
     before = _residual(programme, x)
     regular = 1e-14 * trace[:, None, None] * np.eye(y.shape[1])
-    jacobian = (programme.matrix * slope[:, None]) @ np.swapaxes(programme.matrix, 1, 2) + regular
-    moved = y + np.linalg.solve(jacobian, before[..., None])[..., 0]
+    jacobian = products(programme.matrix * slope[:, None], np.swapaxes(programme.matrix, 1, 2)) + regular
+    moved = y + least_norms(jacobian, before, 0.0)
     after = _residual(programme, _unknowns(programme, moved, p)[0])
     better = np.max(np.abs(after), axis=1, initial=0.0) < np.max(np.abs(before), axis=1, initial=0.0)
     return np.where(better[:, None], moved, y)
@@ -174,8 +175,8 @@ def _proximal_newton(programme: Programme, start: np.ndarray, p: float, proximal
         own, near, own_start = programme.only(left), proximal[left], start[left]
         x, slope = _unknowns(own, y[left], p)
         gradient = _residual(own, x) - near[:, None] * (y[left] - own_start)
-        jacobian = (own.matrix * slope[:, None]) @ np.swapaxes(own.matrix, 1, 2) + near[:, None, None] * eye
-        step = np.linalg.solve(jacobian, gradient[..., None])[..., 0]
+        jacobian = products(own.matrix * slope[:, None], np.swapaxes(own.matrix, 1, 2)) + near[:, None, None] * eye
+        step = least_norms(jacobian, gradient, 0.0)
         before = _dual(own, y[left], x, p) - 0.5 * near * np.sum((y[left] - own_start) ** 2, axis=1)
         rise, norm = np.sum(gradient * step, axis=1), np.max(np.abs(gradient), axis=1)
         rounding = ROUNDING * (
@@ -200,7 +201,7 @@ def _proximal_newton(programme: Programme, start: np.ndarray, p: float, proximal
 
 def _unknowns(programme: Programme, y: np.ndarray, p: float) -> tuple[np.ndarray, np.ndarray]:
     """Return the unknowns (T, N) that minimise the Lagrangian, and their derivatives with respect to g."""
-    g = (np.swapaxes(programme.matrix, 1, 2) @ y[..., None])[..., 0]
+    g = products(np.swapaxes(programme.matrix, 1, 2), y)
     if p == 2:
         x, slope = 0.5 * g, np.full_like(g, 0.5)
     else:
@@ -213,7 +214,7 @@ def _unknowns(programme: Programme, y: np.ndarray, p: float) -> tuple[np.ndarray
 
 
 def _residual(programme: Programme, x: np.ndarray) -> np.ndarray:
-    left: np.ndarray = programme.right - (programme.matrix @ x[..., None])[..., 0]
+    left: np.ndarray = programme.right - products(programme.matrix, x)
     return left
 
 
@@ -226,7 +227,7 @@ def _dual(programme: Programme, y: np.ndarray, x: np.ndarray, p: float) -> np.nd
 def _certificate(programme: Programme, x: np.ndarray, y: np.ndarray, p: float) -> np.ndarray:
     """Return the largest violation (T,) of the optimality conditions, see `Shared`."""
     cost = p * np.sign(x) * elementary.pow(np.abs(x), p - 1)
-    g = (np.swapaxes(programme.matrix, 1, 2) @ y[..., None])[..., 0]
+    g = products(np.swapaxes(programme.matrix, 1, 2), y)
     slope = cost - g  # zero between the bounds, not negative at the lower bound, and not positive at the upper one
     slope = np.where((x <= programme.low) & (slope > 0), 0.0, slope)
     slope = np.where((x >= programme.high) & (slope < 0), 0.0, slope)

@@ -21,6 +21,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from mbdkit.base import elementary
+from mbdkit.engine.stacked_matrices import products, pseudoinverses
 from mbdkit_biomech.inverse_dynamics.shared_loads import Programme, Shared
 
 LEAST_CURVATURE = 1e-12
@@ -65,12 +66,12 @@ def change_of_shares(programme: Programme, shared: Shared, exponent: float, chan
     flexibility = np.where(is_free, 1.0 / curvature, 0.0)
     size = programme.size
     matrix = programme.matrix / size[..., None]
-    pulled = np.einsum("tkn,tk->tn", change.matrix, y) + slope * exponent / weight * change.weight
-    needed = (change.right - np.einsum("tkn,tn->tk", change.matrix, x)) / size
-    normal = (matrix * flexibility[:, None]) @ np.swapaxes(matrix, 1, 2)
-    inverse = np.linalg.pinv(normal, rcond=NEGLIGIBLE, hermitian=True)
+    pulled = products(np.swapaxes(change.matrix, 1, 2), y) + slope * exponent / weight * change.weight
+    needed = (change.right - products(change.matrix, x)) / size
+    normal = products(matrix * flexibility[:, None], np.swapaxes(matrix, 1, 2))
+    inverse = pseudoinverses(normal, NEGLIGIBLE)
     found: np.ndarray = flexibility * pulled
     for _ in range(1 + REFINEMENTS):
-        left = needed - (matrix @ found[..., None])[..., 0]
-        found = found + flexibility * (np.swapaxes(matrix, 1, 2) @ (inverse @ left[..., None]))[..., 0]
+        left = needed - products(matrix, found)
+        found = found + flexibility * products(np.swapaxes(matrix, 1, 2), products(inverse, left))
     return found

@@ -7,12 +7,20 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.interpolate import BSpline, make_interp_spline, make_smoothing_spline
-from scipy.linalg import solveh_banded
-from scipy.signal import butter, filtfilt, lfilter, lfiltic
+from scipy.interpolate import BSpline, make_smoothing_spline
 
 from mbdkit.base import elementary
 from mbdkit.base.errors import SpecError
+from mbdkit.engine.interpolating_splines import Spline, interpolating_spline
+from mbdkit.engine.linear_systems import SparseFactors
+from mbdkit.engine.stacked_matrices import least_norms, products
+from mbdkit_biomech.inverse_dynamics.digital_filters import (
+    butterworth_coefficients,
+    filtered,
+    filtered_both_ways,
+    single_cutoff,
+    state_after,
+)
 from mbdkit_biomech.inverse_dynamics.inverse_sections import (
     Butterworth,
     NoSmoothing,
@@ -76,8 +84,7 @@ def smoothed(time: np.ndarray, series: np.ndarray, how: Smoothing) -> Smoothed:
             return _cross_validated_spline(time, series)
         return _smoothing_spline(time, series, how.parameter)
     if isinstance(how, Butterworth):
-        filtered = _butterworth(time, series, how)
-        return _of_spline(quintic_spline(time, filtered), time)
+        return _of_spline(quintic_spline(time, _butterworth(time, series, how)), time)
     return _opensim(time, series, how)
 
 
@@ -139,23 +146,23 @@ def smoothed_each(time: np.ndarray, series: np.ndarray, how: Sequence[Smoothing]
     return Smoothed(value, rate, acceleration)
 
 
-def quintic_spline(time: np.ndarray, series: np.ndarray) -> BSpline:
+def quintic_spline(time: np.ndarray, series: np.ndarray) -> Spline:
     """Return the natural quintic spline through all samples: its third and fourth derivatives vanish at both ends."""
     zeros = np.zeros(series.shape[1:])
     ends = [(3, zeros), (4, zeros)]
-    return make_interp_spline(time, series, k=5, bc_type=(ends, ends))
+    return interpolating_spline(time, series, 5, (ends, ends))
 
 
-def spline_of_ends(time: np.ndarray) -> BSpline:
+def spline_of_ends(time: np.ndarray) -> Spline:
     """Return the errors of natural quintic splines if the third derivative of the true function is 1 at the start
     (first column) or at the end (second column). The errors are quintic splines that vanish at all samples.
     """
     zeros = np.zeros(2)
     start, end = ([(3, -one), (4, zeros)] for one in np.eye(2))
-    return make_interp_spline(time, np.zeros((len(time), 2)), k=5, bc_type=(start, end))
+    return interpolating_spline(time, np.zeros((len(time), 2)), 5, (start, end))
 
 
-def _of_spline(spline: BSpline, time: np.ndarray) -> Smoothed:
+def _of_spline(spline: Spline | BSpline, time: np.ndarray) -> Smoothed:
     return Smoothed(spline(time), spline(time, 1), spline(time, 2))
 
 
@@ -172,11 +179,10 @@ def local_derivatives(time: np.ndarray, series: np.ndarray) -> tuple[np.ndarray,
     offset = time[rows] - time[:, None]
     unit = np.max(np.abs(offset), axis=1)
     powers = elementary.pow((offset / unit[:, None])[:, None, :], np.arange(5)[None, :, None])
-    right = np.zeros((count, 5, 2))
-    right[:, 1, 0], right[:, 2, 1] = 1.0 / unit, 2.0 / unit**2
-    weights = np.linalg.solve(powers, right)  # (T, 5, 2)
+    right = np.zeros((2, count, 5))
+    right[0, :, 1], right[1, :, 2] = 1.0 / unit, 2.0 / unit**2
     near = series[rows] - series[:, None]  # differences avoid cancellation; the weights of a derivative sum to zero
-    rate, acceleration = np.einsum("tsd,tsk->dtk", weights, near)
+    rate, acceleration = (products(least_norms(powers, one, 0.0)[:, None], near)[:, 0] for one in right)
     return rate, acceleration
 
 
@@ -192,13 +198,25 @@ def _smoothing_spline(time: np.ndarray, series: np.ndarray, parameter: float) ->
     step, weight = np.diff(time) / unit, parameter / unit**3
     before, after = 1.0 / step[:-1], 1.0 / step[1:]
     middle = -(before + after)  # row i of Q^T has `before`, `middle` and `after` at i, i + 1 and i + 2
-    matrix = np.zeros((3, len(middle)))  # the diagonal and the two diagonals below it
-    matrix[0] = (step[:-1] + step[1:]) / 3 + weight * (before**2 + middle**2 + after**2)
-    matrix[1, :-1] = step[1:-1] / 6 + weight * (middle[:-1] * before[1:] + after[:-1] * middle[1:])
-    matrix[2, :-2] = weight * after[:-2] * before[2:]
+    diagonals = (
+        (step[:-1] + step[1:]) / 3 + weight * (before**2 + middle**2 + after**2),
+        step[1:-1] / 6 + weight * (middle[:-1] * before[1:] + after[:-1] * middle[1:]),
+        weight * after[:-2] * before[2:],
+    )
+    row, column = (
+        np.concatenate([np.arange(len(one)) + shift * below for below, one in enumerate(diagonals)]) for shift in (1, 0)
+    )
+    off, value = len(middle), np.concatenate(diagonals)
+    factors = SparseFactors(
+        np.concatenate([row, column[off:]]),
+        np.concatenate([column, row[off:]]),
+        np.concatenate([value, value[off:]]),
+        np.arange(off),
+        0.0,  # the matrix is positive definite
+    )
     bend = np.zeros_like(series)
     right = before[:, None] * series[:-2] + middle[:, None] * series[1:-1] + after[:, None] * series[2:]
-    bend[1:-1] = solveh_banded(matrix, right, lower=True)
+    bend[1:-1] = factors.solve(right.T).T
     value = series.copy()
     value[:-2] -= weight * before[:, None] * bend[1:-1]
     value[1:-1] -= weight * middle[:, None] * bend[1:-1]
@@ -267,13 +285,12 @@ def _check_cutoff(given: float, once: float, interval: float) -> None:
 def _butterworth(time: np.ndarray, series: np.ndarray, how: Butterworth) -> np.ndarray:
     interval = _interval(time)
     # Each of the two passes has an attenuation of 1.5 dB at the given cutoff, so that both have 3 dB.
-    once = how.cutoff / (2**0.5 - 1) ** (0.5 / how.order)
+    once = single_cutoff(how.cutoff, how.order)
     _check_cutoff(how.cutoff, once, interval)
-    b, a = butter(how.order, once, fs=1.0 / interval)
+    b, a = butterworth_coefficients(how.order, once, 1.0 / interval)
     duration = 2.0 / how.cutoff if how.padding is None else how.padding
     padding = min(int(np.ceil(duration / interval)), len(time) - 1)
-    filtered: np.ndarray = filtfilt(b, a, series, axis=0, padtype="odd", padlen=padding)
-    return filtered
+    return filtered_both_ways(b, a, series, padding)
 
 
 def _opensim(time: np.ndarray, series: np.ndarray, how: OpenSimFilter) -> Smoothed:
@@ -289,16 +306,9 @@ def _opensim(time: np.ndarray, series: np.ndarray, how: OpenSimFilter) -> Smooth
     if len(even) != len(times) or np.max(np.abs(even - times)) > 1e-9 * interval * len(times):
         padded = quintic_spline(times, padded)(np.minimum(even, times[-1]))
     _check_cutoff(how.cutoff, how.cutoff, interval)
-    b, a = butter(3, how.cutoff, fs=1.0 / interval)
+    b, a = butterworth_coefficients(3, how.cutoff, 1.0 / interval)
     for _ in range(2):  # forward, and backward on the reversed series
-        padded = _third_order_pass(b, a, padded)[::-1]
+        # the first three rows are those of the input, as in OpenSim
+        later = filtered(b, a, padded[3:], state_after(b, a, padded[:3]))
+        padded = np.concatenate([padded[:3], later])[::-1]
     return _of_spline(quintic_spline(even, padded), time)
-
-
-def _third_order_pass(b: np.ndarray, a: np.ndarray, series: np.ndarray) -> np.ndarray:
-    """Return the filtered series (T, K); its first three rows are those of the input, as in OpenSim."""
-    out = series.copy()
-    for column in range(series.shape[1]):
-        first = series[2::-1, column]
-        out[3:, column] = lfilter(b, a, series[3:, column], zi=lfiltic(b, a, first, first))[0]
-    return out
