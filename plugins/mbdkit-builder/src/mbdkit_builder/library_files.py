@@ -18,7 +18,7 @@ from mbdkit.base.errors import MbdkitError
 
 MEMORY_FUNCTIONS = {
     "linux": {"memcpy", "memmove", "memset"},
-    "macos": {"bzero", "dyld_stub_binder", "memcpy", "memmove", "memset", "memset_pattern16"},
+    "macos": {"__bzero", "bzero", "dyld_stub_binder", "memcpy", "memmove", "memset", "memset_pattern16"},
     "windows": set[str](),
 }
 """Functions that the machine code may take from the C library, by operating system."""
