@@ -28,6 +28,7 @@ import importlib.util
 import json
 import lzma
 import os
+import sys
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from functools import cache
