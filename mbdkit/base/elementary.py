@@ -92,5 +92,11 @@ tan = ElementaryFunction("tan")
 tanh = ElementaryFunction("tanh")
 tgamma = ElementaryFunction("tgamma")
 
+
+def unit_vector(angle: float) -> complex:
+    """Return the complex number of length 1 with an angle [rad]."""
+    return complex(cos(angle), sin(angle))
+
+
 FUNCTIONS = {one.name: one for one in tuple(globals().values()) if isinstance(one, ElementaryFunction)}
 """All functions by name."""

@@ -216,7 +216,7 @@ class Beam(StrictModel):
         axial = given.axial or (self.E or 0.0) * (self.A or 0.0)
         bending = given.bending or (self.E or 0.0) * (self.I or 0.0)
         if given.shear == "none":
-            return SectionStiffness(axial, 3.0 * bending / (SHEAR_SHARE * self.length**2), bending)
+            return SectionStiffness(axial, 3.0 * bending / (SHEAR_SHARE * (self.length * self.length)), bending)
         modulus = self.G or (self.E or 0.0) / (2.0 * (1.0 + (self.nu or 0.0)))
         return SectionStiffness(axial, given.shear or self.shear_factor * modulus * (self.A or 0.0), bending)
 
@@ -232,7 +232,7 @@ class Beam(StrictModel):
         section = self.section_stiffness
         if not self.corrected:
             return section
-        residual = self.element_length**2 / (12.0 * section.bending)
+        residual = self.element_length * self.element_length / (12.0 * section.bending)
         return section._replace(shear=1.0 / (1.0 / section.shear + residual))
 
     @property

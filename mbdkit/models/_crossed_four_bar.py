@@ -5,11 +5,11 @@ Points are complex numbers x + i y [m], and angles are in radians.
 
 from __future__ import annotations
 
-import cmath
 import math
 from dataclasses import dataclass
 from functools import cached_property
 
+from mbdkit.base import elementary
 from mbdkit.base.errors import SpecError
 
 _SCAN = math.radians(1.0)
@@ -138,13 +138,13 @@ class CrossedFourBar:
         Joint C is an intersection of the circles about B (radius acl) and about A - (D - C) (radius pcl); `branch`, 1
         or -1, selects one of the two intersections.
         """
-        b = cmath.rect(self.tibial, -self.tibial_pitch)
-        femur = cmath.rect(self.femoral, flexion - self.femoral_pitch)
+        b = self.tibial * elementary.unit_vector(-self.tibial_pitch)
+        femur = self.femoral * elementary.unit_vector(flexion - self.femoral_pitch)
         line = -femur - b
-        distance = abs(line)
+        distance = elementary.hypot(line.real, line.imag)
         if distance == 0:
             return None
-        along = (self.acl**2 - self.pcl**2 + distance**2) / (2 * distance)
+        along = (self.acl * self.acl - self.pcl * self.pcl + distance * distance) / (2 * distance)
         across_squared = (self.acl - along) * (self.acl + along)
         if across_squared < 0:
             return None

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import cmath
 from dataclasses import dataclass
 
+from mbdkit.base import elementary
 from mbdkit.mechanism.bodies import Body
 from mbdkit.models._crossed_four_bar import CrossedFourBar, Pose
 from mbdkit.models._segments import Segment
@@ -36,7 +36,7 @@ class Frame:
     @classmethod
     def at(cls, origin: complex, angle: float, velocity: complex = 0j, rate: float = 0.0) -> Frame:
         """Return the frame at this angle."""
-        return cls(origin, cmath.rect(1.0, angle), angle, velocity, rate)
+        return cls(origin, elementary.unit_vector(angle), angle, velocity, rate)
 
     def to_global(self, point: complex) -> complex:
         """Return the position of a point of the frame [m]."""
@@ -121,9 +121,9 @@ def knee_of(
         spin = thigh.rate + rate
         rods[name] = Body(
             mass=rod_mass,
-            inertia=rod_mass * length**2 / 12,
+            inertia=rod_mass * (length * length) / 12,
             position=xy(0.5 * (start + stop)),
-            angle=cmath.phase(stop - start),
+            angle=elementary.atan2((stop - start).imag, (stop - start).real),
             velocity=xy(thigh.velocity_of(femoral[top]) + 0.5j * spin * (stop - start)),
             angular_velocity=spin,
         )
@@ -135,7 +135,7 @@ def _shank(
     thigh: Frame, pose: Pose, c: complex, b: complex, linkage: CrossedFourBar, flexion: tuple[float, float]
 ) -> Frame:
     """Return the frame of the shank; `c` and `b` are joint C in the thigh frame and joint B in the shank frame."""
-    turn = thigh.turn * cmath.rect(1.0, -flexion[0])
+    turn = thigh.turn * elementary.unit_vector(-flexion[0])
     rate = thigh.rate - flexion[1]
     acl = turn * (pose.B - pose.C)
     spin = thigh.rate + linkage.rod_rates(pose, -flexion[1])[0]

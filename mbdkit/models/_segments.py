@@ -68,7 +68,8 @@ class Segment:
         mass = self.mass + other.mass
         centre = (self.mass * self.centre + other.mass * other.centre) / mass
         reduced = self.mass * other.mass / mass
-        inertia = self.inertia + other.inertia + reduced * abs(self.centre - other.centre) ** 2
+        arm = self.centre - other.centre
+        inertia = self.inertia + other.inertia + reduced * (arm.real * arm.real + arm.imag * arm.imag)
         return Segment(mass, centre, inertia)
 
 
@@ -172,7 +173,8 @@ class Person:
         """Head, arms and trunk: the body mass without both legs; origin at the hips."""
         legs = 2 * (self.fractions.thigh.mass + self.fractions.shank.mass + self.fractions.foot.mass)
         mass = (1.0 - legs) * self.body_mass
-        return Segment(mass, complex(0.0, TRUNK_CENTRE * self.height), mass * (TRUNK_GYRATION * self.height) ** 2)
+        gyration = TRUNK_GYRATION * self.height
+        return Segment(mass, complex(0.0, TRUNK_CENTRE * self.height), mass * (gyration * gyration))
 
     @property
     def thigh(self) -> Segment:
@@ -190,7 +192,7 @@ class Person:
         of = self.fractions.foot
         length, mass = of.length * self.height, of.mass * self.body_mass
         centre = complex(of.centre * length - HEEL_BEHIND_ANKLE * self.height, -0.5 * ANKLE_HEIGHT * self.height)
-        return Segment(mass, centre, mass * (of.gyration * length) ** 2)
+        return Segment(mass, centre, mass * (of.gyration * length) * (of.gyration * length))
 
     @property
     def foot_on_shank(self) -> Segment:
@@ -200,4 +202,4 @@ class Person:
 
     def _limb(self, of: Fractions) -> Segment:
         length, mass = of.length * self.height, of.mass * self.body_mass
-        return Segment(mass, complex(0.0, -of.centre * length), mass * (of.gyration * length) ** 2)
+        return Segment(mass, complex(0.0, -of.centre * length), mass * (of.gyration * length) * (of.gyration * length))

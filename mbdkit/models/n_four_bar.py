@@ -83,7 +83,7 @@ def build(options: NFourBarOptions) -> Mechanism:
     o = options
     check_memory(o.n, "windows", BYTES_PER_WINDOW)
     length, half = o.length, 0.5 * o.length
-    inertia = o.mass * length**2 / 12 if o.inertia is None else o.inertia
+    inertia = o.mass * (length * length) / 12 if o.inertia is None else o.inertia
     rate = -o.speed / length
     x, y = length * elementary.cos(o.angle), length * elementary.sin(o.angle)
     mechanism = Mechanism(o.gravity, name="n-four-bar")

@@ -203,7 +203,7 @@ def chain(
         rod = mechanism.body(
             f"rod{index + 1}",
             mass=mass,
-            inertia=mass * length**2 / 12 if inertias is None else inertias[index],
+            inertia=mass * (length * length) / 12 if inertias is None else inertias[index],
             position=centre,
             angle=angle,
             velocity=velocity,

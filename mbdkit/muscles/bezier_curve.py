@@ -200,8 +200,10 @@ def _bezier(points: np.ndarray, u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return value and derivative with respect to u of curves with control points (..., 4)."""
     a, b, c, d = np.moveaxis(points, -1, 0)
     w = 1.0 - u
-    value = a * w**5 + b * (5 * u * w**4 + 10 * u**2 * w**3) + c * (10 * u**3 * w**2 + 5 * u**4 * w) + d * u**5
-    derivative = 5 * ((b - a) * w**4 + 6 * (c - b) * u**2 * w**2 + (d - c) * u**4)
+    u2, w2 = u * u, w * w  # powers of NumPy depend on the processor
+    u4, w4 = u2 * u2, w2 * w2
+    value = a * w4 * w + b * (5 * u * w4 + 10 * u2 * w2 * w) + c * (10 * u2 * u * w2 + 5 * u4 * w) + d * u4 * u
+    derivative = 5 * ((b - a) * w4 + 6 * (c - b) * u2 * w2 + (d - c) * u4)
     return value, derivative
 
 

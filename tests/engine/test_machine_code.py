@@ -191,6 +191,22 @@ def test_platforms_and_their_levels(
     assert (str(found), [level.name for level in found.levels]) == (name, levels)
 
 
+def test_an_untested_platform_is_named_once(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(machine_code, "BUILT", tmp_path / "built")
+    monkeypatch.setattr(machine_code, "this_platform", lambda: Platform("macos", "arm64"))
+    say = machine_code._say_whether_untested.__wrapped__
+    say()
+    assert "mbdkit has never been tested on macos-arm64" in capsys.readouterr().err
+    say()
+    assert capsys.readouterr().err == ""
+    assert machine_code.code_text().endswith("mbdkit has never been tested on this platform")
+    monkeypatch.setattr(machine_code, "BUILT", tmp_path / "no" / "built")  # cannot be created: said again
+    say()
+    assert "macos-arm64" in capsys.readouterr().err
+
+
 @pytest.mark.parametrize("damage", [b"", b"{", b"[]", b"{}", b"null", b"\xff\xfe", b"cut", b"symbols", b"sha256"])
 def test_a_damaged_manifest_is_reported(damage: bytes, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     folder = tmp_path / str(this_platform())

@@ -28,6 +28,7 @@ import importlib.util
 import json
 import lzma
 import os
+import sys
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from functools import cache
@@ -46,6 +47,8 @@ CORE = "mbdkit"
 STORED = Path(__file__).parent / "stored"
 BUILT = Path(__file__).parent / "built"
 MANIFEST = "manifest.json"
+TESTED = ("linux",)
+"""Operating systems on which mbdkit as a whole has been run; on Windows, only its kernels have."""
 
 IN_PYTHON = os.environ.get("MBDKIT_KERNELS") == "python"
 """Whether kernels run as functions of Python."""
@@ -196,12 +199,26 @@ def _load_file(path: Path) -> ctypes.CDLL:
 
 @cache
 def _load_stored(path: Path, package: str) -> ctypes.CDLL:
+    _say_whether_untested()
     with _damage_reported(package):
         digest = manifest(package)["sha256"][path.name]
     try:
         return _loaded(path, digest)
     except OSError as error:
         raise MbdkitError(f"the stored machine code {path} cannot be loaded: {error}") from error
+
+
+@cache
+def _say_whether_untested() -> None:
+    """Say on stderr, once for an installation, if nobody has run mbdkit on this platform."""
+    mark = BUILT / f"{this_platform()}.untested"
+    if this_platform().system in TESTED or mark.exists():
+        return
+    compare = "`mbdkit doctor` compares ten small runs with those of other platforms"
+    print(f"note: mbdkit has never been tested on {this_platform()}; {compare}", file=sys.stderr, flush=True)
+    with suppress(OSError):
+        BUILT.mkdir(exist_ok=True)
+        mark.touch()
 
 
 def _loaded(path: Path, digest: str) -> ctypes.CDLL:
@@ -270,6 +287,7 @@ def code_report() -> dict[str, Any]:
         "processor_level": level.name,
         "lanes": level.lanes,
         "stored": bool(manifest()),
+        "tested": this_platform().system in TESTED,
         "built_with": manifest().get("built with", {}),
     }
 
@@ -278,7 +296,8 @@ def code_text() -> str:
     """Return a text with platform, level and lanes of the machine code; it begins with "no" if none is stored."""
     level = chosen_level()
     where = f"machine code for {this_platform()}, level {level.name}, {level.lanes} lanes"
-    return where if manifest() else f"no {where}"
+    where = where if manifest() else f"no {where}"
+    return where if this_platform().system in TESTED else f"{where}; mbdkit has never been tested on this platform"
 
 
 # --- code that is not stored

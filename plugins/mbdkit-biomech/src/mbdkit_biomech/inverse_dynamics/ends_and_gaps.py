@@ -211,9 +211,8 @@ def _end_accelerations(time: np.ndarray, coordinates: np.ndarray, how: Sequence[
         count = min(len(time), max(FEWEST_AT_END, int(np.ceil(1 / (cutoff_of(time, one) * interval))) + 1))
         for side, (rows, end) in enumerate(((slice(count), time[0]), (slice(-count, None), time[-1]))):
             place = (time[rows] - end) / (count * interval)
-            second = (
-                2 * pseudoinverses(place[None, :, None] ** np.arange(4), NEGLIGIBLE)[0, 2] / (count * interval) ** 2
-            )
+            cubic = np.vander(place, 4, increasing=True)[None]
+            second = 2 * pseudoinverses(cubic, NEGLIGIBLE)[0, 2] / (count * interval) ** 2
             found[side, index] = product(second, coordinates[rows, index])
     return found
 
