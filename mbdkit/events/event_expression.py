@@ -143,13 +143,16 @@ def _applied(function: Callable[..., Any], of: Function, other: Function | None 
 
 
 def _total(function: Function) -> Function:
-    """Return a function that is nan where `function` is undefined, such as at the square root of a negative number."""
+    """Return a function that is nan where `function` is undefined, such as at the square root of a negative number, or
+    a number that is too large.
+    """
 
     def evaluated(values: Sequence[Any]) -> Any:
         try:
-            return function(values)
+            value = function(values)
         except (ArithmeticError, ValueError):
             return math.nan
+        return math.nan if isinstance(value, float) and math.isinf(value) else value
 
     return evaluated
 

@@ -11,7 +11,7 @@ from functools import cache
 from types import FunctionType
 from typing import Any
 
-from numba import config, njit, types
+from numba import njit, types
 from numba.core.typing.templates import infer, infer_global, make_intrinsic_template
 from numba.extending import overload, typeof_impl
 
@@ -27,11 +27,6 @@ _OPTIONS: dict[str, Any] = {
     "pipeline_class": SubkernelCompiler,
     "error_model": "numpy",
 }
-
-# Numba simplifies every function for a processor before its module is taken. Without these lines that would be the
-# processor of this machine, and the stored code would depend on it.
-config.CPU_NAME = "generic"  # type: ignore[attr-defined]
-config.CPU_FEATURES = ""  # type: ignore[attr-defined]
 
 _DEFINED: set[Callable[..., Any]] = set()
 

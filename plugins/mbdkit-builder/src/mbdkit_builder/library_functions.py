@@ -12,6 +12,7 @@ from __future__ import annotations
 import re
 
 import llvmlite.binding as llvm
+from numba import config
 from numba.core.registry import cpu_target
 
 from mbdkit.engine.kernels.elementary import FUNCTIONS
@@ -26,6 +27,11 @@ _OWN = re.compile(rf"""@"?{re.escape(PREFIX)}(\w+)""")
 _DECLARED = re.compile(rf"""^declare .*@"?{re.escape(PREFIX)}\w+"?\(.*$""", re.MULTILINE)
 _PURE = "nounwind willreturn memory(none)"
 _REMAINDER = re.compile(r"= frem (double \S+), (\S+)")
+
+# Numba simplifies every function for a processor before its module is taken. Without these lines that would be the
+# processor of this machine, and the stored code would depend on it.
+config.CPU_NAME = "generic"  # type: ignore[attr-defined]
+config.CPU_FEATURES = ""  # type: ignore[attr-defined]
 
 # Numba executes none of the code that is stored. It does execute functions of users, whose duals call ours: as their
 # values are those of the C library, so are their derivatives.

@@ -309,16 +309,14 @@ def test_a_run_with_controlled_steps_that_a_limit_stops_is_left_to_the_driver_of
 
 
 def test_a_run_with_controlled_steps_that_needs_other_pivots_is_left_to_the_driver_of_single_runs() -> None:
-    planned = [Timetable(0.0, 0.4), Timetable(0.7, 1.45)]
+    method, planned = CONTROLLED["adaptive radau-iia-3"], [Timetable(0.0, 0.4), Timetable(0.7, 1.45)]
     workspaces = [workspace_of(with_laws(Nearby(7 * i)), table.start) for i, table in enumerate(planned)]
-    single = workspaces[1].for_another_run("index-1", workspaces[1].stabilization)
-    stepper = start_method(CONTROLLED["adaptive radau-iia-3"], single, planned[1])
-    chosen = single.pivotings
-    while not stepper.finished and stepper.failure is None:
-        stepper.advance()
-    assert stepper.finished
-    assert single.pivotings > chosen
-    results = controlled("adaptive radau-iia-3", workspaces, planned)
+    pivots = [PivotsAtStart().of(method, *one) for one in zip(workspaces, planned, strict=True)]
+    assert pivots[1] is not None
+    weight = pivots[1].pattern.weight.copy()
+    weight[: len(weight) // 2] = 0.0  # with the equations scaled like this, pivots vanish
+    pivots[1] = pivots[1]._replace(pattern=pivots[1].pattern._replace(weight=weight))
+    results = ControlledLaneStepper(method, workspaces[0], pivots[0]).advance(workspaces, planned, pivots)
     assert results.lost.tolist() == [False, True]
     assert_same_bits(results, 0, "adaptive radau-iia-3", workspaces[0], planned[0])
 
