@@ -19,6 +19,7 @@ import numpy as np
 
 from mbdkit.engine.kernels.elementary import FUNCTIONS
 from mbdkit.engine.native.levels import WIDTH, Level, chosen_level, this_platform
+from mbdkit.engine.native.machine_code import COMPILED
 
 NUMBERS, LANES, C_LIBRARY = "angles", "lane_loop", "equations"
 """Kinds of code; each is the name of a module of kernels in whose library the builder places its symbols."""
@@ -100,7 +101,7 @@ def _module(symbol: str, kind: str, name: str) -> Any:
 def library(folder: Path, level: Level) -> ctypes.CDLL:
     """Return the library of a level, built by a process of its own."""
     if not _path(folder, level).is_file():
-        environment = os.environ | {"MBDKIT_PROCESSOR": level.name, "MBDKIT_KERNELS": "python"}
+        environment = os.environ | {"MBDKIT_PROCESSOR": level.name, "MBDKIT_KERNELS": COMPILED}
         subprocess.run([sys.executable, "-m", __name__, str(folder)], env=environment, check=True)
     return ctypes.CDLL(str(_path(folder, level)))
 

@@ -50,7 +50,7 @@ def test_each_function_is_tested() -> None:
 
 def test_machine_code_takes_no_elementary_function_from_the_c_library(codes: list[ctypes.CDLL]) -> None:
     # The test library calls each function of the C library once, for comparison, and none for numbers and lanes.
-    from mbdkit_builder.library_files import check_imports, read
+    from mbdkit_builder.binary_files import check_imports, read
 
     for code in codes:
         content = Path(code._name).read_bytes()

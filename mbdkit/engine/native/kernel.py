@@ -25,7 +25,7 @@ import numpy as np
 
 from mbdkit.base import elementary
 from mbdkit.engine.native.bundle import ARRAY_WORDS, HEAD, ArrayType, array_words, arrays_in, arrays_of
-from mbdkit.engine.native.machine_code import IN_PYTHON, address_of
+from mbdkit.engine.native.machine_code import IN_PYTHON, IS_COMPILED, address_of
 
 _CALL = ctypes.CFUNCTYPE(ctypes.c_int64, ctypes.c_int64)
 DTYPES = (np.dtype(np.float64), np.dtype(np.int64), np.dtype(np.complex128))
@@ -77,8 +77,10 @@ class Kernel:
 def _in_python(function: Callable[..., Any]) -> Callable[..., Any]:
     """Return a function after replacing `math` by our elementary functions in all modules of kernels.
 
-    In machine code, the builder replaces them.
+    In machine code, the builder replaces them, and finds them by their names.
     """
+    if IS_COMPILED:
+        return function
     own = {getattr(math, name, math.gamma): one for name, one in elementary.FUNCTIONS.items()}
     for names in MODULES.values():
         for name, value in names.items():

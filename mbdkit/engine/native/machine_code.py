@@ -50,8 +50,12 @@ MANIFEST = "manifest.json"
 TESTED = ("linux",)
 """Operating systems on which mbdkit as a whole has been run; on Windows, only its kernels have."""
 
-IN_PYTHON = os.environ.get("MBDKIT_KERNELS") == "python"
+COMPILED = "compiled"
+"""Value of ``MBDKIT_KERNELS`` in processes that compile kernels, and call some as functions of Python."""
+IN_PYTHON = os.environ.get("MBDKIT_KERNELS") in ("python", COMPILED)
 """Whether kernels run as functions of Python."""
+IS_COMPILED = os.environ.get("MBDKIT_KERNELS") == COMPILED
+"""Whether this process compiles kernels, whose functions of `math` must stay as they are."""
 _COMPILE = os.environ.get("MBDKIT_JIT", "") not in ("", "0")
 """Whether kernels are compiled even if their stored code is up to date."""
 

@@ -149,10 +149,6 @@ def _list() -> int:
 
 
 def _objects(codes: list[str], names: list[str], into: Path) -> int:
-    from mbdkit.engine.native import kernel
-
-    kernel._in_python = lambda function: function  # functions of `math` are replaced in the modules of LLVM
-
     from mbdkit_builder.libraries import code_named, object_path
     from mbdkit_builder.lowering import prepare, symbols
     from mbdkit_builder.object_code import elementary_module, emitted, optimized

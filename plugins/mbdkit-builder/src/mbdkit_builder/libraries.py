@@ -25,9 +25,9 @@ from typing import Any, NamedTuple
 
 from mbdkit.base.errors import MbdkitError
 from mbdkit.engine.native.levels import PLATFORMS, Level, Platform, this_platform
-from mbdkit.engine.native.machine_code import BUILT, MANIFEST, PACKAGE, digest, library_name
+from mbdkit.engine.native.machine_code import BUILT, COMPILED, MANIFEST, PACKAGE, digest, library_name
 from mbdkit_builder import sources
-from mbdkit_builder.library_files import check_imports
+from mbdkit_builder.binary_files import check_imports
 from mbdkit_builder.sources import module_of
 
 TOOLS = ("numba", "llvmlite", "ziglang")
@@ -164,7 +164,7 @@ def _compile(codes: list[Code], names: list[str], folder: Path) -> None:
                "--symbols", *names]  # fmt: skip
     path = os.pathsep.join(filter(None, [str(PACKAGE.parent), *sys.path]))
     environment = {
-        "PYTHONPATH": path, "MBDKIT_KERNELS": "python", "MBDKIT_PROCESSOR": codes[0].level.name, "PYTHONHASHSEED": "0",
+        "PYTHONPATH": path, "MBDKIT_KERNELS": COMPILED, "MBDKIT_PROCESSOR": codes[0].level.name, "PYTHONHASHSEED": "0",
     }  # fmt: skip
     subprocess.run(command, env=os.environ | environment, check=True, stdin=subprocess.DEVNULL)
 

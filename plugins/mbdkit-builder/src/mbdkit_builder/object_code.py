@@ -25,9 +25,9 @@ from mbdkit.engine.native.levels import Level, Platform
 from mbdkit_builder.bundle_pointers import Pointer
 from mbdkit_builder.dual_arrays import DualArray
 from mbdkit_builder.dual_types import DUAL
+from mbdkit_builder.elementary_names import PREFIX, with_own_names
 from mbdkit_builder.implementation import dispatcher
 from mbdkit_builder.libraries import group_of
-from mbdkit_builder.library_functions import PREFIX, with_own_names
 from mbdkit_builder.sources import ELEMENTARY
 
 _WORD, _REAL, _BIT = ir.IntType(64), ir.DoubleType(), ir.IntType(1)

@@ -77,7 +77,7 @@ _NOT_COMPILED = {
     "function_laws.py",
     "generated_files.py",
     "libraries.py",
-    "library_files.py",
+    "binary_files.py",
     "method_stubs.py",
     "minimax.py",
     "packaged_laws.py",

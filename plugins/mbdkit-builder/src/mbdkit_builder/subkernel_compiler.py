@@ -19,7 +19,7 @@ from numba.core.compiler_machinery import register_pass
 from numba.core.typed_passes import NativeLowering
 
 from mbdkit.engine.native.functions import SEPARATE
-from mbdkit_builder.library_functions import with_own_names
+from mbdkit_builder.elementary_names import with_own_names
 
 
 class _SubkernelLibrary(JITCodeLibrary):

@@ -231,10 +231,14 @@ class _Memory:
         return [ctypes.string_at(begin, end - begin) for begin, end in self.intervals], addresses
 
     def _possible_addresses(self) -> Iterator[tuple[int, int]]:
-        """Yield the words that may be addresses, each with its own address."""
+        """Yield the words that may be addresses, each with its own address.
+
+        Smaller words than 2^32 are numbers, except in programs whose heap is there: addresses of known memory.
+        """
         for begin, end in _merged(self._integers):
             for at, word in zip(range(begin, end, 8), _words(begin, end), strict=True):
-                if 1 << 32 < word < 1 << 47 and at not in self._empty:
+                is_high = 1 << 32 < word < 1 << 47
+                if (is_high or (1 << 24 < word < 1 << 32 and self._place(word))) and at not in self._empty:
                     yield at, word
 
     def _is_foreign(self, at: int, word: int) -> bool:
