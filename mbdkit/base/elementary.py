@@ -2,7 +2,7 @@
 
 They are those of the machine code (`mbdkit.engine.kernels.elementary`). The functions of `math` come from the C
 library, and those of NumPy depend on the processor; so does ``**``, except for squares of arrays. Unlike those of
-`math`, these functions return NaN or infinity and raise no exception.
+`math`, these functions return NaN or infinity where there is no finite value.
 """
 
 from __future__ import annotations
@@ -57,13 +57,17 @@ class ElementaryFunction:
 
         if any(hasattr(kind, "__array_ufunc__") and not issubclass(kind, np.ndarray | np.generic) for kind in kinds):
             return self.ufunc(*operands)
-        arrays = [np.asarray(operand, dtype=np.float64) for operand in operands]
+        arrays = [np.asarray(operand) for operand in operands]
+        if len(arrays) != 1 + (self.name in _OF_TWO) or any(x.dtype.kind == "c" for x in arrays):
+            raise TypeError(f"{self.name} takes {1 + (self.name in _OF_TWO)} real operands, not {operands}")
+        arrays = [x.astype(np.float64, copy=False) for x in arrays]
         if all(x.ndim == 0 for x in arrays):
             return np.float64(self._of_numbers(*map(float, arrays)))
         return higher_layers.elementary_values(self.name, *arrays)
 
 
 _NUMBERS = {float, int}
+_OF_TWO = {"atan2", "fmod", "hypot", "pow"}
 
 acos = ElementaryFunction("acos", "arccos")
 acosh = ElementaryFunction("acosh", "arccosh")

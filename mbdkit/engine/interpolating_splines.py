@@ -68,7 +68,8 @@ def b_splines(knots: np.ndarray, degree: int, x: np.ndarray) -> tuple[np.ndarray
 
 
 def interpolating_spline(x: np.ndarray, values: np.ndarray, degree: int, ends: tuple[End, End] | None = None) -> Spline:
-    """Return the spline of an odd degree through samples.
+    """Return the spline of an odd degree through samples; without `ends`, the polynomial through fewer than
+    ``degree + 1`` samples.
 
     Parameters
     ----------
@@ -84,6 +85,8 @@ def interpolating_spline(x: np.ndarray, values: np.ndarray, degree: int, ends: t
         If there are not enough samples, or their places do not ascend.
     """
     inner = x[1:-1] if ends is not None else x[(degree + 1) // 2 : len(x) - (degree + 1) // 2]
+    if ends is None and 1 < len(x) <= degree:
+        degree, inner = len(x) - 1, x[:0]
     knots = np.concatenate([np.full(degree + 1, x[0]), inner, np.full(degree + 1, x[-1])])
     conditions = (0, 0) if ends is None else (len(ends[0]), len(ends[1]))
     count = len(knots) - degree - 1

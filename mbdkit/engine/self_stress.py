@@ -132,7 +132,8 @@ def _singular_vectors(y: np.ndarray, z: np.ndarray) -> tuple[np.ndarray, np.ndar
     """
     values = np.empty(len(y))
     orthonormalize_rows(y, z)
-    rotate_to_singular_rows(y, z, values)
+    if not rotate_to_singular_rows(y, z, values):
+        raise np.linalg.LinAlgError("singular vectors did not converge")
     order = np.argsort(-values, kind="stable")
     return np.ascontiguousarray(y[order].T), values[order]
 

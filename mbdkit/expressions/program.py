@@ -155,9 +155,11 @@ class _Term:
             return self if exponent else _Term.of(1.0)
         return self.then("powi", number=float(exponent))
 
-    def __array_ufunc__(self, function: Any, method: str, x: _Term, *others: Any) -> _Term:
+    def __array_ufunc__(self, function: Any, method: str, x: _Term, *others: Any) -> Any:
         """Apply the operation of a NumPy function."""
-        if others:  # powers are the only functions of two operands in rules that are differentiated
+        if others:
+            if function.__name__ != "power":  # no other function of two operands is in rules that are differentiated
+                return NotImplemented
             return _Term.of(x).__pow__(others[0])
         return x.then(next(one.name for one in OPERATIONS.values() if one.ufunc is function))
 

@@ -6,8 +6,8 @@ from collections.abc import Callable
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.polynomial.legendre import leggauss
 
+from mbdkit.base.quadrature import gauss_legendre
 from mbdkit.engine.compiled_mechanism import with_ground
 from mbdkit.integrators.interface import KeptNodes, Nodes, StepTaken
 from mbdkit.methods.step_methods import StepState
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from mbdkit.integrators.step_results import StepResults
     from mbdkit.methods.step_methods import Step
 
-_NODES, _WEIGHTS = (0.5 * x for x in (1.0 + leggauss(4)[0], leggauss(4)[1]))
+_NODES, _WEIGHTS = (0.5 * x for x in (1.0 + gauss_legendre(4)[0], gauss_legendre(4)[1]))
 """Gauss-Legendre quadrature of order 8 on [0, 1]."""
 
 

@@ -10,8 +10,8 @@ from functools import cached_property
 from typing import Any, NamedTuple, Protocol
 
 import numpy as np
-from numpy.polynomial.legendre import leggauss
 
+from mbdkit.base.quadrature import gauss_legendre
 from mbdkit.engine.counters import Counters
 from mbdkit.engine.linear_systems import product
 from mbdkit.trust.criteria import BranchSuspicion
@@ -238,7 +238,7 @@ class Nodes:
         return cls(*(np.concatenate([getattr(part, field.name) for part in parts]) for field in fields(cls)))
 
 
-_GAUSS_NODES, _GAUSS_WEIGHTS = (0.5 * x for x in (1.0 + leggauss(4)[0], leggauss(4)[1]))
+_GAUSS_NODES, _GAUSS_WEIGHTS = (0.5 * x for x in (1.0 + gauss_legendre(4)[0], gauss_legendre(4)[1]))
 """Gauss-Legendre quadrature of order 8 on [0, 1], for steps whose stages are not known."""
 
 

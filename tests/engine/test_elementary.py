@@ -7,6 +7,7 @@ import math
 from collections.abc import Callable
 from pathlib import Path
 
+import gmpy2
 import numpy as np
 import pytest
 
@@ -14,7 +15,7 @@ from mbdkit.base import elementary
 from mbdkit.base.errors import MbdkitError
 from mbdkit.engine.kernels.elementary import FUNCTIONS
 from mbdkit.engine.native.levels import is_able, this_platform
-from tests.engine.elementary_cases import CASES, largest_error
+from tests.engine.elementary_cases import CASES, MPFR, largest_error
 from tests.engine.elementary_code import LANES, NUMBERS, argument_count, evaluate, library
 
 COUNT, COUNT_IN_PYTHON = 100_000, 2_000
@@ -66,6 +67,17 @@ def test_the_error_is_below_one_unit_of_the_last_place(name: str, codes: list[ct
     x, y = case.arguments(COUNT)
     error, where = largest_error(case, x, y, evaluate(codes[0], NUMBERS, name)(x, y))
     assert error < 1.0, where
+
+
+def test_the_error_of_lgamma_of_negative_arguments_is_below_its_bound(codes: list[ctypes.CDLL]) -> None:
+    # expected: MPFR; near the zeros the error is absolute, as the guide says
+    rng = np.random.default_rng(5)
+    x = -np.concatenate([rng.uniform(*ends, COUNT // 4) for ends in ((0.0, 30.0), (0.0, 2.0), (2.0, 4.0), (20.0, 1e5))])
+    values = evaluate(codes[0], NUMBERS, "lgamma")(x, x)
+    with gmpy2.context(MPFR):
+        for a, value in zip(x.tolist(), values.tolist(), strict=True):
+            exact = gmpy2.lgamma(gmpy2.mpfr(a))[0]
+            assert abs(gmpy2.mpfr(value) - exact) <= max(0.9 * math.ulp(float(exact)), 2.0**-57), a
 
 
 @names

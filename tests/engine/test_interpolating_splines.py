@@ -41,7 +41,15 @@ def test_a_cubic_spline_without_conditions_has_one_polynomial_in_its_first_two_i
     np.testing.assert_allclose(third[[0, -1]], third[[1, -2]], rtol=1e-9)
 
 
-@pytest.mark.parametrize("x", [X[:3], X[[0, 1, 1, 2, 3, 4]]])
+@pytest.mark.parametrize("count", [2, 3])
+def test_few_samples_have_the_polynomial_through_them(count: int) -> None:
+    polynomial = np.polynomial.Polynomial([0.3, -1.0, 0.5][:count])
+    np.testing.assert_allclose(
+        interpolating_spline(X[:count], polynomial(X[:count]), 3)(FINE), polynomial(FINE), atol=1e-12
+    )
+
+
+@pytest.mark.parametrize("x", [X[:1], X[[0, 1, 1, 2, 3, 4]]])
 def test_too_few_samples_and_equal_places_are_refused(x: np.ndarray) -> None:
     with pytest.raises(ValueError, match="needs more samples, at ascending places"):
         interpolating_spline(x, np.zeros(len(x)), 3)

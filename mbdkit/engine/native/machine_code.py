@@ -38,7 +38,7 @@ from types import ModuleType
 from typing import Any
 
 from mbdkit.base.errors import MbdkitError
-from mbdkit.engine.native.levels import Level, Platform, chosen_level, is_able, this_platform
+from mbdkit.engine.native.levels import PLATFORMS, Level, Platform, chosen_level, is_able, this_platform
 
 PACKAGE = Path(__file__).resolve().parents[2]
 BUILDER = "mbdkit_builder"
@@ -326,8 +326,9 @@ def _has_compiler() -> bool:
 def _why_not() -> str:
     if not manifest():
         return (
-            f"this installation of mbdkit has no machine code for {this_platform()}: install a wheel for this "
-            "platform, or in a clone `pip install -e .[dev]`, which compiles the kernels on first use"
+            f"this installation of mbdkit has no machine code for {this_platform()}: install a wheel for this platform"
+            if this_platform() in PLATFORMS
+            else f"there is no machine code for {this_platform()}, only for {', '.join(map(str, PLATFORMS))}"
         )
     return (
         "the sources of the kernels differ from their stored machine code: install mbdkit again, or in a clone "

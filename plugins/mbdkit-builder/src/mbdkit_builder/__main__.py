@@ -1,9 +1,9 @@
 """``python -m mbdkit_builder``: build the machine code of the kernels.
 
 build
-    Build the stored libraries of this platform, of others, as in ``--platform linux-aarch64 macos-arm64``, or of all
-    platforms with ``--all``, for all packages with kernels, or for those that are named. With ``--only SYMBOL``, build
-    the library of one symbol in the folder ``built``.
+    Build the stored libraries of this platform, of others, as in ``--platform linux-aarch64 --platform macos-arm64``,
+    or of all platforms with ``--all``, for all packages with kernels, or for those that are named. With
+    ``--only SYMBOL``, build the library of one symbol in the folder ``built``.
 check
     Build the libraries of all platforms, or of some, again and compare every byte with the stored ones, and the digests
     of their sources and of this package with those of the manifests. With ``--level x86-64-v3``, check only the
@@ -50,7 +50,7 @@ def main() -> int:
     for name in ("build", "check"):
         command = commands.add_parser(name)
         command.add_argument("packages", nargs="*", help=f"by default all: {', '.join(kernel_packages())}")
-        command.add_argument("--platform", type=_platform, nargs="+", action="extend", metavar="NAME")
+        command.add_argument("--platform", type=_platform, action="append", metavar="NAME")
     build, check = (commands.choices[name] for name in ("build", "check"))
     build.add_argument("--all", action="store_true")
     build.add_argument("--only")
@@ -105,6 +105,9 @@ def _build(package: str, folders: Mapping[Platform, Path], *, only: str | None =
 
 def _check(package: str, targets: Iterable[Platform], level: str | None) -> int:
     targets = [target for target in targets if level is None or level in (known.name for known in target.levels)]
+    if not targets:
+        print(f"none of these platforms has a level {level}")
+        return 2
     wrong = []
     with tempfile.TemporaryDirectory() as work:
         folders = {target: Path(work) / str(target) for target in targets}

@@ -19,6 +19,7 @@ import sys
 import tempfile
 from collections.abc import Iterable, Mapping
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -230,5 +231,6 @@ def build_one(symbol: str, level: Level) -> Path:
     draft.replace(path)
     for old in path.parent.glob(f"{symbol}-{level.name}-*.so"):
         if old != path:
-            old.unlink(missing_ok=True)
+            with suppress(OSError):  # Windows keeps the file of a loaded library
+                old.unlink()
     return path

@@ -64,6 +64,11 @@ def test_check_names_a_manifest_of_other_sources(
     assert (status, text.rpartition(" ")[2]) == ((1, f"{this_platform()}/manifest.json\n") if key else (0, "byte\n"))
 
 
+def test_check_of_a_level_that_no_platform_has_is_refused(capsys: pytest.CaptureFixture[str]) -> None:
+    assert builder._check("mbdkit", [Platform("linux", "aarch64")], "x86-64-v3") == 2
+    assert capsys.readouterr().out == "none of these platforms has a level x86-64-v3\n"
+
+
 def test_what_was_built_by_another_builder_is_built_again(monkeypatch: pytest.MonkeyPatch) -> None:
     before = libraries.built_path("motions__motions_at", chosen_level())
     sources.fingerprint.cache_clear()

@@ -9,9 +9,9 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.polynomial.legendre import leggauss
 
 from mbdkit.base.errors import StepError
+from mbdkit.base.quadrature import gauss_legendre
 from mbdkit.integrators.interface import StepTaken
 from mbdkit.methods.step_methods import Step, StepMethod, StepState
 from mbdkit_contact.contact_state import ContactState
@@ -30,7 +30,7 @@ from mbdkit_contact.kernels.steps_to_events import (
     values_at,
 )
 
-_NODES, _WEIGHTS = (0.5 * x for x in (1.0 + leggauss(4)[0], leggauss(4)[1]))
+_NODES, _WEIGHTS = (0.5 * x for x in (1.0 + gauss_legendre(4)[0], gauss_legendre(4)[1]))
 """Gauss-Legendre quadrature of order 8 on [0, 1]."""
 
 Event = tuple[int, int]

@@ -15,7 +15,7 @@ from mbdkit.engine.kernels.system import NOT_FINITE, OK
 from mbdkit.engine.native.bundle import PinnedBundle
 from mbdkit.integrators.impulse import ContactImpact
 from mbdkit.integrators.step_loop import PAUSED
-from mbdkit.mechanism.contacts import OPEN, ChosenTreatment
+from mbdkit.mechanism.contacts import OPEN, STICK, ChosenTreatment
 from mbdkit_contact.contact_state import ContactState
 from mbdkit_contact.kernels.contact_forces import new_closed_contacts
 from mbdkit_contact.kernels.contact_modes import react
@@ -233,13 +233,15 @@ class ContactEvents:
         starts = np.append(np.unique(shapes.contacts[:, 2]), len(shapes.kinds))  # rows may share their features
         counts = starts[np.searchsorted(starts, shapes.contacts[:, 2], side="right")] - shapes.contacts[:, 2]
         whole = known.features == np.round(known.features)
+        forces = np.count_nonzero(known.modes != OPEN) + np.count_nonzero(known.modes == STICK)
         if (
             np.any(known.event < 0)
             or known.event[0] > 3
             or known.event[1] >= max(1, len(known.modes))
             or np.any(known.number < 0)
             or np.any(known.number > [len(known.rows), len(known.strikes)])
-            or np.any(known.basis < 0)
+            or not 0 <= known.basis[0] <= forces
+            or np.any((known.basis[1:] < 0) | (known.basis[1:] >= max(1, forces)))
             or not np.all(whole & (known.features >= -1) & (known.features < counts))
             or not np.all(np.isin(known.modes, (-2.0, 0.0, 1.0, 2.0)))
         ):

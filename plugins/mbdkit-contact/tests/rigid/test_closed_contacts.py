@@ -136,3 +136,16 @@ def test_closed_contacts_and_joints_are_closed_with_the_smallest_change() -> Non
             directions, moved = np.vstack([jacobian, held]).T, p.mass * change
             forces = np.linalg.lstsq(directions, moved, rcond=None)[0]
             np.testing.assert_allclose(directions @ forces, moved, rtol=0, atol=1e-10)
+
+
+@pytest.mark.parametrize("basis", [[2, 0, 10**9], [2, 0, -1], [10**9, 0, 0], [1, 0, 2]])
+def test_equations_that_do_not_exist_are_refused(basis: list[int]) -> None:
+    """They may come from a checkpoint, and kernels use them as indices."""
+    events = contacts_of(only_box=True)
+    known = events.bundle.known
+    known.modes[:2] = SLIP  # two forces
+    known.basis[:3] = [2, 0, 1]
+    events.check_indices()
+    known.basis[:3] = basis
+    with pytest.raises(ValueError, match="does not exist"):
+        events.check_indices()

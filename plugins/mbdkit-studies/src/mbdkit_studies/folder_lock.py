@@ -245,7 +245,10 @@ def alone(path: Path, *, is_needed: bool = True) -> Iterator[None]:
     If the file system does not support locks, ResourceError is raised if the lock `is_needed`; otherwise, the block
     runs without it.
     """
-    handle = file_locks.open_file(path, os.O_RDONLY)
+    try:
+        handle = file_locks.open_file(path, os.O_RDWR)  # which exclusive locks need on network file systems
+    except OSError:
+        handle = file_locks.open_file(path, os.O_RDONLY)
     try:
         try:
             file_locks.lock(handle, wait=True)

@@ -10,6 +10,7 @@ import json
 import math
 import os
 import queue
+import signal
 import socket
 import sys
 import threading
@@ -38,6 +39,8 @@ Its second argument is a function that passes notes to the user.
 def main(carry: Carry | None = None) -> None:
     """Carry out tasks by `carry`, by default those of studies, until standard input is closed."""
     carry = carry or _work
+    if hasattr(signal, "SIGBREAK"):  # Ctrl-Break reaches all processes of a console of Windows
+        signal.signal(signal.SIGBREAK, signal.SIG_IGN)
     answers = os.fdopen(os.dup(1), "w", encoding="utf-8")
     os.dup2(2, 1)  # keep the output of plugins apart from the results
     tasks: queue.SimpleQueue[str] = queue.SimpleQueue()

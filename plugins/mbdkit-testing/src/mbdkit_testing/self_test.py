@@ -10,14 +10,18 @@ differences between this installation and others.
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+from mbdkit.base.errors import MbdkitError
 from mbdkit.base.text import listed
 from mbdkit.runs.simulation import run
 from mbdkit.spec import load_spec
 
+EQUAL, OTHER_BITS = "equal", "other bits"
+_DIGEST = re.compile("[0-9a-f]{64}")
 STORED = Path(__file__).with_name("self_test.json")
 """The stored hashes by name of the run."""
 
@@ -47,29 +51,40 @@ driver, a beam, contacts and muscles.
 
 
 def hashes() -> dict[str, str]:
-    """Run all specs; return ``data_sha256`` by name, or the status of a run that is not complete."""
+    """Run all specs; return ``data_sha256`` by name, or why there is none."""
     found = {}
     for name, (example, changes) in RUNS.items():
-        result = run(load_spec(example, **changes))
-        found[name] = result.data_sha256 if result.status == "complete" else str(result.status)
+        try:
+            result = run(load_spec(example, **changes))
+        except MbdkitError as error:
+            found[name] = str(error)
+            continue
+        found[name] = result.data_sha256 if result.status == "complete" else str(result.status_reason)
     return found
 
 
-def compared() -> dict[str, bool]:
-    """Return for each run by name whether its hash is the stored one."""
+def compared() -> dict[str, str]:
+    """Return for each run by name `EQUAL`, `OTHER_BITS`, or why it has no result."""
     stored = json.loads(STORED.read_text(encoding="utf-8"))
-    return {name: digest == stored.get(name) for name, digest in hashes().items()}
+    return {
+        name: EQUAL if text == stored.get(name) else OTHER_BITS if _DIGEST.fullmatch(text) else text
+        for name, text in hashes().items()
+    }
 
 
-def sentence(equal: Mapping[str, bool]) -> str:
+def sentences(found: Mapping[str, str]) -> str:
     """Return what the result of `compared` means."""
-    others = [name for name, same in equal.items() if not same]
-    if not others:
-        return f"self-test: the results of {len(equal)} runs have the same bits as on other machines"
-    return (
-        f"self-test: {len(others)} of {len(equal)} runs ({listed(others)}) have other last bits than on the machines "
-        "where mbdkit was tested: their hashes and those of other machines differ"
-    )
+    others = [name for name, text in found.items() if text == OTHER_BITS]
+    failed = {name: text for name, text in found.items() if text not in (EQUAL, OTHER_BITS)}
+    failures = [f"self-test: '{name}' failed: {text}" for name, text in failed.items()]
+    equal = len(found) - len(others) - len(failures)
+    lines = [f"self-test: the results of {equal} of {len(found)} runs have the same bits as on other machines"]
+    if others:
+        lines.append(
+            f"self-test: {listed(others)}: last bits differ from those of the machines where mbdkit was tested, and so "
+            "do hashes"
+        )
+    return "\n".join([*lines, *failures])
 
 
 if __name__ == "__main__":
