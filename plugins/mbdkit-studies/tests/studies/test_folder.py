@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import errno
 import gc
 import json
 import os
@@ -254,6 +255,24 @@ def test_a_lock_of_another_machine_is_kept_and_the_message_names_it(copied: Path
     lock.write_text("what is this")
     with pytest.raises(ResourceError, match=r"if none is, remove .*\.lock-1-of-1"):
         mbdkit.study(copied / "study.yaml", out=copied)
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="imitates flock")
+def test_a_study_ends_where_exclusive_locks_need_files_open_for_writing(copied: Path, monkeypatch: Any) -> None:
+    """NFS emulates `flock` by record locks; flock(2) names the error EBADF."""
+    import fcntl
+
+    flock = fcntl.flock
+
+    def of_nfs(handle: int, operation: int) -> None:
+        if operation & fcntl.LOCK_EX and fcntl.fcntl(handle, fcntl.F_GETFL) & os.O_ACCMODE == os.O_RDONLY:
+            raise OSError(errno.EBADF, "Bad file descriptor")
+        flock(handle, operation)
+
+    monkeypatch.setattr("fcntl.flock", of_nfs)
+    (copied / "index.h5").unlink()
+    mbdkit.study(copied / "study.yaml", out=copied)
+    assert (copied / "index.h5").exists()
 
 
 @pytest.mark.parametrize(
