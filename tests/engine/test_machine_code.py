@@ -229,12 +229,22 @@ def test_a_damaged_manifest_is_reported(damage: bytes, tmp_path: Path, monkeypat
             cache.cache_clear()
 
 
-def test_another_platform_is_told_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(machine_code, "this_platform", lambda: Platform("plan9", "sparc"))
+@pytest.mark.parametrize(
+    ("platform", "told"),
+    [
+        (Platform("plan9", "sparc"), r"there is no machine code for plan9-sparc, only for linux-x86_64, linux-aarch64"),
+        (Platform("linux", "x86_64"), r"no machine code for linux-x86_64: install a wheel for this platform"),
+    ],
+)
+def test_a_platform_without_stored_code_is_told_what_to_install(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, platform: Platform, told: str
+) -> None:
+    monkeypatch.setattr(machine_code, "this_platform", lambda: platform)
+    monkeypatch.setattr(machine_code, "stored_folder", lambda package, platform: tmp_path)
     monkeypatch.setattr(machine_code, "_has_compiler", lambda: False)
     machine_code.manifest.cache_clear()
     try:
-        with pytest.raises(MbdkitError, match=r"no machine code for plan9-sparc: install a wheel for this platform"):
+        with pytest.raises(MbdkitError, match=told):
             machine_code.address_of("motions__motions_at")
     finally:
         machine_code.manifest.cache_clear()

@@ -234,6 +234,7 @@ class ContactEvents:
         counts = starts[np.searchsorted(starts, shapes.contacts[:, 2], side="right")] - shapes.contacts[:, 2]
         whole = known.features == np.round(known.features)
         forces = np.count_nonzero(known.modes != OPEN) + np.count_nonzero(known.modes == STICK)
+        basis = known.basis[1 : 1 + max(0, known.basis[0])]  # what lies behind is left from other modes
         if (
             np.any(known.event < 0)
             or known.event[0] > 3
@@ -241,7 +242,7 @@ class ContactEvents:
             or np.any(known.number < 0)
             or np.any(known.number > [len(known.rows), len(known.strikes)])
             or not 0 <= known.basis[0] <= forces
-            or np.any((known.basis[1:] < 0) | (known.basis[1:] >= max(1, forces)))
+            or np.any((basis < 0) | (basis >= forces))
             or not np.all(whole & (known.features >= -1) & (known.features < counts))
             or not np.all(np.isin(known.modes, (-2.0, 0.0, 1.0, 2.0)))
         ):

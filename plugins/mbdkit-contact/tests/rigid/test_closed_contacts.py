@@ -138,7 +138,7 @@ def test_closed_contacts_and_joints_are_closed_with_the_smallest_change() -> Non
             np.testing.assert_allclose(directions @ forces, moved, rtol=0, atol=1e-10)
 
 
-@pytest.mark.parametrize("basis", [[2, 0, 10**9], [2, 0, -1], [10**9, 0, 0], [1, 0, 2]])
+@pytest.mark.parametrize("basis", [[2, 0, 10**9], [2, 0, -1], [10**9, 0, 0], [1, 2, 0]])
 def test_equations_that_do_not_exist_are_refused(basis: list[int]) -> None:
     """They may come from a checkpoint, and kernels use them as indices."""
     events = contacts_of(only_box=True)
