@@ -1,4 +1,5 @@
-"""Machine code for other platforms, run here: for linux-aarch64 by QEMU, for windows-x86_64 by Wine.
+"""Machine code for other platforms, run here: for linux-aarch64 by QEMU, for windows-x86_64 by Wine, and that of
+linux-x86_64 with another C library, musl.
 
 Calls of kernels are recorded while examples are simulated here (`call_recorder`); a small C program (`call_driver.c`)
 repeats them with the libraries of the other platform. The slow test runs mbdkit itself.
@@ -12,6 +13,7 @@ import os
 import shutil
 import subprocess
 import sys
+from dataclasses import dataclass
 from pathlib import Path
 
 import pytest
@@ -22,30 +24,48 @@ from mbdkit.engine.native.levels import PLATFORMS, Platform, is_able, this_platf
 from .emulated_python import emulated_python
 
 HERE = Path(__file__).parent
-AARCH64, WINDOWS = Platform("linux", "aarch64"), Platform("windows", "x86_64")
-SYSROOT = "/usr/aarch64-linux-gnu"
-EMULATORS = {AARCH64: ["qemu-aarch64", "-L", SYSROOT], WINDOWS: ["wine"]}
-NEEDED = {AARCH64: "qemu-user and libc6-arm64-cross", WINDOWS: "wine and wine64"}
-TRIPLES = {AARCH64: "aarch64-linux-gnu.2.17", WINDOWS: "x86_64-windows-gnu"}
-LEVEL = next(level for level in PLATFORMS[Platform("linux", "x86_64")] if level.lanes == 2)
+AARCH64, WINDOWS, X86_64 = Platform("linux", "aarch64"), Platform("windows", "x86_64"), Platform("linux", "x86_64")
+SYSROOT = Path("/usr/aarch64-linux-gnu")
+
+
+@dataclass(frozen=True)
+class Target:
+    """Where machine code is run: its platform, the target of the C compiler, the command that runs a program, the file
+    that must exist, and the Debian packages with both.
+    """
+
+    platform: Platform
+    triple: str
+    command: tuple[str, ...]
+    file: Path
+    packages: str
+
+
+ARM = Target(AARCH64, "aarch64-linux-gnu.2.17", ("qemu-aarch64", "-L", str(SYSROOT)), SYSROOT,
+             "qemu-user and libc6-arm64-cross")  # fmt: skip
+TARGETS = {
+    "linux-aarch64": ARM,
+    "windows-x86_64": Target(WINDOWS, "x86_64-windows-gnu", ("wine",), Path("/"), "wine and wine64"),
+    "musl": Target(X86_64, "x86_64-linux-musl", ("/lib/ld-musl-x86_64.so.1",), Path("/"), "musl"),
+}
+LEVEL = next(level for level in PLATFORMS[X86_64] if level.lanes == 2)
 """Calls are recorded with as many lanes as linux-aarch64 has."""
 
 
-def skip_without(target: Platform) -> None:
-    """Skip a test if this machine cannot run programs of a platform."""
-    command = EMULATORS[target]
-    if shutil.which(command[0]) is None or (target == AARCH64 and not Path(SYSROOT).is_dir()):
-        pytest.skip(f"this needs {NEEDED[target]}")
-    if not machine_code.stored_folder(machine_code.CORE, target).is_dir():
-        pytest.skip(f"no machine code is stored for {target}")
+def skip_without(target: Target) -> None:
+    """Skip a test if this machine cannot run programs of a target."""
+    if shutil.which(target.command[0]) is None or not target.file.exists():
+        pytest.skip(f"this needs {target.packages}")
+    if not machine_code.stored_folder(machine_code.CORE, target.platform).is_dir():
+        pytest.skip(f"no machine code is stored for {target.platform}")
 
 
-@pytest.fixture(scope="module", params=EMULATORS, ids=str)
-def target(request: pytest.FixtureRequest) -> Platform:
-    """A platform whose programs run here, and for which Zig compiles the driver."""
+@pytest.fixture(scope="module", params=TARGETS)
+def target(request: pytest.FixtureRequest) -> Target:
+    """A target whose programs run here, and for which Zig compiles the driver."""
     pytest.importorskip("ziglang")
-    skip_without(request.param)
-    found: Platform = request.param
+    found = TARGETS[request.param]
+    skip_without(found)
     return found
 
 
@@ -63,17 +83,17 @@ def recording(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, set[str]]
 
 
 def test_kernels_have_the_bits_of_this_platform(
-    target: Platform, recording: tuple[Path, set[str]], tmp_path: Path
+    target: Target, recording: tuple[Path, set[str]], tmp_path: Path
 ) -> None:
     path, reached = recording
     driver = tmp_path / "call_driver.exe"
-    command = [sys.executable, "-m", "ziglang", "cc", "-target", TRIPLES[target], "-O2", "-o", str(driver)]
-    subprocess.run([*command, str(HERE / "call_driver.c")], check=True)
-    level = next(level.name for level in target.levels if level.lanes == LEVEL.lanes)
+    command = [sys.executable, "-m", "ziglang", "cc", "-target", target.triple, "-dynamic", "-O2"]
+    subprocess.run([*command, "-o", str(driver), str(HERE / "call_driver.c")], check=True)
+    level = next(level.name for level in target.platform.levels if level.lanes == LEVEL.lanes)
     libraries: list[str] = []
     groups: dict[str, tuple[str, str]] = {}
     for package in machine_code.kernel_packages():
-        folder = machine_code.stored_folder(package, target)
+        folder = machine_code.stored_folder(package, target.platform)
         for packed in folder.glob(f"*-{level}.*.xz"):
             library = tmp_path / f"{package}-{packed.stem}"
             library.write_bytes(lzma.decompress(packed.read_bytes()))
@@ -83,7 +103,7 @@ def test_kernels_have_the_bits_of_this_platform(
     assert {groups[symbol] for symbol in reached} == set(groups.values())
     environment = os.environ | {"WINEPREFIX": str(tmp_path / "wine"), "WINEDEBUG": "-all"}
     done = subprocess.run(
-        [*EMULATORS[target], f"./{driver.name}", os.path.relpath(path, tmp_path), *libraries],
+        [*target.command, f"./{driver.name}", os.path.relpath(path, tmp_path), *libraries],
         cwd=tmp_path, env=environment, capture_output=True, text=True, check=False,
     )  # fmt: skip
     assert done.returncode == 0, done.stdout + done.stderr
@@ -107,7 +127,7 @@ for name, end in json.loads(sys.argv[1]).items():
 
 @pytest.mark.slow
 def test_examples_on_aarch64_have_the_hashes_of_this_platform(tmp_path: Path) -> None:
-    skip_without(AARCH64)
+    skip_without(ARM)
     command = [sys.executable, "-m", "pip", "wheel", "-q", "--no-deps", "-w", str(tmp_path), str(HERE.parents[3])]
     subprocess.run(command, env=os.environ | {"MBDKIT_WHEEL": str(AARCH64)}, check=True)
     (wheel,) = tmp_path.glob("*.whl")
