@@ -7,6 +7,7 @@ from typing import Literal
 
 from mbdkit.registry.feature_items import (
     CriterionItem,
+    ElementKind,
     Example,
     Feature,
     GuidePage,
@@ -102,9 +103,23 @@ def builtin_features() -> list[Feature]:
         for number, (stage, name, summary, where) in enumerate(_CRITERIA)
     ]
     compliant = Treatment(name="compliant", summary="Forces by the overlap of the shapes.", order=0)
+    contacts = ElementKind(
+        name="contact",
+        summary="Contacts between bodies by name.",
+        order=300,
+        key_in_model="contacts",
+        model=Target("mbdkit.mechanism.contacts:Contact"),
+        builder="contact",
+        method=Target("mbdkit.mechanism.contacts:add_contact"),
+        check_elements=Target("mbdkit.mechanism.contacts:check_contacts"),
+        lower=Target("mbdkit.engine.contact_forces:lower_contacts"),
+        at_start=Target("mbdkit.engine.contact_forces:check_start"),
+        members=Target("mbdkit.engine.contact_forces:members_of"),
+    )
     return [
         run,
         compliant,
+        contacts,
         *formats,
         *criteria,
         *Example.folder(_HERE / "models" / "examples"),

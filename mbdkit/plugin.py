@@ -48,7 +48,8 @@ if TYPE_CHECKING:
         output_to,
         stem,
     )
-    from mbdkit.engine.compiled_mechanism import CompiledMechanism
+    from mbdkit.engine.compile_forces import Lowering
+    from mbdkit.engine.compiled_mechanism import ActingForce, CompiledMechanism, LawForce
     from mbdkit.engine.equations_of_motion import EquationsOfMotion
     from mbdkit.engine.iteration_matrix import IterationMatrix, IterationMatrixWithStates, StateTangents
     from mbdkit.engine.kernels.observe import Observed
@@ -57,12 +58,13 @@ if TYPE_CHECKING:
     from mbdkit.engine.state_derivatives import Rates
     from mbdkit.engine.tangents import Tangents
     from mbdkit.engine.workspace import Workspace
-    from mbdkit.mechanism.bodies import GROUND, Body
+    from mbdkit.mechanism.bodies import GROUND, Body, Element
     from mbdkit.mechanism.coordinate_function import CoordinateFunction
-    from mbdkit.mechanism.force_law import ExpressionLaw, FunctionLaw, TracedLaw
+    from mbdkit.mechanism.force_law import ExpressionLaw, FunctionLaw, LawState, TracedLaw
     from mbdkit.mechanism.joint_friction import regularised_friction
     from mbdkit.mechanism.joints import Driver, Joint, Revolute
     from mbdkit.mechanism.mechanism import Mechanism
+    from mbdkit.mechanism.model_methods import of_models
     from mbdkit.mechanism.pathways import Pathway, Segment
     from mbdkit.mechanism.quantity_names import QuantityNames
     from mbdkit.mechanism.values import Number, Point, Positive, Table
@@ -84,6 +86,7 @@ if TYPE_CHECKING:
     from mbdkit.registry.feature_items import (
         Accessor,
         CriterionItem,
+        ElementKind,
         Example,
         FileFormat,
         GuidePage,
@@ -128,7 +131,7 @@ _STABLE = {
     "mbdkit.base.files_read": "read_data",
     "mbdkit.runs.findings": "findings",
     "mbdkit.trust.finding": "Finding accepted_doubts open_doubts",
-    "mbdkit.registry.feature_items": "Accessor CriterionItem "
+    "mbdkit.registry.feature_items": "Accessor CriterionItem ElementKind "
     "Example FileFormat GuidePage PlotKind ReportSection SpecKind "
     "SummaryLine TableFormat Treatment ViewItem",
     "mbdkit.registry.hookspecs": "hookimpl",
@@ -149,14 +152,17 @@ _STABLE = {
     "mbdkit.methods.step_methods": "ExternalMethod Step StepEvent StepMethod StepState Why",
     "mbdkit.methods.tableau": "ButcherTableau EmbeddedPair TableauError collocation",
     "mbdkit.methods.method_options": "ImplicitOptions Options",
+    "mbdkit.engine.compile_forces": "Lowering",
+    "mbdkit.engine.compiled_mechanism": "ActingForce LawForce",
     "mbdkit.engine.equations_of_motion": "EquationsOfMotion",
     "mbdkit.engine.iteration_matrix": "IterationMatrix IterationMatrixWithStates StateTangents",
     "mbdkit.engine.state_derivatives": "Rates",
     "mbdkit.engine.tangents": "Tangents",
     "mbdkit.mechanism.mechanism": "Mechanism",
-    "mbdkit.mechanism.bodies": "GROUND Body",
+    "mbdkit.mechanism.bodies": "GROUND Body Element",
     "mbdkit.mechanism.joints": "Driver Joint Revolute",
-    "mbdkit.mechanism.force_law": "ExpressionLaw FunctionLaw TracedLaw",
+    "mbdkit.mechanism.force_law": "ExpressionLaw FunctionLaw LawState TracedLaw",
+    "mbdkit.mechanism.model_methods": "of_models",
     "mbdkit.mechanism.joint_friction": "regularised_friction",
     "mbdkit.mechanism.pathways": "Pathway Segment",
     "mbdkit.mechanism.coordinate_function": "CoordinateFunction",
@@ -211,6 +217,7 @@ __all__ = [
     "STABLE",
     "Accessor",
     "Accuracy",
+    "ActingForce",
     "Archive",
     "Array",
     "AsJson",
@@ -227,6 +234,8 @@ __all__ = [
     "DefinedMeasure",
     "Document",
     "Driver",
+    "Element",
+    "ElementKind",
     "EmbeddedPair",
     "EquationsOfMotion",
     "Evidence",
@@ -250,7 +259,10 @@ __all__ = [
     "Joint",
     "Judgement",
     "Kind",
+    "LawForce",
+    "LawState",
     "Level",
+    "Lowering",
     "MbdkitError",
     "MeasurePlugin",
     "Mechanism",
@@ -336,6 +348,7 @@ __all__ = [
     "loaded",
     "nearest_positions",
     "nearest_velocities",
+    "of_models",
     "one_line",
     "open_doubts",
     "output_to",

@@ -219,8 +219,7 @@ def _stepper(
     """
     method = make_method(spec)
     workspace, _ = build(spec)
-    if workspace.mechanism.muscles:
-        raise SpecError("gradients of runs do not include muscles; leave them out", key="model.muscles")
+    workspace.mechanism.refuse_kinds("gradients")
     workspace.mechanism.refuse_friction("gradients of runs do not include friction in joints; leave it out")
     if workspace.mechanism.contact_treatment.is_rigid:
         raise SpecError(

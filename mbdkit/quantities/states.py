@@ -11,12 +11,13 @@ import numpy as np
 
 from mbdkit.base import elementary, higher_layers
 from mbdkit.base.errors import SpecError
-from mbdkit.engine.compiled_mechanism import ActingMuscle, CompiledMechanism
+from mbdkit.engine.compiled_mechanism import CompiledMechanism
 from mbdkit.engine.contact_forces import contact_values
 from mbdkit.engine.ground_reactions import ground_reactions
 from mbdkit.engine.joint_sums import JointSums, joint_sums
 from mbdkit.engine.kernels.observe import Observed
 from mbdkit.mechanism.muscles import Muscle
+from mbdkit.muscles.acting_muscles import ActingMuscle
 from mbdkit.muscles.energetics import fiber_power, metabolic_power
 
 NONE = np.zeros(0)
@@ -146,7 +147,7 @@ class States:
     def friction(self) -> np.ndarray:
         """(T, J) friction torque [N m] or force [N] of each joint on its second body, along the joint's coordinate."""
         known = self.mechanism
-        first = len(known.forces) + len(known.muscles)
+        first = known.first_friction
         found = np.zeros_like(self.coordinate)
         for place, joint in enumerate(known.friction, first):
             # The value of an angle is the torque on the second body. That of a length is a tension, which pulls the

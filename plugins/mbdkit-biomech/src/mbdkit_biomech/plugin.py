@@ -9,6 +9,7 @@ from mbdkit.plugin import (
     Accessor,
     Command,
     CriterionItem,
+    ElementKind,
     Example,
     GuidePage,
     Item,
@@ -23,6 +24,7 @@ from mbdkit.plugin import (
 
 _HERE = Path(__file__).parent
 _ROOM = "mbdkit_biomech.inverse_dynamics"
+_MUSCLES = "mbdkit.muscles.acting_muscles"
 _MODELS = "mbdkit_biomech.models.leg"
 _CRITERIA = {
     "columns": "Columns of the motion and their smoothing.",
@@ -78,6 +80,31 @@ def mbdkit_items() -> Iterable[Item]:
             run_kind="inverse",
             model=Target(f"{_ROOM}.inverse_spec:InverseSpec"),
             repeat=Target("mbdkit_biomech.commands:repeated_inverse"),
+        ),
+        ElementKind(
+            name="muscle",
+            summary="Muscles by name. In runs they exert forces; in inverse dynamics with `recruitment`, they share "
+            "the moments of the actuators.",
+            order=100,
+            key_in_model="muscles",
+            model=Target("mbdkit.mechanism.muscles:Muscle"),
+            builder="muscle",
+            method=Target("mbdkit.mechanism.muscles:add_muscle"),
+            only_in_runs=True,
+            in_expressions={"length": "length", "rate": "rate", "force": "tension"},
+            check_elements=Target("mbdkit.mechanism.muscles:check_moving_points"),
+            check_run=Target(f"{_MUSCLES}:check_acting"),
+            forces=Target(f"{_MUSCLES}:forces_of"),
+            lower=Target(f"{_MUSCLES}:lower"),
+            lower_expressions=Target(f"{_MUSCLES}:lower_excitations"),
+            at_start=Target(f"{_MUSCLES}:fibers_at_start"),
+            obstacle=Target(f"{_MUSCLES}:torn_path"),
+            stiffest=Target(f"{_MUSCLES}:stiffest"),
+            draw=Target("mbdkit_biomech.muscle_lines:muscle_lines"),
+            supports={
+                "gradients": "gradients of runs do not include muscles; leave them out",
+                "statics": "an analysis of a mechanism at rest does not include muscles; leave them out",
+            },
         ),
         Command(
             name="inverse",

@@ -120,7 +120,7 @@ def why_alone(spec: RunSpec, measures: Sequence[str] = ()) -> str:
     if functionals and not steps_are_rows(spec):
         return "their measures contain extrema or `at`, and they do not record every step"
     mechanism = spec.mechanism()
-    if functionals and (mechanism.state_names() or mechanism.controllers or mechanism.muscles):
+    if functionals and (mechanism.state_names() or mechanism.controllers):
         return "their measures contain extrema or `at`, and their mechanism has first-order states"
     method = make_method(spec)
     if method.traits.lanes is None or spec.claims.adaptive != (method.traits.tolerances is not None):
@@ -220,9 +220,9 @@ class LaneRuns:
         spec, method = run.spec, run.method
         size = size or start.mechanism.length
         table = timetable(spec, guards(spec, size))
-        # Quantities of muscles and contacts are computed from numbers of the mechanism that all runs in a vector would
-        # share.
-        if start.mechanism.muscles or start.mechanism.contacts or not suits_lanes(method, start.mechanism, table):
+        # Quantities of contacts and of plugins' elements are computed from numbers of the mechanism that all runs in a
+        # vector would share.
+        if start.mechanism.extensions or not suits_lanes(method, start.mechanism, table):
             return None
         pivots = self._pivots.of(method, start, table)
         found = (*run.cautions, *findings("start", spec, start.assembled))

@@ -200,14 +200,16 @@ def _mechanism(name: str, o: LegOptions, leg: Callable[[Person, LegPose, Hip], L
                 f"the leg itself has an element of this name (it has {listed(sorted(own))})",
                 key=f"{kind}.{quoted(key)}",
             )
-    data = MechanismData(
-        gravity=o.gravity,
-        bodies=bodies,
-        joints=joints | o.joints,
-        forces=o.forces,
-        markers=markers | o.markers,
-        muscles=muscles,
-        contacts=o.contacts,
-        coordinates=coordinates | root,
+    data = MechanismData.model_validate(
+        {
+            "gravity": o.gravity,
+            "bodies": bodies,
+            "joints": joints | o.joints,
+            "forces": o.forces,
+            "markers": markers | o.markers,
+            "muscles": muscles,
+            "contacts": o.contacts,
+            "coordinates": coordinates | root,
+        }
     )
     return Mechanism.from_data(data, name=name)
