@@ -12,13 +12,13 @@ from mbdkit.mechanism.contacts import Shape
 from mbdkit.mechanism.joint_friction import JointFriction
 from mbdkit.mechanism.joint_friction import PinFriction
 from mbdkit.mechanism.joint_friction import SlideFriction
-from mbdkit.mechanism.muscles import Activation
-from mbdkit.mechanism.muscles import Metabolics
-from mbdkit.mechanism.muscles import Muscle
-from mbdkit.mechanism.muscles import PathItem
 from mbdkit.mechanism.named_elements import NamedElements
 from mbdkit.mechanism.state_values import ControllerState
 from mbdkit.mechanism.values import Table
+from mbdkit_biomech.muscles.muscle import Activation
+from mbdkit_biomech.muscles.muscle import Metabolics
+from mbdkit_biomech.muscles.muscle import Muscle
+from mbdkit_biomech.muscles.muscle import PathItem
 
 class ElementMethods(NamedElements):
     """The part of `Mechanism` that adds its elements."""

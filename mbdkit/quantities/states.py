@@ -16,9 +16,9 @@ from mbdkit.engine.contact_forces import contact_values
 from mbdkit.engine.ground_reactions import ground_reactions
 from mbdkit.engine.joint_sums import JointSums, joint_sums
 from mbdkit.engine.kernels.observe import Observed
-from mbdkit.mechanism.muscles import Muscle
-from mbdkit.muscles.acting_muscles import ActingMuscle
-from mbdkit.muscles.energetics import fiber_power, metabolic_power
+from mbdkit_biomech.muscles.acting_muscles import ActingMuscle
+from mbdkit_biomech.muscles.energetics import fiber_power, metabolic_power
+from mbdkit_biomech.muscles.muscle import Muscle
 
 NONE = np.zeros(0)
 

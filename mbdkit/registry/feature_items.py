@@ -365,6 +365,8 @@ class CriterionItem(Feature):
         Names of the criteria, which `accept` in specs of these kinds may list.
     level
         Level of sentences, which become findings of the criterion `name`.
+    elements
+        Key in the model of a kind of elements; without such elements, nothing is examined. Empty for all mechanisms.
     """
 
     kind: ClassVar[str] = "criterion"
@@ -375,6 +377,7 @@ class CriterionItem(Feature):
     of: frozenset[str]
     criteria: tuple[str, ...] = ()
     level: Literal["doubtful"] | None = "doubtful"
+    elements: str = ""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)

@@ -24,7 +24,7 @@ from mbdkit.plugin import (
 
 _HERE = Path(__file__).parent
 _ROOM = "mbdkit_biomech.inverse_dynamics"
-_MUSCLES = "mbdkit.muscles.acting_muscles"
+_MUSCLES = "mbdkit_biomech.muscles.acting_muscles"
 _MODELS = "mbdkit_biomech.models.leg"
 _CRITERIA = {
     "columns": "Columns of the motion and their smoothing.",
@@ -87,12 +87,12 @@ def mbdkit_items() -> Iterable[Item]:
             "the moments of the actuators.",
             order=100,
             key_in_model="muscles",
-            model=Target("mbdkit.mechanism.muscles:Muscle"),
+            model=Target("mbdkit_biomech.muscles.muscle:Muscle"),
             builder="muscle",
-            method=Target("mbdkit.mechanism.muscles:add_muscle"),
+            method=Target("mbdkit_biomech.muscles.muscle:add_muscle"),
             only_in_runs=True,
             in_expressions={"length": "length", "rate": "rate", "force": "tension"},
-            check_elements=Target("mbdkit.mechanism.muscles:check_moving_points"),
+            check_elements=Target("mbdkit_biomech.muscles.muscle:check_moving_points"),
             check_run=Target(f"{_MUSCLES}:check_acting"),
             forces=Target(f"{_MUSCLES}:forces_of"),
             lower=Target(f"{_MUSCLES}:lower"),
@@ -100,7 +100,7 @@ def mbdkit_items() -> Iterable[Item]:
             at_start=Target(f"{_MUSCLES}:fibers_at_start"),
             obstacle=Target(f"{_MUSCLES}:torn_path"),
             stiffest=Target(f"{_MUSCLES}:stiffest"),
-            draw=Target("mbdkit_biomech.muscle_lines:muscle_lines"),
+            draw=Target("mbdkit_biomech.muscles.muscle_lines:muscle_lines"),
             supports={
                 "gradients": "gradients of runs do not include muscles; leave them out",
                 "statics": "an analysis of a mechanism at rest does not include muscles; leave them out",
@@ -143,6 +143,16 @@ def mbdkit_items() -> Iterable[Item]:
             summary="Peaks and impulses of the loads.",
             of=f"{_ROOM}.workload:Workload",
             make=Target(f"{_ROOM}.views:workload_view"),
+        ),
+        CriterionItem(
+            name="excitations",
+            summary="Excitations of muscles below 0 or above 1.",
+            order=95,
+            stage="spec",
+            find=Target(f"{_MUSCLES}:excitations"),
+            of=frozenset({"run"}),
+            criteria=("excitations",),
+            elements="muscles",
         ),
         *(
             CriterionItem(

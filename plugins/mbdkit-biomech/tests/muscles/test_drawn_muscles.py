@@ -3,7 +3,7 @@
 import numpy as np
 
 from mbdkit import Mechanism
-from mbdkit_biomech.muscle_lines import muscle_lines
+from mbdkit_biomech.muscles.muscle_lines import muscle_lines
 from mbdkit_report.figures.drawing_geometry import draw_mechanism
 
 

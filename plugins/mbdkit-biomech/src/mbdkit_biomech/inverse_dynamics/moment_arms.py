@@ -15,10 +15,10 @@ from mbdkit.engine.linear_systems import product
 from mbdkit.engine.stacked_matrices import least_norms, products
 from mbdkit.mechanism.mechanism import Mechanism
 from mbdkit.mechanism.quantity_names import QuantityNames
-from mbdkit.muscles.muscle_path import MusclePath
 from mbdkit.runs.assembled_mechanism import AssembledMechanism
 from mbdkit_biomech.inverse_dynamics.manifold import Manifold
 from mbdkit_biomech.inverse_dynamics.several_quantities import Quantities
+from mbdkit_biomech.muscles.muscle_path import MusclePath
 
 DEPENDENT = 1e-6
 """A quantity is chosen if more than this share of its gradient is independent of the gradients chosen before it."""

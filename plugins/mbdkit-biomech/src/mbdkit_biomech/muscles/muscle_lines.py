@@ -8,8 +8,8 @@ import numpy as np
 
 from mbdkit.mechanism.coordinate_function import CoordinateFunction, names_of, value_and_slopes
 from mbdkit.mechanism.mechanism import Mechanism
-from mbdkit.mechanism.muscles import Muscle
 from mbdkit.mechanism.quantity_names import QuantityNames
+from mbdkit_biomech.muscles.muscle import Muscle
 
 Place = tuple[str, tuple[float, float]]
 """Body, and point in its frame [m]."""

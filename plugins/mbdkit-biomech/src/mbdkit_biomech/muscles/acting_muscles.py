@@ -1,8 +1,8 @@
-"""Muscles that act in a run: force elements along their paths, with the law of `mbdkit.muscles.hill_laws`."""
+"""Muscles that act in a run: force elements along their paths, with the law of `mbdkit_biomech.muscles.hill_laws`."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, ClassVar, cast
@@ -18,13 +18,13 @@ from mbdkit.expressions.program import Program
 from mbdkit.mechanism.force_law import TracedLaw
 from mbdkit.mechanism.joints import Joint
 from mbdkit.mechanism.mechanism import Mechanism
-from mbdkit.mechanism.muscles import Muscle, PathItem
 from mbdkit.mechanism.pathways import Segment
 from mbdkit.mechanism.quantity_names import QuantityNames
 from mbdkit.mechanism.state_values import is_of_state
 from mbdkit.mechanism.values import Table, curve_of
-from mbdkit.muscles.force_curves import CURVES
-from mbdkit.muscles.hill_laws import (
+from mbdkit.trust.finding import Finding
+from mbdkit_biomech.muscles.force_curves import CURVES
+from mbdkit_biomech.muscles.hill_laws import (
     LAW_ID,
     MOST_NUMBERS,
     Form,
@@ -33,12 +33,14 @@ from mbdkit.muscles.hill_laws import (
     excitation_of,
     muscle_law,
 )
-from mbdkit.muscles.muscle_path import MusclePath
+from mbdkit_biomech.muscles.muscle import Muscle, PathItem
+from mbdkit_biomech.muscles.muscle_path import MusclePath
 
 if TYPE_CHECKING:
     from mbdkit.engine.compile_forces import Lowering
     from mbdkit.engine.compiled_mechanism import ActingForce
     from mbdkit.engine.workspace import Workspace
+    from mbdkit.spec import RunSpec
 
 SHORTEST = 0.2
 """Shortest fibres allowed for an equilibrium at the start, in optimal lengths; the passive force is zero there."""
@@ -349,3 +351,14 @@ def _check_circle(before: PathItem, after: PathItem, key: str) -> None:
             "dynamics only",
             key=key,
         )
+
+
+def excitations(spec: RunSpec, _measures: Sequence[str] = ()) -> Iterator[Finding]:
+    """Yield a warning for each muscle whose excitation leaves the range 0 to 1 as a function of time."""
+    for name, muscle in forces_of(spec.mechanism().muscles).items():
+        if (outside := muscle.excitation_outside(spec.time.start, spec.time.final)) is not None:
+            time, value = outside
+            reached = f"{value:.3g} at t = {time:.6g} s"
+            sentence = f"the excitation of muscle '{name}' is {reached}; it should stay between 0 and 1"
+            key = f"model.muscles.{quoted(name)}.excitation"
+            yield Finding("excitations", "doubtful", sentence, key, is_named=False)
