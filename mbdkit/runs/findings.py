@@ -18,9 +18,9 @@ def criteria(stage: Stage, spec: Any, kind: str = "run") -> Iterator[tuple[Regis
     """Yield the criteria of a stage for the result of a spec, in their order."""
     for item in registry().of_kind(CriterionItem.kind):
         criterion = cast(CriterionItem, item.plugin)
-        if criterion.stage == stage and kind in criterion.of:
-            if not criterion.elements or spec.mechanism().elements.get(criterion.elements):
-                yield item, criterion
+        is_examined = criterion.stage == stage and kind in criterion.of
+        if is_examined and (not criterion.elements or spec.mechanism().elements.get(criterion.elements)):
+            yield item, criterion
 
 
 def findings(stage: Stage, *examined: Any, kind: str = "run") -> list[Finding]:
