@@ -78,16 +78,19 @@ if TYPE_CHECKING:
     from mbdkit.methods.step_methods import ExternalMethod, Step, StepEvent, StepMethod, StepState, Why
     from mbdkit.methods.tableau import ButcherTableau, EmbeddedPair, TableauError, collocation
     from mbdkit.quantities.array import Array, Chart, Kind, Recorded
+    from mbdkit.quantities.entries import name_array, quantity_group
     from mbdkit.quantities.names import archive_names
+    from mbdkit.quantities.registered_kinds import sizes_of
     from mbdkit.quantities.states import States
-    from mbdkit.quantities.table import sizes_of
     from mbdkit.registry.feature_items import (
         Accessor,
         CriterionItem,
         Example,
         FileFormat,
         GuidePage,
+        HeadlineItem,
         PlotKind,
+        QuantityKind,
         ReportSection,
         SpecKind,
         SummaryLine,
@@ -129,7 +132,7 @@ _STABLE = {
     "mbdkit.runs.findings": "findings",
     "mbdkit.trust.finding": "Finding accepted_doubts open_doubts",
     "mbdkit.registry.feature_items": "Accessor CriterionItem "
-    "Example FileFormat GuidePage PlotKind ReportSection SpecKind "
+    "Example FileFormat GuidePage HeadlineItem PlotKind QuantityKind ReportSection SpecKind "
     "SummaryLine TableFormat Treatment ViewItem",
     "mbdkit.registry.hookspecs": "hookimpl",
     "mbdkit.registry.target": "Target",
@@ -168,6 +171,7 @@ _STABLE = {
     "mbdkit.runs.simulation": "run simulate",
     "mbdkit_studies.prepared_run": "PreparedRun prepare",
     "mbdkit.quantities.array": "Array Chart Kind Recorded",
+    "mbdkit.quantities.entries": "name_array quantity_group",
     "mbdkit.quantities.states": "States",
     "mbdkit.archive.accuracy": "Accuracy",
     "mbdkit.archive.headlines": "Headline headline_texts plus_minus",
@@ -195,7 +199,7 @@ _OWN = {
     "mbdkit.engine.kernels.observe": "Observed",
     "mbdkit.engine.nearest_state": "nearest_positions nearest_velocities",
     "mbdkit.quantities.names": "archive_names",
-    "mbdkit.quantities.table": "sizes_of",
+    "mbdkit.quantities.registered_kinds": "sizes_of",
     "mbdkit.archive.finished_run": "FinishedRun",
     "mbdkit.runs.preparation": "build caution",
 }
@@ -241,6 +245,7 @@ __all__ = [
     "FunctionLaw",
     "GuidePage",
     "Headline",
+    "HeadlineItem",
     "ImplicitOptions",
     "ImplicitRungeKutta",
     "IntegratorPlugin",
@@ -269,6 +274,7 @@ __all__ = [
     "Positive",
     "PreparedRun",
     "Printing",
+    "QuantityKind",
     "QuantityNames",
     "Quiet",
     "Rates",
@@ -334,6 +340,7 @@ __all__ = [
     "listed",
     "load",
     "loaded",
+    "name_array",
     "nearest_positions",
     "nearest_velocities",
     "one_line",
@@ -347,6 +354,7 @@ __all__ = [
     "prepare",
     "progress_bar",
     "put",
+    "quantity_group",
     "quoted",
     "read_data",
     "read_file",
