@@ -6,7 +6,7 @@ from typing import Any
 
 from mbdkit.quantities.array import MIXED, Array, Chart, Recorded
 from mbdkit.quantities.entries import AXIS, JOINT, computed, name_array, quantity_group, unit_array
-from mbdkit_biomech.muscle_values import MuscleValues
+from mbdkit_biomech.muscles.muscle_values import MuscleValues
 
 _TIME = Array("time", ("time",), "s", "time of the recorded row")
 _T, _TJ, _TJA, _TU = ("time",), ("time", "joint"), ("time", "joint", "axis"), ("time", "muscle")

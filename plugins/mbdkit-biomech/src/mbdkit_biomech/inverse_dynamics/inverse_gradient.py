@@ -57,7 +57,7 @@ from mbdkit_biomech.inverse_dynamics.recruitment_gradient import (
     differentiated_muscles,
     require_derivatives_of,
 )
-from mbdkit_biomech.muscle_values import Muscles
+from mbdkit_biomech.muscles.muscle_values import Muscles
 
 WITHOUT_BARS: Settings = [(("motion", "errors"), "none")]  # type: ignore[list-item]
 """Settings that leave out the error bars. Measures do not need them, and they take ten times as long as the rest."""
