@@ -8,11 +8,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from mbdkit.base import elementary, higher_layers
-from mbdkit.base.errors import SpecError
 from mbdkit.engine.compiled_mechanism import ActingMuscle
 from mbdkit.mechanism.muscles import Muscle
 from mbdkit.muscles.energetics import fiber_power, metabolic_power
-from mbdkit.quantities.states import NONE, States
+from mbdkit.plugin import SpecError, States
+from mbdkit.quantities.states import NONE
 
 ENERGETICS = ("fiber_power", "metabolic_power")
 """Quantities of muscles that are functions of other quantities."""
