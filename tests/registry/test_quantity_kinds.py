@@ -32,10 +32,10 @@ WEAR = quantity_group(
     "wear",
     Array("time", ("time",), "s", "time of the recorded row"),
     name_array("pair", "pair", "name of the contact", lambda names: names.names_of("contacts")),
-    Recorded("power", ("time", "pair"), "W", "power that friction dissipates", take=lambda s: s.of("wear")["power"],
+    Recorded("power", ("time", "pair"), "W", "power that friction dissipates", take=lambda s: s.of(values)["power"],
              charts=(Chart("wear", "Wear", "Power that friction dissipates.", "power", "W"),)),
     Recorded("rate", ("time", "pair"), "m/s", "slip, without its sign", take=lambda s: abs(s.of_contacts("slip"))),
-    optional=True, word="wear", one="worn pair", example="power", axis="pair", is_optional=True, values=values,
+    optional=True, word="wear", one="worn pair", example="power", axis="pair", is_optional=True,
 )
 """
 MASS, FRICTION, G, SPEED, STOP = 2.0, 0.3, 9.81, 1.5, 0.2
