@@ -13,7 +13,7 @@ import numpy as np
 from mbdkit.archive import history, layout, run_header
 from mbdkit.archive.fingerprint import is_text
 from mbdkit.archive.hdf5_errors import reading
-from mbdkit.archive.named_columns import Histories, NotRecordedError
+from mbdkit.archive.named_columns import NotRecordedError, histories_of
 from mbdkit.archive.read_only_dict import ReadOnlyDict
 from mbdkit.archive.recorded_columns import FurtherKinds
 from mbdkit.archive.run_contents import ArchiveContents, RunContents
@@ -325,9 +325,8 @@ def _histories_of(word: str) -> evaluated[Any]:
 
     def histories(run: RecordedData) -> Any:
         group = words().get(word, word)
-        if group in run.kinds:
-            return Histories(run.kinds[group], run)
-        return Histories(kind_of_group(group), run) if group in groups() else ReadOnlyDict()
+        kind = run.kinds.get(group) or (kind_of_group(group) if group in groups() else None)
+        return histories_of(kind)(kind, run) if kind else ReadOnlyDict()
 
     histories.__doc__ = f"Histories of the objects of the kind {word} by name; empty if the run has none."
     return evaluated(histories)
