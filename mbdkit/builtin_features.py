@@ -7,6 +7,7 @@ from typing import Literal
 
 from mbdkit.registry.feature_items import (
     CriterionItem,
+    ElementKind,
     Example,
     Feature,
     GuidePage,
@@ -39,7 +40,6 @@ _CRITERIA: tuple[tuple[Literal["spec", "start", "rows", "end"], str, str, str], 
     ("spec", "degrees", "Angles that are probably in degrees.", "run_criteria:degrees"),
     ("spec", "improbable-values", "Improbable values, often in another unit.", "run_criteria:improbable_values"),
     ("spec", "long-step", "A step that is longer than the run.", "run_criteria:long_step"),
-    ("spec", "excitations", "Excitations of muscles below 0 or above 1.", "run_criteria:excitations"),
     ("spec", "slip-events", "Events at zeros of a slip that are rounding errors.", "run_criteria:slip_events"),
     ("spec", "corners", "Tables that overshoot, and too many discontinuities.", "corners:overshoots_and_corners"),
     ("start", "moved-start", "Positions that assembly changes by far.", "run_criteria:moved_start"),
@@ -102,9 +102,23 @@ def builtin_features() -> list[Feature]:
         for number, (stage, name, summary, where) in enumerate(_CRITERIA)
     ]
     compliant = Treatment(name="compliant", summary="Forces by the overlap of the shapes.", order=0)
+    contacts = ElementKind(
+        name="contact",
+        summary="Contacts between bodies by name.",
+        order=300,
+        key_in_model="contacts",
+        model=Target("mbdkit.mechanism.contacts:Contact"),
+        builder="contact",
+        method=Target("mbdkit.mechanism.contacts:add_contact"),
+        check_elements=Target("mbdkit.mechanism.contacts:check_contacts"),
+        lower=Target("mbdkit.engine.contact_forces:lower_contacts"),
+        at_start=Target("mbdkit.engine.contact_forces:check_start"),
+        members=Target("mbdkit.engine.contact_forces:members_of"),
+    )
     return [
         run,
         compliant,
+        contacts,
         *formats,
         *criteria,
         *Example.folder(_HERE / "models" / "examples"),

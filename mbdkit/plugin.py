@@ -48,7 +48,8 @@ if TYPE_CHECKING:
         output_to,
         stem,
     )
-    from mbdkit.engine.compiled_mechanism import CompiledMechanism
+    from mbdkit.engine.compile_forces import Lowering
+    from mbdkit.engine.compiled_mechanism import ActingForce, CompiledMechanism, LawForce
     from mbdkit.engine.equations_of_motion import EquationsOfMotion
     from mbdkit.engine.iteration_matrix import IterationMatrix, IterationMatrixWithStates, StateTangents
     from mbdkit.engine.kernels.observe import Observed
@@ -57,12 +58,13 @@ if TYPE_CHECKING:
     from mbdkit.engine.state_derivatives import Rates
     from mbdkit.engine.tangents import Tangents
     from mbdkit.engine.workspace import Workspace
-    from mbdkit.mechanism.bodies import GROUND, Body
+    from mbdkit.mechanism.bodies import GROUND, Body, Element
     from mbdkit.mechanism.coordinate_function import CoordinateFunction
-    from mbdkit.mechanism.force_law import ExpressionLaw, FunctionLaw, TracedLaw
+    from mbdkit.mechanism.force_law import ExpressionLaw, FunctionLaw, LawState, TracedLaw
     from mbdkit.mechanism.joint_friction import regularised_friction
     from mbdkit.mechanism.joints import Driver, Joint, Revolute
     from mbdkit.mechanism.mechanism import Mechanism
+    from mbdkit.mechanism.model_methods import of_models
     from mbdkit.mechanism.pathways import Pathway, Segment
     from mbdkit.mechanism.quantity_names import QuantityNames
     from mbdkit.mechanism.values import Number, Point, Positive, Table
@@ -78,16 +80,20 @@ if TYPE_CHECKING:
     from mbdkit.methods.step_methods import ExternalMethod, Step, StepEvent, StepMethod, StepState, Why
     from mbdkit.methods.tableau import ButcherTableau, EmbeddedPair, TableauError, collocation
     from mbdkit.quantities.array import Array, Chart, Kind, Recorded
-    from mbdkit.quantities.names import archive_names
+    from mbdkit.quantities.entries import AXIS, JOINT, name_array, quantity_group, unit_array
+    from mbdkit.quantities.names import archive_names, with_members
+    from mbdkit.quantities.registered_kinds import kind_of_group, sizes_of
     from mbdkit.quantities.states import States
-    from mbdkit.quantities.table import sizes_of
     from mbdkit.registry.feature_items import (
         Accessor,
         CriterionItem,
+        ElementKind,
         Example,
         FileFormat,
         GuidePage,
+        HeadlineItem,
         PlotKind,
+        QuantityKind,
         ReportSection,
         SpecKind,
         SummaryLine,
@@ -128,8 +134,8 @@ _STABLE = {
     "mbdkit.base.files_read": "read_data",
     "mbdkit.runs.findings": "findings",
     "mbdkit.trust.finding": "Finding accepted_doubts open_doubts",
-    "mbdkit.registry.feature_items": "Accessor CriterionItem "
-    "Example FileFormat GuidePage PlotKind ReportSection SpecKind "
+    "mbdkit.registry.feature_items": "Accessor CriterionItem ElementKind "
+    "Example FileFormat GuidePage HeadlineItem PlotKind QuantityKind ReportSection SpecKind "
     "SummaryLine TableFormat Treatment ViewItem",
     "mbdkit.registry.hookspecs": "hookimpl",
     "mbdkit.registry.target": "Target",
@@ -149,14 +155,17 @@ _STABLE = {
     "mbdkit.methods.step_methods": "ExternalMethod Step StepEvent StepMethod StepState Why",
     "mbdkit.methods.tableau": "ButcherTableau EmbeddedPair TableauError collocation",
     "mbdkit.methods.method_options": "ImplicitOptions Options",
+    "mbdkit.engine.compile_forces": "Lowering",
+    "mbdkit.engine.compiled_mechanism": "ActingForce LawForce",
     "mbdkit.engine.equations_of_motion": "EquationsOfMotion",
     "mbdkit.engine.iteration_matrix": "IterationMatrix IterationMatrixWithStates StateTangents",
     "mbdkit.engine.state_derivatives": "Rates",
     "mbdkit.engine.tangents": "Tangents",
     "mbdkit.mechanism.mechanism": "Mechanism",
-    "mbdkit.mechanism.bodies": "GROUND Body",
+    "mbdkit.mechanism.bodies": "GROUND Body Element",
     "mbdkit.mechanism.joints": "Driver Joint Revolute",
-    "mbdkit.mechanism.force_law": "ExpressionLaw FunctionLaw TracedLaw",
+    "mbdkit.mechanism.force_law": "ExpressionLaw FunctionLaw LawState TracedLaw",
+    "mbdkit.mechanism.model_methods": "of_models",
     "mbdkit.mechanism.joint_friction": "regularised_friction",
     "mbdkit.mechanism.pathways": "Pathway Segment",
     "mbdkit.mechanism.coordinate_function": "CoordinateFunction",
@@ -168,6 +177,7 @@ _STABLE = {
     "mbdkit.runs.simulation": "run simulate",
     "mbdkit_studies.prepared_run": "PreparedRun prepare",
     "mbdkit.quantities.array": "Array Chart Kind Recorded",
+    "mbdkit.quantities.entries": "name_array quantity_group",
     "mbdkit.quantities.states": "States",
     "mbdkit.archive.accuracy": "Accuracy",
     "mbdkit.archive.headlines": "Headline headline_texts plus_minus",
@@ -194,8 +204,9 @@ _OWN = {
     "mbdkit.engine.observed_states": "StateObserver",
     "mbdkit.engine.kernels.observe": "Observed",
     "mbdkit.engine.nearest_state": "nearest_positions nearest_velocities",
-    "mbdkit.quantities.names": "archive_names",
-    "mbdkit.quantities.table": "sizes_of",
+    "mbdkit.quantities.entries": "AXIS JOINT unit_array",
+    "mbdkit.quantities.names": "archive_names with_members",
+    "mbdkit.quantities.registered_kinds": "kind_of_group sizes_of",
     "mbdkit.archive.finished_run": "FinishedRun",
     "mbdkit.runs.preparation": "build caution",
 }
@@ -207,10 +218,13 @@ STABLE = frozenset(name for names in _STABLE.values() for name in names.split())
 _HOME = {name: module for table in (_STABLE, _OWN) for module, names in table.items() for name in names.split()}
 
 __all__ = [
+    "AXIS",
     "GROUND",
+    "JOINT",
     "STABLE",
     "Accessor",
     "Accuracy",
+    "ActingForce",
     "Archive",
     "Array",
     "AsJson",
@@ -227,6 +241,8 @@ __all__ = [
     "DefinedMeasure",
     "Document",
     "Driver",
+    "Element",
+    "ElementKind",
     "EmbeddedPair",
     "EquationsOfMotion",
     "Evidence",
@@ -241,6 +257,7 @@ __all__ = [
     "FunctionLaw",
     "GuidePage",
     "Headline",
+    "HeadlineItem",
     "ImplicitOptions",
     "ImplicitRungeKutta",
     "IntegratorPlugin",
@@ -250,7 +267,10 @@ __all__ = [
     "Joint",
     "Judgement",
     "Kind",
+    "LawForce",
+    "LawState",
     "Level",
+    "Lowering",
     "MbdkitError",
     "MeasurePlugin",
     "Mechanism",
@@ -269,6 +289,7 @@ __all__ = [
     "Positive",
     "PreparedRun",
     "Printing",
+    "QuantityKind",
     "QuantityNames",
     "Quiet",
     "Rates",
@@ -331,11 +352,14 @@ __all__ = [
     "headline_texts",
     "hookimpl",
     "judge",
+    "kind_of_group",
     "listed",
     "load",
     "loaded",
+    "name_array",
     "nearest_positions",
     "nearest_velocities",
+    "of_models",
     "one_line",
     "open_doubts",
     "output_to",
@@ -347,6 +371,7 @@ __all__ = [
     "prepare",
     "progress_bar",
     "put",
+    "quantity_group",
     "quoted",
     "read_data",
     "read_file",
@@ -366,8 +391,10 @@ __all__ = [
     "sizes_of",
     "stem",
     "table",
+    "unit_array",
     "use",
     "value_text",
+    "with_members",
     "write_yaml",
 ]
 

@@ -31,7 +31,9 @@ if TYPE_CHECKING:
 _NAMED = 5  # elements that are named in a sentence
 _MOST_UNKNOWN = 100
 _ASSEMBLY = TypeAdapter(Assembly)
-_SECTIONS = ("bodies", "beams", *ELEMENTS, "coordinates", "states", "controllers")
+_SECTIONS = ("bodies", "beams", *ELEMENTS)
+_LAST_SECTIONS = ("coordinates", "states", "controllers")
+_OTHERS = frozenset({"name", "title", "gravity", "assembly"})
 _OWN = RegistryLookup(lambda: registry().only("mbdkit"))
 """Finds the force laws of mbdkit itself: those of plugins are not called when an archive is read."""
 
@@ -97,7 +99,10 @@ def read_mechanism(text: str, bodies: Sequence[str]) -> StoredMechanism:
         data = json.loads(text)
     except RecursionError:
         raise ValueError("it is nested too deeply") from None
-    sections = {section: data.get(section, {}) for section in _SECTIONS}
+    kinds = [item.plugin.key_in_model for item in registry().only("mbdkit").of_kind("element-kind")]  # type: ignore[attr-defined]
+    foreign = data.keys() - {*_SECTIONS, *kinds, *_LAST_SECTIONS, *_OTHERS}
+    known = (*_SECTIONS, *kinds, *_LAST_SECTIONS)
+    sections = {section: data.get(section, {}) for section in (*known, *sorted(foreign))}
     if not all(isinstance(elements, dict) for elements in sections.values()):
         raise ValueError("its elements are not a mapping")
     unknown: list[str] = []
@@ -109,6 +114,8 @@ def read_mechanism(text: str, bodies: Sequence[str]) -> StoredMechanism:
     for section, elements in sections.items():
         for name, value in elements.items():
             try:
+                if section in foreign:
+                    raise MbdkitError("a plugin may execute any code")
                 _add(mechanism, section, name, _element(section, value))
             except (MbdkitError, ValidationError):
                 unknown.append(f"{section}.{name}")
@@ -156,7 +163,8 @@ def built_mechanism(spec: Mapping[str, Any], version: str) -> StoredMechanism:
 
 @cache
 def _adapter(section: str) -> TypeAdapter[Any]:
-    return TypeAdapter(get_args(MechanismData.model_fields[section].annotation)[1])
+    field = MechanismData.model_fields.get(section) or MechanismData.further_field(section)
+    return TypeAdapter(get_args(field.annotation)[1]) if field is not None else TypeAdapter(None)
 
 
 def _element(section: str, value: Any) -> Any:

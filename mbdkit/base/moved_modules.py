@@ -48,6 +48,8 @@ MOVED = {
     "mbdkit.methods.moreau_jean": "mbdkit_contact.time_stepping_methods",
     "mbdkit.models.leg": "mbdkit_biomech.models.leg",
     "mbdkit.muscles.fibers": "mbdkit_biomech.inverse_dynamics.fibers",
+    "mbdkit.muscles": "mbdkit_biomech.muscles",
+    "mbdkit.mechanism.muscles": "mbdkit_biomech.muscles.muscle",
     "mbdkit.notebook.example_notebooks": "mbdkit.spec.example_notebooks",
     "mbdkit.notebook": "mbdkit_report.notebook",
     "mbdkit.plot.equilibrium_plot": "mbdkit_statics.equilibrium_plot",

@@ -11,6 +11,7 @@ from itertools import pairwise
 from typing import Any
 
 from pydantic import BaseModel, ConfigDict, GetJsonSchemaHandler
+from pydantic.fields import FieldInfo
 from pydantic_core import CoreSchema
 
 STRICT = ConfigDict(extra="forbid", frozen=True, strict=True, allow_inf_nan=False)
@@ -35,6 +36,16 @@ class StrictModel(BaseModel):
         The result is empty if the unit is always that in the description of the field.
         """
         return ""
+
+    @classmethod
+    def further_keys(cls) -> list[str]:
+        """Return keys that the model also accepts, with fields that a plugin adds if data have the key."""
+        return []
+
+    @classmethod
+    def further_field(cls, key: str | int) -> FieldInfo | None:
+        """Return the field of one of the `further_keys`; None for any other key."""
+        return None
 
     @classmethod
     def __get_pydantic_json_schema__(cls, core_schema: CoreSchema, handler: GetJsonSchemaHandler) -> dict[str, Any]:

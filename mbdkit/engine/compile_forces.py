@@ -1,28 +1,17 @@
-"""Compile the force elements of a mechanism, its loads, contacts, muscles and states, to flat numbered arrays."""
+"""Compile the forces, loads, states and elements of further kinds of a mechanism to flat numbered arrays."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from functools import cache
+from typing import Any
 
 import numpy as np
 
-from mbdkit.base import higher_layers
 from mbdkit.base.errors import SpecError
 from mbdkit.base.plain_data import quoted
 from mbdkit.engine.compile_motions import CompiledMotions
-from mbdkit.engine.compiled_mechanism import ActingMuscle, ElementState, ForceElement, SampledController
-from mbdkit.engine.contact_forces import (
-    HELD,
-    HELD_BY_BODY,
-    ActingContact,
-    acting_contacts,
-    contact_law,
-    contact_numbers,
-    held_coordinates,
-    held_law,
-    pairs_of_shapes,
-)
+from mbdkit.engine.compiled_mechanism import ActingForce, ElementState, ForceElement, LawForce, SampledController
 from mbdkit.engine.force_laws import CompiledLaw, bind_law
 from mbdkit.engine.friction_forces import FrictionForce, friction_forces
 from mbdkit.engine.kernels.applied_forces import (
@@ -33,15 +22,16 @@ from mbdkit.engine.kernels.applied_forces import (
     TORQUE,
     VELOCITY_INPUT,
 )
-from mbdkit.engine.kernels.contact_laws import FORCES, SLOPES
 from mbdkit.engine.state_expressions import STATE_INPUT, Numbering, StateExpression
+from mbdkit.engine.traced_law import Source, Traced
+from mbdkit.mechanism.element_kinds import element_kinds
+from mbdkit.mechanism.force_law import TracedLaw
 from mbdkit.mechanism.forces import AppliedLoad, Force, PointForce, SpringDamper, Torque, TorsionSpring
 from mbdkit.mechanism.law_element import Law
 from mbdkit.mechanism.mechanism import Mechanism
-from mbdkit.mechanism.pathways import Pathway, path_ends
+from mbdkit.mechanism.pathways import path_ends
 from mbdkit.mechanism.state_values import is_of_state
-from mbdkit.muscles.acting_muscles import MuscleForce, acting_muscles
-from mbdkit.muscles.hill_laws import activation_rate_text
+from mbdkit.registry.feature_items import ElementKind
 
 Numbers = tuple[float, ...]
 
@@ -49,11 +39,23 @@ LOADS = {"torque": TORQUE, "point_force": POINT_FORCE, "body_force": BODY_FORCE}
 """Kernel code of each kind of load."""
 
 
-class CompiledForces:
-    """Collects the force elements on pathways, loads, contacts and first-order states of a mechanism in flat lists."""
+FRICTION = 200
+"""Kinds of elements of lower order are compiled before the friction in joints."""
+
+
+class Lowering:
+    """Collects the force elements on pathways, loads and first-order states of a mechanism in flat lists.
+
+    Kinds of elements of plugins add theirs with `force`, `state`, `wrench`, `law`, `pair` and `expression`.
+
+    Attributes
+    ----------
+    mechanism
+        The mechanism.
+    """
 
     def __init__(self, mechanism: Mechanism, number: dict[str, int], motions: CompiledMotions):
-        self.joints, self.number, self.motions = mechanism.joints, number, motions
+        self.mechanism, self.joints, self.bodies, self.motions = mechanism, mechanism.joints, number, motions
         self.springs: list[Numbers] = []
         self.spring_points: list[Numbers] = []
         self.couplings: list[Numbers] = []
@@ -69,29 +71,34 @@ class CompiledForces:
         self.slopes: list[Numbers] = []
         self.first_segments: dict[str, int] = {}
         self.controllers: list[SampledController] = []
-        self.muscles: list[ActingMuscle] = []
+        self.acting: list[ActingForce] = []
+        self.extensions: dict[str, Any] = {}
+        self.numbering: Numbering
         self.elements: list[ForceElement] = []
         self.spring_places: list[int] = []
         self.load_places: list[int] = []
         self.loads: list[Numbers] = []
-        self.contact_rows: list[Numbers] = []
+        self.pairs: list[Numbers] = []
         self.load_points: list[Numbers] = []
         self.frictions: list[int] = []
         self.reactions: list[tuple[int, int, int, int]] = []
         for name, force in mechanism.forces.items():
             self._add(name, force)
-        for name, muscle in acting_muscles(mechanism).items():
-            self.muscles.append(ActingMuscle(muscle, len(self.states)))
-            self._add_law(name, muscle, "muscles")
+        further = acting_kinds(mechanism)
+        for kind in further:
+            if kind.order < FRICTION:
+                self._add_kind(kind)
         self.friction = friction_forces(mechanism)
+        self.first_friction = len(self.elements)
         for number_of_friction, friction in enumerate(self.friction):
             self._add_friction(number_of_friction, friction)
-        self.contacts = acting_contacts(mechanism, number)
-        if mechanism.contact_treatment.is_rigid:
-            self.contacts = self._add_held(self.contacts, list(mechanism.bodies))
-        else:
-            for rows in pairs_of_shapes(self.contacts):
-                self._add_contact(rows)
+        for kind in further:
+            if kind.order >= FRICTION:
+                self._add_kind(kind)
+
+    def number(self, body: str) -> int:
+        """Return the index of a body; `ground` is last."""
+        return self.bodies[body]
 
     def arrays(self) -> dict[str, np.ndarray]:
         """Return the arrays of `Topology` about forces."""
@@ -110,7 +117,7 @@ class CompiledForces:
             "frictions": np.array(self.frictions, dtype=np.int64),
             "loads": np.array(self.loads, dtype=np.int64).reshape(-1, 5),
             "load_points": np.array(self.load_points, dtype=float).reshape(-1, 2),
-            "contacts": np.array(self.contact_rows, dtype=np.int64).reshape(-1, 3),
+            "contacts": np.array(self.pairs, dtype=np.int64).reshape(-1, 3),
             "force_place": np.array(self.spring_places + self.load_places, dtype=np.int64),
         }
 
@@ -119,7 +126,7 @@ class CompiledForces:
             case SpringDamper() | TorsionSpring():
                 self._add_spring(name, f"forces.{name}", force.pathway, force.linear)
             case Law():
-                self._add_law(name, force)
+                self.force("force", "forces", name, force)
             case Torque() | PointForce():
                 self._add_load(name, force.load)
 
@@ -127,7 +134,7 @@ class CompiledForces:
         self,
         name: str,
         key: str,
-        pathway: Pathway | SpringDamper | TorsionSpring | MuscleForce | FrictionForce,
+        pathway: Any,
         linear: Numbers,
         law: int = -1,
     ) -> None:
@@ -135,7 +142,7 @@ class CompiledForces:
         first, count = self.first_segments.setdefault(key, len(self.springs)), len(segments)
         for index, segment in enumerate(segments):
             self.spring_places.append(len(self.elements))
-            ends = [self.number[body] for body in segment.bodies]
+            ends = [self.bodies[body] for body in segment.bodies]
             self.springs.append((PATHWAYS[segment.kind], *ends, law, first, 0 if index else count))
             self.spring_points.append((*segment.points, *segment.constants))
             self.linear.append(linear)
@@ -143,7 +150,29 @@ class CompiledForces:
         self.couplings += [(k, other) for k in rows for other in rows if k != other]
         self.elements.append(ForceElement(name, path_ends(segments), pathway.length_unit))
 
-    def _add_law(self, name: str, force: Law | MuscleForce | FrictionForce, kind: str = "forces") -> None:
+    def _add_kind(self, kind: ElementKind) -> None:
+        """Add the elements of a plugin's kind."""
+        key, elements = kind.key_in_model, getattr(self.mechanism, kind.key_in_model)
+        forces = {} if kind.forces is None else kind.forces()(elements)
+        acting = tuple(self.force(kind.name, key, name, force) for name, force in forces.items())
+        self.extensions[key] = acting if kind.lower is None else kind.lower()(elements, self, acting)
+
+    def force(self, kind: str, key: str, name: str, force: LawForce) -> ActingForce:
+        """Add a force element with a law along a pathway, and its states.
+
+        Parameters
+        ----------
+        kind, key
+            Word for the kind of element, and its key in the model.
+        name, force
+            Name of the element, and the force element.
+        """
+        acting = ActingForce(kind, name, force, len(self.elements), len(self.states))
+        self._add_law(name, force, key)
+        self.acting.append(acting)
+        return acting
+
+    def _add_law(self, name: str, force: LawForce, kind: str) -> None:
         law, segment, begin = force.force_law, len(self.springs), len(self.law_parameters)
         try:
             compiled, block = bind_law(law, force, force.law_id)
@@ -174,57 +203,63 @@ class CompiledForces:
         self.load_places.append(len(self.elements))
         self.elements.append(ForceElement(name, (load.reaction_body, load.body), load.length_unit))
         motions = [self.motions.add(value) for value in load.values]
-        bodies = (self.number[load.body], self.number[load.reaction_body])
+        bodies = (self.bodies[load.body], self.bodies[load.reaction_body])
         self.loads.append((LOADS[load.kind], *bodies, *motions, *[-1] * (2 - len(motions))))
         self.load_points.append(load.point)
 
-    def _add_contact(self, rows: Sequence[ActingContact]) -> None:
-        """Add the contact of two shapes, given its rows."""
-        name, begin = f"contact '{rows[0].pair.name}'", len(self.law_parameters)
-        self.contact_rows.append((*rows[0].bodies, len(self.laws)))
-        self.law_parameters += contact_numbers(rows)
-        for mode in (FORCES, SLOPES):
-            self._add_law_row(name, contact_law(rows, mode), begin)
+    def pair(self, name: str, bodies: tuple[int, int], laws: Sequence[CompiledLaw], numbers: Sequence[float]) -> None:
+        """Add a force between two bodies that depends on their poses and velocities, such as a contact.
 
-    def _add_wrench(self, name: str, body: int, laws: Sequence[int]) -> None:
-        """Add a force at the centre of mass of a body, and a torque if there is a third law."""
+        Parameters
+        ----------
+        name
+            Name in messages.
+        bodies
+            Indices of the bodies.
+        laws
+            The law of the forces and the law of their slopes.
+        numbers
+            Parameters of the laws, preceded by their number.
+        """
+        begin = len(self.law_parameters)
+        self.pairs.append((*bodies, len(self.laws)))
+        self.law_parameters += numbers
+        for law in laws:
+            self._add_law_row(name, law, begin)
+
+    def law(self, name: str, law: Any, options: Any, key: str) -> int:
+        """Add a law without a pathway, whose value may be a component of a `wrench`; return its index."""
+        begin = len(self.law_parameters)
+        compiled, block = bind_law(law, options, key)
+        self.law_parameters += block
+        self._add_law_row(name, compiled, begin)
+        return len(self.laws) - 1
+
+    def wrench(self, name: str, body: int, laws: Sequence[int]) -> None:
+        """Add a force at the centre of mass of a body, and a torque if there is a third law.
+
+        Parameters
+        ----------
+        name
+            Name of the load in messages.
+        body
+            Index of the body.
+        laws
+            Indices of the laws of the components x and y, and of the torque.
+        """
         for kind, components in (("point_force", (0, 1)), ("torque", (2,)))[: max(len(laws) - 1, 0)]:
             motions = [self.motions.add(f'contacts["{name}"].{len(self.loads)}.{one}') for one in components]
             self.load_places.append(len(self.elements))
             self.elements.append(ForceElement(name, ("ground", "ground"), "m"))
             self.load_values += [(laws[one], motion) for one, motion in zip(components, motions, strict=True)]
-            self.loads.append((LOADS[kind], body, self.number["ground"], *motions, *[-1] * (2 - len(motions))))
+            self.loads.append((LOADS[kind], body, self.bodies["ground"], *motions, *[-1] * (2 - len(motions))))
             self.load_points.append((0.0, 0.0))
-
-    def _add_held(self, contacts: Sequence[ActingContact], bodies: Sequence[str]) -> list[ActingContact]:
-        """Add the states that store the forces and modes of rigid contacts, and the sum of these forces on each body.
-
-        The values of these states are constant during a step. Loads apply the sums to the bodies.
-
-        Returns the contacts, each with the index of its first state.
-        """
-        found = []
-        for contact in contacts:
-            found.append(replace(contact, first_state=len(self.states)))
-            for name, unit in HELD.items():
-                self._add_state(ElementState(f"{contact.pair.name}.{name}", unit), 0.0, -1)
-        law = held_law()
-        laws: dict[int, list[int]] = {}
-        for coordinate in held_coordinates(found):
-            number, axis = divmod(coordinate, 3)
-            body, (name, unit) = bodies[number], list(HELD_BY_BODY.items())[axis]
-            laws.setdefault(number, []).append(len(self.laws))
-            self._add_law_row(f"contacts of '{body}'", bind_law(law, {"held": 0.0}, body)[0], len(self.law_parameters))
-            self._add_state(ElementState(f"{body}.{name}", unit), 0.0, -1)
-        for number, own in laws.items():
-            self._add_wrench(bodies[number], number, own)
-        return found
 
     def add_expressions(self, mechanism: Mechanism) -> None:
         """Add the expressions that depend on the state, and the states that belong to them.
 
-        These are values of loads, excitations of muscles, rates of the first-order states that the mechanism defines,
-        and outputs and states of sampled controllers.
+        These are values of loads, expressions of further kinds of elements, rates of the first-order states that the
+        mechanism defines, and outputs and states of sampled controllers.
         """
         held = [(name, value, 0.0) for name, one in mechanism.controllers.items() for value in one.outputs]
         held += [
@@ -233,29 +268,27 @@ class CompiledForces:
             for value, state in one.states.items()
         ]
         names = [one.name for one in self.states] + [*mechanism.states, *(f"{name}.{value}" for name, value, _ in held)]
-        numbering = Numbering(mechanism, self.number, self.first_segments, {name: i for i, name in enumerate(names)})
+        places = {name: i for i, name in enumerate(names)}
+        numbering = self.numbering = Numbering(mechanism, self.bodies, self.first_segments, places)
         loads = [name for name, force in mechanism.forces.items() if isinstance(force, Torque | PointForce)]
         for k, name in enumerate(loads):
             force = mechanism.forces[name]
             assert isinstance(force, Torque | PointForce)
             for component, text in enumerate(force.load.values):
                 if is_of_state(text):
-                    self._add_load_value(numbering, name, k, component, str(text))
-        for k, one in enumerate(self.muscles):
-            for key, text in one.force.muscle.expressions():
-                name = one.force.name
-                rate = activation_rate_text(one.force.muscle.activation, text, f'states["{name}.activation"]')
-                law, _, _ = self._add_expression(numbering, f"model.muscles.{quoted(name)}.{key}", name, rate)
-                self.state_rows[one.activation] = (-1, self.state_rows[one.activation][1], law)
-                self.muscles[k] = replace(one, excitation=higher_layers.state_program(text, mechanism))
+                    self._add_load_value(name, k, component, str(text))
+        for kind in acting_kinds(mechanism):
+            if kind.lower_expressions is not None:
+                handle = self.extensions[kind.key_in_model]
+                self.extensions[kind.key_in_model] = kind.lower_expressions()(handle, self)
         for name, state in mechanism.states.items():
-            law, _, _ = self._add_expression(numbering, f"model.states.{quoted(name)}.rate", name, state.rate)
-            self._add_state(ElementState(name, state.unit), state.initial, law)
+            law = self.expression(f"model.states.{quoted(name)}.rate", name, state.rate)
+            self.state(name, state.unit, state.initial, law)
         for name, value, initial in held:
-            self._add_state(ElementState(f"{name}.{value}", "1"), initial, -1)
+            self.state(f"{name}.{value}", "1", initial)
         for name, controller in mechanism.controllers.items():
             rows = {
-                key: self._add_expression(numbering, f"model.controllers.{quoted(name)}.{key}", name, text)[0]
+                key: self.expression(f"model.controllers.{quoted(name)}.{key}", name, text)
                 for key, text in controller.expressions()
             }
             place = numbering.states
@@ -267,15 +300,52 @@ class CompiledForces:
             )
             self.controllers.append(SampledController(name, controller.period, controller.delay, outputs, states))
 
-    def _add_state(self, state: ElementState, initial: float, law: int) -> None:
+    def state(self, name: str, unit: str, initial: float, law: int = -1) -> int:
+        """Add a first-order state, and return its index.
+
+        Parameters
+        ----------
+        name, unit
+            Name, such as ``element.state``, and unit.
+        initial
+            Initial value.
+        law
+            Index of the law of its rate, see `expression`; -1 for a state that is constant during each step.
+        """
         place = len(self.law_parameters) + 1
         self.law_parameters += [1.0, initial]
         self.state_places.append((len(self.states), place))
         self.state_rows.append((-1, place, law))
-        self.states.append(state)
+        self.states.append(ElementState(name, unit))
+        return len(self.states) - 1
 
-    def _add_load_value(self, numbering: Numbering, name: str, load: int, component: int, text: str) -> None:
-        law, begin, expression = self._add_expression(numbering, f"model.forces.{quoted(name)}.value", name, text)
+    def held_load(self, element: str, name: str, unit: str) -> int:
+        """Add a state that is constant during each step, and a law with its value for `wrench`; return the index of the
+        law.
+        """
+        law, _ = bind_law(_held_law(), {"held": 0.0}, element)
+        self._add_law_row(element, law, len(self.law_parameters))  # the state is its parameter
+        self.state(name, unit, 0.0)
+        return len(self.laws) - 1
+
+    def set_rate(self, state: int, law: int) -> None:
+        """Replace the rate of a first-order state by a law, see `expression`; both are given by their index."""
+        self.state_rows[state] = (-1, self.state_rows[state][1], law)
+
+    def expression(self, key: str, name: str, text: str) -> int:
+        """Add an expression of the state as a law, and return its index; only in `ElementKind.lower_expressions`.
+
+        Parameters
+        ----------
+        key, name
+            Key path of the expression in a spec, and name of its element, for messages.
+        text
+            The expression.
+        """
+        return self._add_expression(key, name, text)[0]
+
+    def _add_load_value(self, name: str, load: int, component: int, text: str) -> None:
+        law, begin, expression = self._add_expression(f"model.forces.{quoted(name)}.value", name, text)
         self.load_values.append((law, int(self.loads[load][3 + component])))
         inputs = iter(range(len(self.inputs) - len(expression.slopes), len(self.inputs)))
         for slope, number in zip(expression.slopes, inputs, strict=True):
@@ -286,10 +356,10 @@ class CompiledForces:
                 self.slopes.append((load, component, len(self.laws), number, place))
             self._add_law_row(name, slope, begin)
 
-    def _add_expression(self, numbering: Numbering, key: str, name: str, text: str) -> tuple[int, int, StateExpression]:
+    def _add_expression(self, key: str, name: str, text: str) -> tuple[int, int, StateExpression]:
         """Add an expression; return the index of its law, where its parameters begin, and the expression."""
         try:
-            expression = numbering.expression(text, name)
+            expression = self.numbering.expression(text, name)
         except SpecError as error:
             raise error.located(prefix=key) from None
         begin, law = len(self.law_parameters), len(self.laws)
@@ -307,3 +377,19 @@ class CompiledForces:
     def _add_law_row(self, name: str, law: CompiledLaw, begin: int) -> None:
         self.laws.append((name, law))
         self.law_rows.append((law.address, begin, law.claims, law.program))
+
+
+def acting_kinds(mechanism: Mechanism) -> list[ElementKind]:
+    """Return the kinds of plugins of which a mechanism has elements that act, in their order."""
+    return [
+        kind
+        for key, kind in element_kinds().items()
+        if mechanism.elements.get(key) and (mechanism.is_of_run or not kind.only_in_runs)
+    ]
+
+
+@cache
+def _held_law() -> TracedLaw:
+    """Return a law whose value is its only parameter."""
+    held = Traced(Source(), "parameters[0]")
+    return TracedLaw(lambda length, rate, time, p: held, dict, has_derivatives=False)

@@ -4,18 +4,18 @@ from __future__ import annotations
 
 import marshal
 import sys
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
 from mbdkit.base import elementary
 from mbdkit.base.errors import SpecError
 from mbdkit.base.plain_data import plain
-from mbdkit.engine.compile_forces import CompiledForces, Numbers
+from mbdkit.engine.compile_forces import Lowering, Numbers, acting_kinds
 from mbdkit.engine.compile_motions import CompiledMotions
 from mbdkit.engine.compiled_mechanism import CompiledMechanism, Row
-from mbdkit.engine.contact_forces import ActingContact
 from mbdkit.engine.elimination_order import neighbours
 from mbdkit.engine.kernels.acting import ANGLE, TRAVEL
 from mbdkit.engine.kernels.constraints import KINDS
@@ -25,7 +25,9 @@ from mbdkit.engine.nested_dissection import sparse_order
 from mbdkit.mechanism.angle_function import Center
 from mbdkit.mechanism.bodies import Element
 from mbdkit.mechanism.contacts import COMPLIANT
+from mbdkit.mechanism.element_kinds import element_kinds
 from mbdkit.mechanism.mechanism import Mechanism
+from mbdkit.mechanism.mechanism_data import ELEMENTS
 
 WELL_SCALED = 1e6
 """Largest ratio of masses, and of inertias over squared lever arms, for which the Schur complement is accurate."""
@@ -53,7 +55,7 @@ def compile_mechanism(mechanism: Mechanism) -> CompiledMechanism:
     ground = number["ground"] = len(bodies)
     motions = CompiledMotions()
     pairs = _pairs(mechanism, number, motions)
-    forces = CompiledForces(mechanism, number, motions)
+    forces = Lowering(mechanism, number, motions)
     forces.add_expressions(mechanism)
     beams = _Beams(mechanism, number)
     centered = _add_centers(pairs, motions)
@@ -113,27 +115,26 @@ def compile_mechanism(mechanism: Mechanism) -> CompiledMechanism:
         laws=tuple(forces.laws),
         states=tuple(forces.states),
         controllers=tuple(forces.controllers),
-        muscles=tuple(forces.muscles),
+        acting=tuple(forces.acting),
         friction=tuple(one.number for one in forces.friction),
-        contacts=tuple(forces.contacts),
-        members=_members(mechanism, forces.contacts),
-        contact_treatment=mechanism.contact_treatment if mechanism.contacts else COMPLIANT,
+        first_friction=forces.first_friction,
+        extensions=forces.extensions,
+        members=_members(mechanism, forces.extensions),
+        contact_treatment=mechanism.contact_treatment if "contacts" in forces.extensions else COMPLIANT,
         order=tuple(order),
         below=tuple(frozenset(b) for b in below),
         well_scaled=_is_well_scaled(mechanism),
     )
 
 
-def _members(
-    mechanism: Mechanism, contacts: Sequence[ActingContact]
-) -> dict[str, tuple[tuple[str, tuple[str, ...]], ...]]:
+def _members(mechanism: Mechanism, extensions: Mapping[str, Any]) -> dict[str, tuple[tuple[str, tuple[str, ...]], ...]]:
     """Return `CompiledMechanism.members`."""
-    named = {
-        kind: tuple((name, tuple(body for _, body in one.places())) for name, one in elements.items())
-        for kind, elements in mechanism.elements.items()
-        if kind not in ("joints", "forces", "markers", "muscles")
-    }
-    return named | {"contacts": tuple((one.pair.name, one.pair.ordered) for one in contacts)}
+    members, kinds = {}, element_kinds()
+    for key, handle in extensions.items():
+        own = kinds[key].members
+        places = ((name, tuple(body for _, body in one.places())) for name, one in getattr(mechanism, key).items())
+        members[key] = tuple(places if own is None else own()(handle))
+    return members
 
 
 def _of_bodies(mechanism: Mechanism) -> dict[str, np.ndarray]:
@@ -196,18 +197,17 @@ def compiled_content(mechanism: Mechanism) -> bytes | None:
         (name, type(one).__name__, _content(one))
         for kind, named in mechanism.elements.items()
         for name, one in named.items()
-        if kind not in ("muscles", "contacts")
+        if kind in ELEMENTS
     ]
-    fixed = mechanism.assembly.fix
+    fixed, kinds = mechanism.assembly.fix, acting_kinds(mechanism)
     data = [
         (name, plain(one))
         for named in (
             mechanism.beams,
             mechanism.states,
             mechanism.controllers,
-            mechanism.muscles if mechanism.muscles_act else {},
-            mechanism.contacts,
-            {"treatment": tuple(mechanism.contact_treatment)} if mechanism.contacts else {},
+            *(getattr(mechanism, kind.key_in_model) for kind in kinds),
+            {"treatment": tuple(mechanism.contact_treatment)} if mechanism.elements.get("contacts") else {},
         )
         for name, one in named.items()
     ]

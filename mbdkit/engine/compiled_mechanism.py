@@ -5,19 +5,18 @@ from __future__ import annotations
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
+from typing import Any, Protocol
 
 import numpy as np
 
 from mbdkit.base.errors import SpecError
 from mbdkit.base.plain_data import quoted
 from mbdkit.base.text import counted, listed
-from mbdkit.engine.contact_forces import ActingContact
 from mbdkit.engine.force_laws import CompiledLaw
 from mbdkit.engine.kernels.engine_bundles import Topology
-from mbdkit.expressions.program import Program
 from mbdkit.mechanism.contacts import COMPLIANT, ChosenTreatment
+from mbdkit.mechanism.element_kinds import element_kinds
 from mbdkit.mechanism.values import Motion
-from mbdkit.muscles.acting_muscles import MuscleForce
 
 MOST_COUPLINGS = 60
 """Limit of a ratio: the sum of the squared numbers of pairs of rows on each body, by the number of all pairs of rows.
@@ -55,25 +54,46 @@ class ForceElement:
     unit: str
 
 
+class LawForce(Protocol):
+    """A force element with a law along a pathway, as `ElementKind.forces` returns it.
+
+    The law reads its options from the attributes of this object.
+    """
+
+    @property
+    def law_id(self) -> str:
+        """Name of the law in messages."""
+
+    @property
+    def force_law(self) -> Any:
+        """The law, such as an `mbdkit.ExpressionLaw`; it has a state for each first-order state of the element."""
+
+    @property
+    def pathway(self) -> Any:
+        """Object with ``segments(joints)``, which returns the segments of the pathway, and ``length_unit``."""
+
+
 @dataclass(frozen=True)
-class ActingMuscle:
-    """A muscle that acts in runs.
+class ActingForce:
+    """A compiled force element with a law along a pathway.
 
     Attributes
     ----------
+    kind, name
+        Word for the kind of element, such as ``muscle``, and name of the element.
     force
-        The muscle as a force element.
-    activation
-        Index of its activation among the first-order states. If the tendon is elastic, the fibre length is the next
-        state.
-    excitation
-        Program and quantities of an excitation that is an expression of the state; see
-        `mbdkit.events.state_program.state_program`. None for any other excitation.
+        The element.
+    place
+        Index among all force elements, along the second axis of `mbdkit.plugin.Observed.forces`.
+    state
+        Index of its first state among the first-order states.
     """
 
-    force: MuscleForce
-    activation: int
-    excitation: tuple[Program, list[tuple[str, str, str]]] | None = None
+    kind: str
+    name: str
+    force: LawForce
+    place: int
+    state: int
 
 
 @dataclass(frozen=True)
@@ -158,10 +178,15 @@ class CompiledMechanism:
         (J,) unit of the coordinate of each joint, m for a travel and rad for an angle.
     forces
         Force elements and loads, in the order of the mechanism.
-    muscles
-        Muscles that act in runs. Kernels number them after the force elements and loads.
+    acting
+        All force elements with laws along pathways, except friction. Kernels number those of further kinds after the
+        force elements and loads.
     friction
-        Indices of the joints with friction. Kernels number their friction forces after the muscles.
+        Indices of the joints with friction.
+    first_friction
+        Index of the first friction force among all force elements.
+    extensions
+        What further kinds of elements need in runs, by their key in the model; see `mbdkit.plugin.ElementKind`.
     beams
         Name and number of elements of each beam.
     markers
@@ -185,7 +210,7 @@ class CompiledMechanism:
     redundancy
         Constraints that are excluded because the other constraints imply them.
     states
-        First-order states of force elements and of the mechanism, and values that are constant during a step: forces
+        First-order states of elements and of the mechanism, and values that are constant during a step: forces
         and modes of rigid contacts, and outputs and states of sampled controllers.
     controllers
         Sampled controllers.
@@ -215,9 +240,10 @@ class CompiledMechanism:
     redundancy: Redundancy = Redundancy()
     states: tuple[ElementState, ...] = ()
     controllers: tuple[SampledController, ...] = ()
-    muscles: tuple[ActingMuscle, ...] = ()
+    acting: tuple[ActingForce, ...] = ()
     friction: tuple[int, ...] = ()
-    contacts: tuple[ActingContact, ...] = ()
+    first_friction: int = 0
+    extensions: Mapping[str, Any] = field(default_factory=dict)
     contact_treatment: ChosenTreatment = COMPLIANT
     members: Mapping[str, tuple[tuple[str, tuple[str, ...]], ...]] = field(default_factory=dict)
 
@@ -241,17 +267,15 @@ class CompiledMechanism:
         return self.topology.law_parameters[self.topology.states[:, 1]]
 
     @property
-    def stiffest_muscle(self) -> str:
-        """Name of the muscle with the shortest elastic tendon, relative to the speed of its fibres; empty if all
-        tendons are rigid.
-        """
-        muscles = [one.force.muscle for one in self.muscles]
-        slack = {
-            one.force.name: muscle.tendon_length / (muscle.max_velocity * muscle.optimal_length)
-            for one, muscle in zip(self.muscles, muscles, strict=True)
-            if muscle.tendon == "elastic"
-        }
-        return min(slack, key=slack.__getitem__, default="")
+    def contacts(self) -> tuple[Any, ...]:
+        """Rows of the contacts, `ActingContact` of `mbdkit.engine.contact_forces`."""
+        return self.extensions.get("contacts", ())
+
+    def refuse_kinds(self, what: str) -> None:
+        """Raise SpecError if there are elements of a plugin's kind that does not support `what`, such as gradients."""
+        for key, kind in element_kinds().items():
+            if self.extensions.get(key) and what in kind.supports:
+                raise SpecError(kind.supports[what], key=f"model.{key}")
 
     def refuse_states(self, what: str, hint: str = "") -> None:
         """Raise SpecError if the mechanism has first-order states.

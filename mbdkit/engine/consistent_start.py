@@ -8,12 +8,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from mbdkit.base import elementary
 from mbdkit.base.errors import SpecError
 from mbdkit.engine.assembly import AssembledState, assemble, search_for
 from mbdkit.engine.compile_mechanism import compile_mechanism, compiled_content
 from mbdkit.engine.compiled_mechanism import CompiledMechanism, with_ground
-from mbdkit.engine.contact_forces import check_start
 from mbdkit.engine.least_change import LeastChange
 from mbdkit.engine.redundancy import without_redundancy
 from mbdkit.engine.self_stress import looped_rows
@@ -21,9 +19,8 @@ from mbdkit.engine.stabilization import NONE, Stabilization
 from mbdkit.engine.workspace import Workspace
 from mbdkit.mechanism.bodies import Body
 from mbdkit.mechanism.checks import check_centers, check_springs
+from mbdkit.mechanism.element_kinds import element_kinds
 from mbdkit.mechanism.mechanism import Mechanism
-from mbdkit.mechanism.quantity_names import QuantityNames
-from mbdkit.muscles.muscle_path import MusclePath
 
 
 @contextmanager
@@ -120,16 +117,15 @@ def mechanism_at_start(mechanism: Mechanism, t0: float = 0.0, end: float | None 
     return Starts().at_start(mechanism, t0, end)
 
 
-def _with_fibers(mechanism: Mechanism, compiled: CompiledMechanism, q: np.ndarray, t0: float) -> CompiledMechanism:
-    """Return a compiled mechanism whose muscle fibres on elastic tendons start in equilibrium at positions `q`."""
-    if not compiled.muscles:
+def _with_states_at(mechanism: Mechanism, compiled: CompiledMechanism, q: np.ndarray, t0: float) -> CompiledMechanism:
+    """Return a compiled mechanism with the states of further kinds that follow from the positions `q` at the start."""
+    if not compiled.extensions:
         return compiled
-    names, parameters = QuantityNames(mechanism), compiled.topology.law_parameters.copy()
-    for one in compiled.muscles:
-        path = MusclePath(one.force.name, one.force.muscle, names).at(np.array([t0]), q.reshape(1, -1))
-        fiber = one.force.fiber_length_at(float(path.length[0]))
-        if one.force.muscle.tendon == "elastic":
-            parameters[compiled.topology.states[one.activation + 1, 1]] = fiber
+    kinds, parameters = element_kinds(), compiled.topology.law_parameters.copy()
+    for key, handle in compiled.extensions.items():
+        at_start = kinds[key].at_start
+        for state, value in at_start()(handle, mechanism, t0, q).items() if at_start is not None else ():
+            parameters[compiled.topology.states[state, 1]] = value
     return replace(compiled, topology=compiled.topology._replace(law_parameters=parameters))
 
 
@@ -175,10 +171,7 @@ class CompiledForStarts:
         compiled, q0, v0 = self.mechanism, with_ground(start.q), with_ground(start.v)
         check_springs(mechanism.forces, placed)
         check_centers(mechanism.joints, placed)
-        if compiled.contacts:
-            weight = sum(body.mass for body in mechanism.bodies.values()) * elementary.hypot(*mechanism.gravity)
-            check_start(compiled.contacts, q0, v0, mechanism.assembly.tolerance, weight)
-        compiled = _with_fibers(mechanism, compiled, start.q, self.search.t0)
+        compiled = _with_states_at(mechanism, compiled, start.q, self.search.t0)
         if self.has_loops:
             compiled = without_redundancy(compiled, self.search.t0, q0[:-3], v0[:-3], end)
             compiled.refuse_friction_of_shared_reactions()

@@ -7,24 +7,36 @@ contacts in runs, and the recorded quantities of all contacts.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from functools import cache
+from dataclasses import dataclass, replace
 from itertools import groupby
 from typing import TYPE_CHECKING
 
 import numpy as np
 
+from mbdkit.base import elementary
 from mbdkit.base.errors import SpecError
+from mbdkit.engine.compiled_mechanism import with_ground
 from mbdkit.engine.force_laws import CompiledLaw, NativeLaw, native_law
-from mbdkit.engine.kernels.contact_laws import FORCE_LAWS, KINDS, POSE, ROW, VALUE, VALUES, contact, contact_rows
+from mbdkit.engine.kernels.contact_laws import (
+    FORCE_LAWS,
+    FORCES,
+    KINDS,
+    POSE,
+    ROW,
+    SLOPES,
+    VALUE,
+    VALUES,
+    contact,
+    contact_rows,
+)
 from mbdkit.engine.kernels.uneven_ground import EDGE, OWN, SEGMENT
-from mbdkit.engine.traced_law import Source, Traced
 from mbdkit.mechanism.bodies import GROUND
 from mbdkit.mechanism.contacts import OPEN, SLIP, STICK, ContactPair
-from mbdkit.mechanism.force_law import TracedLaw
 from mbdkit.mechanism.polylines import reaching_segments
 
 if TYPE_CHECKING:
+    from mbdkit.engine.compile_forces import Lowering
+    from mbdkit.mechanism.contacts import Contact
     from mbdkit.mechanism.mechanism import Mechanism
 
 HEAVY = 10.0
@@ -44,7 +56,7 @@ HELD_BY_BODY = {"contact_force_x": "N", "contact_force_y": "N", "contact_torque"
 centre of mass.
 """
 
-FORCES = {"hunt-crossley": "hertz", "flores": "hertz", "lankarani-nikravesh": "hertz", "linear": "linear",
+FORMS = {"hunt-crossley": "hertz", "flores": "hertz", "lankarani-nikravesh": "hertz", "linear": "linear",
           "smooth-sphere-half-space": "smooth"}  # fmt: skip
 """Form of the normal force of each law, one of `mbdkit.engine.kernels.contact_laws.FORCE_LAWS`."""
 
@@ -213,7 +225,7 @@ def acting_contacts(mechanism: Mechanism, number: Mapping[str, int]) -> list[Act
                     key=f"{pair.key}.compliance",
                 )
             law = tuple(own.law_numbers(pair.radius).values())
-            found.append(ActingContact(pair, FORCES[own.compliance.law], moving, bodies, law))
+            found.append(ActingContact(pair, FORMS[own.compliance.law], moving, bodies, law))
     return found
 
 
@@ -223,33 +235,57 @@ def _coordinates(mechanism: Mechanism, body: str) -> int:
     return 2 if mechanism.bodies[body].inertia is None else 3
 
 
-@cache
-def held_law() -> TracedLaw:
-    """Return a law whose value is its only parameter."""
-    held = Traced(Source(), "parameters[0]")
-    return TracedLaw(lambda length, rate, time, p: held, dict, has_derivatives=False)
+def lower_contacts(elements: Mapping[str, Contact], lowering: Lowering, acting: tuple[()]) -> tuple[ActingContact, ...]:
+    """Add the forces of compliant contacts, or the states of rigid ones, to a mechanism that is compiled.
+
+    These states store the forces and modes of rigid contacts, and the sum of these forces on each body. Their values
+    are constant during a step, and loads apply the sums to the bodies.
+
+    Returns the rows of all contacts; rigid ones with the index of their first state.
+    """
+    mechanism = lowering.mechanism
+    contacts = acting_contacts(mechanism, lowering.bodies)
+    if not mechanism.contact_treatment.is_rigid:
+        for rows in pairs_of_shapes(contacts):
+            laws = [contact_law(rows, mode) for mode in (FORCES, SLOPES)]
+            lowering.pair(f"contact '{rows[0].pair.name}'", rows[0].bodies, laws, contact_numbers(rows))
+        return tuple(contacts)
+    rigid = []
+    for one in contacts:
+        states = [lowering.state(f"{one.pair.name}.{name}", unit, 0.0) for name, unit in HELD.items()]
+        rigid.append(replace(one, first_state=states[0]))
+    bodies, laws_of = list(mechanism.bodies), dict[int, list[int]]()
+    for coordinate in held_coordinates(rigid):
+        number, axis = divmod(coordinate, 3)
+        body, (name, unit) = bodies[number], list(HELD_BY_BODY.items())[axis]
+        laws_of.setdefault(number, []).append(lowering.held_load(f"contacts of '{body}'", f"{body}.{name}", unit))
+    for number, own in laws_of.items():
+        lowering.wrench(bodies[number], number, own)
+    return tuple(rigid)
 
 
 def check_start(
-    contacts: Sequence[ActingContact], q: np.ndarray, v: np.ndarray, tolerance: float, weight: float
-) -> None:
+    contacts: Sequence[ActingContact], mechanism: Mechanism, _t0: float, q: np.ndarray
+) -> Mapping[int, float]:
     """Raise SpecError for the first contact whose shapes overlap too much at the start.
 
-    The shapes of any contact may overlap by `tolerance`. Those of a compliant contact may overlap more if its force at
-    rest is at most `HEAVY` times the weight.
+    The shapes of any contact may overlap by `assembly.tolerance`. Those of a compliant contact may overlap more if its
+    force at rest is at most `HEAVY` times the weight.
 
     Parameters
     ----------
-    q, v
-        (3 (B + 1),) positions and velocities, ground last.
-    tolerance
-        Overlap that counts as closed [m].
-    weight
-        Weight of all bodies [N].
+    q
+        (B, 3) positions after assembly.
+
+    Returns
+    -------
+    dict
+        Nothing: the initial values of states do not depend on the positions.
     """
-    if not contacts:
-        return
-    values = contact_values(contacts, q[None], 0.0 * v[None], np.zeros((1, len(HELD) * len(contacts))))
+    tolerance = mechanism.assembly.tolerance
+    weight = sum(body.mass for body in mechanism.bodies.values()) * elementary.hypot(*mechanism.gravity)
+    row = with_ground(q)[None]
+    values = contact_values(contacts, row, np.zeros_like(row), np.zeros((1, len(HELD) * len(contacts))))
     for i, one in enumerate(contacts):
         depth, push = -float(values["gap"][0, i]), float(values["normal_force"][0, i])
         is_deep = depth > 0.5 * one.pair.radius > 0.0
@@ -267,3 +303,9 @@ def check_start(
                 f"{remedy}move the bodies apart",
                 key=f"{one.pair.key}.shapes",
             )
+    return {}
+
+
+def members_of(contacts: Sequence[ActingContact]) -> list[tuple[str, tuple[str, ...]]]:
+    """Return name and bodies of each row of the contacts."""
+    return [(one.pair.name, one.pair.ordered) for one in contacts]

@@ -17,6 +17,7 @@ from mbdkit.base.errors import SpecError
 from mbdkit.engine.force_laws import CompiledLaw, bind_law
 from mbdkit.engine.kernels.applied_forces import LENGTH_INPUT, POSITION_INPUT, RATE_INPUT, TENSION_INPUT, VELOCITY_INPUT
 from mbdkit.expressions.program import Program, execute
+from mbdkit.mechanism.element_kinds import element_kinds
 from mbdkit.mechanism.force_law import ExpressionLaw
 
 if TYPE_CHECKING:
@@ -70,7 +71,7 @@ class Numbering:
     bodies
         Index of each body by name, ground included.
     springs
-        Index of the first segment of each force element on a pathway, by ``forces.NAME`` or ``muscles.NAME``.
+        Index of the first segment of each force element on a pathway, by its key and name, such as ``forces.NAME``.
     states
         Index of each first-order state, and of each output and state of a controller, ``controller.output``.
     """
@@ -131,9 +132,9 @@ class _Terms:
                 return self._of_point(marker.body, marker.held, attribute)
             case "joints":
                 return self._coordinate(name)
-            case "muscles":
-                code = {"length": LENGTH_INPUT, "rate": RATE_INPUT, "force": TENSION_INPUT}[attribute]
-                return self._input(code, self.numbering.springs[f"muscles.{name}"])
+            case further if (own := element_kinds().get(further)) is not None:
+                codes = {"length": LENGTH_INPUT, "rate": RATE_INPUT, "tension": TENSION_INPUT}
+                return self._input(codes[own.in_expressions[attribute]], self.numbering.springs[f"{further}.{name}"])
             case "forces" if f"forces.{name}" in self.numbering.springs:
                 code = {"length": LENGTH_INPUT, "rate": RATE_INPUT, "value": TENSION_INPUT}[attribute]
                 text, force = self._input(code, self.numbering.springs[f"forces.{name}"]), mechanism.forces[name]

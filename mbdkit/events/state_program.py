@@ -9,6 +9,7 @@ import numpy as np
 
 from mbdkit.events.event_expression import RunCompiler
 from mbdkit.expressions.program import Program, value_of
+from mbdkit.mechanism.element_kinds import element_kinds
 from mbdkit.mechanism.mechanism import Mechanism
 from mbdkit.quantities.names import archive_names
 from mbdkit.quantities.quantity import Quantity
@@ -18,18 +19,23 @@ from mbdkit.quantities.states import States
 class StateCompiler(RunCompiler):
     """Compiles an expression of kinematic quantities, of lengths, rates and values of springs, and of states."""
 
-    attributes: ClassVar[Mapping[str, Sequence[str]]] = {
+    own_attributes: ClassVar[Mapping[str, Sequence[str]]] = {
         "bodies": ("x", "y", "angle", "vx", "vy", "angular_velocity"),
         "joints": ("angle",),
         "markers": ("x", "y", "vx", "vy"),
         "forces": ("length", "rate", "value"),
-        "muscles": ("length", "rate", "force"),
         "states": ("value",),
     }
     wanted = (
         "an expression of the state, which has numbers, t, pi, NAME.angle and other kinematic quantities of bodies, "
         "joints and markers, forces.NAME.length, states.NAME"
     )
+
+    @property
+    def attributes(self) -> Mapping[str, Sequence[str]]:  # type: ignore[override]
+        """Quantities by kind, with those of the kinds of elements of plugins."""
+        further = {key: tuple(kind.in_expressions) for key, kind in element_kinds().items() if kind.in_expressions}
+        return {**self.own_attributes, **further}
 
 
 def state_program(text: str, mechanism: Mechanism) -> tuple[Program, list[tuple[str, str, str]]]:

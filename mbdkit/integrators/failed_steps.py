@@ -11,7 +11,6 @@ from mbdkit.engine.elimination_order import SingularSystemError
 from mbdkit.engine.kernels.system import DIVERGED, NOT_FINITE, REPIVOT, REPIVOT_STAGES
 from mbdkit.engine.native.bundle import PinnedBundle
 from mbdkit.engine.singularity import describe_nearness, nearest_singularity
-from mbdkit.engine.torn_paths import torn_path
 from mbdkit.engine.workspace import Workspace
 from mbdkit.integrators import step_loop
 from mbdkit.integrators.interface import Failure, Timetable
@@ -20,6 +19,7 @@ from mbdkit.integrators.run_state import MODIFIED
 from mbdkit.integrators.step_control import SOLVER_FAILURE_FACTOR
 from mbdkit.integrators.step_guards import ENERGY_JUMP, FELL_APART
 from mbdkit.integrators.step_watch import guard_failure
+from mbdkit.mechanism.element_kinds import element_kinds
 
 if TYPE_CHECKING:
     from mbdkit.integrators.compiled_method import CompiledMethod
@@ -104,7 +104,7 @@ class FailedSteps:
             return
         self.failure = self._failure(status, singular, where)
         ahead = self.run_state.q + self._size_tried() * self.run_state.v
-        near = torn_path(self.workspace, self.time, ahead, self.run_state.v)
+        near = self._obstacle(ahead)
         if not near and self.failure.code != "not-finite":
             near = describe_nearness(self.workspace, self.time, self.run_state.q)
         if near:
@@ -175,9 +175,18 @@ class FailedSteps:
             return Failure("newton-failed", f"{where}: {reached}; {hint}.")
         return Failure("singular", f"{what} {where}; {hint}.")
 
+    def _obstacle(self, q: np.ndarray) -> str:
+        """Return a clause that names an element that cannot have the positions `q`; empty if there is none."""
+        for key, handle in self.workspace.mechanism.extensions.items():
+            obstacle = element_kinds()[key].obstacle
+            if obstacle is not None and (clause := obstacle()(handle, self.workspace, self.time, q, self.run_state.v)):
+                return clause
+        return ""
+
     def _stiffness(self) -> str:
-        """Return a clause that names muscle fibres too stiff for large steps of explicit methods, if there are any."""
-        name = self.workspace.mechanism.stiffest_muscle
-        if not name or self.method.carries_stages:
-            return ""
-        return f"; the fibres of muscle '{name}' are stiff: they need smaller steps, or an implicit method (radau-iia)"
+        """Return a clause that names an element for which explicit methods need small steps, if there is one."""
+        for key, handle in () if self.method.carries_stages else self.workspace.mechanism.extensions.items():
+            stiffest = element_kinds()[key].stiffest
+            if stiffest is not None and (clause := stiffest()(handle)):
+                return f"; {clause}"
+        return ""

@@ -78,10 +78,19 @@ class Body(StrictModel):
 
 
 class Element(StrictModel):
-    """Base class of joints, forces, pathways, markers, muscles and contacts.
+    """Base class of joints, forces, pathways, markers, and elements of the kinds that plugins add.
 
     Its methods list the bodies, points, angles, motions and expressions that an element uses.
     """
+
+    @property
+    def state_names(self) -> tuple[str, ...]:
+        """Names of the first-order states of an element of a plugin's kind in a run."""
+        return ()
+
+    def lengths_to_check(self) -> list[tuple[str, float]]:
+        """Return (key, value [m]) of each length that is improbable if it is far above the size of the mechanism."""
+        return []
 
     def places(self) -> list[tuple[str, str]]:
         """Return (key, body name) of each body that the element refers to."""

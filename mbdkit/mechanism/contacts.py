@@ -17,6 +17,7 @@ from mbdkit.base.strict_model import StrictModel
 from mbdkit.base.text import did_you_mean, listed
 from mbdkit.mechanism.bodies import GROUND, Attachment, Element
 from mbdkit.mechanism.joints import Joint, Revolute, Weld
+from mbdkit.mechanism.model_methods import of_models
 from mbdkit.mechanism.polylines import check_polyline, surface_of
 from mbdkit.mechanism.values import BodyPair, NotNegative, Point, Positive, sequence
 
@@ -578,15 +579,31 @@ def feet(pairs: Iterable[Sequence[str]]) -> list[str]:
     return list(dict.fromkeys(name for pair in pairs if GROUND in pair for name in pair if name != GROUND))
 
 
-def check_contacts(contacts: Mapping[str, Contact], joints: Mapping[str, Joint]) -> None:
+def check_contacts(contacts: Mapping[str, Contact], mechanism: Any, prefix: str) -> None:
     """Raise SpecError for the first contact whose bodies a weld, or a pin between two moving bodies, holds together.
 
     Two bodies overlap around their pin. A body that is pinned to the ground may touch other parts of the ground.
     """
     for key, contact in contacts.items():
-        for name, joint in joints.items() if contact.bodies is not None else ():
+        for name, joint in mechanism.joints.items() if contact.bodies is not None else ():
             holds = isinstance(joint, Weld) or (isinstance(joint, Revolute) and GROUND not in joint.bodies)
             if holds and set(joint.bodies) == set(contact.bodies or ()):
                 held = "joint '{}' holds '{}' and '{}' together".format(name, *contact.bodies or ())
                 why = f"{held}, so a contact between them would act against the joint; remove the joint or the contact"
-                raise SpecError(why, key=f"model.contacts.{quoted(key)}.bodies")
+                raise SpecError(why, key=f"{prefix}contacts.{quoted(key)}.bodies")
+
+
+@of_models(Contact)
+def add_contact(self, name, a=None, b=None, **keys):  # type: ignore[no-untyped-def]
+    """Add a contact.
+
+    >>> m = Mechanism()
+    >>> ball = m.body("ball", mass=0.5, inertia=2e-4, position=(0.0, 1.0))
+    >>> floor, outline = {"line": {"normal": (0, 1)}}, {"circle": {"radius": 0.03}}
+    >>> m.contact("floor", m.ground, ball, shapes=[floor, outline], friction=0.4, compliance={"stiffness": 1e6})
+    """
+    for index, body in enumerate((a, b)):
+        if keys.get("among") is None and body is None:
+            key = f"model.contacts.{quoted(name)}.bodies[{index}]"
+            raise SpecError("is missing: a contact needs two bodies, or `among`", key=key)
+    self.add("contacts", name, bodies=None if a is None and b is None else (a, b), **keys)

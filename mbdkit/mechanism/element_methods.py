@@ -11,13 +11,11 @@ from mbdkit.base.errors import SpecError
 from mbdkit.base.plain_data import quoted
 from mbdkit.mechanism.beams import Beam
 from mbdkit.mechanism.bodies import Body, Marker
-from mbdkit.mechanism.contacts import Contact
 from mbdkit.mechanism.forces import PointForce, SpringDamper, Torque, TorsionSpring
 from mbdkit.mechanism.joints import Distance, Driver, PointOnLine, Prismatic, Revolute, Weld
 from mbdkit.mechanism.law_element import Law
 from mbdkit.mechanism.mechanism_data import NamedCoordinate
 from mbdkit.mechanism.model_methods import of_models
-from mbdkit.mechanism.muscles import Muscle
 from mbdkit.mechanism.named_elements import NamedElements
 from mbdkit.mechanism.pathways import JointAngles, TwoPoints
 from mbdkit.mechanism.state_values import Controller, FirstOrderState
@@ -196,34 +194,6 @@ class ElementMethods(NamedElements):
         >>> m.marker("toe", foot, at=(1.15, -0.04))
         """
         self.add("markers", name, body=body, **_given(point=point), **keys)
-
-    @of_models(Muscle)
-    def muscle(self, name, path, **keys):
-        """Add a muscle. In runs it exerts a force; in inverse dynamics, `recruitment` computes its share of the
-        moments.
-
-        >>> m = Mechanism()
-        >>> shank = m.body("shank", mass=3.0, inertia=0.05, position=(0.0, -0.2))
-        >>> m.revolute("knee", m.ground, shank, at=(0.0, 0.0))
-        >>> path = [{"body": "ground", "point": (-0.03, 0.3)}, {"body": shank, "point": (-0.03, 0.1)}]
-        >>> m.muscle("flexor", path, max_force=2000.0, optimal_length=0.11, tendon_length=0.3)
-        """
-        self.add("muscles", name, path=path, **keys)
-
-    @of_models(Contact)
-    def contact(self, name, a=None, b=None, **keys):
-        """Add a contact.
-
-        >>> m = Mechanism()
-        >>> ball = m.body("ball", mass=0.5, inertia=2e-4, position=(0.0, 1.0))
-        >>> floor, outline = {"line": {"normal": (0, 1)}}, {"circle": {"radius": 0.03}}
-        >>> m.contact("floor", m.ground, ball, shapes=[floor, outline], friction=0.4, compliance={"stiffness": 1e6})
-        """
-        for index, body in enumerate((a, b)):
-            if keys.get("among") is None and body is None:
-                key = f"model.contacts.{quoted(name)}.bodies[{index}]"
-                raise SpecError("is missing: a contact needs two bodies, or `among`", key=key)
-        self.add("contacts", name, bodies=None if a is None and b is None else (a, b), **keys)
 
     @of_models(NamedCoordinate)
     def coordinate(self, name, of, **keys):

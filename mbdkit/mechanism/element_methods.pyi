@@ -6,20 +6,25 @@ from typing import Any, Literal
 from mbdkit.mechanism.angle_function import Center
 from mbdkit.mechanism.beams import BeamStiffness
 from mbdkit.mechanism.contacts import Compliance
+from mbdkit.mechanism.contacts import Contact
 from mbdkit.mechanism.contacts import Friction
 from mbdkit.mechanism.contacts import Shape
 from mbdkit.mechanism.joint_friction import JointFriction
 from mbdkit.mechanism.joint_friction import PinFriction
 from mbdkit.mechanism.joint_friction import SlideFriction
-from mbdkit.mechanism.muscles import Activation
-from mbdkit.mechanism.muscles import Metabolics
-from mbdkit.mechanism.muscles import PathItem
 from mbdkit.mechanism.named_elements import NamedElements
 from mbdkit.mechanism.state_values import ControllerState
 from mbdkit.mechanism.values import Table
+from mbdkit_biomech.muscles.muscle import Activation
+from mbdkit_biomech.muscles.muscle import Metabolics
+from mbdkit_biomech.muscles.muscle import Muscle
+from mbdkit_biomech.muscles.muscle import PathItem
 
 class ElementMethods(NamedElements):
     """The part of `Mechanism` that adds its elements."""
+
+    muscles: dict[str, Muscle]
+    contacts: dict[str, Contact]
 
     def body(
         self, name: str, *, mass: float, inertia: float | None = None, position: Sequence[float] = (0.0, 0.0),
@@ -498,6 +503,76 @@ class ElementMethods(NamedElements):
             an alternative to `point`.
         """
 
+    def coordinate(
+        self, name: str, of: str, *, relative_to: str | None = None, scale: float = 1.0, offset: float = 0.0
+    ) -> None:
+        """Define a named coordinate, for example one of a measured file.
+
+        A quantity with a name of its own: ``scale * of + offset``, or ``scale * (of - angle of a body) + offset``.
+
+        The generalized force of the coordinate is the force or torque along the quantity, divided by `scale`.
+
+        Parameters
+        ----------
+        name
+            Name of the element.
+        of
+            The quantity: `JOINT.angle` (the relative angle [rad], or the travel of a slide [m]), `BODY.x`, `BODY.y`
+            [m] of the centre of mass, `BODY.angle` [rad], `MARKER.x` or `MARKER.y` [m].
+        relative_to
+            Body whose angle is subtracted from `of`, which is then the angle of another body. The two bodies need
+            not share a joint.
+        scale
+            Ratio of the change of the coordinate to the change of the quantity; must not be zero.
+        offset
+            Value of the coordinate when the quantity is zero [m or rad].
+        """
+
+    def state(
+        self, name: str, *, initial: float = 0.0, rate: str | float, unit: str = '1'
+    ) -> None:
+        """Add a first-order state.
+
+        A first-order state z of the mechanism, z' = rate, such as the current of a motor or the output of a filter.
+
+        Parameters
+        ----------
+        name
+            Name of the element.
+        initial
+            Value of the state at the start.
+        rate
+            Derivative of the state with respect to time: an expression of t and of the quantities of the mechanism,
+            such as `states.NAME`.
+        unit
+            Unit of the state.
+        """
+
+    def controller(
+        self, name: str, *, states: Mapping[str, Mapping[str, Any] | ControllerState] | None = None, period: float,
+        delay: float = 0.0, outputs: Mapping[str, str | float]
+    ) -> None:
+        """Add a sampled controller.
+
+        A sampled controller: its outputs are constant between samples, as those of a digital controller.
+
+        Parameters
+        ----------
+        name
+            Name of the element.
+        states
+            States by name, such as ``sum: {next: "controllers.pid.sum + 0.01*bodies.leg.angle"}``. Keys of
+            `ControllerState`: initial, next.
+        period
+            Time between two samples [s]; the first one is at the start of the run.
+        delay
+            Time [s] between a sample and the change of the outputs to the values computed from it. Before the first
+            of these changes, outputs are 0.
+        outputs
+            Outputs by name: expressions of the state at a sample. Loads refer to an output as
+            ``controllers.NAME.OUTPUT``.
+        """
+
     def muscle(
         self, name: str, path: Sequence[Mapping[str, Any] | PathItem], *, max_force: float, optimal_length: float,
         tendon_length: float, pennation: float = 0.0,
@@ -507,8 +582,7 @@ class ElementMethods(NamedElements):
         excitation: float | str | Mapping[str, Any] | Table | None = None, max_velocity: float = 10.0,
         weight: float = 1.0, metabolics: Mapping[str, Any] | Metabolics | Literal["umberger"] | None = None
     ) -> None:
-        """Add a muscle. In runs it exerts a force; in inverse dynamics, `recruitment` computes its share of the
-        moments.
+        """Add a muscle. In runs it exerts a force; in inverse dynamics, `recruitment` computes its share of the moments.
 
         A Hill-type muscle along a path: a fibre in series with a tendon, to which it is inclined by the pennation angle.
 
@@ -588,74 +662,4 @@ class ElementMethods(NamedElements):
         compliance
             Law of the normal force, which the compliant treatment needs. Keys of `Compliance`: law, stiffness,
             dissipation, impact_speed, transition_speed.
-        """
-
-    def coordinate(
-        self, name: str, of: str, *, relative_to: str | None = None, scale: float = 1.0, offset: float = 0.0
-    ) -> None:
-        """Define a named coordinate, for example one of a measured file.
-
-        A quantity with a name of its own: ``scale * of + offset``, or ``scale * (of - angle of a body) + offset``.
-
-        The generalized force of the coordinate is the force or torque along the quantity, divided by `scale`.
-
-        Parameters
-        ----------
-        name
-            Name of the element.
-        of
-            The quantity: `JOINT.angle` (the relative angle [rad], or the travel of a slide [m]), `BODY.x`, `BODY.y`
-            [m] of the centre of mass, `BODY.angle` [rad], `MARKER.x` or `MARKER.y` [m].
-        relative_to
-            Body whose angle is subtracted from `of`, which is then the angle of another body. The two bodies need
-            not share a joint.
-        scale
-            Ratio of the change of the coordinate to the change of the quantity; must not be zero.
-        offset
-            Value of the coordinate when the quantity is zero [m or rad].
-        """
-
-    def state(
-        self, name: str, *, initial: float = 0.0, rate: str | float, unit: str = '1'
-    ) -> None:
-        """Add a first-order state.
-
-        A first-order state z of the mechanism, z' = rate, such as the current of a motor or the output of a filter.
-
-        Parameters
-        ----------
-        name
-            Name of the element.
-        initial
-            Value of the state at the start.
-        rate
-            Derivative of the state with respect to time: an expression of t and of the quantities of the mechanism,
-            such as `states.NAME`.
-        unit
-            Unit of the state.
-        """
-
-    def controller(
-        self, name: str, *, states: Mapping[str, Mapping[str, Any] | ControllerState] | None = None, period: float,
-        delay: float = 0.0, outputs: Mapping[str, str | float]
-    ) -> None:
-        """Add a sampled controller.
-
-        A sampled controller: its outputs are constant between samples, as those of a digital controller.
-
-        Parameters
-        ----------
-        name
-            Name of the element.
-        states
-            States by name, such as ``sum: {next: "controllers.pid.sum + 0.01*bodies.leg.angle"}``. Keys of
-            `ControllerState`: initial, next.
-        period
-            Time between two samples [s]; the first one is at the start of the run.
-        delay
-            Time [s] between a sample and the change of the outputs to the values computed from it. Before the first
-            of these changes, outputs are 0.
-        outputs
-            Outputs by name: expressions of the state at a sample. Loads refer to an output as
-            ``controllers.NAME.OUTPUT``.
         """

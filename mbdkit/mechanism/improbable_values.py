@@ -164,7 +164,7 @@ def _source_of_inertia(beam: Beam) -> tuple[str, float, str, str]:
 def improbable_lengths(mechanism: Mechanism) -> Iterator[str]:
     """Yield a sentence without a full stop for each spring whose free length is too large for its length at the start
     and for the mechanism, for each one-sided spring along a coordinate that is deflected too far at the start, and for
-    each muscle whose optimal length is too large for the mechanism.
+    each element of a plugin with a length that is too large for the mechanism.
     """
     found = []
     for name, force in mechanism.forces.items():
@@ -178,8 +178,12 @@ def improbable_lengths(mechanism: Mechanism) -> Iterator[str]:
         elif isinstance(force, Law) and (deflection := _deflection(mechanism, force, free)) > 0.0:
             told = f" and the spring is deflected by {deflection:.3g} m"
             found.append(("forces", name, "free_length", free, deflection, told))
-    for name, muscle in mechanism.muscles.items():
-        found.append(("muscles", name, "optimal_length", muscle.optimal_length, muscle.optimal_length, ""))
+    found += [
+        (kind, name, key, length, length, "")
+        for kind, elements in mechanism.elements.items()
+        for name, element in elements.items()
+        for key, length in element.lengths_to_check()
+    ]
     size = size_if_below(mechanism, max((length / LARGE for *_, length, _ in found), default=0.0))
     for kind, name, key, value, length, also in found:
         if length > LARGE * size > 0:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from types import MethodType
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from pydantic import TypeAdapter, ValidationError
@@ -16,11 +17,11 @@ from mbdkit.base.text import counted
 from mbdkit.mechanism.beams import last_nodes, parts_of
 from mbdkit.mechanism.bodies import GROUND, Element
 from mbdkit.mechanism.checks import check_centers, check_mechanism, check_name, check_names, check_tables
-from mbdkit.mechanism.contacts import ChosenTreatment, check_contacts, feet
+from mbdkit.mechanism.contacts import ChosenTreatment, feet
+from mbdkit.mechanism.element_kinds import builder_of, check_elements, element_kinds, kind_built_by
 from mbdkit.mechanism.element_methods import ElementMethods
 from mbdkit.mechanism.law_element import Law
 from mbdkit.mechanism.mechanism_data import ELEMENTS, Assembly, MechanismData, NamedCoordinate, check_coordinates
-from mbdkit.mechanism.muscles import check_moving_points
 from mbdkit.mechanism.parameters import parameter_values, with_expressions
 from mbdkit.mechanism.validation_errors import spec_error
 from mbdkit.mechanism.values import Motion, Point
@@ -55,8 +56,9 @@ class Mechanism(ElementMethods, HtmlView):
 
     Attributes
     ----------
-    bodies, joints, forces, markers, muscles, contacts : dict
-        The elements by name, in the order in which they were added.
+    bodies, joints, forces, markers : dict
+        The elements by name, in the order in which they were added. Elements of each kind that a plugin adds are in the
+        attribute with the key of the kind, such as `contacts` and `muscles`.
     beams : dict
         The beams by name. Their nodes are among `bodies`, and the forces that replace their distributed loads are among
         `forces`.
@@ -68,9 +70,9 @@ class Mechanism(ElementMethods, HtmlView):
         First-order states of the mechanism itself by name.
     controllers : dict
         Sampled controllers by name.
-    muscles_act : bool
-        Whether muscles are force elements, as in runs. In inverse dynamics they are not; the moments of actuators are
-        distributed to the muscles instead.
+    is_of_run : bool
+        Whether the mechanism is that of a run, in which elements also act that otherwise do not: muscles, to which
+        inverse dynamics distributes the moments of actuators.
     contact_treatment : ChosenTreatment
         How contacts act in a run.
     warnings : tuple of str
@@ -99,7 +101,7 @@ class Mechanism(ElementMethods, HtmlView):
         for kind in ("bodies", "beams", *ELEMENTS, "coordinates", "states", "controllers"):
             setattr(self, kind, {})
         self.assembly = Assembly()
-        self.muscles_act = False
+        self.is_of_run = False
         self.contact_treatment = ChosenTreatment()
         self.warnings: tuple[str, ...] = ()
         self.left_out: tuple[str, ...] = ()
@@ -112,8 +114,25 @@ class Mechanism(ElementMethods, HtmlView):
 
     @property
     def elements(self) -> dict[str, dict[str, Element]]:
-        """The joints, forces, markers, muscles and contacts: for each kind, the elements by name."""
-        return {kind: getattr(self, kind) for kind in ELEMENTS}
+        """The joints, forces, markers, and elements of further kinds, if there are any: for each kind, the elements by
+        name.
+        """
+        own = {kind: getattr(self, kind) for kind in ELEMENTS}
+        return own | {kind: elements for kind in element_kinds() if (elements := self.__dict__.get(kind))}
+
+    def __getattr__(self, name: str) -> Any:
+        """Return the elements of a kind that a plugin adds, or the method that adds one."""
+        if not name.startswith("_"):
+            if name in element_kinds():
+                return self.__dict__.setdefault(name, {})
+            if (kind := kind_built_by(name)) is not None:
+                return MethodType(builder_of(kind), self)
+        raise AttributeError(f"'{type(self).__name__}' object has no attribute '{name}'", name=name, obj=self)
+
+    def __dir__(self) -> list[str]:
+        """Return the names of the attributes, those of further kinds included."""
+        kinds = element_kinds().values()
+        return [*super().__dir__(), *(name for kind in kinds for name in (kind.key_in_model, kind.builder) if name)]
 
     # ---- queries -------------------------------------------------------------------------------------------------
 
@@ -143,17 +162,17 @@ class Mechanism(ElementMethods, HtmlView):
         ]
 
     def state_names(self) -> list[str]:
-        """Return the names of all first-order states; states of force elements and muscles are named
-        ``element.state``.
-        """
+        """Return the names of all first-order states; states of elements are named ``element.state``."""
         of_elements = [
             f"{name}.{state.name}"
             for name, force in self.forces.items()
             if isinstance(force, Law)
             for state in force.force_law.states
         ]
-        of_muscles = [f"{name}.{state}" for name, muscle in self.muscles.items() for state in muscle.states]
-        return [*of_elements, *of_muscles, *self.states]
+        further = (elements for kind, elements in self.elements.items() if kind not in ELEMENTS)
+        named = (item for elements in further for item in elements.items())
+        of_kinds = [f"{name}.{state}" for name, element in named for state in element.state_names]
+        return [*of_elements, *of_kinds, *self.states]
 
     def held_names(self) -> list[str]:
         """Return the names of all outputs and states of controllers, ``controller.output`` or ``controller.state``."""
@@ -191,12 +210,11 @@ class Mechanism(ElementMethods, HtmlView):
             For the first error; it contains the key path.
         """
         check_mechanism(self.bodies, self.beams, self.elements, self.joints, self.assembly)
-        check_contacts(self.contacts, self.joints)
         check_centers(self.joints, self.bodies.__getitem__)
         for name in self.coordinates:
             check_name(name, f"model.coordinates.{quoted(name)}")
         check_coordinates(self.coordinates, self.joints, self.bodies, self.markers)
-        check_moving_points(self.muscles, self.coordinates, "model.")
+        check_elements(self.elements, self, "model.")
         for kind, names in {
             "states": list(self.states),
             "controllers": list(self.controllers),
@@ -290,9 +308,9 @@ class Mechanism(ElementMethods, HtmlView):
         Parameters
         ----------
         spec
-            Mapping with the keys ``gravity``, ``bodies``, ``beams``, ``joints``, ``forces``, ``markers``, ``muscles``,
-            ``contacts``, ``coordinates``, ``states``, ``controllers`` and ``assembly``; ``name`` is optional and must
-            be ``mechanism``.
+            Mapping with the keys ``gravity``, ``bodies``, ``beams``, ``joints``, ``forces``, ``markers``,
+            ``coordinates``, ``states``, ``controllers``, ``assembly`` and those of further kinds of elements, such as
+            ``contacts``; ``name`` is optional and must be ``mechanism``.
         parameters
             Named parameters: numbers, or expressions of other parameters. Numbers in `spec` may be expressions of them.
 
@@ -325,15 +343,14 @@ class Mechanism(ElementMethods, HtmlView):
     def from_data(cls, data: MechanismData, *, name: str = "mechanism") -> Mechanism:
         """Return the mechanism described by validated `data`, after checks that involve several of its elements."""
         mechanism = cls(data.gravity, name=name)
-        check_names(data.bodies, data.beams, {kind: getattr(data, kind) for kind in ELEMENTS})
+        given = {kind: getattr(data, kind, {}) for kind in (*ELEMENTS, *element_kinds())}
+        check_names(data.bodies, data.beams, given)
         mechanism.bodies = dict(data.bodies)
         for name, beam in data.beams.items():
             mechanism._add_beam(name, beam)
-        for kind, elements in mechanism.elements.items():
-            given: dict[str, Element] = getattr(data, kind)
-            elements |= {
-                name: mechanism._with_points(one, f"model.{kind}.{quoted(name)}") for name, one in given.items()
-            }
+        for kind, elements in given.items():
+            own: dict[str, Element] = getattr(mechanism, kind)
+            own |= {name: mechanism._with_points(one, f"model.{kind}.{quoted(name)}") for name, one in elements.items()}
         last = last_nodes(mechanism.beams)
         fixed = tuple(last.get(name, name) for name in data.assembly.fix)
         mechanism.assembly = data.assembly.model_copy(update={"fix": fixed})
@@ -370,8 +387,8 @@ class Mechanism(ElementMethods, HtmlView):
         """Return (key path, value) for each pair (key, value) that the function `values` returns for an element."""
         return [
             (f"model.{kind}.{quoted(name)}.{key}", value)
-            for kind in ELEMENTS
-            for name, one in getattr(self, kind).items()
+            for kind, elements in self.elements.items()
+            for name, one in elements.items()
             for key, value in values(one)
         ]
 

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Container, Mapping
+from collections.abc import Callable, Container, Mapping
 from typing import Annotated, Any, ClassVar
 
-from pydantic import BeforeValidator, Field, model_validator
+from pydantic import BeforeValidator, Field, GetJsonSchemaHandler, ValidationInfo, model_validator
+from pydantic.fields import FieldInfo
+from pydantic_core import CoreSchema
 
 from mbdkit.base.errors import SpecError
 from mbdkit.base.plain_data import quoted
@@ -13,10 +15,17 @@ from mbdkit.base.strict_model import StrictModel
 from mbdkit.base.text import did_you_mean, listed
 from mbdkit.mechanism.beams import Beam
 from mbdkit.mechanism.bodies import GROUND, Body, Marker
-from mbdkit.mechanism.contacts import Contact
+from mbdkit.mechanism.element_kinds import (
+    check_elements,
+    element_kinds,
+    elements_type,
+    field_of,
+    kinds_in,
+    validated,
+    with_kinds,
+)
 from mbdkit.mechanism.forces import Force
 from mbdkit.mechanism.joints import Joint
-from mbdkit.mechanism.muscles import Muscle, check_moving_points
 from mbdkit.mechanism.state_values import Controller, FirstOrderState
 from mbdkit.mechanism.values import Number, Point, Positive, sequence
 
@@ -95,9 +104,9 @@ def _check_relative(one: NamedCoordinate, bodies: Container[str], key: str) -> N
         raise SpecError(f"'{one.relative_to}' is not another body", key=key)
 
 
-ELEMENTS = ("joints", "forces", "markers", "muscles", "contacts")
-"""Kinds of elements: keys of the model, and attributes of `Mechanism`. A canonical spec always has the first two keys,
-and the others only if they have elements.
+ELEMENTS = ("joints", "forces", "markers")
+"""Kinds of elements of the core: keys of the model, and attributes of `Mechanism`. A canonical spec always has the
+first two keys; it has the last one, and those of further kinds, only if they have elements.
 """
 
 NO_BODY = "a mechanism needs at least one body or beam"
@@ -116,7 +125,7 @@ class Assembly(StrictModel):
 class MechanismData(StrictModel):
     """Data of the model `mechanism`: gravity, bodies, beams, elements, coordinates, states, controllers, assembly."""
 
-    ABSENT_BY_DEFAULT: ClassVar[tuple[str, ...]] = ("beams", *ELEMENTS[2:], "coordinates", "states", "controllers")
+    ABSENT_BY_DEFAULT: ClassVar[tuple[str, ...]] = ("beams", "markers", "coordinates", "states", "controllers")
 
     gravity: Point = (0.0, -9.81)
     """Gravitational acceleration (x, y) [m/s^2]."""
@@ -130,11 +139,6 @@ class MechanismData(StrictModel):
     """Force elements by name."""
     markers: dict[str, Marker] = Field(default_factory=dict)
     """Points of bodies whose positions and velocities are recorded, by name."""
-    muscles: dict[str, Muscle] = Field(default_factory=dict)
-    """Muscles by name. In runs they exert forces; in inverse dynamics with `recruitment`, they share the
-    moments of the actuators."""
-    contacts: dict[str, Contact] = Field(default_factory=dict)
-    """Contacts between bodies by name."""
     coordinates: dict[str, AnyNamedCoordinate] = Field(default_factory=dict)
     """Named coordinates: quantities, scaled and shifted, such as ``knee_angle: knee.angle`` or
     ``knee_angle: {of: knee.angle, scale: -1}``."""
@@ -151,7 +155,46 @@ class MechanismData(StrictModel):
             raise SpecError(NO_BODY, key="bodies")
         return self
 
+    @model_validator(mode="wrap")
+    @classmethod
+    def _with_kinds(cls, data: Any, handler: Callable[[Any], MechanismData], info: ValidationInfo) -> MechanismData:
+        """Validate as a derived class if there are elements of further kinds, so that only their code is imported."""
+        kinds = kinds_in(data) if isinstance(data, Mapping) and data.keys() - cls.model_fields.keys() else []
+        if further := tuple(kind for kind in kinds if kind.key_in_model not in cls.model_fields):
+            derived: type[MechanismData] = with_kinds(cls, further)
+            return validated(derived, data, info.mode, info.context)
+        return handler(data)
+
     @model_validator(mode="after")
-    def _points_follow_coordinates(self) -> MechanismData:
-        check_moving_points(self.muscles, self.coordinates)
+    def _elements_fit(self) -> MechanismData:
+        check_elements({key: getattr(self, key) for key in element_kinds() if key in type(self).model_fields}, self)
         return self
+
+    @classmethod
+    def further_keys(cls) -> list[str]:
+        """Return the keys of the kinds of elements that plugins add."""
+        return list(element_kinds())
+
+    @classmethod
+    def further_field(cls, key: str | int) -> FieldInfo | None:
+        """Return the field for the elements of a kind; None if there is no such kind."""
+        return field_of(kinds[key]) if isinstance(key, str) and key in (kinds := element_kinds()) else None
+
+    @classmethod
+    def __get_pydantic_json_schema__(cls, core_schema: CoreSchema, handler: GetJsonSchemaHandler) -> dict[str, Any]:
+        """Return the schema with the elements of all installed kinds, after the markers."""
+        schema = super().__get_pydantic_json_schema__(core_schema, handler)
+        resolved = handler.resolve_ref_schema(schema)
+        further = {
+            key: {
+                **handler(elements_type(kind).core_schema),
+                "description": kind.summary,
+                "title": key.replace("_", " ").title(),
+            }
+            for key, kind in element_kinds().items()
+            if key not in cls.model_fields
+        }
+        properties = resolved["properties"]
+        first = list(properties)[: list(properties).index("markers") + 1]
+        resolved["properties"] = {key: properties[key] for key in first} | further | properties
+        return schema

@@ -14,20 +14,19 @@ from mbdkit.base.text import did_you_mean, listed
 from mbdkit.mechanism.beams import Beam, last_nodes, with_body
 from mbdkit.mechanism.bodies import Body, Element, Marker
 from mbdkit.mechanism.checks import check_known, check_name
-from mbdkit.mechanism.contacts import Contact, check_contacts
+from mbdkit.mechanism.element_kinds import check_elements, element_kinds
 from mbdkit.mechanism.forces import Force
 from mbdkit.mechanism.joints import Joint
 from mbdkit.mechanism.mechanism_data import Assembly, MechanismData, NamedCoordinate, check_coordinates
-from mbdkit.mechanism.muscles import Muscle, check_moving_points
 from mbdkit.mechanism.parameters import with_expressions
 from mbdkit.mechanism.state_values import Controller, FirstOrderState
 
-KINDS = {
+_KINDS = {
     kind: get_args(field.annotation)[1]
     for kind, field in MechanismData.model_fields.items()
     if get_origin(field.annotation) is dict
 }
-"""Type of the elements of each kind: each key of the model `mechanism` with elements by name."""
+"""Type of the elements of each kind of the core: each key of the model `mechanism` with elements by name."""
 
 AnyPlaced = TypeVar("AnyPlaced", bound=Element)
 
@@ -42,8 +41,6 @@ class NamedElements:
     joints: dict[str, Joint]
     forces: dict[str, Force]
     markers: dict[str, Marker]
-    muscles: dict[str, Muscle]
-    contacts: dict[str, Contact]
     coordinates: dict[str, NamedCoordinate]
     states: dict[str, FirstOrderState]
     controllers: dict[str, Controller]
@@ -67,22 +64,24 @@ class NamedElements:
         >>> m.add("bodies", "rod", mass=2.0, inertia=0.375, position=(0.75, 0.0))
         >>> m.add("joints", "A", type="revolute", bodies=("ground", "rod"), at=(0.0, 0.0))
         """
-        if kind not in KINDS:
-            hint = did_you_mean(kind, KINDS) or f"; there are {listed(KINDS)}"
+        further = element_kinds()
+        if kind not in _KINDS and kind not in further:
+            known = [*_KINDS, *further]
+            hint = did_you_mean(kind, known) or f"; there are {listed(known)}"
             raise SpecError(f"there are no elements called '{kind}'{hint}", key="model")
         key = f"model.{kind}.{quoted(name)}"
         check_name(name, key)
         if name in getattr(self, kind):
             raise SpecError(f"the name '{name}' is already in use", key=key)
-        element = _validated(KINDS[kind], key, {key.removesuffix("_"): value for key, value in keys.items()})
+        model = further[kind].model() if kind in further else _KINDS[kind]
+        element = _validated(model, key, {key.removesuffix("_"): value for key, value in keys.items()})
         if isinstance(element, Element):
             element = self._with_points(element, key)
         if kind == "beams":
             self._add_beam(name, element)
         new = {kind: {name: element}}
         check_coordinates(new.get("coordinates", {}), self.joints, self.bodies, self.markers)
-        check_moving_points(new.get("muscles", {}), self.coordinates, "model.")
-        check_contacts(new.get("contacts", {}), self.joints)
+        check_elements(new, self, "model.")
         getattr(self, kind)[name] = element
 
     def hold(self, *bodies: str, tolerance: float = 1e-12) -> None:

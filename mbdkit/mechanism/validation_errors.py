@@ -15,7 +15,7 @@ from pydantic_core.core_schema import ErrorType
 from mbdkit.base import higher_layers
 from mbdkit.base.errors import SpecError
 from mbdkit.base.plain_data import Path, parse_path, path_text, value_text
-from mbdkit.base.strict_model import description
+from mbdkit.base.strict_model import StrictModel, description
 from mbdkit.base.text import did_you_mean, listed, message_of, shortened, shown
 from mbdkit.expressions.parser import Expression
 from mbdkit.mechanism.law_element import Law, PluginLookup
@@ -195,6 +195,7 @@ def _unknown_key(key: str, owner: type[BaseModel] | None, plugins: PluginLookup)
         return "unknown key"
     fields = owner.model_fields
     known = sorted((info.alias or name for name, info in fields.items()), key=lambda name: name != "name")
+    known += (key for key in owner.further_keys() if key not in known) if issubclass(owner, StrictModel) else ()
     message = plugins.owners_of(key, owner) or f"unknown key{did_you_mean(key, known)}"
     for name, info in fields.items():
         section = info.annotation
@@ -282,6 +283,8 @@ def walk(location: Sequence[str | int], root: Any, plugins: PluginLookup) -> tup
             path, owner = (*path, here), annotation
             fields = annotation.model_fields.items()
             field = next((field for name, field in fields if here in (name, field.alias)), None)
+            if field is None and issubclass(annotation, StrictModel):
+                field = annotation.further_field(here)
             if field is None:
                 break
             annotation, further = field.annotation, (field, *field.metadata)

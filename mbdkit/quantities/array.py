@@ -225,7 +225,7 @@ class Attribute:
         return not self.array.accumulates and (not self.is_vector or self.array.has_norm)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Kind:
     """A kind of objects that have quantities; its arrays are a group of the archive.
 
@@ -278,6 +278,16 @@ class Kind:
     def named_by(self) -> str:
         """Path of the array with the names of the objects."""
         return f"{self.group}/{self.owner or self.axis}"
+
+    @cached_property
+    def by_path(self) -> Mapping[str, Array]:
+        """The arrays by path."""
+        return {array.path: array for array in self.arrays}
+
+    @cached_property
+    def names_along(self) -> Mapping[str, Callable[[ArchiveNames], Sequence[str]]]:
+        """Functions that return the names along the axes that do not grow, by name of the axis."""
+        return {array.name: array.texts for array in self.arrays if array.is_scale and array.texts is not None}
 
     @cached_property
     def columns(self) -> tuple[Array, ...]:

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import Any, ClassVar, Literal
 
@@ -37,10 +37,10 @@ class Feature(Item):
     def check(self) -> None:
         """Check the fields, and that code is named by targets; raises PluginError."""
         super().check()
-        for field in fields(self):
-            value = getattr(self, field.name)
-            if "Target" in str(field.type) and not isinstance(value, Target) and value is not None:
-                raise PluginError(f"its `{field.name}` is {described(value)}, not a Target")
+        for one in fields(self):
+            value = getattr(self, one.name)
+            if "Target" in str(one.type) and not isinstance(value, Target) and value is not None:
+                raise PluginError(f"its `{one.name}` is {described(value)}, not a Target")
 
     def check_targets(self) -> None:
         """Check that the targets exist, and that they can be called; raises PluginError."""
@@ -267,6 +267,8 @@ class SummaryLine(Feature):
         Function that takes the run and returns lines, each a label and a text; empty texts are left out.
     of
         Names of the kinds of specs whose runs have the lines; empty for all kinds.
+    group
+        Group of the archive that runs with the lines have; empty for all runs.
     """
 
     kind: ClassVar[str] = "summary-line"
@@ -274,6 +276,7 @@ class SummaryLine(Feature):
 
     text: Target[Callable[[Any], list[tuple[str, str]]]]
     of: frozenset[str] = frozenset()
+    group: str = ""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
@@ -365,6 +368,8 @@ class CriterionItem(Feature):
         Names of the criteria, which `accept` in specs of these kinds may list.
     level
         Level of sentences, which become findings of the criterion `name`.
+    elements
+        Key in the model of a kind of elements; without such elements, nothing is examined. Empty for all mechanisms.
     """
 
     kind: ClassVar[str] = "criterion"
@@ -375,6 +380,7 @@ class CriterionItem(Feature):
     of: frozenset[str]
     criteria: tuple[str, ...] = ()
     level: Literal["doubtful"] | None = "doubtful"
+    elements: str = ""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
@@ -447,6 +453,166 @@ class Treatment(Feature):
     includes_impacts: bool = False
 
 
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class ElementKind(Feature):
+    """A kind of elements of mechanisms: a key of the model ``mechanism`` with elements by name.
+
+    Parameters
+    ----------
+    name
+        Word for one element, such as ``muscle``.
+    summary
+        Description of the key in the schema of specs.
+    order
+        Elements of kinds of lower order are compiled first, which numbers their force elements and states: forces 0,
+        muscles 100, friction in joints 200, contacts 300, expressions 900.
+    key_in_model
+        Key of the model, and attribute of `mbdkit.Mechanism`, such as ``muscles``.
+    model
+        Class of the elements, derived from `mbdkit.plugin.Element`.
+    builder
+        Name of the method of `mbdkit.Mechanism` that adds an element; empty if there is only `add`.
+    method
+        This method, a function whose first argument is the mechanism; by default, it takes the name of the element and
+        the fields of `model` by name.
+    only_in_runs
+        Whether the elements act only in runs, and are ignored by equilibria and inverse dynamics.
+    in_expressions
+        Quantities that expressions of the state may contain, ``length``, ``rate`` or ``tension`` of the force element
+        along a pathway, by the name in the expression.
+    check_elements
+        Function that takes elements by name, a mechanism or its data, and the beginning of key paths, and raises
+        SpecError for elements that do not fit the other elements.
+    check_run
+        Function that takes a mechanism and raises SpecError for elements that runs do not support.
+    forces
+        Function that takes elements by name and returns force elements with laws along pathways by name, as
+        `mbdkit.plugin.LawForce` describes. The elements act by these forces.
+    lower
+        Function that takes elements by name, the `mbdkit.plugin.Lowering`, and the compiled `forces`, a tuple of
+        `mbdkit.plugin.ActingForce`; it adds further forces and states, and returns what
+        `CompiledMechanism.extensions` holds under `key_in_model`. By default, it holds the tuple.
+    lower_expressions
+        Function that takes this object and the `Lowering`, adds expressions of the state, and returns a new object. It
+        must not add states.
+    at_start
+        Function that takes this object, the mechanism, the time [s] and the positions (3 (B + 1),) after assembly, and
+        returns initial values of states by their index.
+    members
+        Function that takes this object and returns names and bodies of what archives record; by default, those of the
+        elements.
+    obstacle
+        Function that takes this object, a `mbdkit.plugin.Workspace`, a time, positions and velocities at which a step
+        failed, and returns a clause that names an element that cannot have this position, or an empty text.
+    stiffest
+        Function that takes this object and returns a clause that names an element for which explicit methods need small
+        steps, or an empty text.
+    draw
+        Function that takes a mechanism and an element, and returns lines to draw: lists of bodies and points in their
+        frames [m].
+    supports
+        Sentences that refuse what the elements do not support, such as ``gradients`` or ``symbolic``, by its name.
+    """
+
+    kind: ClassVar[str] = "element-kind"
+    key: ClassVar[str] = "model"
+
+    key_in_model: str
+    model: Target[type[Any]]
+    builder: str = ""
+    method: Target[Callable[..., Any]] | None = None
+    only_in_runs: bool = False
+    in_expressions: Mapping[str, str] = field(default_factory=dict)
+    check_elements: Target[Callable[[Mapping[str, Any], Any, str], None]] | None = None
+    check_run: Target[Callable[[Any], None]] | None = None
+    forces: Target[Callable[[Mapping[str, Any]], Mapping[str, Any]]] | None = None
+    lower: Target[Callable[[Mapping[str, Any], Any, tuple[Any, ...]], Any]] | None = None
+    lower_expressions: Target[Callable[[Any, Any], Any]] | None = None
+    at_start: Target[Callable[..., Mapping[int, float]]] | None = None
+    members: Target[Callable[[Any], Iterable[tuple[str, tuple[str, ...]]]]] | None = None
+    obstacle: Target[Callable[..., str]] | None = None
+    stiffest: Target[Callable[[Any], str]] | None = None
+    draw: Target[Callable[[Any, Any], list[list[tuple[str, tuple[float, float]]]]]] | None = None
+    supports: Mapping[str, str] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class QuantityKind(Feature):
+    """A kind of objects with quantities, which are a group of the archives of runs that have such objects.
+
+    The module of the kind is imported only for such runs and archives.
+
+    Parameters
+    ----------
+    target
+        The `mbdkit.plugin.Kind`: its arrays, and how they are computed. It and its arrays are optional.
+    group
+        Name of the group; by default, that of the item.
+    word
+        Attribute of `Run` with the histories of the objects by name, and word for the kind in expressions; empty if
+        there is neither.
+    of
+        Elements of mechanisms whose presence in a run makes it record the group, such as ``contacts``: a key of
+        `mbdkit.quantities.names.ArchiveNames.members`; by default, the group.
+    history
+        Class of the history of an object, derived from `mbdkit.archive.named_columns.View` with the group as argument
+        ``of``; by default, a class that has only the columns of the arrays.
+    """
+
+    kind: ClassVar[str] = "quantity"
+    key: ClassVar[str] = "group"
+
+    target: Target[Any]
+    group: str = ""
+    word: str = ""
+    of: str = ""
+    history: Target[type[Any]] | None = None
+
+    def __post_init__(self) -> None:
+        """Set names that are not given."""
+        object.__setattr__(self, "group", self.group or self.name)
+        object.__setattr__(self, "of", self.of or self.group)
+
+    def _check_group(self) -> None:
+        if not str(self.group).isidentifier():
+            raise PluginError(f"its group {self.group!r} is not made of letters, digits and _")
+
+    def _check_word(self) -> None:
+        if not isinstance(self.word, str) or (self.word and not self.word.isidentifier()):
+            raise PluginError(f"its word {self.word!r} is not made of letters, digits and _")
+
+    def check_targets(self) -> None:
+        """Check the kind, and that the class of histories exists; raises PluginError."""
+        Item.check_targets(self)
+        self.checked_kind()
+
+    def checked_kind(self) -> Any:
+        """Return the kind, which must have the group and the word of the item; raises PluginError."""
+        for name in ("group", "word"):
+            if (value := getattr(self.target(), name, None)) != getattr(self, name):
+                raise PluginError(f"the {name} of its kind is {value!r}, not {getattr(self, name)!r}")
+        return self.target()
+
+
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class HeadlineItem(Feature):
+    """Headlines of a run without measures, which come before those of contacts and joints.
+
+    Parameters
+    ----------
+    take
+        Function that takes the run and returns headlines, of class `mbdkit.plugin.Headline`, the most important first.
+    group
+        Group of the archive that runs with these headlines have.
+    """
+
+    kind: ClassVar[str] = "headline"
+    key: ClassVar[str] = "headline"
+
+    take: Target[Callable[[Any], Iterable[Any]]]
+    group: str
+
+
 FEATURES: tuple[type[Feature], ...] = (
     SpecKind,
     Example,
@@ -460,5 +626,8 @@ FEATURES: tuple[type[Feature], ...] = (
     TableFormat,
     CriterionItem,
     Treatment,
+    ElementKind,
+    QuantityKind,
+    HeadlineItem,
 )
 """The kinds of items of this file."""

@@ -14,11 +14,12 @@ from mbdkit.trust.finding import Finding
 Stage = Literal["spec", "start", "rows", "end", "data"]
 
 
-def criteria(stage: Stage, kind: str = "run") -> Iterator[tuple[Registered, CriterionItem]]:
-    """Yield the criteria of a stage for the results of a kind of specs, in their order."""
+def criteria(stage: Stage, spec: Any, kind: str = "run") -> Iterator[tuple[Registered, CriterionItem]]:
+    """Yield the criteria of a stage for the result of a spec, in their order."""
     for item in registry().of_kind(CriterionItem.kind):
         criterion = cast(CriterionItem, item.plugin)
-        if criterion.stage == stage and kind in criterion.of:
+        is_examined = criterion.stage == stage and kind in criterion.of
+        if is_examined and (not criterion.elements or spec.mechanism().elements.get(criterion.elements)):
             yield item, criterion
 
 
@@ -26,7 +27,7 @@ def findings(stage: Stage, *examined: Any, kind: str = "run") -> list[Finding]:
     """Return what all criteria of a stage find in the objects that are examined; see `CriterionItem`."""
     return [
         finding
-        for item, criterion in criteria(stage, kind)
+        for item, criterion in criteria(stage, examined[0], kind)
         for finding in use(item, lambda own=criterion: [*as_findings(own, own.find()(*examined))])  # type: ignore[misc]
     ]
 

@@ -15,13 +15,13 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from mbdkit.engine.compile_forces import acting_kinds
 from mbdkit.engine.observed_states import StateObserver
 from mbdkit.engine.stored_arrays import fill
 from mbdkit.integrators.interface import Failure, Nodes
 from mbdkit.mechanism.force_law import ARGUMENTS
 from mbdkit.mechanism.law_element import Law
 from mbdkit.mechanism.law_parameters import law_range
-from mbdkit.muscles.acting_muscles import MuscleForce, acting_muscles
 from mbdkit.trust.finding import Finding
 
 if TYPE_CHECKING:
@@ -59,7 +59,7 @@ class WatchedLaw:
     name, law
         Kind and name of the element, and full name of its law.
     column
-        Index of the element among the force elements and muscles.
+        Index of the element among all force elements.
     unit
         Unit of the length of the element.
     bounds
@@ -88,12 +88,14 @@ class WatchedLaw:
 
 def has_ranges(mechanism: Mechanism) -> bool:
     """Return whether any force law of a mechanism declares a range. Raises the errors of `law_range`."""
-    laws: list[Law | MuscleForce] = [force for force in mechanism.forces.values() if isinstance(force, Law)]
-    laws += acting_muscles(mechanism).values()
+    laws: list[Any] = [force for force in mechanism.forces.values() if isinstance(force, Law)]
+    for kind in acting_kinds(mechanism):
+        if kind.forces is not None:
+            laws += kind.forces()(mechanism.elements[kind.key_in_model]).values()
     return any(_bounds(force) != UNBOUNDED for force in laws)
 
 
-def _bounds(force: Law | MuscleForce) -> tuple[tuple[float, float], ...]:
+def _bounds(force: Any) -> tuple[tuple[float, float], ...]:
     return tuple(law_range(force.force_law, force, force.law_id).values())
 
 
@@ -134,15 +136,9 @@ class LawRanges:
         """
         if not has_ranges(model):
             return None
-        columns = {one.name: column for column, one in enumerate(mechanism.forces)}
         laws = [
-            WatchedLaw(f"force '{name}'", force.law_id, columns[name], force.pathway.length_unit, bounds)
-            for name, force in model.forces.items()
-            if isinstance(force, Law) and (bounds := _bounds(force)) != UNBOUNDED
-        ]
-        laws += [
-            WatchedLaw(f"muscle '{one.force.name}'", one.force.law_id, column, one.force.length_unit, bounds)
-            for column, one in enumerate(mechanism.muscles, len(mechanism.forces))
+            WatchedLaw(f"{one.kind} '{one.name}'", one.force.law_id, one.place, one.force.pathway.length_unit, bounds)
+            for one in mechanism.acting
             if (bounds := _bounds(one.force)) != UNBOUNDED
         ]
         return cls(laws, workspace, stops=stops)

@@ -26,7 +26,6 @@ from mbdkit.mechanism.mechanism import Mechanism
 from mbdkit.mechanism.parameters import parameters_in_use
 from mbdkit.mechanism.size import mechanism_size
 from mbdkit.methods.baumgarte_stability import stiff_baumgarte
-from mbdkit.muscles.acting_muscles import acting_muscles
 from mbdkit.runs.angles_in_degrees import angles_in_degrees, motions_in_degrees
 from mbdkit.runs.preparation import make_method
 from mbdkit.spec import RunSpec
@@ -177,17 +176,6 @@ def long_step(spec: RunSpec, _measures: Sequence[str] = ()) -> Iterator[Finding]
             f"single, shorter step"
         )
         yield Finding("long-step", "doubtful", sentence, "time.step", is_named=False)
-
-
-def excitations(spec: RunSpec, _measures: Sequence[str] = ()) -> Iterator[Finding]:
-    """Yield a warning for each muscle whose excitation leaves the range 0 to 1 as a function of time."""
-    for name, muscle in acting_muscles(spec.mechanism()).items():
-        if (outside := muscle.excitation_outside(spec.time.start, spec.time.final)) is not None:
-            time, value = outside
-            reached = f"{value:.3g} at t = {time:.6g} s"
-            sentence = f"the excitation of muscle '{name}' is {reached}; it should stay between 0 and 1"
-            key = f"model.muscles.{quoted(name)}.excitation"
-            yield Finding("excitations", "doubtful", sentence, key, is_named=False)
 
 
 def slip_events(spec: RunSpec, _measures: Sequence[str] = ()) -> Iterator[Finding]:

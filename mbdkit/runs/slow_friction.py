@@ -55,7 +55,7 @@ class SlowFriction:
     """
 
     def __init__(self, mechanism: Mechanism, compiled: CompiledMechanism, size: float):
-        first = len(compiled.forces) + len(compiled.muscles)
+        first = compiled.first_friction
         self._columns = list(range(first, first + len(compiled.friction)))
         self._elements = []
         for name in (compiled.joints[number] for number in compiled.friction):

@@ -45,7 +45,7 @@ class StateWatchers:
 
     def __init__(self, spec: RunSpec, compiled: CompiledMechanism, size: float):
         self._spec = spec
-        self._criteria = {item.name: (item, criterion) for item, criterion in criteria("rows")}
+        self._criteria = {item.name: (item, criterion) for item, criterion in criteria("rows", spec)}
         self._watchers: dict[str, StateWatcher] = {}
         for name, (item, criterion) in self._criteria.items():
             watcher = use(item, lambda find=criterion.find: find()(spec, compiled, size))  # type: ignore[misc]

@@ -15,8 +15,8 @@ from mbdkit.base.strict_model import description
 from mbdkit.base.text import listed
 from mbdkit.engine.formulation import FORMULATIONS, Formulation
 from mbdkit.engine.stabilization import Stabilization
+from mbdkit.mechanism.element_kinds import element_kinds
 from mbdkit.mechanism.joints import joint_with_friction
-from mbdkit.muscles.acting_muscles import check_acting
 from mbdkit.registry.catalogue import Kind, Registered, Registry
 from mbdkit.registry.item_options import item_of
 from mbdkit.registry.items import Claims, IntegratorPlugin
@@ -394,9 +394,10 @@ class RunSpec(ModelSpec):
         return [self.model_item, self.integrator_item, *self.force_law_items]
 
     def _accept(self, mechanism: Mechanism) -> None:
-        if mechanism.muscles:
-            check_acting(mechanism)
-            mechanism.muscles_act = True
+        mechanism.is_of_run = True
+        for key, kind in element_kinds().items():
+            if kind.check_run is not None and mechanism.elements.get(key):
+                kind.check_run()(mechanism)
         if mechanism.contacts:
             mechanism.contact_treatment = self.contact.of_mechanism
             if mechanism.contact_treatment.is_rigid and (name := joint_with_friction(mechanism.joints)):

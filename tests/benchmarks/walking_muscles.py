@@ -18,8 +18,8 @@ import opensim as osim
 import yaml
 
 from mbdkit.mechanism.quantity_names import QuantityNames
-from mbdkit.muscles.muscle_path import MusclePath
 from mbdkit_biomech.models.leg import LegOptions, build
+from mbdkit_biomech.muscles.muscle_path import MusclePath
 
 HEIGHT = 1.8
 THIGH, SHANK, FOOT = 0.245 * HEIGHT, 0.246 * HEIGHT, 0.152 * HEIGHT

@@ -99,7 +99,7 @@ def reading(path: str, values: dict[str, float], speeds: dict[str, float], *, mu
     """Return what mbdkit computes at a state, and the sentences about what it leaves out."""
     import mbdkit
     from mbdkit.mechanism.quantity_names import QuantityNames
-    from mbdkit.muscles.muscle_path import MusclePath
+    from mbdkit_biomech.muscles.muscle_path import MusclePath
     from mbdkit_opensim.building import build_mechanism
 
     mechanism = build_mechanism(path, values, speeds, muscles=muscles)

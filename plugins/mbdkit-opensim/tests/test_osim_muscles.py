@@ -12,7 +12,7 @@ import pytest
 import mbdkit
 from mbdkit import Mechanism
 from mbdkit.mechanism.quantity_names import QuantityNames
-from mbdkit.muscles.muscle_path import MusclePath
+from mbdkit_biomech.muscles.muscle_path import MusclePath
 from mbdkit_opensim.building import build_mechanism
 
 

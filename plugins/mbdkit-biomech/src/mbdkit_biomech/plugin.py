@@ -9,10 +9,13 @@ from mbdkit.plugin import (
     Accessor,
     Command,
     CriterionItem,
+    ElementKind,
     Example,
     GuidePage,
+    HeadlineItem,
     Item,
     ModelPlugin,
+    QuantityKind,
     ReportSection,
     SpecKind,
     SummaryLine,
@@ -23,6 +26,7 @@ from mbdkit.plugin import (
 
 _HERE = Path(__file__).parent
 _ROOM = "mbdkit_biomech.inverse_dynamics"
+_MUSCLES = "mbdkit_biomech.muscles.acting_muscles"
 _MODELS = "mbdkit_biomech.models.leg"
 _CRITERIA = {
     "columns": "Columns of the motion and their smoothing.",
@@ -30,6 +34,13 @@ _CRITERIA = {
     "model": "The model, forces without a point, turns and signs of angles.",
     "record": "The record, units of loads, and errors.",
 }
+_QUANTITIES = {
+    "motion": ("ObservedHistory", "Observed quantities of a measured motion."),
+    "actuators": ("ActuatorHistory", "Values and powers of actuators in inverse dynamics."),
+    "muscles": ("MuscleHistory", "Lengths, activations, tensions and powers of muscles."),
+    "loads": ("LoadHistory", "Measured loads."),
+}
+"""Groups of archives in their order, each with the class of its histories."""
 
 
 @hookimpl
@@ -79,6 +90,31 @@ def mbdkit_items() -> Iterable[Item]:
             model=Target(f"{_ROOM}.inverse_spec:InverseSpec"),
             repeat=Target("mbdkit_biomech.commands:repeated_inverse"),
         ),
+        ElementKind(
+            name="muscle",
+            summary="Muscles by name. In runs they exert forces; in inverse dynamics with `recruitment`, they share "
+            "the moments of the actuators.",
+            order=100,
+            key_in_model="muscles",
+            model=Target("mbdkit_biomech.muscles.muscle:Muscle"),
+            builder="muscle",
+            method=Target("mbdkit_biomech.muscles.muscle:add_muscle"),
+            only_in_runs=True,
+            in_expressions={"length": "length", "rate": "rate", "force": "tension"},
+            check_elements=Target("mbdkit_biomech.muscles.muscle:check_moving_points"),
+            check_run=Target(f"{_MUSCLES}:check_acting"),
+            forces=Target(f"{_MUSCLES}:forces_of"),
+            lower=Target(f"{_MUSCLES}:lower"),
+            lower_expressions=Target(f"{_MUSCLES}:lower_excitations"),
+            at_start=Target(f"{_MUSCLES}:fibers_at_start"),
+            obstacle=Target(f"{_MUSCLES}:torn_path"),
+            stiffest=Target(f"{_MUSCLES}:stiffest"),
+            draw=Target("mbdkit_biomech.muscles.muscle_lines:muscle_lines"),
+            supports={
+                "gradients": "gradients of runs do not include muscles; leave them out",
+                "statics": "an analysis of a mechanism at rest does not include muscles; leave them out",
+            },
+        ),
         Command(
             name="inverse",
             summary="Compute joint and actuator forces from a measured motion.",
@@ -103,6 +139,38 @@ def mbdkit_items() -> Iterable[Item]:
             text=Target(f"{_ROOM}.inverse_summary:inverse_lines"),
             of=frozenset({"inverse"}),
         ),
+        SummaryLine(
+            name="muscles",
+            summary="Activations and fibres of muscles, and forces of joints without muscles.",
+            order=1000,
+            text=Target("mbdkit_biomech.muscles.muscle_summary:muscle_lines"),
+            group="muscles",
+        ),
+        HeadlineItem(
+            name="activations",
+            summary="Largest activations of muscles.",
+            order=10,
+            take=Target("mbdkit_biomech.muscles.muscle_summary:activations"),
+            group="muscles",
+        ),
+        HeadlineItem(
+            name="actuators",
+            summary="Largest values of actuators.",
+            order=20,
+            take=Target(f"{_ROOM}.inverse_summary:largest_actuators"),
+            group="actuators",
+        ),
+        *(
+            QuantityKind(
+                name=group,
+                summary=summary,
+                order=10 * number,
+                target=Target(f"mbdkit_biomech.quantities:{group.upper()}"),
+                word=group,
+                history=Target(f"mbdkit_biomech.histories:{history}"),
+            )
+            for number, (group, (history, summary)) in enumerate(_QUANTITIES.items())
+        ),
         ReportSection(
             name="loads",
             summary="Loads over the motion, workload, and disagreement of model and data.",
@@ -116,6 +184,16 @@ def mbdkit_items() -> Iterable[Item]:
             summary="Peaks and impulses of the loads.",
             of=f"{_ROOM}.workload:Workload",
             make=Target(f"{_ROOM}.views:workload_view"),
+        ),
+        CriterionItem(
+            name="excitations",
+            summary="Excitations of muscles below 0 or above 1.",
+            order=95,
+            stage="spec",
+            find=Target(f"{_MUSCLES}:excitations"),
+            of=frozenset({"run"}),
+            criteria=("excitations",),
+            elements="muscles",
         ),
         *(
             CriterionItem(

@@ -3,11 +3,11 @@
 import casadi
 import numpy as np
 import pytest
+from tests.runs.test_muscles_in_runs import FIBER, FORCE, SPEED, WIDTH, active, arm, by_velocity, passive
 
 import mbdkit
 from mbdkit import RunError, SpecError
-from mbdkit.muscles.force_curves import CURVES
-from tests.runs.test_muscles_in_runs import FIBER, FORCE, SPEED, WIDTH, active, arm, by_velocity, passive
+from mbdkit_biomech.muscles.force_curves import CURVES
 
 TIME = np.linspace(0.0, 0.4, 41)
 OTHER = {"max_force": 900.0, "optimal_length": 0.1, "tendon_length": 0.12, "pennation": 0.0}

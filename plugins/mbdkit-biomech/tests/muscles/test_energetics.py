@@ -10,11 +10,11 @@ from tests.muscles import leg
 from tests.muscles.models import leg_mechanism
 from tests.muscles.recruited import leg_spec
 from tests.muscles.test_recruitment import forearm
+from tests.runs.test_muscles_in_runs import FORCE, WIDTH, arm
 
 import mbdkit
 from mbdkit import SpecError
-from mbdkit.muscles.energetics import metabolic_power
-from tests.runs.test_muscles_in_runs import FORCE, WIDTH, arm
+from mbdkit_biomech.muscles.energetics import metabolic_power
 
 OPENSIM = json.loads((Path(__file__).parent / "opensim_muscles.json").read_text())["energetics"]
 ENERGETIC = [(0.3, 0.7), (0.6, 0.2), (0.05, 0.05), (0.9, 1.0)]
@@ -43,7 +43,7 @@ def held_at(activation: float, options: object = "umberger") -> mbdkit.Run:
 def test_a_muscle_that_holds_consumes_the_heat_of_activation():
     # expected: Umberger et al. (2003), equations for fibres at rest and at their optimal length: 1.5 A^0.6 (128 fast +
     # 25) per mass; the path of the forearm gives fibres of the optimal length
-    from mbdkit.muscles.force_curves import CURVES
+    from mbdkit_biomech.muscles.force_curves import CURVES
 
     one = np.array([1.0])
     curves = CURVES["de-groote-fregly"]

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from mbdkit.muscles.force_curves import CURVES
+from mbdkit_biomech.muscles.force_curves import CURVES
 
 OPENSIM = {
     "active": {0.6: 0.4511018783255816, 0.75: 0.8260375363513255, 0.9: 0.9567598325429589, 1.0: 1.0}

@@ -127,7 +127,7 @@ def test_reserves_share_the_moment_by_their_optimal_force_and_are_reported():
 
 
 def test_full_capacity_and_passive_force_bound_the_activation():
-    from mbdkit.muscles.force_curves import CURVES
+    from mbdkit_biomech.muscles.force_curves import CURVES
 
     length = np.array([(0.3 - 0.18) / 0.12])
     force = 1.5 * 9.81 * 0.15 / 0.04

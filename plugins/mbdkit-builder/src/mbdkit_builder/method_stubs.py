@@ -12,7 +12,10 @@ import textwrap
 from typing import Any
 
 from mbdkit.engine.native.machine_code import PACKAGE
+from mbdkit.mechanism.element_kinds import builder_of
 from mbdkit.mechanism.element_methods import ElementMethods
+from mbdkit.registry.feature_items import ElementKind
+from mbdkit.registry.manager import built_in
 
 TARGET = PACKAGE / "mechanism/element_methods.pyi"
 
@@ -31,10 +34,15 @@ class ElementMethods(NamedElements):
 
 def generated() -> str:
     """Return the text of the stub."""
-    names = [name for name in vars(ElementMethods) if not name.startswith("_")]
-    text = "\n\n".join(_method(name, getattr(ElementMethods, name)) for name in names)
-    classes = ["NamedElements", *re.findall(r"\bMapping\[str, Any\] \| (\w+)", text)]
-    rooms = [vars(module) for name, module in sys.modules.items() if name.startswith("mbdkit.mechanism.")]
+    kinds = [item.plugin for item in built_in().of_kind("element-kind") if isinstance(item.plugin, ElementKind)]
+    methods = {name: one for name, one in vars(ElementMethods).items() if not name.startswith("_")}
+    methods |= {kind.builder: builder_of(kind) for kind in kinds if kind.builder}
+    text = "\n".join(f"    {kind.key_in_model}: dict[str, {kind.model().__name__}]" for kind in kinds)
+    text += "\n\n" + "\n\n".join(_method(name, one) for name, one in methods.items())
+    used = [name for pair in re.findall(r"\bMapping\[str, Any\] \| (\w+)|: dict\[str, (\w+)\]", text) for name in pair]
+    classes = ["NamedElements", *filter(None, used)]
+    packages = ("mbdkit.mechanism.", *(f"{kind.model().__module__.partition('.')[0]}." for kind in kinds))
+    rooms = [vars(module) for name, module in sys.modules.items() if name.startswith(packages)]
     places = {name: one.__module__ for room in rooms for name, one in room.items() if isinstance(one, type)}
     imports = "\n".join(sorted({f"from {places[name]} import {name}" for name in classes}))
     return _HEADER.format(imports=imports, about=ElementMethods.__doc__) + text + "\n"

@@ -84,8 +84,7 @@ def in_statics(prepared: PreparedMechanism) -> PreparedMechanism:
         raise SpecError(message, key="contact.treatment")
     if not mechanism.states:
         return prepared
-    if mechanism.muscles:
-        mechanism.refuse_states("an analysis of muscles at rest")
+    mechanism.refuse_kinds("statics")
     if prepared.equations.n > DENSE:
         mechanism.refuse_states(f"an analysis of more than {DENSE // 3} bodies")
     return replace(prepared, equations=StaticEquations(prepared.workspace))

@@ -62,9 +62,10 @@ def build_system(mechanism: Mechanism, *, numbers: bool) -> SymbolicSystem:
         If the mechanism is not valid, or a force has no symbolic form.
     """
     mechanism.validate()
-    for kind, what in (("states", "first-order states"), ("muscles", "muscles"), ("contacts", "contacts")):
-        if getattr(mechanism, kind):
-            raise SpecError(f"{what} have no symbolic form", key=f"model.{kind}")
+    further = [kind for kind in mechanism.elements if kind not in ("joints", "forces", "markers")]
+    if kind := "states" if mechanism.states else next(iter(further), ""):
+        what = "first-order states" if kind == "states" else kind
+        raise SpecError(f"{what} have no symbolic form", key=f"model.{kind}")
     if name := joint_with_friction(mechanism.joints):
         raise SpecError("friction in joints has no symbolic form", key=f"model.joints.{quoted(name)}.friction")
     return _Builder(mechanism, numbers).system()

@@ -8,9 +8,10 @@ from __future__ import annotations
 from pathlib import Path
 
 from mbdkit.archive import history
-from mbdkit.archive.named_columns import VIEWS, columns_of
+from mbdkit.archive.named_columns import VIEWS, columns_of, view_of
+from mbdkit.archive.recorded_data import RecordedData
 from mbdkit.quantities.array import Kind
-from mbdkit.quantities.table import BY_GROUP
+from mbdkit.quantities.registered_kinds import OF_PARTS, added_kinds, kind_of_group
 
 TARGET = Path(history.__file__).with_name("recorded_columns.pyi")
 
@@ -18,21 +19,37 @@ _HEADER = '''"""Columns and labels of histories by group, written by ``python -m
 
 import numpy as np
 
-from mbdkit.archive.named_columns import View
+from mbdkit.archive.history import {}
+from mbdkit.archive.named_columns import Histories, View
 '''
 
 
 def declarations() -> str:
     """Return the text of the stub."""
-    groups = [group for group, view in VIEWS.items() if view.__module__ == history.__name__]
-    return _HEADER + "".join(_class(BY_GROUP[group]) for group in groups)
+    own = [group for group, view in VIEWS.items() if view.__module__ == history.__name__]
+    kinds = [kind_of_group(group) for group in [*own, *(group for group in added_kinds() if group in OF_PARTS)]]
+    further = [kind for kind in kinds if kind.one and kind.word not in vars(RecordedData)]
+    imported = ", ".join(sorted(VIEWS[kind.group].__name__ for kind in further if kind.group in own))
+    properties = "".join(map(_property, further))
+    return _HEADER.format(imported) + "".join(map(_class, kinds)) + "\nclass FurtherKinds:\n" + properties
+
+
+def _property(kind: Kind) -> str:
+    view = view_of(kind)
+    one = view.__name__ if view.__module__ == history.__name__ else _name(kind)
+    what = str(view.__doc__).partition("\n")[0]
+    return f'    @property\n    def {kind.word}(self) -> Histories[{one}]:\n        """{what}"""\n'
+
+
+def _name(kind: Kind) -> str:
+    return kind.group.title().replace("_", "")
 
 
 def _class(kind: Kind) -> str:
     lines = [f'    {name}: np.ndarray\n    """{column.__doc__}"""\n' for name, column in columns_of(kind)]
     for name, arrays in kind.labels.items():
         lines.append(f"    {name}: {'str' if len(arrays) == 1 else 'tuple[str, str]'}\n")
-    return f'\nclass {kind.group.title().replace("_", "")}(View, of="{kind.group}"):\n' + "".join(lines)
+    return f'\nclass {_name(kind)}(View, of="{kind.group}"):\n' + "".join(lines)
 
 
 if __name__ == "__main__":

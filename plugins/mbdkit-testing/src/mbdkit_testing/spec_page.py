@@ -18,7 +18,6 @@ from mbdkit.mechanism.contacts import Compliance, Contact, Friction, Shape
 from mbdkit.mechanism.forces import PointForce, SpringDamper, Torque, TorsionSpring
 from mbdkit.mechanism.joints import Joint
 from mbdkit.mechanism.mechanism_data import Assembly, MechanismData, NamedCoordinate
-from mbdkit.mechanism.muscles import Muscle, PathItem
 from mbdkit.mechanism.pathways import Coordinate, JointAngles, RelativeAngle, TwoPoints
 from mbdkit.mechanism.state_values import Controller, FirstOrderState
 from mbdkit.mechanism.values import Table
@@ -28,6 +27,7 @@ from mbdkit.registry.manager import registry
 from mbdkit.spec.schema import run_schema
 from mbdkit.spec.sections import Baumgarte, NoStabilization, Projection
 from mbdkit_biomech.inverse_dynamics.inverse_schema import inverse_schema
+from mbdkit_biomech.muscles.muscle import Muscle, PathItem
 from mbdkit_design.design_spec import DesignSpec
 from mbdkit_studies.study_spec import StudySpec
 

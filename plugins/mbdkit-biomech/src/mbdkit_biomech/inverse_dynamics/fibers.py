@@ -15,8 +15,8 @@ import numpy as np
 
 from mbdkit.base import elementary
 from mbdkit.base.errors import RunError
-from mbdkit.mechanism.muscles import Muscle
-from mbdkit.muscles.force_curves import CURVES
+from mbdkit_biomech.muscles.force_curves import CURVES
+from mbdkit_biomech.muscles.muscle import Muscle
 
 
 @dataclass(frozen=True)

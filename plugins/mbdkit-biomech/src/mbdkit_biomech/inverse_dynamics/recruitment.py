@@ -23,9 +23,7 @@ from mbdkit.base.errors import RunError, SpecError
 from mbdkit.base.plain_data import quoted
 from mbdkit.base.text import counted, listed
 from mbdkit.engine.stacked_matrices import products
-from mbdkit.mechanism.muscles import Muscle
 from mbdkit.mechanism.quantity_names import QuantityNames
-from mbdkit.muscles.muscle_path import MusclePath
 from mbdkit_biomech.inverse_dynamics.dynamics import Balance, Dynamics
 from mbdkit_biomech.inverse_dynamics.elastic_tendons import ElasticMuscles, in_equilibrium
 from mbdkit_biomech.inverse_dynamics.fibers import fibers_on_rigid_tendon
@@ -39,6 +37,8 @@ from mbdkit_biomech.inverse_dynamics.named_actuators import NamedActuator, reser
 from mbdkit_biomech.inverse_dynamics.recruited import Contraction, Recruited, Sharing
 from mbdkit_biomech.inverse_dynamics.reduced_motion import Motion
 from mbdkit_biomech.inverse_dynamics.shared_loads import Programme, Shared, share_loads, smallest_supplement
+from mbdkit_biomech.muscles.muscle import Muscle
+from mbdkit_biomech.muscles.muscle_path import MusclePath
 
 NO_ARM = 1e-9
 """A muscle does not act on a coordinate if its moment arm is at most this [m for angles, 1 for lengths]."""

@@ -60,12 +60,12 @@ from mbdkit.mechanism.joint_friction import PinFriction
 from mbdkit.mechanism.joints import Joint
 from mbdkit.mechanism.mechanism import Mechanism
 from mbdkit.mechanism.mechanism_data import MechanismData, NamedCoordinate
-from mbdkit.mechanism.muscles import Muscle
 from mbdkit.mechanism.values import Number, Point, Positive
 from mbdkit.models._knee_linkage import Frame, xy
 from mbdkit.models._segments import DE_LEVA, FRACTIONS, GAIT2D, WINTER, Person
 from mbdkit.models.four_bar_knee import EXOSKELETON, KneeLinks, KneePitches, linkage
 from mbdkit_biomech.models._one_leg import Hip, LegParts, LegPose, four_bar_leg, muscles_of_both, pinned_leg, second_leg
+from mbdkit_biomech.muscles.muscle import Muscle
 
 REFERENCES = (WINTER, DE_LEVA, FRACTIONS, GAIT2D)
 FOUR_BAR_REFERENCES = (EXOSKELETON, *REFERENCES)
@@ -200,14 +200,16 @@ def _mechanism(name: str, o: LegOptions, leg: Callable[[Person, LegPose, Hip], L
                 f"the leg itself has an element of this name (it has {listed(sorted(own))})",
                 key=f"{kind}.{quoted(key)}",
             )
-    data = MechanismData(
-        gravity=o.gravity,
-        bodies=bodies,
-        joints=joints | o.joints,
-        forces=o.forces,
-        markers=markers | o.markers,
-        muscles=muscles,
-        contacts=o.contacts,
-        coordinates=coordinates | root,
+    data = MechanismData.model_validate(
+        {
+            "gravity": o.gravity,
+            "bodies": bodies,
+            "joints": joints | o.joints,
+            "forces": o.forces,
+            "markers": markers | o.markers,
+            "muscles": muscles,
+            "contacts": o.contacts,
+            "coordinates": coordinates | root,
+        }
     )
     return Mechanism.from_data(data, name=name)

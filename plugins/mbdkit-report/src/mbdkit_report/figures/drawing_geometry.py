@@ -17,10 +17,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mbdkit.base.errors import MbdkitError
+from mbdkit.mechanism.element_kinds import element_kinds
 from mbdkit.mechanism.pathways import JointAngles
 from mbdkit_report.figures.beam_curves import BeamCurve
 from mbdkit_report.figures.curves import evenly, take
-from mbdkit_report.figures.element_places import Place, cable_places, contact_places, muscle_places
+from mbdkit_report.figures.element_places import Place, cable_places, contact_places
 from mbdkit_report.figures.plane_geometry import Array, convex_hull
 
 if TYPE_CHECKING:
@@ -68,7 +69,7 @@ class Drawing:
     bars
         Pairs of points joined by a massless bar (a distance joint).
     muscles
-        Points along the path of each muscle.
+        Points along the lines of elements of further kinds, such as muscles.
     shapes
         Points along the outline of each shape of a contact.
     lines
@@ -215,8 +216,10 @@ def draw_mechanism(mechanism: Mechanism) -> Drawing:
             sketch.parts["springs"].append((ends[0], ends[1]))
         elif isinstance(pathway, JointAngles):
             sketch.parts["springs"] += itertools.pairwise(sketch.points(cable_places(mechanism.joints, pathway)))
-    for muscle in mechanism.muscles.values():
-        sketch.parts["muscles"].append(sketch.points(muscle_places(mechanism, muscle)))
+    for key, kind in element_kinds().items():
+        if (draw := kind.draw) is not None:
+            for element in mechanism.elements.get(key, {}).values():
+                sketch.parts["muscles"] += (sketch.points(line) for line in draw()(mechanism, element))
     for contact in mechanism.contacts.values():
         for _, _, body, shape in contact.by_body:
             sketch.shape(body, shape, contact_places(mechanism, body, shape))

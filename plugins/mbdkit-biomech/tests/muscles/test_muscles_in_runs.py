@@ -17,10 +17,10 @@ from mbdkit import Mechanism, SpecError
 from mbdkit.engine.kernels.observe import tangents_at
 from mbdkit.engine.matrix_terms import RATE
 from mbdkit.mechanism.quantity_names import QuantityNames
-from mbdkit.muscles.force_curves import CURVES
-from mbdkit.muscles.muscle_path import MusclePath
 from mbdkit.runs.preparation import build
 from mbdkit.spec import load_spec
+from mbdkit_biomech.muscles.force_curves import CURVES
+from mbdkit_biomech.muscles.muscle_path import MusclePath
 from mbdkit_studies.batch import simulate_batch
 from tests.runs.resuming.killed_runs import killed
 

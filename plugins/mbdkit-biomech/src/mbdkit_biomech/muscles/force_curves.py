@@ -13,7 +13,7 @@ from typing import ClassVar, Literal, Protocol
 import numpy as np
 
 from mbdkit.base import elementary
-from mbdkit.muscles.bezier_curve import BezierCurve, Corner
+from mbdkit_biomech.muscles.bezier_curve import BezierCurve, Corner
 
 Curve = tuple[np.ndarray, np.ndarray]
 """Values of a curve and its slopes, both of the shape of the argument."""

@@ -25,8 +25,8 @@ from mbdkit.base.errors import RunError
 from mbdkit.base.plain_data import quoted
 from mbdkit.mechanism.coordinate_function import CoordinateFunction, names_of, value_and_slopes
 from mbdkit.mechanism.mechanism_quantities import GROUND, Point, Quantity
-from mbdkit.mechanism.muscles import Muscle, PathItem
 from mbdkit.mechanism.quantity_names import QuantityNames
+from mbdkit_biomech.muscles.muscle import Muscle, PathItem
 
 BEHIND = np.pi / 6
 """Lower limit of the angle that a path sweeps about the center of a circle, from the point before to the point after.

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Mapping
+from collections.abc import Mapping
 from typing import Annotated, Any, ClassVar, Literal
 
 from pydantic import BeforeValidator, Field, model_validator
@@ -20,6 +20,7 @@ from mbdkit.mechanism.coordinate_function import (
     names_of,
     value_and_slopes,
 )
+from mbdkit.mechanism.model_methods import of_models
 from mbdkit.mechanism.state_values import Value, of_state, of_time
 from mbdkit.mechanism.values import Motion, NotNegative, Number, Point, Positive, pair, sequence
 
@@ -232,9 +233,13 @@ class Muscle(Element):
         return own.density * volume if own.mass is None else own.mass
 
     @property
-    def states(self) -> tuple[str, ...]:
+    def state_names(self) -> tuple[str, ...]:
         """Names of the first-order states of the muscle in a run."""
         return ("activation",) if self.tendon == "rigid" else ("activation", "fiber_length")
+
+    def lengths_to_check(self) -> list[tuple[str, float]]:
+        """Return the optimal length of the fibres."""
+        return [("optimal_length", self.optimal_length)]
 
     def places(self) -> list[tuple[str, str]]:
         """Return (key, body name) of each body that the element refers to."""
@@ -266,14 +271,17 @@ class Muscle(Element):
         return [] if self.excitation is None else of_state([("excitation", self.excitation)])
 
 
-def check_moving_points(muscles: Mapping[str, Muscle], coordinates: Collection[str], prefix: str = "") -> None:
+def check_moving_points(muscles: Mapping[str, Muscle], mechanism: Any, prefix: str = "") -> None:
     """Raise SpecError for the first point with an unknown name, or whose offset z depends on a coordinate.
 
     Parameters
     ----------
+    mechanism
+        The mechanism, or its data.
     prefix
         Beginning of the key of the error.
     """
+    coordinates = mechanism.coordinates
     for name, muscle in muscles.items():
         for index, item in enumerate(muscle.path):
             for axis, part in enumerate(item.point or ()):
@@ -291,3 +299,16 @@ def check_moving_points(muscles: Mapping[str, Muscle], coordinates: Collection[s
                             f"{did_you_mean(used, list(coordinates)) or known}",
                             key=f"{prefix}muscles.{quoted(name)}.path[{index}].point[{axis}]",
                         )
+
+
+@of_models(Muscle)
+def add_muscle(self, name, path, **keys):  # type: ignore[no-untyped-def]
+    """Add a muscle. In runs it exerts a force; in inverse dynamics, `recruitment` computes its share of the moments.
+
+    >>> m = Mechanism()
+    >>> shank = m.body("shank", mass=3.0, inertia=0.05, position=(0.0, -0.2))
+    >>> m.revolute("knee", m.ground, shank, at=(0.0, 0.0))
+    >>> path = [{"body": "ground", "point": (-0.03, 0.3)}, {"body": shank, "point": (-0.03, 0.1)}]
+    >>> m.muscle("flexor", path, max_force=2000.0, optimal_length=0.11, tendon_length=0.3)
+    """
+    self.add("muscles", name, path=path, **keys)

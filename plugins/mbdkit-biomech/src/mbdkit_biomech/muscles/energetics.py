@@ -22,8 +22,8 @@ from __future__ import annotations
 import numpy as np
 
 from mbdkit.base import elementary
-from mbdkit.mechanism.muscles import Muscle
-from mbdkit.muscles.force_curves import CURVES
+from mbdkit_biomech.muscles.force_curves import CURVES
+from mbdkit_biomech.muscles.muscle import Muscle
 
 LEAST_HEAT = 1.0
 """Smallest rate of heat, also at rest [W/kg]."""

@@ -1,27 +1,46 @@
-"""Muscles that act in a run: force elements along their paths, with the law of `mbdkit.muscles.hill_laws`."""
+"""Muscles that act in a run: force elements along their paths, with the law of `mbdkit_biomech.muscles.hill_laws`."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import ClassVar
+from typing import TYPE_CHECKING, ClassVar, cast
 
 import numpy as np
 
-from mbdkit.base import elementary
+from mbdkit.base import elementary, higher_layers
 from mbdkit.base.errors import SpecError
 from mbdkit.base.plain_data import quoted
+from mbdkit.engine.kernels.observe import tangents_at
 from mbdkit.expressions.parser import Expression
+from mbdkit.expressions.program import Program
 from mbdkit.mechanism.force_law import TracedLaw
 from mbdkit.mechanism.joints import Joint
 from mbdkit.mechanism.mechanism import Mechanism
-from mbdkit.mechanism.muscles import Muscle, PathItem
 from mbdkit.mechanism.pathways import Segment
+from mbdkit.mechanism.quantity_names import QuantityNames
 from mbdkit.mechanism.state_values import is_of_state
 from mbdkit.mechanism.values import Table, curve_of
-from mbdkit.muscles.force_curves import CURVES
-from mbdkit.muscles.hill_laws import LAW_ID, MOST_NUMBERS, Form, TableForm, excitation_of, muscle_law
+from mbdkit.trust.finding import Finding
+from mbdkit_biomech.muscles.force_curves import CURVES
+from mbdkit_biomech.muscles.hill_laws import (
+    LAW_ID,
+    MOST_NUMBERS,
+    Form,
+    TableForm,
+    activation_rate_text,
+    excitation_of,
+    muscle_law,
+)
+from mbdkit_biomech.muscles.muscle import Muscle, PathItem
+from mbdkit_biomech.muscles.muscle_path import MusclePath
+
+if TYPE_CHECKING:
+    from mbdkit.engine.compile_forces import Lowering
+    from mbdkit.engine.compiled_mechanism import ActingForce
+    from mbdkit.engine.workspace import Workspace
+    from mbdkit.spec import RunSpec
 
 SHORTEST = 0.2
 """Shortest fibres allowed for an equilibrium at the start, in optimal lengths; the passive force is zero there."""
@@ -176,11 +195,107 @@ def _fixed(item: PathItem) -> tuple[float, float]:
     return float(x), float(y)
 
 
-def acting_muscles(mechanism: Mechanism) -> dict[str, MuscleForce]:
-    """Return the muscles that act in runs of a mechanism, by name; empty if its muscles do not act."""
-    if not mechanism.muscles_act:
-        return {}
-    return {name: MuscleForce(name, muscle) for name, muscle in mechanism.muscles.items()}
+@dataclass(frozen=True)
+class ActingMuscle:
+    """A muscle that acts in runs.
+
+    Attributes
+    ----------
+    force
+        The muscle as a force element.
+    activation
+        Index of its activation among the first-order states. If the tendon is elastic, the fibre length is the next
+        state.
+    place
+        Index among all force elements.
+    excitation
+        Program and quantities of an excitation that is an expression of the state; see
+        `mbdkit.events.state_program.state_program`. None for any other excitation.
+    """
+
+    force: MuscleForce
+    activation: int
+    place: int
+    excitation: tuple[Program, list[tuple[str, str, str]]] | None = None
+
+
+def forces_of(muscles: Mapping[str, Muscle]) -> dict[str, MuscleForce]:
+    """Return muscles as force elements by name."""
+    return {name: MuscleForce(name, muscle) for name, muscle in muscles.items()}
+
+
+def lower(
+    _muscles: Mapping[str, Muscle], _lowering: Lowering, acting: tuple[ActingForce, ...]
+) -> tuple[ActingMuscle, ...]:
+    """Return the muscles of a mechanism that is compiled, whose forces have been added."""
+    return tuple(ActingMuscle(cast("MuscleForce", one.force), one.state, one.place) for one in acting)
+
+
+def lower_excitations(muscles: tuple[ActingMuscle, ...], lowering: Lowering) -> tuple[ActingMuscle, ...]:
+    """Replace the rates of activations by expressions, for excitations that are expressions of the state."""
+    return tuple(_with_excitation(one, lowering) for one in muscles)
+
+
+def _with_excitation(one: ActingMuscle, lowering: Lowering) -> ActingMuscle:
+    for key, text in one.force.muscle.expressions():
+        name = one.force.name
+        rate = activation_rate_text(one.force.muscle.activation, text, f'states["{name}.activation"]')
+        lowering.set_rate(one.activation, lowering.expression(f"model.muscles.{quoted(name)}.{key}", name, rate))
+        return replace(one, excitation=higher_layers.state_program(text, lowering.mechanism))
+    return one
+
+
+def fibers_at_start(
+    muscles: tuple[ActingMuscle, ...], mechanism: Mechanism, t0: float, q: np.ndarray
+) -> dict[int, float]:
+    """Return lengths of the fibres on elastic tendons [m], in equilibrium at positions `q`, by index of the state."""
+    names, found = QuantityNames(mechanism), {}
+    for one in muscles:
+        path = MusclePath(one.force.name, one.force.muscle, names).at(np.array([t0]), q.reshape(1, -1))
+        fiber = one.force.fiber_length_at(float(path.length[0]))
+        if one.force.muscle.tendon == "elastic":
+            found[one.activation + 1] = fiber
+    return found
+
+
+def torn_path(muscles: tuple[ActingMuscle, ...], workspace: Workspace, t: float, q: np.ndarray, v: np.ndarray) -> str:
+    """Return a clause that names a muscle whose path cannot pass a circle at a position; empty if there is none.
+
+    Parameters
+    ----------
+    muscles
+        The muscles.
+    workspace
+        The mechanism; its working arrays are overwritten.
+    t, q, v
+        Time [s], positions and velocities (3 (B + 1),).
+    """
+    if not np.all(np.isfinite(q)):
+        return ""
+    top = workspace.mechanism.topology
+    tangents_at(workspace.engine, t, q, v, np.zeros_like(q), np.zeros((len(top.pairs), 2)))
+    rows = np.flatnonzero(np.isnan(workspace.scratch.s[:, 0]) & (top.springs[:, 5] > 0))
+    names = {one.place: one.force.name for one in muscles}
+    torn = [names[place] for place in top.force_place[rows].tolist() if place in names]
+    if not torn:
+        return ""
+    return f"muscle '{torn[0]}' would pass a circle on its other side, or a point of its path is inside of a circle"
+
+
+def stiffest(muscles: tuple[ActingMuscle, ...]) -> str:
+    """Return a clause that names the muscle with the shortest elastic tendon, relative to the speed of its fibres.
+
+    It is empty if all tendons are rigid.
+    """
+    elastic = [one.force for one in muscles if one.force.muscle.tendon == "elastic"]
+    if not elastic:
+        return ""
+
+    def slack(one: MuscleForce) -> float:
+        return one.muscle.tendon_length / (one.muscle.max_velocity * one.muscle.optimal_length)
+
+    name = min(elastic, key=slack).name
+    return f"the fibres of muscle '{name}' are stiff: they need smaller steps, or an implicit method (radau-iia)"
 
 
 def check_acting(mechanism: Mechanism) -> None:
@@ -236,3 +351,14 @@ def _check_circle(before: PathItem, after: PathItem, key: str) -> None:
             "dynamics only",
             key=key,
         )
+
+
+def excitations(spec: RunSpec, _measures: Sequence[str] = ()) -> Iterator[Finding]:
+    """Yield a warning for each muscle whose excitation leaves the range 0 to 1 as a function of time."""
+    for name, muscle in forces_of(spec.mechanism().muscles).items():
+        if (outside := muscle.excitation_outside(spec.time.start, spec.time.final)) is not None:
+            time, value = outside
+            reached = f"{value:.3g} at t = {time:.6g} s"
+            sentence = f"the excitation of muscle '{name}' is {reached}; it should stay between 0 and 1"
+            key = f"model.muscles.{quoted(name)}.excitation"
+            yield Finding("excitations", "doubtful", sentence, key, is_named=False)

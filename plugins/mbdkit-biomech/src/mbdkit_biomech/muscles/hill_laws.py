@@ -2,7 +2,7 @@
 
 With the length L of the path, the activation a, fibres of length l at the angle alpha to the tendon, the thickness
 ``w = l sin(alpha)``, the normalised velocity v of the fibres (negative: shortening), and the curves f of
-`mbdkit.muscles.force_curves`, the tension is
+`mbdkit_biomech.muscles.force_curves`, the tension is
 
     F = max_force (a f_active(l) f_velocity(v) + f_passive(l) + damping v) cos(alpha)
 
@@ -36,8 +36,8 @@ import numpy as np
 from mbdkit.base import elementary
 from mbdkit.expressions.program import Program, value_of
 from mbdkit.mechanism.force_law import LawState, TracedLaw
-from mbdkit.mechanism.muscles import Activation, Muscle
-from mbdkit.muscles.force_curves import CURVES, DeGrooteFregly, ForceCurves, Millard
+from mbdkit_biomech.muscles.force_curves import CURVES, DeGrooteFregly, ForceCurves, Millard
+from mbdkit_biomech.muscles.muscle import Activation, Muscle
 
 STEEPNESS = 10.0
 """Steepness of the transition between rising and falling activation.

@@ -1,0 +1,113 @@
+"""Kinds of elements that plugins add: keys of the model ``mechanism``, beside those that every mechanism may have."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Iterator, Mapping
+from functools import cache
+from typing import Any, TypeVar, cast
+
+from pydantic import Field, TypeAdapter, create_model
+from pydantic.fields import FieldInfo
+
+from mbdkit.base.errors import MissingPartError, SpecError
+from mbdkit.base.strict_model import StrictModel
+from mbdkit.mechanism.model_methods import of_models
+from mbdkit.registry.feature_items import ElementKind
+from mbdkit.registry.manager import registry
+
+_OF_PARTS = {"muscles": "mbdkit-biomech"}
+"""Parts of mbdkit by the keys of their elements, for messages where the part is not installed."""
+
+AnyModel = TypeVar("AnyModel", bound=StrictModel)
+
+
+def element_kinds() -> dict[str, ElementKind]:
+    """Return the kinds of elements of all plugins by their key in the model, in their order."""
+    items = (item.plugin for item in registry().of_kind("element-kind"))
+    return {kind.key_in_model: kind for kind in cast("Iterator[ElementKind]", items)}
+
+
+def kinds_in(data: Mapping[str, Any]) -> list[ElementKind]:
+    """Return the kinds of elements in the data of a mechanism.
+
+    Raises
+    ------
+    SpecError
+        If the part of mbdkit that adds a kind is not installed.
+    """
+    kinds = element_kinds()
+    for key, part in _OF_PARTS.items():
+        if key in data and key not in kinds:
+            raise SpecError(str(MissingPartError("a model with this key", part)), key=key)
+    return [kind for key, kind in kinds.items() if key in data]
+
+
+def kind_built_by(method: str) -> ElementKind | None:
+    """Return the kind whose elements a method of `Mechanism` adds; None if there is none."""
+    return next((kind for kind in element_kinds().values() if kind.builder == method), None)
+
+
+@cache
+def builder_of(kind: ElementKind) -> Callable[..., Any]:
+    """Return the method of `Mechanism` that adds an element of a kind."""
+    if kind.method is not None:
+        return kind.method()
+
+    def method(self: Any, name: str, **keys: Any) -> None:
+        self.add(kind.key_in_model, name, **keys)
+
+    method.__name__, method.__qualname__ = kind.builder, f"Mechanism.{kind.builder}"
+    method.__doc__ = f"Add an element of kind {kind.name}."
+    built: Callable[..., Any] = of_models(kind.model())(method)
+    return built
+
+
+def check_elements(elements: Mapping[str, Mapping[str, Any]], mechanism: Any, prefix: str = "") -> None:
+    """Raise SpecError for the first element of a plugin's kind that does not fit the other elements.
+
+    Parameters
+    ----------
+    elements
+        Elements by key in the model and name.
+    mechanism
+        The mechanism, or its data.
+    prefix
+        Beginning of the key of the error.
+    """
+    for key, kind in element_kinds().items():
+        if elements.get(key) and kind.check_elements is not None:
+            kind.check_elements()(elements[key], mechanism, prefix)
+
+
+def field_of(kind: ElementKind) -> FieldInfo:
+    """Return the field of the model `mechanism` for the elements of a kind, whose class is imported."""
+    elements: Any = Field(default_factory=dict, description=kind.summary)
+    return FieldInfo.from_annotated_attribute(_named(kind), elements)
+
+
+@cache
+def elements_type(kind: ElementKind) -> TypeAdapter[Any]:
+    """Return the type of the elements of a kind by name."""
+    return TypeAdapter(_named(kind))
+
+
+def _named(kind: ElementKind) -> Any:
+    return dict.__class_getitem__((str, kind.model()))
+
+
+@cache
+def with_kinds(model: type[AnyModel], kinds: tuple[ElementKind, ...]) -> type[AnyModel]:
+    """Return a class derived from that of the data of a mechanism, with fields for further kinds."""
+    fields: dict[str, Any] = {kind.key_in_model: (_named(kind), field_of(kind)) for kind in kinds}
+    derived = create_model(model.__name__, __base__=model, __module__=__name__, __doc__=model.__doc__, **fields)
+    absent: tuple[str, ...] = model.ABSENT_BY_DEFAULT  # type: ignore[attr-defined]
+    derived.ABSENT_BY_DEFAULT = (*absent, *fields)  # type: ignore[attr-defined]
+    return derived
+
+
+def validated(model: type[AnyModel], data: Any, mode: str, context: Any) -> AnyModel:
+    """Validate plain data in a mode of pydantic, ``json`` or ``python``."""
+    if mode == "json":  # strict mode accepts a list for a tuple only in JSON
+        return model.model_validate_json(json.dumps(data), context=context)
+    return model.model_validate(data, context=context)
