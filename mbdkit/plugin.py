@@ -80,9 +80,10 @@ if TYPE_CHECKING:
     from mbdkit.methods.step_methods import ExternalMethod, Step, StepEvent, StepMethod, StepState, Why
     from mbdkit.methods.tableau import ButcherTableau, EmbeddedPair, TableauError, collocation
     from mbdkit.quantities.array import Array, Chart, Kind, Recorded
+    from mbdkit.quantities.entries import name_array, quantity_group
     from mbdkit.quantities.names import archive_names
+    from mbdkit.quantities.registered_kinds import sizes_of
     from mbdkit.quantities.states import States
-    from mbdkit.quantities.table import sizes_of
     from mbdkit.registry.feature_items import (
         Accessor,
         CriterionItem,
@@ -90,7 +91,9 @@ if TYPE_CHECKING:
         Example,
         FileFormat,
         GuidePage,
+        HeadlineItem,
         PlotKind,
+        QuantityKind,
         ReportSection,
         SpecKind,
         SummaryLine,
@@ -132,7 +135,7 @@ _STABLE = {
     "mbdkit.runs.findings": "findings",
     "mbdkit.trust.finding": "Finding accepted_doubts open_doubts",
     "mbdkit.registry.feature_items": "Accessor CriterionItem ElementKind "
-    "Example FileFormat GuidePage PlotKind ReportSection SpecKind "
+    "Example FileFormat GuidePage HeadlineItem PlotKind QuantityKind ReportSection SpecKind "
     "SummaryLine TableFormat Treatment ViewItem",
     "mbdkit.registry.hookspecs": "hookimpl",
     "mbdkit.registry.target": "Target",
@@ -174,6 +177,7 @@ _STABLE = {
     "mbdkit.runs.simulation": "run simulate",
     "mbdkit_studies.prepared_run": "PreparedRun prepare",
     "mbdkit.quantities.array": "Array Chart Kind Recorded",
+    "mbdkit.quantities.entries": "name_array quantity_group",
     "mbdkit.quantities.states": "States",
     "mbdkit.archive.accuracy": "Accuracy",
     "mbdkit.archive.headlines": "Headline headline_texts plus_minus",
@@ -201,7 +205,7 @@ _OWN = {
     "mbdkit.engine.kernels.observe": "Observed",
     "mbdkit.engine.nearest_state": "nearest_positions nearest_velocities",
     "mbdkit.quantities.names": "archive_names",
-    "mbdkit.quantities.table": "sizes_of",
+    "mbdkit.quantities.registered_kinds": "sizes_of",
     "mbdkit.archive.finished_run": "FinishedRun",
     "mbdkit.runs.preparation": "build caution",
 }
@@ -250,6 +254,7 @@ __all__ = [
     "FunctionLaw",
     "GuidePage",
     "Headline",
+    "HeadlineItem",
     "ImplicitOptions",
     "ImplicitRungeKutta",
     "IntegratorPlugin",
@@ -281,6 +286,7 @@ __all__ = [
     "Positive",
     "PreparedRun",
     "Printing",
+    "QuantityKind",
     "QuantityNames",
     "Quiet",
     "Rates",
@@ -346,6 +352,7 @@ __all__ = [
     "listed",
     "load",
     "loaded",
+    "name_array",
     "nearest_positions",
     "nearest_velocities",
     "of_models",
@@ -360,6 +367,7 @@ __all__ = [
     "prepare",
     "progress_bar",
     "put",
+    "quantity_group",
     "quoted",
     "read_data",
     "read_file",

@@ -11,11 +11,11 @@ import h5py
 import numpy as np
 
 from mbdkit.archive.hdf5 import create, set_text
-from mbdkit.archive.layout import ACCURACY, BY_PATH
 from mbdkit.archive.measured_values import ComparedMeasures, compared_from_json, compared_json
 from mbdkit.base.html_view import HtmlView
 from mbdkit.quantities.array import COORDINATE_UNITS
 from mbdkit.quantities.names import COORDINATES
+from mbdkit.quantities.registered_kinds import kind_of_group
 
 SMALL_FORCE = 1e-3
 """Errors of the force of a joint are divided by its largest force, but at least by this share of the largest force of
@@ -250,8 +250,8 @@ class Accuracy(HtmlView):
         """
         group = file.create_group("accuracy")
         values = self.arrays(bodies, joints)
-        for path in sorted(ACCURACY, key=lambda path: not BY_PATH[path].is_scale):
-            create(file, BY_PATH[path], values[path])
+        for array in sorted(kind_of_group("accuracy").arrays, key=lambda array: not array.is_scale):
+            create(file, array, values[array.path])
         for name in _NUMBERS:
             group.attrs[name] = np.float64(getattr(self, name))
         for name in _TEXTS:

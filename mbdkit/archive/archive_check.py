@@ -16,14 +16,14 @@ import numpy as np
 from mbdkit.archive import layout
 from mbdkit.archive.fingerprint import attributes_sha256, blocks, data_sha256, datasets, is_text, spec_sha256
 from mbdkit.archive.hdf5_errors import DAMAGE, cause
-from mbdkit.archive.layout import BY_PATH, FORMAT_VERSION
+from mbdkit.archive.layout import FORMAT_VERSION
 from mbdkit.archive.run import Run
 from mbdkit.archive.run_header import open_archive
+from mbdkit.archive.stored_kinds import kinds_of_file
 from mbdkit.base.errors import ArchiveError, MbdkitError, SpecError
 from mbdkit.base.text import listed, one_line, shown
 from mbdkit.quantities.array import FLOAT, TEXT, Array
 from mbdkit.quantities.names import AXES, COORDINATES
-from mbdkit.quantities.table import KINDS
 from mbdkit.registry.feature_items import FileFormat
 from mbdkit.registry.manager import registry
 from mbdkit.trust.criteria import LEVELS
@@ -123,6 +123,7 @@ class _Checker:
         self.status = ""
         self.version = str(file.attrs.get("format_version"))
         self.spec: dict[str, object] = {}
+        self.kinds = kinds_of_file(file)
 
     def problems(self) -> list[str]:
         with self.reading("the attributes of the file"):
@@ -229,12 +230,15 @@ class _Checker:
         present = {name for name in layout.QUANTITIES if name in self.file and name != "joints"}
         if "joints" in self.file and any(f"joints/{name}" not in layout.ALWAYS for name in self.file["joints"]):
             present.add("joints")
-        extra = frozenset(path for path, array in BY_PATH.items() if array.optional and path in self.file)
+        known = tuple(self.kinds.values())
+        every = (array for kind in known for array in kind.arrays)
+        extra = frozenset(array.path for array in every if array.optional and array.path in self.file)
         if self.spec.get("events") or "events" in self.file:
             extra |= frozenset(layout.EVENTS)
         if "accuracy" in self.file:
             extra |= frozenset(layout.ACCURACY)
-        return layout.recorded((wanted & layout.QUANTITIES - layout.ELEMENTS) | present, extra, self.version)
+        always = frozenset(kind.group for kind in known if not kind.is_optional)
+        return layout.recorded((wanted & layout.QUANTITIES & always) | present, extra, self.version, known)
 
     def array(self, array: Array) -> None:
         path, dataset = array.path, self.file.get(array.path)
@@ -259,7 +263,7 @@ class _Checker:
                 self.say(f"{path} is not a dimension scale")
         else:
             self.scales(array, dataset)
-        unknown_is_nan = array.group in layout.MAY_BE_UNKNOWN
+        unknown_is_nan = self.kinds[array.group].may_be_unknown
         if self.status != "running" and dtype == FLOAT and not unknown_is_nan:
             bad = sum(int(np.count_nonzero(~np.isfinite(block))) for block in blocks(dataset))
             if bad:
@@ -293,8 +297,9 @@ class _Checker:
         time = self.file["trajectory/time"][:]
         if np.any(np.diff(time) <= 0):
             self.say("trajectory/time does not increase from row to row")
-        for group in sorted({array.group for array in layout.LAYOUT if array.key == "time"}):
-            if f"{group}/time" in self.file and not np.array_equal(self.file[f"{group}/time"][:], time):
+        for group, kind in sorted(self.kinds.items()):
+            timed = any(array.key == "time" for array in kind.arrays)
+            if timed and f"{group}/time" in self.file and not np.array_equal(self.file[f"{group}/time"][:], time):
                 self.say(f"{group}/time differs from trajectory/time")
         elapsed = self.file.get("trajectory/elapsed_s")
         if elapsed is not None and np.any(np.diff(elapsed[:]) < 0):
@@ -341,8 +346,8 @@ class _Checker:
                     self.say(f"{path} is negative or decreases")
 
     def names(self) -> None:
-        homes = {kind.axis: f"{kind.group}/{kind.axis}" for kind in KINDS}
-        for path, array in BY_PATH.items():
+        homes = {kind.axis: f"{kind.group}/{kind.axis}" for kind in self.kinds.values()}
+        for path, array in ((one.path, one) for kind in self.kinds.values() for one in kind.arrays):
             if path not in self.file or not array.is_scale or array.dtype != TEXT:
                 continue
             names = list(self.file[path].asstr()[:])

@@ -11,7 +11,7 @@ from mbdkit.archive import layout
 from mbdkit.base.errors import ResourceError, SpecError
 from mbdkit.base.memory import available_memory, in_bytes, installed_memory
 from mbdkit.quantities.names import ArchiveNames
-from mbdkit.quantities.table import sizes_of
+from mbdkit.quantities.registered_kinds import sizes_of
 
 NEARLY_NOTHING = 2**20
 """A disk with less free space than this is reported as full [bytes]."""

@@ -12,8 +12,9 @@ import h5py
 import numpy as np
 from h5py import h5a, h5d, h5g, h5o, h5s, h5t
 
-from mbdkit.archive.layout import ATTRIBUTES_HASH, LAYOUT, is_hashed
-from mbdkit.quantities.array import TEXT
+from mbdkit.archive.layout import ATTRIBUTES_HASH, is_hashed
+from mbdkit.quantities.array import TEXT, Array
+from mbdkit.quantities.registered_kinds import kind_of_group
 
 BLOCK_BYTES = 1 << 23
 
@@ -197,12 +198,21 @@ def attribute_line(path: str, value: str | tuple[str, ...] | np.generic | np.nda
     return line(path, TEXT, shape, hashlib.sha256(text_bytes(texts)).hexdigest())
 
 
+def layout_lines(arrays: Iterable[Array]) -> Mapping[str, str]:
+    """Return the hash lines of the attributes with which arrays of the layout are created, by ``PATH@NAME``; also those
+    of the other arrays in their groups.
+    """
+    lines: dict[str, str] = {}
+    for group in dict.fromkeys(array.group for array in arrays):
+        lines |= _lines_of_group(group)
+    return lines
+
+
 @cache
-def layout_lines() -> Mapping[str, str]:
-    """Return the hash lines of the attributes with which arrays of the layout are created, by ``PATH@NAME``."""
+def _lines_of_group(group: str) -> Mapping[str, str]:
     texts = {
         f"{array.path}@{name}": text
-        for array in LAYOUT
+        for array in kind_of_group(group).arrays
         for name, text in (("units", array.units), ("long_name", array.long_name))
     }
     return {path: attribute_line(path, text) for path, text in texts.items()}

@@ -18,7 +18,7 @@ from mbdkit.archive.run_writer import Ending, RunWriter, SharedForces, name_line
 from mbdkit.archive.writer import ArchiveWriter
 from mbdkit.quantities.array import GROWING, TEXT, Array
 from mbdkit.quantities.names import ArchiveNames
-from mbdkit.quantities.table import sizes_of
+from mbdkit.quantities.registered_kinds import sizes_of
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

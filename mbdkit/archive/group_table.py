@@ -15,10 +15,10 @@ import numpy as np
 
 from mbdkit.archive.fingerprint import is_text
 from mbdkit.archive.hdf5_errors import reading
-from mbdkit.archive.layout import ELEMENTS, GROUPS, LAYOUT
 from mbdkit.archive.named_columns import NotRecordedError
 from mbdkit.base.errors import MbdkitError, UnknownNameError
 from mbdkit.quantities.array import TEXT, Array
+from mbdkit.quantities.registered_kinds import groups, kind_of_group
 
 if TYPE_CHECKING:
     import pandas
@@ -105,7 +105,7 @@ class GroupTable:
 
 def group_names(run: Run) -> tuple[str, ...]:
     """Return the names of the groups of a run that have rows over time, in the order of the layout."""
-    return tuple(group for group in GROUPS if _arrays(run, group))
+    return tuple(group for group in run.kinds if _arrays(run, group))
 
 
 def group_table(run: Run, group: str) -> GroupTable:
@@ -118,11 +118,12 @@ def group_table(run: Run, group: str) -> GroupTable:
     MbdkitError
         If the run did not record the group, or its mechanism has no such elements.
     """
-    if group not in GROUPS:
-        raise UnknownNameError("group", group, GROUPS)
+    if group not in run.kinds and group not in groups():
+        raise UnknownNameError("group", group, groups())
     arrays = _arrays(run, group)
     if not arrays:
-        if group in ELEMENTS and not getattr(run, group):  # raises NotRecordedError if the group was not recorded
+        kind = kind_of_group(group)
+        if kind.is_optional and not run.objects(kind):  # raises NotRecordedError if the group was not recorded
             raise MbdkitError(f"the mechanism of this run has no {group}, so that there is no table of them")
         raise NotRecordedError(f"{group}/time", run.format_version)
     columns = [column for array in arrays for column in _columns(run, array)]
@@ -134,7 +135,8 @@ def group_table(run: Run, group: str) -> GroupTable:
 
 def _arrays(run: Run, group: str) -> list[Array]:
     """Return the arrays with rows that a run recorded in a group, without the array of times."""
-    arrays = [array for array in LAYOUT if array.group == group and array.grows and run.records(array.path)]
+    every = run.kinds[group].arrays if group in run.kinds else ()
+    arrays = [array for array in every if array.grows and run.records(array.path)]
     return [array for array in arrays if array.name != "time"] if len(arrays) > 1 else []
 
 
@@ -143,7 +145,8 @@ def _columns(run: Run, array: Array) -> Iterator[TableColumn]:
     dims = array.dims[1:]
     names = [[str(name) for name in run.array(f"{array.group}/{dim}")] for dim in dims]
     units = [str(unit) for unit in run.array(f"{array.group}/{array.row_units}")] if array.row_units else []
-    row_dim = next(one.dims[0] for one in LAYOUT if one.path == f"{array.group}/{array.row_units}") if units else ""
+    kind = run.kinds[array.group]
+    row_dim = kind.by_path[f"{array.group}/{array.row_units}"].dims[0] if units else ""
     for at in product(*(range(len(each)) for each in names)):
         element = [each[k] for dim, each, k in zip(dims, names, at, strict=True) if dim not in _COMPONENT_DIMS]
         last = [(each[k], k) for dim, each, k in zip(dims, names, at, strict=True) if dim in _COMPONENT_DIMS]

@@ -5,11 +5,16 @@ activations.
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, NamedTuple
+from functools import partial
+from typing import TYPE_CHECKING, NamedTuple, cast
 
 import numpy as np
 
-from mbdkit.archive.peak_errors import errors_of_contacts, errors_of_frames, missed_between_rows, peak_errors
+from mbdkit.archive.peak_errors import errors_of_contacts, missed_between_rows, peak_errors
+from mbdkit.registry.catalogue import Registered
+from mbdkit.registry.feature_items import HeadlineItem
+from mbdkit.registry.manager import registry
+from mbdkit.registry.use import use
 
 if TYPE_CHECKING:
     from mbdkit.archive.run import Run
@@ -153,7 +158,17 @@ def headlines(run: Run, most: int = MOST) -> list[Headline]:
         for name, value in run.measures.items()
         if math.isfinite(value)
     ]
-    return (measured or [*_activations(run), *_actuators(run), *_contacts(run), *largest_loads(run)])[:most]
+    return (measured or [*_added(run), *_contacts(run), *largest_loads(run)])[:most]
+
+
+def _added(run: Run) -> list[Headline]:
+    """Return the headlines of plugins whose groups the run has."""
+    items = [item for item in registry().of_kind("headline") if cast(HeadlineItem, item.plugin).group in run.kinds]
+    return [one for item in items for one in use(item, partial(_taken, item, run))]
+
+
+def _taken(item: Registered, run: Run) -> list[Headline]:
+    return list(cast(HeadlineItem, item.plugin).take()(run))
 
 
 def headline_texts(run: Run, sign: str = "+-", most: int = MOST) -> list[tuple[str, str]]:
@@ -198,7 +213,7 @@ def largest_forces(run: Run) -> list[Headline]:
     force = np.hypot(vectors[..., 0], vectors[..., 1])  # does not overflow after a motion that flew apart
     errors = _errors(run, "reaction_error", force)
     missed = missed_between_rows(run, "joints.force", run.joint_names, force)
-    return _largest("force in", run, run.joint_names, force, "N", errors, missed)
+    return largest_of("force in", run, run.joint_names, force, "N", errors, missed)
 
 
 def largest_torques(run: Run) -> list[Headline]:
@@ -208,27 +223,7 @@ def largest_torques(run: Run) -> list[Headline]:
     torque = np.abs(run.array("joints/reaction_torque"))
     errors = _errors(run, "torque_error", torque)
     missed = missed_between_rows(run, "joints.torque", run.joint_names, torque)
-    return _largest("torque of", run, run.joint_names, torque, "N m", errors, missed)
-
-
-def _actuators(run: Run) -> list[Headline]:
-    if run.kind != "inverse" or not run.records("actuators/value"):
-        return []
-    size = np.abs(run.array("actuators/value"))
-    errors = None
-    if run.records("actuators/value_error"):
-        bars = run.array("actuators/value_error")
-        errors = errors_of_frames(run, "actuators.value", list(run.actuators), size, bars)
-    units = {name: actuator.units for name, actuator in run.actuators.items()}
-    headlines = _largest("", run, list(run.actuators), size, "", errors)
-    own = [one for one in headlines if run.actuators[one.label].kind != "residual"]
-    return [one._replace(label=f"peak of {one.label}", unit=units[one.label]) for one in own[:2]]
-
-
-def _activations(run: Run) -> list[Headline]:
-    if not run.records("muscles/activation"):
-        return []
-    return _largest("activation of", run, list(run.muscles), run.array("muscles/activation"), "1", None)[:2]
+    return largest_of("torque of", run, run.joint_names, torque, "N m", errors, missed)
 
 
 def _contacts(run: Run) -> list[Headline]:
@@ -239,7 +234,7 @@ def _contacts(run: Run) -> list[Headline]:
     errors = None
     if run.accuracy is not None and missed is not None:
         errors = missed + errors_of_contacts(run.integrals, run.accuracy.compared_measures, names)
-    return _largest("normal force at", run, names, force, "N", errors, missed)[:2]
+    return largest_of("normal force at", run, names, force, "N", errors, missed)[:2]
 
 
 def _errors(run: Run, name: str, size: np.ndarray) -> np.ndarray | None:
@@ -248,7 +243,7 @@ def _errors(run: Run, name: str, size: np.ndarray) -> np.ndarray | None:
     return peak_errors(run, name, size, len(run.time)) if is_known else None
 
 
-def _largest(
+def largest_of(
     words: str,
     run: Run,
     names: list[str] | tuple[str, ...],

@@ -15,7 +15,7 @@ from mbdkit.base.html_view import HtmlView
 from mbdkit.mechanism.beam_shape import places_with_ends, with_ends
 from mbdkit.mechanism.beams import beam_of, named_body
 from mbdkit.mechanism.contacts import MODES
-from mbdkit.quantities.table import BY_GROUP
+from mbdkit.quantities.registered_kinds import kind_of_group
 
 
 class BodyHistory(columns.Trajectory, of="trajectory"):
@@ -59,12 +59,12 @@ class BeamHistory(columns.Beams, of="beams"):
     @property
     def nodes(self) -> tuple[str, ...]:
         """Names of the nodes, which are bodies."""
-        return tuple(body for body in self.source.objects(BY_GROUP["trajectory"]) if self._has_node(body))
+        return tuple(body for body in self.source.objects(kind_of_group("trajectory")) if self._has_node(body))
 
     @property
     def position(self) -> np.ndarray:
         """Position (x, y) and angle of every node, (T, nodes, 3), m and rad."""
-        nodes = [k for k, body in enumerate(self.source.objects(BY_GROUP["trajectory"])) if self._has_node(body)]
+        nodes = [k for k, body in enumerate(self.source.objects(kind_of_group("trajectory"))) if self._has_node(body)]
         return self.source.array("trajectory/position")[:, nodes[0] : nodes[-1] + 1]
 
     @property
@@ -95,22 +95,6 @@ class BeamHistory(columns.Beams, of="beams"):
 
     def __repr__(self) -> str:
         return f"<beam {self.name}: {len(self.nodes)} nodes>"
-
-
-class ObservedHistory(columns.Motion, of="motion"):
-    """One observed quantity of a measured motion: measured value, and value of the fitted mechanism."""
-
-
-class ActuatorHistory(columns.Actuators, of="actuators"):
-    """Value [N or N m] of one actuator in inverse dynamics, the error of the value, and the power.
-
-    Its `kind` is ``actuator``, ``reserve`` (of recruitment) or ``residual`` (a load from outside on a part that no
-    joint connects to the ground); empty in archives of earlier versions.
-    """
-
-
-class MuscleHistory(columns.Muscles, of="muscles"):
-    """Length, fibres, activation, tension [N] with its error, and power of one muscle."""
 
 
 class Transition(NamedTuple):
@@ -146,10 +130,6 @@ class ContactHistory(columns.Contacts, of="contacts"):
 
 class GroundReactionHistory(columns.GroundReactions, of="ground_reactions"):
     """Force of the ground on one body [N], and its centre of pressure [m], nan where the body is in the air."""
-
-
-class LoadHistory(columns.Loads, of="loads"):
-    """One measured load, in inverse dynamics; force and point of application are in the global frame."""
 
 
 class StateHistory(columns.States, of="states"):
@@ -340,25 +320,9 @@ class ConstraintHistories(Histories[ConstraintHistory]):
     """The constraint rows of a run by name."""
 
 
-class ObservedHistories(Histories[ObservedHistory]):
-    """The observed quantities of a measured motion of a run by name."""
-
-
-class ActuatorHistories(Histories[ActuatorHistory]):
-    """The actuators of inverse dynamics of a run by name."""
-
-
-class MuscleHistories(Histories[MuscleHistory]):
-    """The muscles of a run by name."""
-
-
 class ContactHistories(Histories[ContactHistory]):
     """The contacts of a run by name."""
 
 
 class GroundReactionHistories(Histories[GroundReactionHistory]):
     """Forces of the ground on the bodies of a run that may touch the ground, by name of the body."""
-
-
-class LoadHistories(Histories[LoadHistory]):
-    """The measured loads of a run by name."""

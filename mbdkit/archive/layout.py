@@ -9,9 +9,10 @@ import math
 from collections.abc import Iterable, Mapping, Sequence
 from functools import lru_cache
 
-from mbdkit.quantities.array import Array
+from mbdkit.quantities.array import Array, Kind, Recorded
 from mbdkit.quantities.names import ArchiveNames
-from mbdkit.quantities.table import BY_GROUP, KINDS, RECORDED, sizes_of
+from mbdkit.quantities.registered_kinds import array_at, groups, kind_of_group, kinds, kinds_of, sizes_of
+from mbdkit.quantities.table import KINDS
 
 FORMAT = "mbdkit-run"
 
@@ -84,9 +85,6 @@ TIMINGS = ("setup_s", "wall_s", "finish_s", "cpu_s")
 SOME_TIMINGS = ("integrals_s", "check_s")
 """Times that only some runs have: those with integrals over the continuous motion, and those that are checked."""
 
-LAYOUT: tuple[Array, ...] = tuple(array for kind in KINDS for array in kind.arrays)
-BY_PATH: Mapping[str, Array] = {array.path: array for array in LAYOUT}
-GROUPS = tuple(kind.group for kind in KINDS)
 VERSIONS = ("1.0", "1.1", "1.2")
 """Versions of the format; `since` of an array names the first one that has it."""
 FORMAT_VERSION = "1.2"
@@ -94,33 +92,21 @@ FORMAT_VERSION = "1.2"
 #: Groups that can be selected by `output.quantities`.
 QUANTITIES = frozenset(kind.group for kind in KINDS if kind.is_chosen)
 
-#: Groups of optional kinds of elements; such a group exists only if the mechanism has elements of the kind.
-ELEMENTS = frozenset(kind.group for kind in KINDS if kind.is_optional)
-
-#: Groups whose numbers may be nan, for unknown errors and gaps in measured data.
-MAY_BE_UNKNOWN = tuple(kind.group for kind in KINDS if kind.may_be_unknown)
-
 #: Arrays that get the attribute `not_unique` if the mechanism is redundant; it lists the joints (or drivers) whose
 #: values are not unique.
-SHARED = tuple(array.path for array in RECORDED.values() if array.is_shared)
-
-#: Groups of inverse dynamics; a group without elements is absent.
-INVERSE_GROUPS = ("motion", "actuators", "muscles", "loads")
+SHARED = tuple(array.path for kind in KINDS for array in kind.arrays if isinstance(array, Recorded) and array.is_shared)
 
 #: Paths of the arrays of events; all of them are present if the spec has events.
-EVENTS = tuple(array.path for array in LAYOUT if array.group == "events")
+EVENTS = tuple(kind_of_group("events").by_path)
 
 #: Paths of the arrays of impacts; all of them are present if contacts are rigid or drivers may have impulses.
-IMPACTS = tuple(array.path for array in LAYOUT if array.group == "impacts")
+IMPACTS = tuple(kind_of_group("impacts").by_path)
 
 #: Paths of the arrays of friction in joints; all of them are present if a joint has friction.
 FRICTION = ("joints/value_row_units", "joints/friction")
 
-#: Paths of the arrays of muscles that inverse dynamics does not record.
-MUSCLES_OF_RUNS = frozenset(("muscles/excitation",))
-
 #: Paths of the arrays of estimated errors; all of them are present after a check of accuracy.
-ACCURACY = tuple(array.path for array in LAYOUT if array.group == "accuracy")
+ACCURACY = tuple(kind_of_group("accuracy").by_path)
 
 #: Paths of the arrays of corrections, by the kind of stabilization.
 CORRECTIONS: Mapping[str, tuple[str, ...]] = {
@@ -156,7 +142,7 @@ def is_in(array: Array, version: str) -> bool:
 
 def later(paths: Iterable[str], version: str) -> frozenset[str]:
     """Return those of the `paths` that archives of version 1.x do not have."""
-    return frozenset(path for path in paths if path in BY_PATH and not is_in(BY_PATH[path], version))
+    return frozenset(path for path in paths if (array := array_at(path)) and not is_in(array, version))
 
 
 def _minor(version: str) -> float:
@@ -166,7 +152,10 @@ def _minor(version: str) -> float:
 
 @lru_cache(maxsize=64)
 def recorded(
-    quantities: frozenset[str], extra: frozenset[str] = frozenset(), version: str = FORMAT_VERSION
+    quantities: frozenset[str],
+    extra: frozenset[str] = frozenset(),
+    version: str = FORMAT_VERSION,
+    known: tuple[Kind, ...] | None = None,
 ) -> tuple[Array, ...]:
     """Return the arrays of an archive that records `quantities`.
 
@@ -178,10 +167,13 @@ def recorded(
         Paths of the optional arrays to include.
     version
         Version of the format.
+    known
+        The kinds; by default, those of the core and of the plugins that have arrays in `extra`.
     """
     return tuple(
         array
-        for array in LAYOUT
+        for kind in known or kinds(path.partition("/")[0] for path in extra)
+        for array in kind.arrays
         if (array.group not in QUANTITIES or array.group in quantities or array.path in ALWAYS)
         and (not array.optional or array.path in extra)
         and is_in(array, version)
@@ -192,23 +184,29 @@ def recorded_by(
     names: ArchiveNames, quantities: frozenset[str], extra: frozenset[str] = frozenset()
 ) -> tuple[Array, ...]:
     """Return the arrays of a run as `recorded` does, but without the groups of elements that the mechanism lacks."""
-    sizes = sizes_of(names)
+    sizes, optional = sizes_of(names), {kind.group: kind.axis for kind in KINDS if kind.is_optional}
     return recorded(
-        frozenset(quantity for quantity in quantities if quantity not in ELEMENTS or sizes[BY_GROUP[quantity].axis]),
-        extra,
+        frozenset(quantity for quantity in quantities if quantity not in optional or sizes[optional[quantity]]), extra
     )
 
 
 def of_elements(names: ArchiveNames) -> list[str]:
     """Return the paths of the optional arrays that a run records for its elements, and of names along their axes."""
     sizes, paths = sizes_of(names), []
-    for kind in KINDS:
-        if kind.is_optional and sizes[kind.axis]:
-            axes = {dim for array in kind.arrays if array.key in RECORDED for dim in array.dims} - {"time"}
-            paths += [one.path for one in kind.arrays if one.optional and (one.key in RECORDED or one.dims[0] in axes)]
+    for kind in kinds_of(names):
+        if kind.is_optional and (not kind.axis or sizes[kind.axis]):
+            computed = [array for array in kind.arrays if isinstance(array, Recorded) or array.key == "time"]
+            axes = {dim for array in computed for dim in array.dims} - {"time"}
+            paths += [one.path for one in kind.arrays if one.optional and (one in computed or one.dims[0] in axes)]
     return paths
 
 
 def name_texts(names: ArchiveNames) -> Mapping[str, Sequence[str]]:
     """Return the values of the arrays that hold names and units, by path."""
-    return {array.path: array.texts(names) for array in LAYOUT if array.texts is not None}
+    every = (array for kind in kinds_of(names) for array in kind.arrays)
+    return {array.path: array.texts(names) for array in every if array.texts is not None}
+
+
+def every_array() -> tuple[Array, ...]:
+    """Return all arrays of the layout; the modules of all plugins with groups are imported."""
+    return tuple(array for kind in kinds(groups()) for array in kind.arrays)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
+from itertools import zip_longest
 from pathlib import Path
 
 from mbdkit.base.errors import MbdkitError, SpecError
@@ -22,12 +23,15 @@ class Needed:
         Kind and full name of the plugin.
     distribution, version
         Name and version of the distribution that contains the plugin.
+    group
+        Group of the archive that the plugin describes, if it is a kind of quantities.
     """
 
     kind: Kind
     id: str
     distribution: str
     version: str
+    group: str = ""
 
     @property
     def advice(self) -> str:
@@ -52,14 +56,14 @@ def _needed(provenance: Mapping[str, object]) -> Iterator[Needed]:
         ("integrator", "integrator"),
         ("force-law", "force_laws"),
         ("spec-kind", "spec_kind"),
+        ("quantity", "quantities"),
     )
     for kind, key in kinds:
-        ids, origins, versions = (
-            str(provenance.get(name, "")).split(", ") for name in (key, f"{key}_distribution", f"{key}_version")
-        )
-        for item, origin, version in zip(ids, origins, versions, strict=False):
-            if item and origin:
-                yield Needed(kind, item, origin, version)
+        names = (key, f"{key}_distribution", f"{key}_version", f"{key}_group")
+        columns = [str(provenance.get(name, "")).split(", ") for name in names]
+        for item, origin, version, group in zip_longest(*columns, fillvalue=""):
+            if item and origin and version:
+                yield Needed(kind, item, origin, version, group)
 
 
 def check_plugins_of(path: Path | None, provenance: Mapping[str, object]) -> None:

@@ -4,15 +4,18 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterator, Sequence
-from typing import Any, Protocol, TypeVar, overload
+from functools import lru_cache
+from typing import Any, Protocol, TypeVar, cast, overload
 
 import numpy as np
 
-from mbdkit.archive.layout import BY_PATH, FORMAT_VERSION, later
+from mbdkit.archive.layout import FORMAT_VERSION, later
 from mbdkit.archive.read_only_dict import ReadOnlyDict
 from mbdkit.base.errors import MbdkitError, UnknownNameError
 from mbdkit.quantities.array import COORDINATE_UNITS, MIXED, Array, Kind, Recorded
-from mbdkit.quantities.table import BY_GROUP
+from mbdkit.quantities.registered_kinds import added_kinds, array_at, groups, kind_of_group
+from mbdkit.registry.feature_items import QuantityKind
+from mbdkit.registry.use import use
 
 
 class NotRecordedError(MbdkitError, KeyError):
@@ -28,11 +31,12 @@ class NotRecordedError(MbdkitError, KeyError):
 
     def __init__(self, what: str, version: str = FORMAT_VERSION):
         why = "`output.quantities` in its spec selects the recorded quantities"
-        if what in BY_PATH and BY_PATH[what].optional:
+        array, group = array_at(what), what.partition("/")[0]
+        if array is not None and array.optional:
             why = "its method, stabilization and events do not produce it"
         if what.startswith("accuracy/"):
             why = "`check: true` in its spec, or `--check`, estimates errors"
-        if later([path for path in BY_PATH if path == what or BY_PATH[path].group == what], version):
+        if later([what] if array else kind_of_group(group).by_path if group == what in groups() else (), version):
             why = f"its archive has format {version}; `mbdkit rerun` with `-o` writes one of format {FORMAT_VERSION}"
         super().__init__(f"this run did not record {what}; {why}")
 
@@ -136,8 +140,8 @@ class Label:
 class View:
     """Base class of histories: the columns of one object of a run, or of a whole group.
 
-    Subclasses have the columns and labels of a kind in the table of quantities; `mbdkit.archive.recorded_columns`
-    declares them for type checkers and completion.
+    Subclasses have the columns and labels of a kind, which is given by its group or as such;
+    `mbdkit.archive.recorded_columns` declares them for type checkers and completion.
 
     Parameters
     ----------
@@ -147,13 +151,14 @@ class View:
         Index or indices along the second axis of the arrays.
     """
 
-    def __init_subclass__(cls, of: str) -> None:
-        kind = BY_GROUP[of]
+    def __init_subclass__(cls, of: str | Kind) -> None:
+        kind = kind_of_group(of) if isinstance(of, str) else of
         for name, column in columns_of(kind):
             setattr(cls, name, column)
         for name, arrays in kind.labels.items():
             setattr(cls, name, Label(arrays))
-        VIEWS[of] = cls
+        if isinstance(of, str):
+            VIEWS[of] = cls
 
     def __init__(self, source: Source, name: str = "", index: int | slice | None = None):
         self.source = source
@@ -165,7 +170,21 @@ class View:
 
 
 VIEWS: dict[str, type[View]] = {}
-"""Classes of histories by group. A kind without a class in this module gets one when it is first read."""
+"""Classes of histories by group; a kind without such a class gets one when it is first read."""
+
+
+@lru_cache(maxsize=32)
+def view_of(kind: Kind) -> type[View]:
+    """Return the class of the histories of a kind."""
+    item = added_kinds().get(kind.group)
+    if item is not None and kind is kind_of_group(kind.group):
+        history = cast(QuantityKind, item.plugin).history
+        if history is not None:
+            view: type[View] = use(item, history, type)
+            return view
+    elif item is None and kind.group in VIEWS:
+        return VIEWS[kind.group]
+    return type(f"{kind.one.title().replace(' ', '')}History", (View,), {}, of=kind)
 
 
 V = TypeVar("V", bound=View)
@@ -186,7 +205,7 @@ class Histories(ReadOnlyDict[str, V]):
         self.kind = kind
         owners = list(run.objects(kind))
         counts = Counter(owners)
-        make: Any = VIEWS.get(kind.group) or type(f"{kind.one.title()}History", (View,), {}, of=kind.group)
+        make: Any = view_of(kind)
         first, items = 0, []
         for name in dict.fromkeys(owners):
             index = slice(first, first + counts[name]) if kind.owner else first

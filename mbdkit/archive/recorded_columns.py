@@ -9,6 +9,10 @@ from __future__ import annotations
 from mbdkit.archive.named_columns import View
 
 
+class KindsOfPlugins:
+    """Base class of runs that declares the histories of mbdkit's own plugins; `RecordedData` adds them to its class."""
+
+
 def __getattr__(name: str) -> type[View]:
     if name.startswith("_"):
         raise AttributeError(f"module {__name__} has no attribute '{name}'")

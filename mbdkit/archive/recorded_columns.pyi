@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from mbdkit.archive.named_columns import View
+from mbdkit.archive.named_columns import Histories, View
 
 class Trajectory(View, of="trajectory"):
     position: np.ndarray
@@ -73,49 +73,6 @@ class Beams(View, of="beams"):
     strain_energy: np.ndarray
     """strain energy of the element, (T,), summed over the elements, J"""
 
-class Motion(View, of="motion"):
-    raw: np.ndarray
-    """measured value, nan in a gap, (T,), units by row"""
-    fitted: np.ndarray
-    """value of the fitted mechanism, before smoothing, (T,), units by row"""
-    residual: np.ndarray
-    """raw - fitted, (T,), units by row"""
-    units: str
-
-class Actuators(View, of="actuators"):
-    value: np.ndarray
-    """torque on the second body, positive counter-clockwise; force along a travel or a coordinate; tension between two points, (T,), units by row"""
-    power: np.ndarray
-    """power that the actuator supplies to the bodies, (T,), W"""
-    value_error: np.ndarray
-    """bound of the error of value that holds with a probability of 95 % at each time, nan where unknown, (T,), units by row"""
-    units: str
-    kind: str
-
-class Muscles(View, of="muscles"):
-    length: np.ndarray
-    """length of the path, (T,), m"""
-    rate: np.ndarray
-    """rate of length, (T,), m/s"""
-    fiber_length: np.ndarray
-    """length of the fibres; nan where recruitment does not need it, (T,), m"""
-    fiber_rate: np.ndarray
-    """rate of fiber_length, (T,), m/s"""
-    activation: np.ndarray
-    """activation, from 0 to 1, (T,), 1"""
-    excitation: np.ndarray
-    """excitation, from 0 to 1; runs only, (T,), 1"""
-    force: np.ndarray
-    """tension, (T,), N"""
-    power: np.ndarray
-    """power that the muscle supplies to the bodies, (T,), W"""
-    fiber_power: np.ndarray
-    """power that the fibres supply; nan where fiber_length is, (T,), W"""
-    metabolic_power: np.ndarray
-    """power that the muscle consumes; nan without `metabolics`, (T,), W"""
-    force_error: np.ndarray
-    """bound of the error of force that holds with a probability of 95 % at each time, nan where unknown, (T,), N"""
-
 class Contacts(View, of="contacts"):
     gap: np.ndarray
     """distance of the two shapes, negative where they overlap, (T,), m"""
@@ -136,17 +93,6 @@ class GroundReactions(View, of="ground_reactions"):
     """sum of the normal forces of these contacts, (T,), N"""
     center_of_pressure: np.ndarray
     """point about which the contacts with the ground have no moment, global frame; nan where none is closed, (T, 2), m"""
-
-class Loads(View, of="loads"):
-    force: np.ndarray
-    """force on the body, global frame, (T, 2), N"""
-    point: np.ndarray
-    """point of application, global frame, (T, 2), m"""
-    torque: np.ndarray
-    """free torque on the body, positive counter-clockwise, (T,), N m"""
-    power: np.ndarray
-    """power that the load supplies to the body, (T,), W"""
-    body: str
 
 class States(View, of="states"):
     value: np.ndarray
@@ -201,3 +147,71 @@ class Steps(View, of="steps"):
     """largest change of velocities by a projection in the interval: sqrt(dv^T M dv / total mass), (N,), m/s"""
     acceleration_correction: np.ndarray
     """largest of Baumgarte's terms 2 alpha Phi' + beta^2 Phi at a step of the interval (rows of angles: rad/s^2), (N,), m/s^2"""
+
+class Motion(View, of="motion"):
+    raw: np.ndarray
+    """measured value, nan in a gap, (T,), units by row"""
+    fitted: np.ndarray
+    """value of the fitted mechanism, before smoothing, (T,), units by row"""
+    residual: np.ndarray
+    """raw - fitted, (T,), units by row"""
+    units: str
+
+class Actuators(View, of="actuators"):
+    value: np.ndarray
+    """torque on the second body, positive counter-clockwise; force along a travel or a coordinate; tension between two points, (T,), units by row"""
+    power: np.ndarray
+    """power that the actuator supplies to the bodies, (T,), W"""
+    value_error: np.ndarray
+    """bound of the error of value that holds with a probability of 95 % at each time, nan where unknown, (T,), units by row"""
+    units: str
+    kind: str
+
+class Muscles(View, of="muscles"):
+    length: np.ndarray
+    """length of the path, (T,), m"""
+    rate: np.ndarray
+    """rate of length, (T,), m/s"""
+    fiber_length: np.ndarray
+    """length of the fibres; nan where recruitment does not need it, (T,), m"""
+    fiber_rate: np.ndarray
+    """rate of fiber_length, (T,), m/s"""
+    activation: np.ndarray
+    """activation, from 0 to 1, (T,), 1"""
+    excitation: np.ndarray
+    """excitation, from 0 to 1; runs only, (T,), 1"""
+    force: np.ndarray
+    """tension, (T,), N"""
+    power: np.ndarray
+    """power that the muscle supplies to the bodies, (T,), W"""
+    fiber_power: np.ndarray
+    """power that the fibres supply; nan where fiber_length is, (T,), W"""
+    metabolic_power: np.ndarray
+    """power that the muscle consumes; nan without `metabolics`, (T,), W"""
+    force_error: np.ndarray
+    """bound of the error of force that holds with a probability of 95 % at each time, nan where unknown, (T,), N"""
+
+class Loads(View, of="loads"):
+    force: np.ndarray
+    """force on the body, global frame, (T, 2), N"""
+    point: np.ndarray
+    """point of application, global frame, (T, 2), m"""
+    torque: np.ndarray
+    """free torque on the body, positive counter-clockwise, (T,), N m"""
+    power: np.ndarray
+    """power that the load supplies to the body, (T,), W"""
+    body: str
+
+class KindsOfPlugins:
+    @property
+    def motion(self) -> Histories[Motion]:
+        """Observed quantities of a measured motion."""
+    @property
+    def actuators(self) -> Histories[Actuators]:
+        """Values and powers of actuators in inverse dynamics."""
+    @property
+    def muscles(self) -> Histories[Muscles]:
+        """Lengths, activations, tensions and powers of muscles."""
+    @property
+    def loads(self) -> Histories[Loads]:
+        """Measured loads."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, Any, Self, TypeVar
 
 import h5py
 import numpy as np
@@ -14,9 +14,12 @@ from mbdkit.archive import history, layout, run_header
 from mbdkit.archive.fingerprint import is_text
 from mbdkit.archive.hdf5_errors import reading
 from mbdkit.archive.named_columns import Histories, NotRecordedError
+from mbdkit.archive.read_only_dict import ReadOnlyDict
+from mbdkit.archive.recorded_columns import KindsOfPlugins
 from mbdkit.archive.run_contents import ArchiveContents, RunContents
 from mbdkit.quantities.array import Kind
-from mbdkit.quantities.table import BY_GROUP, BY_WORD
+from mbdkit.quantities.registered_kinds import OF_PARTS, groups, kind_of_group, kind_of_word, words
+from mbdkit.registry.accessors import Extensible
 
 #: Arrays larger than this [bytes] are not cached, and are read column by column.
 KEEP_BYTES = 1 << 28
@@ -40,8 +43,17 @@ class evaluated(cached_property[T]):  # noqa: N801
             return self if run is None else self.func(run)
 
 
-class RecordedData:
+class RecordedData(KindsOfPlugins, Extensible):
     """Base class of `Run`: what it recorded, as arrays by path and as histories by name."""
+
+    def __new__(cls, *arguments: Any, **named: Any) -> Self:
+        """Make an object of the class, which has the histories of the kinds of plugins."""
+        for word in {*words(), *OF_PARTS}:
+            if not hasattr(cls, word):
+                histories = _histories_of(word)
+                setattr(cls, word, histories)
+                histories.__set_name__(cls, word)
+        return super().__new__(cls, *arguments, **named)
 
     def __init__(self, contents: RunContents | h5py.File):
         self._contents = contents if isinstance(contents, RunContents) else ArchiveContents(contents)
@@ -51,6 +63,11 @@ class RecordedData:
     @cached_property
     def _names(self) -> Mapping[str, tuple[str, ...]]:
         return self._contents.names
+
+    @property
+    def kinds(self) -> Mapping[str, Kind]:
+        """Kinds of quantities by group: those of the core, and those of plugins whose groups the run has."""
+        return self._contents.kinds
 
     @property
     def path(self) -> Path | None:
@@ -85,6 +102,9 @@ class RecordedData:
 
     def records(self, path: str) -> bool:
         """Return whether the run recorded the array at `path` of the layout."""
+        group = path.partition("/")[0]
+        if group not in self.kinds and group in (*groups(), *OF_PARTS):
+            return False
         try:
             self.dataset(path)
         except NotRecordedError:
@@ -193,7 +213,7 @@ class RecordedData:
         >>> run.bodies["rod1"].position.shape
         (101, 2)
         """
-        return history.BodyHistories(BY_WORD["bodies"], self)
+        return history.BodyHistories(kind_of_word("bodies"), self)
 
     def __getitem__(self, name: str) -> history.BodyHistory:
         """Return the motion of the body `name`."""
@@ -220,7 +240,7 @@ class RecordedData:
         >>> run.joints["J2"].reaction_force.shape
         (101, 2)
         """
-        return history.JointHistories(BY_WORD["joints"], self)
+        return history.JointHistories(kind_of_word("joints"), self)
 
     @cached_property
     def joint_misalignments(self) -> np.ndarray:
@@ -261,7 +281,7 @@ class RecordedData:
         MbdkitError
             If the run did not record them.
         """
-        return history.ForceHistories(BY_WORD["forces"], self)
+        return history.ForceHistories(kind_of_word("forces"), self)
 
     @evaluated
     def markers(self) -> history.MarkerHistories:
@@ -272,7 +292,7 @@ class RecordedData:
         MbdkitError
             If the run did not record them.
         """
-        return history.MarkerHistories(BY_WORD["markers"], self)
+        return history.MarkerHistories(kind_of_word("markers"), self)
 
     @evaluated
     def beams(self) -> history.BeamHistories:
@@ -283,19 +303,14 @@ class RecordedData:
         MbdkitError
             If the run did not record them.
         """
-        return history.BeamHistories(BY_WORD["beams"], self)
+        return history.BeamHistories(kind_of_word("beams"), self)
 
     @evaluated
     def states(self) -> history.StateHistories:
         """First-order states by name; those of force elements and muscles are named ``element.state``. Empty if there
         are none.
         """
-        return history.StateHistories(BY_GROUP["states"], self)
-
-    @evaluated
-    def motion(self) -> history.ObservedHistories:
-        """Observed quantities of the measured motion by name; empty unless this is inverse dynamics."""
-        return history.ObservedHistories(BY_WORD["motion"], self)
+        return history.StateHistories(kind_of_group("states"), self)
 
     @property
     def raw_misalignment(self) -> np.ndarray:
@@ -310,47 +325,19 @@ class RecordedData:
         return self.array("motion/raw_misalignment")
 
     @evaluated
-    def actuators(self) -> history.ActuatorHistories:
-        """Values and powers of the actuators by name; empty unless this is inverse dynamics.
-
-        Examples
-        --------
-        >>> import mbdkit
-        >>> t = [0.01 * i for i in range(11)]
-        >>> motion = {"data": {"time": t, "tilt": t}, "columns": {"J1.angle": "tilt"}}
-        >>> run = mbdkit.inverse({"mbdkit": 1, "model": {"name": "single-pendulum"}, "motion": motion})
-        >>> list(run.actuators), run.actuators["J1"].units
-        (['J1'], 'N m')
-        """
-        return history.ActuatorHistories(BY_WORD["actuators"], self)
-
-    @evaluated
-    def muscles(self) -> history.MuscleHistories:
-        """Lengths, activations and tensions of the muscles by name.
-
-        Empty if the model has no muscles or, in inverse dynamics, without `recruitment`.
-        """
-        return history.MuscleHistories(BY_WORD["muscles"], self)
-
-    @evaluated
     def contacts(self) -> history.ContactHistories:
         """Gaps, forces, slip and modes of the contacts by name; polygons and polylines have several, `NAME.i`."""
-        return history.ContactHistories(BY_WORD["contacts"], self)
+        return history.ContactHistories(kind_of_word("contacts"), self)
 
     @evaluated
     def ground_reactions(self) -> history.GroundReactionHistories:
         """Force and centre of pressure of each body that may touch the ground, by name of the body."""
-        return history.GroundReactionHistories(BY_WORD["ground_reactions"], self)
-
-    @evaluated
-    def loads(self) -> history.LoadHistories:
-        """Measured loads by name; empty unless this is inverse dynamics."""
-        return history.LoadHistories(BY_WORD["loads"], self)
+        return history.GroundReactionHistories(kind_of_word("ground_reactions"), self)
 
     @evaluated
     def constraints(self) -> history.ConstraintHistories:
         """Residuals and multipliers of the constraint rows by name, ``joint.row``."""
-        return history.ConstraintHistories(BY_WORD["constraints"], self)
+        return history.ConstraintHistories(kind_of_word("constraints"), self)
 
     @property
     def singularity_distance(self) -> np.ndarray:
@@ -388,11 +375,14 @@ class RecordedData:
         return history.Events.of(self, tuple(self.spec.get("events") or ()), len(self.bodies))
 
 
-def _objects_of(word: str) -> property:
+def _histories_of(word: str) -> evaluated[Any]:
     """Return a property whose value contains the histories of the objects of a kind by name."""
-    return property(lambda run: Histories(BY_WORD[word], run), doc=f"The {word} by name.")
 
+    def histories(run: RecordedData) -> Any:
+        group = words().get(word, word)
+        if group in run.kinds:
+            return Histories(run.kinds[group], run)
+        return Histories(kind_of_group(group), run) if group in groups() else ReadOnlyDict()
 
-for _word in BY_WORD:  # kinds of elements for which the class does not define a property
-    if not hasattr(RecordedData, _word):
-        setattr(RecordedData, _word, _objects_of(_word))
+    histories.__doc__ = f"Histories of the objects of the kind {word} by name; empty if the run has none."
+    return evaluated(histories)

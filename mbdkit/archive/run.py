@@ -23,7 +23,7 @@ from mbdkit.base.errors import ArchiveError, RunError, SpecError, UnknownNameErr
 from mbdkit.base.files_read import FileRead
 from mbdkit.base.html_view import HtmlView
 from mbdkit.mechanism.mechanism import Mechanism
-from mbdkit.registry.accessors import Extensible, computed
+from mbdkit.registry.accessors import computed
 from mbdkit.spec import RunSpec
 from mbdkit.spec.spec_kinds import kind_of, refused
 from mbdkit.trust.criteria import LEVELS, Level
@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     import xarray
 
 
-class Run(RecordedData, HtmlView, Extensible):
+class Run(RecordedData, HtmlView):
     """A run: its spec, status and recorded data, in SI units and radians.
 
     Arrays are read-only and are read from the archive on first use. Close the run, or use it in a `with` block, to

@@ -27,18 +27,14 @@ from mbdkit.archive.plain_spec import PlainSpec
 from mbdkit.archive.read_only_dict import ReadOnlyDict
 from mbdkit.archive.run_header import open_archive
 from mbdkit.archive.run_writer import Ending, Origin, SharedForces
+from mbdkit.archive.stored_kinds import kinds_of_file
 from mbdkit.archive.stored_mechanism import StoredMechanism, built_mechanism, read_mechanism
 from mbdkit.archive.writer import ArchiveWriter
 from mbdkit.base.errors import MbdkitError, SpecError, UnknownNameError
 from mbdkit.base.files_read import FileRead, read_files
-from mbdkit.quantities.array import FLOAT, GROWING, Array
-from mbdkit.quantities.table import KINDS
+from mbdkit.quantities.array import FLOAT, GROWING, Array, Kind
+from mbdkit.quantities.registered_kinds import array_at, kinds
 from mbdkit.spec import RunSpec
-
-_NAMES = tuple(
-    array.path for kind in KINDS if kind.axis for array in kind.arrays if array.label or array.path == kind.named_by
-)
-"""Arrays of names that are read when a run is opened."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -100,6 +96,8 @@ class RunContents(ABC):
         Status, spec, verdict and counters.
     names
         Names and units along the axes, by path.
+    kinds
+        Kinds of quantities by group: those of the core, and those of plugins whose groups the run has.
     path
         Path of the archive; None without a file.
     run_spec
@@ -124,6 +122,7 @@ class RunContents(ABC):
     run_spec: RunSpec | None = None
     cause: BaseException | None = None
     whole_rows: Mapping[str, int] = MappingProxyType({})
+    kinds: Mapping[str, Kind]
     measures: MeasuredValues
     integrals: Integrals
     gradients: Mapping[str, Mapping[str, Any]]
@@ -186,7 +185,18 @@ class ArchiveContents(RunContents):
     def names(self) -> Mapping[str, tuple[str, ...]]:  # type: ignore[override]
         """See `RunContents`."""
         with reading("its names", self.path):
-            return {name: run_header.names(self.file, name) for name in _NAMES if name in self.file}
+            paths = [
+                array.path
+                for kind in self.kinds.values()
+                for array in kind.arrays
+                if kind.axis and (array.label or array.path == kind.named_by)
+            ]
+            return {path: run_header.names(self.file, path) for path in paths if path in self.file}
+
+    @cached_property
+    def kinds(self) -> Mapping[str, Kind]:  # type: ignore[override]
+        """See `RunContents`."""
+        return kinds_of_file(self.file)
 
     @classmethod
     def open(cls, path: Path) -> ArchiveContents:
@@ -194,11 +204,13 @@ class ArchiveContents(RunContents):
         file = open_archive(path)
         try:
             with reading("its arrays", path):
-                run_header.check_shapes(file)
+                known = kinds_of_file(file)
+                run_header.check_shapes(file, known.values())
         except BaseException:
             file.close()
             raise
         contents = cls(file, path)
+        contents.kinds = known
         try:
             assert contents.names is not None
         except SpecError:
@@ -247,7 +259,7 @@ class ArchiveContents(RunContents):
         if noted is not None:
             return dict.fromkeys(GROWING, 0) | {dim: int(rows) for dim, rows in zip(GROWING, noted, strict=False)}
         lengths: dict[str, list[int]] = {dim: [0] for dim in GROWING}  # for archives of an earlier version
-        for array in layout.LAYOUT:
+        for array in (array for kind in self.kinds.values() for array in kind.arrays):
             if array.grows and array.path in self._file:
                 lengths[array.dims[0]].append(len(self._file[array.path]))
         return {dim: min(counts[1:], default=0) for dim, counts in lengths.items()}
@@ -255,14 +267,15 @@ class ArchiveContents(RunContents):
     def dataset(self, path: str) -> h5py.Dataset | np.ndarray:
         """Return an array; see `Run.dataset`."""
         file = self.file
-        array = layout.BY_PATH.get(path)
+        kind = self.kinds.get(path.partition("/")[0])
+        array = array_at(path) if kind is None else kind.by_path.get(path)
         with reading(path, self.path):
             if array is not None and array.grows and self.header.attributes["status"] == "running":
                 return self._crashed(array)
             if path in file:
                 return file[path]
         if array is None:
-            raise UnknownNameError("array", path, list(layout.BY_PATH))
+            raise UnknownNameError("array", path, [one.path for one in layout.every_array()])
         raise NotRecordedError(path, self.header.attributes["format_version"])
 
     def _crashed(self, array: Array) -> h5py.Dataset | np.ndarray:
@@ -402,6 +415,11 @@ class ArrayContents(RunContents):
         return {array.path: tuple(texts[array.path]) for array in self._finished.layout if not array.grows}
 
     @cached_property
+    def kinds(self) -> Mapping[str, Kind]:  # type: ignore[override]
+        """See `RunContents`."""
+        return {kind.group: kind for kind in kinds(array.group for array in self._finished.layout)}
+
+    @cached_property
     def _recorded(self) -> frozenset[str]:
         """Paths of the arrays with rows."""
         return frozenset([array.path for array in self._finished.layout if array.grows])
@@ -416,14 +434,14 @@ class ArrayContents(RunContents):
         """Return an array; see `Run.dataset`."""
         self._check_open()
         if path in self._recorded:
-            return self._finished.arrays[layout.BY_PATH[path].key]
+            return self._finished.arrays[self.kinds[path.partition("/")[0]].by_path[path].key]
         if path in self._texts:
             return np.array(self._texts[path], object)
         if self._finished.accuracy is not None and path in layout.ACCURACY:
             names = self._finished.names
             return self._finished.accuracy.arrays(names.bodies, names.joints)[path]
-        if path not in layout.BY_PATH:
-            raise UnknownNameError("array", path, list(layout.BY_PATH))
+        if array_at(path) is None:
+            raise UnknownNameError("array", path, [one.path for one in layout.every_array()])
         if self._store:
             raise NotStoredError(path, self._store)
         raise NotRecordedError(path, layout.FORMAT_VERSION)

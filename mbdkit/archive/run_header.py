@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import math
 import os
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -22,7 +22,7 @@ from mbdkit.archive.untrusted_file import open_hdf5
 from mbdkit.base.errors import ArchiveError, SpecError
 from mbdkit.base.plain_data import LONGEST_NAME, LONGEST_TITLE
 from mbdkit.base.text import shortened, shown
-from mbdkit.quantities.array import GROWING, TEXT
+from mbdkit.quantities.array import GROWING, TEXT, Kind
 from mbdkit.quantities.names import AXES, COORDINATES
 
 
@@ -80,15 +80,15 @@ LONGEST = 4 * LONGEST_NAME
 """Longest name that is read [characters]. Some names, such as those of constraints, are composed of several names."""
 
 
-def check_shapes(file: h5py.File) -> None:
-    """Raise ValueError if an array of the layout has a type or shape that contradicts its axes."""
+def check_shapes(file: h5py.File, kinds: Iterable[Kind]) -> None:
+    """Raise ValueError if an array of the kinds of an archive has a type or shape that contradicts its axes."""
     lengths: dict[str, int] = {}
     # if the run crashed between two flushes, its arrays may have different numbers of rows
     crashed = file.attrs.get("status") == "running"
     for path in ("trajectory/body", "joints/joint"):
         if path not in file:
             raise ValueError(f"{path} is missing")
-    for path, array in layout.BY_PATH.items():
+    for path, array in ((one.path, one) for kind in kinds for one in kind.arrays):
         if path not in file:
             continue
         dataset = file[path]

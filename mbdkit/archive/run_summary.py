@@ -21,7 +21,7 @@ from mbdkit.archive.headlines import (
     largest_torques,
     plus_minus,
 )
-from mbdkit.archive.peak_errors import missed_between_rows, peak_errors
+from mbdkit.archive.peak_errors import missed_between_rows
 from mbdkit.base.errors import MbdkitError, PluginError
 from mbdkit.base.text import counted, listed, shown
 from mbdkit.mechanism.beams import beam_of
@@ -41,8 +41,6 @@ if TYPE_CHECKING:
 
 #: Largest number of events listed.
 EVENTS_NAMED = 4
-#: Range of the lengths of fibres, in optimal lengths, outside of which their active force is almost zero.
-PULLING = (0.4, 1.6)
 #: The summary reports the distance from a singular position if it is below this value.
 SINGULAR = 0.1
 
@@ -89,9 +87,6 @@ def summary_lines(run: Run) -> list[tuple[str, str]]:
         ("drivers", _drivers(run)),
     ]
     last = [
-        ("muscles", _muscles(run)),
-        ("", _far_fibers(run)),
-        ("contact", _contact_forces(run)),
         ("contacts", _contacts(run)),
         ("impacts", _impacts(run)),
         ("events", _events(run)),
@@ -106,7 +101,7 @@ def summary_lines(run: Run) -> list[tuple[str, str]]:
 def _added_lines(run: Run, item: Registered) -> list[tuple[str, str]]:
     """Return the lines of an item; if it fails, a line says so, because the run itself is not affected."""
     own = cast(SummaryLine, item.plugin)
-    if own.of and kind_of(run.spec).name not in own.of:
+    if (own.of and kind_of(run.spec).name not in own.of) or (own.group and own.group not in run.kinds):
         return []
     try:
         lines = use(item, lambda: list(own.text()(run)))
@@ -152,13 +147,13 @@ def _times_of_unknown_errors(run: Run) -> str:
     return ", ".join(spans[:JOINTS_NAMED]) + more
 
 
-def _few(texts: Sequence[str], separator: str = "; ", most: int = JOINTS_NAMED) -> str:
+def few(texts: Sequence[str], separator: str = "; ", most: int = JOINTS_NAMED) -> str:
     """Return the first texts, and how many others there are."""
     more = [f"{len(texts) - most} more"] if len(texts) > most else []
     return separator.join([*texts[:most], *more])
 
 
-def _ranked(parts: Iterable[tuple[float, str]]) -> list[str]:
+def ranked(parts: Iterable[tuple[float, str]]) -> list[str]:
     """Return texts in the descending order of the numbers before them."""
     return [text for _, text in sorted(parts, key=lambda part: -part[0])]
 
@@ -246,7 +241,7 @@ def _misalignment(run: Run) -> str:
     if not run.joints or math.isnan(run.misalignment_max):
         return ""
     worst = sorted(run.joints.values(), key=lambda joint: -joint.misalignment_max)
-    named = _few([f"{joint.name} {joint.misalignment_max:.2g}" for joint in worst], ", ")
+    named = few([f"{joint.name} {joint.misalignment_max:.2g}" for joint in worst], ", ")
     return f"{run.misalignment_max:.3g} m at most ({named}){_angles(run)}"
 
 
@@ -303,35 +298,6 @@ def _smoothing(spec: Mapping[str, Any]) -> str:
     return ", ".join([*([str(chosen["name"])] if chosen else []), *_options(chosen)])
 
 
-def _muscles(run: Run) -> str:
-    """Return the largest activations of muscles and their times, in descending order."""
-    peaks = []
-    for name, muscle in run.muscles.items():
-        row = int(np.argmax(muscle.activation))
-        peaks.append((float(muscle.activation[row]), f"{name} {muscle.activation[row]:.3g} at {run.time[row]:.4g} s"))
-    rows = "" if run.kind == "inverse" else " in the recorded rows"
-    return f"largest activations{rows} {_few(_ranked(peaks))}" if peaks else ""
-
-
-def _far_fibers(run: Run) -> str:
-    """Return the muscles whose fibres leave the lengths at which they can pull, unless the verdict names them."""
-    if any("fibers: " in reason for reason in run.verdict_reasons):
-        return ""
-    try:
-        muscles = run.mechanism.muscles if run.muscles else {}
-    except MbdkitError:  # an archive of an earlier version, which does not hold it
-        return ""
-    texts = []
-    for name, muscle in run.muscles.items():
-        lengths = muscle.fiber_length[np.isfinite(muscle.fiber_length)]
-        if name in muscles and lengths.size:
-            low, high = lengths.min() / muscles[name].optimal_length, lengths.max() / muscles[name].optimal_length
-            if low < PULLING[0] or high > PULLING[1]:
-                texts.append(f"those of {name} are {low:.3g} to {high:.3g} optimal lengths long")
-    limits = f"below {PULLING[0]:g} and above {PULLING[1]:g} optimal lengths"
-    return f"fibres have almost no active force {limits}; {_few(texts)}" if texts else ""
-
-
 def _contacts(run: Run) -> str:
     """Return the deepest overlaps of contacts with their times, their largest creep (slip while they stick), and how
     far they slip otherwise.
@@ -357,7 +323,7 @@ def _contacts(run: Run) -> str:
             parts.append((depth, f"{name} overlaps by up to {depth:.3g} m {when}{crept}{slipped}"))
     if not parts:
         return f"no overlap above {EXACT:g} m{' in the recorded rows' if np.any(np.isnan(beyond)) else ''}"
-    return _few(_ranked(parts))
+    return few(ranked(parts))
 
 
 def _impacts(run: Run) -> str:
@@ -406,31 +372,11 @@ def _restitutions(run: Run, struck: np.ndarray) -> str:
 def _struck(impacts: Impacts, some: np.ndarray) -> tuple[str, str]:
     """Return two texts on the impacts `some` (I,): their numbers, in total and for each name, and the lost energy."""
     names, counts = np.unique(impacts.contact[some].astype(str), return_counts=True)
-    each = _few([f"{name} {count}" for name, count in zip(names, counts, strict=True)], ", ")
+    each = few([f"{name} {count}" for name, count in zip(names, counts, strict=True)], ", ")
     # all impacts at one time have the same entry, the energy lost by all of them
     lost = impacts.energy_lost[some][np.unique(impacts.time[some], return_index=True)[1]].sum()
     change = f"{lost:.4g} J lost" if lost >= 0.0 else f"{-lost:.4g} J supplied"
     return f"{np.count_nonzero(some)} ({each})", change
-
-
-def _contact_forces(run: Run) -> str:
-    """Return the largest reaction forces of joints with muscles, and those of the same joints without muscles.
-
-    Joints whose force the muscles change by less than 0.1 % are left out. Empty without recruitment.
-    """
-    if not run.records("muscles/certificate"):
-        return ""
-    without = np.linalg.norm(run.array("muscles/reaction_force_without"), axis=2)
-    size = np.linalg.norm(run.array("joints/reaction_force"), axis=2)
-    errors = peak_errors(run, "reaction_error", size, len(run.time))
-    parts = []
-    for index, name in enumerate(run.joint_names):
-        largest, most = float(np.max(size[:, index])), float(np.max(without[:, index]))
-        error = math.nan if errors is None else float(errors[index])
-        with_muscles = f"{largest:.4g}" if math.isnan(error) else plus_minus(largest, error)
-        if largest > 1.001 * most or largest < 0.999 * most:
-            parts.append((largest, f"{name} {with_muscles} N, {most:.4g} N without muscles"))
-    return "; ".join(_ranked(parts)[:JOINTS_NAMED])
 
 
 def _events(run: Run) -> str:
@@ -440,7 +386,7 @@ def _events(run: Run) -> str:
         times = run.events.of_name(name).time
         often = f"{len(times)} times from {times[0]:.10g} s on" if len(times) else "never"
         parts.append(f"{name} {f'once at {times[0]:.10g} s' if len(times) == 1 else often}")
-    return _few(parts, ", ", EVENTS_NAMED)
+    return few(parts, ", ", EVENTS_NAMED)
 
 
 def answer_lines(run: Run) -> list[tuple[str, str]]:

@@ -6,7 +6,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
-from functools import lru_cache
+from functools import cached_property, lru_cache
 from hashlib import sha256
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -20,8 +20,10 @@ from mbdkit.archive.fingerprint import line, text_bytes
 from mbdkit.archive.measured_values import Integrals
 from mbdkit.archive.stored_mechanism import mechanism_json
 from mbdkit.base.files_read import files_json
-from mbdkit.quantities.array import FLOAT, TEXT, Array
+from mbdkit.quantities.array import FLOAT, TEXT, Array, Recorded
 from mbdkit.quantities.names import ArchiveNames
+from mbdkit.quantities.registered_kinds import array_at
+from mbdkit.quantities.table import KINDS
 from mbdkit.trust.criteria import Judgement
 
 if TYPE_CHECKING:
@@ -34,8 +36,8 @@ def utc_now() -> str:
     return datetime.now(UTC).isoformat(timespec="milliseconds").replace("+00:00", "Z")
 
 
-#: Keys accepted by the `append` methods.
-_KEYS = frozenset(array.key for array in layout.LAYOUT)
+#: Keys of the core that the `append` methods accept, besides paths of plugins.
+_KEYS = frozenset(array.key for kind in KINDS for array in kind.arrays)
 
 UNJUDGED = Judgement("unknown")
 
@@ -159,6 +161,11 @@ class RunWriter(ABC):
         self.names = names
         self.arrays = layout.recorded_by(names, layout.QUANTITIES) if arrays is None else arrays
 
+    @cached_property
+    def recorded(self) -> Mapping[str, Recorded]:
+        """The arrays with a value for each recorded state that can be computed from the state, by their keys."""
+        return {array.key: array for array in self.arrays if isinstance(array, Recorded)}
+
     @property
     @abstractmethod
     def row_keys(self) -> frozenset[str]:
@@ -261,9 +268,9 @@ class RunWriter(ABC):
         return np.arange(first, first + count)
 
     def _append(self, dim: str, rows: Mapping[str, np.ndarray]) -> None:
-        unknown = rows.keys() - _KEYS
+        unknown = sorted(key for key in rows.keys() - _KEYS if array_at(key) is None)
         if unknown:
-            raise ValueError(f"the layout has no {', '.join(sorted(unknown))}")
+            raise ValueError(f"the layout has no {', '.join(unknown)}")
         self.take(dim, rows)
 
 

@@ -19,11 +19,11 @@ from h5py import h5f, h5p
 
 from mbdkit.archive.fingerprint import attribute_line, attribute_lines, layout_lines
 from mbdkit.archive.hdf5 import create, fill_text, set_numbers, set_text, set_texts
-from mbdkit.archive.layout import GROUPS, SHARED, is_hashed, name_texts
+from mbdkit.archive.layout import SHARED, is_hashed, name_texts
 from mbdkit.archive.part_file import LIBVER
 from mbdkit.quantities.array import TEXT, Array
 from mbdkit.quantities.names import ArchiveNames
-from mbdkit.quantities.table import sizes_of
+from mbdkit.quantities.registered_kinds import sizes_of
 
 LARGEST = 1 << 20
 """Skeletons are cached if their arrays over time have at most this total size [bytes]."""
@@ -85,8 +85,7 @@ def memory_file(image: bytes | bytearray = b"") -> h5py.File:
 
 def begin_file(file: h5py.File, names: ArchiveNames, arrays: tuple[Array, ...]) -> None:
     """Create the groups of an archive and its arrays of names."""
-    present = {array.group for array in arrays}
-    for group in (*(group for group in GROUPS if group in present), "stats", "provenance"):
+    for group in (*dict.fromkeys(array.group for array in arrays), "stats", "provenance"):
         file.create_group(group)
     texts = name_texts(names)
     for array in sorted((one for one in arrays if not one.grows), key=lambda one: not one.is_scale):
@@ -161,7 +160,7 @@ def _made(
         unread: dict[str, list[str]] = defaultdict(list)
         for one in arrays:
             if is_hashed(one.path):
-                lines = attribute_lines(file[one.path].id, one.path, layout_lines())
+                lines = attribute_lines(file[one.path].id, one.path, layout_lines(arrays))
                 unread[one.path if one.group in opened else one.group] += lines
         known = add_attributes(file, "provenance", dict(provenance))
         file.flush()

@@ -26,7 +26,7 @@ from mbdkit.archive.skeleton import Attribute, add_attributes, begin_file, memor
 from mbdkit.base.errors import MbdkitError, ResourceError
 from mbdkit.quantities.array import FLOAT, GROWING, Array
 from mbdkit.quantities.names import ArchiveNames
-from mbdkit.quantities.table import sizes_of
+from mbdkit.quantities.registered_kinds import sizes_of
 from mbdkit.trust.criteria import Judgement
 
 #: Time between flushes [s]. A crash loses only rows recorded after the last flush.
@@ -221,7 +221,7 @@ class ArchiveWriter(RunWriter):
                 if measured is not None:
                     set_text(file, layout.MEASURES, measured(file))
                 # Computed from the file, so that the hash covers all of its contents, except for known lines.
-                known = {**layout_lines(), **self._grown(timings=True), **self._known}
+                known = {**layout_lines(self.arrays), **self._grown(timings=True), **self._known}
                 set_text(file, layout.ATTRIBUTES_HASH, attributes_sha256(file, known, unread))
             if self._target is not None:
                 self._publish(self._target, file, started, ending)

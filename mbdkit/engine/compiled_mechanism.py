@@ -267,11 +267,6 @@ class CompiledMechanism:
         return self.topology.law_parameters[self.topology.states[:, 1]]
 
     @property
-    def muscles(self) -> tuple[Any, ...]:
-        """Temporary."""
-        return self.extensions.get("muscles", ())
-
-    @property
     def contacts(self) -> tuple[Any, ...]:
         """Rows of the contacts, `ActingContact` of `mbdkit.engine.contact_forces`."""
         return self.extensions.get("contacts", ())

@@ -14,8 +14,9 @@ import ast
 import math
 import operator
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from types import MappingProxyType
 from typing import Any, ClassVar, NamedTuple, NoReturn
 
 from mbdkit.base import elementary
@@ -27,12 +28,14 @@ from mbdkit.expressions.program import Program, execute
 from mbdkit.mechanism.beams import last_nodes
 from mbdkit.mechanism.bodies import GROUND
 from mbdkit.mechanism.mechanism import Mechanism
+from mbdkit.quantities.array import Kind
 from mbdkit.quantities.quantity import Quantity
+from mbdkit.quantities.registered_kinds import added_kinds, item_of_group, kind_of_word, words
 from mbdkit.quantities.table import KINDS
 
-_KINDS = {kind.word: kind for kind in KINDS if kind.example}
-"""Kinds that have quantities in expressions."""
-_BARE = tuple(word for word, kind in _KINDS.items() if kind.is_bare)
+_WORDS = tuple(kind.word for kind in KINDS if kind.example)
+"""Kinds of the core that have quantities in expressions."""
+_BARE = tuple(kind.word for kind in KINDS if kind.example and kind.is_bare)
 """Kinds of elements whose quantities may be written without the kind, as NAME.ATTRIBUTE."""
 _ANGLES = ("angle", "angular_velocity", "angular_acceleration")
 
@@ -182,6 +185,37 @@ def check_state(name: str, mechanism: Mechanism) -> None:
         raise SpecError(f"there is no first-order state '{name}'{did_you_mean(name, known) or some}")
 
 
+class WordsOfKinds(Mapping[str, Sequence[str]]):
+    """Names of the quantities of each kind by its word; plugins are imported for the words that are looked up.
+
+    Parameters
+    ----------
+    names
+        Function that returns the names of a kind.
+    more
+        Names by further words.
+    """
+
+    def __init__(
+        self, names: Callable[[Kind], Sequence[str]], more: Mapping[str, Sequence[str]] = MappingProxyType({})
+    ):
+        self._names, self._more = names, more
+
+    def __getitem__(self, word: str) -> Sequence[str]:
+        if word in self._more:
+            return self._more[word]
+        if word not in words() or not (kind := kind_of_word(word)).attributes:
+            raise KeyError(word)
+        return self._names(kind)
+
+    def __iter__(self) -> Iterator[str]:
+        every = dict.fromkeys([*words(), *self._more])
+        return (word for word in every if word in self)
+
+    def __len__(self) -> int:
+        return sum(1 for _ in self)
+
+
 class RunCompiler(Compiler):
     """Compiles one expression with the quantities of a run.
 
@@ -191,9 +225,9 @@ class RunCompiler(Compiler):
         Names of the quantities of each kind of element.
     """
 
-    attributes: ClassVar[Mapping[str, Sequence[str]]] = {
-        word: [name for name, one in kind.attributes.items() if one.in_events] for word, kind in _KINDS.items()
-    }
+    attributes: ClassVar[Mapping[str, Sequence[str]]] = WordsOfKinds(
+        lambda kind: [name for name, one in kind.attributes.items() if one.in_events]
+    )
     wanted = (
         "an expression of a run, which has numbers, t, pi, NAME.ATTRIBUTE of bodies and joints, forces.NAME.value, "
         "markers.NAME.x, beams.NAME.moment[0], energy.total"
@@ -201,11 +235,15 @@ class RunCompiler(Compiler):
 
     def __init__(self, text: str, mechanism: Mechanism, parameters: Mapping[str, float] | None = None):
         self.mechanism = mechanism
-        self.known = {word: list(getattr(mechanism, word)) for word in _KINDS if hasattr(mechanism, word)}
+        self.known = {word: list(getattr(mechanism, word)) for word in _WORDS if hasattr(mechanism, word)}
         self._last = last_nodes(mechanism.beams)
         self.known["states"] = [*mechanism.state_names(), *mechanism.held_names()]
         self.known["contacts"] = mechanism.contact_names()
         self.known["ground_reactions"] = mechanism.feet()
+        for own in map(item_of_group, added_kinds()):
+            elements = self.known.get(own.of, getattr(mechanism, own.of, None))
+            if own.word and elements is not None:
+                self.known[own.word] = list(elements)
         self.quantities: list[Quantity] = []
         self.quoted = {name: kind for kind, names in self.known.items() for name in names if not name.isidentifier()}
         if self.quoted:
@@ -232,15 +270,13 @@ class RunCompiler(Compiler):
             case ast.Attribute(value=ast.Name(id=name), attr=attribute) if name not in self.known or self.kinds(name):
                 return self.of(self.kind(name, attribute, node), name, attribute, node)
             case ast.Name(id=group) if group in self.attributes:
-                example = f"{group}.{'NAME.' * (group in self.known)}{_KINDS[group].example}"
+                example = f"{group}.{'NAME.' * (group in self.known)}{kind_of_word(group).example}"
                 self.refuse(f"'{group}' is not a quantity by itself; write {example}, for example", node)
             case ast.Name(id=name) if any(name in names for names in self.known.values()):
                 kind = next(kind for kind, names in self.known.items() if name in names)
-                example = f"{'' if kind in _BARE else f'{kind}.'}{name}.{_KINDS[kind].example}"
-                self.refuse(
-                    f"'{name}' is a {_KINDS[kind].one}, not a number; use one of its quantities, such as {example}",
-                    node,
-                )
+                example = f"{'' if kind in _BARE else f'{kind}.'}{name}.{kind_of_word(kind).example}"
+                one = kind_of_word(kind).one
+                self.refuse(f"'{name}' is a {one}, not a number; use one of its quantities, such as {example}", node)
             case ast.Name(id=name) if meant := [quoted for quoted in self.quoted if re.match(rf"{name}\W", quoted)]:
                 self.refuse(f"unknown name '{name}'{self.spelling(meant[0])}", node)
             case ast.Attribute() if right := self.with_quotes(ast.unparse(node)):
@@ -275,8 +311,8 @@ class RunCompiler(Compiler):
         if not kinds:
             if other := next((kind for kind, names in self.known.items() if name in names), ""):
                 fits = attribute in self.attributes.get(other, ())
-                example = f"{other}.{name}.{attribute if fits else _KINDS[other].example}"
-                self.refuse(f"'{name}' is a {_KINDS[other].one}; write {example}", node)
+                example = f"{other}.{name}.{attribute if fits else kind_of_word(other).example}"
+                self.refuse(f"'{name}' is a {kind_of_word(other).one}; write {example}", node)
             self.unknown(name, [*self.known["bodies"], *self.known["joints"]], "body or joint", node)
         fitting = [kind for kind in kinds if self.checked(attribute, kinds, name, node) in self.attributes[kind]]
         if len(fitting) > 1:
@@ -292,7 +328,7 @@ class RunCompiler(Compiler):
         """Return the program of a quantity of a body, joint or other element of the mechanism."""
         name = self._last.get(name, name) if kind == "bodies" else name
         if name not in self.known[kind]:
-            self.unknown(name, self.known[kind], _KINDS[kind].one, node)
+            self.unknown(name, self.known[kind], kind_of_word(kind).one, node)
         self.checked(attribute, [kind], name, node)
         if Quantity(kind, name, attribute).beam:
             return self.along(name, attribute, node)
@@ -316,7 +352,7 @@ class RunCompiler(Compiler):
     def of_element(self, name: str, attribute: str, index: ast.expr, node: ast.expr) -> Code:
         """Return the program of a quantity of one element of a beam."""
         if name not in self.known["beams"]:
-            self.unknown(name, self.known["beams"], _KINDS["beams"].one, node)
+            self.unknown(name, self.known["beams"], kind_of_word("beams").one, node)
         self.checked(attribute, ["beams"], name, node)
         if not Quantity("beams", name, attribute).beam:
             self.refuse(
@@ -356,7 +392,7 @@ class RunCompiler(Compiler):
         if not known:
             self.refuse(f"'{self.segment(node)}' cannot be part of an expression of the state", node)
         if attribute not in known:
-            whose = " and ".join(f"{_KINDS[kind].one} '{name}'" for kind in kinds) if name else "energy"
+            whose = " and ".join(f"{kind_of_word(kind).one} '{name}'" for kind in kinds) if name else "energy"
             hint = f"{did_you_mean(attribute, known)}; it has {listed(known, 'and')}"
             self.refuse(f"{whose} has no '{attribute}'{hint}", node)
         return attribute

@@ -179,7 +179,7 @@ def plain_run(spec: RunSpec) -> DifferentiatedRun:
         raise RunError("a recorded state has no unique accelerations")
     energy = np.stack([rows.work, rows.dissipated], axis=-1)
     q, v, z, energy, *values = (x[..., None] for x in (q, v, z, energy, *observed))
-    states = DifferentiatedStates.of(workspace.mechanism, rows.time, q, v, Observed(*values), energy, z=z)
+    states = DifferentiatedStates.of_observed(workspace.mechanism, rows.time, q, v, Observed(*values), energy, z=z)
     return DifferentiatedRun(states, None, np.zeros(0), (), None)
 
 

@@ -14,9 +14,9 @@ from mbdkit.engine.kernels.observe import Observed
 from mbdkit.events.event_expression import RunExpression
 from mbdkit.expressions.program import execute
 from mbdkit.gradients.derived_values import Value, of_operands
-from mbdkit.quantities.names import archive_names
+from mbdkit.quantities.names import ArchiveNames, archive_names
 from mbdkit.quantities.quantity import Quantity
-from mbdkit.quantities.states import NONE, Muscles, States
+from mbdkit.quantities.states import NONE, States
 
 
 @dataclass(frozen=True)
@@ -31,17 +31,16 @@ class DifferentiatedStates(States):
         (T, 1 + K) weights of an integral over time [s] with their derivatives; None for recorded states.
     power
         (T, 2, 1 + K) power of loads, drivers and active laws, and the dissipated power [W].
-    actuator_names, muscle_names
-        Names of the actuators and the muscles of inverse dynamics.
+    names
+        Names of the elements; by default, those of the mechanism.
     """
 
     weight: np.ndarray | None = None
     power: np.ndarray = field(default_factory=lambda: NONE)
-    actuator_names: tuple[str, ...] = ()
-    muscle_names: tuple[str, ...] = ()
+    names: ArchiveNames | None = None
 
     @staticmethod
-    def of(
+    def of_observed(
         mechanism: CompiledMechanism,
         time: np.ndarray,
         q: np.ndarray,
@@ -76,10 +75,7 @@ def quantity_of(states: DifferentiatedStates, quantity: Quantity) -> Value:
     require_derivative(quantity)
     if quantity.recorded.array.is_shared and states.mechanism.redundancy.rows:
         raise _refused(quantity, ", because redundant joints share their reactions")
-    names = replace(archive_names(states.mechanism), actuators=states.actuator_names)
-    if states.muscles is not None:
-        names = replace(names, muscles=states.muscle_names)
-    found = quantity.taker(names)(states)
+    found = quantity.taker(states.names or archive_names(states.mechanism))(states)
     return Value.joined(np.moveaxis(found, 1, 0) if found.ndim > 2 else found)
 
 
@@ -132,7 +128,7 @@ def joined_states(parts: Sequence[DifferentiatedStates]) -> DifferentiatedStates
     return _together(parts, joined, (*_ARRAYS, "start_energy"))
 
 
-_ARRAYS = ("q", "v", "z", "work", "dissipated", "weight", "power", "actuators")
+_ARRAYS = ("q", "v", "z", "work", "dissipated", "weight", "power")
 """Names of arrays that have one row per state, and derivatives."""
 
 
@@ -144,9 +140,14 @@ def _together(
     observed = Observed(*(join(x) for x in zip(*(part.observed for part in parts), strict=True)))
     known = [name for name in names if np.ndim(getattr(first, name)) > 1 or name == "time"]
     arrays: dict[str, Any] = {name: join([getattr(part, name) for part in parts]) for name in known}
-    if first.muscles is not None:
-        every = [part.muscles for part in parts if part.muscles is not None]
-        own = [item.name for item in fields(Muscles) if item.name != "muscles"]
-        of_muscles: dict[str, Any] = {name: join([getattr(one, name) for one in every]) for name in own}
-        arrays["muscles"] = replace(first.muscles, **of_muscles)
-    return replace(first, observe=lambda: observed, **arrays)
+    handles = {kind: _joined([part.handles[kind] for part in parts], join) for kind in first.handles}
+    return replace(first, observe=lambda: observed, handles=handles, **arrays)
+
+
+def _joined(handles: Sequence[Any], join: Callable[[Sequence[np.ndarray]], np.ndarray]) -> Any:
+    """Return joined arrays, or an object with joined arrays in its fields; other fields are those of the first."""
+    first = handles[0]
+    if isinstance(first, np.ndarray):
+        return join(handles)
+    names = [item.name for item in fields(first) if isinstance(getattr(first, item.name), np.ndarray)]
+    return replace(first, **{name: join([getattr(one, name) for one in handles]) for name in names})

@@ -82,7 +82,7 @@ class StateEvaluator:
         observed = Observed(*(np.asarray(x[..., some]) for x in states.observed))
         energy = None if energy is None else np.asarray(energy[..., some])
         q, v, z, power = (np.asarray(x[..., some]) for x in (q, v, z, states.power))
-        return DifferentiatedStates.of(
+        return DifferentiatedStates.of_observed(
             self.workspace.mechanism, time, q, v, observed, energy, z=z, weight=weight, power=power
         )
 

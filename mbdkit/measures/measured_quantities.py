@@ -9,8 +9,9 @@ import numpy as np
 
 from mbdkit.base.errors import SpecError
 from mbdkit.base.units import Unit, read_unit
+from mbdkit.events.event_expression import WordsOfKinds
+from mbdkit.quantities.entries import UNITS_OF_ELEMENT
 from mbdkit.quantities.quantity import Quantity
-from mbdkit.quantities.table import KINDS, UNITS_OF_ELEMENT
 from mbdkit.spec.model_spec import ModelSpec
 
 if TYPE_CHECKING:
@@ -23,10 +24,7 @@ _EVENTS: Mapping[str, tuple[str, Callable[[np.ndarray], float]]] = {
 }
 """Functions that compute the quantities of an event from the times of its crossings."""
 
-ATTRIBUTES: Mapping[str, Sequence[str]] = {
-    **{kind.word: tuple(kind.attributes) for kind in KINDS if kind.attributes},
-    "events": tuple(_EVENTS),
-}
+ATTRIBUTES: Mapping[str, Sequence[str]] = WordsOfKinds(lambda kind: tuple(kind.attributes), {"events": tuple(_EVENTS)})
 """Names of the quantities of each kind of element."""
 
 

@@ -7,7 +7,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -225,7 +225,7 @@ class Attribute:
         return not self.array.accumulates and (not self.is_vector or self.array.has_norm)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Kind:
     """A kind of objects that have quantities; its arrays are a group of the archive.
 
@@ -255,6 +255,9 @@ class Kind:
     unit_of
         Function that returns the unit of the length or angle of an object, from which the units of its quantities
         follow.
+    values
+        Function that returns, for given states, the object from which `States.of` serves the arrays of the kind; None
+        if there is none.
     """
 
     arrays: tuple[Array, ...]
@@ -268,6 +271,7 @@ class Kind:
     is_optional: bool = False
     may_be_unknown: bool = False
     unit_of: Callable[[Mechanism, str], str] | None = None
+    values: Callable[[States], Any] | None = None
 
     @property
     def group(self) -> str:
@@ -278,6 +282,16 @@ class Kind:
     def named_by(self) -> str:
         """Path of the array with the names of the objects."""
         return f"{self.group}/{self.owner or self.axis}"
+
+    @cached_property
+    def by_path(self) -> Mapping[str, Array]:
+        """The arrays by path."""
+        return {array.path: array for array in self.arrays}
+
+    @cached_property
+    def names_along(self) -> Mapping[str, Callable[[ArchiveNames], Sequence[str]]]:
+        """Functions that return the names along the axes that do not grow, by name of the axis."""
+        return {array.name: array.texts for array in self.arrays if array.is_scale and array.texts is not None}
 
     @cached_property
     def columns(self) -> tuple[Array, ...]:

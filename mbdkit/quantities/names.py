@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import TYPE_CHECKING, Any
 
@@ -42,17 +42,9 @@ class ArchiveNames:
         Names of the elements of beams, and the beam of each.
     states, state_units
         Names of the first-order states, and the unit of each.
-    observed, observed_units
-        Names of the observed quantities of a measured motion, and the unit of each, ``m`` or ``rad``.
-    actuators, actuator_units, actuator_kinds
-        Names of the actuators, and the unit of the value of each, ``N`` or ``N m``, and its kind, ``actuator``,
-        ``reserve`` or ``residual``.
-    muscles
-        Names of the muscles.
-    loads, load_bodies
-        Names of the measured loads, and the body of each.
     members
-        Names and bodies of the elements of each further kind, such as contacts; see `CompiledMechanism.members`.
+        Names of the elements of each further kind, such as contacts, each with its bodies or other texts; see
+        `CompiledMechanism.members`.
     """
 
     bodies: Sequence[str]
@@ -70,14 +62,6 @@ class ArchiveNames:
     element_beams: Sequence[str] = ()
     states: Sequence[str] = ()
     state_units: Sequence[str] = ()
-    observed: Sequence[str] = ()
-    observed_units: Sequence[str] = ()
-    actuators: Sequence[str] = ()
-    actuator_units: Sequence[str] = ()
-    actuator_kinds: Sequence[str] = ()
-    muscles: Sequence[str] = ()
-    loads: Sequence[str] = ()
-    load_bodies: Sequence[str] = ()
     members: Sequence[tuple[str, Sequence[tuple[str, Sequence[str]]]]] = ()
 
     def __post_init__(self) -> None:
@@ -94,8 +78,14 @@ class ArchiveNames:
         return feet(bodies for _, bodies in dict(self.members).get("contacts", ()))
 
     def bodies_of(self, kind: str, place: int) -> list[str]:
-        """Return the first (`place` 0), second (1) or a further body of each of the `members` of a kind."""
+        """Return the first (`place` 0), second (1) or a further body or text of each of the `members` of a kind."""
         return [bodies[place] for _, bodies in dict(self.members).get(kind, ())]
+
+
+def with_members(names: ArchiveNames, **members: Sequence[tuple[str, Sequence[str]]]) -> ArchiveNames:
+    """Return names with those of the elements of further kinds, see `ArchiveNames.members`; empty ones are left out."""
+    more = {kind: each for kind, each in members.items() if each}
+    return replace(names, members=tuple((dict(names.members) | more).items())) if more else names
 
 
 def _tuples(value: Any) -> Any:
@@ -122,6 +112,5 @@ def archive_names(mechanism: CompiledMechanism) -> ArchiveNames:
         element_beams=tuple(beam for beam, count in mechanism.beams for _ in range(count)),
         states=tuple(state.name for state in mechanism.states),
         state_units=tuple(state.unit for state in mechanism.states),
-        muscles=tuple(one.force.name for one in mechanism.muscles),
         members=tuple(mechanism.members.items()),
     )

@@ -9,8 +9,8 @@ import numpy as np
 
 from mbdkit.quantities.array import Attribute, Kind
 from mbdkit.quantities.names import ArchiveNames
+from mbdkit.quantities.registered_kinds import kind_of_word
 from mbdkit.quantities.states import States
-from mbdkit.quantities.table import BY_WORD
 
 
 @dataclass(frozen=True)
@@ -40,7 +40,7 @@ class Quantity:
     @property
     def of(self) -> Kind:
         """The kind of the quantity in the table of quantities."""
-        return BY_WORD[self.kind]
+        return kind_of_word(self.kind)
 
     @property
     def is_over_time(self) -> bool:

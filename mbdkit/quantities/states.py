@@ -3,60 +3,21 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 
-from mbdkit.base import elementary, higher_layers
-from mbdkit.base.errors import SpecError
 from mbdkit.engine.compiled_mechanism import CompiledMechanism
 from mbdkit.engine.contact_forces import contact_values
 from mbdkit.engine.ground_reactions import ground_reactions
 from mbdkit.engine.joint_sums import JointSums, joint_sums
 from mbdkit.engine.kernels.observe import Observed
-from mbdkit_biomech.muscles.acting_muscles import ActingMuscle
-from mbdkit_biomech.muscles.energetics import fiber_power, metabolic_power
-from mbdkit_biomech.muscles.muscle import Muscle
+from mbdkit.quantities.registered_kinds import kind_of_group
 
 NONE = np.zeros(0)
-
-
-ENERGETICS = ("fiber_power", "metabolic_power")
-"""Quantities of muscles that are functions of other quantities."""
-
-
-def _by_muscle(muscles: Sequence[Muscle], *arrays: np.ndarray) -> Iterator[tuple[Muscle, tuple[np.ndarray, ...]]]:
-    """Yield each muscle with its columns (T,) of arrays (T, M)."""
-    for index, muscle in enumerate(muscles):
-        yield muscle, tuple(x[:, index] for x in arrays)
-
-
-@dataclass(frozen=True)
-class Muscles:
-    """Muscles in T states of inverse dynamics; all arrays are (T, M).
-
-    Attributes
-    ----------
-    length, rate
-        Lengths of the paths [m] and their rates [m/s].
-    fiber_length, fiber_rate
-        Lengths of the fibres [m] and their rates [m/s].
-    activation, force, power
-        Activations, tensions [N], and powers that the muscles supply to the bodies [W].
-    muscles
-        The muscles.
-    """
-
-    length: np.ndarray
-    rate: np.ndarray
-    fiber_length: np.ndarray
-    fiber_rate: np.ndarray
-    activation: np.ndarray
-    force: np.ndarray
-    power: np.ndarray
-    muscles: tuple[Muscle, ...]
 
 
 @dataclass(frozen=True)
@@ -81,10 +42,8 @@ class States:
         (T,) work of loads and drivers, and dissipated energy, since the start [J]; empty if not known.
     start_energy
         Total energy at the start of the run [J]; (T,) for states of several runs.
-    actuators
-        (T, A, 2) value and power of each actuator of inverse dynamics.
-    muscles
-        Muscles of inverse dynamics; None if there are none.
+    handles
+        What inverse dynamics knows of kinds of plugins, by group, such as the muscles; see `of`.
     elapsed
         (T,) wall time since the first step [s]; empty if not known.
     multipliers
@@ -101,8 +60,7 @@ class States:
     work: np.ndarray = field(default_factory=lambda: NONE)
     dissipated: np.ndarray = field(default_factory=lambda: NONE)
     start_energy: float | np.ndarray = 0.0
-    actuators: np.ndarray = field(default_factory=lambda: NONE)
-    muscles: Muscles | None = None
+    handles: Mapping[str, Any] = field(default_factory=dict)
     elapsed: np.ndarray = field(default_factory=lambda: NONE)
     multipliers: np.ndarray | None = None
     z: np.ndarray = field(default_factory=lambda: NONE)
@@ -175,63 +133,13 @@ class States:
             return NONE
         return (self._ground_reactions if of_ground else self._contacts)[name]
 
-    def of_muscles(self, name: str) -> np.ndarray:
-        """Return an array (T, M) of `Muscles`, or the excitations of a run; empty if there are no muscles.
-
-        Raises
-        ------
-        SpecError
-            If the states have derivatives, but the derivatives of this array are not known.
-        """
-        if name in ENERGETICS and (self.muscles is not None or self.mechanism.muscles):
-            return self._energetics(name)
-        if self.muscles is not None:
-            return np.asarray(getattr(self.muscles, name))
-        acting = self.mechanism.muscles
-        if not acting:
-            return NONE
-        column = {"length": 0, "rate": 1, "force": 2, "power": 3}.get(name)
-        if column is not None:
-            first = len(self.mechanism.forces)
-            return np.asarray(self.observed.forces[:, first : first + len(acting), column])
-        return np.stack([self._of_acting_muscle(k, one, name) for k, one in enumerate(acting)], axis=1)
-
-    def _energetics(self, name: str) -> np.ndarray:
-        """Return the power of the fibres, or the power that muscles consume, (T, M).
-
-        In inverse dynamics, the excitation is assumed to equal the activation.
-        """
-        own = self.muscles
-        if self.q.ndim > 2:
-            raise SpecError(f"derivatives of {name} of muscles with respect to parameters are not known")
-        muscles = tuple(one.force.muscle for one in self.mechanism.muscles) if own is None else own.muscles
-        length, rate = self.of_muscles("fiber_length"), self.of_muscles("fiber_rate")
-        if name == "fiber_power":
-            columns = [fiber_power(one, *x) for one, x in _by_muscle(muscles, self.of_muscles("force"), length, rate)]
-        else:
-            activation = self.of_muscles("activation")
-            excitation = self.of_muscles("excitation") if own is None else activation
-            every = _by_muscle(muscles, activation, excitation, length, rate)
-            columns = [metabolic_power(one, *x) for one, x in every]
-        return np.stack(columns, axis=1)
-
-    def _of_acting_muscle(self, number: int, one: ActingMuscle, name: str) -> np.ndarray:
-        """Return the activation, the excitation, or the length or rate of the fibres of a muscle of a run (T,)."""
-        muscle = one.force.muscle
-        if name == "activation":
-            return self.z[:, one.activation]
-        if muscle.tendon == "elastic" and name != "excitation":
-            place = one.activation + 1
-            return self.z[:, place] if name == "fiber_length" else self.observed.state_rates[:, place]
-        if self.q.ndim > 2:
-            raise SpecError(f"muscles.{one.force.name}.{name} has no known derivatives with respect to parameters")
-        if name == "excitation":
-            if one.excitation is None:
-                return one.force.excitation_at(self.time)
-            return np.asarray(higher_layers.state_values(*one.excitation, self))
-        along = self.of_muscles("length")[:, number] - muscle.tendon_length
-        fiber = elementary.hypot(along, muscle.thickness)
-        return np.asarray(fiber if name == "fiber_length" else self.of_muscles("rate")[:, number] * along / fiber)
+    def of(self, group: str) -> Any:
+        """Return what the kind of a group computes from these states, see `Kind.values`; it is computed once."""
+        computed = self.__dict__.setdefault("_of_kinds", {})
+        if group not in computed:
+            values = kind_of_group(group).values
+            computed[group] = None if values is None else values(self)
+        return computed[group]
 
     @cached_property
     def multiplier(self) -> np.ndarray:

@@ -267,6 +267,8 @@ class SummaryLine(Feature):
         Function that takes the run and returns lines, each a label and a text; empty texts are left out.
     of
         Names of the kinds of specs whose runs have the lines; empty for all kinds.
+    group
+        Group of the archive that runs with the lines have; empty for all runs.
     """
 
     kind: ClassVar[str] = "summary-line"
@@ -274,6 +276,7 @@ class SummaryLine(Feature):
 
     text: Target[Callable[[Any], list[tuple[str, str]]]]
     of: frozenset[str] = frozenset()
+    group: str = ""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
@@ -533,6 +536,83 @@ class ElementKind(Feature):
     supports: Mapping[str, str] = field(default_factory=dict)
 
 
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class QuantityKind(Feature):
+    """A kind of objects with quantities, which are a group of the archives of runs that have such objects.
+
+    The module of the kind is imported only for such runs and archives.
+
+    Parameters
+    ----------
+    target
+        The `mbdkit.plugin.Kind`: its arrays, and how they are computed. It and its arrays are optional.
+    group
+        Name of the group; by default, that of the item.
+    word
+        Attribute of `Run` with the histories of the objects by name, and word for the kind in expressions; empty if
+        there is neither.
+    of
+        Elements of mechanisms whose presence in a run makes it record the group, such as ``contacts``: a key of
+        `mbdkit.quantities.names.ArchiveNames.members`; by default, the group.
+    history
+        Class of the history of an object, derived from `mbdkit.archive.named_columns.View` with the group as argument
+        ``of``; by default, a class that has only the columns of the arrays.
+    """
+
+    kind: ClassVar[str] = "quantity"
+    key: ClassVar[str] = "group"
+
+    target: Target[Any]
+    group: str = ""
+    word: str = ""
+    of: str = ""
+    history: Target[type[Any]] | None = None
+
+    def __post_init__(self) -> None:
+        """Set names that are not given."""
+        object.__setattr__(self, "group", self.group or self.name)
+        object.__setattr__(self, "of", self.of or self.group)
+
+    def _check_group(self) -> None:
+        if not str(self.group).isidentifier():
+            raise PluginError(f"its group {self.group!r} is not made of letters, digits and _")
+
+    def _check_word(self) -> None:
+        if not isinstance(self.word, str) or (self.word and not self.word.isidentifier()):
+            raise PluginError(f"its word {self.word!r} is not made of letters, digits and _")
+
+    def check_targets(self) -> None:
+        """Check the kind, and that the class of histories exists; raises PluginError."""
+        Item.check_targets(self)
+        self.checked_kind()
+
+    def checked_kind(self) -> Any:
+        """Return the kind, which must have the group and the word of the item; raises PluginError."""
+        for name in ("group", "word"):
+            if (value := getattr(self.target(), name, None)) != getattr(self, name):
+                raise PluginError(f"the {name} of its kind is {value!r}, not {getattr(self, name)!r}")
+        return self.target()
+
+
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class HeadlineItem(Feature):
+    """Headlines of a run without measures, which come before those of contacts and joints.
+
+    Parameters
+    ----------
+    take
+        Function that takes the run and returns headlines, of class `mbdkit.plugin.Headline`, the most important first.
+    group
+        Group of the archive that runs with these headlines have.
+    """
+
+    kind: ClassVar[str] = "headline"
+    key: ClassVar[str] = "headline"
+
+    take: Target[Callable[[Any], Iterable[Any]]]
+    group: str
+
+
 FEATURES: tuple[type[Feature], ...] = (
     SpecKind,
     Example,
@@ -547,5 +627,7 @@ FEATURES: tuple[type[Feature], ...] = (
     CriterionItem,
     Treatment,
     ElementKind,
+    QuantityKind,
+    HeadlineItem,
 )
 """The kinds of items of this file."""

@@ -13,6 +13,7 @@ from typing import Any, cast
 
 from mbdkit.base.command_words import command_line
 from mbdkit.engine.native.machine_code import code_id
+from mbdkit.quantities.registered_kinds import kinds_of_others
 from mbdkit.registry.catalogue import MBDKIT, Registered
 from mbdkit.registry.feature_items import SpecKind
 from mbdkit.registry.manager import registry
@@ -89,7 +90,8 @@ def plugins_of(spec: RunSpec) -> dict[str, str]:
     """Return the plugins of a run and their versions; the kind of the spec only if a plugin defines it."""
     kinds = registry().of_kind("spec-kind") if type(spec) is not RunSpec else ()
     own = [("spec_kind", kind) for kind in kinds if kind.origin.distribution != MBDKIT and _model(kind) is type(spec)]
-    return _plugins({"model": spec.model_item, "integrator": spec.integrator_item, **dict(own)}, spec)
+    items = {"model": spec.model_item, "integrator": spec.integrator_item, **dict(own)}
+    return _plugins(items, spec) | _quantities(spec)
 
 
 def _model(kind: Registered) -> Any:
@@ -111,3 +113,12 @@ def _plugins(items: dict[str, Registered], spec: ModelSpec) -> dict[str, str]:
         for part in ("distribution", "version", "entry_point"):
             versions[f"force_laws_{part}"] = ", ".join(getattr(item.origin, part) for item in laws)
     return versions
+
+
+def _quantities(spec: RunSpec) -> dict[str, str]:
+    """Return the plugins of other distributions whose quantities a run records, with their groups and versions."""
+    items = kinds_of_others(spec.mechanism)
+    entries = {"quantities": [item.id for item in items.values()], "quantities_group": list(items)}
+    for part in ("distribution", "version", "entry_point"):
+        entries[f"quantities_{part}"] = [getattr(item.origin, part) for item in items.values()]
+    return {key: ", ".join(texts) for key, texts in entries.items() if texts}

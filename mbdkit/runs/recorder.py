@@ -20,7 +20,6 @@ from mbdkit.engine.workspace import Workspace
 from mbdkit.integrators.interface import Failure, Guards, Stretch
 from mbdkit.measures.measured_quantities import of_event
 from mbdkit.quantities.quantity import Quantity
-from mbdkit.quantities.table import RECORDED
 from mbdkit.runs.law_ranges import LawRanges
 from mbdkit.runs.recorded_states import ObservedRows, recorded_states
 from mbdkit.runs.state_watchers import StateWatchers
@@ -262,7 +261,7 @@ class Recorder:
         others = np.array([observed.potential, stretch.work, stretch.dissipated])
         self.last_time = float(stretch.time[-1])
         self.energies.add(observed.kinetic, others, states.balance)
-        self.writer.append({key: RECORDED[key].take(states) for key in self.writer.row_keys})
+        self.writer.append({key: array.take(states) for key, array in self.writer.recorded.items()})
         if self.kept is not None:
             self.kept.append(ObservedRows.of(states))
 

@@ -14,7 +14,6 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, BinaryIO
 
-from mbdkit.archive import layout
 from mbdkit.archive.archive_check import check
 from mbdkit.archive.checkpoint import Checkpoint
 from mbdkit.archive.hdf5_errors import reading
@@ -36,6 +35,7 @@ from mbdkit.engine.assembly import AssembledState
 from mbdkit.engine.workspace import Workspace
 from mbdkit.methods.kinds import Method
 from mbdkit.quantities.names import archive_names
+from mbdkit.quantities.registered_kinds import kind_of_group
 from mbdkit.runs.preparation import make_method, recorded_arrays
 from mbdkit.runs.provenance import DECIDE_LAST_BITS, provenance
 from mbdkit.runs.recorded_states import ObservedRows
@@ -342,7 +342,8 @@ class _Unfinished:
         )  # fmt: skip
         arrays, rows = self.checkpoint.arrays, slice(0, self.checkpoint.rows["time"])
         with reading("its rows", self.part, hint=_ANEW):
-            return [ObservedRows(*(arrays[path].read(self.stream, layout.BY_PATH[path], rows) for path in paths))]
+            known = {path: kind_of_group(path.partition("/")[0]).by_path[path] for path in paths}
+            return [ObservedRows(*(arrays[path].read(self.stream, array, rows) for path, array in known.items()))]
 
 
 def _word(key: str, provenance: Mapping[str, object]) -> str:

@@ -20,7 +20,8 @@ from mbdkit.engine.stabilization import NONE, Stabilization
 from mbdkit.mechanism.checks import check_name
 from mbdkit.mechanism.contacts import ChosenTreatment
 from mbdkit.mechanism.state_values import Expression
-from mbdkit.quantities.table import ChosenGroup, quantities_of_events
+from mbdkit.quantities.entries import ChosenGroup
+from mbdkit.quantities.table import quantities_of_events
 from mbdkit.spec.item_names import TreatmentName
 
 QUANTITIES = get_args(ChosenGroup)

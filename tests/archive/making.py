@@ -14,7 +14,7 @@ from mbdkit.archive import layout
 from mbdkit.archive.run_writer import Ending, Origin
 from mbdkit.archive.writer import ArchiveWriter
 from mbdkit.quantities.names import ArchiveNames
-from mbdkit.quantities.table import sizes_of
+from mbdkit.quantities.registered_kinds import sizes_of
 
 SPEC = {
     "mbdkit": 1,
@@ -61,9 +61,9 @@ def rows(count: int, named: ArchiveNames, start: int = 0) -> dict[str, np.ndarra
     sizes = sizes_of(named)
     time = 0.01 * np.arange(start, start + count)
     made = {"time": time, "trajectory/elapsed_s": 1e-5 * np.arange(start, start + count)}
-    growing = [array for array in layout.LAYOUT if array.dims[0] == "time" and array.key not in made]
+    growing = [array for array in layout.every_array() if array.dims[0] == "time" and array.key not in made]
     for number, array in enumerate(growing, 1):
-        shape = tuple(sizes[dim] for dim in array.dims[1:])
+        shape = tuple(sizes.get(dim, 0) for dim in array.dims[1:])
         phase = np.arange(np.prod(shape, dtype=int)).reshape(shape) + 10.0 * number
         made[array.path] = np.abs(np.sin(time.reshape(-1, *(1 for _ in shape)) + phase))
     return made

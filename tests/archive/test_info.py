@@ -8,8 +8,8 @@ from pathlib import Path
 import pytest
 
 from mbdkit.archive.info import describe, text
-from mbdkit.archive.layout import BY_PATH
 from mbdkit.base.errors import SpecError
+from mbdkit.quantities.registered_kinds import array_at
 
 from .making import PROVENANCE, STATS, make, names, writer
 
@@ -23,8 +23,8 @@ def test_description_is_json_and_complete(archive: Path) -> None:
     assert told["provenance"] == PROVENANCE
     assert {name: told["stats"][name] for name in STATS} == STATS
     for path, array in told["arrays"].items():
-        assert array["dims"] == list(BY_PATH[path].dims)
-        assert array["units"] == BY_PATH[path].units
+        assert array["dims"] == list(array_at(path).dims)
+        assert array["units"] == array_at(path).units
     assert told["arrays"]["joints/reaction_force"]["shape"] == [11, 2, 2]
 
 

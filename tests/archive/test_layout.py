@@ -6,20 +6,22 @@ from pathlib import Path
 from typing import get_args
 
 from mbdkit.archive.layout import (
-    BY_PATH,
     FORMAT_VERSION,
-    GROUPS,
-    LAYOUT,
     QUANTITIES,
     VERSIONS,
+    every_array,
     is_timing,
     later,
     recorded,
 )
-from mbdkit.quantities.table import ChosenGroup
+from mbdkit.quantities.entries import ChosenGroup
+from mbdkit.quantities.registered_kinds import groups
 from mbdkit_testing import history_columns, layout_document
 
 DOCUMENT = Path(__file__).parents[2] / "schemas" / "archive.md"
+
+LAYOUT = every_array()
+BY_PATH = {array.path: array for array in LAYOUT}
 
 PROMISED = {
     "trajectory": "time T, body B, coordinate 3, position TB3, velocity TB3, acceleration TB3, elapsed_s T",
@@ -51,7 +53,7 @@ def test_layout_has_every_promised_array_with_its_axes() -> None:
 def test_layout_adds_nothing_but_row_units_the_bodies_of_joints_and_what_is_optional() -> None:
     added = {array.path for array in LAYOUT} - set(ARRAYS)
     assert all(path.endswith(("row_units", "_body")) or BY_PATH[path].optional for path in added)
-    assert {array.group for array in LAYOUT} == set(GROUPS)
+    assert {array.group for array in LAYOUT} == set(groups())
 
 
 def test_an_earlier_version_lacks_what_came_later() -> None:

@@ -15,7 +15,7 @@ import pytest
 import xarray
 
 from mbdkit.archive import writer
-from mbdkit.archive.layout import LAYOUT
+from mbdkit.archive.layout import every_array
 from mbdkit.archive.reader import load
 from mbdkit.archive.run import Run
 from mbdkit.quantities.array import TEXT
@@ -65,7 +65,7 @@ def made(tmp_path: Path, sizes: tuple[int, int, int, int], pieces: int) -> Path:
 def expected(sizes: tuple[int, int, int, int]) -> dict[str, np.ndarray]:
     count, bodies, joints, constraints = sizes
     made = rows(count, names(bodies, joints, constraints))
-    return {array.path: made[array.key] for array in LAYOUT if array.dims[0] == "time" and not array.optional}
+    return {array.path: made[array.key] for array in every_array() if array.dims[0] == "time" and not array.optional}
 
 
 @each
@@ -73,7 +73,7 @@ def test_xarray_opens_it_with_h5netcdf(made: Path, sizes: tuple[int, int, int, i
     with xarray.open_datatree(made, engine="h5netcdf") as tree:
         for path, values in expected(sizes).items():
             np.testing.assert_array_equal(tree[path].values, values)
-        for array in LAYOUT:
+        for array in every_array():
             if not array.optional:
                 assert tree[array.path].dims == array.dims
                 assert tree[array.path].attrs["units"] == array.units
@@ -93,7 +93,7 @@ def test_netcdf4_opens_it(made: Path, sizes: tuple[int, int, int, int]) -> None:
     with netCDF4.Dataset(made) as file:
         for path, values in expected(sizes).items():
             np.testing.assert_array_equal(file[path][...], values)
-        for array in LAYOUT:
+        for array in every_array():
             if not array.optional:
                 assert file[array.path].dimensions == array.dims
                 assert file[array.path].units == array.units
@@ -108,7 +108,7 @@ def test_h5py_finds_a_scale_on_every_axis(made: Path, sizes: tuple[int, int, int
     with h5py.File(made) as file:
         for path, values in expected(sizes).items():
             np.testing.assert_array_equal(file[path][...], values)
-        for array in LAYOUT:
+        for array in every_array():
             if array.optional:
                 continue
             dataset = file[array.path]
@@ -150,7 +150,7 @@ def test_strings_are_variable_length_utf8(archive: Path) -> None:
                     assert (info.encoding, info.length) == ("utf-8", None)
                     checked += 1
         assert checked > 80
-        for array in LAYOUT:
+        for array in every_array():
             if array.dtype == TEXT and not array.optional:
                 info = h5py.check_string_dtype(file[array.path].dtype)
                 assert info is not None
@@ -162,7 +162,7 @@ def test_mixed_units_are_named_row_by_row(tmp_path: Path) -> None:
     with h5py.File(tmp_path / "run.h5") as file:
         found = {
             path: list(file[path].parent[file[path].attrs["row_units"]].asstr()[:])
-            for path in (array.path for array in LAYOUT)
+            for path in (array.path for array in every_array())
             if path in file and file[path].attrs["units"] == "mixed"
         }
     assert found == {

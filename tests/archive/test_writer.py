@@ -19,7 +19,7 @@ import pytest
 
 from mbdkit.archive import growing_array
 from mbdkit.archive.archive_check import check
-from mbdkit.archive.layout import LAYOUT
+from mbdkit.archive.layout import every_array
 from mbdkit.archive.reader import load
 from mbdkit.archive.run_writer import Ending
 
@@ -30,7 +30,7 @@ def assert_holds(path: Path, count: int, named: object = None) -> None:
     """The archive at `path` holds the first `count` made-up rows."""
     expected = rows(count, names())
     with h5py.File(path) as file:
-        for array in LAYOUT:
+        for array in every_array():
             if array.dims[0] == "time" and not array.optional:
                 np.testing.assert_array_equal(file[array.path][:], expected[array.key], err_msg=array.path)
         for name, values in steps(count - 1).items():
@@ -149,7 +149,7 @@ def test_run_killed_in_the_middle_of_a_flush_has_whole_rows_of_the_flush_before(
     into.abandon()
     with load(left) as run:
         assert run.status == "running"
-        for array in LAYOUT:
+        for array in every_array():
             if array.grows and not array.optional:
                 assert len(run.array(array.path)) == (30 if array.dims[0] == "time" else 29), array.path
                 assert len(run.dataset(array.path)) == len(run.array(array.path))
@@ -352,7 +352,7 @@ def test_slow_runs_make_small_files(tmp_path: Path) -> None:
 def test_chunks_are_of_moderate_size(tmp_path: Path) -> None:
     make(tmp_path / "run.h5", count=40_000, named=names(3, 1), piece=20_000, after="flush_if_due")
     with h5py.File(tmp_path / "run.h5") as file:
-        for array in LAYOUT:
+        for array in every_array():
             if array.grows and array.path in file:
                 chunks = file[array.path].chunks
                 assert 1 << 14 <= 8 * np.prod(chunks) <= 1 << 17, array.path

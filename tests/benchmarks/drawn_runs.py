@@ -125,7 +125,7 @@ def _different_arrays(study: mbdkit.Study, place: int, alone: mbdkit.Run) -> Ite
         return
     if dict(stored.measures) != dict(alone.measures) and not np.isnan([*alone.measures.values()]).any():
         yield f"measures: {stored.measures} in the study, {alone.measures} alone"
-    for array in layout.LAYOUT:
+    for array in layout.every_array():
         if array.grows and not layout.is_timing(array.path) and alone.records(array.path):
             mine, theirs = stored.array(array.path), alone.array(array.path)
             if array.dtype == TEXT:

@@ -29,7 +29,7 @@ import mbdkit.runs.run_checkpoint
 import mbdkit_studies.pool
 import mbdkit_studies.unfinished_block
 from mbdkit.archive.archive_check import check
-from mbdkit.archive.layout import LAYOUT, is_timing
+from mbdkit.archive.layout import every_array, is_timing
 from mbdkit.archive.part_file import checkpoint_path
 from mbdkit.archive.run import Run
 from mbdkit.base.errors import MbdkitError
@@ -233,7 +233,7 @@ def _rows_problems(run: Run, least: int, last_is_free: bool = False) -> list[str
     whole, _ = _whole_run()
     rows = len(run.time)
     found = [] if rows >= least else [f"it has {rows} rows, not at least {least}"]
-    for array in LAYOUT:
+    for array in every_array():
         if not array.grows or not run.records(array.path):
             continue
         values, expected = run.array(array.path), whole.array(array.path)

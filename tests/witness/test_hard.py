@@ -11,7 +11,7 @@ import pytest
 from numpy.typing import NDArray
 
 import mbdkit
-from mbdkit.archive.layout import LAYOUT
+from mbdkit.archive.layout import every_array
 
 from . import ode
 from .hung_chain import HungChain
@@ -49,7 +49,7 @@ def run(model: dict[str, Any], method: str, end: float = 1.0, step: float | None
     if usual is not None:
         time["step"] = step or usual
     result: mbdkit.Run = mbdkit.run({"mbdkit": 1, "model": model, "integrator": integrator, "time": time, **sections})
-    for array in LAYOUT:
+    for array in every_array():
         if array.dims[0] == "time" and result.records(array.path):
             assert np.isfinite(result.array(array.path)).all(), array.path
     return result

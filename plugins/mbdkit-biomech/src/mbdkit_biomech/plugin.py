@@ -12,8 +12,10 @@ from mbdkit.plugin import (
     ElementKind,
     Example,
     GuidePage,
+    HeadlineItem,
     Item,
     ModelPlugin,
+    QuantityKind,
     ReportSection,
     SpecKind,
     SummaryLine,
@@ -32,6 +34,13 @@ _CRITERIA = {
     "model": "The model, forces without a point, turns and signs of angles.",
     "record": "The record, units of loads, and errors.",
 }
+_QUANTITIES = {
+    "motion": ("ObservedHistory", "Observed quantities of a measured motion."),
+    "actuators": ("ActuatorHistory", "Values and powers of actuators in inverse dynamics."),
+    "muscles": ("MuscleHistory", "Lengths, activations, tensions and powers of muscles."),
+    "loads": ("LoadHistory", "Measured loads."),
+}
+"""Groups of archives in their order, each with the class of its histories."""
 
 
 @hookimpl
@@ -129,6 +138,38 @@ def mbdkit_items() -> Iterable[Item]:
             summary="Fit, gaps, actuators, residuals and reserves.",
             text=Target(f"{_ROOM}.inverse_summary:inverse_lines"),
             of=frozenset({"inverse"}),
+        ),
+        SummaryLine(
+            name="muscles",
+            summary="Activations and fibres of muscles, and forces of joints without muscles.",
+            order=1000,
+            text=Target("mbdkit_biomech.muscle_summary:muscle_lines"),
+            group="muscles",
+        ),
+        HeadlineItem(
+            name="activations",
+            summary="Largest activations of muscles.",
+            order=10,
+            take=Target("mbdkit_biomech.muscle_summary:activations"),
+            group="muscles",
+        ),
+        HeadlineItem(
+            name="actuators",
+            summary="Largest values of actuators.",
+            order=20,
+            take=Target(f"{_ROOM}.inverse_summary:largest_actuators"),
+            group="actuators",
+        ),
+        *(
+            QuantityKind(
+                name=group,
+                summary=summary,
+                order=10 * number,
+                target=Target(f"mbdkit_biomech.quantities:{group.upper()}"),
+                word=group,
+                history=Target(f"mbdkit_biomech.histories:{history}"),
+            )
+            for number, (group, (history, summary)) in enumerate(_QUANTITIES.items())
         ),
         ReportSection(
             name="loads",

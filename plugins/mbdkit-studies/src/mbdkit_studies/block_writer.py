@@ -25,8 +25,9 @@ from mbdkit.archive.layout import COUNTERS, TIMINGS, name_texts
 from mbdkit.archive.part_file import LIBVER, write_image
 from mbdkit.archive.run_writer import utc_now
 from mbdkit.base.plain_data import canonical_text
-from mbdkit.quantities.array import FLOAT, INTEGER, TEXT, Array
-from mbdkit.quantities.table import RECORDED, sizes_of
+from mbdkit.quantities.array import FLOAT, INTEGER, TEXT, Array, Recorded
+from mbdkit.quantities.registered_kinds import sizes_of
+from mbdkit.quantities.table import KINDS
 from mbdkit_studies.columns import write_column, write_hashes
 
 FORMAT = "mbdkit-block"
@@ -35,7 +36,10 @@ FORMAT_VERSION = "1.1"
 Store = Literal["hashes", "summary", "histories", "all"]
 STORES: tuple[Store, ...] = get_args(Store)
 
-HISTORIES = frozenset(["trajectory/time", *(array.path for array in RECORDED.values() if array.is_history)])
+HISTORIES = frozenset(
+    ["trajectory/time"]
+    + [array.path for kind in KINDS for array in kind.arrays if isinstance(array, Recorded) and array.is_history]
+)
 """Paths of the arrays with rows that ``store: histories`` keeps; names are kept as well."""
 
 KEEPING_TIMES: tuple[Store, ...] = ("histories", "all")

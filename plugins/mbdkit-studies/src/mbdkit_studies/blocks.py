@@ -26,7 +26,8 @@ from mbdkit.archive.stored_mechanism import StoredMechanism, built_mechanism, is
 from mbdkit.archive.untrusted_file import open_hdf5
 from mbdkit.base.errors import ArchiveError, SpecError
 from mbdkit.base.files_read import read_files
-from mbdkit.quantities.names import ArchiveNames
+from mbdkit.quantities.names import ArchiveNames, with_members
+from mbdkit.quantities.registered_kinds import kind_of_group
 from mbdkit.spec import RunSpec
 from mbdkit.spec.reading import parse_key, put
 from mbdkit.trust.criteria import LEVELS, Judgement, Level
@@ -271,7 +272,7 @@ class Block:
         )
         under = prefix(number)
         arrays, present = {}, []
-        for array in (layout.BY_PATH[path] for path in recorded):
+        for array in (kind_of_group(path.partition("/")[0]).by_path[path] for path in recorded):
             if array.grows and array.key not in arrays:
                 counts = self.file.get(f"{under}{dict(COUNTS)[array.dims[0]]}/rows")
                 if counts is None or f"{under}{array.path}" not in self.file:
@@ -303,7 +304,7 @@ class Block:
             by_joint,
             Judgement(level, reasons),
             warnings,
-            names=ArchiveNames(**names),
+            names=_read_names(names),
             layout=tuple(present),
             arrays=arrays,
             shared=None if shared is None else SharedForces(**shared),
@@ -388,3 +389,13 @@ def block_problems(path: Path) -> list[str] | None:
     except (SpecError, FileNotFoundError):
         return None
     return [] if sound else ["its arrays, attributes or dimension scales have changed since they were written"]
+
+
+_EARLIER = ("observed", "observed_units", "actuators", "actuator_units", "actuator_kinds", "loads", "load_bodies")
+"""Names of inverse dynamics that blocks of earlier versions have, always empty."""
+
+
+def _read_names(stored: dict[str, Any]) -> ArchiveNames:
+    """Return the names of the elements of a structure; earlier versions stored those of muscles beside the others."""
+    fields = {key: value for key, value in stored.items() if key not in (*_EARLIER, "muscles")}
+    return with_members(ArchiveNames(**fields), muscles=[(name, ()) for name in stored.get("muscles", ())])

@@ -28,10 +28,9 @@ from mbdkit.integrators.lane_collocation import StagePivots
 from mbdkit.mechanism.size import mechanism_sizes
 from mbdkit.methods.kinds import Method
 from mbdkit.plugin import Finding, accepted_doubts, findings, open_doubts
-from mbdkit.quantities.array import FLOAT
+from mbdkit.quantities.array import FLOAT, Recorded
 from mbdkit.quantities.names import ArchiveNames, archive_names
 from mbdkit.quantities.states import States
-from mbdkit.quantities.table import RECORDED
 from mbdkit.runs.corners import check_jumps
 from mbdkit.runs.evidence import evidence_of_run
 from mbdkit.runs.integrals import RunIntegrals, functionals_of
@@ -356,7 +355,7 @@ class _Group:
         self.mechanism, self.joints = mechanism, joint_sums(mechanism)
         self.names: ArchiveNames = archive_names(mechanism)
         self.layout = recorded_arrays(spec, first.method, mechanism)
-        self.row_keys = tuple(dict.fromkeys(one.key for one in self.layout if one.grows and one.dims[0] == "time"))
+        self.recorded = {one.key: one for one in self.layout if isinstance(one, Recorded)}
         self.types = {one.key: np.dtype(one.dtype) for one in self.layout if one.grows}
         self.hash = ArrayHash(self.names, self.layout)
 
@@ -369,7 +368,7 @@ class _Group:
         if np.all(lost):
             return [None] * len(members)
         with np.errstate(all="ignore"):  # values in lanes whose run has failed may overflow
-            arrays = {key: self._by_run(RECORDED[key].take(states), key, len(members)) for key in self.row_keys}
+            arrays = {key: self._by_run(one.take(states), key, len(members)) for key, one in self.recorded.items()}
             intervals = self._intervals(tables, results)
             recorded = self._recorded(members, results, states)
             digests = self.hash.shared_digests(arrays | intervals) if results.work is None else {}

@@ -10,11 +10,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from mbdkit.archive.layout import BY_PATH
 from mbdkit.archive.named_columns import NotRecordedError
 from mbdkit.archive.peak_errors import missed_between_rows, missed_of_verdict
 from mbdkit.base.errors import MbdkitError
 from mbdkit.mechanism.size import mechanism_sizes
+from mbdkit.quantities.registered_kinds import kind_of_group
 from mbdkit.spec.study_measures import REFERENCE, SECOND_RUN
 from mbdkit_report.analysis.energy import Trend, trends
 from mbdkit_report.analysis.reference import (
@@ -87,7 +87,7 @@ class RunGroup:
         return np.stack([values[0] for values in self._each(path)])
 
     def _each(self, path: str) -> list[np.ndarray]:
-        key = BY_PATH[path].key
+        key = kind_of_group(path.partition("/")[0]).by_path[path].key
         if self._recorded and key in self._recorded[0]:
             return [one[key] for one in self._recorded]
         return [run.array(path) for run in self.runs]

@@ -10,7 +10,7 @@ from pathlib import Path
 from mbdkit.archive import history
 from mbdkit.archive.named_columns import VIEWS, columns_of
 from mbdkit.quantities.array import Kind
-from mbdkit.quantities.table import BY_GROUP
+from mbdkit.quantities.registered_kinds import OF_PARTS, added_kinds, kind_of_group
 
 TARGET = Path(history.__file__).with_name("recorded_columns.pyi")
 
@@ -18,21 +18,32 @@ _HEADER = '''"""Columns and labels of histories by group, written by ``python -m
 
 import numpy as np
 
-from mbdkit.archive.named_columns import View
+from mbdkit.archive.named_columns import Histories, View
 '''
 
 
 def declarations() -> str:
     """Return the text of the stub."""
     groups = [group for group, view in VIEWS.items() if view.__module__ == history.__name__]
-    return _HEADER + "".join(_class(BY_GROUP[group]) for group in groups)
+    own = [kind_of_group(group) for group in [*groups, *(group for group in added_kinds() if group in OF_PARTS)]]
+    classes = "".join(map(_class, own))
+    return _HEADER + classes + "\nclass KindsOfPlugins:\n" + "".join(map(_property, own[len(groups) :]))
+
+
+def _property(kind: Kind) -> str:
+    summary = added_kinds()[kind.group].plugin.summary
+    return f'    @property\n    def {kind.word}(self) -> Histories[{_name(kind)}]:\n        """{summary}"""\n'
+
+
+def _name(kind: Kind) -> str:
+    return kind.group.title().replace("_", "")
 
 
 def _class(kind: Kind) -> str:
     lines = [f'    {name}: np.ndarray\n    """{column.__doc__}"""\n' for name, column in columns_of(kind)]
     for name, arrays in kind.labels.items():
         lines.append(f"    {name}: {'str' if len(arrays) == 1 else 'tuple[str, str]'}\n")
-    return f'\nclass {kind.group.title().replace("_", "")}(View, of="{kind.group}"):\n' + "".join(lines)
+    return f'\nclass {_name(kind)}(View, of="{kind.group}"):\n' + "".join(lines)
 
 
 if __name__ == "__main__":

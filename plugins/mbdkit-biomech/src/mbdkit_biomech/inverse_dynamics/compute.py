@@ -13,7 +13,7 @@ from mbdkit.engine.kernels.observe import Observed
 from mbdkit.engine.observed_states import GivenForces, StateObserver
 from mbdkit.integrators.interface import Nodes
 from mbdkit.mechanism.quantity_names import QuantityNames
-from mbdkit.quantities.states import Muscles, States
+from mbdkit.quantities.states import States
 from mbdkit.runs.assembled_mechanism import AssembledMechanism
 from mbdkit.runs.law_ranges import LawRanges
 from mbdkit.spec import InverseSpec
@@ -35,6 +35,7 @@ from mbdkit_biomech.inverse_dynamics.reduced_motion import (
 )
 from mbdkit_biomech.inverse_dynamics.smoothing import smoothed
 from mbdkit_biomech.inverse_dynamics.unused_data import UnusedData
+from mbdkit_biomech.muscle_values import Muscles
 
 _COLUMNS = "motion.columns"
 
@@ -324,7 +325,7 @@ def recorded_states(result: Inverse) -> States:
         raise RunError(f"no unique solution near {where} at t = {motion.time[singular.row]:.6g} s")
     supplied = found.powers[:, 0] + dynamics.power.sum(axis=1) + result.loads.power.sum(axis=1)
     work, dissipated = (cumulative_simpson(x, x=motion.time, initial=0) for x in (supplied, found.powers[:, 1]))
-    start = float(observed.kinetic[0] + observed.potential[0])
+    start, muscles = float(observed.kinetic[0] + observed.potential[0]), _muscles(result)
     return States(
         workspace.mechanism,
         motion.time,
@@ -334,8 +335,7 @@ def recorded_states(result: Inverse) -> States:
         work=work,
         dissipated=dissipated,
         start_energy=start,
-        actuators=result.actuators,
-        muscles=_muscles(result),
+        handles={"actuators": result.actuators} | ({} if muscles is None else {"muscles": muscles}),
         elapsed=np.zeros(count),
     )
 

@@ -43,19 +43,21 @@ from mbdkit.gradients.gradient_parameters import Names, Parameter, read_names, r
 from mbdkit.gradients.parameter_differences import PreparedDerivatives
 from mbdkit.integrators.differentiated_stepper import dual_laws
 from mbdkit.integrators.dual_run import Seeds, constants, dual_states, new_dual_run
-from mbdkit.quantities.states import Muscles
+from mbdkit.quantities.names import archive_names, with_members
 from mbdkit.spec import InverseSpec, load_inverse_spec
 from mbdkit_biomech.inverse_dynamics.compute import Inverse, InverseProblem, compute
 from mbdkit_biomech.inverse_dynamics.dynamics import Balance
 from mbdkit_biomech.inverse_dynamics.inverse_loading import InverseSource, varied_inverse
 from mbdkit_biomech.inverse_dynamics.inverse_preparation import MOTION, InversePreparation
 from mbdkit_biomech.inverse_dynamics.inverse_run import compute_run
+from mbdkit_biomech.inverse_dynamics.named_actuators import members_of_actuators
 from mbdkit_biomech.inverse_dynamics.recruited import Recruited
 from mbdkit_biomech.inverse_dynamics.recruitment_gradient import (
     RecruitedChange,
     differentiated_muscles,
     require_derivatives_of,
 )
+from mbdkit_biomech.muscle_values import Muscles
 
 WITHOUT_BARS: Settings = [(("motion", "errors"), "none")]  # type: ignore[list-item]
 """Settings that leave out the error bars. Measures do not need them, and they take ten times as long as the rest."""
@@ -211,7 +213,7 @@ class _Frames:
         energy = cumulative_simpson(supplied, x=motion.time, axis=0, initial=0)
         q, v = (np.asarray(x[..., self.some]) for x in (found.q, found.v))
         observed = Observed(*(np.asarray(x[..., self.some]) for x in found.observed))
-        return DifferentiatedStates.of(
+        return DifferentiatedStates.of_observed(
             self.workspace.mechanism,
             motion.time,
             q,
@@ -219,10 +221,12 @@ class _Frames:
             observed,
             energy,
             power=power,
-            actuators=actuators,
-            actuator_names=tuple(actuator.name for actuator in recorded),
-            muscles=muscles,
-            muscle_names=tuple(self.result.problem.names.mechanism.muscles),
+            handles={"actuators": actuators} | ({} if muscles is None else {"muscles": muscles}),
+            names=with_members(
+                archive_names(self.workspace.mechanism),
+                actuators=members_of_actuators(recorded),
+                muscles=[] if muscles is None else [(name, ()) for name in self.result.problem.names.mechanism.muscles],
+            ),
         )
 
     def _of_pairs(self, lam: np.ndarray) -> np.ndarray:

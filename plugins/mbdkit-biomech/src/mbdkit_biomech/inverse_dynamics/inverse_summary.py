@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from mbdkit.archive.headlines import EXACT, JOINTS_NAMED, plus_minus
+from mbdkit.archive.headlines import EXACT, JOINTS_NAMED, Headline, largest_of, plus_minus
 from mbdkit.archive.peak_errors import errors_of_frames
 from mbdkit.archive.run_summary import known_rows
 from mbdkit.base.text import counted
@@ -32,6 +32,21 @@ def inverse_lines(run: Run) -> list[tuple[str, str]]:
         ("residuals", _actuators(run, residual=True)),
         ("reserves", _reserves(run)),
     ]
+
+
+def largest_actuators(run: Run) -> list[Headline]:
+    """Return the two largest values of actuators, without residual loads."""
+    if run.kind != "inverse" or not run.records("actuators/value"):
+        return []
+    size = np.abs(run.array("actuators/value"))
+    errors = None
+    if run.records("actuators/value_error"):
+        bars = run.array("actuators/value_error")
+        errors = errors_of_frames(run, "actuators.value", list(run.actuators), size, bars)
+    units = {name: actuator.units for name, actuator in run.actuators.items()}
+    headlines = largest_of("", run, list(run.actuators), size, "", errors)
+    own = [one for one in headlines if run.actuators[one.label].kind != "residual"]
+    return [one._replace(label=f"peak of {one.label}", unit=units[one.label]) for one in own[:2]]
 
 
 def _fit(run: Run) -> str:

@@ -9,7 +9,6 @@ from itertools import chain
 
 import numpy as np
 
-from mbdkit.archive.run_summary import PULLING
 from mbdkit.mechanism.improbable_bodies import improbable_bodies, improbable_people, improbable_radii
 from mbdkit.mechanism.improbable_values import improbable_beams, improbable_lengths
 from mbdkit.mechanism.mechanism import Mechanism
@@ -21,6 +20,7 @@ from mbdkit_biomech.inverse_dynamics.compute import Inverse, recorded_states
 from mbdkit_biomech.inverse_dynamics.doubt import doubt
 from mbdkit_biomech.inverse_dynamics.named_actuators import RESERVE
 from mbdkit_biomech.inverse_dynamics.recruited import Recruited
+from mbdkit_biomech.muscle_summary import PULLING
 
 RESERVE_SHARE = 0.1
 """A reserve is doubtful if its peak exceeds this share of the peak of the moment to which the reserve contributes.

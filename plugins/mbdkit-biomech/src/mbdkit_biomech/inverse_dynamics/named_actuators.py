@@ -72,6 +72,11 @@ class NamedActuator:
         return "residual" if self.is_residual else "reserve" if self.name.startswith(RESERVE) else "actuator"
 
 
+def members_of_actuators(actuators: Sequence[NamedActuator]) -> list[tuple[str, tuple[str, str]]]:
+    """Return name, unit and kind of each actuator, as `mbdkit.quantities.names.ArchiveNames.members`."""
+    return [(actuator.name, (actuator.unit, actuator.kind)) for actuator in actuators]
+
+
 @dataclass(frozen=True)
 class Shortening(Quantity):
     """The negative distance between two points; its generalized force is a tension that pulls the points together.

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
@@ -17,8 +16,8 @@ from mbdkit.archive.run import Run
 from mbdkit.archive.run_writer import Ending, Origin
 from mbdkit.archive.writer import ArchiveWriter
 from mbdkit.measures.take import take_all
-from mbdkit.quantities.names import ArchiveNames, archive_names
-from mbdkit.quantities.table import BY_GROUP, RECORDED, sizes_of
+from mbdkit.quantities.names import ArchiveNames, archive_names, with_members
+from mbdkit.quantities.registered_kinds import kind_of_group
 from mbdkit.runs.provenance import model_provenance
 from mbdkit.runs.recorder import shared_forces
 from mbdkit_biomech.inverse_dynamics.compute import Inverse, reaction_forces_without_muscles, recorded_states
@@ -26,6 +25,8 @@ from mbdkit_biomech.inverse_dynamics.data_verdict import DataDoubts, verdict_on_
 from mbdkit_biomech.inverse_dynamics.ends_and_gaps import long_gaps
 from mbdkit_biomech.inverse_dynamics.error_bars import ErrorBars
 from mbdkit_biomech.inverse_dynamics.fit import raw_misalignment
+from mbdkit_biomech.inverse_dynamics.named_actuators import members_of_actuators
+from mbdkit_biomech.quantities import INVERSE_GROUPS, MUSCLES_OF_RUNS
 
 TIMINGS = ("setup_s", "wall_s", "cpu_s")
 
@@ -69,9 +70,8 @@ def archive_of(
     """
     spec, mechanism = result.problem.spec, result.problem.prepared.workspace.mechanism
     states, names = recorded_states(result), _names(result)
-    sizes = sizes_of(names)
-    groups = [group for group in layout.INVERSE_GROUPS if sizes[BY_GROUP[group].axis]]
-    extra = [one.path for one in layout.LAYOUT if one.group in groups and one.path not in layout.MUSCLES_OF_RUNS]
+    groups = [group for group in INVERSE_GROUPS if names.names_of(group)]
+    extra = [path for group in groups for path in kind_of_group(group).by_path if path not in MUSCLES_OF_RUNS]
     if mechanism.solved_rows:
         extra.append("constraints/singularity_distance")
     writer = ArchiveWriter(
@@ -84,7 +84,7 @@ def archive_of(
     )
     try:
         rows = {key: values for key, values in _rows(result, bars).items() if key in writer.row_keys}
-        writer.append(rows | {key: RECORDED[key].take(states) for key in writer.row_keys if key not in rows})
+        writer.append(rows | {key: array.take(states) for key, array in writer.recorded.items()})
         writer.append_steps(_intervals(result.motion.time))
         counters = dict.fromkeys(layout.COUNTERS, 0)
         misalignment = states.misalignment.max(axis=0, initial=0.0)
@@ -129,17 +129,14 @@ def _measured(result: Inverse, errors: Mapping[str, float], file: h5py.File) -> 
 
 
 def _names(result: Inverse) -> ArchiveNames:
-    measured, actuators = result.fitted.measured, result.problem.recorded_actuators
-    return replace(
-        archive_names(result.problem.prepared.workspace.mechanism),
-        observed=measured.names,
-        observed_units=[quantity.unit for quantity in measured.quantities.quantities],
-        actuators=[actuator.name for actuator in actuators],
-        actuator_units=[actuator.unit for actuator in actuators],
-        actuator_kinds=[actuator.kind for actuator in actuators],
-        muscles=() if result.problem.recruiter is None else tuple(result.problem.recruiter.muscles),
-        loads=result.loads.names,
-        load_bodies=result.loads.bodies,
+    measured, problem = result.fitted.measured, result.problem
+    units = [quantity.unit for quantity in measured.quantities.quantities]
+    return with_members(
+        archive_names(problem.prepared.workspace.mechanism),
+        motion=[(name, (unit,)) for name, unit in zip(measured.names, units, strict=True)],
+        actuators=members_of_actuators(problem.recorded_actuators),
+        muscles=[(name, ()) for name in ({} if problem.recruiter is None else problem.recruiter.muscles)],
+        loads=[(name, (body,)) for name, body in zip(result.loads.names, result.loads.bodies, strict=True)],
     )
 
 

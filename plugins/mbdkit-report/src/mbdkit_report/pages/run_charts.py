@@ -13,7 +13,7 @@ import numpy as np
 from mbdkit.archive.headlines import ROUND_OFF
 from mbdkit.mechanism.bodies import GROUND
 from mbdkit.quantities.array import Recorded
-from mbdkit.quantities.table import BY_GROUP, RECORDED
+from mbdkit.quantities.registered_kinds import kind_of_group
 from mbdkit_report.figures.curves import bands
 from mbdkit_report.figures.drawing_geometry import choose_traces, draw_run
 from mbdkit_report.figures.page_model import TIME, Axis, Figure, Line, Mark
@@ -35,7 +35,7 @@ _OF_MOTION = ("m", "rad", "m/s", "rad/s")
 _OF_JOINTS = (
     "reactions",
     "torques",
-    *(chart.name for array in BY_GROUP["joints"].columns if isinstance(array, Recorded) for chart in array.charts),
+    *(chart.name for array in kind_of_group("joints").columns if isinstance(array, Recorded) for chart in array.charts),
     *DRIFT[:3],
 )
 
@@ -44,7 +44,8 @@ def run_charts(run: Run) -> tuple[Figure, ...]:
     """Return the charts of a run that has rows. Quantities that the run did not record are left out."""
     of_kinds = {kind: list(plot_module(kind).charts(run)) for kind in plot_kinds()}
     charts = [chart for kind in _FIRST for chart in of_kinds.pop(kind, [])]
-    recorded = [chart for path in RECORDED for chart in recorded_charts(run, path)]
+    every = [array for kind in run.kinds.values() for array in kind.arrays if isinstance(array, Recorded)]
+    recorded = [chart for array in every for chart in recorded_charts(run, array)]
     moving = [chart for chart in recorded if chart.y.unit in _OF_MOTION]
     still = [chart for chart in recorded if chart.y.unit not in _OF_MOTION]
     charts += [*added_charts(run), *component_charts(run), *still]
@@ -123,12 +124,11 @@ def _components(run: Run, joint: Any, colors: dict[str, str]) -> Figure:
     return Figure(f"components-{joint.index + 1}", title, caption, TIME, Axis("force component", "N"), tuple(lines))
 
 
-def recorded_charts(run: Run, path: str) -> list[Figure]:
+def recorded_charts(run: Run, array: Recorded) -> list[Figure]:
     """Return the charts of a recorded array; empty if the run did not record it. Columns with different units have
     different charts. Charts whose values are all zero are left out.
     """
-    array = RECORDED[path]
-    if not array.charts or not run.records(path):
+    if not array.charts or not run.records(array.path):
         return []
     names = [str(name) for name in run.array(f"{array.group}/{array.dims[1]}")]
     units = [array.units] * len(names)
@@ -136,7 +136,7 @@ def recorded_charts(run: Run, path: str) -> list[Figure]:
         units = [str(unit) for unit in run.array(f"{array.group}/{array.row_units}")]
     found = []
     for chart in array.charts:
-        lines = _lines(run, path, names, [column for column, unit in enumerate(units) if unit == chart.unit])
+        lines = _lines(run, array.path, names, [column for column, unit in enumerate(units) if unit == chart.unit])
         if lines:
             axis = Axis(chart.axis, "" if chart.unit == "1" else chart.unit)
             found.append(Figure(chart.name, chart.title, chart.caption, TIME, axis, lines))

@@ -91,7 +91,7 @@ class ElementQuantity:
 
 def has_elements(run: Run) -> bool:
     """Return whether a run recorded force elements, or has actuators."""
-    return run.records("forces/value") or bool(run.actuators)
+    return run.records("forces/value") or run.records("actuators/value")
 
 
 def element_values(run: Run, unit: str, name: str) -> ElementQuantity:

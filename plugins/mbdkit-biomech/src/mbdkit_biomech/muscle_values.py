@@ -1,0 +1,123 @@
+"""Quantities of muscles in states of runs and of inverse dynamics."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from mbdkit.base import elementary, higher_layers
+from mbdkit.base.errors import SpecError
+from mbdkit.quantities.states import NONE, States
+from mbdkit_biomech.muscles.acting_muscles import ActingMuscle
+from mbdkit_biomech.muscles.energetics import fiber_power, metabolic_power
+from mbdkit_biomech.muscles.muscle import Muscle
+
+ENERGETICS = ("fiber_power", "metabolic_power")
+"""Quantities of muscles that are functions of other quantities."""
+
+
+def _by_muscle(muscles: Sequence[Muscle], *arrays: np.ndarray) -> Iterator[tuple[Muscle, tuple[np.ndarray, ...]]]:
+    """Yield each muscle with its columns (T,) of arrays (T, M)."""
+    for index, muscle in enumerate(muscles):
+        yield muscle, tuple(x[:, index] for x in arrays)
+
+
+@dataclass(frozen=True)
+class Muscles:
+    """Muscles in T states of inverse dynamics; all arrays are (T, M).
+
+    Attributes
+    ----------
+    length, rate
+        Lengths of the paths [m] and their rates [m/s].
+    fiber_length, fiber_rate
+        Lengths of the fibres [m] and their rates [m/s].
+    activation, force, power
+        Activations, tensions [N], and powers that the muscles supply to the bodies [W].
+    muscles
+        The muscles.
+    """
+
+    length: np.ndarray
+    rate: np.ndarray
+    fiber_length: np.ndarray
+    fiber_rate: np.ndarray
+    activation: np.ndarray
+    force: np.ndarray
+    power: np.ndarray
+    muscles: tuple[Muscle, ...]
+
+
+class MuscleValues:
+    """Values of the quantities of muscles in T states.
+
+    Parameters
+    ----------
+    states
+        The states; those of inverse dynamics have `Muscles` in their `handles`.
+    """
+
+    def __init__(self, states: States):
+        self.states = states
+        self.given: Muscles | None = states.handles.get("muscles")
+        self.acting = states.mechanism.extensions.get("muscles", ())
+
+    def array(self, name: str) -> np.ndarray:
+        """Return an array (T, M) of `Muscles`, or the excitations of a run; empty if there are no muscles.
+
+        Raises
+        ------
+        SpecError
+            If the states have derivatives, but the derivatives of this array are not known.
+        """
+        if name in ENERGETICS and (self.given is not None or self.acting):
+            return self._energetics(name)
+        if self.given is not None:
+            return np.asarray(getattr(self.given, name))
+        acting = self.acting
+        if not acting:
+            return NONE
+        column = {"length": 0, "rate": 1, "force": 2, "power": 3}.get(name)
+        if column is not None:
+            first = len(self.states.mechanism.forces)
+            return np.asarray(self.states.observed.forces[:, first : first + len(acting), column])
+        return np.stack([self._of_acting_muscle(k, one, name) for k, one in enumerate(acting)], axis=1)
+
+    def _energetics(self, name: str) -> np.ndarray:
+        """Return the power of the fibres, or the power that muscles consume, (T, M).
+
+        In inverse dynamics, the excitation is assumed to equal the activation.
+        """
+        own = self.given
+        if self.states.q.ndim > 2:
+            raise SpecError(f"derivatives of {name} of muscles with respect to parameters are not known")
+        muscles = tuple(one.force.muscle for one in self.acting) if own is None else own.muscles
+        length, rate = self.array("fiber_length"), self.array("fiber_rate")
+        if name == "fiber_power":
+            columns = [fiber_power(one, *x) for one, x in _by_muscle(muscles, self.array("force"), length, rate)]
+        else:
+            activation = self.array("activation")
+            excitation = self.array("excitation") if own is None else activation
+            every = _by_muscle(muscles, activation, excitation, length, rate)
+            columns = [metabolic_power(one, *x) for one, x in every]
+        return np.stack(columns, axis=1)
+
+    def _of_acting_muscle(self, number: int, one: ActingMuscle, name: str) -> np.ndarray:
+        """Return the activation, the excitation, or the length or rate of the fibres of a muscle of a run (T,)."""
+        muscle = one.force.muscle
+        if name == "activation":
+            return self.states.z[:, one.activation]
+        if muscle.tendon == "elastic" and name != "excitation":
+            place = one.activation + 1
+            return self.states.z[:, place] if name == "fiber_length" else self.states.observed.state_rates[:, place]
+        if self.states.q.ndim > 2:
+            raise SpecError(f"muscles.{one.force.name}.{name} has no known derivatives with respect to parameters")
+        if name == "excitation":
+            if one.excitation is None:
+                return one.force.excitation_at(self.states.time)
+            return np.asarray(higher_layers.state_values(*one.excitation, self.states))
+        along = self.array("length")[:, number] - muscle.tendon_length
+        fiber = elementary.hypot(along, muscle.thickness)
+        return np.asarray(fiber if name == "fiber_length" else self.array("rate")[:, number] * along / fiber)

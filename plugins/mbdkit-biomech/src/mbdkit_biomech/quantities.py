@@ -1,0 +1,102 @@
+"""Groups of the archive that muscles and inverse dynamics add: motion, actuators, muscles and loads."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from mbdkit.quantities.array import MIXED, Array, Chart, Recorded
+from mbdkit.quantities.entries import AXIS, JOINT, computed, name_array, quantity_group, unit_array
+from mbdkit_biomech.muscle_values import MuscleValues
+
+_TIME = Array("time", ("time",), "s", "time of the recorded row")
+_T, _TJ, _TJA, _TU = ("time",), ("time", "joint"), ("time", "joint", "axis"), ("time", "muscle")
+_TK, _TA = ("time", "observed"), ("time", "actuator")
+_TL, _TLA = ("time", "load"), ("time", "load", "axis")
+
+INVERSE_GROUPS = ("motion", "actuators", "muscles", "loads")
+"""Groups of inverse dynamics; a group without elements is absent."""
+
+MUSCLES_OF_RUNS = frozenset(("muscles/excitation",))
+"""Paths of the arrays of muscles that inverse dynamics does not record."""
+
+
+def _of_muscles(name: str, units: str, what: str, **more: Any) -> Recorded:
+    return computed(name, _TU, units, what, lambda s: s.of("muscles").array(name), **more)
+
+
+# fmt: off
+MOTION = quantity_group(
+    "motion",
+    _TIME,
+    name_array("observed", "observed", "name of the observed quantity", lambda names: names.names_of("motion")),
+    unit_array("row_units", "observed", "raw, fitted and residual", lambda names: names.bodies_of("motion", 0),
+        label="units"),
+    JOINT,
+    Array("raw", _TK, MIXED, "measured value, nan in a gap", row_units="row_units"),
+    Array("fitted", _TK, MIXED, "value of the fitted mechanism, before smoothing", row_units="row_units"),
+    Array("residual", _TK, MIXED, "raw - fitted", row_units="row_units"),
+    Array("raw_misalignment", _TJ, "m",
+        "misalignment of the joint if the data alone place the bodies, nan where they do not"),
+    since="1.1", optional=True, word="motion", one="observed quantity", axis="observed", may_be_unknown=True,
+)
+
+ACTUATORS = quantity_group(
+    "actuators",
+    _TIME,
+    name_array("actuator", "actuator", "name of the actuator", lambda names: names.names_of("actuators")),
+    unit_array("row_units", "actuator", "value", lambda names: names.bodies_of("actuators", 0), label="units"),
+    name_array("kind", "actuator", "actuator, reserve of recruitment, or residual load from outside",
+        lambda names: names.bodies_of("actuators", 1), label="kind"),
+    computed("value", _TA, MIXED,
+        "torque on the second body, positive counter-clockwise; force along a travel or a coordinate; tension "
+        "between two points",
+        lambda s: s.handles["actuators"][:, :, 0], row_units="row_units"),
+    computed("power", _TA, "W", "power that the actuator supplies to the bodies",
+        lambda s: s.handles["actuators"][:, :, 1]),
+    Array("value_error", _TA, MIXED,
+        "bound of the error of value that holds with a probability of 95 % at each time, nan where unknown",
+        row_units="row_units"),
+    since="1.1", optional=True, word="actuators", one="actuator", example="value", axis="actuator",
+    is_optional=True, may_be_unknown=True,
+)
+
+MUSCLES = quantity_group(
+    "muscles",
+    _TIME,
+    name_array("muscle", "muscle", "name of the muscle", lambda names: names.names_of("muscles")),
+    JOINT, AXIS,
+    _of_muscles("length", "m", "length of the path"),
+    _of_muscles("rate", "m/s", "rate of length"),
+    _of_muscles("fiber_length", "m", "length of the fibres; nan where recruitment does not need it"),
+    _of_muscles("fiber_rate", "m/s", "rate of fiber_length"),
+    _of_muscles("activation", "1", "activation, from 0 to 1",
+        charts=(Chart("activations", "Activations of the muscles", "Active force over capacity.", "activation",
+            "1"),)),
+    _of_muscles("excitation", "1", "excitation, from 0 to 1; runs only"),
+    _of_muscles("force", "N", "tension",
+        charts=(Chart("tensions", "Tensions of the muscles", "Along the tendons.", "tension", "N"),)),
+    _of_muscles("power", "W", "power that the muscle supplies to the bodies"),
+    _of_muscles("fiber_power", "W", "power that the fibres supply; nan where fiber_length is"),
+    _of_muscles("metabolic_power", "W", "power that the muscle consumes; nan without `metabolics`"),
+    Array("force_error", _TU, "N",
+        "bound of the error of force that holds with a probability of 95 % at each time, nan where unknown"),
+    Array("certificate", _T, "1",
+        "largest violation of the conditions of optimality by recruitment, relative to the size of each"),
+    Array("reaction_force_without", _TJA, "N", "reaction_force if actuators produced the motion without muscles"),
+    since="1.1", optional=True, word="muscles", one="muscle", example="force", axis="muscle", is_optional=True,
+    may_be_unknown=True, values=MuscleValues,
+)
+
+LOADS = quantity_group(
+    "loads",
+    _TIME,
+    name_array("load", "load", "name of the measured load", lambda names: names.names_of("loads")),
+    AXIS,
+    name_array("body", "load", "body that the load acts on", lambda names: names.bodies_of("loads", 0), label="body"),
+    Array("force", _TLA, "N", "force on the body, global frame"),
+    Array("point", _TLA, "m", "point of application, global frame"),
+    Array("torque", _TL, "N m", "free torque on the body, positive counter-clockwise"),
+    Array("power", _TL, "W", "power that the load supplies to the body"),
+    since="1.1", optional=True, word="loads", one="load", axis="load", is_optional=True,
+)
+# fmt: on
