@@ -268,7 +268,7 @@ class CompiledMechanism:
 
     @property
     def contacts(self) -> tuple[Any, ...]:
-        """Rows of the contacts, `ActingContact` of `mbdkit.engine.contact_forces`."""
+        """Rows of the contacts, `ActingContact` of `mbdkit_contact.acting_contacts`."""
         return self.extensions.get("contacts", ())
 
     def refuse_kinds(self, what: str) -> None:

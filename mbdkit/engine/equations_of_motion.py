@@ -12,7 +12,6 @@ import numpy as np
 from mbdkit.base.errors import StepError
 from mbdkit.engine.compiled_mechanism import with_ground
 from mbdkit.engine.consistent_start import workspace_at_start
-from mbdkit.engine.contact_forces import ActingContact
 from mbdkit.engine.elimination_order import SingularSystemError
 from mbdkit.engine.evaluated_equations import EvaluatedEquations
 from mbdkit.engine.iteration_matrix import (
@@ -35,6 +34,7 @@ from mbdkit.engine.observed_states import GivenForces, StateObserver
 from mbdkit.engine.state_derivatives import Rates
 from mbdkit.engine.tangents import SparseParts, Tangents
 from mbdkit.engine.workspace import Workspace
+from mbdkit_contact.acting_contacts import ActingContact
 
 if TYPE_CHECKING:
     from scipy.sparse import csr_array

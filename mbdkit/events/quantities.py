@@ -9,13 +9,13 @@ from functools import cached_property
 import numpy as np
 
 from mbdkit.base import elementary
-from mbdkit.engine.contact_forces import contact_values
 from mbdkit.engine.kernels.observe import Observed
 from mbdkit.engine.observed_states import StateObserver
 from mbdkit.engine.workspace import Workspace
 from mbdkit.quantities.names import archive_names
 from mbdkit.quantities.quantity import Quantity
 from mbdkit.quantities.states import States
+from mbdkit_contact.acting_contacts import contact_values
 
 MOST_KEPT = 8
 """Largest number of states whose buffers are kept for the next evaluation."""

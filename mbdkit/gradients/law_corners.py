@@ -19,11 +19,11 @@ import numpy as np
 
 from mbdkit.base.errors import SpecError
 from mbdkit.engine.compiled_mechanism import CompiledMechanism
-from mbdkit.engine.contact_forces import contact_law, has_sides, pairs_of_shapes
 from mbdkit.engine.force_laws import CompiledLaw, bind_law
 from mbdkit.engine.kernels.contact_laws import STIFFNESS, VALUE, VALUES, contact_rows
 from mbdkit.integrators.dual_run import Seeds
 from mbdkit.mechanism.force_law import ARGUMENTS, ExpressionLaw, FunctionLaw
+from mbdkit_contact.acting_contacts import contact_law, has_sides, pairs_of_shapes
 
 if TYPE_CHECKING:
     import sympy

@@ -5,10 +5,10 @@ from typing import Any, Literal
 
 from mbdkit.mechanism.angle_function import Center
 from mbdkit.mechanism.beams import BeamStiffness
-from mbdkit.mechanism.contacts import Compliance
-from mbdkit.mechanism.contacts import Contact
-from mbdkit.mechanism.contacts import Friction
-from mbdkit.mechanism.contacts import Shape
+from mbdkit_contact.contact import Compliance
+from mbdkit_contact.contact import Contact
+from mbdkit_contact.contact import Friction
+from mbdkit_contact.contact import Shape
 from mbdkit.mechanism.joint_friction import JointFriction
 from mbdkit.mechanism.joint_friction import PinFriction
 from mbdkit.mechanism.joint_friction import SlideFriction

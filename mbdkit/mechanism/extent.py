@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 
 from mbdkit.mechanism.bodies import GROUND
-from mbdkit.mechanism.contacts import Contact
 from mbdkit.mechanism.mechanism import Mechanism
+from mbdkit_contact.contact import Contact
 
 
 def smaller_units(length: float, limit: float) -> list[str]:

@@ -11,11 +11,11 @@ from typing import Any
 import numpy as np
 
 from mbdkit.engine.compiled_mechanism import CompiledMechanism
-from mbdkit.engine.contact_forces import contact_values
-from mbdkit.engine.ground_reactions import ground_reactions
 from mbdkit.engine.joint_sums import JointSums, joint_sums
 from mbdkit.engine.kernels.observe import Observed
 from mbdkit.quantities.registered_kinds import kind_of_group
+from mbdkit_contact.acting_contacts import contact_values
+from mbdkit_contact.ground_reactions import ground_reactions
 
 NONE = np.zeros(0)
 

@@ -14,7 +14,6 @@ from mbdkit.base.text import listed
 from mbdkit.engine.assembly import AssembledState
 from mbdkit.engine.compiled_mechanism import CompiledMechanism
 from mbdkit.engine.consistent_start import MechanismAtStart, Starts, within_double_precision, workspace_at_start
-from mbdkit.engine.contact_forces import held_states
 from mbdkit.engine.formulation import FORMULATIONS
 from mbdkit.engine.redundancy import require_unique_start
 from mbdkit.engine.workspace import Workspace
@@ -31,6 +30,7 @@ from mbdkit.runs.corners import stops_of
 from mbdkit.runs.findings import findings
 from mbdkit.spec import RunSpec
 from mbdkit.trust.finding import Finding
+from mbdkit_contact.acting_contacts import held_states
 
 
 def caution(spec: RunSpec, method: Method | None = None, measures: Sequence[str] = ()) -> list[Finding]:

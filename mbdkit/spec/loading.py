@@ -20,10 +20,10 @@ from mbdkit.mechanism.mechanism import Mechanism
 from mbdkit.registry.feature_items import Example
 from mbdkit.registry.manager import registry
 from mbdkit.spec.model_spec import ModelSpec
-from mbdkit.spec.polyline_files import read_polylines
 from mbdkit.spec.reading import Document, read_file, read_stdin, read_text, set_value
 from mbdkit.spec.run_spec import RunSpec
 from mbdkit.spec.spec_kinds import refused, spec_kinds
+from mbdkit_contact.polyline_files import read_polylines
 
 Section: TypeAlias = Mapping[str, object]
 """A section of a spec, such as ``{"name": "gauss", "stages": 2}``."""

@@ -27,9 +27,9 @@ from mbdkit_report.figures.plane_geometry import Array, convex_hull
 if TYPE_CHECKING:
     from mbdkit.archive.run import Run
     from mbdkit.mechanism.beams import Beam
-    from mbdkit.mechanism.contacts import Shape
     from mbdkit.mechanism.joints import SlidingJoint
     from mbdkit.mechanism.mechanism import Mechanism
+    from mbdkit_contact.contact import Shape
 
 GROUND = -1
 

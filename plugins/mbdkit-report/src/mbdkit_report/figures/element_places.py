@@ -8,10 +8,10 @@ from collections.abc import Mapping
 import numpy as np
 
 from mbdkit.mechanism.bodies import GROUND
-from mbdkit.mechanism.contacts import Shape
 from mbdkit.mechanism.joints import Joint
 from mbdkit.mechanism.mechanism import Mechanism
 from mbdkit.mechanism.pathways import JointAngles
+from mbdkit_contact.contact import Shape
 
 Place = tuple[str, tuple[float, float]]
 """Body, and point in its frame [m]."""

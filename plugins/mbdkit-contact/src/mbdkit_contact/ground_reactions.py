@@ -6,9 +6,9 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from mbdkit.engine.contact_forces import ActingContact
 from mbdkit.mechanism.bodies import GROUND
 from mbdkit.mechanism.contacts import OPEN, feet
+from mbdkit_contact.acting_contacts import ActingContact
 
 
 def ground_reactions(contacts: Sequence[ActingContact], values: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
@@ -19,7 +19,7 @@ def ground_reactions(contacts: Sequence[ActingContact], values: Mapping[str, np.
     contacts
         All contacts of the mechanism.
     values
-        Quantities of the contacts; see `mbdkit.engine.contact_forces.contact_values`.
+        Quantities of the contacts; see `mbdkit_contact.acting_contacts.contact_values`.
 
     Returns
     -------

@@ -31,13 +31,14 @@ from mbdkit.engine.kernels.contact_laws import (
 )
 from mbdkit.engine.kernels.uneven_ground import EDGE, OWN, SEGMENT
 from mbdkit.mechanism.bodies import GROUND
-from mbdkit.mechanism.contacts import OPEN, SLIP, STICK, ContactPair
-from mbdkit.mechanism.polylines import reaching_segments
+from mbdkit.mechanism.contacts import OPEN, SLIP, STICK
+from mbdkit_contact.contact import ContactPair
+from mbdkit_contact.polylines import reaching_segments
 
 if TYPE_CHECKING:
     from mbdkit.engine.compile_forces import Lowering
-    from mbdkit.mechanism.contacts import Contact
     from mbdkit.mechanism.mechanism import Mechanism
+    from mbdkit_contact.contact import Contact
 
 HEAVY = 10.0
 """Largest contact force at the start, relative to the weight of all bodies, that is accepted. Larger forces mean that
@@ -76,7 +77,7 @@ class ActingContact:
     bodies
         Indices of its bodies.
     law
-        Parameters of its force law; see `mbdkit.mechanism.contacts.Contact.law_numbers`.
+        Parameters of its force law; see `mbdkit_contact.contact.Contact.law_numbers`.
     first_state
         Index of the first of the `HELD` states of a rigid contact; -1 for a compliant contact.
     coefficients

@@ -17,9 +17,9 @@ from mbdkit.base.files_read import read_data
 from mbdkit.base.plain_data import quoted
 from mbdkit.base.text import did_you_mean, listed, shown
 from mbdkit.base.units import read_unit
-from mbdkit.mechanism.contacts import PolylineFile
 from mbdkit.mechanism.validation_errors import spec_error
 from mbdkit.spec.reading import Document
+from mbdkit_contact.contact import PolylineFile
 
 LARGEST_FILE = 16 * 2**20
 """Largest size of a file with points [bytes]."""

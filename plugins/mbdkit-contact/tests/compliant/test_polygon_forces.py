@@ -10,9 +10,9 @@ import pytest
 
 import mbdkit
 from mbdkit.engine.compile_mechanism import compile_mechanism
-from mbdkit.engine.contact_forces import contact_values
 from mbdkit.engine.equations_of_motion import EquationsOfMotion
 from mbdkit.mechanism.mechanism import Mechanism
+from mbdkit_contact.acting_contacts import contact_values
 
 G = 9.81
 K = 1e4
