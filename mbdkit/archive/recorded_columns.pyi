@@ -3,6 +3,12 @@
 import numpy as np
 
 from mbdkit.archive.named_columns import Histories, View
+from mbdkit_contact.histories import ContactHistory
+from mbdkit_contact.histories import GroundReactionHistory
+from mbdkit_biomech.histories import ObservedHistory
+from mbdkit_biomech.histories import ActuatorHistory
+from mbdkit_biomech.histories import MuscleHistory
+from mbdkit_biomech.histories import LoadHistory
 
 class Trajectory(View, of="trajectory"):
     position: np.ndarray
@@ -73,27 +79,6 @@ class Beams(View, of="beams"):
     strain_energy: np.ndarray
     """strain energy of the element, (T,), summed over the elements, J"""
 
-class Contacts(View, of="contacts"):
-    gap: np.ndarray
-    """distance of the two shapes, negative where they overlap, (T,), m"""
-    normal_force: np.ndarray
-    """force that pushes the bodies apart, (T,), N"""
-    friction_force: np.ndarray
-    """friction force on the second body, along the normal turned by -90 degrees, (T,), N"""
-    slip: np.ndarray
-    """velocity of the second body relative to the first, in that direction, (T,), m/s"""
-    mode: np.ndarray
-    """0: open, 1: sticks, 2: slips, (T,), 1"""
-    bodies: tuple[str, str]
-
-class GroundReactions(View, of="ground_reactions"):
-    force: np.ndarray
-    """force of all contacts with the ground on the body, global frame, (T, 2), N"""
-    normal_force: np.ndarray
-    """sum of the normal forces of these contacts, (T,), N"""
-    center_of_pressure: np.ndarray
-    """point about which the contacts with the ground have no moment, global frame; nan where none is closed, (T, 2), m"""
-
 class States(View, of="states"):
     value: np.ndarray
     """value of the state, (T,), units by row"""
@@ -147,6 +132,27 @@ class Steps(View, of="steps"):
     """largest change of velocities by a projection in the interval: sqrt(dv^T M dv / total mass), (N,), m/s"""
     acceleration_correction: np.ndarray
     """largest of Baumgarte's terms 2 alpha Phi' + beta^2 Phi at a step of the interval (rows of angles: rad/s^2), (N,), m/s^2"""
+
+class Contacts(View, of="contacts"):
+    gap: np.ndarray
+    """distance of the two shapes, negative where they overlap, (T,), m"""
+    normal_force: np.ndarray
+    """force that pushes the bodies apart, (T,), N"""
+    friction_force: np.ndarray
+    """friction force on the second body, along the normal turned by -90 degrees, (T,), N"""
+    slip: np.ndarray
+    """velocity of the second body relative to the first, in that direction, (T,), m/s"""
+    mode: np.ndarray
+    """0: open, 1: sticks, 2: slips, (T,), 1"""
+    bodies: tuple[str, str]
+
+class GroundReactions(View, of="ground_reactions"):
+    force: np.ndarray
+    """force of all contacts with the ground on the body, global frame, (T, 2), N"""
+    normal_force: np.ndarray
+    """sum of the normal forces of these contacts, (T,), N"""
+    center_of_pressure: np.ndarray
+    """point about which the contacts with the ground have no moment, global frame; nan where none is closed, (T, 2), m"""
 
 class Motion(View, of="motion"):
     raw: np.ndarray
@@ -204,14 +210,20 @@ class Loads(View, of="loads"):
 
 class KindsOfPlugins:
     @property
-    def motion(self) -> Histories[Motion]:
+    def contacts(self) -> Histories[ContactHistory]:
+        """Gaps, forces, slip and modes of contacts; polygons and polylines have several, `NAME.i`."""
+    @property
+    def ground_reactions(self) -> Histories[GroundReactionHistory]:
+        """Force and centre of pressure of each body that may touch the ground."""
+    @property
+    def motion(self) -> Histories[ObservedHistory]:
         """Observed quantities of a measured motion."""
     @property
-    def actuators(self) -> Histories[Actuators]:
+    def actuators(self) -> Histories[ActuatorHistory]:
         """Values and powers of actuators in inverse dynamics."""
     @property
-    def muscles(self) -> Histories[Muscles]:
+    def muscles(self) -> Histories[MuscleHistory]:
         """Lengths, activations, tensions and powers of muscles."""
     @property
-    def loads(self) -> Histories[Loads]:
+    def loads(self) -> Histories[LoadHistory]:
         """Measured loads."""

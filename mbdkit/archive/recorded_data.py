@@ -325,16 +325,6 @@ class RecordedData(KindsOfPlugins, Extensible):
         return self.array("motion/raw_misalignment")
 
     @evaluated
-    def contacts(self) -> history.ContactHistories:
-        """Gaps, forces, slip and modes of the contacts by name; polygons and polylines have several, `NAME.i`."""
-        return history.ContactHistories(kind_of_word("contacts"), self)
-
-    @evaluated
-    def ground_reactions(self) -> history.GroundReactionHistories:
-        """Force and centre of pressure of each body that may touch the ground, by name of the body."""
-        return history.GroundReactionHistories(kind_of_word("ground_reactions"), self)
-
-    @evaluated
     def constraints(self) -> history.ConstraintHistories:
         """Residuals and multipliers of the constraint rows by name, ``joint.row``."""
         return history.ConstraintHistories(kind_of_word("constraints"), self)

@@ -34,7 +34,6 @@ from mbdkit.engine.observed_states import GivenForces, StateObserver
 from mbdkit.engine.state_derivatives import Rates
 from mbdkit.engine.tangents import SparseParts, Tangents
 from mbdkit.engine.workspace import Workspace
-from mbdkit_contact.acting_contacts import ActingContact
 
 if TYPE_CHECKING:
     from scipy.sparse import csr_array
@@ -124,13 +123,6 @@ class EquationsOfMotion(EvaluatedEquations):
             self._derived[make] = make(self)
         result: T = self._derived[make]
         return result
-
-    @property
-    def contacts(self) -> tuple[ActingContact, ...]:
-        """Rigid contacts. The methods of this class include the forces of compliant contacts, but not those of rigid
-        ones.
-        """
-        return tuple(one for one in self._workspace.mechanism.contacts if one.first_state >= 0)
 
     def time_derivative(self, t: float, q: np.ndarray, v: np.ndarray, z: np.ndarray) -> Rates:
         """Return the partial derivatives with respect to time of what `derivatives` returns, at a fixed state.

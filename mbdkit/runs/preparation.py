@@ -30,7 +30,6 @@ from mbdkit.runs.corners import stops_of
 from mbdkit.runs.findings import findings
 from mbdkit.spec import RunSpec
 from mbdkit.trust.finding import Finding
-from mbdkit_contact.acting_contacts import held_states
 
 
 def caution(spec: RunSpec, method: Method | None = None, measures: Sequence[str] = ()) -> list[Finding]:
@@ -179,8 +178,7 @@ def require_support(spec: RunSpec, method: Method, mechanism: CompiledMechanism)
     except TableauError as error:
         raise PluginError(f"integrator {spec.integrator_item.id} claims {spec.formulated.name}, but {error}") from error
     method.require_mechanism(mechanism)
-    held = held_states(mechanism.contacts)
-    own = [state.name for number, state in enumerate(mechanism.states) if number not in held]
+    own = [state.name for state in mechanism.states if not state.by_method]
     integrates = method.traits.integrates_states
     if own and not (spec.claims.states if integrates is None else integrates):
         message = (

@@ -26,7 +26,7 @@ KIND = """
 from mbdkit.plugin import Array, Chart, Recorded, name_array, quantity_group
 
 def values(states):
-    return {"power": -states.of_contacts("friction_force") * states.of_contacts("slip")}
+    return {"power": -states.of("contacts")["friction_force"] * states.of("contacts")["slip"]}
 
 WEAR = quantity_group(
     "wear",
@@ -34,7 +34,7 @@ WEAR = quantity_group(
     name_array("pair", "pair", "name of the contact", lambda names: names.names_of("contacts")),
     Recorded("power", ("time", "pair"), "W", "power that friction dissipates", take=lambda s: s.of("wear")["power"],
              charts=(Chart("wear", "Wear", "Power that friction dissipates.", "power", "W"),)),
-    Recorded("rate", ("time", "pair"), "m/s", "slip, without its sign", take=lambda s: abs(s.of_contacts("slip"))),
+    Recorded("rate", ("time", "pair"), "m/s", "slip, without its sign", take=lambda s: abs(s.of("contacts")["slip"])),
     optional=True, word="wear", one="worn pair", example="power", axis="pair", is_optional=True, values=values,
 )
 """

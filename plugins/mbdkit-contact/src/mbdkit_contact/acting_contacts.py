@@ -80,6 +80,8 @@ class ActingContact:
         Parameters of its force law; see `mbdkit_contact.contact.Contact.law_numbers`.
     first_state
         Index of the first of the `HELD` states of a rigid contact; -1 for a compliant contact.
+    law_place
+        Index of the law of a compliant contact; -1 for a rigid contact.
     coefficients
         Coefficient of restitution, and static and kinetic coefficient of friction.
     """
@@ -90,6 +92,7 @@ class ActingContact:
     bodies: tuple[int, int]
     law: tuple[float, ...]
     first_state: int = -1
+    law_place: int = -1
     coefficients: tuple[float, float, float] = (0.0, 0.0, 0.0)
 
     @property
@@ -210,7 +213,7 @@ def acting_contacts(mechanism: Mechanism, number: Mapping[str, int]) -> list[Act
         for pair in own.pairs(name, mechanism.joints):
             moving = _coordinates(mechanism, pair.bodies[0]), _coordinates(mechanism, pair.bodies[1])
             bodies = (number[pair.bodies[0]], number[pair.bodies[1]])
-            static, kinetic = own.coefficients
+            static, kinetic = own.friction_coefficients
             if is_rigid and own.rolling_resistance > 0.0:
                 raise SpecError(
                     "rigid contacts have no rolling resistance; omit it, or use the compliant treatment",
@@ -218,7 +221,7 @@ def acting_contacts(mechanism: Mechanism, number: Mapping[str, int]) -> list[Act
                 )
             if is_rigid:
                 given = own.restitution, static, kinetic
-                found.append(ActingContact(pair, "none", moving, bodies, NO_LAW, 0, given))
+                found.append(ActingContact(pair, "none", moving, bodies, NO_LAW, 0, coefficients=given))
                 continue
             if own.compliance is None:
                 raise SpecError(
@@ -247,13 +250,15 @@ def lower_contacts(elements: Mapping[str, Contact], lowering: Lowering, acting: 
     mechanism = lowering.mechanism
     contacts = acting_contacts(mechanism, lowering.bodies)
     if not mechanism.contact_treatment.is_rigid:
+        compliant: list[ActingContact] = []
         for rows in pairs_of_shapes(contacts):
             laws = [contact_law(rows, mode) for mode in (FORCES, SLOPES)]
-            lowering.pair(f"contact '{rows[0].pair.name}'", rows[0].bodies, laws, contact_numbers(rows))
-        return tuple(contacts)
+            place = lowering.pair(f"contact '{rows[0].pair.name}'", rows[0].bodies, laws, contact_numbers(rows))
+            compliant += (replace(one, law_place=place) for one in rows)
+        return tuple(compliant)
     rigid = []
     for one in contacts:
-        states = [lowering.state(f"{one.pair.name}.{name}", unit, 0.0) for name, unit in HELD.items()]
+        states = [lowering.state(f"{one.pair.name}.{name}", unit, 0.0, by_method=True) for name, unit in HELD.items()]
         rigid.append(replace(one, first_state=states[0]))
     bodies, laws_of = list(mechanism.bodies), dict[int, list[int]]()
     for coordinate in held_coordinates(rigid):

@@ -369,7 +369,7 @@ class Contact(Element):
         return [self.shapes[name] for name in self.among or ()] if isinstance(self.shapes, dict) else list(self.shapes)
 
     @property
-    def coefficients(self) -> Pair:
+    def friction_coefficients(self) -> Pair:
         """Static and kinetic coefficient of friction."""
         if isinstance(self.friction, Friction):
             return self.friction.static, self.friction.kinetic
@@ -400,7 +400,7 @@ class Contact(Element):
         """
         own = self.compliance
         assert own is not None
-        static, kinetic = self.coefficients
+        static, kinetic = self.friction_coefficients
         c, stiffness = self.dissipation, own.stiffness
         if own.law == "smooth-sphere-half-space":  # in the force k d^(3/2) of H. Hertz
             modulus = 0.5 * elementary.pow(stiffness, 2.0 / 3.0)
@@ -437,6 +437,20 @@ class Contact(Element):
         return [
             (f"{key}.{place}", name, point) for _, key, name, shape in self.by_body for place, point in shape.points()
         ]
+
+    def extent_points(self) -> list[tuple[str, Pair]]:
+        """Return (body name, point in the body's frame [m]) of each point that the extent of the mechanism includes.
+
+        They are the corners of squares around circles, and not the shapes of the ground, whose extent says nothing
+        about the bodies.
+        """
+        found = []
+        for _, _, name, shape in self.by_body:
+            round_shape = shape.circle or shape.hole
+            radius = 0.0 if round_shape is None else round_shape.radius
+            for _, (x, y) in shape.points() if name != GROUND else ():
+                found += [(name, (x + side, y + side)) for side in (-radius, radius)]
+        return found
 
     def angles(self) -> list[tuple[str, str]]:
         """Return (key, body name) of each body whose angle the element uses; these bodies cannot be point masses."""

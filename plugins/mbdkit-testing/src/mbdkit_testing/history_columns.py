@@ -10,7 +10,8 @@ from pathlib import Path
 from mbdkit.archive import history
 from mbdkit.archive.named_columns import VIEWS, columns_of
 from mbdkit.quantities.array import Kind
-from mbdkit.quantities.registered_kinds import OF_PARTS, added_kinds, kind_of_group
+from mbdkit.quantities.registered_kinds import OF_PARTS, added_kinds, item_of_group, kind_of_group
+from mbdkit.registry.feature_items import QuantityKind
 
 TARGET = Path(history.__file__).with_name("recorded_columns.pyi")
 
@@ -27,12 +28,14 @@ def declarations() -> str:
     groups = [group for group, view in VIEWS.items() if view.__module__ == history.__name__]
     own = [kind_of_group(group) for group in [*groups, *(group for group in added_kinds() if group in OF_PARTS)]]
     classes = "".join(map(_class, own))
-    return _HEADER + classes + "\nclass KindsOfPlugins:\n" + "".join(map(_property, own[len(groups) :]))
+    items = [item_of_group(kind.group) for kind in own[len(groups) :]]
+    imports = "".join(f"from {one.history.module} import {one.history.name}\n" for one in items if one.history)
+    return _HEADER + imports + classes + "\nclass KindsOfPlugins:\n" + "".join(map(_property, items))
 
 
-def _property(kind: Kind) -> str:
-    summary = added_kinds()[kind.group].plugin.summary
-    return f'    @property\n    def {kind.word}(self) -> Histories[{_name(kind)}]:\n        """{summary}"""\n'
+def _property(item: QuantityKind) -> str:
+    name = item.history.name if item.history else _name(kind_of_group(item.group))
+    return f'    @property\n    def {item.word}(self) -> Histories[{name}]:\n        """{item.summary}"""\n'
 
 
 def _name(kind: Kind) -> str:
