@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import h5py
-import numpy as np
 
 from mbdkit.archive.accuracy import Accuracy
 from mbdkit.archive.hdf5_errors import reading
@@ -19,7 +18,7 @@ from mbdkit.archive.run_contents import ArchiveContents, RunContents
 from mbdkit.archive.run_views import Animation, RunPlots
 from mbdkit.archive.stored_mechanism import StoredMechanism
 from mbdkit.base import higher_layers
-from mbdkit.base.errors import ArchiveError, RunError, SpecError, UnknownNameError
+from mbdkit.base.errors import ArchiveError, RunError, SpecError
 from mbdkit.base.files_read import FileRead
 from mbdkit.base.html_view import HtmlView
 from mbdkit.mechanism.mechanism import Mechanism
@@ -219,35 +218,6 @@ class Run(RecordedData, HtmlView):
         a ``reason`` instead. The mapping is empty if the spec has no `gradients`.
         """
         return self._contents.gradients
-
-    def moment_arms(self, muscle: str, coordinate: str) -> np.ndarray:
-        """Return the moment arm of a muscle about a coordinate, -dL/dq, at the recorded rows.
-
-        The coordinates of the other joints, on which actuators act by default, are held constant.
-
-        Parameters
-        ----------
-        muscle
-            Name of the muscle.
-        coordinate
-            ``JOINT.angle``, or the name of a coordinate of the model.
-
-        Returns
-        -------
-        np.ndarray
-            (T,) [m]; dimensionless if the coordinate is a length.
-
-        Raises
-        ------
-        UnknownNameError
-            If the model has no such muscle.
-        SpecError
-            If it has no such coordinate, or the coordinate cannot change.
-        """
-        if muscle not in self.mechanism.muscles:
-            raise UnknownNameError("muscle", muscle, list(self.mechanism.muscles))
-        arms: np.ndarray = computed(self, "moment_arms", "mbdkit-biomech")(muscle, coordinate)
-        return arms
 
     @property
     def redundancy(self) -> str:

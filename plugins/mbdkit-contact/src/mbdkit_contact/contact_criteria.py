@@ -12,6 +12,7 @@ from mbdkit.base.plain_data import quoted
 from mbdkit.mechanism.bodies import GROUND
 from mbdkit.runs.slow_friction import SHARE, FrictionElement, SlowFriction
 from mbdkit.trust.finding import Finding
+from mbdkit_contact.quantities import contacts_in
 
 if TYPE_CHECKING:
     from mbdkit.engine.compiled_mechanism import CompiledMechanism
@@ -65,6 +66,6 @@ class SlowContactFriction(SlowFriction):
 
     def slip_and_power(self, states: States) -> tuple[np.ndarray, np.ndarray]:
         """See `SlowFriction.slip_and_power`."""
-        slip, friction = (states.of("contacts")[name] for name in ("slip", "friction_force"))
+        slip, friction = (states.of(contacts_in)[name] for name in ("slip", "friction_force"))
         count = len(self._elements)
         return slip[:, :count], (slip * friction)[:, :count]

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from mbdkit.engine.stored_arrays import fill
+from mbdkit_contact.quantities import contacts_in
 
 if TYPE_CHECKING:
     from mbdkit.engine.compiled_mechanism import CompiledMechanism
@@ -48,7 +49,7 @@ class DeepOverlaps:
         """Take note of states."""
         if not len(states.time):
             return
-        gap = states.of("contacts")["gap"]
+        gap = states.of(contacts_in)["gap"]
         row = np.argmin(gap, axis=0)
         depth = -gap[row, np.arange(len(row))]
         self._time = np.where(depth > self._depth, states.time[row], self._time)

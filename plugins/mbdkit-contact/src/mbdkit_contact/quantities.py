@@ -48,8 +48,10 @@ def _feet(names: ArchiveNames) -> Sequence[str]:
     return feet(bodies for _, bodies in dict(names.members).get("contacts", ()))
 
 
-def _values(states: States) -> dict[str, np.ndarray]:
-    """Return the quantities of contacts by name; for events, gaps of closed contacts of rigid bodies are negative."""
+def contacts_in(states: States) -> dict[str, np.ndarray]:
+    """Return the quantities (T, C) of contacts by name; for events, gaps of closed contacts of rigid bodies are
+    negative.
+    """
     contacts = states.mechanism.extensions["contacts"]
     found = contact_values(contacts, states.q, states.v, states.z)
     if states.is_for_events:
@@ -58,13 +60,18 @@ def _values(states: States) -> dict[str, np.ndarray]:
     return found
 
 
+def ground_reactions_in(states: States) -> dict[str, np.ndarray]:
+    """Return the quantities of the bodies that may touch the ground by name."""
+    return ground_reactions(states.mechanism.extensions["contacts"], states.of(contacts_in))
+
+
 def _of_contacts(name: str, units: str, what: str, **more: Any) -> Recorded:
-    return computed(name, ("time", "contact"), units, what, lambda s: s.of("contacts")[name], **_MORE, **more)
+    return computed(name, ("time", "contact"), units, what, lambda s: s.of(contacts_in)[name], **_MORE, **more)
 
 
 def _of_ground(name: str, units: str, what: str, **more: Any) -> Recorded:
     dims = ("time", "foot", "axis") if "components" in more else ("time", "foot")
-    return computed(name, dims, units, what, lambda s: s.of("ground_reactions")[name], **_MORE, **more)
+    return computed(name, dims, units, what, lambda s: s.of(ground_reactions_in)[name], **_MORE, **more)
 
 
 # fmt: off
@@ -86,7 +93,7 @@ CONTACTS = quantity_group(
     _of_contacts("slip", "m/s", "velocity of the second body relative to the first, in that direction"),
     _of_contacts("mode", "1", "0: open, 1: sticks, 2: slips"),
     since="1.1", optional=True, word="contacts", one="contact", example="normal_force", axis="contact",
-    is_optional=True, values=_values,
+    is_optional=True,
 )
 
 GROUND_REACTIONS = quantity_group(
@@ -104,6 +111,5 @@ GROUND_REACTIONS = quantity_group(
         vector="center_of_pressure", components=("center_of_pressure_x", "center_of_pressure_y")),
     since="1.1", optional=True, word="ground_reactions", one="ground reaction", example="force_y",
     axis="foot", is_optional=True, may_be_unknown=True,
-    values=lambda s: ground_reactions(s.mechanism.extensions["contacts"], s.of("contacts")),
 )
 # fmt: on

@@ -5,12 +5,12 @@ from __future__ import annotations
 from collections.abc import Callable
 from copy import copy
 from dataclasses import dataclass
-from functools import partial
+from types import MethodType
 
 import numpy as np
 
 from mbdkit.archive.run import Run
-from mbdkit.base.errors import SpecError
+from mbdkit.base.errors import SpecError, UnknownNameError
 from mbdkit.engine.linear_systems import product
 from mbdkit.engine.stacked_matrices import least_norms, products
 from mbdkit.mechanism.mechanism import Mechanism
@@ -40,7 +40,33 @@ class _Geometry:
 
 
 def moment_arms(run: Run, muscle: str, coordinate: str) -> np.ndarray:
-    """Return the moment arms (T,); see `mbdkit.archive.run.Run.moment_arms`."""
+    """Return the moment arm of a muscle about a coordinate, -dL/dq, at the recorded rows of a run.
+
+    The coordinates of the other joints, on which actuators act by default, are held constant.
+
+    Parameters
+    ----------
+    run
+        The run.
+    muscle
+        Name of the muscle.
+    coordinate
+        ``JOINT.angle``, or the name of a coordinate of the model.
+
+    Returns
+    -------
+    np.ndarray
+        (T,) [m]; dimensionless if the coordinate is a length.
+
+    Raises
+    ------
+    UnknownNameError
+        If the model has no such muscle.
+    SpecError
+        If it has no such coordinate, or the coordinate cannot change.
+    """
+    if muscle not in run.mechanism.muscles:
+        raise UnknownNameError("muscle", muscle, list(run.mechanism.muscles))
     names = QuantityNames(run.mechanism)
     own = names.find(coordinate, "coordinate")
     time = np.asarray(run.time)
@@ -78,4 +104,4 @@ def _independent(rates: np.ndarray) -> list[int]:
 
 def arms_of(run: Run) -> Callable[[str, str], np.ndarray]:
     """Return the function that computes moment arms of a run, of a muscle and about a coordinate."""
-    return partial(moment_arms, run)
+    return MethodType(moment_arms, run)

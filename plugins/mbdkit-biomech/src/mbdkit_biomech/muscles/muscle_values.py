@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from mbdkit.base import elementary, higher_layers
-from mbdkit.base.errors import SpecError
-from mbdkit.quantities.states import NONE, States
+from mbdkit.plugin import SpecError, States
+from mbdkit.quantities.states import NONE
 from mbdkit_biomech.muscles.acting_muscles import ActingMuscle
 from mbdkit_biomech.muscles.energetics import fiber_power, metabolic_power
 from mbdkit_biomech.muscles.muscle import Muscle
@@ -62,7 +62,7 @@ class MuscleValues:
     def __init__(self, states: States):
         self.states = states
         self.given: Muscles | None = states.handles.get("muscles")
-        self.acting = states.mechanism.extensions.get("muscles", ())
+        self.acting: tuple[ActingMuscle, ...] = states.mechanism.extensions.get("muscles", ())
 
     def array(self, name: str) -> np.ndarray:
         """Return an array (T, M) of `Muscles`, or the excitations of a run; empty if there are no muscles.
@@ -81,8 +81,7 @@ class MuscleValues:
             return NONE
         column = {"length": 0, "rate": 1, "force": 2, "power": 3}.get(name)
         if column is not None:
-            first = len(self.states.mechanism.forces)
-            return np.asarray(self.states.observed.forces[:, first : first + len(acting), column])
+            return np.asarray(self.states.observed.forces[:, [one.place for one in acting], column])
         return np.stack([self._of_acting_muscle(k, one, name) for k, one in enumerate(acting)], axis=1)
 
     def _energetics(self, name: str) -> np.ndarray:
