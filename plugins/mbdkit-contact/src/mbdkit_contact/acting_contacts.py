@@ -14,7 +14,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from mbdkit.base import elementary
-from mbdkit.base.errors import SpecError
 from mbdkit.engine.compiled_mechanism import with_ground
 from mbdkit.engine.force_laws import CompiledLaw, NativeLaw, native_law
 from mbdkit.engine.kernels.contact_laws import (
@@ -30,14 +29,13 @@ from mbdkit.engine.kernels.contact_laws import (
     contact_rows,
 )
 from mbdkit.engine.kernels.uneven_ground import EDGE, OWN, SEGMENT
-from mbdkit.mechanism.bodies import GROUND
 from mbdkit.mechanism.contacts import OPEN, SLIP, STICK
+from mbdkit.plugin import GROUND, SpecError
 from mbdkit_contact.contact import ContactPair
 from mbdkit_contact.polylines import reaching_segments
 
 if TYPE_CHECKING:
-    from mbdkit.engine.compile_forces import Lowering
-    from mbdkit.mechanism.mechanism import Mechanism
+    from mbdkit.plugin import Lowering, Mechanism
     from mbdkit_contact.contact import Contact
 
 HEAVY = 10.0

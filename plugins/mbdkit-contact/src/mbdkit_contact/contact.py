@@ -11,14 +11,23 @@ from pydantic import BeforeValidator, Field, GetJsonSchemaHandler, model_validat
 from pydantic_core import CoreSchema
 
 from mbdkit.base import elementary
-from mbdkit.base.errors import SpecError
-from mbdkit.base.plain_data import quoted
-from mbdkit.base.strict_model import StrictModel
-from mbdkit.base.text import did_you_mean, listed
-from mbdkit.mechanism.bodies import GROUND, Attachment, Element
-from mbdkit.mechanism.joints import Joint, Revolute, Weld
-from mbdkit.mechanism.model_methods import of_models
-from mbdkit.mechanism.values import BodyPair, NotNegative, Point, Positive, sequence
+from mbdkit.mechanism.bodies import Attachment
+from mbdkit.mechanism.joints import Weld
+from mbdkit.mechanism.values import BodyPair, NotNegative, sequence
+from mbdkit.plugin import (
+    GROUND,
+    Element,
+    Joint,
+    Point,
+    Positive,
+    Revolute,
+    SpecError,
+    StrictModel,
+    did_you_mean,
+    listed,
+    of_models,
+    quoted,
+)
 from mbdkit_contact.polylines import check_polyline, surface_of
 
 Pair = tuple[float, float]

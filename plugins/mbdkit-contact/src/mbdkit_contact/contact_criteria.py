@@ -8,16 +8,13 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from mbdkit.base.plain_data import quoted
-from mbdkit.mechanism.bodies import GROUND
+from mbdkit.plugin import GROUND, Finding, quoted
 from mbdkit.runs.slow_friction import SHARE, FrictionElement, SlowFriction
-from mbdkit.trust.finding import Finding
 from mbdkit_contact.quantities import contacts_in
 
 if TYPE_CHECKING:
     from mbdkit.engine.compiled_mechanism import CompiledMechanism
-    from mbdkit.quantities.states import States
-    from mbdkit.spec import RunSpec
+    from mbdkit.plugin import RunSpec, States
 
 _SLIP = re.compile(r"contacts(\.\w+|\[[^\]]+\])\.slip")
 

@@ -6,13 +6,14 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from mbdkit.archive.headlines import EXACT, MISSED, Headline, largest_of
+from mbdkit.archive.headlines import EXACT, MISSED, largest_of
 from mbdkit.archive.peak_errors import errors_of_contacts, missed_between_rows
 from mbdkit.archive.run_summary import few, ranked
 from mbdkit.mechanism.contacts import SLIP, STICK
+from mbdkit.plugin import Headline
 
 if TYPE_CHECKING:
-    from mbdkit.archive.run import Run
+    from mbdkit.plugin import Run
 
 
 def largest_forces(run: Run) -> list[Headline]:

@@ -11,8 +11,7 @@ from mbdkit_contact.quantities import contacts_in
 
 if TYPE_CHECKING:
     from mbdkit.engine.compiled_mechanism import CompiledMechanism
-    from mbdkit.quantities.states import States
-    from mbdkit.spec import RunSpec
+    from mbdkit.plugin import RunSpec, States
     from mbdkit.trust.energy_record import EnergyRecord
 
 DEEP = 0.5

@@ -6,8 +6,8 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from mbdkit.mechanism.bodies import GROUND
 from mbdkit.mechanism.contacts import OPEN, feet
+from mbdkit.plugin import GROUND
 from mbdkit_contact.acting_contacts import ActingContact
 
 

@@ -12,12 +12,8 @@ from typing import Any
 
 from pydantic import ValidationError
 
-from mbdkit.base.errors import SpecError
-from mbdkit.base.files_read import read_data
-from mbdkit.base.plain_data import quoted
-from mbdkit.base.text import did_you_mean, listed, shown
-from mbdkit.base.units import read_unit
 from mbdkit.mechanism.validation_errors import spec_error
+from mbdkit.plugin import SpecError, did_you_mean, listed, quoted, read_data, read_unit, shown
 from mbdkit_contact.contact import PolylineFile
 
 LARGEST_FILE = 16 * 2**20

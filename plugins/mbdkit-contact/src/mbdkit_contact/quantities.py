@@ -8,15 +8,14 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from mbdkit.mechanism.contacts import feet
-from mbdkit.quantities.array import Chart, Recorded
-from mbdkit.quantities.entries import AXIS, TIME, computed, name_array, quantity_group
+from mbdkit.plugin import Chart, Recorded, name_array, quantity_group
+from mbdkit.quantities.entries import AXIS, TIME, computed
 from mbdkit_contact.acting_contacts import contact_values
 from mbdkit_contact.ground_reactions import ground_reactions
 
 if TYPE_CHECKING:
-    from mbdkit.mechanism.mechanism import Mechanism
+    from mbdkit.plugin import Mechanism, States
     from mbdkit.quantities.names import ArchiveNames
-    from mbdkit.quantities.states import States
     from mbdkit_contact.contact import ContactPair
 
 CLOSED = -1e-100
