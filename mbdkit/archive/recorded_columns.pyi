@@ -3,12 +3,17 @@
 import numpy as np
 
 from mbdkit.archive.named_columns import Histories, View
+from mbdkit.archive.history import BeamHistory
+from mbdkit.archive.history import ConstraintHistory
+from mbdkit.archive.history import ForceHistory
+from mbdkit.archive.history import MarkerHistory
+from mbdkit.archive.history import StateHistory
+from mbdkit_biomech.histories import ActuatorHistory
+from mbdkit_biomech.histories import LoadHistory
+from mbdkit_biomech.histories import MuscleHistory
+from mbdkit_biomech.histories import ObservedHistory
 from mbdkit_contact.histories import ContactHistory
 from mbdkit_contact.histories import GroundReactionHistory
-from mbdkit_biomech.histories import ObservedHistory
-from mbdkit_biomech.histories import ActuatorHistory
-from mbdkit_biomech.histories import MuscleHistory
-from mbdkit_biomech.histories import LoadHistory
 
 class Trajectory(View, of="trajectory"):
     position: np.ndarray
@@ -208,22 +213,37 @@ class Loads(View, of="loads"):
     """power that the load supplies to the body, (T,), W"""
     body: str
 
-class KindsOfPlugins:
+class FurtherKinds:
+    @property
+    def forces(self) -> Histories[ForceHistory]:
+        """Length, force and energy of one force element."""
+    @property
+    def markers(self) -> Histories[MarkerHistory]:
+        """Position and velocity of one marker in the global frame."""
+    @property
+    def beams(self) -> Histories[BeamHistory]:
+        """Shape, internal forces and strain energy of one beam."""
+    @property
+    def states(self) -> Histories[StateHistory]:
+        """Value and rate of one first-order state."""
+    @property
+    def constraints(self) -> Histories[ConstraintHistory]:
+        """Residuals and multipliers of one constraint row, whose constraint function is in `units`: ``m`` or ``rad``."""
     @property
     def contacts(self) -> Histories[ContactHistory]:
-        """Gaps, forces, slip and modes of contacts; polygons and polylines have several, `NAME.i`."""
+        """Gap, forces, slip and mode of one contact."""
     @property
     def ground_reactions(self) -> Histories[GroundReactionHistory]:
-        """Force and centre of pressure of each body that may touch the ground."""
+        """Force of the ground on one body [N], and its centre of pressure [m], nan where the body is in the air."""
     @property
     def motion(self) -> Histories[ObservedHistory]:
-        """Observed quantities of a measured motion."""
+        """One observed quantity of a measured motion: measured value, and value of the fitted mechanism."""
     @property
     def actuators(self) -> Histories[ActuatorHistory]:
-        """Values and powers of actuators in inverse dynamics."""
+        """Value [N or N m] of one actuator in inverse dynamics, the error of the value, and the power."""
     @property
     def muscles(self) -> Histories[MuscleHistory]:
-        """Lengths, activations, tensions and powers of muscles."""
+        """Length, fibres, activation, tension [N] with its error, and power of one muscle."""
     @property
     def loads(self) -> Histories[LoadHistory]:
-        """Measured loads."""
+        """One measured load, in inverse dynamics; force and point of application are in the global frame."""

@@ -8,10 +8,10 @@ from __future__ import annotations
 from pathlib import Path
 
 from mbdkit.archive import history
-from mbdkit.archive.named_columns import VIEWS, columns_of
+from mbdkit.archive.named_columns import VIEWS, columns_of, view_of
+from mbdkit.archive.recorded_data import RecordedData
 from mbdkit.quantities.array import Kind
-from mbdkit.quantities.registered_kinds import OF_PARTS, added_kinds, item_of_group, kind_of_group
-from mbdkit.registry.feature_items import QuantityKind
+from mbdkit.quantities.registered_kinds import OF_PARTS, added_kinds, kind_of_group
 
 TARGET = Path(history.__file__).with_name("recorded_columns.pyi")
 
@@ -25,17 +25,18 @@ from mbdkit.archive.named_columns import Histories, View
 
 def declarations() -> str:
     """Return the text of the stub."""
-    groups = [group for group, view in VIEWS.items() if view.__module__ == history.__name__]
-    own = [kind_of_group(group) for group in [*groups, *(group for group in added_kinds() if group in OF_PARTS)]]
-    classes = "".join(map(_class, own))
-    items = [item_of_group(kind.group) for kind in own[len(groups) :]]
-    imports = "".join(f"from {one.history.module} import {one.history.name}\n" for one in items if one.history)
-    return _HEADER + imports + classes + "\nclass KindsOfPlugins:\n" + "".join(map(_property, items))
+    own = [group for group, view in VIEWS.items() if view.__module__ == history.__name__]
+    kinds = [kind_of_group(group) for group in [*own, *(group for group in added_kinds() if group in OF_PARTS)]]
+    further = [kind for kind in kinds if kind.one and kind.word not in vars(RecordedData)]
+    imports = sorted(f"from {view.__module__} import {view.__name__}\n" for view in map(view_of, further))
+    properties = "".join(map(_property, further))
+    return _HEADER + "".join([*imports, *map(_class, kinds)]) + "\nclass FurtherKinds:\n" + properties
 
 
-def _property(item: QuantityKind) -> str:
-    name = item.history.name if item.history else _name(kind_of_group(item.group))
-    return f'    @property\n    def {item.word}(self) -> Histories[{name}]:\n        """{item.summary}"""\n'
+def _property(kind: Kind) -> str:
+    view = view_of(kind)
+    what = str(view.__doc__).partition("\n")[0]
+    return f'    @property\n    def {kind.word}(self) -> Histories[{view.__name__}]:\n        """{what}"""\n'
 
 
 def _name(kind: Kind) -> str:
