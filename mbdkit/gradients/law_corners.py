@@ -87,13 +87,7 @@ class Condition:
 
 
 class FurtherCondition(Protocol):
-    """A condition of the laws of a kind of elements; see `ElementKind.sides`.
-
-    Attributes
-    ----------
-    force, side
-        Name of the element, and index of the parameter with the side; see `Condition`.
-    """
+    """A condition of the laws of a kind of elements, see `ElementKind.sides`; its attributes are as in `Condition`."""
 
     force: str
     side: int

@@ -2,16 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
 from typing import NamedTuple
-
-from mbdkit.mechanism.bodies import GROUND
 
 OPEN, STICK, SLIP = range(3)
 """Modes of a contact: open, sticking (closed without slip) and slipping."""
-
-MODES = ("open", "stick", "slip")
-"""Names of the modes."""
 
 
 class ChosenTreatment(NamedTuple):
@@ -39,8 +33,3 @@ class ChosenTreatment(NamedTuple):
 
 
 COMPLIANT = ChosenTreatment()
-
-
-def feet(pairs: Iterable[Sequence[str]]) -> list[str]:
-    """Return the names of the bodies that may touch the ground, given the two bodies of each contact."""
-    return list(dict.fromkeys(name for pair in pairs if GROUND in pair for name in pair if name != GROUND))

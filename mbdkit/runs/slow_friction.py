@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -46,38 +45,34 @@ class FrictionElement(NamedTuple):
     rest: float
 
 
-class SlowFriction(ABC):
+class SlowFriction:
     """Sums over the recorded states of a run, for each of E elements with friction.
 
     Parameters
     ----------
     elements
         The elements.
+    take
+        Function that returns their slip velocities [m/s] and friction powers [W] in T states, (T, E), of any sign.
     """
 
-    def __init__(self, elements: Sequence[FrictionElement]):
-        self._elements = elements
-        self._transition, self._rest = (
-            np.array([getattr(one, key) for one in elements]) for key in ("transition", "rest")
-        )
+    def __init__(self, elements: Sequence[FrictionElement], take: Callable[[States], tuple[np.ndarray, np.ndarray]]):
+        self._elements, self._take = elements, take
+        self._transition = np.array([one.transition for one in elements])
+        self._rest = np.array([one.rest for one in elements])
         self._last = np.zeros((0, 5, len(elements)))
         # work of Coulomb friction and its missing part [J]; whole path and path below the transition speed [m]; time
         self._sums = np.zeros((5, len(elements)))
         self._peak = np.zeros(len(elements))
 
-    @abstractmethod
-    def slip_and_power(self, states: States) -> tuple[np.ndarray, np.ndarray]:
-        """Return the slip velocities [m/s] and powers [W] of the elements in T states, (T, E), of any sign."""
-
     def add(self, states: States) -> None:
         """Take note of states."""
-        time = states.time
-        speed, power = (np.abs(values) for values in self.slip_and_power(states))
+        speed, power = (np.abs(values) for values in self._take(states))
         self._peak = np.maximum(self._peak, speed.max(axis=0, initial=0.0))
         share = np.minimum(speed / self._transition, 1.0)
         coulomb = np.divide(power, share, out=np.zeros_like(power), where=share > 0.0)
         slow = np.where(share < 1.0, speed, 0.0)
-        ones = np.broadcast_to(time[:, None], speed.shape)
+        ones = np.broadcast_to(states.time[:, None], speed.shape)
         rows = np.concatenate([self._last, np.stack([coulomb, coulomb - power, speed, slow, ones], axis=1)])
         self._last = rows[-1:].copy()
         h = np.diff(rows[:, 4:], axis=0)
@@ -114,37 +109,22 @@ class SlowFriction(ABC):
             fill(getattr(self, f"_{name}"), state[name])
 
 
-class SlowJointFriction(SlowFriction):
-    """Slow friction of joints.
-
-    Parameters
-    ----------
-    spec, compiled
-        The spec, and its compiled mechanism.
-    size
-        Size of the mechanism [m].
-    """
-
-    def __init__(self, spec: RunSpec, compiled: CompiledMechanism, size: float):
-        first = compiled.first_friction
-        self._columns = list(range(first, first + len(compiled.friction)))
-        elements = []
-        for name in (compiled.joints[number] for number in compiled.friction):
-            friction = getattr(spec.mechanism().joints[name], "friction", None)
-            assert isinstance(friction, JointFriction)
-            arm, rest, key = 1.0, SHARE * size, f"joints.{quoted(name)}.friction"
-            if isinstance(friction, PinFriction):
-                arm, rest = friction.radius, TURN * friction.radius
-            elements.append(FrictionElement(f"joint '{name}'", key, friction.transition_speed, arm, rest))
-        super().__init__(elements)
-        self._arm = np.array([one.arm for one in elements])
-
-    def slip_and_power(self, states: States) -> tuple[np.ndarray, np.ndarray]:
-        """See `SlowFriction.slip_and_power`."""
-        rate, value = states.observed.forces[:, self._columns, 1:3].transpose(2, 0, 1)
-        return rate * self._arm, rate * value
-
-
-def of_joints(spec: RunSpec, compiled: CompiledMechanism, size: float) -> SlowJointFriction | None:
+def of_joints(spec: RunSpec, compiled: CompiledMechanism, size: float) -> SlowFriction | None:
     """Return the slow friction of the joints of a mechanism; None if none of them has friction."""
-    return SlowJointFriction(spec, compiled, size) if compiled.friction else None
+    if not compiled.friction:
+        return None
+    elements = []
+    for name in (compiled.joints[number] for number in compiled.friction):
+        friction = getattr(spec.mechanism().joints[name], "friction", None)
+        assert isinstance(friction, JointFriction)
+        arm, rest, key = 1.0, SHARE * size, f"joints.{quoted(name)}.friction"
+        if isinstance(friction, PinFriction):
+            arm, rest = friction.radius, TURN * friction.radius
+        elements.append(FrictionElement(f"joint '{name}'", key, friction.transition_speed, arm, rest))
+    columns, arms = compiled.first_friction + np.arange(len(elements)), np.array([one.arm for one in elements])
+
+    def take(states: States) -> tuple[np.ndarray, np.ndarray]:
+        rate, value = states.observed.forces[:, columns, 1:3].transpose(2, 0, 1)
+        return rate * arms, rate * value
+
+    return SlowFriction(elements, take)

@@ -46,23 +46,19 @@ def rolling_point_masses(spec: RunSpec, _measures: Sequence[str] = ()) -> Iterat
                 yield Finding("rolling-point-masses", "doubtful", sentence, "model", is_named=False)
 
 
-class SlowContactFriction(SlowFriction):
-    """Slow friction of compliant contacts; see `mbdkit.runs.slow_friction.SlowFriction`."""
+def slow_friction(spec: RunSpec, compiled: CompiledMechanism, size: float) -> SlowFriction | None:
+    """Return the slow friction of the contacts of a mechanism; None if they are rigid, or cannot touch."""
+    if compiled.contact_treatment.is_rigid or not compiled.extensions["contacts"]:
+        return None
+    elements = []
+    for name, contact in spec.mechanism().contacts.items():
+        assert contact.compliance is not None
+        key, speed = f"contacts.{quoted(name)}.compliance", contact.compliance.transition_speed
+        elements.append(FrictionElement(f"contact '{name}'", key, speed, 1.0, SHARE * size))
 
-    @classmethod
-    def of(cls, spec: RunSpec, compiled: CompiledMechanism, size: float) -> SlowContactFriction | None:
-        """Return the slow friction of the contacts of a mechanism; None if they are rigid, or cannot touch."""
-        if compiled.contact_treatment.is_rigid or not compiled.extensions["contacts"]:
-            return None
-        elements = []
-        for name, contact in spec.mechanism().contacts.items():
-            assert contact.compliance is not None
-            key, speed = f"contacts.{quoted(name)}.compliance", contact.compliance.transition_speed
-            elements.append(FrictionElement(f"contact '{name}'", key, speed, 1.0, SHARE * size))
-        return cls(elements)
+    def take(states: States) -> tuple[np.ndarray, np.ndarray]:
+        found = states.of(contacts_in)
+        slip, friction = (found[name][:, : len(elements)] for name in ("slip", "friction_force"))
+        return slip, slip * friction
 
-    def slip_and_power(self, states: States) -> tuple[np.ndarray, np.ndarray]:
-        """See `SlowFriction.slip_and_power`."""
-        slip, friction = (states.of(contacts_in)[name] for name in ("slip", "friction_force"))
-        count = len(self._elements)
-        return slip[:, :count], (slip * friction)[:, :count]
+    return SlowFriction(elements, take)

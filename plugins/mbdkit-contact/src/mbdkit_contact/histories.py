@@ -5,7 +5,9 @@ from __future__ import annotations
 from typing import NamedTuple
 
 from mbdkit.archive import recorded_columns as columns
-from mbdkit.mechanism.contacts import MODES
+
+MODES = ("open", "stick", "slip")
+"""Names of the modes of contacts."""
 
 
 class Transition(NamedTuple):

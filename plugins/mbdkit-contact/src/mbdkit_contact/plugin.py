@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 from mbdkit.plugin import (
     CriterionItem,
@@ -28,15 +28,12 @@ def _of_treatments(name: str) -> Target[Any]:
     return Target(f"mbdkit_contact.treatments:{name}")
 
 
-def _criterion(order: int, name: str, stage: Any, summary: str, where: str, **more: Any) -> CriterionItem:
-    return CriterionItem(
-        name=name,
-        summary=summary,
-        order=order,
-        stage=stage,
-        find=Target(f"mbdkit_contact.{where}"),
-        **{"of": frozenset({"run"}), "criteria": (name,), "elements": "contacts", **more},
-    )
+_CRITERIA: tuple[tuple[int, Literal["spec", "rows"], str, str, str], ...] = (
+    (85, "spec", "rolling-point-masses", "Point masses that do not roll.", "contact_criteria:rolling_point_masses"),
+    (107, "spec", "slip-events", "Events at rounding errors of a slip.", "contact_criteria:slip_events"),
+    (155, "rows", "slow-contacts", "Contacts that slip slowly.", "contact_criteria:slow_friction"),
+    (175, "rows", "deep-overlaps", "Circles in contact that overlap deeply.", "deep_overlaps:DeepOverlaps.of"),
+)
 
 
 def _integrator(order: int, name: str, summary: str, options: str, suffix: str) -> IntegratorPlugin:
@@ -95,24 +92,21 @@ def mbdkit_items() -> Iterable[Item]:
             sides=Target("mbdkit_contact.contact_corners:sides"),
             gradient_doubts=Target("mbdkit_contact.contact_corners:jumps"),
         ),
-        QuantityKind(
-            name="contacts",
-            summary="Gaps, forces, slip and modes of contacts; polygons and polylines have several, `NAME.i`.",
-            order=52,
-            target=Target("mbdkit_contact.quantities:CONTACTS"),
-            word="contacts",
-            names=Target("mbdkit_contact.quantities:contact_names"),
-            history=Target("mbdkit_contact.histories:ContactHistory"),
-        ),
-        QuantityKind(
-            name="ground_reactions",
-            summary="Force and centre of pressure of each body that may touch the ground.",
-            order=54,
-            target=Target("mbdkit_contact.quantities:GROUND_REACTIONS"),
-            word="ground_reactions",
-            of="contacts",
-            names=Target("mbdkit_contact.quantities:feet_of"),
-            history=Target("mbdkit_contact.histories:GroundReactionHistory"),
+        *(
+            QuantityKind(
+                name=name,
+                summary=summary,
+                order=order,
+                target=Target(f"mbdkit_contact.quantities:{name.upper()}"),
+                word=name,
+                of="contacts",
+                names=Target(f"mbdkit_contact.quantities:{names}"),
+                history=Target(f"mbdkit_contact.histories:{history}"),
+            )
+            for order, name, names, history, summary in (
+                (52, "contacts", "contact_names", "ContactHistory", "Gaps, forces, slip and modes of contacts."),
+                (54, "ground_reactions", "feet_of", "GroundReactionHistory", "Forces of the ground on bodies."),
+            )
         ),
         SummaryLine(
             name="contacts",
@@ -128,35 +122,18 @@ def mbdkit_items() -> Iterable[Item]:
             take=Target("mbdkit_contact.contact_summary:largest_forces"),
             group="contacts",
         ),
-        _criterion(
-            85,
-            "rolling-point-masses",
-            "spec",
-            "Point masses with circles that friction does not turn.",
-            "contact_criteria:rolling_point_masses",
-            of=frozenset({"run", "mechanism"}),
-        ),
-        _criterion(
-            107,
-            "slip-events",
-            "spec",
-            "Events at zeros of a slip that are rounding errors.",
-            "contact_criteria:slip_events",
-        ),
-        _criterion(
-            155,
-            "slow-contacts",
-            "rows",
-            "Contacts that slip so slowly that friction is viscous.",
-            "contact_criteria:SlowContactFriction.of",
-            criteria=("slow-friction",),
-        ),
-        _criterion(
-            175,
-            "deep-overlaps",
-            "rows",
-            "Circles in contact that overlap deeply.",
-            "deep_overlaps:DeepOverlaps.of",
+        *(
+            CriterionItem(
+                name=name,
+                summary=summary,
+                order=order,
+                stage=stage,
+                find=Target(f"mbdkit_contact.{find}"),
+                of=frozenset({"run", "mechanism"} if name == "rolling-point-masses" else {"run"}),
+                criteria=("slow-friction" if name == "slow-contacts" else name,),
+                elements="contacts",
+            )
+            for order, stage, name, summary, find in _CRITERIA
         ),
         Treatment(
             name="event-driven",

@@ -2,20 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from mbdkit.mechanism.contacts import feet
 from mbdkit.plugin import Chart, Recorded, name_array, quantity_group
 from mbdkit.quantities.entries import AXIS, TIME, computed
 from mbdkit_contact.acting_contacts import contact_values
-from mbdkit_contact.ground_reactions import ground_reactions
+from mbdkit_contact.ground_reactions import feet, ground_reactions
 
 if TYPE_CHECKING:
     from mbdkit.plugin import Mechanism, States
-    from mbdkit.quantities.names import ArchiveNames
     from mbdkit_contact.contact import ContactPair
 
 CLOSED = -1e-100
@@ -41,10 +38,6 @@ def contact_names(mechanism: Mechanism) -> list[str]:
 def feet_of(mechanism: Mechanism) -> list[str]:
     """Return the names of the bodies that may touch the ground."""
     return feet(pair.ordered for pair in rows_of(mechanism))
-
-
-def _feet(names: ArchiveNames) -> Sequence[str]:
-    return feet(bodies for _, bodies in dict(names.members).get("contacts", ()))
 
 
 def contacts_in(states: States) -> dict[str, np.ndarray]:
@@ -98,7 +91,8 @@ CONTACTS = quantity_group(
 GROUND_REACTIONS = quantity_group(
     "ground_reactions",
     TIME,
-    name_array("foot", "foot", "name of the body that may touch the ground", _feet),
+    name_array("foot", "foot", "name of the body that may touch the ground",
+        lambda names: feet(bodies for _, bodies in dict(names.members).get("contacts", ()))),
     AXIS,
     _of_ground("force", "N", "force of all contacts with the ground on the body, global frame",
         vector="force", components=("force_x", "force_y"), has_norm=True),
