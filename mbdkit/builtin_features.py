@@ -7,7 +7,6 @@ from typing import Literal
 
 from mbdkit.registry.feature_items import (
     CriterionItem,
-    ElementKind,
     Example,
     Feature,
     GuidePage,
@@ -38,28 +37,28 @@ _CRITERIA: tuple[tuple[Literal["spec", "start", "rows", "end"], str, str, str], 
     *(("spec", *note) for note in _NOTES),
     ("spec", "left-out", "Effects of a file that the mechanism lacks.", "run_criteria:left_out"),
     ("spec", "degrees", "Angles that are probably in degrees.", "run_criteria:degrees"),
-    ("spec", "improbable-values", "Improbable values, often in another unit.", "run_criteria:improbable_values"),
+    ("spec", "improbable-values", "Improbable masses and friction.", "run_criteria:improbable_values"),
+    ("spec", "improbable-sizes", "Improbable sizes, often in another unit.", "run_criteria:improbable_sizes"),
     ("spec", "long-step", "A step that is longer than the run.", "run_criteria:long_step"),
-    ("spec", "slip-events", "Events at zeros of a slip that are rounding errors.", "run_criteria:slip_events"),
     ("spec", "corners", "Tables that overshoot, and too many discontinuities.", "corners:overshoots_and_corners"),
     ("start", "moved-start", "Positions that assembly changes by far.", "run_criteria:moved_start"),
     ("start", "changed-velocities", "Velocities that assembly changes.", "run_criteria:changed_velocities"),
     ("rows", "table-ends", "Ends of the tables of moving centers.", "moving_centers:MovingCenters.of"),
-    ("rows", "slow-friction", "Dry friction that slips so slowly that it is viscous.", "slow_friction:SlowFriction.of"),
+    ("rows", "slow-friction", "Joints that slip so slowly that friction is viscous.", "slow_friction:of_joints"),
     ("rows", "coincident-ends", "Forces whose ends meet.", "coincident_ends:CoincidentEnds.of"),
     ("rows", "coarse-beams", "Beams whose elements are too coarse.", "coarse_beams:CoarseBeams.of"),
-    ("rows", "deep-overlaps", "Circles in contact that overlap deeply.", "deep_overlaps:DeepOverlaps.of"),
     ("end", "passive-laws", "Laws that are declared passive, but supply energy.", "run_criteria:passive_laws"),
 )
 _SEVERAL = {
-    "improbable-values": (
-        *(f"improbable-{what}" for what in ("inertias", "frictions", "beams", "lengths", "bodies", "people")),
-        "rolling-point-masses",
+    "improbable-values": tuple(
+        f"improbable-{what}" for what in ("inertias", "frictions", "beams", "lengths", "bodies", "people")
     ),
+    "improbable-sizes": (),
     "corners": ("corners", "overshoots"),
 }
-"""Criteria that one item examines, where they are several."""
-_WITHOUT_RUN = ("model-notes", "unused-parameters", "left-out", "degrees", "improbable-values")
+"""Criteria that one item examines, where they are several; those of `improbable-sizes` are among those of
+`improbable-values`."""
+_WITHOUT_RUN = ("model-notes", "unused-parameters", "left-out", "degrees", "improbable-values", "improbable-sizes")
 """Criteria that also apply to a mechanism without a run."""
 
 
@@ -102,23 +101,9 @@ def builtin_features() -> list[Feature]:
         for number, (stage, name, summary, where) in enumerate(_CRITERIA)
     ]
     compliant = Treatment(name="compliant", summary="Forces by the overlap of the shapes.", order=0)
-    contacts = ElementKind(
-        name="contact",
-        summary="Contacts between bodies by name.",
-        order=300,
-        key_in_model="contacts",
-        model=Target("mbdkit.mechanism.contacts:Contact"),
-        builder="contact",
-        method=Target("mbdkit.mechanism.contacts:add_contact"),
-        check_elements=Target("mbdkit.mechanism.contacts:check_contacts"),
-        lower=Target("mbdkit.engine.contact_forces:lower_contacts"),
-        at_start=Target("mbdkit.engine.contact_forces:check_start"),
-        members=Target("mbdkit.engine.contact_forces:members_of"),
-    )
     return [
         run,
         compliant,
-        contacts,
         *formats,
         *criteria,
         *Example.folder(_HERE / "models" / "examples"),

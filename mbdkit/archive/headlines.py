@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, NamedTuple, cast
 
 import numpy as np
 
-from mbdkit.archive.peak_errors import errors_of_contacts, missed_between_rows, peak_errors
+from mbdkit.archive.peak_errors import missed_between_rows, peak_errors
 from mbdkit.registry.catalogue import Registered
 from mbdkit.registry.feature_items import HeadlineItem
 from mbdkit.registry.manager import registry
@@ -158,7 +158,7 @@ def headlines(run: Run, most: int = MOST) -> list[Headline]:
         for name, value in run.measures.items()
         if math.isfinite(value)
     ]
-    return (measured or [*_added(run), *_contacts(run), *largest_loads(run)])[:most]
+    return (measured or [*_added(run), *largest_loads(run)])[:most]
 
 
 def _added(run: Run) -> list[Headline]:
@@ -224,17 +224,6 @@ def largest_torques(run: Run) -> list[Headline]:
     errors = _errors(run, "torque_error", torque)
     missed = missed_between_rows(run, "joints.torque", run.joint_names, torque)
     return largest_of("torque of", run, run.joint_names, torque, "N m", errors, missed)
-
-
-def _contacts(run: Run) -> list[Headline]:
-    if not run.records("contacts/normal_force"):
-        return []
-    names, force = list(run.contacts), run.array("contacts/normal_force")
-    missed = missed_between_rows(run, "contacts.normal_force", names, force)
-    errors = None
-    if run.accuracy is not None and missed is not None:
-        errors = missed + errors_of_contacts(run.integrals, run.accuracy.compared_measures, names)
-    return largest_of("normal force at", run, names, force, "N", errors, missed)[:2]
 
 
 def _errors(run: Run, name: str, size: np.ndarray) -> np.ndarray | None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
-from typing import NamedTuple, overload
+from typing import overload
 
 import numpy as np
 
@@ -14,7 +14,6 @@ from mbdkit.base.errors import UnknownNameError
 from mbdkit.base.html_view import HtmlView
 from mbdkit.mechanism.beam_shape import places_with_ends, with_ends
 from mbdkit.mechanism.beams import beam_of, named_body
-from mbdkit.mechanism.contacts import MODES
 from mbdkit.quantities.registered_kinds import kind_of_group
 
 
@@ -95,41 +94,6 @@ class BeamHistory(columns.Beams, of="beams"):
 
     def __repr__(self) -> str:
         return f"<beam {self.name}: {len(self.nodes)} nodes>"
-
-
-class Transition(NamedTuple):
-    """A change of the mode of a contact between two recorded rows.
-
-    Attributes
-    ----------
-    time
-        Time of the first row with the new mode, s.
-    before, after
-        Modes: ``open``, ``stick`` or ``slip``.
-    """
-
-    time: float
-    before: str
-    after: str
-
-
-class ContactHistory(columns.Contacts, of="contacts"):
-    """Gap, forces, slip and mode of one contact.
-
-    Friction is the force on the second body, and slip its velocity relative to the first. Both are positive along the
-    normal turned by -90 degrees.
-    """
-
-    @property
-    def transitions(self) -> list[Transition]:
-        """Changes of the mode in the recorded rows, in order of time. Events on the mode give exact times."""
-        time, mode = self.source.array("contacts/time").tolist(), self.mode.astype(int).tolist()
-        changes = (row for row in range(1, len(mode)) if mode[row] != mode[row - 1])
-        return [Transition(time[row], MODES[mode[row - 1]], MODES[mode[row]]) for row in changes]
-
-
-class GroundReactionHistory(columns.GroundReactions, of="ground_reactions"):
-    """Force of the ground on one body [N], and its centre of pressure [m], nan where the body is in the air."""
 
 
 class StateHistory(columns.States, of="states"):

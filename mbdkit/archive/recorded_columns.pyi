@@ -2,8 +2,18 @@
 
 import numpy as np
 
-from mbdkit.archive.history import BeamHistory, ConstraintHistory, ContactHistory, ForceHistory, GroundReactionHistory, MarkerHistory, StateHistory
 from mbdkit.archive.named_columns import Histories, View
+from mbdkit.archive.history import BeamHistory
+from mbdkit.archive.history import ConstraintHistory
+from mbdkit.archive.history import ForceHistory
+from mbdkit.archive.history import MarkerHistory
+from mbdkit.archive.history import StateHistory
+from mbdkit_biomech.histories import ActuatorHistory
+from mbdkit_biomech.histories import LoadHistory
+from mbdkit_biomech.histories import MuscleHistory
+from mbdkit_biomech.histories import ObservedHistory
+from mbdkit_contact.histories import ContactHistory
+from mbdkit_contact.histories import GroundReactionHistory
 
 class Trajectory(View, of="trajectory"):
     position: np.ndarray
@@ -74,27 +84,6 @@ class Beams(View, of="beams"):
     strain_energy: np.ndarray
     """strain energy of the element, (T,), summed over the elements, J"""
 
-class Contacts(View, of="contacts"):
-    gap: np.ndarray
-    """distance of the two shapes, negative where they overlap, (T,), m"""
-    normal_force: np.ndarray
-    """force that pushes the bodies apart, (T,), N"""
-    friction_force: np.ndarray
-    """friction force on the second body, along the normal turned by -90 degrees, (T,), N"""
-    slip: np.ndarray
-    """velocity of the second body relative to the first, in that direction, (T,), m/s"""
-    mode: np.ndarray
-    """0: open, 1: sticks, 2: slips, (T,), 1"""
-    bodies: tuple[str, str]
-
-class GroundReactions(View, of="ground_reactions"):
-    force: np.ndarray
-    """force of all contacts with the ground on the body, global frame, (T, 2), N"""
-    normal_force: np.ndarray
-    """sum of the normal forces of these contacts, (T,), N"""
-    center_of_pressure: np.ndarray
-    """point about which the contacts with the ground have no moment, global frame; nan where none is closed, (T, 2), m"""
-
 class States(View, of="states"):
     value: np.ndarray
     """value of the state, (T,), units by row"""
@@ -148,6 +137,27 @@ class Steps(View, of="steps"):
     """largest change of velocities by a projection in the interval: sqrt(dv^T M dv / total mass), (N,), m/s"""
     acceleration_correction: np.ndarray
     """largest of Baumgarte's terms 2 alpha Phi' + beta^2 Phi at a step of the interval (rows of angles: rad/s^2), (N,), m/s^2"""
+
+class Contacts(View, of="contacts"):
+    gap: np.ndarray
+    """distance of the two shapes, negative where they overlap, (T,), m"""
+    normal_force: np.ndarray
+    """force that pushes the bodies apart, (T,), N"""
+    friction_force: np.ndarray
+    """friction force on the second body, along the normal turned by -90 degrees, (T,), N"""
+    slip: np.ndarray
+    """velocity of the second body relative to the first, in that direction, (T,), m/s"""
+    mode: np.ndarray
+    """0: open, 1: sticks, 2: slips, (T,), 1"""
+    bodies: tuple[str, str]
+
+class GroundReactions(View, of="ground_reactions"):
+    force: np.ndarray
+    """force of all contacts with the ground on the body, global frame, (T, 2), N"""
+    normal_force: np.ndarray
+    """sum of the normal forces of these contacts, (T,), N"""
+    center_of_pressure: np.ndarray
+    """point about which the contacts with the ground have no moment, global frame; nan where none is closed, (T, 2), m"""
 
 class Motion(View, of="motion"):
     raw: np.ndarray
@@ -214,26 +224,26 @@ class FurtherKinds:
     def beams(self) -> Histories[BeamHistory]:
         """Shape, internal forces and strain energy of one beam."""
     @property
-    def contacts(self) -> Histories[ContactHistory]:
-        """Gap, forces, slip and mode of one contact."""
-    @property
-    def ground_reactions(self) -> Histories[GroundReactionHistory]:
-        """Force of the ground on one body [N], and its centre of pressure [m], nan where the body is in the air."""
-    @property
     def states(self) -> Histories[StateHistory]:
         """Value and rate of one first-order state."""
     @property
     def constraints(self) -> Histories[ConstraintHistory]:
         """Residuals and multipliers of one constraint row, whose constraint function is in `units`: ``m`` or ``rad``."""
     @property
-    def motion(self) -> Histories[Motion]:
+    def contacts(self) -> Histories[ContactHistory]:
+        """Gap, forces, slip and mode of one contact."""
+    @property
+    def ground_reactions(self) -> Histories[GroundReactionHistory]:
+        """Force of the ground on one body [N], and its centre of pressure [m], nan where the body is in the air."""
+    @property
+    def motion(self) -> Histories[ObservedHistory]:
         """One observed quantity of a measured motion: measured value, and value of the fitted mechanism."""
     @property
-    def actuators(self) -> Histories[Actuators]:
+    def actuators(self) -> Histories[ActuatorHistory]:
         """Value [N or N m] of one actuator in inverse dynamics, the error of the value, and the power."""
     @property
-    def muscles(self) -> Histories[Muscles]:
+    def muscles(self) -> Histories[MuscleHistory]:
         """Length, fibres, activation, tension [N] with its error, and power of one muscle."""
     @property
-    def loads(self) -> Histories[Loads]:
+    def loads(self) -> Histories[LoadHistory]:
         """One measured load, in inverse dynamics; force and point of application are in the global frame."""

@@ -10,9 +10,7 @@ import numpy as np
 
 from mbdkit.archive.accuracy_summary import accuracy_sentence, asked_sentence
 from mbdkit.archive.headlines import (
-    EXACT,
     JOINTS_NAMED,
-    MISSED,
     ROUND_OFF,
     Headline,
     excluded_error,
@@ -21,11 +19,9 @@ from mbdkit.archive.headlines import (
     largest_torques,
     plus_minus,
 )
-from mbdkit.archive.peak_errors import missed_between_rows
 from mbdkit.base.errors import MbdkitError, PluginError
 from mbdkit.base.text import counted, listed, shown
 from mbdkit.mechanism.beams import beam_of
-from mbdkit.mechanism.contacts import SLIP, STICK
 from mbdkit.mechanism.mechanism import gravity_text
 from mbdkit.registry.catalogue import Registered
 from mbdkit.registry.feature_items import SummaryLine, Treatment
@@ -87,7 +83,6 @@ def summary_lines(run: Run) -> list[tuple[str, str]]:
         ("drivers", _drivers(run)),
     ]
     last = [
-        ("contacts", _contacts(run)),
         ("impacts", _impacts(run)),
         ("events", _events(run)),
         *_gradients(run),
@@ -298,34 +293,6 @@ def _smoothing(spec: Mapping[str, Any]) -> str:
     return ", ".join([*([str(chosen["name"])] if chosen else []), *_options(chosen)])
 
 
-def _contacts(run: Run) -> str:
-    """Return the deepest overlaps of contacts with their times, their largest creep (slip while they stick), and how
-    far they slip otherwise.
-
-    The deepest overlap comes first; rounding errors are left out.
-    """
-    if not run.contacts:
-        return ""
-    overlaps, parts = -np.stack([contact.gap for contact in run.contacts.values()], axis=1), []
-    missed = missed_between_rows(run, "-contacts.gap", list(run.contacts), overlaps)
-    beyond = np.zeros(len(run.contacts)) if missed is None else missed
-    for (name, contact), own, unseen in zip(run.contacts.items(), overlaps.T, beyond, strict=True):
-        row, known = int(np.argmax(own)), float(np.nan_to_num(unseen))
-        depth = float(own[row] + known)
-        if depth > EXACT:
-            when = f"at {run.time[row]:.4g} s" if known <= MISSED * depth else "between the recorded rows"
-            when += " in the recorded rows" if np.isnan(unseen) else ""
-            creep = np.max(np.abs(contact.slip[contact.mode == STICK]), initial=0.0)
-            crept = f", creeps at up to {creep:.2g} m/s" if creep > EXACT else ""
-            slip = np.where(contact.mode == SLIP, np.abs(contact.slip), 0.0)
-            path = float(np.trapezoid(slip, run.time))
-            slipped = f", slips {path:.2g} m" if path > EXACT else ""
-            parts.append((depth, f"{name} overlaps by up to {depth:.3g} m {when}{crept}{slipped}"))
-    if not parts:
-        return f"no overlap above {EXACT:g} m{' in the recorded rows' if np.any(np.isnan(beyond)) else ''}"
-    return few(ranked(parts))
-
-
 def _impacts(run: Run) -> str:
     """Return the number of impacts of each contact, the largest of their impulses and the energy that they lose, and
     the same for the impulses of drivers.
@@ -333,7 +300,7 @@ def _impacts(run: Run) -> str:
     Time-stepping does not locate impacts; the text then says that contact forces include them.
     """
     impacts, parts = run.impacts, []
-    of_contacts = np.isin(impacts.contact.astype(str), list(run.contacts))
+    of_contacts = np.isin(impacts.contact.astype(str), list(run.contacts) if len(impacts) else [])
     if _includes_impacts((run.spec.get("contact") or {}).get("treatment")):
         told = "the contact force of a step with an impact includes its impulse, divided by the step"
         parts.append(f"not located: {told}")

@@ -13,7 +13,7 @@ from mbdkit.archive.missing_plugins import missing_plugins
 from mbdkit.base.errors import MissingPartError, PluginError
 from mbdkit.base.text import listed, shown
 from mbdkit.quantities.array import FLOAT, INTEGER, TEXT, Array, Kind
-from mbdkit.quantities.registered_kinds import OF_PARTS, added_kinds, kind_of_group, kinds
+from mbdkit.quantities.registered_kinds import OF_PARTS, added_kinds, kind_of_group, kinds, order_of
 from mbdkit.registry.manager import log
 
 
@@ -33,7 +33,8 @@ def kinds_of_file(file: h5py.File) -> Mapping[str, Kind]:
     missing |= reasons_for_missing(file)
     for reason in dict.fromkeys(missing.values()):
         _warn(str(file.filename), tuple(group for group, why in missing.items() if why == reason), reason)
-    return known | {group: _stored(file[group]) for group in missing}
+    known |= {group: _stored(file[group]) for group in missing}
+    return {group: known[group] for group in sorted(known, key=order_of)}
 
 
 @lru_cache(maxsize=64)

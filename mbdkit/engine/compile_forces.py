@@ -207,8 +207,9 @@ class Lowering:
         self.loads.append((LOADS[load.kind], *bodies, *motions, *[-1] * (2 - len(motions))))
         self.load_points.append(load.point)
 
-    def pair(self, name: str, bodies: tuple[int, int], laws: Sequence[CompiledLaw], numbers: Sequence[float]) -> None:
-        """Add a force between two bodies that depends on their poses and velocities, such as a contact.
+    def pair(self, name: str, bodies: tuple[int, int], laws: Sequence[CompiledLaw], numbers: Sequence[float]) -> int:
+        """Add a force between two bodies that depends on their poses and velocities, such as a contact; return the
+        index of its law.
 
         Parameters
         ----------
@@ -221,11 +222,12 @@ class Lowering:
         numbers
             Parameters of the laws, preceded by their number.
         """
-        begin = len(self.law_parameters)
-        self.pairs.append((*bodies, len(self.laws)))
+        begin, first = len(self.law_parameters), len(self.laws)
+        self.pairs.append((*bodies, first))
         self.law_parameters += numbers
         for law in laws:
             self._add_law_row(name, law, begin)
+        return first
 
     def law(self, name: str, law: Any, options: Any, key: str) -> int:
         """Add a law without a pathway, whose value may be a component of a `wrench`; return its index."""
@@ -300,7 +302,7 @@ class Lowering:
             )
             self.controllers.append(SampledController(name, controller.period, controller.delay, outputs, states))
 
-    def state(self, name: str, unit: str, initial: float, law: int = -1) -> int:
+    def state(self, name: str, unit: str, initial: float, law: int = -1, *, by_method: bool = False) -> int:
         """Add a first-order state, and return its index.
 
         Parameters
@@ -311,21 +313,21 @@ class Lowering:
             Initial value.
         law
             Index of the law of its rate, see `expression`; -1 for a state that is constant during each step.
+        by_method
+            Whether the method of the run sets its values.
         """
         place = len(self.law_parameters) + 1
         self.law_parameters += [1.0, initial]
         self.state_places.append((len(self.states), place))
         self.state_rows.append((-1, place, law))
-        self.states.append(ElementState(name, unit))
+        self.states.append(ElementState(name, unit, by_method))
         return len(self.states) - 1
 
     def held_load(self, element: str, name: str, unit: str) -> int:
-        """Add a state that is constant during each step, and a law with its value for `wrench`; return the index of the
-        law.
-        """
+        """Add a state that the method sets, and a law with its value for `wrench`; return the index of the law."""
         law, _ = bind_law(_held_law(), {"held": 0.0}, element)
         self._add_law_row(element, law, len(self.law_parameters))  # the state is its parameter
-        self.state(name, unit, 0.0)
+        self.state(name, unit, 0.0, by_method=True)
         return len(self.laws) - 1
 
     def set_rate(self, state: int, law: int) -> None:

@@ -17,6 +17,7 @@ from mbdkit.engine.kernels.engine_bundles import Topology
 from mbdkit.mechanism.contacts import COMPLIANT, ChosenTreatment
 from mbdkit.mechanism.element_kinds import element_kinds
 from mbdkit.mechanism.values import Motion
+from mbdkit.registry.feature_items import ElementKind
 
 MOST_COUPLINGS = 60
 """Limit of a ratio: the sum of the squared numbers of pairs of rows on each body, by the number of all pairs of rows.
@@ -98,10 +99,19 @@ class ActingForce:
 
 @dataclass(frozen=True)
 class ElementState:
-    """A first-order state of a force element or of the mechanism: its name, such as ``element.state``, and its unit."""
+    """A first-order state of a force element or of the mechanism.
+
+    Attributes
+    ----------
+    name, unit
+        Name, such as ``element.state``, and unit.
+    by_method
+        Whether the method of the run itself sets its value, such as those of forces of rigid contacts.
+    """
 
     name: str
     unit: str
+    by_method: bool = False
 
 
 @dataclass(frozen=True)
@@ -266,16 +276,15 @@ class CompiledMechanism:
         """(Z,) initial values of the first-order states."""
         return self.topology.law_parameters[self.topology.states[:, 1]]
 
-    @property
-    def contacts(self) -> tuple[Any, ...]:
-        """Rows of the contacts, `ActingContact` of `mbdkit.engine.contact_forces`."""
-        return self.extensions.get("contacts", ())
+    def kinds(self) -> list[tuple[Any, ElementKind]]:
+        """Return the objects of `extensions`, each with its kind of elements."""
+        return [(handle, element_kinds()[key]) for key, handle in self.extensions.items()]
 
     def refuse_kinds(self, what: str) -> None:
         """Raise SpecError if there are elements of a plugin's kind that does not support `what`, such as gradients."""
-        for key, kind in element_kinds().items():
-            if self.extensions.get(key) and what in kind.supports:
-                raise SpecError(kind.supports[what], key=f"model.{key}")
+        for _, kind in self.kinds():
+            if what in kind.supports:
+                raise SpecError(kind.supports[what], key=f"model.{kind.key_in_model}")
 
     def refuse_states(self, what: str, hint: str = "") -> None:
         """Raise SpecError if the mechanism has first-order states.

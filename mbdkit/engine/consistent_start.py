@@ -19,7 +19,6 @@ from mbdkit.engine.stabilization import NONE, Stabilization
 from mbdkit.engine.workspace import Workspace
 from mbdkit.mechanism.bodies import Body
 from mbdkit.mechanism.checks import check_centers, check_springs
-from mbdkit.mechanism.element_kinds import element_kinds
 from mbdkit.mechanism.mechanism import Mechanism
 
 
@@ -121,9 +120,9 @@ def _with_states_at(mechanism: Mechanism, compiled: CompiledMechanism, q: np.nda
     """Return a compiled mechanism with the states of further kinds that follow from the positions `q` at the start."""
     if not compiled.extensions:
         return compiled
-    kinds, parameters = element_kinds(), compiled.topology.law_parameters.copy()
-    for key, handle in compiled.extensions.items():
-        at_start = kinds[key].at_start
+    parameters = compiled.topology.law_parameters.copy()
+    for handle, kind in compiled.kinds():
+        at_start = kind.at_start
         for state, value in at_start()(handle, mechanism, t0, q).items() if at_start is not None else ():
             parameters[compiled.topology.states[state, 1]] = value
     return replace(compiled, topology=compiled.topology._replace(law_parameters=parameters))

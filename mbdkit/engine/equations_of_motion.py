@@ -12,7 +12,6 @@ import numpy as np
 from mbdkit.base.errors import StepError
 from mbdkit.engine.compiled_mechanism import with_ground
 from mbdkit.engine.consistent_start import workspace_at_start
-from mbdkit.engine.contact_forces import ActingContact
 from mbdkit.engine.elimination_order import SingularSystemError
 from mbdkit.engine.evaluated_equations import EvaluatedEquations
 from mbdkit.engine.iteration_matrix import (
@@ -124,13 +123,6 @@ class EquationsOfMotion(EvaluatedEquations):
             self._derived[make] = make(self)
         result: T = self._derived[make]
         return result
-
-    @property
-    def contacts(self) -> tuple[ActingContact, ...]:
-        """Rigid contacts. The methods of this class include the forces of compliant contacts, but not those of rigid
-        ones.
-        """
-        return tuple(one for one in self._workspace.mechanism.contacts if one.first_state >= 0)
 
     def time_derivative(self, t: float, q: np.ndarray, v: np.ndarray, z: np.ndarray) -> Rates:
         """Return the partial derivatives with respect to time of what `derivatives` returns, at a fixed state.

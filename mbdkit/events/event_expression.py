@@ -238,12 +238,10 @@ class RunCompiler(Compiler):
         self.known = {word: list(getattr(mechanism, word)) for word in _WORDS if hasattr(mechanism, word)}
         self._last = last_nodes(mechanism.beams)
         self.known["states"] = [*mechanism.state_names(), *mechanism.held_names()]
-        self.known["contacts"] = mechanism.contact_names()
-        self.known["ground_reactions"] = mechanism.feet()
         for own in map(item_of_group, added_kinds()):
             elements = self.known.get(own.of, getattr(mechanism, own.of, None))
             if own.word and elements is not None:
-                self.known[own.word] = list(elements)
+                self.known[own.word] = list(elements if own.names is None or not elements else own.names()(mechanism))
         self.quantities: list[Quantity] = []
         self.quoted = {name: kind for kind, names in self.known.items() for name in names if not name.isidentifier()}
         if self.quoted:

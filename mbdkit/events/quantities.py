@@ -4,12 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from typing import ClassVar
 
 import numpy as np
 
 from mbdkit.base import elementary
-from mbdkit.engine.contact_forces import contact_values
 from mbdkit.engine.kernels.observe import Observed
 from mbdkit.engine.observed_states import StateObserver
 from mbdkit.engine.workspace import Workspace
@@ -21,21 +20,17 @@ MOST_KEPT = 8
 """Largest number of states whose buffers are kept for the next evaluation."""
 
 
-CLOSED = -1e-100
-"""Largest gap of a closed contact of rigid bodies in expressions of events [m], which are to be triggered once when it
-closes, and not by rounding errors later."""
-
-
 @dataclass(frozen=True)
 class _WatchedStates(States):
-    """States whose joint angles are computed as differences of the angles of bodies, without the engine, and in which
-    gaps of closed contacts of rigid bodies are negative.
+    """States whose joint angles are computed as differences of the angles of bodies, without the engine.
 
     Parameters
     ----------
     travels
         Whether the coordinates of slides are needed as well.
     """
+
+    is_for_events: ClassVar[bool] = True
 
     travels: bool = False
 
@@ -48,13 +43,6 @@ class _WatchedStates(States):
             return np.asarray(angles)
         is_travel = np.array([unit == "m" for unit in self.mechanism.joint_units])
         return np.where(is_travel, self.observed.joints[:, :, 0], angles)
-
-    @cached_property
-    def _contacts(self) -> dict[str, np.ndarray]:
-        found = contact_values(self.mechanism.contacts, self.q, self.v, self.z)
-        is_rigid = np.array([contact.first_state >= 0 for contact in self.mechanism.contacts])
-        is_closed = is_rigid & (found["mode"] > 0.0)
-        return found | {"gap": np.where(is_closed, np.minimum(found["gap"], CLOSED), found["gap"])}
 
 
 class QuantityEvaluator:

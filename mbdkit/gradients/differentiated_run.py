@@ -21,7 +21,7 @@ from mbdkit.gradients.differentiated_expressions import of_event, slopes_of
 from mbdkit.gradients.differentiated_motion import DifferentiatedMotion
 from mbdkit.gradients.differentiated_states import DifferentiatedStates, joined_states, one_after_another, series_of
 from mbdkit.gradients.evaluated_states import StateEvaluator, rate_of
-from mbdkit.gradients.law_corners import with_jumping_polygons, with_sides, with_unknown_corners
+from mbdkit.gradients.law_corners import doubts_of_kinds, with_sides, with_unknown_corners
 from mbdkit.gradients.sided_stepper import SidedStepper
 from mbdkit.integrators.differentiated_stepper import DifferentiatedStepper
 from mbdkit.integrators.dual_run import NO_SEEDS, Seeds, constants
@@ -354,14 +354,9 @@ class _Pass:
             f"one, the derivatives lack its contribution; write the law as a SymPy expression"
             for name in with_unknown_corners(mechanism)
         )
-        jumping = tuple(
-            f"steps do not end where the shapes of the contact '{name}' begin to touch. If the run passes such a "
-            f"point, the derivatives lack the contribution of the jump of the force; use another law than `linear`"
-            for name in with_jumping_polygons(mechanism)
-        )
         return (
             unknown
-            + jumping
+            + doubts_of_kinds(mechanism)
             + tuple(
                 f"the run passes a point at which the force '{name}', or its derivative, is discontinuous; adaptive "
                 f"steps do not end there, so that the derivatives lack the contribution of the discontinuity or are "

@@ -5,7 +5,7 @@ A law that is a SymPy expression, or the derivative of such a law, may be discon
 ``Piecewise`` changes, such as at the beginning of contact. Each condition compares a function g of length, rate and
 parameters with zero. In a mechanism with sides, additional parameters of the law, the *sides*, replace the conditions:
 a side is 1 where g > 0, and otherwise -1. The sides are constant during a step, so that the law is smooth in the states
-of all stages; steps end where g is zero. The linear law of compliant contacts has such sides, too.
+of all stages; steps end where g is zero. Laws of kinds of elements may have such sides, too.
 """
 
 from __future__ import annotations
@@ -13,15 +13,13 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 
 from mbdkit.base.errors import SpecError
 from mbdkit.engine.compiled_mechanism import CompiledMechanism
-from mbdkit.engine.contact_forces import contact_law, has_sides, pairs_of_shapes
 from mbdkit.engine.force_laws import CompiledLaw, bind_law
-from mbdkit.engine.kernels.contact_laws import STIFFNESS, VALUE, VALUES, contact_rows
 from mbdkit.integrators.dual_run import Seeds
 from mbdkit.mechanism.force_law import ARGUMENTS, ExpressionLaw, FunctionLaw
 
@@ -88,70 +86,17 @@ class Condition:
         return [self.function(*row[self.element, :2], *numbers[self.parameters])[0] for row in forces]
 
 
-OFFSET = 3e-4
-"""Largest change of a coordinate, velocity or parameter in the differences that differentiate a `Push` [SI units].
-
-For a circle of 0.1 m, their relative errors are about 1e-11.
-"""
-
-
-@dataclass(frozen=True)
-class Push:
-    """The condition that the linear law of a row of a contact acts: the shapes overlap, and it pushes them apart.
-
-    Here g is the smaller of the overlap and of the force over the stiffness [m].
-
-    Attributes
-    ----------
-    force, side
-        Name of the contact, and index of the parameter with the side; see `Condition`.
-    bodies
-        Indices of both bodies.
-    law
-        Law of the quantities of all rows of the two shapes.
-    parameters
-        Indices of the number of its parameters and of these in ``Topology.law_parameters`` of the mechanism with sides.
-    row, rows
-        Index of the row, and number of rows.
-    """
+class FurtherCondition(Protocol):
+    """A condition of the laws of a kind of elements, see `ElementKind.sides`; its attributes are as in `Condition`."""
 
     force: str
     side: int
-    bodies: tuple[int, int]
-    law: CompiledLaw
-    parameters: np.ndarray
-    row: int
-    rows: int
 
     def values(self, forces: np.ndarray, q: np.ndarray, v: np.ndarray, numbers: np.ndarray) -> list[float]:
         """Return g in T states; see `Condition.values`."""
-        return np.min(self._overlap_and_force(q, v, numbers), axis=0).tolist()  # type: ignore[no-any-return]
 
     def slopes(self, state: tuple[np.ndarray, ...], directions: Sequence[tuple[np.ndarray, ...]]) -> list[float]:
         """Return the derivatives of g in directions of the state: positions (n,), velocities (n,), parameters (L,)."""
-        q, v, numbers = state
-        smaller = int(np.argmin(self._overlap_and_force(q[None], v[None], numbers)[:, 0]))
-
-        def value(x: float, direction: tuple[np.ndarray, ...]) -> float:
-            q, v, numbers = (a + x * da for a, da in zip(state, direction, strict=True))
-            return float(self._overlap_and_force(q[None], v[None], numbers)[smaller, 0])
-
-        slopes = []
-        for dq, dv, dnumbers in directions:
-            largest = max(float(np.max(np.abs(x))) for x in (dq, dv, dnumbers[self.parameters]))
-            h, to = OFFSET / (largest or 1.0), (dq, dv, dnumbers)
-            near, far = value(h, to) - value(-h, to), value(2.0 * h, to) - value(-2.0 * h, to)
-            slopes.append((8.0 * near - far) / (12.0 * h))
-        return slopes
-
-    def _overlap_and_force(self, q: np.ndarray, v: np.ndarray, numbers: np.ndarray) -> np.ndarray:
-        """Return (2, T) overlaps, and forces of spring and damper over the stiffness."""
-        table = np.array([[*self.bodies, self.law.address, self.law.program, 0, 0]], dtype=np.int64)
-        own = numbers[self.parameters]
-        own[len(own) - self.rows :] = 1.0
-        quantities = np.zeros((len(q), self.rows, VALUE))
-        contact_rows(table, own, np.ascontiguousarray(q), np.ascontiguousarray(v), quantities)
-        return np.array([-quantities[:, self.row, 0], quantities[:, self.row, 1] / own[1 + STIFFNESS]])
 
 
 @dataclass(frozen=True)
@@ -169,7 +114,7 @@ class SidedMechanism:
     """
 
     mechanism: CompiledMechanism
-    conditions: tuple[Condition | Push, ...]
+    conditions: tuple[Condition | FurtherCondition, ...]
     places: np.ndarray
 
     def passed(self, forces: np.ndarray, q: np.ndarray, v: np.ndarray) -> tuple[str, ...]:
@@ -196,15 +141,11 @@ def with_sides(mechanism: CompiledMechanism) -> SidedMechanism | None:
     """Return a mechanism with sides; None if none of its laws has conditions."""
     sided = [_sided(one.law, tuple(name for name, _ in one.parameters)) for _, one in mechanism.laws]
     top = mechanism.topology
-    contacts = enumerate(pairs_of_shapes(mechanism.contacts)) if len(top.contacts) > 0 else ()
-    touching = [(k, pair) for k, pair in contacts if has_sides(pair)]
-    if not touching and not any(one is not None and one.conditions for one in sided):
-        return None
     values: list[float] = []
     places = np.zeros(len(top.law_parameters), dtype=np.int64)
     # A load that is an expression of the state shares its parameters with its derivatives.
     begins: dict[int, int] = {}
-    conditions: list[Condition | Push] = []
+    conditions: list[Condition | FurtherCondition] = []
     rows, laws = top.laws.copy(), list(mechanism.laws)
     elements = {int(one[3]): int(top.force_place[k]) for k, one in enumerate(top.springs) if one[5] > 0}
     for row, ((name, compiled), own) in enumerate(zip(mechanism.laws, sided, strict=True)):
@@ -237,14 +178,15 @@ def with_sides(mechanism: CompiledMechanism) -> SidedMechanism | None:
             side = first + names.index(SIDE.format(i))
             conditions.append(Condition(name, elements[row], first + own_places, side, function))
         values += [float(len(held)), *held.tolist()]
-    for k, pair in touching:
-        begin = int(rows[top.contacts[k, 2], 1])
-        parameters = np.arange(begin, begin + 1 + int(values[begin]))
-        law = contact_law(pair, VALUES)
-        conditions += [
-            Push(pair[0].pair.name, int(parameters[i - len(pair)]), pair[0].bodies, law, parameters, i, len(pair))
-            for i in range(len(pair))
-        ]
+
+    def places_of(law: int) -> np.ndarray:
+        begin = int(rows[law, 1])
+        return np.arange(begin, begin + 1 + int(values[begin]))
+
+    for handle, kind in mechanism.kinds():
+        conditions += () if kind.sides is None else kind.sides()(handle, places_of)
+    if not conditions:
+        return None
     for place in top.states[top.states[:, 0] < 0, 1].tolist():  # initial values of states that do not belong to a law
         places[place - 1 : place + 1] = len(values), len(values) + 1
         values += top.law_parameters[place - 1 : place + 1].tolist()
@@ -273,14 +215,10 @@ def with_unknown_corners(mechanism: CompiledMechanism) -> tuple[str, ...]:
     )
 
 
-def with_jumping_polygons(mechanism: CompiledMechanism) -> tuple[str, ...]:
-    """Return the names of the contacts of polygons that have the linear law, which has no sides there."""
-    pairs = pairs_of_shapes(mechanism.contacts)
-    return tuple(
-        dict.fromkeys(
-            rows[0].pair.key.rpartition(".")[2] for rows in pairs if rows[0].force == "linear" and not has_sides(rows)
-        )
-    )
+def doubts_of_kinds(mechanism: CompiledMechanism) -> tuple[str, ...]:
+    """Return what the kinds of elements doubt about derivatives of runs."""
+    every = ((handle, kind.gradient_doubts) for handle, kind in mechanism.kinds())
+    return tuple(sentence for handle, doubts in every if doubts is not None for sentence in doubts()(handle))
 
 
 def _named(compiled: CompiledLaw, given: np.ndarray) -> dict[str, float]:

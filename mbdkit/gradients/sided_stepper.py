@@ -21,7 +21,7 @@ from mbdkit.engine.observed_states import StateObserver
 from mbdkit.engine.workspace import Workspace
 from mbdkit.gradients.differentiated_states import DifferentiatedStates
 from mbdkit.gradients.evaluated_states import StateEvaluator, rate_of
-from mbdkit.gradients.law_corners import Condition, Push
+from mbdkit.gradients.law_corners import Condition, FurtherCondition
 from mbdkit.integrators.compiled_method import CompiledMethod
 from mbdkit.integrators.differentiated_stepper import DifferentiatedStepper
 from mbdkit.integrators.dual_run import Seeds
@@ -102,7 +102,7 @@ class SidedStepper(DifferentiatedStepper):
         workspace: Workspace,
         timetable: Timetable,
         seeds: Seeds,
-        conditions: Sequence[Condition | Push],
+        conditions: Sequence[Condition | FurtherCondition],
         *,
         with_nodes: bool,
     ):
@@ -226,7 +226,7 @@ class SidedStepper(DifferentiatedStepper):
         directions = [(here.q[0, :, k], here.v[0, :, k], numbers[:, k]) for k in range(1, width)]
         motion = here.v[0, :, 0], here.observed.acc[0, :, 0], 0.0 * self._numbers
         for condition in self.conditions:
-            if isinstance(condition, Push):
+            if not isinstance(condition, Condition):
                 values += condition.values(forces[None], state[0][None], state[1][None], self._numbers)
                 *own_slopes, own_rate = condition.slopes(state, [*directions, motion])
                 slopes.append(np.array(own_slopes))

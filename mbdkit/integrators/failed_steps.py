@@ -19,7 +19,6 @@ from mbdkit.integrators.run_state import MODIFIED
 from mbdkit.integrators.step_control import SOLVER_FAILURE_FACTOR
 from mbdkit.integrators.step_guards import ENERGY_JUMP, FELL_APART
 from mbdkit.integrators.step_watch import guard_failure
-from mbdkit.mechanism.element_kinds import element_kinds
 
 if TYPE_CHECKING:
     from mbdkit.integrators.compiled_method import CompiledMethod
@@ -177,16 +176,16 @@ class FailedSteps:
 
     def _obstacle(self, q: np.ndarray) -> str:
         """Return a clause that names an element that cannot have the positions `q`; empty if there is none."""
-        for key, handle in self.workspace.mechanism.extensions.items():
-            obstacle = element_kinds()[key].obstacle
+        for handle, kind in self.workspace.mechanism.kinds():
+            obstacle = kind.obstacle
             if obstacle is not None and (clause := obstacle()(handle, self.workspace, self.time, q, self.run_state.v)):
                 return clause
         return ""
 
     def _stiffness(self) -> str:
         """Return a clause that names an element for which explicit methods need small steps, if there is one."""
-        for key, handle in () if self.method.carries_stages else self.workspace.mechanism.extensions.items():
-            stiffest = element_kinds()[key].stiffest
+        for handle, kind in () if self.method.carries_stages else self.workspace.mechanism.kinds():
+            stiffest = kind.stiffest
             if stiffest is not None and (clause := stiffest()(handle)):
                 return f"; {clause}"
         return ""

@@ -92,6 +92,16 @@ class Element(StrictModel):
         """Return (key, value [m]) of each length that is improbable if it is far above the size of the mechanism."""
         return []
 
+    @property
+    def friction_coefficients(self) -> tuple[float, ...]:
+        """Coefficients of dry friction; empty without friction."""
+        own: tuple[float, ...] = getattr(getattr(self, "friction", None), "coefficients", ())
+        return own
+
+    def extent_points(self) -> list[tuple[str, tuple[float, float]]]:
+        """Return (body name, point in the body's frame [m]) of each point that the extent of the mechanism includes."""
+        return [(name, point) for _, name, point in self.attachments()]
+
     def places(self) -> list[tuple[str, str]]:
         """Return (key, body name) of each body that the element refers to."""
         return []

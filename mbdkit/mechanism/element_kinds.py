@@ -16,7 +16,7 @@ from mbdkit.mechanism.model_methods import of_models
 from mbdkit.registry.feature_items import ElementKind
 from mbdkit.registry.manager import registry
 
-_OF_PARTS = {"muscles": "mbdkit-biomech"}
+_OF_PARTS = {"contacts": "mbdkit-contact", "muscles": "mbdkit-biomech"}
 """Parts of mbdkit by the keys of their elements, for messages where the part is not installed."""
 
 AnyModel = TypeVar("AnyModel", bound=StrictModel)

@@ -5,10 +5,6 @@ from typing import Any, Literal
 
 from mbdkit.mechanism.angle_function import Center
 from mbdkit.mechanism.beams import BeamStiffness
-from mbdkit.mechanism.contacts import Compliance
-from mbdkit.mechanism.contacts import Contact
-from mbdkit.mechanism.contacts import Friction
-from mbdkit.mechanism.contacts import Shape
 from mbdkit.mechanism.joint_friction import JointFriction
 from mbdkit.mechanism.joint_friction import PinFriction
 from mbdkit.mechanism.joint_friction import SlideFriction
@@ -19,6 +15,10 @@ from mbdkit_biomech.muscles.muscle import Activation
 from mbdkit_biomech.muscles.muscle import Metabolics
 from mbdkit_biomech.muscles.muscle import Muscle
 from mbdkit_biomech.muscles.muscle import PathItem
+from mbdkit_contact.contact import Compliance
+from mbdkit_contact.contact import Contact
+from mbdkit_contact.contact import Friction
+from mbdkit_contact.contact import Shape
 
 class ElementMethods(NamedElements):
     """The part of `Mechanism` that adds its elements."""

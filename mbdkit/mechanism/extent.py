@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 
-from mbdkit.mechanism.bodies import GROUND
-from mbdkit.mechanism.contacts import Contact
 from mbdkit.mechanism.mechanism import Mechanism
 
 
@@ -31,20 +29,7 @@ def extent(points: Sequence[tuple[float, float]]) -> float:
 
 
 def points_of_elements(mechanism: Mechanism) -> Iterator[tuple[str, tuple[float, float]]]:
-    """Yield the bodies of the points of all elements, and the points in the frames of these bodies.
-
-    They include the corners of squares around the circles of contacts, but not the shapes of the ground, whose extent
-    says nothing about the bodies.
-    """
+    """Yield the bodies of the points of all elements, and the points in the frames of these bodies."""
     for elements in mechanism.elements.values():
         for element in elements.values():
-            if not isinstance(element, Contact):
-                for _, name, point in element.attachments():
-                    yield name, point
-                continue
-            for _, _, name, shape in element.by_body:
-                round_shape = shape.circle or shape.hole
-                radius = 0.0 if round_shape is None else round_shape.radius
-                for _, (x, y) in shape.points() if name != GROUND else ():
-                    for side in (-radius, radius):
-                        yield name, (x + side, y + side)
+            yield from element.extent_points()

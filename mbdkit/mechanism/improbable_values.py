@@ -8,7 +8,6 @@ from collections.abc import Iterator
 from mbdkit.base.plain_data import quoted
 from mbdkit.base.text import listed
 from mbdkit.mechanism.beams import Beam
-from mbdkit.mechanism.bodies import GROUND
 from mbdkit.mechanism.extent import size_if_below, smaller_units
 from mbdkit.mechanism.forces import SpringDamper
 from mbdkit.mechanism.law_element import Law
@@ -63,32 +62,16 @@ In all packaged examples, optimal lengths are at most 0.21 sizes.
 
 
 def improbable_frictions(mechanism: Mechanism) -> Iterator[str]:
-    """Yield a sentence without a full stop for each contact and joint whose coefficient of friction is too large."""
-    found = {
-        f"joints.{quoted(name)}": friction.coefficients
-        for name, joint in mechanism.joints.items()
-        if (friction := getattr(joint, "friction", None)) is not None
-    } | {f"contacts.{quoted(name)}": contact.coefficients for name, contact in mechanism.contacts.items()}
-    for place, coefficients in found.items():
-        if max(coefficients) > ROUGHEST:
+    """Yield a sentence without a full stop for each element whose coefficient of friction is too large."""
+    every = ((kind, *item) for kind, elements in mechanism.elements.items() for item in elements.items())
+    for kind, name, element in every:
+        largest, place = max(element.friction_coefficients, default=0.0), f"{kind}.{quoted(name)}"
+        if largest > ROUGHEST:
             key = f"model.{place}.friction" if mechanism.name == "mechanism" else f"model, {place}"
             yield (
-                f"the coefficient of friction of {max(coefficients):g} at {key} is above {ROUGHEST:g}; if it is in "
-                f"percent, write {max(coefficients) / 100:g}"
+                f"the coefficient of friction of {largest:g} at {key} is above {ROUGHEST:g}; if it is in percent, "
+                f"write {largest / 100:g}"
             )
-
-
-def rolling_point_masses(mechanism: Mechanism) -> Iterator[str]:
-    """Yield a sentence without a full stop for each point mass with a round shape that friction cannot turn."""
-    for name, contact in mechanism.contacts.items():
-        for _, _, body, shape in contact.by_body:
-            circle = shape.circle
-            is_point_mass = body != GROUND and mechanism.bodies[body].inertia is None
-            if is_point_mass and circle is not None and circle.radius > 0 and max(contact.coefficients) > 0:
-                yield (
-                    f"body '{body}' is a point mass (it has no inertia), so that the friction of contact '{name}' does "
-                    f"not turn its circle of {circle.radius:g} m, and it slides instead of rolling; give `inertia`"
-                )
 
 
 def improbable_beams(mechanism: Mechanism) -> Iterator[str]:

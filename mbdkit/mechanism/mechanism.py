@@ -17,7 +17,7 @@ from mbdkit.base.text import counted
 from mbdkit.mechanism.beams import last_nodes, parts_of
 from mbdkit.mechanism.bodies import GROUND, Element
 from mbdkit.mechanism.checks import check_centers, check_mechanism, check_name, check_names, check_tables
-from mbdkit.mechanism.contacts import ChosenTreatment, feet
+from mbdkit.mechanism.contacts import ChosenTreatment
 from mbdkit.mechanism.element_kinds import builder_of, check_elements, element_kinds, kind_built_by
 from mbdkit.mechanism.element_methods import ElementMethods
 from mbdkit.mechanism.law_element import Law
@@ -177,17 +177,6 @@ class Mechanism(ElementMethods, HtmlView):
     def held_names(self) -> list[str]:
         """Return the names of all outputs and states of controllers, ``controller.output`` or ``controller.state``."""
         return [f"{name}.{value}" for name, one in self.controllers.items() for value in (*one.outputs, *one.states)]
-
-    def contact_names(self) -> list[str]:
-        """Return the names of all possible contact points: ``contact``, or ``contact.a.b`` for two bodies of a group.
-
-        If a shape is a polygon or polyline, there may be several names, which end with a number.
-        """
-        return [pair.name for name, one in self.contacts.items() for pair in one.pairs(name, self.joints)]
-
-    def feet(self) -> list[str]:
-        """Return the names of the bodies that may touch the ground."""
-        return feet(pair.ordered for name, one in self.contacts.items() for pair in one.pairs(name, self.joints))
 
     def description(self) -> str:
         """Return a line of text with the numbers of elements and of constraint rows."""

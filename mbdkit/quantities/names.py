@@ -7,8 +7,6 @@ from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import TYPE_CHECKING, Any
 
-from mbdkit.mechanism.contacts import feet
-
 if TYPE_CHECKING:
     from mbdkit.engine.compiled_mechanism import CompiledMechanism
 
@@ -71,11 +69,6 @@ class ArchiveNames:
     def names_of(self, kind: str) -> list[str]:
         """Return the names of the `members` of a kind."""
         return [name for name, _ in dict(self.members).get(kind, ())]
-
-    @property
-    def feet(self) -> list[str]:
-        """Names of the bodies that may touch the ground."""
-        return feet(bodies for _, bodies in dict(self.members).get("contacts", ()))
 
     def bodies_of(self, kind: str, place: int) -> list[str]:
         """Return the first (`place` 0), second (1) or a further body or text of each of the `members` of a kind."""

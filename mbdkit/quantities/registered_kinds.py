@@ -6,6 +6,7 @@ a mechanism has elements of the kind, an archive has its group, or an expression
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import replace
 from functools import cache, lru_cache
@@ -26,7 +27,9 @@ if TYPE_CHECKING:
     from mbdkit.mechanism.mechanism import Mechanism
     from mbdkit.quantities.states import States
 
-OF_PARTS: Mapping[str, str] = dict.fromkeys(("motion", "actuators", "muscles", "loads"), "mbdkit-biomech")
+OF_PARTS: Mapping[str, str] = dict.fromkeys(("contacts", "ground_reactions"), "mbdkit-contact") | dict.fromkeys(
+    ("motion", "actuators", "muscles", "loads"), "mbdkit-biomech"
+)
 """Parts of mbdkit by their groups, which archives may have where the part is not installed either."""
 
 _OF_CORE: Mapping[str, Kind] = {kind.group: kind for kind in KINDS}
@@ -55,9 +58,19 @@ def item_of_group(group: str) -> QuantityKind:
     return cast(QuantityKind, added_kinds()[group].plugin)
 
 
+def order_of(group: str) -> float:
+    """Return the place of a group in archives: the groups of the core have 0, 10, ..., those of mbdkit's own parts the
+    order of their items, and those of other plugins come last.
+    """
+    if group in _OF_CORE:
+        return 10.0 * list(_OF_CORE).index(group)
+    item = added_kinds().get(group)
+    return cast(QuantityKind, item.plugin).order if item and item.origin.distribution == MBDKIT else math.inf
+
+
 def groups() -> tuple[str, ...]:
     """Return the names of all groups with quantities, in the order of archives."""
-    return (*_OF_CORE, *added_kinds())
+    return tuple(sorted((*_OF_CORE, *added_kinds()), key=order_of))
 
 
 def words() -> Mapping[str, str]:
@@ -128,7 +141,7 @@ def kinds_of_others(mechanism: Callable[[], Mechanism]) -> Mapping[str, Register
 def kinds(among: Iterable[str] = ()) -> tuple[Kind, ...]:
     """Return the kinds of the core, and those of plugins whose groups are `among` the given ones, in their order."""
     wanted = frozenset(among)
-    return (*KINDS, *(_imported(item) for group, item in added_kinds().items() if group in wanted))
+    return tuple(kind_of_group(group) for group in groups() if group in _OF_CORE or group in wanted)
 
 
 def kinds_of(names: ArchiveNames) -> tuple[Kind, ...]:

@@ -6,13 +6,11 @@ import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any, TypeVar
+from typing import Any, ClassVar, TypeVar
 
 import numpy as np
 
 from mbdkit.engine.compiled_mechanism import CompiledMechanism
-from mbdkit.engine.contact_forces import contact_values
-from mbdkit.engine.ground_reactions import ground_reactions
 from mbdkit.engine.joint_sums import JointSums, joint_sums
 from mbdkit.engine.kernels.observe import Observed
 
@@ -51,7 +49,14 @@ class States:
         (T, m) multipliers computed by the method; None if the method has computed none, as at the start.
     z
         (T, Z) first-order states; empty if they are not known.
+
+    Attributes
+    ----------
+    is_for_events
+        Whether the values are those of expressions of events, whose signs should not change by rounding errors.
     """
+
+    is_for_events: ClassVar[bool] = False
 
     mechanism: CompiledMechanism
     time: np.ndarray
@@ -114,25 +119,6 @@ class States:
             sign = 1.0 if known.joint_units[joint] == "rad" else -1.0
             found[:, joint] = sign * self.observed.forces[:, place, 2]
         return found
-
-    @cached_property
-    def _contacts(self) -> dict[str, np.ndarray]:
-        """Quantities (T, C) of the contacts by name."""
-        return contact_values(self.mechanism.contacts, self.q, self.v, self.z)
-
-    @cached_property
-    def _ground_reactions(self) -> dict[str, np.ndarray]:
-        """Quantities of the bodies that may touch the ground by name."""
-        return ground_reactions(self.mechanism.contacts, self._contacts)
-
-    def of_contacts(self, name: str, *, of_ground: bool = False) -> np.ndarray:
-        """Return a quantity (T, C) of the contacts, or (T, F) or (T, F, 2) of the bodies that may touch the ground.
-
-        Empty if there are no contacts. The values do not contain derivatives, and the table of quantities refuses them.
-        """
-        if not self.mechanism.contacts:
-            return NONE
-        return (self._ground_reactions if of_ground else self._contacts)[name]
 
     def of(self, compute: Callable[[States], V]) -> V:
         """Return what a function or class computes from these states; it is called once."""

@@ -13,7 +13,7 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 from mbdkit.base.text import listed
-from mbdkit.quantities.array import INTEGER, MIXED, TEXT, Array, Chart, Recorded
+from mbdkit.quantities.array import INTEGER, MIXED, TEXT, Array, Chart
 from mbdkit.quantities.entries import (
     AXIS,
     BODY,
@@ -38,21 +38,11 @@ _TE, _TM = ("time", "element"), ("time", "constraint")
 _POSITION = ("x", "y", "angle")
 _VELOCITY = ("vx", "vy", "angular_velocity")
 _ACCELERATION = ("ax", "ay", "angular_acceleration")
-_CONTACTS = {"no_derivative": "the derivatives of quantities of contacts with respect to parameters are not known"}
 _MISALIGNMENT: Mapping[str, Any] = {
     "is_not_negative": True,
     "is_of_steps": True,
     "no_derivative": "a misalignment is an error of the method, and almost zero",
 }
-
-
-def _of_contacts(name: str, units: str, what: str, **more: Any) -> Recorded:
-    return computed(name, ("time", "contact"), units, what, lambda s: s.of_contacts(name), **_CONTACTS, **more)
-
-
-def _of_ground(name: str, units: str, what: str, **more: Any) -> Recorded:
-    dims = ("time", "foot", "axis") if "components" in more else ("time", "foot")
-    return computed(name, dims, units, what, lambda s: s.of_contacts(name, of_ground=True), **_CONTACTS, **more)
 
 
 _POWER = "Power that each driver supplies to the mechanism."
@@ -199,42 +189,6 @@ KINDS = (
             row_units="rate_row_units"),
         since="1.1", optional=True, word="states", one="state", example="value", axis="state", is_optional=True,
         unit_of=lambda mechanism, name: mechanism.states[name].unit if name in mechanism.states else "1",
-    ),
-    quantity_group(
-        "contacts",
-        TIME,
-        name_array("contact", "contact", "name of the contact; of polygons and polylines, with a number",
-            lambda names: names.names_of("contacts")),
-        name_array("first_body", "contact", "first body of the contact, from which the normal points",
-            lambda names: names.bodies_of("contacts", 0), label="bodies"),
-        name_array("second_body", "contact", "second body of the contact",
-            lambda names: names.bodies_of("contacts", 1), label="bodies"),
-        _of_contacts("gap", "m", "distance of the two shapes, negative where they overlap"),
-        _of_contacts("normal_force", "N", "force that pushes the bodies apart",
-            charts=(Chart("contact-forces", "Normal forces of the contacts", "They push the bodies apart.", "force",
-                "N"),)),
-        _of_contacts("friction_force", "N",
-            "friction force on the second body, along the normal turned by -90 degrees"),
-        _of_contacts("slip", "m/s", "velocity of the second body relative to the first, in that direction"),
-        _of_contacts("mode", "1", "0: open, 1: sticks, 2: slips"),
-        since="1.1", optional=True, word="contacts", one="contact", example="normal_force", axis="contact",
-        is_optional=True,
-    ),
-    quantity_group(
-        "ground_reactions",
-        TIME,
-        name_array("foot", "foot", "name of the body that may touch the ground", lambda names: names.feet),
-        AXIS,
-        _of_ground("force", "N", "force of all contacts with the ground on the body, global frame",
-            vector="force", components=("force_x", "force_y"), has_norm=True),
-        _of_ground("normal_force", "N", "sum of the normal forces of these contacts", is_not_negative=True,
-            charts=(Chart("ground-reactions", "Ground reactions", "Normal force of the ground on each body.", "force",
-                "N"),)),
-        _of_ground("center_of_pressure", "m",
-            "point about which the contacts with the ground have no moment, global frame; nan where none is closed",
-            vector="center_of_pressure", components=("center_of_pressure_x", "center_of_pressure_y")),
-        since="1.1", optional=True, word="ground_reactions", one="ground reaction", example="force_y",
-        axis="foot", is_optional=True, may_be_unknown=True,
     ),
     quantity_group(
         "constraints",

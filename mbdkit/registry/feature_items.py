@@ -480,6 +480,9 @@ class ElementKind(Feature):
     in_expressions
         Quantities that expressions of the state may contain, ``length``, ``rate`` or ``tension`` of the force element
         along a pathway, by the name in the expression.
+    read_files
+        Function that takes plain data of elements by name and the folder of the spec, and replaces in these data what
+        specs give by the names of files.
     check_elements
         Function that takes elements by name, a mechanism or its data, and the beginning of key paths, and raises
         SpecError for elements that do not fit the other elements.
@@ -507,6 +510,12 @@ class ElementKind(Feature):
     stiffest
         Function that takes this object and returns a clause that names an element for which explicit methods need small
         steps, or an empty text.
+    sides
+        Function that takes this object and a function that returns the indices in ``Topology.law_parameters`` of the
+        parameters of a law, their number first. It returns the discontinuities of its laws, at which steps with
+        derivatives end: objects like `mbdkit.gradients.law_corners.FurtherCondition`.
+    gradient_doubts
+        Function that takes this object and returns doubts about derivatives of runs.
     draw
         Function that takes a mechanism and an element, and returns lines to draw: lists of bodies and points in their
         frames [m].
@@ -523,6 +532,7 @@ class ElementKind(Feature):
     method: Target[Callable[..., Any]] | None = None
     only_in_runs: bool = False
     in_expressions: Mapping[str, str] = field(default_factory=dict)
+    read_files: Target[Callable[[Mapping[str, Any], Path], None]] | None = None
     check_elements: Target[Callable[[Mapping[str, Any], Any, str], None]] | None = None
     check_run: Target[Callable[[Any], None]] | None = None
     forces: Target[Callable[[Mapping[str, Any]], Mapping[str, Any]]] | None = None
@@ -532,6 +542,8 @@ class ElementKind(Feature):
     members: Target[Callable[[Any], Iterable[tuple[str, tuple[str, ...]]]]] | None = None
     obstacle: Target[Callable[..., str]] | None = None
     stiffest: Target[Callable[[Any], str]] | None = None
+    sides: Target[Callable[[Any, Callable[[int], Any]], Iterable[Any]]] | None = None
+    gradient_doubts: Target[Callable[[Any], Iterable[str]]] | None = None
     draw: Target[Callable[[Any, Any], list[list[tuple[str, tuple[float, float]]]]]] | None = None
     supports: Mapping[str, str] = field(default_factory=dict)
 
@@ -554,6 +566,9 @@ class QuantityKind(Feature):
     of
         Elements of mechanisms whose presence in a run makes it record the group, such as ``contacts``: a key of
         `mbdkit.quantities.names.ArchiveNames.members`; by default, the group.
+    names
+        Function that takes a mechanism with such elements and returns the names of the objects; by default, those of
+        the elements.
     history
         Class of the history of an object, derived from `mbdkit.archive.named_columns.View` with the group as argument
         ``of``; by default, a class that has only the columns of the arrays.
@@ -566,6 +581,7 @@ class QuantityKind(Feature):
     group: str = ""
     word: str = ""
     of: str = ""
+    names: Target[Callable[[Any], list[str]]] | None = None
     history: Target[type[Any]] | None = None
 
     def __post_init__(self) -> None:

@@ -14,7 +14,6 @@ from mbdkit.base.text import listed
 from mbdkit.engine.assembly import AssembledState
 from mbdkit.engine.compiled_mechanism import CompiledMechanism
 from mbdkit.engine.consistent_start import MechanismAtStart, Starts, within_double_precision, workspace_at_start
-from mbdkit.engine.contact_forces import held_states
 from mbdkit.engine.formulation import FORMULATIONS
 from mbdkit.engine.redundancy import require_unique_start
 from mbdkit.engine.workspace import Workspace
@@ -179,8 +178,7 @@ def require_support(spec: RunSpec, method: Method, mechanism: CompiledMechanism)
     except TableauError as error:
         raise PluginError(f"integrator {spec.integrator_item.id} claims {spec.formulated.name}, but {error}") from error
     method.require_mechanism(mechanism)
-    held = held_states(mechanism.contacts)
-    own = [state.name for number, state in enumerate(mechanism.states) if number not in held]
+    own = [state.name for state in mechanism.states if not state.by_method]
     integrates = method.traits.integrates_states
     if own and not (spec.claims.states if integrates is None else integrates):
         message = (

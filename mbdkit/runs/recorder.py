@@ -19,6 +19,7 @@ from mbdkit.engine.stored_arrays import fill, solver_of, stored_solver
 from mbdkit.engine.workspace import Workspace
 from mbdkit.integrators.interface import Failure, Guards, Stretch
 from mbdkit.measures.measured_quantities import of_event
+from mbdkit.quantities.names import archive_names
 from mbdkit.quantities.quantity import Quantity
 from mbdkit.runs.law_ranges import LawRanges
 from mbdkit.runs.recorded_states import ObservedRows, recorded_states
@@ -312,7 +313,7 @@ class Recorder:
 
         `drivers` has the names of the drivers whose velocities are discontinuous at a time [s].
         """
-        names = [one.pair.name for one in self.workspace.mechanism.contacts]
+        names = archive_names(self.workspace.mechanism).names_of("contacts")
         rows = [
             (name, one.time, 0.0, 0.0, -one.energy, one.reactions) for one in of_drivers for name in drivers[one.time]
         ]

@@ -7,10 +7,8 @@ state in which joints are far from closed. `mbdkit.builtin_features` lists them;
 from __future__ import annotations
 
 import math
-import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 
-from mbdkit.base.plain_data import quoted
 from mbdkit.base.text import counted, did_you_mean, listed
 from mbdkit.engine.assembly import AssembledState
 from mbdkit.mechanism.beams import written_key
@@ -19,7 +17,6 @@ from mbdkit.mechanism.improbable_values import (
     improbable_beams,
     improbable_frictions,
     improbable_lengths,
-    rolling_point_masses,
 )
 from mbdkit.mechanism.law_element import Law
 from mbdkit.mechanism.mechanism import Mechanism
@@ -49,8 +46,6 @@ LONGEST_TURN = 0.2
 
 REGAINED = 10.0
 """A decrease of the dissipated energy up to this multiple of the largest energy balance may be an integration error."""
-
-_SLIP = re.compile(r"contacts(\.\w+|\[[^\]]+\])\.slip")
 
 
 def unstable_baumgarte(spec: RunSpec, _measures: Sequence[str] = ()) -> Iterator[str]:
@@ -152,19 +147,24 @@ def degrees(spec: RunSpec, _measures: Sequence[str] = ()) -> Iterator[str]:
 
 
 def improbable_values(spec: RunSpec, _measures: Sequence[str] = ()) -> Iterator[Finding]:
-    """Yield doubts about values that are valid but improbable, most of them because of another unit."""
+    """Yield doubts about masses and friction that are valid but improbable, most of them because of another unit."""
     mechanism = spec.mechanism()
-    for criterion, found in (
-        ("improbable-inertias", improbable_inertias(mechanism)),
-        ("improbable-frictions", improbable_frictions(mechanism)),
-        ("rolling-point-masses", rolling_point_masses(mechanism)),
-        ("improbable-beams", improbable_beams(mechanism)),
-        ("improbable-lengths", improbable_lengths(mechanism)),
-        ("improbable-bodies", improbable_bodies(mechanism)),
-        ("improbable-people", improbable_people(spec.model)),
-    ):
-        for sentence in found:
-            yield Finding(criterion, "doubtful", sentence, "model", is_named=False)
+    yield from _improbable("inertias", improbable_inertias(mechanism))
+    yield from _improbable("frictions", improbable_frictions(mechanism))
+
+
+def improbable_sizes(spec: RunSpec, _measures: Sequence[str] = ()) -> Iterator[Finding]:
+    """Yield doubts about sizes that are valid but improbable, most of them because of another unit."""
+    mechanism = spec.mechanism()
+    yield from _improbable("beams", improbable_beams(mechanism))
+    yield from _improbable("lengths", improbable_lengths(mechanism))
+    yield from _improbable("bodies", improbable_bodies(mechanism))
+    yield from _improbable("people", improbable_people(spec.model))
+
+
+def _improbable(what: str, sentences: Iterable[str]) -> Iterator[Finding]:
+    for sentence in sentences:
+        yield Finding(f"improbable-{what}", "doubtful", sentence, "model", is_named=False)
 
 
 def long_step(spec: RunSpec, _measures: Sequence[str] = ()) -> Iterator[Finding]:
@@ -176,18 +176,6 @@ def long_step(spec: RunSpec, _measures: Sequence[str] = ()) -> Iterator[Finding]
             f"single, shorter step"
         )
         yield Finding("long-step", "doubtful", sentence, "time.step", is_named=False)
-
-
-def slip_events(spec: RunSpec, _measures: Sequence[str] = ()) -> Iterator[Finding]:
-    """Yield a warning for each event that is the zero crossing of the slip of a contact."""
-    for name, event in spec.events.items():
-        if (slip := _SLIP.fullmatch(event.when.strip())) is not None:
-            sentence = (
-                f"event '{name}' watches the sign of {slip[0]}, which is zero except for rounding errors while the "
-                f"contact sticks or rolls; to find the begin or end of slip, watch abs({slip[0]}) - 1e-6 with rigid "
-                "contacts, or subtract the transition speed with compliant ones"
-            )
-            yield Finding("slip-events", "doubtful", sentence, f"events.{quoted(name)}.when", is_named=False)
 
 
 def unresolved_beams(spec: RunSpec, _measures: Sequence[str] = ()) -> Iterator[str]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -9,10 +10,10 @@ import numpy as np
 from mbdkit.base.plain_data import quoted
 from mbdkit.engine.stored_arrays import fill
 from mbdkit.mechanism.joint_friction import JointFriction, PinFriction
+from mbdkit.trust.finding import Finding
 
 if TYPE_CHECKING:
     from mbdkit.engine.compiled_mechanism import CompiledMechanism
-    from mbdkit.mechanism.mechanism import Mechanism
     from mbdkit.quantities.states import States
     from mbdkit.spec import RunSpec
     from mbdkit.trust.energy_record import EnergyRecord
@@ -32,8 +33,10 @@ RESOLVED = 0.1
 """The recommended transition speed, as a share of the mean speed of the motion, at most."""
 
 
-class _Element(NamedTuple):
-    """A friction element: its name, key and value of its transition speed [m/s], arm [m], and path [m] that is rest."""
+class FrictionElement(NamedTuple):
+    """An element with friction: its name, key and value of its transition speed [m/s], arm [m], and path [m] that is
+    rest.
+    """
 
     name: str
     key: str
@@ -43,69 +46,41 @@ class _Element(NamedTuple):
 
 
 class SlowFriction:
-    """Sums over the recorded states of a run, for each of E friction elements: joints with friction and compliant
-    contacts.
+    """Sums over the recorded states of a run, for each of E elements with friction.
 
     Parameters
     ----------
-    mechanism, compiled
-        The mechanism, and its compiled form.
-    size
-        Size of the mechanism [m].
+    elements
+        The elements.
+    take
+        Function that returns their slip velocities [m/s] and friction powers [W] in T states, (T, E), of any sign.
     """
 
-    def __init__(self, mechanism: Mechanism, compiled: CompiledMechanism, size: float):
-        first = compiled.first_friction
-        self._columns = list(range(first, first + len(compiled.friction)))
-        self._elements = []
-        for name in (compiled.joints[number] for number in compiled.friction):
-            friction = getattr(mechanism.joints[name], "friction", None)
-            assert isinstance(friction, JointFriction)
-            arm, rest, key = 1.0, SHARE * size, f"joints.{quoted(name)}.friction"
-            if isinstance(friction, PinFriction):
-                arm, rest = friction.radius, TURN * friction.radius
-            self._elements.append(_Element(f"joint '{name}'", key, friction.transition_speed, arm, rest))
-        self._contacts = [] if compiled.contact_treatment.is_rigid else list(mechanism.contacts)
-        for name in self._contacts:
-            own = mechanism.contacts[name].compliance
-            assert own is not None
-            key = f"contacts.{quoted(name)}.compliance"
-            self._elements.append(_Element(f"contact '{name}'", key, own.transition_speed, 1.0, SHARE * size))
-        self._transition, self._arm, self._rest = (
-            np.array([getattr(one, key) for one in self._elements]) for key in ("transition", "arm", "rest")
-        )
-        self._last = np.zeros((0, 5, len(self._elements)))
+    def __init__(self, elements: Sequence[FrictionElement], take: Callable[[States], tuple[np.ndarray, np.ndarray]]):
+        self._elements, self._take = elements, take
+        self._transition = np.array([one.transition for one in elements])
+        self._rest = np.array([one.rest for one in elements])
+        self._last = np.zeros((0, 5, len(elements)))
         # work of Coulomb friction and its missing part [J]; whole path and path below the transition speed [m]; time
-        self._sums = np.zeros((5, len(self._elements)))
-        self._peak = np.zeros(len(self._elements))
-
-    @classmethod
-    def of(cls, spec: RunSpec, compiled: CompiledMechanism, size: float) -> SlowFriction | None:
-        """Return the `SlowFriction` of a mechanism; None if it has no friction that depends on the slip velocity."""
-        mechanism = spec.mechanism()
-        has_contacts = bool(mechanism.contacts) and not compiled.contact_treatment.is_rigid
-        return cls(mechanism, compiled, size) if compiled.friction or has_contacts else None
+        self._sums = np.zeros((5, len(elements)))
+        self._peak = np.zeros(len(elements))
 
     def add(self, states: States) -> None:
         """Take note of states."""
-        time, forces, count = states.time, states.observed.forces, len(self._contacts)
-        slip, friction = (states.of_contacts(name).reshape(len(time), -1) for name in ("slip", "friction_force"))
-        rate, value = forces[:, self._columns, 1], forces[:, self._columns, 2]
-        speed = np.abs(np.hstack([rate * self._arm[: rate.shape[1]], slip[:, :count]]))
-        power = np.abs(np.hstack([rate * value, (slip * friction)[:, :count]]))
+        speed, power = (np.abs(values) for values in self._take(states))
         self._peak = np.maximum(self._peak, speed.max(axis=0, initial=0.0))
         share = np.minimum(speed / self._transition, 1.0)
         coulomb = np.divide(power, share, out=np.zeros_like(power), where=share > 0.0)
         slow = np.where(share < 1.0, speed, 0.0)
-        ones = np.broadcast_to(time[:, None], speed.shape)
+        ones = np.broadcast_to(states.time[:, None], speed.shape)
         rows = np.concatenate([self._last, np.stack([coulomb, coulomb - power, speed, slow, ones], axis=1)])
         self._last = rows[-1:].copy()
         h = np.diff(rows[:, 4:], axis=0)
         values = np.concatenate([rows[:, :4], np.where(rows[:, 3:4] + rows[:, 2:3] > 0, 1.0, 0.0)], axis=1)
         self._sums += np.sum(0.5 * h * (values[1:] + values[:-1]), axis=0)
 
-    def findings(self, energies: EnergyRecord) -> tuple[str, ...]:
-        """Return a sentence for each element that lacks much of its friction."""
+    def findings(self, energies: EnergyRecord) -> list[Finding]:
+        """Return a doubt for each element that lacks much of its friction."""
         work, missing, path, slow, lasted = self._sums
         found = (missing > MISSING * work) & (missing > MATTERS * energies.kinetic) & (slow > self._rest)
         told = []
@@ -114,13 +89,14 @@ class SlowFriction:
             mean = float(path[place] / lasted[place]) if lasted[place] > 0.0 else one.transition
             advised = min(RESOLVED * mean, 0.1 * one.transition)
             turns = f", at {self._peak[place] / one.arm:.3g} rad/s" if one.arm != 1.0 else ""
-            told.append(
+            sentence = (
                 f"the friction of {one.name} is weaker than Coulomb friction, because {slow[place] / path[place]:.0%} "
                 f"of its path is slower than its transition speed of {one.transition:g} m/s (fastest slip "
                 f"{self._peak[place]:.3g} m/s{turns}), and lacks {missing[place] / work[place]:.0%} of its work; lower "
                 f"model.{one.key}.transition_speed, to {advised:.1g} m/s for example"
             )
-        return tuple(told)
+            told.append(Finding("slow-friction", "doubtful", sentence, is_named=False))
+        return told
 
     def stored(self) -> dict[str, Any]:
         """Return the state as plain values, for a checkpoint."""
@@ -131,3 +107,24 @@ class SlowFriction:
         self._last = np.zeros((min(1, len(state["last"])), *self._last.shape[1:]))
         for name in ("sums", "peak", "last"):
             fill(getattr(self, f"_{name}"), state[name])
+
+
+def of_joints(spec: RunSpec, compiled: CompiledMechanism, size: float) -> SlowFriction | None:
+    """Return the slow friction of the joints of a mechanism; None if none of them has friction."""
+    if not compiled.friction:
+        return None
+    elements = []
+    for name in (compiled.joints[number] for number in compiled.friction):
+        friction = getattr(spec.mechanism().joints[name], "friction", None)
+        assert isinstance(friction, JointFriction)
+        arm, rest, key = 1.0, SHARE * size, f"joints.{quoted(name)}.friction"
+        if isinstance(friction, PinFriction):
+            arm, rest = friction.radius, TURN * friction.radius
+        elements.append(FrictionElement(f"joint '{name}'", key, friction.transition_speed, arm, rest))
+    columns, arms = compiled.first_friction + np.arange(len(elements)), np.array([one.arm for one in elements])
+
+    def take(states: States) -> tuple[np.ndarray, np.ndarray]:
+        rate, value = states.observed.forces[:, columns, 1:3].transpose(2, 0, 1)
+        return rate * arms, rate * value
+
+    return SlowFriction(elements, take)

@@ -16,11 +16,11 @@ from mbdkit.base.files_read import FilesRead, recording
 from mbdkit.base.plain_data import copied
 from mbdkit.base.text import did_you_mean, listed
 from mbdkit.engine.formulation import FormulationName
+from mbdkit.mechanism.element_kinds import element_kinds
 from mbdkit.mechanism.mechanism import Mechanism
 from mbdkit.registry.feature_items import Example
 from mbdkit.registry.manager import registry
 from mbdkit.spec.model_spec import ModelSpec
-from mbdkit.spec.polyline_files import read_polylines
 from mbdkit.spec.reading import Document, read_file, read_stdin, read_text, set_value
 from mbdkit.spec.run_spec import RunSpec
 from mbdkit.spec.spec_kinds import refused, spec_kinds
@@ -97,7 +97,7 @@ def loaded(name: str, kind: type[S], source: Any, overrides: Iterable[str], sect
     files = FilesRead()
     try:
         with recording(files):
-            read_polylines(document)
+            _read_files(document)
         spec = kind(**document.data)
         mechanism = spec.mechanism()
         if files.all:
@@ -106,6 +106,14 @@ def loaded(name: str, kind: type[S], source: Any, overrides: Iterable[str], sect
         raise document.place(error) from None
     spec._document = document
     return spec
+
+
+def _read_files(document: Document) -> None:
+    """Replace what elements of plugins read from files."""
+    model: Any = document.data.get("model")
+    for key, kind in element_kinds().items() if isinstance(model, Mapping) else ():
+        if kind.read_files is not None and isinstance(elements := model.get(key), Mapping):
+            kind.read_files()(elements, document.folder)
 
 
 def example_names(kind: str | None = None) -> list[str]:

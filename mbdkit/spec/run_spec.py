@@ -242,7 +242,7 @@ class RunSpec(ModelSpec):
     @property
     def has_rigid_contacts(self) -> bool:
         """Whether the mechanism has contacts, and the run treats the bodies in contact as rigid."""
-        return self.contact.treatment != "compliant" and bool(self.mechanism().contacts)
+        return self.contact.treatment != "compliant" and "contacts" in self.mechanism().elements
 
     @property
     def estimates_errors(self) -> bool:
@@ -398,7 +398,7 @@ class RunSpec(ModelSpec):
         for key, kind in element_kinds().items():
             if kind.check_run is not None and mechanism.elements.get(key):
                 kind.check_run()(mechanism)
-        if mechanism.contacts:
+        if "contacts" in mechanism.elements:
             mechanism.contact_treatment = self.contact.of_mechanism
             if mechanism.contact_treatment.is_rigid and (name := joint_with_friction(mechanism.joints)):
                 raise SpecError(

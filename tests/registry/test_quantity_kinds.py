@@ -25,9 +25,11 @@ def mbdkit_items():
 """
 KIND = """
 from mbdkit.plugin import Array, Chart, Recorded, name_array, quantity_group
+from mbdkit_contact.quantities import contacts_in
 
 def values(states):
-    return {"power": -states.of_contacts("friction_force") * states.of_contacts("slip")}
+    found = states.of(contacts_in)
+    return {"power": -found["friction_force"] * found["slip"]}
 
 WEAR = quantity_group(
     "wear",
@@ -35,7 +37,7 @@ WEAR = quantity_group(
     name_array("pair", "pair", "name of the contact", lambda names: names.names_of("contacts")),
     Recorded("power", ("time", "pair"), "W", "power that friction dissipates", take=lambda s: s.of(values)["power"],
              charts=(Chart("wear", "Wear", "Power that friction dissipates.", "power", "W"),)),
-    Recorded("rate", ("time", "pair"), "m/s", "slip, without its sign", take=lambda s: abs(s.of_contacts("slip"))),
+    Recorded("rate", ("time", "pair"), "m/s", "slip, without its sign", take=lambda s: abs(s.of(contacts_in)["slip"])),
     optional=True, word="wear", one="worn pair", example="power", axis="pair", is_optional=True,
 )
 """

@@ -164,7 +164,7 @@ def mbdkit_items() -> Iterable[Item]:
             QuantityKind(
                 name=group,
                 summary=summary,
-                order=10 * number,
+                order=200 + 10 * number,
                 target=Target(f"mbdkit_biomech.quantities:{group.upper()}"),
                 word=group,
                 history=Target(f"mbdkit_biomech.histories:{history}"),
@@ -188,7 +188,7 @@ def mbdkit_items() -> Iterable[Item]:
         CriterionItem(
             name="excitations",
             summary="Excitations of muscles below 0 or above 1.",
-            order=95,
+            order=105,
             stage="spec",
             find=Target(f"{_MUSCLES}:excitations"),
             of=frozenset({"run"}),

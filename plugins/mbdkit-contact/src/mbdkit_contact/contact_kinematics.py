@@ -10,10 +10,10 @@ from itertools import groupby
 
 import numpy as np
 
-from mbdkit.engine.contact_forces import ActingContact, polygon_edges, surface_numbers
 from mbdkit.engine.kernels.uneven_ground import EDGE, FAR, HIGH, LOW, OWN, SEGMENT
 from mbdkit.engine.repeated_call import RepeatedCall
-from mbdkit.mechanism.contacts import ContactPair
+from mbdkit_contact.acting_contacts import ActingContact, polygon_edges, surface_numbers
+from mbdkit_contact.contact import ContactPair
 from mbdkit_contact.kernels.kinematics import (
     KINDS,
     POLYGONS,

@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 
 from mbdkit.base.text import listed
-from mbdkit.engine.contact_forces import HELD, ActingContact, held_coordinates, held_states
 from mbdkit.integrators.impulse import ContactImpact, ContactMemory
+from mbdkit_contact.acting_contacts import HELD, ActingContact, held_coordinates, held_states
 
 SOLVED = 1e-6
 """`ContactState.remarks` mentions relative errors of the velocities of contacts that are larger than this."""

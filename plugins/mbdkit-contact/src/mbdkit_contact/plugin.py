@@ -1,18 +1,39 @@
-"""What this part adds to mbdkit: treatments of contacts between rigid bodies, and time-stepping methods."""
+"""What this part adds to mbdkit: contacts, their treatments between rigid bodies, and time-stepping methods."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
-from mbdkit.plugin import Example, GuidePage, IntegratorPlugin, Item, Target, Treatment, hookimpl
+from mbdkit.plugin import (
+    CriterionItem,
+    ElementKind,
+    Example,
+    GuidePage,
+    HeadlineItem,
+    IntegratorPlugin,
+    Item,
+    QuantityKind,
+    SummaryLine,
+    Target,
+    Treatment,
+    hookimpl,
+)
 
 _HERE = Path(__file__).parent
 
 
 def _of_treatments(name: str) -> Target[Any]:
     return Target(f"mbdkit_contact.treatments:{name}")
+
+
+_CRITERIA: tuple[tuple[int, Literal["spec", "rows"], str, str, str], ...] = (
+    (85, "spec", "rolling-point-masses", "Point masses that do not roll.", "contact_criteria:rolling_point_masses"),
+    (107, "spec", "slip-events", "Events at rounding errors of a slip.", "contact_criteria:slip_events"),
+    (155, "rows", "slow-contacts", "Contacts that slip slowly.", "contact_criteria:slow_friction"),
+    (175, "rows", "deep-overlaps", "Circles in contact that overlap deeply.", "deep_overlaps:DeepOverlaps.of"),
+)
 
 
 def _integrator(order: int, name: str, summary: str, options: str, suffix: str) -> IntegratorPlugin:
@@ -52,9 +73,68 @@ def mbdkit_integrators() -> list[IntegratorPlugin]:
 
 @hookimpl
 def mbdkit_items() -> Iterable[Item]:
-    """Return the treatments, the examples, and the page of the guide."""
+    """Return contacts, what runs record and say of them, treatments, examples, and the page of the guide."""
     comparison: dict[str, Any] = {"guards": _of_treatments("guards"), "guarded_by": "event-driven"}
     return [
+        ElementKind(
+            name="contact",
+            summary="Contacts between bodies by name.",
+            order=300,
+            key_in_model="contacts",
+            model=Target("mbdkit_contact.contact:Contact"),
+            builder="contact",
+            method=Target("mbdkit_contact.contact:add_contact"),
+            read_files=Target("mbdkit_contact.polyline_files:read_polylines"),
+            check_elements=Target("mbdkit_contact.contact:check_contacts"),
+            lower=Target("mbdkit_contact.acting_contacts:lower_contacts"),
+            at_start=Target("mbdkit_contact.acting_contacts:check_start"),
+            members=Target("mbdkit_contact.acting_contacts:members_of"),
+            sides=Target("mbdkit_contact.contact_corners:sides"),
+            gradient_doubts=Target("mbdkit_contact.contact_corners:jumps"),
+        ),
+        *(
+            QuantityKind(
+                name=name,
+                summary=summary,
+                order=order,
+                target=Target(f"mbdkit_contact.quantities:{name.upper()}"),
+                word=name,
+                of="contacts",
+                names=Target(f"mbdkit_contact.quantities:{names}"),
+                history=Target(f"mbdkit_contact.histories:{history}"),
+            )
+            for order, name, names, history, summary in (
+                (52, "contacts", "contact_names", "ContactHistory", "Gaps, forces, slip and modes of contacts."),
+                (54, "ground_reactions", "feet_of", "GroundReactionHistory", "Forces of the ground on bodies."),
+            )
+        ),
+        SummaryLine(
+            name="contacts",
+            summary="Overlaps and slip of contacts.",
+            order=1010,
+            text=Target("mbdkit_contact.contact_summary:contact_lines"),
+            group="contacts",
+        ),
+        HeadlineItem(
+            name="contact-forces",
+            summary="Largest normal forces of contacts.",
+            order=30,
+            take=Target("mbdkit_contact.contact_summary:largest_forces"),
+            group="contacts",
+        ),
+        *(
+            CriterionItem(
+                name=name,
+                summary=summary,
+                order=order,
+                stage=stage,
+                find=Target(f"mbdkit_contact.{find}"),
+                of=frozenset({"run", "mechanism"} if name == "rolling-point-masses" else {"run"}),
+                criteria=("slow-friction" if name == "slow-contacts" else name,),
+                elements="contacts",
+            )
+            for order, stage, name, summary, find in _CRITERIA
+        ),
         Treatment(
             name="event-driven",
             summary="Rigid bodies; impacts and changes between sticking, slipping and separation are located.",

@@ -7,6 +7,7 @@ import numpy as np
 from mbdkit.engine.equations_of_motion import EquationsOfMotion
 from mbdkit.integrators.interface import StepTaken
 from mbdkit.methods.step_methods import Dense, Step, StepEvent, StepState
+from mbdkit_contact.acting_contacts import ActingContact
 from mbdkit_contact.contact_kinematics import ContactKinematics
 from mbdkit_contact.contact_state import ContactState, HeldForces
 
@@ -21,7 +22,8 @@ class RigidContacts:
     """
 
     def __init__(self, equations: EquationsOfMotion):
-        self.p, self.contacts = equations, equations.contacts
+        self.p = equations
+        self.contacts: tuple[ActingContact, ...] = equations.workspace.mechanism.extensions["contacts"]
         self.held = HeldForces(self.contacts)
         #: Whether a first-order state (Z,) does not belong to contacts.
         self._is_own = np.ones(len(equations.z0), dtype=bool)

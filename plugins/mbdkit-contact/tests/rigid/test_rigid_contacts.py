@@ -18,6 +18,7 @@ from mbdkit_contact.kernels.active_set import new_active_set, solve_active_set
 from mbdkit_contact.kernels.impacts import new_strike, stronge
 from mbdkit_contact.kernels.mode_path import solve_by_path
 from mbdkit_contact.kernels.pivoting import new_cones
+from mbdkit_contact.rigid_contacts import RigidContacts
 from mbdkit_report.pages.run_tables import run_tables
 from tests.witness.pit import pit
 
@@ -499,7 +500,7 @@ def test_gaps_that_are_not_evaluated_are_above_their_bounds() -> None:
     model = {"name": "mechanism", "bodies": bodies, "contacts": contacts}
     spec = {"mbdkit": 1, "model": model, "contact": {"treatment": "event-driven"}, "integrator": {"name": "rk4"}}
     equations = EquationsOfMotion.of(mbdkit.RunSpec(**spec, time={"end": 1.0, "step": 0.1}).mechanism())
-    kinematics = ContactKinematics(equations.contacts, equations.n, equations.length)
+    kinematics = ContactKinematics(RigidContacts(equations).contacts, equations.n, equations.length)
     reach, far, touch, q = kinematics.reach, 0, 0, equations.q0.copy()
     for _ in range(200):
         q = q + random.uniform(-1e-2, 1e-2, len(q))

@@ -19,7 +19,6 @@ _HEADER = '''"""Columns and labels of histories by group, written by ``python -m
 
 import numpy as np
 
-from mbdkit.archive.history import {}
 from mbdkit.archive.named_columns import Histories, View
 '''
 
@@ -29,16 +28,15 @@ def declarations() -> str:
     own = [group for group, view in VIEWS.items() if view.__module__ == history.__name__]
     kinds = [kind_of_group(group) for group in [*own, *(group for group in added_kinds() if group in OF_PARTS)]]
     further = [kind for kind in kinds if kind.one and kind.word not in vars(RecordedData)]
-    imported = ", ".join(sorted(VIEWS[kind.group].__name__ for kind in further if kind.group in own))
+    imports = sorted(f"from {view.__module__} import {view.__name__}\n" for view in map(view_of, further))
     properties = "".join(map(_property, further))
-    return _HEADER.format(imported) + "".join(map(_class, kinds)) + "\nclass FurtherKinds:\n" + properties
+    return _HEADER + "".join([*imports, *map(_class, kinds)]) + "\nclass FurtherKinds:\n" + properties
 
 
 def _property(kind: Kind) -> str:
     view = view_of(kind)
-    one = view.__name__ if view.__module__ == history.__name__ else _name(kind)
     what = str(view.__doc__).partition("\n")[0]
-    return f'    @property\n    def {kind.word}(self) -> Histories[{one}]:\n        """{what}"""\n'
+    return f'    @property\n    def {kind.word}(self) -> Histories[{view.__name__}]:\n        """{what}"""\n'
 
 
 def _name(kind: Kind) -> str:

@@ -14,7 +14,6 @@ from pydantic import BaseModel
 from mbdkit.mechanism.angle_function import AngleTable
 from mbdkit.mechanism.beams import Beam
 from mbdkit.mechanism.bodies import Body, Marker
-from mbdkit.mechanism.contacts import Compliance, Contact, Friction, Shape
 from mbdkit.mechanism.forces import PointForce, SpringDamper, Torque, TorsionSpring
 from mbdkit.mechanism.joints import Joint
 from mbdkit.mechanism.mechanism_data import Assembly, MechanismData, NamedCoordinate
@@ -28,6 +27,7 @@ from mbdkit.spec.schema import run_schema
 from mbdkit.spec.sections import Baumgarte, NoStabilization, Projection
 from mbdkit_biomech.inverse_dynamics.inverse_schema import inverse_schema
 from mbdkit_biomech.muscles.muscle import Muscle, PathItem
+from mbdkit_contact.contact import Compliance, Contact, Friction, Shape
 from mbdkit_design.design_spec import DesignSpec
 from mbdkit_studies.study_spec import StudySpec
 

@@ -81,10 +81,10 @@ class InverseSpec(ModelSpec):
     """Measures by name: numbers that expressions, such as `max(abs(joints.B.force))`, take from the result."""
 
     def _accept(self, mechanism: Mechanism) -> None:
-        if mechanism.contacts:
+        if contacts := mechanism.elements.get("contacts"):
             raise SpecError(
                 "inverse dynamics does not support contacts: omit them, and give the forces of the ground as `loads`",
-                key=f"model.contacts.{quoted(next(iter(mechanism.contacts)))}",
+                key=f"model.contacts.{quoted(next(iter(contacts)))}",
             )
         if name := joint_with_friction(mechanism.joints):
             raise SpecError(

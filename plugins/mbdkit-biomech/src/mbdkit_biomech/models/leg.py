@@ -54,7 +54,6 @@ from mbdkit.base.errors import SpecError
 from mbdkit.base.plain_data import quoted
 from mbdkit.base.text import listed
 from mbdkit.mechanism.bodies import GROUND, Body, Marker
-from mbdkit.mechanism.contacts import Contact
 from mbdkit.mechanism.forces import Force
 from mbdkit.mechanism.joint_friction import PinFriction
 from mbdkit.mechanism.joints import Joint
@@ -66,6 +65,7 @@ from mbdkit.models._segments import DE_LEVA, FRACTIONS, GAIT2D, WINTER, Person
 from mbdkit.models.four_bar_knee import EXOSKELETON, KneeLinks, KneePitches, linkage
 from mbdkit_biomech.models._one_leg import Hip, LegParts, LegPose, four_bar_leg, muscles_of_both, pinned_leg, second_leg
 from mbdkit_biomech.muscles.muscle import Muscle
+from mbdkit_contact.contact import Contact
 
 REFERENCES = (WINTER, DE_LEVA, FRACTIONS, GAIT2D)
 FOUR_BAR_REFERENCES = (EXOSKELETON, *REFERENCES)

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import itertools
 from collections import defaultdict
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
@@ -27,9 +27,9 @@ from mbdkit_report.figures.plane_geometry import Array, convex_hull
 if TYPE_CHECKING:
     from mbdkit.archive.run import Run
     from mbdkit.mechanism.beams import Beam
-    from mbdkit.mechanism.contacts import Shape
     from mbdkit.mechanism.joints import SlidingJoint
     from mbdkit.mechanism.mechanism import Mechanism
+    from mbdkit_contact.contact import Shape
 
 GROUND = -1
 
@@ -220,7 +220,8 @@ def draw_mechanism(mechanism: Mechanism) -> Drawing:
         if (draw := kind.draw) is not None:
             for element in mechanism.elements.get(key, {}).values():
                 sketch.parts["muscles"] += (sketch.points(line) for line in draw()(mechanism, element))
-    for contact in mechanism.contacts.values():
+    contacts: Mapping[str, Any] = mechanism.elements.get("contacts", {})
+    for contact in contacts.values():
         for _, _, body, shape in contact.by_body:
             sketch.shape(body, shape, contact_places(mechanism, body, shape))
     for name, marker in mechanism.markers.items():

@@ -4,14 +4,17 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from mbdkit.mechanism.bodies import GROUND
-from mbdkit.mechanism.contacts import Shape
 from mbdkit.mechanism.joints import Joint
 from mbdkit.mechanism.mechanism import Mechanism
 from mbdkit.mechanism.pathways import JointAngles
+
+if TYPE_CHECKING:
+    from mbdkit_contact.contact import Shape
 
 Place = tuple[str, tuple[float, float]]
 """Body, and point in its frame [m]."""
@@ -92,7 +95,7 @@ def _far_end(
     """Return the end of the drawn part of a line without end. It extends beyond all bodies by half of their total
     extent.
     """
-    elements = [*mechanism.joints.values(), *mechanism.contacts.values()]
+    elements = [*mechanism.joints.values(), *mechanism.elements["contacts"].values()]
     places = [mechanism.to_global(name, point) for element in elements for _, name, point in element.attachments()]
     places += [body.position for body in mechanism.bodies.values()]
     room = 0.5 * float(np.max(np.ptp(np.array(places), axis=0))) or 1.0

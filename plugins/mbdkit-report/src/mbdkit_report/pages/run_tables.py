@@ -30,7 +30,7 @@ EVENTS = 50
 def run_tables(run: Run) -> tuple[Table, ...]:
     """Return the tables of a run. The tables of events and of the cost come last."""
     tables = [_joints(run)] if run.joint_names else []
-    if len(run.contacts):
+    if "contacts" in run.kinds:
         tables += [_contacts(run), *_transitions(run)]
     if run.joint_names and len(run.impacts) and np.any(np.isfinite(run.impacts.reaction_impulse)):
         tables.append(_impulses(run))

@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 
 import numpy as np
 
-from mbdkit.engine.contact_forces import ActingContact
-from mbdkit.mechanism.bodies import GROUND
-from mbdkit.mechanism.contacts import OPEN, feet
+from mbdkit.mechanism.contacts import OPEN
+from mbdkit.plugin import GROUND
+from mbdkit_contact.acting_contacts import ActingContact
+
+
+def feet(pairs: Iterable[Sequence[str]]) -> list[str]:
+    """Return the names of the bodies that may touch the ground, given the two bodies of each contact."""
+    return list(dict.fromkeys(name for pair in pairs if GROUND in pair for name in pair if name != GROUND))
 
 
 def ground_reactions(contacts: Sequence[ActingContact], values: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
@@ -19,7 +24,7 @@ def ground_reactions(contacts: Sequence[ActingContact], values: Mapping[str, np.
     contacts
         All contacts of the mechanism.
     values
-        Quantities of the contacts; see `mbdkit.engine.contact_forces.contact_values`.
+        Quantities of the contacts; see `mbdkit_contact.acting_contacts.contact_values`.
 
     Returns
     -------

@@ -12,39 +12,39 @@ from typing import Any
 
 from pydantic import ValidationError
 
-from mbdkit.base.errors import SpecError
-from mbdkit.base.files_read import read_data
-from mbdkit.base.plain_data import quoted
-from mbdkit.base.text import did_you_mean, listed, shown
-from mbdkit.base.units import read_unit
-from mbdkit.mechanism.contacts import PolylineFile
 from mbdkit.mechanism.validation_errors import spec_error
-from mbdkit.spec.reading import Document
+from mbdkit.plugin import SpecError, did_you_mean, listed, quoted, read_data, read_unit, shown
+from mbdkit_contact.contact import PolylineFile
 
 LARGEST_FILE = 16 * 2**20
 """Largest size of a file with points [bytes]."""
 
 
-def read_polylines(document: Document) -> None:
-    """Replace the polylines of a document that name a file by the points in the file.
+def read_polylines(contacts: Mapping[str, Any], folder: Path) -> None:
+    """Replace polylines that name a file by the points in the file.
+
+    Parameters
+    ----------
+    contacts
+        Plain data of contacts by name.
+    folder
+        Folder of the spec.
 
     Raises
     ------
     SpecError
         If a file is not a table with the named columns, with the file and line or the key.
     """
-    for key, shape in _shapes(document.data):
+    for key, shape in _shapes(contacts):
         if isinstance(shape.get("polyline"), Mapping):
             try:
-                shape["polyline"] = _points(shape["polyline"], document.folder)
+                shape["polyline"] = _points(shape["polyline"], folder)
             except SpecError as error:
                 raise error if error.file else error.located(prefix=f"{key}.polyline") from None
 
 
-def _shapes(data: Mapping[str, Any]) -> Iterator[tuple[str, dict[str, Any]]]:
-    model = data.get("model")
-    contacts = model.get("contacts") if isinstance(model, Mapping) else None
-    for name, contact in contacts.items() if isinstance(contacts, Mapping) else ():
+def _shapes(contacts: Mapping[str, Any]) -> Iterator[tuple[str, dict[str, Any]]]:
+    for name, contact in contacts.items():
         shapes = contact.get("shapes") if isinstance(contact, Mapping) else None
         key = f"model.contacts.{quoted(name)}.shapes"
         if isinstance(shapes, Mapping):

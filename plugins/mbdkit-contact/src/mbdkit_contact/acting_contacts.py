@@ -14,7 +14,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from mbdkit.base import elementary
-from mbdkit.base.errors import SpecError
 from mbdkit.engine.compiled_mechanism import with_ground
 from mbdkit.engine.force_laws import CompiledLaw, NativeLaw, native_law
 from mbdkit.engine.kernels.contact_laws import (
@@ -30,14 +29,14 @@ from mbdkit.engine.kernels.contact_laws import (
     contact_rows,
 )
 from mbdkit.engine.kernels.uneven_ground import EDGE, OWN, SEGMENT
-from mbdkit.mechanism.bodies import GROUND
-from mbdkit.mechanism.contacts import OPEN, SLIP, STICK, ContactPair
-from mbdkit.mechanism.polylines import reaching_segments
+from mbdkit.mechanism.contacts import OPEN, SLIP, STICK
+from mbdkit.plugin import GROUND, SpecError
+from mbdkit_contact.contact import ContactPair
+from mbdkit_contact.polylines import reaching_segments
 
 if TYPE_CHECKING:
-    from mbdkit.engine.compile_forces import Lowering
-    from mbdkit.mechanism.contacts import Contact
-    from mbdkit.mechanism.mechanism import Mechanism
+    from mbdkit.plugin import Lowering, Mechanism
+    from mbdkit_contact.contact import Contact
 
 HEAVY = 10.0
 """Largest contact force at the start, relative to the weight of all bodies, that is accepted. Larger forces mean that
@@ -76,9 +75,11 @@ class ActingContact:
     bodies
         Indices of its bodies.
     law
-        Parameters of its force law; see `mbdkit.mechanism.contacts.Contact.law_numbers`.
+        Parameters of its force law; see `mbdkit_contact.contact.Contact.law_numbers`.
     first_state
         Index of the first of the `HELD` states of a rigid contact; -1 for a compliant contact.
+    law_place
+        Index of the law of a compliant contact; -1 for a rigid contact.
     coefficients
         Coefficient of restitution, and static and kinetic coefficient of friction.
     """
@@ -89,6 +90,7 @@ class ActingContact:
     bodies: tuple[int, int]
     law: tuple[float, ...]
     first_state: int = -1
+    law_place: int = -1
     coefficients: tuple[float, float, float] = (0.0, 0.0, 0.0)
 
     @property
@@ -209,7 +211,7 @@ def acting_contacts(mechanism: Mechanism, number: Mapping[str, int]) -> list[Act
         for pair in own.pairs(name, mechanism.joints):
             moving = _coordinates(mechanism, pair.bodies[0]), _coordinates(mechanism, pair.bodies[1])
             bodies = (number[pair.bodies[0]], number[pair.bodies[1]])
-            static, kinetic = own.coefficients
+            static, kinetic = own.friction_coefficients
             if is_rigid and own.rolling_resistance > 0.0:
                 raise SpecError(
                     "rigid contacts have no rolling resistance; omit it, or use the compliant treatment",
@@ -217,7 +219,7 @@ def acting_contacts(mechanism: Mechanism, number: Mapping[str, int]) -> list[Act
                 )
             if is_rigid:
                 given = own.restitution, static, kinetic
-                found.append(ActingContact(pair, "none", moving, bodies, NO_LAW, 0, given))
+                found.append(ActingContact(pair, "none", moving, bodies, NO_LAW, 0, coefficients=given))
                 continue
             if own.compliance is None:
                 raise SpecError(
@@ -246,13 +248,15 @@ def lower_contacts(elements: Mapping[str, Contact], lowering: Lowering, acting: 
     mechanism = lowering.mechanism
     contacts = acting_contacts(mechanism, lowering.bodies)
     if not mechanism.contact_treatment.is_rigid:
+        compliant: list[ActingContact] = []
         for rows in pairs_of_shapes(contacts):
             laws = [contact_law(rows, mode) for mode in (FORCES, SLOPES)]
-            lowering.pair(f"contact '{rows[0].pair.name}'", rows[0].bodies, laws, contact_numbers(rows))
-        return tuple(contacts)
+            place = lowering.pair(f"contact '{rows[0].pair.name}'", rows[0].bodies, laws, contact_numbers(rows))
+            compliant += (replace(one, law_place=place) for one in rows)
+        return tuple(compliant)
     rigid = []
     for one in contacts:
-        states = [lowering.state(f"{one.pair.name}.{name}", unit, 0.0) for name, unit in HELD.items()]
+        states = [lowering.state(f"{one.pair.name}.{name}", unit, 0.0, by_method=True) for name, unit in HELD.items()]
         rigid.append(replace(one, first_state=states[0]))
     bodies, laws_of = list(mechanism.bodies), dict[int, list[int]]()
     for coordinate in held_coordinates(rigid):

@@ -7,11 +7,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from mbdkit.engine.stored_arrays import fill
+from mbdkit_contact.quantities import contacts_in
 
 if TYPE_CHECKING:
     from mbdkit.engine.compiled_mechanism import CompiledMechanism
-    from mbdkit.quantities.states import States
-    from mbdkit.spec import RunSpec
+    from mbdkit.plugin import RunSpec, States
     from mbdkit.trust.energy_record import EnergyRecord
 
 DEEP = 0.5
@@ -34,20 +34,21 @@ class DeepOverlaps:
     """
 
     def __init__(self, compiled: CompiledMechanism, finer: str):
-        self._pairs = [one.pair for one in compiled.contacts]
+        self._pairs = [one.pair for one in compiled.extensions["contacts"]]
         self._is_rigid, self._finer = compiled.contact_treatment.is_rigid, finer
         self._depth, self._time = np.zeros((2, len(self._pairs)))
 
     @classmethod
     def of(cls, spec: RunSpec, compiled: CompiledMechanism, _size: float) -> DeepOverlaps | None:
         """Return the `DeepOverlaps` of a mechanism; None if it has no contacts of circles."""
-        return cls(compiled, spec.finer) if any(one.pair.radius > 0.0 for one in compiled.contacts) else None
+        has_circles = any(one.pair.radius > 0.0 for one in compiled.extensions["contacts"])
+        return cls(compiled, spec.finer) if has_circles else None
 
     def add(self, states: States) -> None:
         """Take note of states."""
         if not len(states.time):
             return
-        gap = states.of_contacts("gap")
+        gap = states.of(contacts_in)["gap"]
         row = np.argmin(gap, axis=0)
         depth = -gap[row, np.arange(len(row))]
         self._time = np.where(depth > self._depth, states.time[row], self._time)

@@ -10,9 +10,9 @@ import pytest
 
 import mbdkit
 from mbdkit.engine.compile_mechanism import compile_mechanism
-from mbdkit.engine.contact_forces import contact_values
 from mbdkit.engine.equations_of_motion import EquationsOfMotion
 from mbdkit.mechanism.mechanism import Mechanism
+from mbdkit_contact.acting_contacts import contact_values
 
 G = 9.81
 K = 1e4
@@ -60,7 +60,7 @@ def rows_of(m: Mechanism) -> dict[str, np.ndarray]:
     """Return the quantities of the rows of the contact at the start."""
     box = m.bodies["box"]
     q = np.array([[*box.position, box.angle, 0.0, 0.0, 0.0]])
-    values = contact_values(compile_mechanism(m).contacts, q, 0.0 * q, np.zeros((1, 0)))
+    values = contact_values(compile_mechanism(m).extensions["contacts"], q, 0.0 * q, np.zeros((1, 0)))
     return {name: value[0] for name, value in values.items()}
 
 
@@ -156,7 +156,9 @@ def test_polygons_that_overlap_are_pushed_apart_along_the_axis_of_least_overlap(
             assert np.min(rows["gap"]) >= 0.0
         elif apart > -0.03:
             found += 1
-            signs = np.array([1.0 if one.pair.bodies[1] == "box" else -1.0 for one in compile_mechanism(m).contacts])
+            signs = np.array(
+                [1.0 if one.pair.bodies[1] == "box" else -1.0 for one in compile_mechanism(m).extensions["contacts"]]
+            )
             force = np.sum((signs * rows["normal_force"])[:, None] * rows["normal"], axis=0)
             assert np.count_nonzero(rows["normal_force"]) <= 2
             np.testing.assert_allclose(np.max(rows["normal_force"]), -K * apart, rtol=1e-9)

@@ -17,7 +17,7 @@ from typing import NamedTuple
 import numpy as np
 
 from mbdkit.base import elementary
-from mbdkit.base.errors import SpecError
+from mbdkit.plugin import SpecError
 
 Pair = tuple[float, float]
 

@@ -1,0 +1,64 @@
+"""Criteria of runs with contacts: events at zeros of a slip, point masses that cannot roll, and slow friction."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from mbdkit.plugin import GROUND, Finding, quoted
+from mbdkit.runs.slow_friction import SHARE, FrictionElement, SlowFriction
+from mbdkit_contact.quantities import contacts_in
+
+if TYPE_CHECKING:
+    from mbdkit.engine.compiled_mechanism import CompiledMechanism
+    from mbdkit.plugin import RunSpec, States
+
+_SLIP = re.compile(r"contacts(\.\w+|\[[^\]]+\])\.slip")
+
+
+def slip_events(spec: RunSpec, _measures: Sequence[str] = ()) -> Iterator[Finding]:
+    """Yield a warning for each event that is the zero crossing of the slip of a contact."""
+    for name, event in spec.events.items():
+        if (slip := _SLIP.fullmatch(event.when.strip())) is not None:
+            sentence = (
+                f"event '{name}' watches the sign of {slip[0]}, which is zero except for rounding errors while the "
+                f"contact sticks or rolls; to find the begin or end of slip, watch abs({slip[0]}) - 1e-6 with rigid "
+                "contacts, or subtract the transition speed with compliant ones"
+            )
+            yield Finding("slip-events", "doubtful", sentence, f"events.{quoted(name)}.when", is_named=False)
+
+
+def rolling_point_masses(spec: RunSpec, _measures: Sequence[str] = ()) -> Iterator[Finding]:
+    """Yield a doubt about each point mass with a round shape that friction cannot turn."""
+    mechanism = spec.mechanism()
+    for name, contact in mechanism.contacts.items():
+        for _, _, body, shape in contact.by_body:
+            circle = shape.circle
+            is_point_mass = body != GROUND and mechanism.bodies[body].inertia is None
+            if is_point_mass and circle is not None and circle.radius > 0 and max(contact.friction_coefficients) > 0:
+                sentence = (
+                    f"body '{body}' is a point mass (it has no inertia), so that the friction of contact '{name}' does "
+                    f"not turn its circle of {circle.radius:g} m, and it slides instead of rolling; give `inertia`"
+                )
+                yield Finding("rolling-point-masses", "doubtful", sentence, "model", is_named=False)
+
+
+def slow_friction(spec: RunSpec, compiled: CompiledMechanism, size: float) -> SlowFriction | None:
+    """Return the slow friction of the contacts of a mechanism; None if they are rigid, or cannot touch."""
+    if compiled.contact_treatment.is_rigid or not compiled.extensions["contacts"]:
+        return None
+    elements = []
+    for name, contact in spec.mechanism().contacts.items():
+        assert contact.compliance is not None
+        key, speed = f"contacts.{quoted(name)}.compliance", contact.compliance.transition_speed
+        elements.append(FrictionElement(f"contact '{name}'", key, speed, 1.0, SHARE * size))
+
+    def take(states: States) -> tuple[np.ndarray, np.ndarray]:
+        found = states.of(contacts_in)
+        slip, friction = (found[name][:, : len(elements)] for name in ("slip", "friction_force"))
+        return slip, slip * friction
+
+    return SlowFriction(elements, take)

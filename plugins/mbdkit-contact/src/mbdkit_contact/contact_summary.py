@@ -1,0 +1,61 @@
+"""What the summary of a run says of contacts, and its headlines."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from mbdkit.archive.headlines import EXACT, MISSED, largest_of
+from mbdkit.archive.peak_errors import errors_of_contacts, missed_between_rows
+from mbdkit.archive.run_summary import few, ranked
+from mbdkit.mechanism.contacts import SLIP, STICK
+from mbdkit.plugin import Headline
+
+if TYPE_CHECKING:
+    from mbdkit.plugin import Run
+
+
+def largest_forces(run: Run) -> list[Headline]:
+    """Return the two largest normal forces of contacts."""
+    if not run.records("contacts/normal_force"):
+        return []
+    names, force = list(run.contacts), run.array("contacts/normal_force")
+    missed = missed_between_rows(run, "contacts.normal_force", names, force)
+    errors = None
+    if run.accuracy is not None and missed is not None:
+        errors = missed + errors_of_contacts(run.integrals, run.accuracy.compared_measures, names)
+    return largest_of("normal force at", run, names, force, "N", errors, missed)[:2]
+
+
+def contact_lines(run: Run) -> list[tuple[str, str]]:
+    """Return the line of the summary about contacts."""
+    return [("contacts", _overlaps(run))]
+
+
+def _overlaps(run: Run) -> str:
+    """Return the deepest overlaps of contacts with their times, their largest creep (slip while they stick), and how
+    far they slip otherwise.
+
+    The deepest overlap comes first; rounding errors are left out.
+    """
+    if not run.contacts:
+        return ""
+    overlaps, parts = -np.stack([contact.gap for contact in run.contacts.values()], axis=1), []
+    missed = missed_between_rows(run, "-contacts.gap", list(run.contacts), overlaps)
+    beyond = np.zeros(len(run.contacts)) if missed is None else missed
+    for (name, contact), own, unseen in zip(run.contacts.items(), overlaps.T, beyond, strict=True):
+        row, known = int(np.argmax(own)), float(np.nan_to_num(unseen))
+        depth = float(own[row] + known)
+        if depth > EXACT:
+            when = f"at {run.time[row]:.4g} s" if known <= MISSED * depth else "between the recorded rows"
+            when += " in the recorded rows" if np.isnan(unseen) else ""
+            creep = np.max(np.abs(contact.slip[contact.mode == STICK]), initial=0.0)
+            crept = f", creeps at up to {creep:.2g} m/s" if creep > EXACT else ""
+            slip = np.where(contact.mode == SLIP, np.abs(contact.slip), 0.0)
+            path = float(np.trapezoid(slip, run.time))
+            slipped = f", slips {path:.2g} m" if path > EXACT else ""
+            parts.append((depth, f"{name} overlaps by up to {depth:.3g} m {when}{crept}{slipped}"))
+    if not parts:
+        return f"no overlap above {EXACT:g} m{' in the recorded rows' if np.any(np.isnan(beyond)) else ''}"
+    return few(ranked(parts))

@@ -1,0 +1,108 @@
+"""Groups of the archive that contacts add: their quantities, and the reactions of the ground."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from mbdkit.plugin import Chart, Recorded, name_array, quantity_group
+from mbdkit.quantities.entries import AXIS, TIME, computed
+from mbdkit_contact.acting_contacts import contact_values
+from mbdkit_contact.ground_reactions import feet, ground_reactions
+
+if TYPE_CHECKING:
+    from mbdkit.plugin import Mechanism, States
+    from mbdkit_contact.contact import ContactPair
+
+CLOSED = -1e-100
+"""Largest gap of a closed contact of rigid bodies in expressions of events [m], which are to be triggered once when it
+closes, and not by rounding errors later."""
+
+_MORE = {"no_derivative": "the derivatives of quantities of contacts with respect to parameters are not known"}
+
+
+def rows_of(mechanism: Mechanism) -> list[ContactPair]:
+    """Return the rows (possible contact points) of all contacts of a mechanism."""
+    return [pair for name, one in mechanism.contacts.items() for pair in one.pairs(name, mechanism.joints)]
+
+
+def contact_names(mechanism: Mechanism) -> list[str]:
+    """Return the names of all possible contact points: ``contact``, or ``contact.a.b`` for two bodies of a group.
+
+    If a shape is a polygon or polyline, there may be several names, which end with a number.
+    """
+    return [pair.name for pair in rows_of(mechanism)]
+
+
+def feet_of(mechanism: Mechanism) -> list[str]:
+    """Return the names of the bodies that may touch the ground."""
+    return feet(pair.ordered for pair in rows_of(mechanism))
+
+
+def contacts_in(states: States) -> dict[str, np.ndarray]:
+    """Return the quantities (T, C) of contacts by name; for events, gaps of closed contacts of rigid bodies are
+    negative.
+    """
+    contacts = states.mechanism.extensions["contacts"]
+    found = contact_values(contacts, states.q, states.v, states.z)
+    if states.is_for_events:
+        is_closed = np.array([one.first_state >= 0 for one in contacts]) & (found["mode"] > 0.0)
+        found["gap"] = np.where(is_closed, np.minimum(found["gap"], CLOSED), found["gap"])
+    return found
+
+
+def ground_reactions_in(states: States) -> dict[str, np.ndarray]:
+    """Return the quantities of the bodies that may touch the ground by name."""
+    return ground_reactions(states.mechanism.extensions["contacts"], states.of(contacts_in))
+
+
+def _of_contacts(name: str, units: str, what: str, **more: Any) -> Recorded:
+    return computed(name, ("time", "contact"), units, what, lambda s: s.of(contacts_in)[name], **_MORE, **more)
+
+
+def _of_ground(name: str, units: str, what: str, **more: Any) -> Recorded:
+    dims = ("time", "foot", "axis") if "components" in more else ("time", "foot")
+    return computed(name, dims, units, what, lambda s: s.of(ground_reactions_in)[name], **_MORE, **more)
+
+
+# fmt: off
+CONTACTS = quantity_group(
+    "contacts",
+    TIME,
+    name_array("contact", "contact", "name of the contact; of polygons and polylines, with a number",
+        lambda names: names.names_of("contacts")),
+    name_array("first_body", "contact", "first body of the contact, from which the normal points",
+        lambda names: names.bodies_of("contacts", 0), label="bodies"),
+    name_array("second_body", "contact", "second body of the contact",
+        lambda names: names.bodies_of("contacts", 1), label="bodies"),
+    _of_contacts("gap", "m", "distance of the two shapes, negative where they overlap"),
+    _of_contacts("normal_force", "N", "force that pushes the bodies apart",
+        charts=(Chart("contact-forces", "Normal forces of the contacts", "They push the bodies apart.", "force",
+            "N"),)),
+    _of_contacts("friction_force", "N",
+        "friction force on the second body, along the normal turned by -90 degrees"),
+    _of_contacts("slip", "m/s", "velocity of the second body relative to the first, in that direction"),
+    _of_contacts("mode", "1", "0: open, 1: sticks, 2: slips"),
+    since="1.1", optional=True, word="contacts", one="contact", example="normal_force", axis="contact",
+    is_optional=True,
+)
+
+GROUND_REACTIONS = quantity_group(
+    "ground_reactions",
+    TIME,
+    name_array("foot", "foot", "name of the body that may touch the ground",
+        lambda names: feet(bodies for _, bodies in dict(names.members).get("contacts", ()))),
+    AXIS,
+    _of_ground("force", "N", "force of all contacts with the ground on the body, global frame",
+        vector="force", components=("force_x", "force_y"), has_norm=True),
+    _of_ground("normal_force", "N", "sum of the normal forces of these contacts", is_not_negative=True,
+        charts=(Chart("ground-reactions", "Ground reactions", "Normal force of the ground on each body.", "force",
+            "N"),)),
+    _of_ground("center_of_pressure", "m",
+        "point about which the contacts with the ground have no moment, global frame; nan where none is closed",
+        vector="center_of_pressure", components=("center_of_pressure_x", "center_of_pressure_y")),
+    since="1.1", optional=True, word="ground_reactions", one="ground reaction", example="force_y",
+    axis="foot", is_optional=True, may_be_unknown=True,
+)
+# fmt: on
