@@ -23,7 +23,7 @@ from mbdkit.engine.native.functions import inlined, subkernel
 PATHWAYS = {name: code for code, name in enumerate(e.PATHWAY_KINDS)}
 _TWO_POINTS, _RELATIVE_ANGLE, _COORDINATE_X, _COORDINATE_Y, _PULLEY, _LIFTED, _TRAVEL, _TANGENT = range(len(PATHWAYS))
 BEHIND = np.pi / 6
-"""A string sweeps an angle from minus this to 2 pi minus this about its circle; see `mbdkit.muscles.muscle_path`."""
+"""A string sweeps an angle from minus this to 2 pi minus this about its circle."""
 FARTHEST = 2.0 * np.pi - 2.0 * BEHIND
 """Beyond this angle, a string would change sides, and its length would jump; a step turns it by less than `BEHIND`."""
 POSITION_INPUT, VELOCITY_INPUT, LENGTH_INPUT, RATE_INPUT, TENSION_INPUT = range(5)

@@ -93,7 +93,7 @@ _SINE = (
 @inlined
 def _stirling(x, x_low):
     """Return log(Gamma(x + x_low)) for ``x >= 8`` as two numbers."""
-    logarithm, logarithm_low = logarithm_pair(x)
+    logarithm, logarithm_low = logarithm_pair(x, 0.0)
     factor, factor_low = two_sum(x, -0.5)
     factor_high, logarithm_high = leading_bits(factor), leading_bits(logarithm)
     product = factor_high * logarithm_high
@@ -174,7 +174,7 @@ def _reflected(x):
     if sine == 0.0:
         return math.inf
     logarithm, logarithm_low = _stirling(x, 0.0)
-    other, other_low = logarithm_pair(x * sine / math.pi)
+    other, other_low = logarithm_pair(x * sine / math.pi, 0.0)
     total, error = two_sum(-logarithm, -other)
     return total + (error - (logarithm_low + other_low))
 
@@ -182,7 +182,7 @@ def _reflected(x):
 @inlined
 def _of_huge(x):
     """Return ``x (log(x) - 1)``, which does not overflow before log(Gamma(x))."""
-    logarithm, logarithm_low = logarithm_pair(x)
+    logarithm, logarithm_low = logarithm_pair(x, 0.0)
     factor, error = fast_two_sum(logarithm, -1.0)
     high, first = leading_bits(x), leading_bits(factor)
     return high * first + (high * ((factor - first) + (error + logarithm_low)) + (x - high) * factor)
@@ -220,6 +220,6 @@ def _lgamma(x):
         return -log(abs(x))
     total, error, product, product_low = _shifted(x, 1.0)
     logarithm, logarithm_low = _stirling(total, error)
-    other, other_low = logarithm_pair(abs(product))
+    other, other_low = logarithm_pair(abs(product), 0.0)
     total, error = two_sum(logarithm, -other)
     return total + (error + (logarithm_low - (other_low + product_low / product)))

@@ -34,7 +34,7 @@ _SMALL = 2.0**-28
 @inlined
 def _parts(x):
     """Return cosh and sinh of ``x >= 0``, each as two numbers, divided by 4."""
-    k, r, high, low = reduced(x, 0.0)
+    k, r, high, low = reduced(x)
     even, odd = even_and_odd_parts(r, high, low)
     growing = power_of_two(k - 3)
     decaying = 0.015625 * power_of_two(3 - k)

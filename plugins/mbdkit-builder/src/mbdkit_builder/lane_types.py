@@ -31,6 +31,7 @@ from numba.extending import intrinsic, lower_builtin, models, overload, register
 
 from mbdkit.engine.kernels.elementary import FUNCTIONS
 from mbdkit.engine.kernels.elementary.exact_sums import bits_of, from_bits
+from mbdkit.engine.kernels.elementary.tables import entry
 from mbdkit.engine.native.arithmetic import (
     any_of,
     below,
@@ -47,7 +48,7 @@ from mbdkit.engine.native.levels import WIDTH
 from mbdkit_builder.implementation import implement
 
 DOUBLE, _BIT, _WORD = ir.DoubleType(), ir.IntType(1), ir.IntType(64)
-VECTOR, _BITS, _WORDS = (ir.VectorType(kind, WIDTH) for kind in (DOUBLE, _BIT, _WORD))
+VECTOR, _BITS, _WORDS, _POINTERS = (ir.VectorType(kind, WIDTH) for kind in (DOUBLE, _BIT, _WORD, ir.PointerType()))
 
 
 class LaneReal(types.Type):
@@ -337,6 +338,24 @@ def _with_bits(function: Any, numbers: Any, lanes: Any) -> None:
 
 _with_bits(bits_of, types.int64(types.float64), INTEGER(REAL))
 _with_bits(from_bits, types.float64(types.int64), REAL(INTEGER))
+
+
+@implement(entry)
+def _entry(typing_context, table, index):
+    """Return the number in a table at an index; for each lane, at its own index."""
+
+    def generate(context, builder, signature, arguments):
+        start = context.make_array(table)(context, builder, arguments[0]).data
+        if index != INTEGER:
+            return builder.load(builder.gep(start, arguments[1:]))
+        offsets = builder.shl(arguments[1], ir.Constant(_WORDS, [3] * WIDTH))
+        places = builder.add(_splat(builder, builder.ptrtoint(start, _WORD), _WORDS), offsets)
+        kind = ir.FunctionType(VECTOR, [_POINTERS, ir.IntType(32), _BITS, VECTOR])
+        gather = cgutils.get_or_insert_function(builder.module, kind, f"llvm.masked.gather.v{WIDTH}f64.v{WIDTH}p0")
+        everywhere, nothing = ir.Constant(_BITS, [1] * WIDTH), ir.Constant(VECTOR, ir.Undefined)
+        return builder.call(gather, [builder.inttoptr(places, _POINTERS), ir.IntType(32)(8), everywhere, nothing])
+
+    return (REAL(table, INTEGER) if index == INTEGER else types.float64(table, types.int64)), generate
 
 
 @overload(any_of, inline="always")

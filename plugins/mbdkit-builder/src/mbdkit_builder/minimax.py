@@ -1,7 +1,7 @@
 """Compute the coefficients of the polynomials in `mbdkit.engine.kernels.elementary`, in the order of the sources.
 
 Each entry of `FITS` is a function f(x) on an interval and a weight w(x): the polynomial p of a degree minimizes the
-largest |f(x) - p(x)| w(x) (Remez's algorithm, with 60 digits). Its coefficients are rounded to doubles one after the
+largest |f(x) - p(x)| w(x) (Remez's algorithm, with 80 digits). Its coefficients are rounded to doubles one after the
 other, the lowest power first, and the rest is fitted again after each one, so that the others compensate the rounding
 of the large coefficients. If the interval contains zero, all coefficients are rounded at once.
 
@@ -16,7 +16,6 @@ from typing import Any
 from mpmath import (
     asin,
     atan,
-    atanh,
     cos,
     cosh,
     erf,
@@ -36,7 +35,7 @@ from mpmath import (
 )
 
 Function = Callable[[Any], Any]
-mp.dps = 60
+mp.dps = 80
 
 
 def _polynomial(coefficients: Sequence[Any], x: Any) -> Any:
@@ -147,7 +146,7 @@ def _stirling_rest(z: Any) -> Any:
 
 
 _HALF_LN2 = log(2) / 2 * (1 + mpf(10) ** -4)
-_ATANH = ((sqrt(2) - 1) / (sqrt(2) + 1)) ** 2 * (1 + mpf(10) ** -4)
+_PART = log(2) / 256 * (1 + mpf(10) ** -4)
 FITS: Sequence[tuple[str, Function, Function, Any, Any, int]] = (
     (
         "(sin(y) / y - 1) / z, z = y^2, relative to sin(y) / y",
@@ -174,28 +173,28 @@ FITS: Sequence[tuple[str, Function, Function, Any, Any, int]] = (
         _TINY, mpf(1) / 4 * (1 + mpf(10) ** -4), 13,
     ),
     (
-        "(sinh(r) / r - 1) / z, z = r^2, for exp",
+        "(sinh(r) / r - 1) / z, z = r^2, for expm1, sinh, cosh and tanh",
         lambda z: (sinh(sqrt(z)) / sqrt(z) - 1) / z,
         lambda z: z * sqrt(z),
         _TINY, _HALF_LN2**2, 5,
     ),
     (
-        "(cosh(r) - 1 - z / 2) / z^2, z = r^2, for exp",
+        "(cosh(r) - 1 - z / 2) / z^2, z = r^2, for the same functions",
         lambda z: (cosh(sqrt(z)) - 1 - z / 2) / z**2,
         lambda z: z**2,
         _TINY, _HALF_LN2**2, 5,
     ),
     (
-        "(2 atanh(s) / s - 2) / z, z = s^2, for log",
-        lambda z: (2 * atanh(sqrt(z)) / sqrt(z) - 2) / z,
-        lambda z: z * sqrt(z),
-        _TINY, _ATANH, 8,
+        "(exp(r) - 1 - r) / r^2, for exp with a table",
+        lambda r: (exp(_away(r)) - 1 - _away(r)) / _away(r) ** 2,
+        lambda r: _PART**2,
+        -_PART, _PART, 4,
     ),
     (
-        "(3 atanh(s) / s - 3 - z) / z^2, z = s^2, for pow",
-        lambda z: (3 * atanh(sqrt(z)) / sqrt(z) - 3 - z) / z**2,
-        lambda z: z**2,
-        _TINY, _ATANH, 8,
+        "(log(1 + r) - r + r^2 / 2) / r^3, for log with a table",
+        lambda r: (log(1 + _away(r)) - _away(r) + _away(r) ** 2 / 2) / _away(r) ** 3,
+        lambda r: mpf("0.00427") ** 2,
+        mpf("-0.00427"), mpf("0.00427"), 6,
     ),
     (
         "(erf(x) / x - 2 / sqrt(pi)) / z, z = x^2",
