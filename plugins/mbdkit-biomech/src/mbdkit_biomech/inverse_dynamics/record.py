@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import math
 from collections.abc import Mapping
 from dataclasses import replace
@@ -67,7 +68,7 @@ def archive_of(
     ResourceError
         If the archive cannot be written.
     """
-    spec, mechanism = result.problem.spec, result.problem.prepared.workspace.mechanism
+    spec, mechanism = result.problem.source, result.problem.prepared.workspace.mechanism
     states, names = recorded_states(result), _names(result)
     sizes = sizes_of(names)
     groups = [group for group in layout.INVERSE_GROUPS if sizes[BY_GROUP[group].axis]]
@@ -106,7 +107,9 @@ def _provenance(result: Inverse) -> dict[str, str | int | float]:
     """Return the provenance, with unused data and with gaps that are filled by means of other columns."""
     fitted = result.fitted
     gaps = {} if fitted.placed is None else {"placed_gaps": fitted.placed.to_json(fitted.measured.names)}
-    return model_provenance(result.problem.spec) | result.problem.unused.notes | gaps
+    person = result.problem.source.person
+    own = {} if person is None else {"person": json.dumps(person.to_dict()), **person.lines()}
+    return model_provenance(result.problem.spec) | result.problem.unused.notes | gaps | own
 
 
 def _intervals(time: np.ndarray) -> dict[str, np.ndarray]:
