@@ -12,6 +12,7 @@ from tests.persons.walkers import FUNCTIONAL, builder_of, data_of, loaded, marke
 
 import mbdkit
 from mbdkit import SpecError
+from mbdkit.spec import load_inverse_spec
 from mbdkit_biomech.persons.calibration import Segments, legs_of
 from mbdkit_biomech.persons.joint_centers import LANDMARKS, REGRESSION
 from mbdkit_biomech.persons.motion_plane import plane_of
@@ -195,3 +196,13 @@ def test_a_calibration_trial_in_which_the_joint_bends_serves_for_a_motion_in_whi
     center = calibrated.centers(FUNCTIONAL, plane)["knee"]
     assert center.turn > np.radians(50)
     assert max(center.deviation) < 0.02
+
+
+def test_the_packaged_example_finds_the_centres_of_the_person_who_made_its_table() -> None:
+    walker, person = Walker.of_example(2, slice(24, 230)), load_inverse_spec("person-walking").person
+    assert [one.method for one in person.centers.values()] == ["hip-regression", "functional", "static"] * 2
+    for joint in ("knee", "ankle"):
+        found = np.column_stack([person.columns[f"markers.{joint}.{axis}"] for axis in "xy"])
+        error = found - walker.joints[joint][:, :2]
+        assert np.max(np.abs(np.mean(error, axis=0))) < 2 * max(person.centers[joint].deviation)
+    assert not [one for one in person.findings if one.level]
