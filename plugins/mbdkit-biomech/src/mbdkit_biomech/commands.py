@@ -42,7 +42,8 @@ def inverse(
 
     First, the mechanism is fitted to the measured data, with its joints closed to
     round-off. Then the motion is smoothed, and the equations of motion are solved for the
-    actuators and the reactions. See `mbdkit guide inverse`.
+    actuators and the reactions. See `mbdkit guide inverse`, and `mbdkit guide persons` for
+    the markers of a person.
     """
     from mbdkit.spec import load_inverse_spec
 

@@ -95,6 +95,7 @@ REFUSED: dict[str, tuple[Callable[[Data], Data], dict[str, Any], str]] = {
         r"'foot' stands on none of the plates 1; 'foot_left' stands on plate 1"),
     "two markers of a cluster": (lambda d: d, {"motion": {"clusters": CLUSTERS | {"shank": ["RSHU", "RSHL"]}}},
         r"motion.clusters.shank: has 2 markers, but a pose needs three"),
+    "a record that is too short": (lambda d: {one: own[:6] for one, own in d.items()}, {}, r"has 6 rows"),
     "a segment without a cluster": (lambda d: d, {"motion": {"clusters": {"trunk": CLUSTERS["trunk"]}}},
         r"motion.clusters.thigh: is missing"),
     "a cluster of no segment": (lambda d: d, {"motion": {"clusters": CLUSTERS | {"shin": ["RSHU"]}}},
@@ -165,6 +166,16 @@ def test_what_has_no_effect() -> None:
         for name, values in expected.columns.items():
             if name.endswith(("y", "angle")):
                 np.testing.assert_allclose(person.columns[name][41:], values[41:], rtol=0, atol=5e-3)
+
+
+def test_a_single_leg_has_the_plates_of_its_foot_alone() -> None:
+    own = {body: names for body, names in CLUSTERS.items() if not body.endswith("_left")}
+    right = person_of(recorded(), legs=1, motion={"clusters": own})
+    assert [one.plate for one in right.plates.contacts] == [2, 4, 6]
+    left = {"trunk": CLUSTERS["trunk"]} | {body[:-5]: n for body, n in CLUSTERS.items() if body.endswith("_left")}
+    other = person_of(recorded(), legs=1, motion={"clusters": left})
+    assert [one.plate for one in other.plates.contacts] == [1, 3, 5]
+    assert not [one for one in (*right.findings, *other.findings) if one.level]
 
 
 def test_archives_of_persons_need_no_file_and_repeats_read_only_files_beside_them(tmp_path: Path) -> None:

@@ -94,6 +94,18 @@ def test_landmarks_by_name_midpoints_and_regression_find_exact_centres_without_a
     assert other.person.centers["knee"].method == "midpoint"
 
 
+def trc_text(time: np.ndarray, markers: dict[str, np.ndarray]) -> str:
+    """Return markers (T, 3) in metres as the text of a .trc file in millimetres."""
+    count = len(markers)
+    lines = ["PathFileType\t4\t(X/Y/Z)\tstatic.trc", "NumFrames\tNumMarkers\tUnits", f"{len(time)}\t{count}\tmm"]
+    lines.append("Frame#\tTime\t" + "\t\t\t".join(markers))
+    lines.append("\t\t" + "\t".join(f"{axis}{k}" for k in range(1, count + 1) for axis in "XYZ"))
+    for row, at in enumerate(time):
+        values = [1000 * value for own in markers.values() for value in own[row]]
+        lines.append("\t".join([str(row + 1), f"{at:.5f}", *(f"{value:.2f}" for value in values)]))
+    return "\n".join(lines) + "\n"
+
+
 def test_a_static_trial_gives_upright_angles_and_landmarks_to_several_motions(tmp_path: Path) -> None:
     walker, standing = Walker.of_example(2), Walker.of_example(2)
     upright = {body: np.zeros(len(standing.time)) for body in standing.angles}
@@ -101,11 +113,11 @@ def test_a_static_trial_gives_upright_angles_and_landmarks_to_several_motions(tm
     standing = Walker(standing.time, upright, still, standing.loads)
     random = np.random.default_rng(1)
     facing = {name: in_laboratory(points, 0.4) for name, points in standing.markers().items()}
-    (tmp_path / "static.csv").write_text(table_text(standing.time, facing))
+    (tmp_path / "static.trc").write_text(trc_text(standing.time, facing))
     walked = {name: own for name, own in walker.markers(random).items() if name[1:] not in ("KNE", "KNM", "ANK", "ANM")}
     for name, heading in (("first", 2.0), ("second", -1.0)):
         (tmp_path / f"{name}.csv").write_text(table_text(walker.time, columns_of(walker, walked, heading)))
-        motion = {"data": None, "file": str(tmp_path / f"{name}.csv"), "static": str(tmp_path / "static.csv")}
+        motion = {"data": None, "file": str(tmp_path / f"{name}.csv"), "static": str(tmp_path / "static.trc")}
         person = loaded({}, motion=motion).person
         assert person is not None
         assert [one.method for one in person.centers.values()] == ["hip-regression", "static", "static"] * 2

@@ -35,6 +35,9 @@ LEAST_TURN = np.radians(20.0)
 STILL, LEAST_FRAMES = 0.05, 5
 """A person stands still in frames in which no segment is faster than this [m/s]; smallest number of such frames."""
 
+LEAST_ROWS = 10
+"""Least number of rows of a motion."""
+
 SPAN = 2
 """Rates are differences over this number of frames in both directions."""
 
@@ -115,6 +118,8 @@ class Segments:
         SpecError
             If a segment has no cluster, a marker is missing, or a cluster has no pose.
         """
+        if len(motion.time) < LEAST_ROWS:
+            raise SpecError(f"has {len(motion.time)} rows, but a person needs {LEAST_ROWS}", key="motion.file")
         bodies = ["trunk", *(f"{name}{leg}" for leg in legs for name in ("thigh", "shank", "foot"))]
         for body in bodies:
             if body not in (asked or {}):
