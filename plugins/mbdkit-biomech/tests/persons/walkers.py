@@ -48,7 +48,7 @@ def loaded(*args: Any, **sections: Any) -> InverseSpec:
 def marker_file(walker: Walker, markers: Mapping[str, Array], heading: float) -> MarkerFile:
     """Return a table of markers, (T, 3) as (forward, up, right), in a laboratory."""
     table = table_of(data_of(walker, {n: in_laboratory(x, heading) for n, x in markers.items()}), "motion.data")
-    return MarkerFile.of(table, TimeColumn(), "motion.file")
+    return MarkerFile.of(table, TimeColumn())
 
 
 def builder_of(walker: Walker, markers: Mapping[str, Array], heading: float, **centers: Any) -> Builder:

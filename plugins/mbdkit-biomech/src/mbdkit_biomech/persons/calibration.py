@@ -24,7 +24,7 @@ from mbdkit_biomech.persons.landmarks import Side, landmark, side_of
 from mbdkit_biomech.persons.marker_files import MarkerFile
 from mbdkit_biomech.persons.motion_plane import MotionPlane
 from mbdkit_biomech.persons.person_sections import Center, Midpoint
-from mbdkit_biomech.persons.rigid_clusters import Artefact, Cluster, Poses
+from mbdkit_biomech.persons.rigid_clusters import Artefact, Cluster, Poses, rate_of
 
 LEFT = "_left"
 """Suffix of the names of the second leg."""
@@ -38,21 +38,10 @@ STILL, LEAST_FRAMES = 0.05, 5
 LEAST_ROWS = 10
 """Least number of rows of a motion."""
 
-SPAN = 2
-"""Rates are differences over this number of frames in both directions."""
-
 
 def legs_of(count: int) -> tuple[str, ...]:
     """Return the suffixes of the names of the legs."""
     return ("", LEFT)[:count]
-
-
-def rate_of(values: np.ndarray, time: np.ndarray) -> np.ndarray:
-    """Return rates (T, ...) of values (T, ...) by differences; one-sided at the ends."""
-    rows = np.arange(len(time))
-    first, last = np.maximum(rows - SPAN, 0), np.minimum(rows + SPAN, len(time) - 1)
-    interval = (time[last] - time[first]).reshape(-1, *[1] * (values.ndim - 1))
-    return np.asarray((values[last] - values[first]) / interval)
 
 
 @dataclass(frozen=True)

@@ -285,21 +285,18 @@ def hip_center(pair: Pair, landmarks: dict[str, np.ndarray], side: str) -> Joint
     """
     right, left, back = (landmarks[name] for name in ("right", "left", "back"))
     middle = (right + left) / 2
-    across, forward = right - left, middle - back
-    width = float(np.sqrt(np.sum(across * across)))
-    lateral = across / width
-    depth = float(np.sqrt(np.sum(forward * forward)))
-    forward = forward - lateral * float(np.sum(lateral * forward))
-    forward = forward / float(np.sqrt(np.sum(forward * forward)))
-    up = np.cross(lateral, forward)
-    sign = 1.0 if side == "r" else -1.0
-    point = (
-        middle
-        - (0.24 * depth + 0.0099) * forward
-        - (0.30 * width + 0.0109) * up
-        + sign * (0.33 * width + 0.0073) * lateral
-    )
+    width, lateral = _size_and_direction(right - left)
+    depth, forward = _size_and_direction(middle - back)
+    _, forward = _size_and_direction(forward - lateral * float(np.sum(lateral * forward)))
+    out = (0.33 * width + 0.0073) * (1.0 if side == "r" else -1.0)
+    behind, below = 0.24 * depth + 0.0099, 0.30 * width + 0.0109
+    point = middle - behind * forward - below * np.cross(lateral, forward) + out * lateral
     first, second = pair.known()
     distal = np.mean(second.inside(first.point(point)), axis=0)
     points = point, distal
     return pair.center("hip-regression", points, REGRESSION * REGRESSION * np.eye(3), pair.weights(points))
+
+
+def _size_and_direction(vector: np.ndarray) -> tuple[float, np.ndarray]:
+    size = float(np.sqrt(np.sum(vector * vector)))
+    return size, vector / size

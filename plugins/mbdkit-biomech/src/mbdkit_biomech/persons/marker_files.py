@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from pathlib import Path
 
 import numpy as np
 
@@ -11,41 +10,21 @@ from mbdkit.base.errors import SpecError
 from mbdkit.base.text import did_you_mean, listed, shown
 from mbdkit_biomech.inverse_dynamics.inverse_sections import ColumnOfTable, TimeColumn
 from mbdkit_biomech.inverse_dynamics.measured import si_values, times_of
-from mbdkit_biomech.inverse_dynamics.measured_table import Table
-from mbdkit_biomech.inverse_dynamics.table_files import read_table
-
-NAMED = 30
-"""Largest number of markers that a message names."""
+from mbdkit_biomech.inverse_dynamics.measured_table import HEADINGS_SHOWN, Table
 
 
 @dataclass(frozen=True)
 class MarkerFile:
-    """A table with markers.
-
-    Attributes
-    ----------
-    table
-        The table.
-    time
-        (T,) times [s].
-    key
-        Key of the spec that names the file.
-    """
+    """A table with markers, and its times (T,) [s]."""
 
     table: Table
     time: np.ndarray
-    key: str
     _read: dict[str, np.ndarray] = field(default_factory=dict, repr=False)
 
     @classmethod
-    def of(cls, table: Table, time: TimeColumn, key: str) -> MarkerFile:
+    def of(cls, table: Table, time: TimeColumn) -> MarkerFile:
         """Return a table of markers and its times."""
-        return cls(table, times_of(table, time, "motion.time"), key)
-
-    @classmethod
-    def read(cls, path: Path, time: TimeColumn, key: str) -> MarkerFile:
-        """Read a file of markers."""
-        return cls.of(read_table(path, key), time, key)
+        return cls(table, times_of(table, time, "motion.time"))
 
     @property
     def names(self) -> list[str]:
@@ -68,7 +47,7 @@ class MarkerFile:
         if name not in self._read:
             if not self.has(name):
                 names = [shown(one) for one in self.names]
-                some = listed(names[:NAMED]) + (", ..." if len(names) > NAMED else "")
+                some = listed(names[:HEADINGS_SHOWN]) + (", ..." if len(names) > HEADINGS_SHOWN else "")
                 hint = did_you_mean(name, self.names) or f"; its markers: {some or 'none'}"
                 raise SpecError(f"{self.table.name} has no marker '{shown(name)}'{hint}", key=key)
             columns = [si_values(ColumnOfTable(column=f"{name}.{axis}"), self.table, "m", key) for axis in "xyz"]

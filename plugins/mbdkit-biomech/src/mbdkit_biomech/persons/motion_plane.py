@@ -10,18 +10,10 @@ import numpy as np
 from mbdkit.base import elementary
 from mbdkit.base.errors import SpecError
 from mbdkit_biomech.persons.person_sections import PlaneAxes
-from mbdkit_biomech.persons.rigid_clusters import Poses
-
-AXES = {"x": (1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0)}
-"""Axes of the laboratory by name."""
+from mbdkit_biomech.persons.rigid_clusters import Poses, rate_of
 
 SIDEWAYS = 0.5
 """A motion has no plane if its root mean square velocity across the best one exceeds this share of that along it."""
-
-SPAN = 5
-"""Number of frames over which velocities of clusters are taken."""
-
-KEY = "motion.plane"
 
 
 @dataclass(frozen=True)
@@ -86,37 +78,32 @@ def plane_of(asked: PlaneAxes | None, poses: Mapping[str, Poses], time: np.ndarr
     above = np.nanmean(poses["trunk"].position, axis=0) - feet
     axis = int(np.argmax(np.abs(above)))
     up = np.sign(above[axis]) * np.eye(3)[axis]
-    if asked is not None:
-        stated = np.array(AXES[asked.up])
-        if not np.array_equal(up, stated):
-            name = ("-" if np.sum(up) < 0 else "") + "xyz"[axis]
-            raise SpecError(
-                f"is {asked.up}, but the trunk is above the feet along {name}; the markers may be in another frame",
-                key=f"{KEY}.up",
-            )
+    if asked is not None and not np.array_equal(up, direction(asked.up)):
+        name = ("-" if above[axis] < 0 else "") + "xyz"[axis]
+        raise SpecError(
+            f"is {asked.up}, but the trunk is above the feet along {name}; the markers may be in another frame",
+            key="motion.plane.up",
+        )
     first, second = np.eye(3)[(axis + 1) % 3], np.eye(3)[(axis + 2) % 3]
-    velocities = [(own.position[SPAN:] - own.position[:-SPAN]) / (time[SPAN:] - time[:-SPAN])[:, None]
-                  for own in poses.values()]  # fmt: skip
-    v = np.concatenate(velocities) if len(time) > SPAN else np.zeros((1, 3))
-    v = v[~np.isnan(v[:, 0])] if not np.isnan(v[:, 0]).all() else np.zeros((1, 3))
+    v = np.concatenate([rate_of(own.position, time) for own in poses.values()])
+    v = v[~np.isnan(v[:, 0])]
     a, b = np.sum(v * first, axis=1), np.sum(v * second, axis=1)
-    aa, ab, bb = float(np.mean(a * a)), float(np.mean(a * b)), float(np.mean(b * b))
-    angle = 0.5 * elementary.atan2(2 * ab, aa - bb)
-    forward = elementary.cos(angle) * first + elementary.sin(angle) * second
-    is_fitted = asked is None
-    best, off = forward, 0.0
-    if asked is not None:
-        sign = -1.0 if asked.forward.startswith("-") else 1.0
-        forward = sign * np.array(AXES[asked.forward[-1]])
-        off = elementary.acos(min(1.0, abs(float(np.sum(best * forward)))))
+    angle = 0.5 * elementary.atan2(2 * float(np.mean(a * b)), float(np.mean(a * a) - np.mean(b * b)))
+    best = elementary.cos(angle) * first + elementary.sin(angle) * second
+    forward = best if asked is None else direction(asked.forward)
     right = np.cross(forward, up)
-    along, across = np.sum(v * forward, axis=1), np.sum(v * right, axis=1)
-    whole = float(np.sqrt(np.mean(along * along)))
-    sideways = float(np.sqrt(np.mean(across * across))) / whole if whole > 0 else np.inf
-    if is_fitted and not sideways <= SIDEWAYS:
+    along, across = (float(np.sqrt(np.mean(np.sum(v * axis, axis=1) ** 2))) for axis in (forward, right))
+    sideways = across / along if along > 0 else np.inf
+    if asked is None and not sideways <= SIDEWAYS:
         raise SpecError(
             f"cannot be found, because the segments move sideways {sideways:.2g} times as fast as forward (at most "
             f"{SIDEWAYS:g} times is accepted); state it, such as {{forward: x, up: {'xyz'[axis]}}}",
-            key=KEY,
+            key="motion.plane",
         )
-    return MotionPlane(np.stack([forward, up, right]), is_fitted, sideways, off)
+    off = elementary.acos(min(1.0, abs(float(np.sum(best * forward)))))
+    return MotionPlane(np.stack([forward, up, right]), asked is None, sideways, off)
+
+
+def direction(name: str) -> np.ndarray:
+    """Return the direction (3,) of an axis of the laboratory, such as -x."""
+    return np.asarray((-1.0 if name.startswith("-") else 1.0) * np.eye(3)["xyz".index(name[-1])])

@@ -12,12 +12,12 @@ from mbdkit.base.errors import SpecError
 from mbdkit.base.text import listed
 from mbdkit.trust.finding import Finding
 from mbdkit_biomech.models._measured_segments import MeasuredPerson
-from mbdkit_biomech.persons.calibration import LEAST_FRAMES, LEFT, Segments, angle_of, rate_of
+from mbdkit_biomech.persons.calibration import LEAST_FRAMES, LEFT, Segments, angle_of
 from mbdkit_biomech.persons.joint_centers import JointCenter
 from mbdkit_biomech.persons.motion_plane import MotionPlane, plane_of
 from mbdkit_biomech.persons.person_sections import Center, PlaneAxes, Subject
 from mbdkit_biomech.persons.plate_contacts import FootMotion, PlateResult
-from mbdkit_biomech.persons.rigid_clusters import Artefact, apply
+from mbdkit_biomech.persons.rigid_clusters import Artefact, apply, rate_of
 
 TRUNK_ABOVE_FEET = 0.2, 1.2
 """Heights of the markers of the trunk above those of the feet, as shares of body height, between which the unit of

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from mbdkit_biomech.inverse_dynamics.measured import source_table
+from mbdkit_biomech.inverse_dynamics.table_files import read_table
 from mbdkit_biomech.persons.calibration import Segments, legs_of
 from mbdkit_biomech.persons.marker_files import MarkerFile
 from mbdkit_biomech.persons.person import Builder, Person
@@ -37,9 +38,10 @@ def person_of_spec(spec: InverseSpec) -> tuple[Person, InverseSpec]:
     with spec.recording_files():
         table = source_table(motion, spec.folder, "motion")
         assert table is not None
-        file = MarkerFile.of(table, motion.time, "motion.file")
-        static = motion.static and MarkerFile.read(spec.folder / motion.static, motion.time, "motion.static")
-    segments = Segments.of(motion.clusters, legs_of(model.legs), file, static or None)
+        file, static = MarkerFile.of(table, motion.time), None
+        if motion.static is not None:
+            static = MarkerFile.of(read_table(spec.folder / motion.static, "motion.static"), motion.time)
+    segments = Segments.of(motion.clusters, legs_of(model.legs), file, static)
     builder = Builder(subject, segments, motion.plane if motion.plane != "fit" else None, motion.centers or {})
     person = builder.person(_plates(spec, file, builder))
     return person, _expanded(spec, person)
@@ -62,7 +64,7 @@ def _expanded(spec: InverseSpec, person: Person) -> InverseSpec:
     del data["subject"]
     lengths = {name: one.value for name, one in person.lengths.items()}
     data["model"] = scaled_model(spec, person.subject, lengths)
-    file = data["motion"].get("file")
+    source = {key: data["motion"][key] for key in ("file", "data") if key in data["motion"]}
     time = data["motion"]["time"]
     motion = {key: one for key, one in data["motion"].items() if key not in (*OF_PERSONS, "file", "time")}
     columns = {name: {"column": name} for name in person.columns}
@@ -70,7 +72,7 @@ def _expanded(spec: InverseSpec, person: Person) -> InverseSpec:
     loads = {}
     for name, load in data.get("loads", {}).items():
         if "plates" not in load and load.get("file") is None and load.get("data") is None:
-            load = {**load, "file": file, "time": load.get("time", time)}
+            load = {**load, **source, "time": load.get("time", time)}
         loads[name] = load
     for name, own in person.plates.loads.items():
         (fx, fy), (px, py) = own.force.T, own.point.T

@@ -34,6 +34,9 @@ TEMPLATE_FRAMES = 100
 CAMERA = 1e-4
 """Least standard deviation of a coordinate of a marker [m], of cameras and of rounding in files."""
 
+SPAN = 2
+"""Rates are differences over this number of frames in both directions."""
+
 ROUNDS = 3
 """Number of averages for a template; further ones change it by rounding errors."""
 
@@ -46,6 +49,14 @@ def apply(matrix: np.ndarray, points: np.ndarray) -> np.ndarray:
 def transposed(matrix: np.ndarray) -> np.ndarray:
     """Return transposed matrices (..., J, I) of matrices (..., I, J)."""
     return np.swapaxes(matrix, -1, -2)
+
+
+def rate_of(values: np.ndarray, time: np.ndarray) -> np.ndarray:
+    """Return rates (T, ...) of values (T, ...) by differences; one-sided at the ends."""
+    rows = np.arange(len(time))
+    first, last = np.maximum(rows - SPAN, 0), np.minimum(rows + SPAN, len(time) - 1)
+    interval = (time[last] - time[first]).reshape(-1, *[1] * (values.ndim - 1))
+    return np.asarray((values[last] - values[first]) / interval)
 
 
 def cross_matrix(p: np.ndarray) -> np.ndarray:
