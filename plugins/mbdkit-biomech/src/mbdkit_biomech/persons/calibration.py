@@ -46,10 +46,17 @@ def legs_of(count: int) -> tuple[str, ...]:
 
 @dataclass(frozen=True)
 class Trial:
-    """A file of markers with the poses of all segments, by body."""
+    """A file of markers with the poses of all segments, and the artefacts of their markers, by body."""
 
     file: MarkerFile
     poses: Mapping[str, Poses]
+    artefacts: Mapping[str, Artefact]
+
+    @classmethod
+    def of(cls, file: MarkerFile, clusters: Mapping[str, Cluster]) -> Trial:
+        """Return the trial of a file."""
+        poses = {body: one.poses(file.markers(one.names, f"motion.clusters.{body}")) for body, one in clusters.items()}
+        return cls(file, poses, {body: Artefact.of(own) for body, own in poses.items()})
 
     def still(self) -> np.ndarray:
         """Return the frames in which the person stands still.
@@ -81,8 +88,8 @@ class Segments:
     ----------
     legs
         Suffixes of the names of the legs.
-    clusters, artefacts
-        Clusters and their artefacts in the motion, by body.
+    clusters
+        Clusters by body.
     motion, static
         The trials.
     reference
@@ -91,7 +98,6 @@ class Segments:
 
     legs: tuple[str, ...]
     clusters: Mapping[str, Cluster]
-    artefacts: Mapping[str, Artefact]
     motion: Trial
     static: Trial | None
     reference: int
@@ -122,24 +128,17 @@ class Segments:
                 what = "is for a second leg: add `legs: 2` to the model" if body.endswith(LEFT) else "is no segment"
                 hint = did_you_mean(body, bodies) or f"; segments: {listed(bodies)}"
                 raise SpecError(f"{what}{hint}", key=f"motion.clusters.{quoted(body)}")
-        clusters, poses, other = {}, {}, {}
+        clusters = {}
         for body in bodies:
             names, key = tuple(asked[body]), f"motion.clusters.{body}"
             if len(set(names)) < len(names):
                 raise SpecError("has a marker twice", key=key)
-            shape = (static or motion).markers(names, key)
-            clusters[body] = Cluster.of(body, names, shape)
-            poses[body] = clusters[body].poses(motion.markers(names, key))
-            if static is not None:
-                other[body] = clusters[body].poses(shape)
-            if not poses[body].known.any():
-                raise SpecError(f"in no frame of {motion.table.name} are three of these markers seen", key=key)
-        together = np.flatnonzero(np.all([own.known for own in poses.values()], axis=0))
+            clusters[body] = Cluster.of(body, names, (static or motion).markers(names, key))
+        trial = Trial.of(motion, clusters)
+        together = np.flatnonzero(np.all([own.known for own in trial.poses.values()], axis=0))
         if not together.size:
-            raise SpecError("no frame shows three markers of every segment", key="motion.clusters")
-        calibration = None if static is None else Trial(static, other)
-        artefacts = {body: Artefact.of(own) for body, own in poses.items()}
-        return cls(legs, clusters, artefacts, Trial(motion, poses), calibration, int(together[0]))
+            raise SpecError("no frame of the motion shows three markers of every segment", key="motion.clusters")
+        return cls(legs, clusters, trial, None if static is None else Trial.of(static, clusters), int(together[0]))
 
     @property
     def joints(self) -> dict[str, tuple[str, str]]:
@@ -166,7 +165,7 @@ class Segments:
         return Pair(
             joint,
             (self.clusters[a], self.clusters[b]),
-            (self.artefacts[a], self.artefacts[b]),
+            (trial.artefacts[a], trial.artefacts[b]),
             (trial.poses[a], trial.poses[b]),
             (self.motion.poses[a].rotation[self.reference], self.motion.poses[b].rotation[self.reference]),
             plane.axes,
@@ -201,15 +200,14 @@ class Segments:
             points = [trial.file.marker(name, f"{key}.midpoint") for name in method.midpoint]
             pair = self.pair(joint, bodies, trial, plane)
             return landmark_center(pair, "midpoint", (points[0] + points[1]) / 2)
+        pelvis = self._pelvis() if kind == "hip" else None
         sides = [self.named(f"{kind}.{one}", side) if kind != "hip" else None for one in ("medial", "lateral")]
         if method is None:
-            pelvis = self._pelvis()
-            method = ("hip-regression" if pelvis else "functional") if kind == "hip" else None
-            method = method or ("static" if all(sides) else "functional")
+            method = "hip-regression" if pelvis else "static" if all(sides) else "functional"
         if method == "hip-regression":
             if kind != "hip":
                 raise SpecError("is for hips; this joint takes functional, static or a midpoint", key=key)
-            if (pelvis := self._pelvis()) is None:
+            if pelvis is None:
                 raise SpecError(
                     "needs markers of the right and left anterior superior iliac spines (RASI, LASI, R.ASIS, ...) and "
                     "of the posterior ones or the sacrum, which are not among the markers; use `functional`, or name "

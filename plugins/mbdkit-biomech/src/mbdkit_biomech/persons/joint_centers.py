@@ -241,15 +241,14 @@ def _spread(matrix: np.ndarray, covariance: np.ndarray, correlation: np.ndarray)
     covariance
         (3, 3) covariance of the error in a frame.
     correlation
-        (L,) correlation of errors that are 0, 1, ... frames apart; used up to its first zero.
+        (L,) correlation of errors that are 0, 1, ... frames apart; zero beyond.
     """
     frames = len(matrix)
     found = np.zeros((6, 6))
     weighted = _product(np.broadcast_to(covariance, (frames, 3, 3)), matrix)
-    positive = np.append(correlation > 0, False)
-    for lag in range(min(frames, int(np.argmin(positive)))):  # of an oscillation, the first half-wave; a larger spread
+    for lag, share in enumerate(correlation[:frames]):
         own = np.sum(matrix[: frames - lag, :, :, None] * weighted[lag:, :, None, :], axis=(0, 1))
-        found = found + correlation[lag] * (own if lag == 0 else own + own.T)
+        found = found + share * (own if lag == 0 else own + own.T)
     return found
 
 

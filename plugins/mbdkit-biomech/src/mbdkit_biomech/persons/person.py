@@ -333,6 +333,6 @@ class Builder:
         columns |= {f"bodies.{body}.angle": angle for body, angle in self.angles.items()}
         findings = (*self.findings, *plates.findings)
         return Person(
-            of, self.plane, self.centers, lengths, masses, self.segments.artefacts, self.zeros, plates, findings,
+            of, self.plane, self.centers, lengths, masses, self.segments.motion.artefacts, self.zeros, plates, findings,
             self.time, columns,
         )  # fmt: skip

@@ -229,7 +229,8 @@ class Artefact:
     deviation
         Standard deviation of a coordinate of a marker [m].
     correlation
-        (L,) correlation of the errors in frames that are 0, 1, ..., L - 1 frames apart.
+        (L,) correlation of errors that are 0, 1, ..., L - 1 frames apart, up to its first zero. The correlation of
+        artefacts that oscillate is negative beyond, and without it, covariances are too large rather than too small.
     """
 
     deviation: float
@@ -240,10 +241,14 @@ class Artefact:
         """Return the artefact that the residuals of poses show: N markers leave 3 N - 6 free coordinates."""
         own = poses.residual[poses.known]
         seen = ~np.isnan(own)
-        own = np.where(seen, own - np.sum(np.where(seen, own, 0.0), axis=0) / np.maximum(np.sum(seen, axis=0), 1), 0.0)
+        own = np.where(seen, own, 0.0)
+        own = np.where(seen, own - np.sum(own, axis=0) / np.maximum(np.sum(seen, axis=0), 1), 0.0)
         free = float(np.sum(np.maximum(np.sum(seen, axis=(1, 2)) - 6, 0)))
         square = float(np.sum(own * own))
-        lags = len(own)
-        products = [float(np.sum(own[: lags - k] * own[k:])) for k in range(lags)]
-        correlation = np.array(products) / square if square > 0 else np.eye(1, lags)[0]
-        return cls(max(float(np.sqrt(square / free)) if free else 0.0, CAMERA), correlation)
+        correlation = [1.0]
+        for lag in range(1, len(own)):
+            share = float(np.sum(own[:-lag] * own[lag:])) / square if square > 0 else 0.0
+            if not share > 0:
+                break
+            correlation.append(share)
+        return cls(max(float(np.sqrt(square / max(free, 1.0))), CAMERA), np.array(correlation))
