@@ -56,6 +56,10 @@ def without(data: Data, names: list[str]) -> Data:
     return {one: own for one, own in data.items() if one[:-2] not in names}
 
 
+def at_rest(data: Data) -> Data:
+    return {one: own if one == "time" else np.full_like(own, own[0]) for one, own in data.items()}
+
+
 def sliding(data: Data) -> Data:
     """Return data in which the markers of both thighs slide down and up within the skin by up to 6 cm."""
     slide = 0.06 * np.sin(2 * np.pi * data["time"] / 0.57)
@@ -93,6 +97,11 @@ REFUSED: dict[str, tuple[Callable[[Data], Data], dict[str, Any], str]] = {
         r"loads.ground.plates: the data has no plate 9: it has plates 1, 2, 3, 4, 5 and 6"),
     "a plate under the other foot": (lambda d: d, {"loads": {"ground": {"body": "foot", "plates": [1]}}},
         r"'foot' stands on none of the plates 1; 'foot_left' stands on plate 1"),
+    "a person who does not move": (at_rest, {},
+        r"motion.plane: cannot be found, because the segments do not move"),
+    "a plate with a gap": (lambda d: d | {"plate1.force.z": np.where(d["time"] == d["time"][3], np.nan, 1.0)}, {},
+        r"row 4: force or torque of plate 1 is missing"),
+    "a marker that is too far away": (lambda d: scaled(d, 1e6, "RTHF"), {}, r"'RTHF' .* more than 10000 m"),
     "two markers of a cluster": (lambda d: d, {"motion": {"clusters": CLUSTERS | {"shank": ["RSHU", "RSHL"]}}},
         r"motion.clusters.shank: has 2 markers, but a pose needs three"),
     "a record that is too short": (lambda d: {one: own[:6] for one, own in d.items()}, {}, r"has 6 rows"),

@@ -12,6 +12,9 @@ from mbdkit_biomech.inverse_dynamics.inverse_sections import ColumnOfTable, Time
 from mbdkit_biomech.inverse_dynamics.measured import si_values, times_of
 from mbdkit_biomech.inverse_dynamics.measured_table import HEADINGS_SHOWN, Table
 
+LARGEST_LABORATORY = 1e4
+"""Largest coordinate of a marker [m]."""
+
 
 @dataclass(frozen=True)
 class MarkerFile:
@@ -53,6 +56,12 @@ class MarkerFile:
             columns = [si_values(ColumnOfTable(column=f"{name}.{axis}"), self.table, "m", key) for axis in "xyz"]
             found = np.stack(columns, axis=1)
             found[np.isnan(found).any(axis=1) | np.all(found == 0, axis=1)] = np.nan  # some programs write 0 for unseen
+            if np.nanmax(np.abs(found), initial=0.0) > LARGEST_LABORATORY:
+                raise SpecError(
+                    f"marker '{shown(name)}' of {self.table.name} is more than {LARGEST_LABORATORY:g} m from the "
+                    "origin; check the unit of length that the file states",
+                    key=key,
+                )
             self._read[name] = found
         return self._read[name]
 

@@ -95,9 +95,10 @@ def plane_of(asked: PlaneAxes | None, poses: Mapping[str, Poses], time: np.ndarr
     along, across = (float(np.sqrt(np.mean(np.sum(v * axis, axis=1) ** 2))) for axis in (forward, right))
     sideways = across / along if along > 0 else np.inf
     if asked is None and not sideways <= SIDEWAYS:
+        how = f"move sideways {sideways:.2g} times as fast as forward (at most {SIDEWAYS:g} times is accepted)"
         raise SpecError(
-            f"cannot be found, because the segments move sideways {sideways:.2g} times as fast as forward (at most "
-            f"{SIDEWAYS:g} times is accepted); state it, such as {{forward: x, up: {'xyz'[axis]}}}",
+            f"cannot be found, because the segments {how if np.isfinite(sideways) else 'do not move'}; state it, "
+            f"such as {{forward: x, up: {'xyz'[axis]}}}",
             key="motion.plane",
         )
     off = elementary.acos(min(1.0, abs(float(np.sum(best * forward)))))

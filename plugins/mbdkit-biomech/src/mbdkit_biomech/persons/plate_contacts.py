@@ -103,6 +103,8 @@ class _Plate:
                                                   unit, key) for axis in "xyz"], axis=1))
             for quantity, unit in (("force", "N"), ("point", "m"), ("torque", "N m"))
         )  # fmt: skip
+        if (missing := np.flatnonzero(np.isnan(self.force + self.torque).any(axis=1))).size:
+            raise file.table.error(f"force or torque of plate {number} is missing", row=int(missing[0]), key=key)
         self.acts = np.sqrt(np.sum(self.force * self.force, axis=1)) > UNLOADED
         self.is_reversed = float(np.sum(self.force[self.acts, 1])) < 0
         if self.is_reversed:
