@@ -15,6 +15,7 @@ from mbdkit import SpecError
 from mbdkit.spec import load_inverse_spec
 from mbdkit_biomech.persons.calibration import Segments, legs_of
 from mbdkit_biomech.persons.joint_centers import LANDMARKS, REGRESSION
+from mbdkit_biomech.persons.landmarks import Side, landmark
 from mbdkit_biomech.persons.motion_plane import plane_of
 from mbdkit_biomech.persons.rigid_clusters import Artefact, Cluster, poses_of
 from tests.benchmarks.person_markers import CLUSTERS, SHANK, THIGH, Walker, columns_of, in_laboratory, table_text
@@ -218,3 +219,33 @@ def test_the_packaged_example_finds_the_centres_of_the_person_who_made_its_table
         error = found - walker.joints[joint][:, :2]
         assert np.max(np.abs(np.mean(error, axis=0))) < 2 * max(person.centers[joint].deviation)
     assert not [one for one in person.findings if one.level]
+
+
+@pytest.mark.parametrize(
+    ("kind", "side", "names"),
+    [
+        ("asis", "r", ["RASI", "R.ASIS", "Subject:RASIS", "RAsis", "R_ASIS"]),
+        ("psis", "l", ["LPSI", "L.PSIS", "LPsis", "PSIS_Left"]),
+        ("sacrum", None, ["V.Sacral", "SACR", "Sacral", "VSAC"]),
+        ("knee.lateral", "r", ["RKNE", "R.Knee.Lat", "R.Knee.Lateral", "RLatKnee", "RLFE", "RLatEpicondyle"]),
+        ("knee.medial", "l", ["LKNM", "L.Knee.Med", "L.Knee.Medial", "LMedKnee", "LMFE", "LMKNE"]),
+        ("ankle.lateral", "l", ["LANK", "L.Ankle.Lat", "L_Ankle_Lateral", "LLatMalleolus", "LLMAL"]),
+        ("ankle.medial", "r", ["RANM", "R.Ankle.Med", "RMedMal", "RMMAL", "Right.Medial.Ankle"]),
+    ],
+)
+def test_names_of_landmarks_in_published_marker_sets(kind: str, side: Side | None, names: list[str]) -> None:
+    others = [
+        "RTHI",
+        "LTIB",
+        "R.Thigh.Lateral",
+        "RMedial",
+        "RMED",
+        "RShankLateral",
+        "RMidfootMedial",
+        "LToeLateral",
+        "C7",
+    ]
+    for name in names:
+        assert landmark([*others, name], kind, side) == name
+        assert landmark([name], kind, "r" if side == "l" else "l") is None
+    assert landmark(others, kind, side) is None

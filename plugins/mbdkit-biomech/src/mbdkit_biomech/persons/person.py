@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, is_dataclass, replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -90,51 +90,46 @@ class Person:
     columns: Mapping[str, np.ndarray]
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the person without motion and loads as plain data, for the archive."""
-        plane = {"axes": self.plane.axes.tolist(), "fitted": self.plane.is_fitted, "residual": self.plane.residual}
-        centers = {
-            name: {
-                "method": one.method,
-                "covariance": one.covariance.tolist(),
-                "residual": one.residual,
-                "turn": one.turn,
-            }
-            for name, one in self.centers.items()
-        }
-        contacts = [
-            {"plate": one.plate, "body": one.body, "start": self.time[one.first], "end": self.time[one.end - 1]}
-            for one in self.plates.contacts
-        ]
-        return {
-            "plane": plane,
-            "centers": centers,
-            "lengths": {name: one._asdict() for name, one in self.lengths.items()},
-            "masses": dict(self.masses),
-            "zeros": {name: None if np.isnan(one) else one for name, one in self.zeros.items()},
-            "artefacts": {name: one.deviation for name, one in self.artefacts.items()},
-            "contacts": contacts,
-            "offset": self.plates.offset,
-        }
+        """Return the person without motion and loads as plain data, for the archive; None where a number is nan."""
+        kept = ("plane", "centers", "lengths", "masses", "zeros", "artefacts")
+        own = {name: getattr(self, name) for name in kept}
+        plain: dict[str, Any] = _plain(own | {"contacts": self.plates.contacts, "offset": self.plates.offset})
+        return plain
 
     def lines(self) -> dict[str, str]:
         """Return lines of a summary by label."""
-        sizes = (f"{one.method} +- {1000 * max(one.deviation):.0f} mm" for one in self.centers.values())
-        found = {
-            "subject": f"{self.subject.mass:g} kg, {self.subject.height:g} m, {self.subject.sex}; "
-            + ", ".join(
-                f"{name} {one.value:.3f} +- {one.deviation:.3f} m, {self.masses[name]:.3g} kg"
-                for name, one in self.lengths.items()
-            ),
-            "centres": ", ".join(f"{name} {size}" for name, size in zip(self.centers, sizes, strict=True)),
+        of, plates = (
+            self.subject,
+            (f"{one.body} on plate {one.plate} {one.when(self.time)}" for one in self.plates.contacts),
+        )
+        lengths = (
+            f"{name} {one.value:.3f} +- {one.deviation:.3f} m, {self.masses[name]:.3g} kg"
+            for name, one in self.lengths.items()
+        )
+        centers = (f"{name} {one.method} +- {1000 * max(one.deviation):.0f} mm" for name, one in self.centers.items())
+        value, bound = (1000 * one for one in self.plates.offset or (0.0, 0.0))
+        offset = f"; {value:.0f} ms late, known to {bound:.0f} ms" if self.plates.offset else ""
+        return {
+            "subject": f"{of.mass:g} kg, {of.height:g} m, {of.sex}; {', '.join(lengths)}",
+            "centres": ", ".join(centers),
             "plane": f"{'found' if self.plane.is_fitted else 'stated'}, residual {1000 * self.plane.residual:.0f} mm",
-            "plates": ", ".join(
-                f"{one.body} on plate {one.plate} {one.when(self.time)}" for one in self.plates.contacts
-            ),
+            "plates": ", ".join(plates) + offset,
         }
-        if self.plates.offset is not None:
-            value, bound = (1000 * one for one in self.plates.offset)
-            found["plates"] += f"; {value:.0f} ms late, known to {bound:.0f} ms"
-        return found
+
+
+def _plain(value: Any) -> Any:
+    """Return dataclasses, named tuples, mappings, sequences and arrays as dicts and lists."""
+    if isinstance(value, np.ndarray):
+        return _plain(value.tolist())
+    if is_dataclass(value):
+        return {one.name: _plain(getattr(value, one.name)) for one in fields(value)}
+    if hasattr(value, "_asdict"):
+        value = value._asdict()
+    if isinstance(value, Mapping):
+        return {name: _plain(one) for name, one in value.items()}
+    if isinstance(value, list | tuple):
+        return [_plain(one) for one in value]
+    return None if isinstance(value, float) and np.isnan(value) else value
 
 
 class Builder:
@@ -167,13 +162,8 @@ class Builder:
         self.zeros: dict[str, float] = {}
         self.angles = {body: self._angle(body) for body in self.poses if body.startswith(("trunk", "foot"))}
 
-    def doubt(self, criterion: str, sentence: str) -> None:
-        """Add a doubt."""
+    def _doubt(self, criterion: str, sentence: str) -> None:
         self.findings.append(Finding(criterion, "doubtful", sentence))
-
-    def remark(self, criterion: str, sentence: str) -> None:
-        """Add a remark."""
-        self.findings.append(Finding(criterion, None, sentence))
 
     def _require_units(self) -> None:
         up, (least, most) = self.plane.axes[1], TRUNK_ABOVE_FEET
@@ -226,20 +216,20 @@ class Builder:
                 )
         elif (mean["thigh"] > mean["trunk"]) != ((side := self.segments.side("")) == "r"):
             name = "right" if side == "r" else "left"
-            self.doubt(
+            self._doubt(
                 "centers", f"by the names of its markers, the leg is the {name} one, but it is on the other side"
             )
 
     def _judge_plane(self) -> None:
         off, residual = float(np.degrees(self.plane.off)), self.plane.residual
         if off > STATED and self.plane.sideways > 0:
-            self.doubt(
+            self._doubt(
                 "plane",
                 f"the stated plane is {off:.0f} deg off the one across which the segments move least (doubtful from "
                 f"{STATED:g} deg); leave out `motion.plane` to use that one",
             )
         if residual > THICKNESS:
-            self.doubt(
+            self._doubt(
                 "plane",
                 f"joint centres leave the plane by {1000 * residual:.0f} mm (root mean square, doubtful above "
                 f"{1000 * THICKNESS:.0f} mm): the person turns or moves sideways, which a planar model leaves out",
@@ -260,7 +250,7 @@ class Builder:
         weights, size = 1.0 / np.array(variances), float(np.sqrt(sum(variances)))
         lengths = list(values.values())
         if lengths[0] - lengths[-1] > SIDES * size or lengths[-1] - lengths[0] > SIDES * size:
-            self.doubt(
+            self._doubt(
                 "lengths",
                 f"{listed([f'{body} {own:.3f} m' for body, own in values.items()], 'and')} long differ by more than "
                 f"{SIDES:g} standard deviations ({1000 * size:.0f} mm): check markers and joint centres of both legs",
@@ -271,14 +261,14 @@ class Builder:
     def _judge_lengths(self) -> None:
         for name, one in self.lengths.items():
             if one.variation > VARIES:
-                self.doubt(
+                self._doubt(
                     "lengths",
                     f"the length of the {name} varies by {1000 * one.variation:.0f} mm (standard deviation, doubtful "
                     f"above {1000 * VARIES:.0f} mm): markers move with the skin or belong to another segment",
                 )
         whole, (least, most) = sum(one.value for one in self.lengths.values()), LEG_SHARE
         if not least <= whole / self.subject.height <= most:
-            self.doubt(
+            self._doubt(
                 "lengths",
                 f"thigh and shank together are {whole:.3f} m long, {whole / self.subject.height:.3f} of the body "
                 f"height of {self.subject.height:g} m (doubtful outside {least:g} to {most:g}): check `subject.height` "
@@ -300,7 +290,8 @@ class Builder:
             return found
         if body == "trunk":
             self.zeros[body] = np.nan
-            self.remark("centers", "without `motion.static`, the mean angle of the trunk counts as upright")
+            sentence = "without `motion.static`, the mean angle of the trunk counts as upright"
+            self.findings.append(Finding("centers", None, sentence))
             return np.asarray(found - np.nanmean(found))
         rest = found[self.foot(body, found).at_rest & ~np.isnan(found)]
         if len(rest) < LEAST_FRAMES:
