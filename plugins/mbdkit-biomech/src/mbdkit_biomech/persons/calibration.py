@@ -193,17 +193,13 @@ class Segments:
         return {joint: self._center(joint, bodies, asked.get(joint), plane) for joint, bodies in self.joints.items()}
 
     def _center(self, joint: str, bodies: tuple[str, str], method: Center | None, plane: MotionPlane) -> JointCenter:
-        leg = LEFT if joint.endswith(LEFT) else ""
-        kind, side, key = joint.removesuffix(LEFT), self.side(leg), f"motion.centers.{joint}"
-        if isinstance(method, Midpoint):
-            trial = next((one for one in self.trials() if all(map(one.file.has, method.midpoint))), self.motion)
-            points = [trial.file.marker(name, f"{key}.midpoint") for name in method.midpoint]
-            pair = self.pair(joint, bodies, trial, plane)
-            return landmark_center(pair, "midpoint", (points[0] + points[1]) / 2)
+        kind, key = joint.removesuffix(LEFT), f"motion.centers.{joint}"
+        side = self.side(LEFT if joint.endswith(LEFT) else "")
         pelvis = self._pelvis() if kind == "hip" else None
-        sides = [self.named(f"{kind}.{one}", side) if kind != "hip" else None for one in ("medial", "lateral")]
+        sides = [] if kind == "hip" else [self.named(f"{kind}.{one}", side) for one in ("medial", "lateral")]
+        names = method.midpoint if isinstance(method, Midpoint) else [one[1] for one in sides if one is not None]
         if method is None:
-            method = "hip-regression" if pelvis else "static" if all(sides) else "functional"
+            method = "hip-regression" if pelvis else "static" if len(names) == 2 else "functional"
         if method == "hip-regression":
             if kind != "hip":
                 raise SpecError("is for hips; this joint takes functional, static or a midpoint", key=key)
@@ -215,24 +211,23 @@ class Segments:
                     key=key,
                 )
             return hip_center(self.pair(joint, bodies, self.motion, plane), pelvis, side)
-        if method == "static":
-            if not all(sides):
-                raise SpecError(
-                    "needs a marker on the medial and on the lateral side of the joint whose names say so, such as "
-                    f"{'R' if side == 'r' else 'L'}.{kind.capitalize()}.Medial; write {{midpoint: [MARKER, MARKER]}} "
-                    "for others, or use `functional`",
-                    key=key,
-                )
-            (trial, medial), (other, lateral) = (one for one in sides if one is not None)
-            if other is not trial:
-                raise SpecError(f"needs {shown(medial)} and {shown(lateral)} in the same file", key=key)
-            middle = (trial.file.marker(medial, key) + trial.file.marker(lateral, key)) / 2
-            return landmark_center(self.pair(joint, bodies, trial, plane), "static", middle)
-        trial = self.motion
-        if self.static is not None:
-            own = self.pair(joint, bodies, self.static, plane)
-            trial = self.static if turn_of(*own.known()) >= LEAST_TURN else self.motion
-        return functional_center(self.pair(joint, bodies, trial, plane))
+        if method == "functional":
+            trial = self.motion
+            if self.static is not None:
+                own = self.pair(joint, bodies, self.static, plane)
+                trial = self.static if turn_of(*own.known()) >= LEAST_TURN else self.motion
+            return functional_center(self.pair(joint, bodies, trial, plane))
+        if len(names) < 2:
+            raise SpecError(
+                "needs a marker on the medial and on the lateral side of the joint whose names say so, such as "
+                f"{side.upper()}.{kind.capitalize()}.Medial; write {{midpoint: [MARKER, MARKER]}} for others, or use "
+                "`functional`",
+                key=key,
+            )
+        trial = next((one for one in self.trials() if all(map(one.file.has, names))), self.motion)
+        points = [trial.file.marker(name, key) for name in names]
+        told = "static" if method == "static" else "midpoint"
+        return landmark_center(self.pair(joint, bodies, trial, plane), told, (points[0] + points[1]) / 2)
 
     def _pelvis(self) -> dict[str, np.ndarray] | None:
         """Return the landmarks of the pelvis in the frame of its cluster; None if some are missing."""
