@@ -99,12 +99,12 @@ def loaded(name: str, kind: type[S], source: Any, overrides: Iterable[str], sect
         with recording(files):
             _read_files(document)
         spec = kind(**document.data)
+        spec._document = document  # before the mechanism, which may depend on files in the folder of the spec
         mechanism = spec.mechanism()
         if files.all:
             spec.adopt(mechanism, files.all)
     except SpecError as error:
         raise document.place(error) from None
-    spec._document = document
     return spec
 
 

@@ -15,7 +15,7 @@ COUNTERS = (
     "newton_iterations", "projections",
 )  # fmt: skip
 
-INVERSE = ("walking", "walking-muscles", "walking-two-legs")
+INVERSE = ("walking", "walking-muscles", "walking-two-legs", "person-walking")
 DESIGNS = ("exotendon", "gravity-balance")
 
 STUDIES: dict[str, tuple[str, str, tuple[float, ...]]] = {

@@ -42,7 +42,8 @@ def inverse(
 
     First, the mechanism is fitted to the measured data, with its joints closed to
     round-off. Then the motion is smoothed, and the equations of motion are solved for the
-    actuators and the reactions. See `mbdkit guide inverse`.
+    actuators and the reactions. See `mbdkit guide inverse`, and `mbdkit guide persons` for
+    the markers of a person.
     """
     from mbdkit.spec import load_inverse_spec
 
@@ -100,15 +101,17 @@ def repeated_inverse(before: Run, archive: Path, output: Path | None, *, overwri
     from mbdkit.spec.reading import Document
     from mbdkit_biomech.inverse_dynamics.inverse_run import compute_run
 
-    spec = load_inverse_spec(Document(before.spec, folder=archive.parent))
-    folder = archive.parent.resolve()
-    for file in filter(None, (spec.motion.file, *(load.file for load in spec.loads.values()))):
+    folder, motion = archive.parent.resolve(), before.spec["motion"]
+    loads = before.spec.get("loads", {}).values()
+    files = (motion.get("file"), motion.get("static"), *(load.get("file") for load in loads))
+    for file in filter(None, files):  # before the spec is loaded, which reads the files of a person
         path = (folder / file).resolve()
         if not (path.is_relative_to(folder) and path.is_file()):
             raise SpecError(
                 f"its data are in {shown(file)}, which is not in the folder of the archive; repeat it "
                 "from its spec with `mbdkit inverse`"
             )
+    spec = load_inverse_spec(Document(before.spec, folder=archive.parent))
     return compute_run(spec, path=output, overwrite=overwrite)
 
 
@@ -135,6 +138,8 @@ def validate_inverse(source: str | Document, name: str, assignments: list[str]) 
     show(f"model        {spec.model_item.id}: {spec.mechanism().description()}")
     show(f"gravity      {gravity_text(spec.mechanism().gravity)}")
     show(f"freedom      {problem.prepared.workspace.mechanism.freedoms()}")
+    for label, text in ({} if spec.person is None else spec.person.lines()).items():
+        show(f"{label:<12} {text}")
     show(f"motion       {counted(len(time), 'row')} from {time[0]:g} to {time[-1]:g} s: {', '.join(measured.names)}")
     for key, text in problem.unused.notes.items():
         show(f"{UNUSED_DATA[key]:<12} {text}")

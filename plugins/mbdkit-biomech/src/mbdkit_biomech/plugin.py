@@ -33,6 +33,7 @@ _CRITERIA = {
     "loads": "Measured loads.",
     "model": "The model, forces without a point, turns and signs of angles.",
     "record": "The record, units of loads, and errors.",
+    "person": "The person: plane of motion, joint centres, lengths and plates.",
 }
 _QUANTITIES = {
     "motion": ("ObservedHistory", "Observed quantities of a measured motion."),

@@ -47,7 +47,9 @@ class InverseProblem:
     Attributes
     ----------
     spec
-        The spec.
+        The spec; for a person, that of the motion and loads of the scaled model.
+    source
+        The spec as given, which the archive contains.
     prepared
         The mechanism, assembled for the time of the motion.
     fitter
@@ -73,6 +75,7 @@ class InverseProblem:
     measured: Measured
     loads: dict[str, LoadSeries]
     actuators: list[NamedActuator]
+    source: InverseSpec
     recruiter: Recruiter | None = None
     unused: UnusedData = field(default_factory=UnusedData)
 
@@ -102,9 +105,11 @@ class InverseProblem:
         SpecError
             If the data, or names in the spec, are wrong. The error contains the file and line, or the key of the spec.
         """
-        names = QuantityNames(spec.mechanism())
+        source = spec
+        names = QuantityNames(source.mechanism())
+        spec = source.expanded
         try:
-            with spec.recording_files():
+            with source.recording_files():
                 measured, table = read_motion(spec, names)
                 loads = read_loads(spec, names, table)
             observed = dict(zip(measured.names, measured.quantities.quantities, strict=True))
@@ -116,7 +121,7 @@ class InverseProblem:
         measured = measured.near(prepared.equations.q0)
         fitter = Fitter(Manifold(prepared), prepared.workspace.mechanism.bodies)
         unused = UnusedData.of(spec, names, measured, table)
-        return cls(spec, prepared, fitter, names, measured, loads, actuators, recruiter, unused)
+        return cls(spec, prepared, fitter, names, measured, loads, actuators, source, recruiter, unused)
 
 
 @dataclass(frozen=True)

@@ -84,10 +84,22 @@ def doubts_of_record(result: Inverse, bars: ErrorBars | None) -> list[Finding]:
     return [*record_doubts(result, bars), *units_of_loads(result.problem), *large_errors(result, bars)]
 
 
+def doubts_of_person(result: Inverse, _bars: ErrorBars | None) -> list[Finding]:
+    """Return the doubts about the person and remarks on it."""
+    return person_findings(result.problem)
+
+
+def person_findings(problem: InverseProblem) -> list[Finding]:
+    """Return what was found about the person of a spec."""
+    person = problem.source.person
+    return [] if person is None else [*person.findings]
+
+
 def doubts_before_computation(problem: InverseProblem) -> DataDoubts:
     """Return those doubts about the data and the model that do not depend on the computed motion and forces."""
     columns = doubts_before_fit(problem.measured, problem.fitter.manifold.length)
     found = [*shared_columns(problem), *columns, *units_of_loads(problem), *missing_points(problem)]
+    found += person_findings(problem)
     found += spec_doubts(problem.spec)
     return _sorted(found, problem.spec.accept)
 

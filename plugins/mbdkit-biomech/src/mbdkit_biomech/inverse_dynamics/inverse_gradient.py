@@ -83,7 +83,8 @@ def inverse_gradient(
         a spec. Names of measures that the spec defines may stand for their expressions.
     names, parameters
         Names of `parameters` of the spec, or key paths of numbers of its model such as
-        ``model.forces.spring.stiffness``; see `mbdkit.gradient`.
+        ``model.forces.spring.stiffness``; see `mbdkit.gradient`. The model of a person is the scaled one, with
+        ``model.body_mass``, ``model.thigh_length`` and ``model.shank_length``.
     check
         Whether to check the gradient in one direction by differences of four computations.
     **sections
@@ -117,7 +118,7 @@ def inverse_gradient(
     True
     """
     source, wanted = read_names(source, names, parameters, sections)
-    spec = load_inverse_spec(source, (), **sections)
+    spec = load_inverse_spec(source, (), **sections).expanded
     chosen = resolved(spec, wanted)
     definitions = definitions_of(spec, measures)
     with one_thread_of_linear_algebra():

@@ -14,6 +14,7 @@ from mbdkit.mechanism.bodies import GROUND
 from mbdkit.mechanism.values import BodyPair, Points, pair
 from mbdkit.spec.item_names import CriterionName
 from mbdkit.spec.sections import Count, Positive, Section
+from mbdkit_biomech.persons.person_sections import Center, PlaneAxes
 
 Named = Annotated[str, Field(min_length=1)]
 
@@ -215,6 +216,10 @@ CRITERIA = (
     "reserves",
     "max-force",
     "left-out",
+    "plane",
+    "centers",
+    "lengths",
+    "plates",
 )
 """Names of the criteria of the verdict on measured data and on the model; plugins may add others."""
 
@@ -240,7 +245,10 @@ class MeasuredMotion(Section):
     names, such as knee_flexion, are quantities too.
     """
 
-    ABSENT_BY_DEFAULT: ClassVar[tuple[str, ...]] = ("file", "data", "gaps", "errors")
+    ABSENT_BY_DEFAULT: ClassVar[tuple[str, ...]] = (
+        *("file", "data", "gaps", "errors"),
+        *("plane", "clusters", "centers", "static"),
+    )
 
     file: Named | None = None
     """Table with a column of times: CSV, Vicon CSV, Qualisys TSV, OpenSim .mot or .sto, .trc, C3D, or a run archive;
@@ -257,6 +265,19 @@ class MeasuredMotion(Section):
     """How gaps in the data are bridged; by default, gaps are refused. `gaps` of a column takes precedence."""
     errors: ErrorBars | Literal["none"] = ErrorBars()
     """How the errors of the results are estimated; `none` leaves them unknown and saves the time of the estimate."""
+    plane: PlaneAxes | Literal["fit"] | None = None
+    """Plane of motion of a person (`subject`): axes of the laboratory, or `fit`, the default, to find it."""
+    clusters: dict[str, list[Named]] | None = None
+    """Markers of each segment of a person, by body: at least three, not on a line. Bodies are `trunk` (markers of the
+    pelvis), `thigh`, `shank` and `foot`, and with two legs also `thigh_left`, `shank_left` and `foot_left`."""
+    centers: dict[str, Center] | None = None
+    """How each joint centre of a person is determined, by joint (`hip`, `knee`, `ankle`, `hip_left`, ...):
+    `functional`, from the motion; `hip-regression`, from landmarks of the pelvis; `{midpoint: [MARKER, MARKER]}`; or
+    `static`, midway between medial and lateral markers that have such names. By default, hips are determined by
+    regression if the landmarks are there, other joints by medial and lateral markers, otherwise by the motion."""
+    static: Named | None = None
+    """File of a calibration trial of the person, in which the person stands upright for some time; joints that are
+    bent in it are calibrated by it. Several motions of a person may share it."""
 
     @model_validator(mode="after")
     def _complete(self) -> MeasuredMotion:
@@ -279,7 +300,7 @@ class MeasuredMotion(Section):
 class Load(Section):
     """A measured load on a body: a force at a point that may move, a free torque, or both."""
 
-    ABSENT_BY_DEFAULT: ClassVar[tuple[str, ...]] = ("file", "data", "time", "kind")
+    ABSENT_BY_DEFAULT: ClassVar[tuple[str, ...]] = ("file", "data", "time", "kind", "plates")
 
     body: Named
     """Body that the load acts on."""
@@ -304,6 +325,9 @@ class Load(Section):
     """Column of a free torque on the body, positive counter-clockwise."""
     interpolation: Literal["linear", "cubic"] = "linear"
     """How loads are interpolated to the times of the motion."""
+    plates: Annotated[list[Count], Field(min_length=1)] | None = None
+    """Numbers of force plates of the C3D file of a person, as in the headings `plate1.force.x`; `body` is the foot on
+    which they act. Replaces `force`, `point` and `torque`."""
 
     @property
     def is_plate(self) -> bool:
@@ -316,6 +340,11 @@ class Load(Section):
     @model_validator(mode="after")
     def _complete(self) -> Load:
         _one_source(self, required=False)
+        if self.plates is not None:
+            for key in ("file", "data", "force", "point", "torque"):
+                if getattr(self, key) is not None:
+                    raise SpecError("cannot be given with `plates`, from which it follows", key=key)
+            return self
         if self.force is None and self.torque is None:
             raise PydanticCustomError("mbdkit", "needs `force` (two columns) or `torque` (a column)")
         if self.point is not None and self.force is None:

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field, create_model
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, PrivateAttr, create_model
 
 from mbdkit.base.errors import SpecError
 from mbdkit.base.plain_data import path_text, quoted
@@ -16,6 +16,7 @@ from mbdkit.mechanism.checks import check_name
 from mbdkit.mechanism.joints import joint_with_friction
 from mbdkit.mechanism.quantity_names import QuantityNames
 from mbdkit.registry.catalogue import Registered, Registry
+from mbdkit.registry.target import Target
 from mbdkit.spec.choices import Choice
 from mbdkit.spec.model_spec import ModelSpec
 from mbdkit.spec.study_measures import DefinedMeasure, RunMeasures, defined
@@ -28,9 +29,13 @@ from mbdkit_biomech.inverse_dynamics.inverse_sections import (
     Span,
 )
 from mbdkit_biomech.inverse_dynamics.named_actuators import actuators_of, reserves_of
+from mbdkit_biomech.persons.person_sections import OF_PERSONS, Subject
 
 if TYPE_CHECKING:
     from mbdkit.mechanism.mechanism import Mechanism
+
+_PERSON_OF_SPEC: Target[Any] = Target("mbdkit_biomech.persons.person_spec:person_of_spec")
+"""Named by text, because specs are read by parts of mbdkit that do not compute inverse dynamics."""
 
 
 def _named(sections: dict[str, Any]) -> dict[str, Any]:
@@ -51,6 +56,7 @@ class InverseSpec(ModelSpec):
 
     model_config = ConfigDict(title="mbdkit spec of inverse dynamics", defer_build=True)
     ABSENT_BY_DEFAULT: ClassVar[tuple[str, ...]] = (
+        "subject",
         "parameters",
         "loads",
         "actuators",
@@ -60,6 +66,8 @@ class InverseSpec(ModelSpec):
         "accept",
     )
 
+    subject: Subject | None = None
+    """The person with the markers of `motion.clusters`, to whom the model is scaled."""
     motion: MeasuredMotion
     """The measured motion."""
     loads: Annotated[dict[str, Load], AfterValidator(_named)] = Field(default_factory=dict)
@@ -79,6 +87,56 @@ class InverseSpec(ModelSpec):
     """The part of the motion that is used."""
     measures: RunMeasures = Field(default_factory=dict)
     """Measures by name: numbers that expressions, such as `max(abs(joints.B.force))`, take from the result."""
+
+    _person: Any = PrivateAttr(default=None)
+
+    @property
+    def person(self) -> Any:
+        """The `mbdkit_biomech.persons.person.Person` that the markers determine; None without `subject`. It is computed
+        once and cached.
+
+        Raises
+        ------
+        SpecError
+            If markers are missing, or do not determine the person.
+        """
+        return None if self.subject is None else self._person_and_spec[0]
+
+    @property
+    def expanded(self) -> InverseSpec:
+        """The spec that is computed: for a person, that of the motion and loads of the scaled model; otherwise this
+        one.
+        """
+        spec: InverseSpec = self if self.subject is None else self._person_and_spec[1]
+        return spec
+
+    @property
+    def _person_and_spec(self) -> Any:
+        if self._person is None:
+            self._person = _PERSON_OF_SPEC()(self)
+        return self._person
+
+    def _build(self) -> Mechanism:
+        self._check_person()
+        return super()._build() if self.subject is None else self.expanded.mechanism()
+
+    def _check_person(self) -> None:
+        """Raise SpecError if keys need `subject`, or exclude it."""
+        motion = self.motion
+        if self.subject is not None:
+            if motion.columns is not None:
+                raise SpecError("follow from the markers with `subject`; leave this out", key="motion.columns")
+            if motion.is_run:
+                raise SpecError("should be a file of markers with `subject`, not a run", key="motion.file")
+            return
+        for key in OF_PERSONS:
+            if getattr(motion, key):
+                raise SpecError("needs `subject`, the person with these markers", key=f"motion.{key}")
+        for name, load in self.loads.items():
+            if load.plates is not None:
+                raise SpecError(
+                    "needs `subject`; without, give `force` and `point`", key=f"loads.{quoted(name)}.plates"
+                )
 
     def _accept(self, mechanism: Mechanism) -> None:
         if contacts := mechanism.elements.get("contacts"):

@@ -20,10 +20,14 @@ if TYPE_CHECKING:
 UNUSED_DATA = {"unobserved_markers": "no data", "unused_columns": "not used"}
 """Labels of entries of the provenance of inverse dynamics: markers without data, and columns that are not used."""
 
+PERSON = ("subject", "centres", "plane", "plates")
+"""Entries of the provenance of a person."""
+
 
 def inverse_lines(run: Run) -> list[tuple[str, str]]:
     """Return the lines of the summary that only inverse dynamics has, each with its label; texts may be empty."""
     return [
+        *((label, str(run.provenance.get(label, ""))) for label in PERSON),
         ("fit", _fit(run)),
         *((label, str(run.provenance.get(key, ""))) for key, label in UNUSED_DATA.items()),
         ("gaps", _gaps(run)),

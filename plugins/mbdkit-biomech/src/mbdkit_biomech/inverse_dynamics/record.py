@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import math
 from collections.abc import Mapping
 from functools import partial
@@ -68,7 +69,7 @@ def archive_of(
     ResourceError
         If the archive cannot be written.
     """
-    spec, mechanism = result.problem.spec, result.problem.prepared.workspace.mechanism
+    spec, mechanism = result.problem.source, result.problem.prepared.workspace.mechanism
     states, names = recorded_states(result), _names(result)
     groups = [group for group in INVERSE_GROUPS if names.names_of(group)]
     extra = [path for group in groups for path in kind_of_group(group).by_path if path not in MUSCLES_OF_RUNS]
@@ -106,7 +107,9 @@ def _provenance(result: Inverse) -> dict[str, str | int | float]:
     """Return the provenance, with unused data and with gaps that are filled by means of other columns."""
     fitted = result.fitted
     gaps = {} if fitted.placed is None else {"placed_gaps": fitted.placed.to_json(fitted.measured.names)}
-    return model_provenance(result.problem.spec) | result.problem.unused.notes | gaps
+    person = result.problem.source.person
+    own = {} if person is None else {"person": json.dumps(person.to_dict()), **person.lines()}
+    return model_provenance(result.problem.spec) | result.problem.unused.notes | gaps | own
 
 
 def _intervals(time: np.ndarray) -> dict[str, np.ndarray]:

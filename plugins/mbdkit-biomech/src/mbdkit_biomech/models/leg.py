@@ -63,6 +63,7 @@ from mbdkit.mechanism.values import Number, Point, Positive
 from mbdkit.models._knee_linkage import Frame, xy
 from mbdkit.models._segments import DE_LEVA, FRACTIONS, GAIT2D, WINTER, Person
 from mbdkit.models.four_bar_knee import EXOSKELETON, KneeLinks, KneePitches, linkage
+from mbdkit_biomech.models._measured_segments import MeasuredPerson
 from mbdkit_biomech.models._one_leg import Hip, LegParts, LegPose, four_bar_leg, muscles_of_both, pinned_leg, second_leg
 from mbdkit_biomech.muscles.muscle import Muscle
 from mbdkit_contact.contact import Contact
@@ -74,7 +75,10 @@ FOUR_BAR_REFERENCES = (EXOSKELETON, *REFERENCES)
 class LegOptions(LegPose):
     """Parameters of `leg`."""
 
-    ABSENT_BY_DEFAULT: ClassVar[tuple[str, ...]] = ("legs", "left", "muscles", "symmetric_muscles", "contacts")
+    ABSENT_BY_DEFAULT: ClassVar[tuple[str, ...]] = (
+        *("legs", "left", "muscles", "symmetric_muscles", "contacts"),
+        *("thigh_length", "shank_length"),
+    )
 
     height: Positive = 1.8
     """Body height [m]; scales the segments."""
@@ -82,6 +86,10 @@ class LegOptions(LegPose):
     """Body mass [kg]."""
     table: Literal["winter", "de-leva-female", "de-leva-male"] = "winter"
     """Table of the proportions of the segments."""
+    thigh_length: Positive | None = None
+    """Distance from hip to knee [m]; by default, by `table` and `height`."""
+    shank_length: Positive | None = None
+    """Distance from knee to ankle [m]; by default, by `table` and `height`."""
     root: Literal["hip", "trunk"] = "hip"
     """`hip`: the hip is pinned to the ground; `trunk`: a free body carries it."""
     trunk_share: Annotated[float, Field(gt=0, le=1)] = 1.0
@@ -161,9 +169,14 @@ def build_four_bar(options: LegFourBarOptions) -> Mechanism:
     return _mechanism("leg-four-bar", options, leg)
 
 
+def person_of(o: LegOptions) -> Person:
+    """Return the segments of the options."""
+    return MeasuredPerson(o.body_mass, o.height, o.table, o.thigh_length, o.shank_length)
+
+
 def _mechanism(name: str, o: LegOptions, leg: Callable[[Person, LegPose, Hip], LegParts]) -> Mechanism:
     """Return the mechanism of one or two legs and the further elements of the options."""
-    person = Person(o.body_mass, o.height, o.table)
+    person = person_of(o)
     trunk = Frame.at(complex(*o.hip_position), o.trunk_angle, complex(*o.hip_velocity), o.trunk_rate)
     bodies: dict[str, Body] = {}
     root: dict[str, NamedCoordinate] = {}

@@ -1,0 +1,1 @@
+"""A person from markers: plane of motion, joint centres with covariances, scaled model, and plates under feet."""

@@ -1,0 +1,258 @@
+"""Segments and joints of a person in a motion and, if there is one, in a calibration trial."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+
+from mbdkit.base import elementary
+from mbdkit.base.errors import SpecError
+from mbdkit.base.plain_data import quoted
+from mbdkit.base.text import did_you_mean, listed, shown
+from mbdkit_biomech.persons.joint_centers import (
+    JointCenter,
+    Pair,
+    functional_center,
+    hip_center,
+    landmark_center,
+    turn_of,
+)
+from mbdkit_biomech.persons.landmarks import Side, landmark, side_of
+from mbdkit_biomech.persons.marker_files import MarkerFile
+from mbdkit_biomech.persons.motion_plane import MotionPlane
+from mbdkit_biomech.persons.person_sections import Center, Midpoint
+from mbdkit_biomech.persons.rigid_clusters import Artefact, Cluster, Poses, rate_of
+
+LEFT = "_left"
+"""Suffix of the names of the second leg."""
+
+LEAST_TURN = np.radians(20.0)
+"""A calibration trial is used for a functional centre if the joint turns by at least this angle in it [rad]."""
+
+STILL, LEAST_FRAMES = 0.05, 5
+"""A person stands still in frames in which no segment is faster than this [m/s]; smallest number of such frames."""
+
+LEAST_ROWS = 10
+"""Least number of rows of a motion."""
+
+
+def legs_of(count: int) -> tuple[str, ...]:
+    """Return the suffixes of the names of the legs."""
+    return ("", LEFT)[:count]
+
+
+@dataclass(frozen=True)
+class Trial:
+    """A file of markers with the poses of all segments, and the artefacts of their markers, by body."""
+
+    file: MarkerFile
+    poses: Mapping[str, Poses]
+    artefacts: Mapping[str, Artefact]
+
+    @classmethod
+    def of(cls, file: MarkerFile, clusters: Mapping[str, Cluster]) -> Trial:
+        """Return the trial of a file."""
+        poses = {body: one.poses(file.markers(one.names, f"motion.clusters.{body}")) for body, one in clusters.items()}
+        return cls(file, poses, {body: Artefact.of(own) for body, own in poses.items()})
+
+    def still(self) -> np.ndarray:
+        """Return the frames in which the person stands still.
+
+        Raises
+        ------
+        SpecError
+            If there are too few.
+        """
+        speeds = []
+        for own in self.poses.values():
+            velocity = rate_of(own.position, self.file.time)
+            speeds.append(np.sqrt(np.sum(velocity * velocity, axis=1)))
+        frames = np.flatnonzero(np.max(speeds, axis=0) < STILL)
+        if len(frames) < LEAST_FRAMES:
+            raise SpecError(
+                f"shows the person standing still in {len(frames)} frames ({LEAST_FRAMES} are needed, in which no "
+                f"segment is faster than {STILL:g} m/s); let the trial begin with a person who stands upright",
+                key="motion.static",
+            )
+        return frames
+
+
+@dataclass(frozen=True)
+class Segments:
+    """The segments of a person in a motion, and in a calibration trial if there is one.
+
+    Attributes
+    ----------
+    legs
+        Suffixes of the names of the legs.
+    clusters
+        Clusters by body.
+    motion, static
+        The trials.
+    reference
+        The first frame of the motion in which all segments are seen.
+    """
+
+    legs: tuple[str, ...]
+    clusters: Mapping[str, Cluster]
+    motion: Trial
+    static: Trial | None
+    reference: int
+
+    @classmethod
+    def of(
+        cls, asked: Mapping[str, list[str]] | None, legs: tuple[str, ...], motion: MarkerFile, static: MarkerFile | None
+    ) -> Segments:
+        """Find the segments of a person.
+
+        Raises
+        ------
+        SpecError
+            If a segment has no cluster, a marker is missing, or a cluster has no pose.
+        """
+        if len(motion.time) < LEAST_ROWS:
+            raise SpecError(f"has {len(motion.time)} rows, but a person needs {LEAST_ROWS}", key="motion.file")
+        bodies = ["trunk", *(f"{name}{leg}" for leg in legs for name in ("thigh", "shank", "foot"))]
+        for body in bodies:
+            if body not in (asked or {}):
+                raise SpecError(
+                    f"is missing: with `subject`, each of {listed(bodies, 'and')} needs the names of its markers",
+                    key=f"motion.clusters.{body}" if asked else "motion.clusters",
+                )
+        assert asked is not None
+        for body in asked:
+            if body not in bodies:
+                what = "is for a second leg: add `legs: 2` to the model" if body.endswith(LEFT) else "is no segment"
+                hint = did_you_mean(body, bodies) or f"; segments: {listed(bodies)}"
+                raise SpecError(f"{what}{hint}", key=f"motion.clusters.{quoted(body)}")
+        clusters = {}
+        for body in bodies:
+            names, key = tuple(asked[body]), f"motion.clusters.{body}"
+            if len(set(names)) < len(names):
+                raise SpecError("has a marker twice", key=key)
+            clusters[body] = Cluster.of(body, names, (static or motion).markers(names, key))
+        trial = Trial.of(motion, clusters)
+        together = np.flatnonzero(np.all([own.known for own in trial.poses.values()], axis=0))
+        if not together.size:
+            raise SpecError("no frame of the motion shows three markers of every segment", key="motion.clusters")
+        return cls(legs, clusters, trial, None if static is None else Trial.of(static, clusters), int(together[0]))
+
+    @property
+    def joints(self) -> dict[str, tuple[str, str]]:
+        """The proximal and the distal body of each joint, by joint."""
+        chains = {leg: ("trunk", f"thigh{leg}", f"shank{leg}", f"foot{leg}") for leg in self.legs}
+        names = ("hip", "knee", "ankle")
+        return {
+            f"{name}{leg}": two for leg, one in chains.items() for name, two in zip(names, pairwise(one), strict=True)
+        }
+
+    def trials(self) -> list[Trial]:
+        """Return the calibration trial, if there is one, and the motion."""
+        return [self.motion] if self.static is None else [self.static, self.motion]
+
+    def side(self, leg: str) -> Side:
+        """Return the side of a leg: a single leg is that of its markers, otherwise the first one is the right one."""
+        if len(self.legs) == 2:
+            return "l" if leg else "r"
+        return side_of(self.clusters[f"thigh{leg}"].names)
+
+    def pair(self, joint: str, bodies: tuple[str, str], trial: Trial, plane: MotionPlane) -> Pair:
+        """Return both segments of a joint in a trial."""
+        a, b = bodies
+        return Pair(
+            joint,
+            (self.clusters[a], self.clusters[b]),
+            (trial.artefacts[a], trial.artefacts[b]),
+            (trial.poses[a], trial.poses[b]),
+            (self.motion.poses[a].rotation[self.reference], self.motion.poses[b].rotation[self.reference]),
+            plane.axes,
+        )
+
+    def named(self, kind: str, side: Side | None) -> tuple[Trial, str] | None:
+        """Return the trial and the name of the marker of a landmark; None if there is none."""
+        for trial in self.trials():
+            if name := landmark(trial.file.names, kind, side):
+                return trial, name
+        return None
+
+    def centers(self, asked: Mapping[str, Center], plane: MotionPlane) -> dict[str, JointCenter]:
+        """Return the joint centres by joint.
+
+        Raises
+        ------
+        SpecError
+            If a centre is not determined; the error states the reason.
+        """
+        for joint in asked:
+            if joint not in self.joints:
+                hint = did_you_mean(joint, list(self.joints)) or f"; joints: {listed(list(self.joints))}"
+                raise SpecError(f"is no joint of the person{hint}", key=f"motion.centers.{quoted(joint)}")
+        return {joint: self._center(joint, bodies, asked.get(joint), plane) for joint, bodies in self.joints.items()}
+
+    def _center(self, joint: str, bodies: tuple[str, str], method: Center | None, plane: MotionPlane) -> JointCenter:
+        kind, key = joint.removesuffix(LEFT), f"motion.centers.{joint}"
+        side = self.side(LEFT if joint.endswith(LEFT) else "")
+        pelvis = self._pelvis() if kind == "hip" else None
+        sides = [] if kind == "hip" else [self.named(f"{kind}.{one}", side) for one in ("medial", "lateral")]
+        names = method.midpoint if isinstance(method, Midpoint) else [one[1] for one in sides if one is not None]
+        if method is None:
+            method = "hip-regression" if pelvis else "static" if len(names) == 2 else "functional"
+        if method == "hip-regression":
+            if kind != "hip":
+                raise SpecError("is for hips; this joint takes functional, static or a midpoint", key=key)
+            if pelvis is None:
+                raise SpecError(
+                    "needs markers of the right and left anterior superior iliac spines (RASI, LASI, R.ASIS, ...) and "
+                    "of the posterior ones or the sacrum, which are not among the markers; use `functional`, or name "
+                    "them like this",
+                    key=key,
+                )
+            return hip_center(self.pair(joint, bodies, self.motion, plane), pelvis, side)
+        if method == "functional":
+            trial = self.motion
+            if self.static is not None:
+                own = self.pair(joint, bodies, self.static, plane)
+                trial = self.static if turn_of(*own.known()) >= LEAST_TURN else self.motion
+            return functional_center(self.pair(joint, bodies, trial, plane))
+        if len(names) < 2:
+            raise SpecError(
+                "needs a marker on the medial and on the lateral side of the joint whose names say so, such as "
+                f"{side.upper()}.{kind.capitalize()}.Medial; write {{midpoint: [MARKER, MARKER]}} for others, or use "
+                "`functional`",
+                key=key,
+            )
+        trial = next((one for one in self.trials() if all(map(one.file.has, names))), self.motion)
+        points = [trial.file.marker(name, key) for name in names]
+        told = "static" if method == "static" else "midpoint"
+        return landmark_center(self.pair(joint, bodies, trial, plane), told, (points[0] + points[1]) / 2)
+
+    def _pelvis(self) -> dict[str, np.ndarray] | None:
+        """Return the landmarks of the pelvis in the frame of its cluster; None if some are missing."""
+        found = {"right": self.named("asis", "r"), "left": self.named("asis", "l")}
+        back = [one for one in (self.named("psis", "r"), self.named("psis", "l")) if one is not None]
+        sacrum = self.named("sacrum", None)
+        back = back if len(back) == 2 else [] if sacrum is None else [sacrum]
+        if not back or None in found.values():
+            return None
+        landmarks = {name: self._inside(one) for name, one in found.items() if one is not None}
+        points = [self._inside(one) for one in back]
+        return landmarks | {"back": sum(points[1:], start=points[0]) / len(points)}
+
+    def _inside(self, landmark: tuple[Trial, str]) -> np.ndarray:
+        """Return a landmark of the pelvis in the frame of its cluster."""
+        trial, name = landmark
+        own = trial.poses["trunk"].inside(trial.file.marker(name, "motion.clusters.trunk"))
+        if np.isnan(own[:, 0]).all():
+            raise SpecError(f"in no frame is {shown(name)} seen together with three markers of the trunk",
+                            key="motion.clusters.trunk")  # fmt: skip
+        return np.asarray(np.nanmean(own, axis=0))
+
+
+def angle_of(direction: np.ndarray) -> np.ndarray:
+    """Return the angles (T,), counter-clockwise, by which vectors (T, 3), as (forward, up, right), are turned from
+    up.
+    """
+    return np.asarray(elementary.atan2(-direction[:, 0], direction[:, 1]))

@@ -1,0 +1,301 @@
+"""Joint centres in the frames of two segments, with covariances: by functional calibration, landmarks or regression.
+
+Functional: the symmetrical centre of rotation estimation of R. M. Ehrig, W. R. Taylor, G. N. Duda and M. O. Heller,
+J. Biomech. 39 (2006) 2798-2809. The points p of the proximal and d of the distal segment are those that minimise the
+sum of ``|R1 p + t1 - R2 d - t2|^2`` over all frames. A hinge leaves the position along its axis open; the plane of
+motion is perpendicular to it, so that a weak pseudo-observation places the centre between both clusters there.
+Errors of the rotations would pull both points towards their clusters: the squares that they add, ``s^2 p^T (trace(J^-1)
+I - J^-1) p`` for each frame (`rigid_clusters`), are subtracted (W. A. Fuller, Measurement Error Models, 1987).
+
+The covariance is that of the least-squares estimate for the artefacts of the markers (`rigid_clusters`), which are
+correlated in time. If the residual of the fit is larger than they explain, because the skin moves all markers of a
+segment together, the covariance is multiplied by the ratio of the squares (R. T. Birge, Phys. Rev. 40 (1932) 207).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from mbdkit.base import elementary
+from mbdkit.base.errors import SpecError
+from mbdkit.engine.linear_systems import inverse_of, product, symmetric_eigenvectors
+from mbdkit_biomech.persons.rigid_clusters import Artefact, Cluster, Poses, apply, transposed
+
+MOST_FRAMES = 300
+"""Largest number of frames, evenly spaced, in a functional calibration."""
+
+ACROSS = 0.05
+"""Standard deviation of the pseudo-observation across the plane of motion [m]."""
+
+EXPECTED = 0.005
+"""Standard deviation of the residual of a functional calibration that weighs the pseudo-observation [m]."""
+
+LARGEST_DEVIATION = 0.02
+"""Functional centres are refused if their standard deviation in the plane of motion is larger [m]: published errors of
+other methods are smaller (`LANDMARKS`, `REGRESSION`)."""
+
+LARGEST_RESIDUAL = 0.02
+"""Functional centres are refused if the root mean square distance of both points is larger [m]. In walking it is below
+10 mm; a squat whose thigh moves within its skin gave 25 mm and a shank of 0.72 m."""
+
+LANDMARKS = 0.007
+"""Standard deviation of the middle of two landmarks along each axis [m]. Examiners place a landmark of the leg with a
+root mean square distance of 13 to 25 mm (U. Della Croce, A. Cappozzo and D. C. Kerrigan, Med. Biol. Eng. Comput. 37
+(1999) 155-161): about 10 mm along each axis, and less by the square root of two for the middle of two."""
+
+REGRESSION = 0.0079
+"""Standard deviation of `hip_center` along each axis [m]: G. Mantovani, K. C. G. Ng and M. Lamontagne, Gait Posture 44
+(2016) 48-54, found distances of 12.3 mm with a standard deviation of 5.9 mm for 67 adults."""
+
+
+@dataclass(frozen=True)
+class JointCenter:
+    """The centre of a joint between a proximal and a distal segment.
+
+    Attributes
+    ----------
+    method
+        ``functional``, ``hip-regression``, ``midpoint`` or ``static``.
+    proximal, distal
+        (3,) the centre in the frames of the clusters of both segments [m].
+    weights
+        Weights of both in the position of the centre; their sum is 1.
+    covariance
+        (3, 3) covariance of the position, along the axes forward, up and right of the plane of motion, in the pose of
+        the reference frame of the person [m^2].
+    residual
+        Root mean square distance of both points in the frames of the calibration [m].
+    turn
+        Range of the angle between both segments in these frames [rad].
+    """
+
+    method: str
+    proximal: np.ndarray
+    distal: np.ndarray
+    weights: tuple[float, float]
+    covariance: np.ndarray
+    residual: float
+    turn: float
+
+    @property
+    def deviation(self) -> tuple[float, float]:
+        """Standard deviations forward and up [m]."""
+        x, y = np.sqrt(np.diag(self.covariance)[:2]).tolist()
+        return x, y
+
+    def position(self, first: Poses, second: Poses) -> np.ndarray:
+        """Return the positions (T, 3) in the laboratory [m]; nan where a pose is unknown."""
+        own, other = self.weights
+        return own * first.point(self.proximal) + other * second.point(self.distal)
+
+
+@dataclass(frozen=True)
+class Pair:
+    """Both segments of a joint in the frames of a calibration, and the axes of the plane of motion.
+
+    Attributes
+    ----------
+    joint
+        Name of the joint.
+    clusters, artefacts
+        Clusters of the proximal and the distal segment, and their artefacts.
+    poses
+        Their poses in the frames of the calibration.
+    reference
+        Their rotations (3, 3) in the reference frame of the person.
+    axes
+        (3, 3) rows: directions forward, up and right in the laboratory.
+    """
+
+    joint: str
+    clusters: tuple[Cluster, Cluster]
+    artefacts: tuple[Artefact, Artefact]
+    poses: tuple[Poses, Poses]
+    reference: tuple[np.ndarray, np.ndarray]
+    axes: np.ndarray
+
+    @property
+    def key(self) -> str:
+        """Key of the spec with the method."""
+        return f"motion.centers.{self.joint}"
+
+    def known(self) -> tuple[Poses, Poses]:
+        """Return both poses in the frames in which both are known."""
+        first, second = self.poses
+        frames = np.flatnonzero(first.known & second.known)
+        if not frames.size:
+            raise SpecError("in no frame are the markers of both segments seen", key=self.key)
+        return first.rows(frames), second.rows(frames)
+
+    def center(
+        self, method: str, points: tuple[np.ndarray, np.ndarray], covariance: np.ndarray, weights: tuple[float, float]
+    ) -> JointCenter:
+        """Return the centre with its residual and the range of the joint."""
+        first, second = self.known()
+        gap = first.point(points[0]) - second.point(points[1])
+        residual = float(np.sqrt(np.mean(np.sum(gap * gap, axis=1))))
+        return JointCenter(method, *points, weights, covariance, residual, turn_of(first, second))
+
+    def weights(self, points: tuple[np.ndarray, np.ndarray]) -> tuple[float, float]:
+        """Return weights of both points by the variances that artefacts give them."""
+        sizes = [
+            artefact.deviation * artefact.deviation * float(np.trace(cluster.covariance(point)))
+            for cluster, artefact, point in zip(self.clusters, self.artefacts, points, strict=True)
+        ]
+        whole = sum(sizes)
+        return sizes[1] / whole, sizes[0] / whole
+
+
+def turn_of(first: Poses, second: Poses) -> float:
+    """Return the largest angle [rad] between the relative orientations of two segments in any frame and the first."""
+    relative = _product(transposed(first.rotation), second.rotation)
+    trace = np.sum(relative * relative[0], axis=(1, 2))
+    return float(np.max(elementary.acos(np.clip((trace - 1.0) / 2.0, -1.0, 1.0))))
+
+
+def functional_center(pair: Pair) -> JointCenter:
+    """Return the symmetrical centre of rotation of two segments.
+
+    Raises
+    ------
+    SpecError
+        If the motion does not determine it in the plane, or the two segments do not turn about a common point.
+    """
+    first, second = pair.known()
+    step = -(-len(first.position) // MOST_FRAMES)
+    first, second = (own.rows(np.arange(0, len(own.position), step)) for own in (first, second))
+    matrix = np.concatenate([first.rotation, -second.rotation], axis=2)  # (T, 3, 6)
+    right = second.position - first.position
+    side = pair.axes[2]
+    turn = float(np.degrees(turn_of(first, second)))
+    middle = (np.mean(first.position, axis=0) + np.mean(second.position, axis=0)) / 2
+    weight = EXPECTED * EXPECTED / (ACROSS * ACROSS) * len(right)
+    normal = np.sum(transposed(matrix)[:, :, None, :] * transposed(matrix)[:, None, :, :], axis=(0, 3))
+    vector = np.sum(transposed(matrix) * right[:, None, :], axis=(0, 2))
+    across = np.zeros(6)
+    for number, poses in enumerate((first, second)):
+        part = slice(3 * number, 3 * number + 3)
+        square = pair.artefacts[number].deviation * pair.artefacts[number].deviation
+        normal[part, part] -= len(right) * square * pair.clusters[number].lever_matrix
+        row = np.zeros(6)
+        row[part] = np.mean(apply(transposed(poses.rotation), side), axis=0)
+        normal, across = normal + weight * row[:, None] * row, across + weight * ACROSS * row
+        vector = vector + weight * row * float(np.mean(np.sum(side * (middle - poses.position), axis=1)))
+    if not symmetric_eigenvectors(normal)[0][0] > 0:
+        raise _turn_together(pair, turn, np.inf)
+    inverse = inverse_of(normal)
+    found = product(inverse, vector)
+    points = found[:3], found[3:]
+    gap = np.sum(matrix * found, axis=2) - right
+    residual = float(np.sqrt(np.mean(np.sum(gap * gap, axis=1))))
+    if residual > LARGEST_RESIDUAL:
+        raise SpecError(
+            f"is functional, but no point of one segment stays at a point of the other: they move apart by "
+            f"{1000 * residual:.0f} mm (root mean square; at most {1000 * LARGEST_RESIDUAL:.0f} mm are accepted) while "
+            f"the joint turns by {turn:.0f} deg; markers move with the skin, or belong to other segments: check "
+            "`clusters`, or determine the centre by landmarks or from a static trial",
+            key=pair.key,
+        )
+    spread, expected = np.zeros((6, 6)), 0.0
+    for number, (cluster, artefact) in enumerate(zip(pair.clusters, pair.artefacts, strict=True)):
+        own = artefact.deviation * artefact.deviation * cluster.covariance(points[number])
+        rotation = (first, second)[number].rotation
+        spread = spread + _spread(_product(transposed(rotation), matrix), own, artefact.correlation[::step])
+        expected += float(np.trace(own))
+    birge = max(1.0, residual * residual / expected)
+    covariance = product(product(inverse, birge * spread + across[:, None] * across), inverse)
+    weights = pair.weights(points)
+    to_plane = np.concatenate([w * product(pair.axes, r) for w, r in zip(weights, pair.reference, strict=True)], axis=1)
+    own = product(product(to_plane, covariance), to_plane.T)
+    deviation = float(np.sqrt(np.max(np.diag(own)[:2])))
+    if not deviation <= LARGEST_DEVIATION:
+        raise _turn_together(pair, turn, deviation)
+    return pair.center("functional", points, own, weights)
+
+
+def _turn_together(pair: Pair, turn: float, deviation: float) -> SpecError:
+    """Return the error that a motion does not determine a centre, because a joint hardly turns [deg]."""
+    size = f"to {1000 * deviation:.0f} mm only" if np.isfinite(deviation) else "not at all"
+    return SpecError(
+        f"is functional, but the two segments turn together: the angle between them changes by {turn:.0f} deg, so that "
+        f"the centre is known {size} (a standard deviation of at most {1000 * LARGEST_DEVIATION:.0f} mm is accepted); "
+        "bend the joint in a calibration trial (`motion.static`), or determine the centre by landmarks",
+        key=pair.key,
+    )
+
+
+def _product(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """Return products (T, I, J) of matrices (T, I, K) and (T, K, J)."""
+    return np.asarray(np.sum(a[..., :, :, None] * b[..., None, :, :], axis=-2))
+
+
+def _spread(matrix: np.ndarray, covariance: np.ndarray, correlation: np.ndarray) -> np.ndarray:
+    """Return the covariance (6, 6) of the sum over frames of ``matrix^T error``.
+
+    Parameters
+    ----------
+    matrix
+        (T, 3, 6) matrices.
+    covariance
+        (3, 3) covariance of the error in a frame.
+    correlation
+        (L,) correlation of errors that are 0, 1, ... frames apart; zero beyond.
+    """
+    frames = len(matrix)
+    found = np.zeros((6, 6))
+    weighted = _product(np.broadcast_to(covariance, (frames, 3, 3)), matrix)
+    for lag, share in enumerate(correlation[:frames]):
+        own = np.sum(matrix[: frames - lag, :, :, None] * weighted[lag:, :, None, :], axis=(0, 1))
+        found = found + share * (own if lag == 0 else own + own.T)
+    return found
+
+
+def landmark_center(pair: Pair, method: str, points: np.ndarray) -> JointCenter:
+    """Return a centre midway between landmarks.
+
+    Parameters
+    ----------
+    points
+        (T, 3) the middle of the landmarks in the frames of the calibration [m].
+    """
+    inside = [poses.inside(points) for poses in pair.poses]
+    if any(np.isnan(own[:, 0]).all() for own in inside):
+        raise SpecError("in no frame are both landmarks and the markers of both segments seen", key=pair.key)
+    found = np.nanmean(inside[0], axis=0), np.nanmean(inside[1], axis=0)
+    return pair.center(method, found, LANDMARKS * LANDMARKS * np.eye(3), pair.weights(found))
+
+
+def hip_center(pair: Pair, landmarks: dict[str, np.ndarray], side: str) -> JointCenter:
+    """Return the centre of a hip by regression.
+
+    M. E. Harrington et al., J. Biomech. 40 (2007) 595-602: from the middle of the anterior superior iliac spines, with
+    the depth D and the width W of the pelvis, the hip is 0.24 D + 9.9 mm behind, 0.30 W + 10.9 mm below, and 0.33 W +
+    7.3 mm to its side.
+
+    Parameters
+    ----------
+    landmarks
+        (3,) the points ``right``, ``left`` (anterior superior iliac spines) and ``back`` (middle of the posterior ones,
+        or the sacrum) in the frame of the cluster of the pelvis [m].
+    side
+        ``r`` or ``l``.
+    """
+    right, left, back = (landmarks[name] for name in ("right", "left", "back"))
+    middle = (right + left) / 2
+    width, lateral = _size_and_direction(right - left)
+    depth, forward = _size_and_direction(middle - back)
+    _, forward = _size_and_direction(forward - lateral * float(np.sum(lateral * forward)))
+    out = (0.33 * width + 0.0073) * (1.0 if side == "r" else -1.0)
+    behind, below = 0.24 * depth + 0.0099, 0.30 * width + 0.0109
+    point = middle - behind * forward - below * np.cross(lateral, forward) + out * lateral
+    first, second = pair.known()
+    distal = np.mean(second.inside(first.point(point)), axis=0)
+    points = point, distal
+    return pair.center("hip-regression", points, REGRESSION * REGRESSION * np.eye(3), pair.weights(points))
+
+
+def _size_and_direction(vector: np.ndarray) -> tuple[float, np.ndarray]:
+    size = float(np.sqrt(np.sum(vector * vector)))
+    return size, vector / size

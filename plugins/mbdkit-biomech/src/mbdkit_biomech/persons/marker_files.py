@@ -1,0 +1,70 @@
+"""Markers of a motion capture file in metres, by name."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from mbdkit.base.errors import SpecError
+from mbdkit.base.text import did_you_mean, listed, shown
+from mbdkit_biomech.inverse_dynamics.inverse_sections import ColumnOfTable, TimeColumn
+from mbdkit_biomech.inverse_dynamics.measured import si_values, times_of
+from mbdkit_biomech.inverse_dynamics.measured_table import HEADINGS_SHOWN, Table
+
+LARGEST_LABORATORY = 1e4
+"""Largest coordinate of a marker [m]."""
+
+
+@dataclass(frozen=True)
+class MarkerFile:
+    """A table with markers, and its times (T,) [s]."""
+
+    table: Table
+    time: np.ndarray
+    _read: dict[str, np.ndarray] = field(default_factory=dict, repr=False)
+
+    @classmethod
+    def of(cls, table: Table, time: TimeColumn) -> MarkerFile:
+        """Return a table of markers and its times."""
+        return cls(table, times_of(table, time, "motion.time"))
+
+    @property
+    def names(self) -> list[str]:
+        """Names of the markers."""
+        headings = self.table.headings
+        return [one[:-2] for one in headings if one.endswith(".x") and not one.startswith("plate")]
+
+    def has(self, name: str) -> bool:
+        """Return whether the file has a marker."""
+        return len(self.table.resolved([f"{name}.x", f"{name}.y", f"{name}.z"])) == 3
+
+    def marker(self, name: str, key: str) -> np.ndarray:
+        """Return the positions (T, 3) of a marker [m]; nan where it was not seen.
+
+        Raises
+        ------
+        SpecError
+            If there is no such marker.
+        """
+        if name not in self._read:
+            if not self.has(name):
+                names = [shown(one) for one in self.names]
+                some = listed(names[:HEADINGS_SHOWN]) + (", ..." if len(names) > HEADINGS_SHOWN else "")
+                hint = did_you_mean(name, self.names) or f"; its markers: {some or 'none'}"
+                raise SpecError(f"{self.table.name} has no marker '{shown(name)}'{hint}", key=key)
+            columns = [si_values(ColumnOfTable(column=f"{name}.{axis}"), self.table, "m", key) for axis in "xyz"]
+            found = np.stack(columns, axis=1)
+            found[np.isnan(found).any(axis=1) | np.all(found == 0, axis=1)] = np.nan  # some programs write 0 for unseen
+            if np.nanmax(np.abs(found), initial=0.0) > LARGEST_LABORATORY:
+                raise SpecError(
+                    f"marker '{shown(name)}' of {self.table.name} is more than {LARGEST_LABORATORY:g} m from the "
+                    "origin; check the unit of length that the file states",
+                    key=key,
+                )
+            self._read[name] = found
+        return self._read[name]
+
+    def markers(self, names: tuple[str, ...], key: str) -> np.ndarray:
+        """Return the positions (T, N, 3) of markers [m]."""
+        return np.stack([self.marker(name, key) for name in names], axis=1)

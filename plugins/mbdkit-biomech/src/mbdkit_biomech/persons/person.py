@@ -1,0 +1,329 @@
+"""A person: joint centres with covariances, lengths, masses, plates under feet, and the motion in its plane."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, fields, is_dataclass, replace
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from mbdkit.base.errors import SpecError
+from mbdkit.base.text import listed
+from mbdkit.trust.finding import Finding
+from mbdkit_biomech.models._measured_segments import MeasuredPerson
+from mbdkit_biomech.persons.calibration import LEAST_FRAMES, LEFT, Segments, angle_of
+from mbdkit_biomech.persons.joint_centers import JointCenter
+from mbdkit_biomech.persons.motion_plane import MotionPlane, plane_of
+from mbdkit_biomech.persons.person_sections import Center, PlaneAxes, Subject
+from mbdkit_biomech.persons.plate_contacts import FootMotion, PlateResult
+from mbdkit_biomech.persons.rigid_clusters import Artefact, apply, rate_of
+
+TRUNK_ABOVE_FEET = 0.2, 1.2
+"""Heights of the markers of the trunk above those of the feet, as shares of body height, between which the unit of
+length can be right."""
+
+LEAST_FLEXION = np.radians(20.0)
+"""Flexion of a knee that shows in which direction the person faces [rad]."""
+
+LEG_SHARE = 0.42, 0.535
+"""Length of thigh and shank together, as shares of body height, outside of which it is doubtful: tables give 0.462 to
+0.492, and persons differ from them by about 3 % (standard deviation)."""
+
+VARIES = 0.03
+"""Standard deviation of the length of a segment over time from which its markers are doubtful [m]."""
+
+STATED, THICKNESS = 10.0, 0.04
+"""Angle between the stated and the found plane [deg], and residual of the plane [m], from which it is doubtful."""
+
+SIDES = 3.0
+"""Difference of the lengths of two legs that is doubtful, in standard deviations."""
+
+
+class SegmentLength(NamedTuple):
+    """Mean length of a segment of both legs in the plane of motion, weighted by their variances, its standard
+    deviation, and the largest standard deviation over time [m], with the lengths by body.
+    """
+
+    value: float
+    deviation: float
+    variation: float
+    by_leg: Mapping[str, float]
+
+
+@dataclass(frozen=True)
+class Person:
+    """What the markers of a motion tell about a person.
+
+    Attributes
+    ----------
+    subject, plane
+        Mass, height and sex, and the plane of motion.
+    centers
+        Joint centres by joint, each with its covariance.
+    lengths
+        Lengths of `thigh` and `shank`.
+    masses
+        Masses of trunk, thigh, shank and foot [kg].
+    artefacts
+        Artefacts of the markers by body.
+    zeros
+        Standard deviations of the zeros of the angles of trunk and feet, by body [rad]; nan where it is not known.
+    plates
+        Contacts and loads of the feet.
+    findings
+        Doubts and remarks.
+    time, columns
+        Times (T,) and observed quantities (T,) of the model by name; nan in gaps.
+    """
+
+    subject: Subject
+    plane: MotionPlane
+    centers: Mapping[str, JointCenter]
+    lengths: Mapping[str, SegmentLength]
+    masses: Mapping[str, float]
+    artefacts: Mapping[str, Artefact]
+    zeros: Mapping[str, float]
+    plates: PlateResult
+    findings: tuple[Finding, ...]
+    time: np.ndarray
+    columns: Mapping[str, np.ndarray]
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the person without motion and loads as plain data, for the archive; None where a number is nan."""
+        kept = ("plane", "centers", "lengths", "masses", "zeros", "artefacts")
+        own = {name: getattr(self, name) for name in kept}
+        plain: dict[str, Any] = _plain(own | {"contacts": self.plates.contacts, "offset": self.plates.offset})
+        return plain
+
+    def lines(self) -> dict[str, str]:
+        """Return lines of a summary by label."""
+        of, plates = (
+            self.subject,
+            (f"{one.body} on plate {one.plate} {one.when(self.time)}" for one in self.plates.contacts),
+        )
+        lengths = (
+            f"{name} {one.value:.3f} +- {one.deviation:.3f} m, {self.masses[name]:.3g} kg"
+            for name, one in self.lengths.items()
+        )
+        centers = (f"{name} {one.method} +- {1000 * max(one.deviation):.0f} mm" for name, one in self.centers.items())
+        value, bound = (1000 * one for one in self.plates.offset or (0.0, 0.0))
+        offset = f"; {value:.0f} ms late, known to {bound:.0f} ms" if self.plates.offset else ""
+        return {
+            "subject": f"{of.mass:g} kg, {of.height:g} m, {of.sex}; {', '.join(lengths)}",
+            "centres": ", ".join(centers),
+            "plane": f"{'found' if self.plane.is_fitted else 'stated'}, residual {1000 * self.plane.residual:.0f} mm",
+            "plates": ", ".join(plates) + offset,
+        }
+
+
+def _plain(value: Any) -> Any:
+    """Return dataclasses, named tuples, mappings, sequences and arrays as dicts and lists."""
+    if isinstance(value, np.ndarray):
+        return _plain(value.tolist())
+    if is_dataclass(value):
+        return {one.name: _plain(getattr(value, one.name)) for one in fields(value)}
+    if hasattr(value, "_asdict"):
+        value = value._asdict()
+    if isinstance(value, Mapping):
+        return {name: _plain(one) for name, one in value.items()}
+    if isinstance(value, list | tuple):
+        return [_plain(one) for one in value]
+    return None if isinstance(value, float) and np.isnan(value) else value
+
+
+class Builder:
+    """Builds a person from its segments; each step uses those before.
+
+    Raises
+    ------
+    SpecError
+        If the markers do not determine the person; the error states the key and the reason.
+    """
+
+    def __init__(self, subject: Subject, segments: Segments, plane: PlaneAxes | None, centers: Mapping[str, Center]):
+        self.subject, self.segments = subject, segments
+        self.poses, self.time = segments.motion.poses, segments.motion.file.time
+        self.findings: list[Finding] = []
+        self.plane = plane_of(plane, self.poses, self.time)
+        self._require_units()
+        self.centers = segments.centers(centers, self.plane)
+        self.positions = {
+            joint: self.centers[joint].position(self.poses[a], self.poses[b])
+            for joint, (a, b) in segments.joints.items()
+        }
+        self._face_forward()
+        self._require_sides()
+        self.plane = self.plane.with_residual(list(self.positions.values()))
+        self._judge_plane()
+        self.points = {joint: self.plane.coordinates(points) for joint, points in self.positions.items()}
+        self.lengths = {name: self._length(name) for name in ("thigh", "shank")}
+        self._judge_lengths()
+        self.zeros: dict[str, float] = {}
+        self.angles = {body: self._angle(body) for body in self.poses if body.startswith(("trunk", "foot"))}
+
+    def _doubt(self, criterion: str, sentence: str) -> None:
+        self.findings.append(Finding(criterion, "doubtful", sentence))
+
+    def _require_units(self) -> None:
+        up, (least, most) = self.plane.axes[1], TRUNK_ABOVE_FEET
+        heights = {body: float(np.nanmean(np.sum(own.position * up, axis=1))) for body, own in self.poses.items()}
+        above = heights["trunk"] - min(heights.values())
+        if not least <= above / self.subject.height <= most:
+            raise SpecError(
+                f"the markers of the trunk are {above:.3g} m above those of the feet, which is "
+                f"{above / self.subject.height:.3g} times the height of the person ({least:g} to {most:g} is "
+                "possible): check the unit of length that the file states, such as mm or m, and `subject.height`",
+                key="motion.file",
+            )
+
+    def _face_forward(self) -> None:
+        """Let the plane point forward: knees bend backward, and feet point forward."""
+        turns, feet = [], []
+        for leg in self.segments.legs:
+            hip, knee, ankle, foot = (
+                self.plane.coordinates(points)
+                for points in (
+                    *(self.positions[f"{name}{leg}"] for name in ("hip", "knee", "ankle")),
+                    self.poses[f"foot{leg}"].position,
+                )
+            )
+            turn = angle_of(hip - knee) - angle_of(knee - ankle)
+            turns.append(turn - 2 * np.pi * np.round(turn / (2 * np.pi)))
+            feet.append((foot - ankle)[:, 0])
+        least, most = float(np.nanmin(turns)), float(np.nanmax(turns))
+        if (most + least if max(most, -least) >= LEAST_FLEXION else float(np.nanmean(feet))) >= 0:
+            return
+        if not self.plane.is_fitted:
+            raise SpecError(
+                "is opposite to the direction in which the person faces, as knees and feet show: reverse its sign, or "
+                "leave out `plane`",
+                key="motion.plane.forward",
+            )
+        self.plane = self.plane.reversed()
+        signs = np.array([[1.0, -1.0, 1.0], [-1.0, 1.0, -1.0], [1.0, -1.0, 1.0]])  # forward and right change theirs
+        self.centers = {joint: replace(one, covariance=signs * one.covariance) for joint, one in self.centers.items()}
+
+    def _require_sides(self) -> None:
+        mean = {body: float(np.nanmean(self.plane.coordinates(own.position)[:, 2])) for body, own in self.poses.items()}
+        if len(self.segments.legs) == 2:
+            wrong = [name for name in ("thigh", "shank", "foot") if mean[name] < mean[name + LEFT]]
+            if wrong:
+                raise SpecError(
+                    f"sides are exchanged: the markers of {listed(wrong, 'and')}, the right side, are to the left of "
+                    f"those of {listed([name + LEFT for name in wrong], 'and')} as the person faces",
+                    key=f"motion.clusters.{wrong[0]}",
+                )
+        elif (mean["thigh"] > mean["trunk"]) != ((side := self.segments.side("")) == "r"):
+            name = "right" if side == "r" else "left"
+            self._doubt(
+                "centers", f"by the names of its markers, the leg is the {name} one, but it is on the other side"
+            )
+
+    def _judge_plane(self) -> None:
+        off, residual = float(np.degrees(self.plane.off)), self.plane.residual
+        if off > STATED and self.plane.sideways > 0:
+            self._doubt(
+                "plane",
+                f"the stated plane is {off:.0f} deg off the one across which the segments move least (doubtful from "
+                f"{STATED:g} deg); leave out `motion.plane` to use that one",
+            )
+        if residual > THICKNESS:
+            self._doubt(
+                "plane",
+                f"joint centres leave the plane by {1000 * residual:.0f} mm (root mean square, doubtful above "
+                f"{1000 * THICKNESS:.0f} mm): the person turns or moves sideways, which a planar model leaves out",
+            )
+
+    def _length(self, name: str) -> SegmentLength:
+        ends = {"thigh": ("hip", "knee"), "shank": ("knee", "ankle")}[name]
+        values, variances, variation = {}, [], 0.0
+        for leg in self.segments.legs:
+            first, last = (f"{end}{leg}" for end in ends)
+            gap = (self.points[first] - self.points[last])[:, :2]
+            sizes = np.sqrt(np.sum(gap * gap, axis=1))
+            direction = gap[self.segments.reference] / sizes[self.segments.reference]
+            covariance = (self.centers[first].covariance + self.centers[last].covariance)[:2, :2]
+            values[f"{name}{leg}"] = float(np.nanmean(sizes))
+            variances.append(float(np.sum(direction[:, None] * covariance * direction)))
+            variation = max(variation, float(np.nanstd(sizes)))
+        weights, size = 1.0 / np.array(variances), float(np.sqrt(sum(variances)))
+        lengths = list(values.values())
+        if lengths[0] - lengths[-1] > SIDES * size or lengths[-1] - lengths[0] > SIDES * size:
+            self._doubt(
+                "lengths",
+                f"{listed([f'{body} {own:.3f} m' for body, own in values.items()], 'and')} long differ by more than "
+                f"{SIDES:g} standard deviations ({1000 * size:.0f} mm): check markers and joint centres of both legs",
+            )
+        mean = float(np.sum(weights * np.array(lengths)) / np.sum(weights))
+        return SegmentLength(mean, float(np.sqrt(1.0 / np.sum(weights))), variation, values)
+
+    def _judge_lengths(self) -> None:
+        for name, one in self.lengths.items():
+            if one.variation > VARIES:
+                self._doubt(
+                    "lengths",
+                    f"the length of the {name} varies by {1000 * one.variation:.0f} mm (standard deviation, doubtful "
+                    f"above {1000 * VARIES:.0f} mm): markers move with the skin or belong to another segment",
+                )
+        whole, (least, most) = sum(one.value for one in self.lengths.values()), LEG_SHARE
+        if not least <= whole / self.subject.height <= most:
+            self._doubt(
+                "lengths",
+                f"thigh and shank together are {whole:.3f} m long, {whole / self.subject.height:.3f} of the body "
+                f"height of {self.subject.height:g} m (doubtful outside {least:g} to {most:g}): check `subject.height` "
+                "and the joint centres",
+            )
+
+    def _angle(self, body: str) -> np.ndarray:
+        """Return the angle of trunk or foot (T,) [rad], zero as when the person stands upright."""
+        poses, static = self.poses[body], self.segments.static
+        rotation = poses.rotation[[self.segments.reference]]
+        if static is not None:
+            rotation = static.poses[body].rotation[static.still()]
+        upright = np.sum(rotation * self.plane.axes[1][:, None], axis=1)
+        mean = np.mean(upright, axis=0)
+        found = angle_of(self.plane.coordinates(apply(poses.rotation, mean)))
+        if static is not None:
+            lean = upright - mean
+            self.zeros[body] = float(np.sqrt(np.mean(np.sum(lean * lean, axis=1))))
+            return found
+        if body == "trunk":
+            self.zeros[body] = np.nan
+            sentence = "without `motion.static`, the mean angle of the trunk counts as upright"
+            self.findings.append(Finding("centers", None, sentence))
+            return np.asarray(found - np.nanmean(found))
+        rest = found[self.foot(body, found).at_rest & ~np.isnan(found)]
+        if len(rest) < LEAST_FRAMES:
+            raise SpecError(
+                f"is needed, because '{body}' rests flat on the ground in {len(rest)} frames of the motion "
+                f"({LEAST_FRAMES} are needed): the file of a trial in which the person stands upright",
+                key="motion.static",
+            )
+        flat = float(np.median(rest))
+        self.zeros[body] = 1.4826 * float(np.median(np.abs(rest - flat)))
+        return np.asarray(found - flat)
+
+    def foot(self, body: str, angle: np.ndarray) -> FootMotion:
+        """Return the motion of a foot by its angle (T,)."""
+        middle = self.plane.coordinates(self.poses[body].position)
+        return FootMotion(middle, rate_of(middle, self.time), rate_of(angle, self.time))
+
+    def feet(self) -> dict[str, FootMotion]:
+        """Return the motion of the feet by body."""
+        return {body: self.foot(body, angle) for body, angle in self.angles.items() if body != "trunk"}
+
+    def person(self, plates: PlateResult) -> Person:
+        """Return the person."""
+        of, lengths = self.subject, self.lengths
+        own = MeasuredPerson(of.mass, of.height, f"de-leva-{of.sex}", lengths["thigh"].value, lengths["shank"].value)
+        masses = {name: getattr(own, name).mass for name in ("trunk", "thigh", "shank", "foot")}
+        hips = np.mean([self.points[f"hip{leg}"] for leg in self.segments.legs], axis=0)
+        points = {"hip": hips} | {name: own for name, own in self.points.items() if not name.startswith("hip")}
+        columns = {f"markers.{name}.{axis}": own[:, k] for name, own in points.items() for k, axis in enumerate("xy")}
+        columns |= {f"bodies.{body}.angle": angle for body, angle in self.angles.items()}
+        findings = (*self.findings, *plates.findings)
+        return Person(
+            of, self.plane, self.centers, lengths, masses, self.segments.motion.artefacts, self.zeros, plates, findings,
+            self.time, columns,
+        )  # fmt: skip

@@ -1,0 +1,129 @@
+"""The model of a person: masses, lengths and muscles of a generic leg, scaled to measured segments.
+
+Points of muscles keep their place relative to the joints: the points of a segment are stretched by the ratio of its
+lengths, those of trunk and foot by the ratio of body heights. Optimal lengths of fibres and lengths of tendons are
+multiplied by the ratio of the lengths of the path in the upright pose, as OpenSim scales them (S. L. Delp et al., IEEE
+Trans. Biomed. Eng. 54 (2007) 1940-1950). Forces of muscles stay as they are.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from mbdkit.base.errors import SpecError
+from mbdkit.mechanism.quantity_names import QuantityNames
+from mbdkit.models._segments import Person
+from mbdkit_biomech.models._one_leg import SUFFIX
+from mbdkit_biomech.models.leg import LegFourBarOptions, LegOptions, person_of
+from mbdkit_biomech.muscles.muscle_path import MusclePath
+from mbdkit_biomech.persons.person_sections import Subject
+
+if TYPE_CHECKING:
+    from mbdkit_biomech.inverse_dynamics.inverse_spec import InverseSpec
+
+POSE = ("hip_flexion", "knee_flexion", "ankle_dorsiflexion", "trunk_angle", "left")
+"""Options with the pose of a leg, which are left out for the upright pose."""
+
+
+def leg_options(model: Any) -> LegOptions:
+    """Return the options of the model of a person.
+
+    Raises
+    ------
+    SpecError
+        If it is not a leg with a free trunk.
+    """
+    if not isinstance(model, LegOptions) or isinstance(model, LegFourBarOptions):
+        raise SpecError("should be `leg`, the model that `subject` scales", key="model.name")
+    if model.root != "trunk":
+        raise SpecError("should be `trunk` with `subject`: the markers give the motion of the trunk", key="model.root")
+    for name in ("thigh_length", "shank_length"):
+        if getattr(model, name) is not None:
+            raise SpecError("is measured with `subject`; leave this out", key=f"model.{name}")
+    return model
+
+
+def scaled_model(spec: InverseSpec, subject: Subject, lengths: Mapping[str, float]) -> dict[str, Any]:
+    """Return the section `model` of a spec, scaled to a person, as plain data.
+
+    Parameters
+    ----------
+    lengths
+        Measured lengths of `thigh` and `shank` [m].
+    """
+    data = json.loads(spec.canonical_json())["model"]
+    changed = {**data, "body_mass": subject.mass, "height": subject.height, "table": f"de-leva-{subject.sex}"}
+    changed |= {f"{name}_length": length for name, length in lengths.items()}
+    if not data.get("muscles"):
+        return changed
+    generic, person = (person_of(_upright(spec, one).model) for one in (data, changed))
+    points = _points_of_segments(generic, person)
+    muscles = {name: _moved(muscle, points) for name, muscle in data["muscles"].items()}
+    before, after = _path_lengths(spec, data), _path_lengths(spec, changed | {"muscles": muscles})
+    for name, muscle in muscles.items():
+        ratio = after[name] / before[name]
+        muscles[name] = muscle | {
+            key: _stretched(muscle[key], ratio, 0.0) for key in ("optimal_length", "tendon_length")
+        }
+    return changed | {"muscles": muscles}
+
+
+def _points_of_segments(generic: Person, person: Person) -> dict[str, tuple[float, float, float]]:
+    """Return by body: the factor of its points, and what is added to x and y, as centres of mass move."""
+    factors = {
+        "trunk": person.height / generic.height,
+        "thigh": person.thigh_length / generic.thigh_length,
+        "shank": person.shank_length / generic.shank_length,
+        "foot": person.height / generic.height,
+    }
+    found = {}
+    for body, factor in factors.items():
+        move = factor * getattr(generic, body).centre - getattr(person, body).centre
+        found[body] = found[body + SUFFIX] = (factor, move.real, move.imag)
+    return found
+
+
+def _moved(muscle: Mapping[str, Any], points: Mapping[str, tuple[float, float, float]]) -> dict[str, Any]:
+    """Return a muscle with scaled points and circles."""
+    path = []
+    for item in muscle["path"]:
+        wrap = item.get("wrap")
+        factor, x, y = points.get((wrap or item)["body"], (1.0, 0.0, 0.0))
+        place = (wrap or item)["center" if wrap else "point"]
+        own = [_stretched(value, factor, move) for value, move in zip(place, (x, y, 0.0), strict=False)]
+        if wrap:
+            wrap = wrap | {"center": own, "radius": _stretched(wrap["radius"], factor, 0.0)}
+        path.append(item | ({"wrap": wrap} if wrap else {"point": own}))
+    return {**muscle, "path": path}
+
+
+def _stretched(value: Any, factor: float, move: float) -> Any:
+    """Return ``factor * value + move`` of a number, an expression, or a table of a coordinate."""
+    if isinstance(value, str):
+        return f"{factor!r}*({value}) + {move!r}"
+    if isinstance(value, Mapping):
+        at, values = value["table"]
+        return {**value, "table": [at, [factor * one + move for one in values]]}
+    return factor * value + move
+
+
+def _upright(spec: InverseSpec, data: Mapping[str, Any]) -> Any:
+    """Return a spec with the section `model`, in the upright pose and without a motion."""
+    upright = {key: value for key, value in data.items() if key not in POSE}
+    given = {"mbdkit": 1, "parameters": dict(spec.parameters), "motion": {"data": {"time": [0.0]}}}
+    return type(spec)(**given, model=upright)
+
+
+def _path_lengths(spec: InverseSpec, data: Mapping[str, Any]) -> dict[str, float]:
+    """Return the lengths of the paths of the muscles in the upright pose [m]."""
+    mechanism = _upright(spec, data).mechanism()
+    names = QuantityNames(mechanism)
+    q = np.concatenate([[*body.position, body.angle] for body in mechanism.bodies.values()])[None]
+    muscles = mechanism.muscles
+    return {
+        name: float(MusclePath(name, muscles[name], names).at(np.zeros(1), q).length[0]) for name in data["muscles"]
+    }

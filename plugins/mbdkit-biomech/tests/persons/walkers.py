@@ -1,0 +1,57 @@
+"""Specs of persons whose joints are known, with data in Python."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from mbdkit.spec import InverseSpec, load_inverse_spec
+from mbdkit_biomech.inverse_dynamics.inverse_sections import TimeColumn
+from mbdkit_biomech.inverse_dynamics.measured_table import table_of
+from mbdkit_biomech.persons.calibration import Segments, legs_of
+from mbdkit_biomech.persons.marker_files import MarkerFile
+from mbdkit_biomech.persons.person import Builder
+from mbdkit_biomech.persons.person_sections import Subject
+from tests.benchmarks.person_markers import CLUSTERS, Array, Walker, columns_of, in_laboratory
+
+SUBJECT = {"mass": 75, "height": 1.8, "sex": "male"}
+FUNCTIONAL = {f"{name}{leg}": "functional" for name in ("knee", "ankle") for leg in ("", "_left")}
+
+
+def data_of(walker: Walker, columns: Mapping[str, Array]) -> dict[str, Array]:
+    """Return columns (T, 3) as columns of a table."""
+    return {"time": walker.time} | {f"{n}.{a}": x[:, k] for n, x in columns.items() for k, a in enumerate("xyz")}
+
+
+def recorded(seed: int = 0, skin: float = 1.0, heading: float = 2.0, up: str = "z") -> dict[str, Array]:
+    """Return the columns of markers and plates of a person who walks, in metres."""
+    walker = Walker.of_example(2)
+    markers = walker.markers(np.random.default_rng(seed), skin)
+    return data_of(walker, columns_of(walker, markers, heading, up))
+
+
+def person_spec(data: Mapping[str, Array] | None = None, *, legs: int = 2, **sections: Any) -> dict[str, Any]:
+    """Return the spec of a person; `motion` adds keys to that section, other sections replace those of the spec."""
+    motion = {"data": recorded() if data is None else data, "clusters": CLUSTERS, **sections.pop("motion", {})}
+    motion = {"smooth": {"name": "butterworth", "cutoff": 8}, "errors": "none", **motion}
+    model = {"name": "leg", "legs": legs, "root": "trunk"}
+    return {"mbdkit": 1, "subject": SUBJECT, "model": model, "motion": motion, **sections}
+
+
+def loaded(*args: Any, **sections: Any) -> InverseSpec:
+    """Return the validated spec of a person."""
+    return load_inverse_spec(person_spec(*args, **sections))
+
+
+def marker_file(walker: Walker, markers: Mapping[str, Array], heading: float) -> MarkerFile:
+    """Return a table of markers, (T, 3) as (forward, up, right), in a laboratory."""
+    table = table_of(data_of(walker, {n: in_laboratory(x, heading) for n, x in markers.items()}), "motion.data")
+    return MarkerFile.of(table, TimeColumn())
+
+
+def builder_of(walker: Walker, markers: Mapping[str, Array], heading: float, **centers: Any) -> Builder:
+    """Return the person of markers, (T, 3) as (forward, up, right), before its plates are assigned."""
+    segments = Segments.of(CLUSTERS, legs_of(2), marker_file(walker, markers, heading), None)
+    return Builder(Subject(**SUBJECT), segments, None, centers)
