@@ -20,6 +20,7 @@ from mbdkit.archive.run_contents import ArchiveContents
 from mbdkit.archive.run_writer import Ending
 from mbdkit.base.errors import MbdkitError, RunError, SpecError, UnknownNameError
 from mbdkit.trust.criteria import Judgement
+from mbdkit_contact import histories
 
 from .making import PROVENANCE, SPEC, STATS, fill, largest, make, names, rows, steps, writer
 
@@ -188,7 +189,7 @@ def test_repr_is_short(run: Run) -> None:
 def test_every_column_says_what_it_is() -> None:
     columns = [
         value
-        for kind in vars(history).values()
+        for kind in (vars(history) | vars(histories)).values()
         if inspect.isclass(kind)
         for value in vars(kind).values()
         if isinstance(value, Column)
