@@ -114,6 +114,7 @@ def builtin_features() -> list[Feature]:
         lower=Target("mbdkit.engine.contact_forces:lower_contacts"),
         at_start=Target("mbdkit.engine.contact_forces:check_start"),
         members=Target("mbdkit.engine.contact_forces:members_of"),
+        example="bouncing-ball",
     )
     return [
         run,
