@@ -81,9 +81,9 @@ if TYPE_CHECKING:
     from mbdkit.methods.step_methods import ExternalMethod, Step, StepEvent, StepMethod, StepState, Why
     from mbdkit.methods.tableau import ButcherTableau, EmbeddedPair, TableauError, collocation
     from mbdkit.quantities.array import Array, Chart, Kind, Recorded
-    from mbdkit.quantities.entries import name_array, quantity_group
-    from mbdkit.quantities.names import archive_names
-    from mbdkit.quantities.registered_kinds import sizes_of
+    from mbdkit.quantities.entries import AXIS, JOINT, name_array, quantity_group, unit_array
+    from mbdkit.quantities.names import archive_names, with_members
+    from mbdkit.quantities.registered_kinds import kind_of_group, sizes_of
     from mbdkit.quantities.states import States
     from mbdkit.registry.feature_items import (
         Accessor,
@@ -206,8 +206,9 @@ _OWN = {
     "mbdkit.engine.observed_states": "StateObserver",
     "mbdkit.engine.kernels.observe": "Observed",
     "mbdkit.engine.nearest_state": "nearest_positions nearest_velocities",
-    "mbdkit.quantities.names": "archive_names",
-    "mbdkit.quantities.registered_kinds": "sizes_of",
+    "mbdkit.quantities.entries": "AXIS JOINT unit_array",
+    "mbdkit.quantities.names": "archive_names with_members",
+    "mbdkit.quantities.registered_kinds": "kind_of_group sizes_of",
     "mbdkit.archive.finished_run": "FinishedRun",
     "mbdkit.runs.preparation": "build caution",
 }
@@ -219,7 +220,9 @@ STABLE = frozenset(name for names in _STABLE.values() for name in names.split())
 _HOME = {name: module for table in (_STABLE, _OWN) for module, names in table.items() for name in names.split()}
 
 __all__ = [
+    "AXIS",
     "GROUND",
+    "JOINT",
     "STABLE",
     "Accessor",
     "Accuracy",
@@ -354,6 +357,7 @@ __all__ = [
     "headline_texts",
     "hookimpl",
     "judge",
+    "kind_of_group",
     "listed",
     "load",
     "loaded",
@@ -392,8 +396,10 @@ __all__ = [
     "sizes_of",
     "stem",
     "table",
+    "unit_array",
     "use",
     "value_text",
+    "with_members",
     "write_yaml",
 ]
 

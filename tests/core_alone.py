@@ -58,7 +58,6 @@ def test_example_runs_with_every_integrator_and_is_read_again(integrator, name, 
         (lambda: load_spec("pendulum").mechanism().to_sympy(), "Mechanism.to_sympy needs mbdkit-statics"),
         (lambda: mbdkit.run("pendulum").plot, "Run.plot needs mbdkit-report"),
         (lambda: mbdkit.run("pendulum").animate(), "Run.animate needs mbdkit-report"),
-        (lambda: mbdkit.run("elbow-curl").moment_arms("biceps", "elbow"), "Run.moment_arms needs mbdkit-biomech"),
     ],
 )
 def test_what_a_part_offers_is_refused_in_one_sentence(use, part):
@@ -86,6 +85,17 @@ def test_a_spec_of_a_part_is_refused_in_one_sentence(key, part, mbdkit, in_tmp_p
         assert result.exit_code == 2
         assert f"{key}: a spec with this key needs {part}, a part of mbdkit that is not installed" in result.stderr
         assert len(result.stderr.splitlines()) == 1
+
+
+@pytest.mark.parametrize(("key", "part"), [("muscles", "mbdkit-biomech")])
+def test_elements_of_a_part_are_refused_in_one_sentence(key, part, mbdkit, in_tmp_path):
+    spec = load_spec("pendulum").model_dump(mode="json")
+    spec["model"] = {"name": "mechanism", "bodies": {"ball": {"mass": 1.0}}, key: {}}
+    (in_tmp_path / "spec.json").write_text(json.dumps(spec), encoding="utf-8")
+    result = mbdkit("run", "spec.json")
+    assert result.exit_code == 2
+    assert f"model.{key}: a model with this key needs {part}, a part of mbdkit that is not installed" in result.stderr
+    assert len(result.stderr.splitlines()) == 1
 
 
 def test_the_arrays_of_an_inverse_run_are_read_and_the_rest_is_refused(tmp_path):

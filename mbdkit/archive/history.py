@@ -285,9 +285,6 @@ class Events(Sequence[Event]):
         return f"<{len(self)} crossings of {', '.join(self._watched) or 'no event'}>"
 
 
-# Each kind has a class of its own, because completion in notebooks reads the type of the items from this class.
-
-
 class BodyHistories(Histories[BodyHistory]):
     """The bodies of a run by name. The last node of a beam is also called ``BEAM.last``."""
 
@@ -298,31 +295,3 @@ class BodyHistories(Histories[BodyHistory]):
 
 class JointHistories(Histories[JointHistory], HtmlView):
     """The joints of a run by name."""
-
-
-class ForceHistories(Histories[ForceHistory]):
-    """The force elements of a run by name."""
-
-
-class MarkerHistories(Histories[MarkerHistory]):
-    """The markers of a run by name."""
-
-
-class BeamHistories(Histories[BeamHistory]):
-    """The beams of a run by name."""
-
-
-class StateHistories(Histories[StateHistory]):
-    """The first-order states of a run by name."""
-
-
-class ConstraintHistories(Histories[ConstraintHistory]):
-    """The constraint rows of a run by name."""
-
-
-class ContactHistories(Histories[ContactHistory]):
-    """The contacts of a run by name."""
-
-
-class GroundReactionHistories(Histories[GroundReactionHistory]):
-    """Forces of the ground on the bodies of a run that may touch the ground, by name of the body."""

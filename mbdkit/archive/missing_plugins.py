@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from itertools import zip_longest
 from pathlib import Path
 
-from mbdkit.base.errors import MbdkitError, SpecError
+from mbdkit.base.errors import SpecError
 from mbdkit.base.text import shown
 from mbdkit.registry.catalogue import Kind
 from mbdkit.registry.manager import registry
@@ -74,24 +74,3 @@ def check_plugins_of(path: Path | None, provenance: Mapping[str, object]) -> Non
         raise SpecError(
             f"the {word} '{shown(first.id)}' is not installed here; to run it again {first.advice}", file=path
         )
-
-
-def advised(error: SpecError, archives: Iterable[Path]) -> SpecError:
-    """Return `error`, with installation advice if it names a missing plugin that was used to create one of the
-    archives.
-    """
-    from mbdkit.archive.reader import load
-
-    if "there is no " not in error.message:
-        return error
-    for path in archives:
-        try:
-            with load(path) as run:
-                missing = missing_plugins(run.provenance)
-        except (MbdkitError, OSError):
-            continue
-        for needed in missing:
-            if any(f"'{name}'" in error.message for name in (needed.id, needed.id.partition(":")[2])):
-                hint = f"; {path.name} was made with it: {needed.advice}"
-                return SpecError(error.message + hint, key=error.key, file=error.file, line=error.line)
-    return error

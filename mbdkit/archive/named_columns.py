@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from functools import lru_cache
+from types import new_class
 from typing import Any, Protocol, TypeVar, cast, overload
 
 import numpy as np
@@ -219,3 +220,10 @@ class Histories(ReadOnlyDict[str, V]):
     def __repr__(self) -> str:
         few = ", ".join(list(self)[:8])
         return f"<{len(self)} of {self.kind.one}: {few}{', ...' if len(self) > 8 else ''}>"
+
+
+@lru_cache(maxsize=32)
+def histories_of(kind: Kind) -> Any:
+    """Return a class of histories; IPython completes the attributes of an item by the argument of its base class."""
+    view = view_of(kind)
+    return new_class(view.__name__.removesuffix("History") + "Histories", (Histories[view],))  # type: ignore[valid-type]

@@ -9,8 +9,8 @@ from __future__ import annotations
 from mbdkit.archive.named_columns import View
 
 
-class KindsOfPlugins:
-    """Base class of runs that declares the histories of mbdkit's own plugins; `RecordedData` adds them to its class."""
+class FurtherKinds:
+    """Base class of runs that declares the histories of most kinds; `RecordedData` adds them to its class."""
 
 
 def __getattr__(name: str) -> type[View]:

@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from mbdkit.archive.history import BeamHistory, ConstraintHistory, ContactHistory, ForceHistory, GroundReactionHistory, MarkerHistory, StateHistory
 from mbdkit.archive.named_columns import Histories, View
 
 class Trajectory(View, of="trajectory"):
@@ -202,16 +203,37 @@ class Loads(View, of="loads"):
     """power that the load supplies to the body, (T,), W"""
     body: str
 
-class KindsOfPlugins:
+class FurtherKinds:
+    @property
+    def forces(self) -> Histories[ForceHistory]:
+        """Length, force and energy of one force element."""
+    @property
+    def markers(self) -> Histories[MarkerHistory]:
+        """Position and velocity of one marker in the global frame."""
+    @property
+    def beams(self) -> Histories[BeamHistory]:
+        """Shape, internal forces and strain energy of one beam."""
+    @property
+    def contacts(self) -> Histories[ContactHistory]:
+        """Gap, forces, slip and mode of one contact."""
+    @property
+    def ground_reactions(self) -> Histories[GroundReactionHistory]:
+        """Force of the ground on one body [N], and its centre of pressure [m], nan where the body is in the air."""
+    @property
+    def states(self) -> Histories[StateHistory]:
+        """Value and rate of one first-order state."""
+    @property
+    def constraints(self) -> Histories[ConstraintHistory]:
+        """Residuals and multipliers of one constraint row, whose constraint function is in `units`: ``m`` or ``rad``."""
     @property
     def motion(self) -> Histories[Motion]:
-        """Observed quantities of a measured motion."""
+        """One observed quantity of a measured motion: measured value, and value of the fitted mechanism."""
     @property
     def actuators(self) -> Histories[Actuators]:
-        """Values and powers of actuators in inverse dynamics."""
+        """Value [N or N m] of one actuator in inverse dynamics, the error of the value, and the power."""
     @property
     def muscles(self) -> Histories[Muscles]:
-        """Lengths, activations, tensions and powers of muscles."""
+        """Length, fibres, activation, tension [N] with its error, and power of one muscle."""
     @property
     def loads(self) -> Histories[Loads]:
-        """Measured loads."""
+        """One measured load, in inverse dynamics; force and point of application are in the global frame."""

@@ -13,9 +13,9 @@ import numpy as np
 from mbdkit.archive import history, layout, run_header
 from mbdkit.archive.fingerprint import is_text
 from mbdkit.archive.hdf5_errors import reading
-from mbdkit.archive.named_columns import Histories, NotRecordedError
+from mbdkit.archive.named_columns import NotRecordedError, histories_of
 from mbdkit.archive.read_only_dict import ReadOnlyDict
-from mbdkit.archive.recorded_columns import KindsOfPlugins
+from mbdkit.archive.recorded_columns import FurtherKinds
 from mbdkit.archive.run_contents import ArchiveContents, RunContents
 from mbdkit.quantities.array import Kind
 from mbdkit.quantities.registered_kinds import OF_PARTS, groups, kind_of_group, kind_of_word, words
@@ -43,11 +43,11 @@ class evaluated(cached_property[T]):  # noqa: N801
             return self if run is None else self.func(run)
 
 
-class RecordedData(KindsOfPlugins, Extensible):
+class RecordedData(FurtherKinds, Extensible):
     """Base class of `Run`: what it recorded, as arrays by path and as histories by name."""
 
     def __new__(cls, *arguments: Any, **named: Any) -> Self:
-        """Make an object of the class, which has the histories of the kinds of plugins."""
+        """Make an object of the class, which has the histories of all kinds, also of those of plugins."""
         for word in {*words(), *OF_PARTS}:
             if not hasattr(cls, word):
                 histories = _histories_of(word)
@@ -272,46 +272,6 @@ class RecordedData(KindsOfPlugins, Extensible):
             rows.setdefault(joint, []).append(row)
         return tuple(name for name in self.joint_names if rows.get(name) in _ROWS_OF_DRIVERS)
 
-    @evaluated
-    def forces(self) -> history.ForceHistories:
-        """Lengths, forces and energies of the force elements by name.
-
-        Raises
-        ------
-        MbdkitError
-            If the run did not record them.
-        """
-        return history.ForceHistories(kind_of_word("forces"), self)
-
-    @evaluated
-    def markers(self) -> history.MarkerHistories:
-        """Positions and velocities of the markers by name.
-
-        Raises
-        ------
-        MbdkitError
-            If the run did not record them.
-        """
-        return history.MarkerHistories(kind_of_word("markers"), self)
-
-    @evaluated
-    def beams(self) -> history.BeamHistories:
-        """Shapes, internal forces and strain energies of the beams by name.
-
-        Raises
-        ------
-        MbdkitError
-            If the run did not record them.
-        """
-        return history.BeamHistories(kind_of_word("beams"), self)
-
-    @evaluated
-    def states(self) -> history.StateHistories:
-        """First-order states by name; those of force elements and muscles are named ``element.state``. Empty if there
-        are none.
-        """
-        return history.StateHistories(kind_of_group("states"), self)
-
     @property
     def raw_misalignment(self) -> np.ndarray:
         """Misalignment of each joint if bodies are placed by the measured data alone, (T, J) [m]; nan where
@@ -323,21 +283,6 @@ class RecordedData(KindsOfPlugins, Extensible):
             If this is not inverse dynamics.
         """
         return self.array("motion/raw_misalignment")
-
-    @evaluated
-    def contacts(self) -> history.ContactHistories:
-        """Gaps, forces, slip and modes of the contacts by name; polygons and polylines have several, `NAME.i`."""
-        return history.ContactHistories(kind_of_word("contacts"), self)
-
-    @evaluated
-    def ground_reactions(self) -> history.GroundReactionHistories:
-        """Force and centre of pressure of each body that may touch the ground, by name of the body."""
-        return history.GroundReactionHistories(kind_of_word("ground_reactions"), self)
-
-    @evaluated
-    def constraints(self) -> history.ConstraintHistories:
-        """Residuals and multipliers of the constraint rows by name, ``joint.row``."""
-        return history.ConstraintHistories(kind_of_word("constraints"), self)
 
     @property
     def singularity_distance(self) -> np.ndarray:
@@ -380,9 +325,8 @@ def _histories_of(word: str) -> evaluated[Any]:
 
     def histories(run: RecordedData) -> Any:
         group = words().get(word, word)
-        if group in run.kinds:
-            return Histories(run.kinds[group], run)
-        return Histories(kind_of_group(group), run) if group in groups() else ReadOnlyDict()
+        kind = run.kinds.get(group) or (kind_of_group(group) if group in groups() else None)
+        return histories_of(kind)(kind, run) if kind else ReadOnlyDict()
 
     histories.__doc__ = f"Histories of the objects of the kind {word} by name; empty if the run has none."
     return evaluated(histories)

@@ -10,10 +10,14 @@ from typing import Any, TypeVar, cast
 from pydantic import Field, TypeAdapter, create_model
 from pydantic.fields import FieldInfo
 
+from mbdkit.base.errors import MissingPartError, SpecError
 from mbdkit.base.strict_model import StrictModel
 from mbdkit.mechanism.model_methods import of_models
 from mbdkit.registry.feature_items import ElementKind
 from mbdkit.registry.manager import registry
+
+_OF_PARTS = {"muscles": "mbdkit-biomech"}
+"""Parts of mbdkit by the keys of their elements, for messages where the part is not installed."""
 
 AnyModel = TypeVar("AnyModel", bound=StrictModel)
 
@@ -22,6 +26,21 @@ def element_kinds() -> dict[str, ElementKind]:
     """Return the kinds of elements of all plugins by their key in the model, in their order."""
     items = (item.plugin for item in registry().of_kind("element-kind"))
     return {kind.key_in_model: kind for kind in cast("Iterator[ElementKind]", items)}
+
+
+def kinds_in(data: Mapping[str, Any]) -> list[ElementKind]:
+    """Return the kinds of elements in the data of a mechanism.
+
+    Raises
+    ------
+    SpecError
+        If the part of mbdkit that adds a kind is not installed.
+    """
+    kinds = element_kinds()
+    for key, part in _OF_PARTS.items():
+        if key in data and key not in kinds:
+            raise SpecError(str(MissingPartError("a model with this key", part)), key=key)
+    return [kind for key, kind in kinds.items() if key in data]
 
 
 def kind_built_by(method: str) -> ElementKind | None:

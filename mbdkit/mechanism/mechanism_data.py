@@ -15,7 +15,15 @@ from mbdkit.base.strict_model import StrictModel
 from mbdkit.base.text import did_you_mean, listed
 from mbdkit.mechanism.beams import Beam
 from mbdkit.mechanism.bodies import GROUND, Body, Marker
-from mbdkit.mechanism.element_kinds import check_elements, element_kinds, elements_type, field_of, validated, with_kinds
+from mbdkit.mechanism.element_kinds import (
+    check_elements,
+    element_kinds,
+    elements_type,
+    field_of,
+    kinds_in,
+    validated,
+    with_kinds,
+)
 from mbdkit.mechanism.forces import Force
 from mbdkit.mechanism.joints import Joint
 from mbdkit.mechanism.state_values import Controller, FirstOrderState
@@ -151,8 +159,8 @@ class MechanismData(StrictModel):
     @classmethod
     def _with_kinds(cls, data: Any, handler: Callable[[Any], MechanismData], info: ValidationInfo) -> MechanismData:
         """Validate as a derived class if there are elements of further kinds, so that only their code is imported."""
-        kinds = element_kinds() if isinstance(data, Mapping) and data.keys() - cls.model_fields.keys() else {}
-        if further := tuple(kind for key, kind in kinds.items() if key in data and key not in cls.model_fields):
+        kinds = kinds_in(data) if isinstance(data, Mapping) and data.keys() - cls.model_fields.keys() else []
+        if further := tuple(kind for kind in kinds if kind.key_in_model not in cls.model_fields):
             derived: type[MechanismData] = with_kinds(cls, further)
             return validated(derived, data, info.mode, info.context)
         return handler(data)

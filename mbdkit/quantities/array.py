@@ -7,7 +7,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -255,9 +255,6 @@ class Kind:
     unit_of
         Function that returns the unit of the length or angle of an object, from which the units of its quantities
         follow.
-    values
-        Function that returns, for given states, the object from which `States.of` serves the arrays of the kind; None
-        if there is none.
     """
 
     arrays: tuple[Array, ...]
@@ -271,7 +268,6 @@ class Kind:
     is_optional: bool = False
     may_be_unknown: bool = False
     unit_of: Callable[[Mechanism, str], str] | None = None
-    values: Callable[[States], Any] | None = None
 
     @property
     def group(self) -> str:

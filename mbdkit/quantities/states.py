@@ -6,7 +6,7 @@ import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -15,7 +15,8 @@ from mbdkit.engine.contact_forces import contact_values
 from mbdkit.engine.ground_reactions import ground_reactions
 from mbdkit.engine.joint_sums import JointSums, joint_sums
 from mbdkit.engine.kernels.observe import Observed
-from mbdkit.quantities.registered_kinds import kind_of_group
+
+V = TypeVar("V")
 
 NONE = np.zeros(0)
 
@@ -43,7 +44,7 @@ class States:
     start_energy
         Total energy at the start of the run [J]; (T,) for states of several runs.
     handles
-        What inverse dynamics knows of kinds of plugins, by group, such as the muscles; see `of`.
+        What inverse dynamics knows of kinds of plugins, by group, such as the muscles.
     elapsed
         (T,) wall time since the first step [s]; empty if not known.
     multipliers
@@ -133,13 +134,13 @@ class States:
             return NONE
         return (self._ground_reactions if of_ground else self._contacts)[name]
 
-    def of(self, group: str) -> Any:
-        """Return what the kind of a group computes from these states, see `Kind.values`; it is computed once."""
-        computed = self.__dict__.setdefault("_of_kinds", {})
-        if group not in computed:
-            values = kind_of_group(group).values
-            computed[group] = None if values is None else values(self)
-        return computed[group]
+    def of(self, compute: Callable[[States], V]) -> V:
+        """Return what a function or class computes from these states; it is called once."""
+        computed: dict[Callable[[States], Any], Any] = self.__dict__.setdefault("_computed", {})
+        if compute not in computed:
+            computed[compute] = compute(self)
+        value: V = computed[compute]
+        return value
 
     @cached_property
     def multiplier(self) -> np.ndarray:

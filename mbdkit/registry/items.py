@@ -16,8 +16,6 @@ from mbdkit.registry.target import Target
 if TYPE_CHECKING:
     from pydantic import BaseModel
 
-    from mbdkit.mechanism.force_law import ForceLaw
-    from mbdkit.mechanism.mechanism import Mechanism
 
 LAW_KEYS = ("type", "law", "pathway", "name", "a", "b", "along", "from_", "to", "points")
 """Keys of every element of type ``law``, and arguments of `Mechanism.law`; options of a law must have other names."""
@@ -175,7 +173,7 @@ class ModelPlugin(Plugin):
     name: str
     summary: str
     options: Given[type[BaseModel]] = Given()
-    build: Given[Callable[[Any], Mechanism]] = Given()
+    build: Given[Callable[[Any], Any]] = Given()
     references: Given[tuple[str, ...]] = Given(())
     order: int = 500
 
@@ -272,7 +270,7 @@ class ForceLawPlugin(Plugin):
     name: str
     summary: str
     options: Given[type[BaseModel]] = Given()
-    law: Given[ForceLaw] = Given()
+    law: Given[Any] = Given()
     references: Given[tuple[str, ...]] = Given(())
     order: int = 500
 

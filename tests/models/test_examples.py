@@ -12,7 +12,7 @@ from mbdkit.spec import example_names, example_text, load_spec
 SCHEMA = "https://raw.githubusercontent.com/mbdkit/mbdkit/main/schemas/run.schema.json"
 MODELINE = f"# yaml-language-server: $schema={SCHEMA}"
 NAMES = ["bouncing-ball", "car-axis", "chain", "crank-press", "delayed-balance", "double-pendulum", "knee"]
-NAMES += ["double-wishbone", "elbow-curl", "flexible-slider-crank", "flying-spaghetti", "four-bar", "leaf-spring"]
+NAMES += ["double-wishbone", "flexible-slider-crank", "flying-spaghetti", "four-bar", "leaf-spring"]
 NAMES += ["gravity-balanced-arm", "limit-stop", "n-four-bar", "pd-leg", "pendulum", "quick-return", "roll-up"]
 NAMES += ["series-elastic-knee", "sit-down", "slider-crank", "slider-crank-clearance", "spin-up-beam"]
 NAMES += ["spring-pendulum", "watt-six-bar"]

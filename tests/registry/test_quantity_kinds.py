@@ -9,6 +9,7 @@ import h5py
 import numpy as np
 import pytest
 
+import mbdkit
 from mbdkit.archive.reader import load
 from tests.installing import install_module, python
 
@@ -32,10 +33,10 @@ WEAR = quantity_group(
     "wear",
     Array("time", ("time",), "s", "time of the recorded row"),
     name_array("pair", "pair", "name of the contact", lambda names: names.names_of("contacts")),
-    Recorded("power", ("time", "pair"), "W", "power that friction dissipates", take=lambda s: s.of("wear")["power"],
+    Recorded("power", ("time", "pair"), "W", "power that friction dissipates", take=lambda s: s.of(values)["power"],
              charts=(Chart("wear", "Wear", "Power that friction dissipates.", "power", "W"),)),
     Recorded("rate", ("time", "pair"), "m/s", "slip, without its sign", take=lambda s: abs(s.of_contacts("slip"))),
-    optional=True, word="wear", one="worn pair", example="power", axis="pair", is_optional=True, values=values,
+    optional=True, word="wear", one="worn pair", example="power", axis="pair", is_optional=True,
 )
 """
 MASS, FRICTION, G, SPEED, STOP = 2.0, 0.3, 9.81, 1.5, 0.2
@@ -144,3 +145,69 @@ print(run.to_xarray()["wear"]["power"].dims, run.dataset("wear/rate").attrs["uni
     again = python("-m", "mbdkit", "rerun", "spec.h5", path=(), cwd=made)
     assert again.returncode == 2
     assert "the quantity 'wear-kit:wear' is not installed here" in again.stderr
+
+
+def test_histories_of_a_part_that_is_left_out_are_read_as_the_file_describes_them(tmp_path):
+    mbdkit.run("elbow-curl", archive=tmp_path / "curl.h5", time={"end": 0.05, "step": 0.01}).close()
+    with mbdkit.load(tmp_path / "curl.h5") as run:
+        force, columns = run.muscles["biceps"].force.tolist(), list(run.to_frame("muscles").columns)
+    program = """
+import json, sys, mbdkit
+run = mbdkit.load("curl.h5")
+print(json.dumps([run.muscles["biceps"].force.tolist(), sorted(run.to_frame("muscles").columns), len(run.loads)]))
+print(any(name.startswith("mbdkit_biomech") for name in sys.modules))
+"""
+    done = python("-c", program, path=(), cwd=tmp_path, MBDKIT_DISABLE_PLUGINS="mbdkit/biomech")
+    first, second = done.stdout.splitlines()
+    assert json.loads(first) == [force, sorted(columns), 0]
+    assert second == "False"
+    (sentence,) = done.stderr.splitlines()
+    assert sentence.endswith("it needs mbdkit-biomech, a part of mbdkit that is not installed")
+
+
+@pytest.mark.parametrize(
+    ("before", "after", "sentence"),
+    [
+        (
+            "is_optional=True",
+            "since='1.1', is_optional=True",
+            "has arrays with `since`, a version of mbdkit's own layout",
+        ),
+        (", is_optional=True", "", "has arrays that are not optional, as those of plugins must be"),
+        ('word="wear"', 'word="worn"', "the word of its kind is 'worn', not 'wear'"),
+        (
+            'take=lambda s: abs(s.of_contacts("slip"))',
+            "take=lambda s: s.time",
+            "returned wear/rate with the shape (1,), not",
+        ),
+        ('take=lambda s: abs(s.of_contacts("slip"))', "take=lambda s: s.nothing", "has no attribute 'nothing'"),
+    ],
+)
+def test_a_wrong_kind_is_refused_in_one_sentence(before, after, sentence, made, tmp_path):
+    shutil.copytree(made / "site", tmp_path / "site")
+    code = KIND.replace(before, after)
+    assert code != KIND
+    (tmp_path / "site" / "wear_kit" / "kind.py").write_text(code)
+    program = f"""
+import mbdkit
+try:
+    run = mbdkit.run({ {key: value for key, value in SPEC.items() if key not in ("measures", "events")}!r})
+    print(run.status_reason)
+except mbdkit.MbdkitError as error:
+    print(error)
+"""
+    told = python("-c", program, path=(tmp_path / "site",), cwd=tmp_path)
+    assert told.returncode == 0, told.stderr
+    assert "wear-kit" in told.stdout
+    assert sentence in told.stdout
+
+
+def test_a_group_of_mbdkit_is_not_replaced(made, tmp_path):
+    shutil.copytree(made / "site", tmp_path / "site")
+    plugin = tmp_path / "site" / "wear_kit" / "__init__.py"
+    plugin.write_text(PLUGIN.replace('word="wear"', 'word="wear", group="muscles"'))
+    done = python(
+        "-c", "import mbdkit; print(mbdkit.run('elbow-curl').muscles)", path=(tmp_path / "site",), cwd=tmp_path
+    )
+    assert done.stdout.strip() == "<3 of muscle: biceps, brachialis, triceps>"
+    assert "the group 'muscles' belongs to 'mbdkit:muscles', so 'wear-kit:wear' is not used" in done.stderr

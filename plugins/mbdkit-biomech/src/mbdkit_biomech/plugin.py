@@ -144,14 +144,14 @@ def mbdkit_items() -> Iterable[Item]:
             name="muscles",
             summary="Activations and fibres of muscles, and forces of joints without muscles.",
             order=1000,
-            text=Target("mbdkit_biomech.muscle_summary:muscle_lines"),
+            text=Target("mbdkit_biomech.muscles.muscle_summary:muscle_lines"),
             group="muscles",
         ),
         HeadlineItem(
             name="activations",
             summary="Largest activations of muscles.",
             order=10,
-            take=Target("mbdkit_biomech.muscle_summary:activations"),
+            take=Target("mbdkit_biomech.muscles.muscle_summary:activations"),
             group="muscles",
         ),
         HeadlineItem(

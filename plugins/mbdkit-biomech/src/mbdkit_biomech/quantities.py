@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from typing import Any
 
-from mbdkit.quantities.array import MIXED, Array, Chart, Recorded
-from mbdkit.quantities.entries import AXIS, JOINT, computed, name_array, quantity_group, unit_array
-from mbdkit_biomech.muscle_values import MuscleValues
+from mbdkit.plugin import AXIS, JOINT, Array, Chart, Recorded, name_array, quantity_group, unit_array
+from mbdkit.quantities.array import MIXED
+from mbdkit_biomech.muscles.muscle_values import MuscleValues
 
 _TIME = Array("time", ("time",), "s", "time of the recorded row")
 _T, _TJ, _TJA, _TU = ("time",), ("time", "joint"), ("time", "joint", "axis"), ("time", "muscle")
@@ -21,7 +21,7 @@ MUSCLES_OF_RUNS = frozenset(("muscles/excitation",))
 
 
 def _of_muscles(name: str, units: str, what: str, **more: Any) -> Recorded:
-    return computed(name, _TU, units, what, lambda s: s.of("muscles").array(name), **more)
+    return Recorded(name, _TU, units, what, take=lambda s: s.of(MuscleValues).array(name), **more)
 
 
 # fmt: off
@@ -47,12 +47,12 @@ ACTUATORS = quantity_group(
     unit_array("row_units", "actuator", "value", lambda names: names.bodies_of("actuators", 0), label="units"),
     name_array("kind", "actuator", "actuator, reserve of recruitment, or residual load from outside",
         lambda names: names.bodies_of("actuators", 1), label="kind"),
-    computed("value", _TA, MIXED,
+    Recorded("value", _TA, MIXED,
         "torque on the second body, positive counter-clockwise; force along a travel or a coordinate; tension "
         "between two points",
-        lambda s: s.handles["actuators"][:, :, 0], row_units="row_units"),
-    computed("power", _TA, "W", "power that the actuator supplies to the bodies",
-        lambda s: s.handles["actuators"][:, :, 1]),
+        take=lambda s: s.handles["actuators"][:, :, 0], row_units="row_units"),
+    Recorded("power", _TA, "W", "power that the actuator supplies to the bodies",
+        take=lambda s: s.handles["actuators"][:, :, 1]),
     Array("value_error", _TA, MIXED,
         "bound of the error of value that holds with a probability of 95 % at each time, nan where unknown",
         row_units="row_units"),
@@ -84,7 +84,7 @@ MUSCLES = quantity_group(
         "largest violation of the conditions of optimality by recruitment, relative to the size of each"),
     Array("reaction_force_without", _TJA, "N", "reaction_force if actuators produced the motion without muscles"),
     since="1.1", optional=True, word="muscles", one="muscle", example="force", axis="muscle", is_optional=True,
-    may_be_unknown=True, values=MuscleValues,
+    may_be_unknown=True,
 )
 
 LOADS = quantity_group(

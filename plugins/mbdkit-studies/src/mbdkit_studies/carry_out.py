@@ -6,21 +6,22 @@ import json
 import shutil
 import tempfile
 import weakref
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from concurrent.futures import Executor
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from mbdkit.archive.missing_plugins import advised
-from mbdkit.base.errors import SpecError
+from mbdkit.archive.missing_plugins import missing_plugins
+from mbdkit.base.errors import MbdkitError, SpecError
 from mbdkit.base.interrupts import interrupts_delayed
 from mbdkit.base.logs import logger_of
 from mbdkit.base.plain_data import plain, value_text
 from mbdkit.base.progress_bars import count_bar, in_notebook
 from mbdkit.base.terminal import say
 from mbdkit.base.text import counted, shown, without_numbers
+from mbdkit.plugin import load
 from mbdkit.spec.loading import RunSource, load_spec, read_source
 from mbdkit.spec.reading import parse_key
 from mbdkit_studies import member_table, study_index
@@ -289,7 +290,7 @@ def _carried_out(
             _execute(store, engine, shard, progress or bar, notify_unless_told)
             _LOG.info("study in %s ends: %d computed, %d failed", shown(folder.path), store.computed, store.failed)
     except SpecError as error:
-        raise advised(error, sorted(folder.path.glob("runs/*.h5"))) from None
+        raise _advised(error, sorted(folder.path.glob("runs/*.h5"))) from None
     return Study(folder.path, computed=store.computed, unfinished=store.unfinished, keep=keep)
 
 
@@ -371,3 +372,22 @@ def _columns_of(variables: Mapping[str, Any]) -> dict[str, np.ndarray]:
         told = ", ".join(f"{key} has {length}" for key, length in lengths.items()) or "there are none"
         raise SpecError(f"the variables need the same number of values, one for each run; {told}")
     return columns
+
+
+def _advised(error: SpecError, archives: Iterable[Path]) -> SpecError:
+    """Return `error`, with installation advice if it names a missing plugin that was used to create one of the
+    archives.
+    """
+    if "there is no " not in error.message:
+        return error
+    for path in archives:
+        try:
+            with load(path) as run:
+                missing = missing_plugins(run.provenance)
+        except (MbdkitError, OSError):
+            continue
+        for needed in missing:
+            if any(f"'{name}'" in error.message for name in (needed.id, needed.id.partition(":")[2])):
+                hint = f"; {path.name} was made with it: {needed.advice}"
+                return SpecError(error.message + hint, key=error.key, file=error.file, line=error.line)
+    return error

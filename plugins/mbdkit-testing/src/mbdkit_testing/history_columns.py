@@ -8,7 +8,8 @@ from __future__ import annotations
 from pathlib import Path
 
 from mbdkit.archive import history
-from mbdkit.archive.named_columns import VIEWS, columns_of
+from mbdkit.archive.named_columns import VIEWS, columns_of, view_of
+from mbdkit.archive.recorded_data import RecordedData
 from mbdkit.quantities.array import Kind
 from mbdkit.quantities.registered_kinds import OF_PARTS, added_kinds, kind_of_group
 
@@ -18,21 +19,26 @@ _HEADER = '''"""Columns and labels of histories by group, written by ``python -m
 
 import numpy as np
 
+from mbdkit.archive.history import {}
 from mbdkit.archive.named_columns import Histories, View
 '''
 
 
 def declarations() -> str:
     """Return the text of the stub."""
-    groups = [group for group, view in VIEWS.items() if view.__module__ == history.__name__]
-    own = [kind_of_group(group) for group in [*groups, *(group for group in added_kinds() if group in OF_PARTS)]]
-    classes = "".join(map(_class, own))
-    return _HEADER + classes + "\nclass KindsOfPlugins:\n" + "".join(map(_property, own[len(groups) :]))
+    own = [group for group, view in VIEWS.items() if view.__module__ == history.__name__]
+    kinds = [kind_of_group(group) for group in [*own, *(group for group in added_kinds() if group in OF_PARTS)]]
+    further = [kind for kind in kinds if kind.one and kind.word not in vars(RecordedData)]
+    imported = ", ".join(sorted(VIEWS[kind.group].__name__ for kind in further if kind.group in own))
+    properties = "".join(map(_property, further))
+    return _HEADER.format(imported) + "".join(map(_class, kinds)) + "\nclass FurtherKinds:\n" + properties
 
 
 def _property(kind: Kind) -> str:
-    summary = added_kinds()[kind.group].plugin.summary
-    return f'    @property\n    def {kind.word}(self) -> Histories[{_name(kind)}]:\n        """{summary}"""\n'
+    view = view_of(kind)
+    one = view.__name__ if view.__module__ == history.__name__ else _name(kind)
+    what = str(view.__doc__).partition("\n")[0]
+    return f'    @property\n    def {kind.word}(self) -> Histories[{one}]:\n        """{what}"""\n'
 
 
 def _name(kind: Kind) -> str:

@@ -35,7 +35,7 @@ from mbdkit_biomech.inverse_dynamics.reduced_motion import (
 )
 from mbdkit_biomech.inverse_dynamics.smoothing import smoothed
 from mbdkit_biomech.inverse_dynamics.unused_data import UnusedData
-from mbdkit_biomech.muscle_values import Muscles
+from mbdkit_biomech.muscles.muscle_values import Muscles
 
 _COLUMNS = "motion.columns"
 

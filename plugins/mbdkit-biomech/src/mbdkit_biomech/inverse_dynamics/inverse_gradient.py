@@ -22,7 +22,6 @@ from typing import Any
 import numpy as np
 from scipy.integrate import cumulative_simpson
 
-from mbdkit.base.errors import MbdkitError, SpecError
 from mbdkit.base.one_thread import one_thread_of_linear_algebra
 from mbdkit.engine.kernels.dual_observe import DualStates, describe_duals
 from mbdkit.engine.kernels.observe import Observed
@@ -43,7 +42,7 @@ from mbdkit.gradients.gradient_parameters import Names, Parameter, read_names, r
 from mbdkit.gradients.parameter_differences import PreparedDerivatives
 from mbdkit.integrators.differentiated_stepper import dual_laws
 from mbdkit.integrators.dual_run import Seeds, constants, dual_states, new_dual_run
-from mbdkit.quantities.names import archive_names, with_members
+from mbdkit.plugin import MbdkitError, SpecError, archive_names, with_members
 from mbdkit.spec import InverseSpec, load_inverse_spec
 from mbdkit_biomech.inverse_dynamics.compute import Inverse, InverseProblem, compute
 from mbdkit_biomech.inverse_dynamics.dynamics import Balance
@@ -57,7 +56,7 @@ from mbdkit_biomech.inverse_dynamics.recruitment_gradient import (
     differentiated_muscles,
     require_derivatives_of,
 )
-from mbdkit_biomech.muscle_values import Muscles
+from mbdkit_biomech.muscles.muscle_values import Muscles
 
 WITHOUT_BARS: Settings = [(("motion", "errors"), "none")]  # type: ignore[list-item]
 """Settings that leave out the error bars. Measures do not need them, and they take ten times as long as the rest."""

@@ -20,7 +20,7 @@ from mbdkit_biomech.inverse_dynamics.compute import Inverse, recorded_states
 from mbdkit_biomech.inverse_dynamics.doubt import doubt
 from mbdkit_biomech.inverse_dynamics.named_actuators import RESERVE
 from mbdkit_biomech.inverse_dynamics.recruited import Recruited
-from mbdkit_biomech.muscle_summary import PULLING
+from mbdkit_biomech.muscles.muscle_summary import PULLING
 
 RESERVE_SHARE = 0.1
 """A reserve is doubtful if its peak exceeds this share of the peak of the moment to which the reserve contributes.

@@ -16,8 +16,8 @@ from mbdkit.archive.run import Run
 from mbdkit.archive.run_writer import Ending, Origin
 from mbdkit.archive.writer import ArchiveWriter
 from mbdkit.measures.take import take_all
-from mbdkit.quantities.names import ArchiveNames, archive_names, with_members
-from mbdkit.quantities.registered_kinds import kind_of_group
+from mbdkit.plugin import archive_names, kind_of_group, with_members
+from mbdkit.quantities.names import ArchiveNames
 from mbdkit.runs.provenance import model_provenance
 from mbdkit.runs.recorder import shared_forces
 from mbdkit_biomech.inverse_dynamics.compute import Inverse, reaction_forces_without_muscles, recorded_states

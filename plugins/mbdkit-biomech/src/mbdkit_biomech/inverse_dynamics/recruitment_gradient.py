@@ -27,7 +27,7 @@ from mbdkit_biomech.inverse_dynamics.recruited import Recruited
 from mbdkit_biomech.inverse_dynamics.recruitment import Recruiter
 from mbdkit_biomech.inverse_dynamics.reduced_motion import Motion
 from mbdkit_biomech.inverse_dynamics.shared_loads_derivative import ProgrammeChange, change_of_shares
-from mbdkit_biomech.muscle_values import Muscles
+from mbdkit_biomech.muscles.muscle_values import Muscles
 
 OF_MUSCLES = ("length", "rate", "fiber_length", "fiber_rate", "capacity", "passive", "pull", "arms")
 """Arrays of the muscles of a motion; see `Contraction` and `Sharing`."""

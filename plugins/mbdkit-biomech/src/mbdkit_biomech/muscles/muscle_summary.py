@@ -7,10 +7,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from mbdkit.archive.headlines import JOINTS_NAMED, Headline, largest_of, plus_minus
+from mbdkit.archive.headlines import JOINTS_NAMED, largest_of
 from mbdkit.archive.peak_errors import peak_errors
 from mbdkit.archive.run_summary import few, ranked
-from mbdkit.base.errors import MbdkitError
+from mbdkit.plugin import Headline, MbdkitError, plus_minus
 
 if TYPE_CHECKING:
     from mbdkit.archive.run import Run
