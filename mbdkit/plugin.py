@@ -65,9 +65,10 @@ if TYPE_CHECKING:
     from mbdkit.mechanism.joints import Driver, Joint, Revolute
     from mbdkit.mechanism.mechanism import Mechanism
     from mbdkit.mechanism.model_methods import of_models
-    from mbdkit.mechanism.pathways import Pathway, Segment
+    from mbdkit.mechanism.pathways import LineForce, Pathway, Segment
     from mbdkit.mechanism.quantity_names import QuantityNames
-    from mbdkit.mechanism.values import Number, Point, Positive, Table
+    from mbdkit.mechanism.state_values import Expression
+    from mbdkit.mechanism.values import NotNegative, Number, Point, Positive, Table
     from mbdkit.methods.kinds import (
         ExplicitRungeKutta,
         ImplicitRungeKutta,
@@ -149,7 +150,8 @@ _STABLE = {
     "mbdkit.base.plain_data": "copied parse_path path_text plain quoted value_text",
     "mbdkit.base.units": "Unit read_quantity read_unit",
     "mbdkit.base.strict_model": "StrictModel",
-    "mbdkit.mechanism.values": "Number Point Positive Table",
+    "mbdkit.mechanism.state_values": "Expression",
+    "mbdkit.mechanism.values": "NotNegative Number Point Positive Table",
     "mbdkit.methods.kinds": "ExplicitRungeKutta ImplicitRungeKutta Method Tolerances Traits",
     "mbdkit.methods.scipy_solver": "SciPySolver",
     "mbdkit.methods.step_methods": "ExternalMethod Step StepEvent StepMethod StepState Why",
@@ -167,7 +169,7 @@ _STABLE = {
     "mbdkit.mechanism.force_law": "ExpressionLaw FunctionLaw LawState TracedLaw",
     "mbdkit.mechanism.model_methods": "of_models",
     "mbdkit.mechanism.joint_friction": "regularised_friction",
-    "mbdkit.mechanism.pathways": "Pathway Segment",
+    "mbdkit.mechanism.pathways": "LineForce Pathway Segment",
     "mbdkit.mechanism.coordinate_function": "CoordinateFunction",
     "mbdkit.mechanism.quantity_names": "QuantityNames",
     "mbdkit.archive.run": "Run",
@@ -248,6 +250,7 @@ __all__ = [
     "Evidence",
     "Example",
     "ExplicitRungeKutta",
+    "Expression",
     "ExpressionLaw",
     "ExternalMethod",
     "FileFormat",
@@ -270,6 +273,7 @@ __all__ = [
     "LawForce",
     "LawState",
     "Level",
+    "LineForce",
     "Lowering",
     "MbdkitError",
     "MeasurePlugin",
@@ -277,6 +281,7 @@ __all__ = [
     "Method",
     "ModelPlugin",
     "ModelSpec",
+    "NotNegative",
     "Number",
     "Observed",
     "Options",

@@ -24,7 +24,7 @@ from mbdkit.engine.kernels.applied_forces import (
 )
 from mbdkit.engine.state_expressions import STATE_INPUT, Numbering, StateExpression
 from mbdkit.engine.traced_law import Source, Traced
-from mbdkit.mechanism.element_kinds import element_kinds
+from mbdkit.mechanism.element_kinds import element_kinds, forces_of
 from mbdkit.mechanism.force_law import TracedLaw
 from mbdkit.mechanism.forces import AppliedLoad, Force, PointForce, SpringDamper, Torque, TorsionSpring
 from mbdkit.mechanism.law_element import Law
@@ -153,8 +153,7 @@ class Lowering:
     def _add_kind(self, kind: ElementKind) -> None:
         """Add the elements of a plugin's kind."""
         key, elements = kind.key_in_model, getattr(self.mechanism, kind.key_in_model)
-        forces = {} if kind.forces is None else kind.forces()(elements)
-        acting = tuple(self.force(kind.name, key, name, force) for name, force in forces.items())
+        acting = tuple(self.force(kind.name, key, name, force) for name, force in forces_of(kind, elements).items())
         self.extensions[key] = acting if kind.lower is None else kind.lower()(elements, self, acting)
 
     def force(self, kind: str, key: str, name: str, force: LawForce) -> ActingForce:

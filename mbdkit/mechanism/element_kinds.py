@@ -63,6 +63,20 @@ def builder_of(kind: ElementKind) -> Callable[..., Any]:
     return built
 
 
+def forces_of(kind: ElementKind, elements: Mapping[str, Any]) -> Mapping[str, Any]:
+    """Return the force elements with laws by which elements of a kind act, by name; see `ElementKind.forces`."""
+    if kind.forces is not None:
+        return kind.forces()(elements)
+    return elements if kind.lower is None else {}
+
+
+def lines_of(kind: ElementKind, mechanism: Any, element: Any) -> list[list[tuple[str, tuple[float, float]]]]:
+    """Return the lines with which an element is drawn: bodies and points in their frames [m]."""
+    if kind.draw is not None:
+        return kind.draw()(mechanism, element)
+    return [list(zip(element.bodies, element.ends, strict=True))] if getattr(element, "is_line", False) else []
+
+
 def check_elements(elements: Mapping[str, Mapping[str, Any]], mechanism: Any, prefix: str = "") -> None:
     """Raise SpecError for the first element of a plugin's kind that does not fit the other elements.
 

@@ -9,6 +9,7 @@ from pydantic import AfterValidator, ConfigDict, Field, model_validator
 
 from mbdkit.base.errors import SpecError
 from mbdkit.mechanism.bodies import Attachment, Between, Element, FromTo
+from mbdkit.mechanism.force_law import ForceLaw
 from mbdkit.mechanism.joints import Joint
 from mbdkit.mechanism.values import Number, Points
 
@@ -44,6 +45,30 @@ class LinePathway(FromTo):
     def segments(self, joints: Mapping[str, Joint]) -> tuple[Segment, ...]:
         """Return the segments of the pathway in a mechanism with these joints."""
         return (Segment("two_points", self.bodies, (*self.ends[0], *self.ends[1])),)
+
+
+class LineForce(LinePathway):
+    """Base class of elements of plugins that are forces along the line between two points; see
+    `mbdkit.plugin.LawForce`.
+    """
+
+    force_law: ClassVar[ForceLaw]
+    """The force law, which gets the element as its options."""
+
+    @property
+    def law_id(self) -> str:
+        """Name of the law in messages."""
+        return type(self).__name__
+
+    @property
+    def pathway(self) -> LinePathway:
+        """The pathway, which is the element."""
+        return self
+
+    @property
+    def state_names(self) -> tuple[str, ...]:
+        """Names of the first-order states of the law."""
+        return tuple(state.name for state in self.force_law.states)
 
 
 class AnglePathway(Between):

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import json
 import textwrap
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from typing import Any
 
 from pydantic import BaseModel
 
 from mbdkit.base.errors import PluginError, SpecError
 from mbdkit.base.text import did_you_mean, listed, table
-from mbdkit.registry.catalogue import KINDS, MBDKIT, Registered, Registry, Report
+from mbdkit.registry.catalogue import KINDS, MBDKIT, Kind, Registered, Registry, Report
 from mbdkit.registry.item import Plugin
 from mbdkit.registry.item_options import named_options
 from mbdkit.registry.manager import registry
@@ -37,8 +37,9 @@ def listing_text(installed: Registry) -> str:
     return table(rows)
 
 
-def find(name: str, installed: Registry | None = None) -> list[Registered]:
-    """Return the items with options that have a short name or full id; several may have the same short name.
+def find(name: str, installed: Registry | None = None, further: Iterable[Kind] = ()) -> list[Registered]:
+    """Return the items with options, and those of `further` kinds, that have a short name or full id; several may have
+    the same short name.
 
     Raises
     ------
@@ -51,7 +52,7 @@ def find(name: str, installed: Registry | None = None) -> list[Registered]:
     for report in installed.failures:
         if report.id == name:
             raise PluginError(f"plugin '{name}' could not be loaded: {report.error}")
-    kinds = [kind for kind, item_class in KINDS.items() if issubclass(item_class, Plugin)]
+    kinds = [kind for kind, item_class in KINDS.items() if issubclass(item_class, Plugin) or kind in further]
     items = [item for item in installed.items if name in (item.id, item.name) and item.kind in kinds]
     if not items:
         if others := [item for item in installed.items if name in (item.id, item.name)]:

@@ -490,7 +490,8 @@ class ElementKind(Feature):
         Function that takes a mechanism and raises SpecError for elements that runs do not support.
     forces
         Function that takes elements by name and returns force elements with laws along pathways by name, as
-        `mbdkit.plugin.LawForce` describes. The elements act by these forces.
+        `mbdkit.plugin.LawForce` describes. The elements act by these forces. By default, without `lower`, these are the
+        elements themselves, which may be derived from `mbdkit.plugin.LineForce`.
     lower
         Function that takes elements by name, the `mbdkit.plugin.Lowering`, and the compiled `forces`, a tuple of
         `mbdkit.plugin.ActingForce`; it adds further forces and states, and returns what
@@ -518,7 +519,10 @@ class ElementKind(Feature):
         Function that takes this object and returns doubts about derivatives of runs.
     draw
         Function that takes a mechanism and an element, and returns lines to draw: lists of bodies and points in their
-        frames [m].
+        frames [m]. By default, elements between two points are drawn as a line.
+    example
+        Name of a packaged example, a run of a mechanism with such elements, on which ``mbdkit plugins verify`` checks
+        the kind.
     supports
         Sentences that refuse what the elements do not support, such as ``gradients`` or ``symbolic``, by its name.
     """
@@ -545,6 +549,7 @@ class ElementKind(Feature):
     sides: Target[Callable[[Any, Callable[[int], Any]], Iterable[Any]]] | None = None
     gradient_doubts: Target[Callable[[Any], Iterable[str]]] | None = None
     draw: Target[Callable[[Any, Any], list[list[tuple[str, tuple[float, float]]]]]] | None = None
+    example: str = ""
     supports: Mapping[str, str] = field(default_factory=dict)
 
 

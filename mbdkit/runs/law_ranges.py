@@ -19,6 +19,7 @@ from mbdkit.engine.compile_forces import acting_kinds
 from mbdkit.engine.observed_states import StateObserver
 from mbdkit.engine.stored_arrays import fill
 from mbdkit.integrators.interface import Failure, Nodes
+from mbdkit.mechanism.element_kinds import forces_of
 from mbdkit.mechanism.force_law import ARGUMENTS
 from mbdkit.mechanism.law_element import Law
 from mbdkit.mechanism.law_parameters import law_range
@@ -90,8 +91,7 @@ def has_ranges(mechanism: Mechanism) -> bool:
     """Return whether any force law of a mechanism declares a range. Raises the errors of `law_range`."""
     laws: list[Any] = [force for force in mechanism.forces.values() if isinstance(force, Law)]
     for kind in acting_kinds(mechanism):
-        if kind.forces is not None:
-            laws += kind.forces()(mechanism.elements[kind.key_in_model]).values()
+        laws += forces_of(kind, mechanism.elements[kind.key_in_model]).values()
     return any(_bounds(force) != UNBOUNDED for force in laws)
 
 

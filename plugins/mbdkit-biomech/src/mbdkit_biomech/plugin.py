@@ -111,6 +111,7 @@ def mbdkit_items() -> Iterable[Item]:
             obstacle=Target(f"{_MUSCLES}:torn_path"),
             stiffest=Target(f"{_MUSCLES}:stiffest"),
             draw=Target("mbdkit_biomech.muscles.muscle_lines:muscle_lines"),
+            example="elbow-curl",
             supports={
                 "gradients": "gradients of runs do not include muscles; leave them out",
                 "statics": "an analysis of a mechanism at rest does not include muscles; leave them out",

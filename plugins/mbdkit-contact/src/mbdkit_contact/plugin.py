@@ -81,6 +81,7 @@ def mbdkit_items() -> Iterable[Item]:
             summary="Contacts between bodies by name.",
             order=300,
             key_in_model="contacts",
+            example="bouncing-ball",
             model=Target("mbdkit_contact.contact:Contact"),
             builder="contact",
             method=Target("mbdkit_contact.contact:add_contact"),

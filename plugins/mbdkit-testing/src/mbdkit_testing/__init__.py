@@ -18,6 +18,7 @@ __all__ = [
     "Report",
     "Result",
     "cases",
+    "check_element",
     "check_force_law",
     "check_integrator",
     "check_model",
@@ -25,6 +26,11 @@ __all__ = [
     "conformance",
     "verify",
 ]
+
+
+def check_element(name: str, *, quick: bool = False) -> Report:
+    """Run all checks of a kind of elements; see `mbdkit_testing.kit.verify`."""
+    return _verify("element-kind", name, None, quick=quick)
 
 
 def check_integrator(name: str, options: Mapping[str, Any] | None = None, *, quick: bool = False) -> Report:

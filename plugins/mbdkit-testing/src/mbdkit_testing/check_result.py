@@ -20,6 +20,7 @@ REQUIRED_GROUP: dict[Kind, str] = {
     "force-law": "derivatives",
     "study": "study",
     "measure": "measure",
+    "element-kind": "energy",
 }
 """For each kind of plugin, the group of checks of which at least one must have run for the plugin to be verified."""
 

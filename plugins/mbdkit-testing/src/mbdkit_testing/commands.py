@@ -60,7 +60,7 @@ def plugins_verify(
     from mbdkit.registry import describe
     from mbdkit.spec.reading import read_assignments
 
-    items = describe.find(name)
+    items = describe.find(name, further=["element-kind"])
     options = read_assignments(assignments or ())
     from mbdkit_testing import verify
     from mbdkit_testing.verification_page import check_page, write_page

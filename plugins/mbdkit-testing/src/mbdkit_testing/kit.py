@@ -6,6 +6,7 @@ from collections.abc import Callable, Iterator, Mapping
 from dataclasses import asdict
 from typing import Any
 
+from mbdkit.base.errors import SpecError
 from mbdkit.base.logs import to_stderr
 from mbdkit.registry.catalogue import Kind, Registered, Registry
 from mbdkit.registry.manager import registry
@@ -14,6 +15,7 @@ from mbdkit_testing import (
     contract_checks,
     counter_checks,
     drift_checks,
+    element_checks,
     failure_checks,
     final_state_checks,
     force_law_checks,
@@ -56,6 +58,7 @@ CHECKS: dict[Kind, tuple[Check[Any], ...]] = {
     "force-law": (*force_law_checks.CHECKS, *option_effect_checks.CHECKS),
     "study": study_checks.CHECKS,
     "measure": measure_checks.CHECKS,
+    "element-kind": element_checks.CHECKS,
 }
 Watch = Callable[[int, int, str], None]
 
@@ -75,13 +78,16 @@ def plugin_under_test(kind: Kind, name: str, options: Mapping[str, Any], install
     """
     installed = installed or registry()
     item = installed.get(kind, name)
-    chosen = plain_options(item, options)
+    if kind == "element-kind" and options:
+        raise SpecError("a kind of elements has no options", key=next(iter(options)))
+    chosen = {} if kind == "element-kind" else plain_options(item, options)
     types: dict[Kind, Callable[[Registered, dict[str, Any], Registry], Any]] = {
         "integrator": IntegratorUnderTest,
         "model": model_checks.ModelUnderTest,
         "force-law": force_law_checks.ForceLawUnderTest,
         "study": study_checks.StudyUnderTest,
         "measure": measure_checks.MeasureUnderTest,
+        "element-kind": element_checks.ElementUnderTest,
     }
     return types[kind](item, chosen, installed)
 

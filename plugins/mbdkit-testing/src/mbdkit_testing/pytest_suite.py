@@ -69,6 +69,7 @@ def conformance(
     model: str | None = None,
     force_law: str | None = None,
     measure: str | None = None,
+    element: str | None = None,
     options: dict[str, Any] | None = None,
     quick: bool = False,
 ) -> Callable[[Callable[[Case], Any]], Callable[[Case], Any]]:
@@ -76,8 +77,8 @@ def conformance(
 
     Parameters
     ----------
-    integrator, model, force_law, measure
-        Short or long name of the plugin; exactly one of the four is given.
+    integrator, model, force_law, measure, element
+        Short or long name of the plugin; exactly one of the five is given.
     quick
         Whether to leave out the slow checks.
 
@@ -94,9 +95,10 @@ def conformance(
         "model": model,
         "force-law": force_law,
         "measure": measure,
+        "element-kind": element,
     }
     named = [(kind, name) for kind, name in given.items() if name is not None]
     if len(named) != 1:
-        raise TypeError("conformance needs exactly one of integrator=, model=, force_law= and measure=")
+        raise TypeError("conformance needs exactly one of integrator=, model=, force_law=, measure= and element=")
     kind, name = named[0]
     return pytest.mark.parametrize("case", list(cases(kind, name, options, quick=quick)), ids=str)

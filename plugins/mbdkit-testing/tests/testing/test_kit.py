@@ -106,7 +106,7 @@ def test_a_decorated_test_fails_where_the_check_does_and_skips_where_it_does() -
     assert issubclass(ConformanceWarning, UserWarning)
     with pytest.raises(pytest.skip.Exception, match="not claimed; measured: defect"):
         by_name["geometry.symplectic-form"]()
-    with pytest.raises(TypeError, match="exactly one of integrator=, model=, force_law= and measure="):
+    with pytest.raises(TypeError, match="exactly one of integrator=, model=, force_law=, measure= and element="):
         conformance(integrator="rk4", model="single-pendulum")
 
 
@@ -159,7 +159,7 @@ def test_a_report_as_a_page_names_every_check_and_escapes_what_plugins_say() -> 
     assert "http" not in page.replace("http-equiv", "")
 
 
-@pytest.mark.parametrize("kind", ["integrator", "model", "force-law"])
+@pytest.mark.parametrize("kind", ["integrator", "model", "force-law", "element-kind"])
 def test_every_check_has_a_name_of_its_own_in_a_group_and_says_what_it_does(kind: Any) -> None:
     checks = list(mbdkit.testing.checks_of(kind))
     assert len({check.name for check in checks}) == len(checks)

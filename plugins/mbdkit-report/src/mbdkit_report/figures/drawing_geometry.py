@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mbdkit.base.errors import MbdkitError
-from mbdkit.mechanism.element_kinds import element_kinds
+from mbdkit.mechanism.element_kinds import element_kinds, lines_of
 from mbdkit.mechanism.pathways import JointAngles
 from mbdkit_report.figures.beam_curves import BeamCurve
 from mbdkit_report.figures.curves import evenly, take
@@ -217,9 +217,8 @@ def draw_mechanism(mechanism: Mechanism) -> Drawing:
         elif isinstance(pathway, JointAngles):
             sketch.parts["springs"] += itertools.pairwise(sketch.points(cable_places(mechanism.joints, pathway)))
     for key, kind in element_kinds().items():
-        if (draw := kind.draw) is not None:
-            for element in mechanism.elements.get(key, {}).values():
-                sketch.parts["muscles"] += (sketch.points(line) for line in draw()(mechanism, element))
+        for element in mechanism.elements.get(key, {}).values():
+            sketch.parts["muscles"] += (sketch.points(line) for line in lines_of(kind, mechanism, element))
     contacts: Mapping[str, Any] = mechanism.elements.get("contacts", {})
     for contact in contacts.values():
         for _, _, body, shape in contact.by_body:

@@ -25,6 +25,7 @@ NewKind = Literal[
     "model",
     "force-law",
     "measure",
+    "element",
     "spec-kind",
     "plot-kind",
     "report-section",
@@ -153,6 +154,17 @@ _FLAVOURS: dict[NewKind, _Flavour] = {
         "mbdkit study {name}/study.yaml",
         ("the options and `take`, which computes one number from a run (nan if that is not possible);",),
     ),
+    "element": _Flavour(
+        "element-kind",
+        "A kind of elements",
+        ("numpy>=1.26", "sympy>=1.12"),
+        "src/{package}/{item}.yaml",
+        "mbdkit run {item}",
+        (
+            "the class of the elements and its force law, their quantities, and the criterion;",
+            "the example, on which `mbdkit plugins verify` checks the kind;",
+        ),
+    ),
     "spec-kind": _Flavour(
         "spec-kind",
         "A kind of specs",
@@ -278,6 +290,7 @@ def _files(name: str, package: str, item: str, template: str, flavour: _Flavour)
         f"tests/test_{package}.py": f"test_{'integrator' if is_integrator else template}.py",
     }
     if flavour.example:
-        templates[flavour.example] = "study.yaml" if is_integrator else f"{template}.yaml"
+        path = flavour.example.format(package=package, item=item)
+        templates[path] = "study.yaml" if is_integrator else f"{template}.yaml"
     texts = {path: environment.get_template(f"{file}.jinja").render(words) for path, file in templates.items()}
     return texts | {f"src/{package}/py.typed": ""}

@@ -1,0 +1,350 @@
+"""Checks of a kind of elements, on the mechanism and the run of its packaged example."""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+import subprocess
+import sys
+import tempfile
+from copy import deepcopy
+from dataclasses import dataclass, field
+from functools import cached_property
+from pathlib import Path
+from typing import Any, cast
+
+import numpy as np
+
+from mbdkit.archive.run import Run
+from mbdkit.base.errors import MbdkitError, SpecError
+from mbdkit.base.plain_data import parse_path
+from mbdkit.base.strict_model import description
+from mbdkit.base.text import listed
+from mbdkit.base.units import described_units, read_unit
+from mbdkit.engine.equations_of_motion import EquationsOfMotion
+from mbdkit.engine.observed_states import StateObserver
+from mbdkit.engine.workspace import Workspace
+from mbdkit.gradients.gradient import Gradient, gradient
+from mbdkit.mechanism.bodies import GROUND
+from mbdkit.mechanism.element_kinds import lines_of
+from mbdkit.mechanism.mechanism import Mechanism
+from mbdkit.quantities.array import Kind, Recorded
+from mbdkit.quantities.registered_kinds import kind_of_group
+from mbdkit.registry.catalogue import Registered, Registry
+from mbdkit.registry.feature_items import ElementKind
+from mbdkit.runs.preparation import build
+from mbdkit.runs.resuming import resume
+from mbdkit.runs.simulation import simulate
+from mbdkit.spec.loading import load_spec
+from mbdkit.spec.reading import put
+from mbdkit.spec.run_spec import RunSpec
+from mbdkit_statics.equilibrium import equilibrium
+from mbdkit_testing.check import Skip, check
+from mbdkit_testing.check_result import Result, failed, passed, skipped
+
+OF_FORCES = {"length": 0, "rate": 1, "force": 2, "power": 3}
+"""Columns that the equations also contain, by their index in `mbdkit.plugin.Observed.forces`."""
+STEPS, DERIVATIVE, SAME, TINY = (1e-4, 1e-5, 1e-6, 1e-7), 1e-5, 1e-9, 1e-300
+"""Relative steps of differences, largest relative error of derivatives and of columns, and the smallest divisor."""
+
+ADAPTIVE = {"name": "dopri5", "adaptive": True, "rtol": 1e-9}
+"""Method for examples with adaptive steps, where it matters."""
+
+
+@dataclass
+class ElementUnderTest:
+    """A kind of elements, which has no `options`, and the registry of installed plugins."""
+
+    item: Registered
+    options: dict[str, Any]
+    installed: Registry
+    claims: dict[str, Any] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        self.kind = cast(ElementKind, self.item.plugin)
+        self.key = self.kind.key_in_model
+
+    @cached_property
+    def spec(self) -> RunSpec:
+        """The spec of the example."""
+        if not self.kind.example:
+            raise Skip("it has no `example`, the name of a packaged run with such elements")
+        spec = load_spec(self.kind.example)
+        if not spec.mechanism().elements.get(self.key):
+            raise SpecError(f"its example '{self.kind.example}' has no {self.key}")
+        return spec
+
+    @cached_property
+    def elements(self) -> dict[str, Any]:
+        """The elements of the example by name."""
+        return dict(self.spec.mechanism().elements[self.key])
+
+    @cached_property
+    def workspace(self) -> Workspace:
+        """The compiled mechanism of the example at its start."""
+        return build(self.spec)[0].with_own_pivots()
+
+    @cached_property
+    def run(self) -> Run:
+        """The run of the example."""
+        return _complete(self.spec)
+
+    @cached_property
+    def rows(self) -> tuple[np.ndarray, ...]:
+        """Times (T,), positions and velocities (T, 3 (B + 1)), and first-order states (T, Z) of the run."""
+        times = self.run.array("trajectory/time")
+        q, v = (self.run.array(f"trajectory/{name}").reshape(len(times), -1) for name in ("position", "velocity"))
+        z = self.run.array("states/value") if self.workspace.mechanism.states else np.zeros((len(times), 0))
+        return times, *(np.hstack([x, np.zeros((len(times), 3))]) for x in (q, v)), z
+
+    def times(self, factor: float = 1.0) -> dict[str, float]:
+        """Return the times of the example, with its step times a factor, or with 500 fixed steps if it has none."""
+        start, end, step = self.spec.time.start, self.spec.time.final, self.spec.time.step
+        return {"start": start, "end": end, "step": factor * ((end - start) / 500 if step is None else step)}
+
+    @cached_property
+    def groups(self) -> list[Kind]:
+        """The groups of archives that belong to the kind."""
+        items: list[Any] = [item.plugin for item in self.installed.of_kind("quantity")]
+        return [kind_of_group(item.group) for item in items if item.of == self.key]
+
+    def changed(self, mechanism: dict[str, Any] | None = None, **sections: Any) -> RunSpec:
+        """Return the spec of the example with plain data of another mechanism, and with other sections."""
+        data = json.loads(self.spec.canonical_json())
+        model = {"name": "mechanism", **(mechanism or self.spec.mechanism().to_spec())}
+        return load_spec({**data, "model": model, **sections})
+
+
+def _complete(spec: RunSpec) -> Run:
+    run = simulate(spec)
+    if run.status != "complete":
+        raise SpecError(f"a run of its example did not complete: {run.status_reason}")
+    return run
+
+
+@check("element.spec")
+def spec(kind: ElementUnderTest) -> Result:
+    """Elements round-trip through a spec, are added alike in Python, and take numbers with the units of their keys."""
+    data = kind.spec.mechanism().to_spec()
+    if Mechanism.from_spec(data).to_spec() != data:
+        return failed("its elements change in a round trip through a spec")
+    again = Mechanism.from_spec({name: value for name, value in data.items() if name != kind.key})
+    with_units = deepcopy(data)
+    for name, one in data[kind.key].items():
+        again.add(kind.key, name, **one)
+        for option, value in one.items():
+            units = described_units(description(kind.kind.model(), option))
+            if isinstance(value, float) and len(units) == 1:
+                with_units[kind.key][name][option] = f"{value!r} {units[0]}"
+    if again.to_spec()[kind.key] != data[kind.key]:
+        return failed(f"elements that are added by `Mechanism.add('{kind.key}', ...)` differ from those of a spec")
+    if kind.changed(with_units).mechanism().to_spec() != data:
+        return failed("its numbers change if they are written with units")
+    return passed(elements=len(kind.elements))
+
+
+@check("element.bodies")
+def bodies(kind: ElementUnderTest) -> Result:
+    """Elements list the bodies that they refer to; unknown ones are refused, and the error names the element."""
+    for name, one in kind.elements.items():
+        if not one.places():
+            return failed(f"'{name}' lists no bodies in `places`")
+        for place, body in one.places():
+            data = kind.spec.mechanism().to_spec()
+            put(data[kind.key][name], parse_path(place), "nowhere")
+            try:
+                kind.changed(data)
+                return failed(f"'{name}' refers to '{body}' by {place}, but an unknown body is not refused there")
+            except SpecError as error:
+                if name not in error.key:
+                    return failed(f"the error for an unknown body has the key '{error.key}', without '{name}'")
+    return passed(elements=len(kind.elements))
+
+
+@check("element.states")
+def states(kind: ElementUnderTest) -> Result:
+    """States have the announced names, in the same order, and units that fit those of keys and columns."""
+    compiled = {state.name: state.unit for state in kind.workspace.mechanism.states}
+    announced = kind.spec.mechanism().state_names()
+    if list(compiled)[: len(announced)] != announced:
+        return failed(f"its elements announce the states {listed(announced)}, but have {listed(compiled)}")
+    columns = {array.name: array.units for group in kind.groups for array in group.columns}
+    for name, one in kind.elements.items():
+        for state in one.state_names:
+            unit, known = compiled[f"{name}.{state}"], [columns[state]] if state in columns else []
+            if state in type(one).model_fields:
+                known += described_units(description(type(one), state))[:1]
+            if wrong := [other for other in known if not read_unit(unit).fits(read_unit(other))]:
+                return failed(f"the unit of the state '{name}.{state}' is {unit}, that of its key or column {wrong[0]}")
+    return passed(states=len(announced)) if announced else skipped("its elements have no states")
+
+
+@check("element.columns")
+def columns(kind: ElementUnderTest) -> Result:
+    """States, lengths, rates, forces and powers of elements in archives are those of the equations."""
+    observer, (times, q, v, z) = StateObserver(kind.workspace), kind.rows
+    observed = observer.arrays(len(times))
+    observer.observe(times, q, v, observed, z=z)
+    places = {one.name: one.place for one in kind.workspace.mechanism.acting if one.kind == kind.kind.name}
+    for array in (one for group in kind.groups for one in group.columns if isinstance(one, Recorded)):
+        found = kind.run.array(array.path)
+        for index, (name, one) in enumerate(kind.elements.items()):
+            if array.name in one.state_names:
+                known = kind.run.states[f"{name}.{array.name}"].value
+            elif array.name in OF_FORCES and name in places:
+                known = observed.forces[:, places[name], OF_FORCES[array.name]]
+            else:
+                continue
+            off = float(np.max(np.abs(found[:, index] - known)) / max(np.max(np.abs(known)), TINY))
+            if not off <= SAME:
+                return failed(f"{array.path} of '{name}' is not the {array.name} in the equations", off=off)
+    return passed(groups=len(kind.groups)) if kind.groups else skipped("no quantity belongs to it")
+
+
+@check("energy.balance")
+def balance(kind: ElementUnderTest) -> Result:
+    """The energy balance of the example's run converges to zero with the step, or with the tolerances."""
+    found = []
+    for factor in (1.0, 0.25):
+        fixed = {"time": kind.times(factor), "output": {}}
+        adaptive = {"integrator": {**ADAPTIVE, "rtol": 1e-6 * factor**4}}
+        with _complete(kind.changed(None, **(adaptive if kind.spec.claims.adaptive else fixed))) as run:
+            energy = max(float(np.max(np.abs(run.energy.kinetic))), float(np.ptp(run.energy.potential)), TINY)
+            found.append(float(np.max(np.abs(run.energy.balance))) / energy)
+    if not found[-1] <= max(SAME, found[0] / 4.0):
+        return failed("the energy balance of its example does not converge", coarsest=found[0], finest=found[-1])
+    return passed(coarsest=found[0], finest=found[-1])
+
+
+@check("derivatives.tangents")
+def tangents(kind: ElementUnderTest) -> Result:
+    """The derivatives of accelerations and rates of states agree with differences, at states of the example's run."""
+    equations, (times, q, v, z) = EquationsOfMotion(kind.workspace), kind.rows
+    n = equations.n
+    largest = int(np.argmax(np.abs(kind.run.array("trajectory/acceleration")).max(axis=(1, 2))))
+    for row in {largest, *np.linspace(1, len(times) - 2, 8).astype(int).tolist()}:
+        t, y = float(times[row]), np.concatenate([q[row, :n], v[row, :n], z[row]])
+
+        def rates(y: np.ndarray, t: float = t) -> np.ndarray:
+            a, _, change = equations.derivatives(t, y[:n], y[n : 2 * n], y[2 * n :])
+            return np.concatenate([y[n : 2 * n], a, change])
+
+        exact = equations.jacobian(t, y[:n], y[n : 2 * n], y[2 * n :])
+        scale = np.maximum(np.max(np.abs(exact), axis=1), 1e-3)
+        for column, direction in enumerate(np.eye(len(y))):
+            steps = [h * max(abs(y[column]), 0.1) * direction for h in STEPS]
+            tried = [(rates(y + h) - rates(y - h)) / (2.0 * h[column]) for h in steps]
+            off = float(np.min([np.abs(one - exact[:, column]) / scale for one in tried], axis=0).max())
+            if not off <= DERIVATIVE:
+                of = "a state" if column >= 2 * n else "a velocity" if column >= n else "a position"
+                return failed(f"a derivative with respect to {of} differs from differences at t = {t:g} s", off=off)
+    return passed()
+
+
+@check("order.states")
+def order(kind: ElementUnderTest) -> Result:
+    """States at the end of the example converge with the order of the method."""
+    if not any(one.state_names for one in kind.elements.values()):
+        raise Skip("its elements have no states")
+    ends = []
+    for stages, factor in ((2, 1.0), (2, 0.5), (4, 0.5)):
+        gauss = {"name": "gauss", "stages": stages}
+        with _complete(kind.changed(integrator=gauss, time=kind.times(factor), output={})) as run:
+            ends.append(run.array("states/value")[-1])
+    coarse, fine = (float(np.max(np.abs(one - ends[-1]) / np.maximum(np.abs(ends[-1]), TINY))) for one in ends[:-1])
+    if fine < SAME:
+        return passed(error=fine)
+    if not (measured := math.log2(coarse / fine)) >= 3.0:
+        return failed(f"its states converge with order {measured:.1f} instead of 4", error=fine)
+    return passed(order=measured, error=fine).within({"order": "at least 3"})
+
+
+@check("restart.checkpoint")
+def checkpoint(kind: ElementUnderTest) -> Result:
+    """A run that is interrupted and continued from its checkpoint is bitwise the same, and so is its verdict."""
+    # Fixed steps without events return to Python after a known number of steps, so that the run can be interrupted.
+    fixed: dict[str, Any] = (
+        {"integrator": {"name": "rk4"}, "time": kind.times(0.05)} if kind.spec.claims.adaptive else {}
+    )
+    spec = kind.changed(events={}, **fixed)
+
+    def stop(reached: float, end: float) -> None:
+        if reached > spec.time.start:
+            raise KeyboardInterrupt
+
+    with tempfile.TemporaryDirectory(prefix="mbdkit-element-") as folder, simulate(spec) as whole:
+        path = Path(folder) / "run.h5"
+        simulate(spec, path=path, progress=stop).close()
+        with resume(path, overwrite=True) as run:
+            if run.data_sha256 != whole.data_sha256 or run.verdict_reasons != whole.verdict_reasons:
+                return failed("the data or the verdict of a run that is continued from its checkpoint are different")
+    return passed()
+
+
+@check("drawing.lines")
+def drawing(kind: ElementUnderTest) -> Result:
+    """Lines with which elements are drawn have finite points, each on a body of the mechanism."""
+    mechanism, lines = kind.spec.mechanism(), 0
+    for name, one in kind.elements.items():
+        for line in lines_of(kind.kind, mechanism, one):
+            lines += 1
+            for body, point in line:
+                if body != GROUND and body not in mechanism.bodies:
+                    return failed(f"'{name}' is drawn on '{body}', which is not a body of the mechanism")
+                if not np.all(np.isfinite(point)):
+                    return failed(f"'{name}' is drawn at {point!r} on '{body}'")
+    return passed(lines=lines) if lines else skipped("its elements are not drawn as lines")
+
+
+@check("support.computations")
+def support(kind: ElementUnderTest) -> Result:
+    """Computations that are not supported are refused by their sentence; other gradients agree with differences."""
+    calls: dict[str, Any] = {"gradients": _gradient, "statics": lambda kind: equilibrium(kind.spec)}
+    for what, sentence in kind.kind.supports.items():
+        if what not in calls:
+            return failed(f"no computation asks whether elements support '{what}', only {listed(calls, 'and')} do")
+        try:
+            calls[what](kind)
+            return failed(f"{what} are computed in spite of the sentence that refuses them")
+        except MbdkitError as error:
+            if sentence not in str(error):
+                return failed(f"{what} are refused, but with another sentence: {error}".rstrip("."))
+    found = None if "gradients" in kind.kind.supports else _gradient(kind).check
+    if found is not None and not np.all(found.is_like_steps):
+        return failed(str(found))
+    return passed(refused=len(kind.kind.supports), parameters=0 if found is None else len(found.parameters))
+
+
+def _gradient(kind: ElementUnderTest) -> Gradient:
+    """Return the gradient of the last body's position at the end with respect to the first numbers of an element."""
+    data = kind.spec.mechanism().to_spec()
+    name, one = next(iter(data[kind.key].items()))
+    parts = {"": one} | {f"{part}.": inner for part, inner in one.items() if isinstance(inner, dict)}
+    flat = {f"{part}{option}": value for part, keys in parts.items() for option, value in keys.items()}
+    numbers = [f"model.{kind.key}.{name}.{option}" for option, x in flat.items() if isinstance(x, float) and x]
+    measures = [f"final(bodies.{list(data['bodies'])[-1]}.{axis})" for axis in "xy"]
+    method: dict[str, Any] = {"integrator": ADAPTIVE} if kind.spec.claims.adaptive else {}
+    return gradient(kind.changed(events={}, measures={}, parameters={}, **method), measures, numbers[:4])
+
+
+@check("archive.without-plugin", slow=True)
+def without_plugin(kind: ElementUnderTest) -> Result:
+    """Where the plugin is not installed, archives are sound, and a repetition is refused with its name."""
+    origin = kind.item.origin
+    if (entry_point := origin.entry_point.partition(" = ")[0]) == "builtin":
+        raise Skip("it is part of the core")
+    alone = os.environ | {"MBDKIT_DISABLE_PLUGINS": f"{origin.distribution}/{entry_point}"}
+    with tempfile.TemporaryDirectory(prefix="mbdkit-element-") as folder:
+        path = Path(folder) / "run.h5"
+        simulate(kind.spec, path=path).close()
+        commands = [[sys.executable, "-m", "mbdkit", *words, str(path)] for words in (("archive", "check"), ("rerun",))]
+        check, again = (subprocess.run(one, env=alone, capture_output=True, text=True, check=False) for one in commands)
+    if check.returncode or again.returncode != 2 or origin.distribution not in again.stderr:
+        return failed(f"without the plugin, mbdkit says: {check.stderr.strip()} {again.stderr.strip()}")
+    return passed()
+
+
+CHECKS = (
+    spec, bodies, states, columns, balance, tangents, order, checkpoint, drawing, support, without_plugin
+)  # fmt: skip
