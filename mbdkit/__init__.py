@@ -221,6 +221,7 @@ higher_layers.installed_plugins = _of_higher_layer("mbdkit.spec.choices", "Regis
 higher_layers.symbolic_system = _of_higher_layer(
     "mbdkit_statics.symbolic_equations", "build_system", "Mechanism.to_sympy"
 )
+higher_layers.computed = _of_higher_layer("mbdkit.registry.accessors", "computed")
 higher_layers.state_program = _of_higher_layer("mbdkit.events.state_program", "state_program")
 higher_layers.state_values = _of_higher_layer("mbdkit.events.state_program", "state_values")
 higher_layers.check_gradients = _of_higher_layer("mbdkit.gradients.gradient", "check_gradients")

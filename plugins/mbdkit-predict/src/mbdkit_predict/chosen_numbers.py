@@ -1,0 +1,176 @@
+"""Numbers of a mechanism that become arguments of functions: controls, and parameters.
+
+A control is added to the mechanism as a first-order state without a rate, which takes the place of the value of a load,
+the excitation of a muscle, or any other expression of the state.
+
+How the arrays of a compiled mechanism depend on parameters is known from compiling it with changed values: each number
+in them must be a linear function of the parameters, as the stiffness of a spring or a point of a joint is.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from copy import copy
+from typing import Any
+
+import numpy as np
+
+from mbdkit.base.errors import SpecError
+from mbdkit.base.plain_data import Path, copied, parse_path, path_text
+from mbdkit.base.text import did_you_mean
+from mbdkit.engine.compile_mechanism import compile_mechanism
+from mbdkit.engine.kernels.engine_bundles import Topology
+from mbdkit.mechanism.mechanism import Mechanism
+
+STEPS = 0.25, 0.125
+"""Changes of parameters, relative to their values, by which linear functions are recognized."""
+LINEAR = 1e-9
+"""Largest difference between the slopes for both changes, relative to the slope."""
+NOT_READ = "weight", "length", "row_units"
+"""Arrays of numbers that the equations of motion do not contain, only their solution."""
+
+
+class ChosenNumbers:
+    """Controls and parameters of a mechanism.
+
+    Parameters
+    ----------
+    mechanism
+        The mechanism.
+    controls, parameters
+        Key paths of numbers in the mechanism, such as ``forces.motor.value`` and ``bodies.rod.mass``.
+
+    Attributes
+    ----------
+    mechanism
+        The mechanism with controls as states.
+    control_start, parameter_start
+        Present values; 0 for controls that are not numbers.
+
+    Raises
+    ------
+    SpecError
+        If a key does not exist, its value is no number, or a control cannot change with time.
+    """
+
+    def __init__(self, mechanism: Mechanism, controls: Sequence[str], parameters: Sequence[str]):
+        self.parameters = tuple(parameters)
+        self._spec = mechanism.to_spec()
+        self._original = mechanism
+        self.control_start = [self._start(key) for key in controls]
+        self.parameter_start = [self._number(key) for key in parameters]
+        for key, start in zip(controls, self.control_start, strict=True):
+            self._set(self._spec, key, f'states["{key}"]')
+            self._spec.setdefault("states", {})[key] = {"initial": start, "rate": "0"}
+        try:
+            self.mechanism = self._mechanism(self._spec) if controls else self._with_muscles(copy(mechanism))
+        except SpecError as error:
+            if error.key.removeprefix("model.") not in controls:
+                raise
+            raise SpecError("is no control, because it cannot change with time", key=error.key) from None
+
+    def _start(self, key: str) -> float:
+        value = self._value(key)
+        return float(value) if isinstance(value, int | float) else 0.0
+
+    def _number(self, key: str) -> float:
+        value = self._value(key)
+        if isinstance(value, bool) or not isinstance(value, int | float):
+            raise SpecError("a parameter should be the key of a number of the mechanism", key=f"model.{key}")
+        return float(value)
+
+    def _value(self, key: str) -> Any:
+        """Return the value of the mechanism at a key path; raise SpecError if there is none."""
+        value: Any = self._original
+        path: Path = parse_path(key)
+        for i, part in enumerate(path):
+            try:
+                value = getattr(value, str(part)) if hasattr(value, str(part)) and i != 1 else value[part]
+            except (LookupError, TypeError):
+                names = list(value) if isinstance(value, Mapping) else list(getattr(value, "__dict__", ()))
+                hint = did_you_mean(str(part), [str(name) for name in names])
+                raise SpecError(f"the mechanism has no '{part}' here{hint}", key=f"model.{path_text(path)}") from None
+        return value
+
+    def _set(self, spec: dict[str, Any], key: str, value: Any) -> None:
+        *path, last = parse_path(key)
+        holder: Any = spec
+        for i, part in enumerate(path):
+            if isinstance(holder, dict) and part not in holder:  # a default value, which specs leave out
+                holder[part] = copied(_plain(self._value(path_text(tuple(path[: i + 1])))))
+            holder = holder[part]
+        holder[last] = value
+
+    def _mechanism(self, spec: dict[str, Any]) -> Mechanism:
+        """Return the mechanism of a changed spec, with its elements in the original order."""
+        made, original = Mechanism.from_spec(spec), self._original
+        made.name, made.contact_treatment = original.name, original.contact_treatment
+        for kind in ("bodies", *original.elements):
+            elements = getattr(made, kind)
+            setattr(made, kind, {name: elements[name] for name in getattr(original, kind)})
+        return self._with_muscles(made)
+
+    @staticmethod
+    def _with_muscles(mechanism: Mechanism) -> Mechanism:
+        mechanism.muscles_act = bool(mechanism.muscles)
+        return mechanism
+
+    def topology(self, known: Topology, p: Sequence[Any]) -> Topology:
+        """Return the arrays of the mechanism as functions of parameters `p`, given their values without changes.
+
+        Raises
+        ------
+        SpecError
+            If a parameter is not allowed to change a little, or an array is not a linear function of it.
+        """
+        found = {name: x.astype(object) for name, x in _numbers(known)}
+        if not self.parameters:
+            return known._replace(**found)
+        base = dict(_numbers(self._compiled({})))
+        for k, key in enumerate(self.parameters):
+            changes = [step * (abs(self.parameter_start[k]) or 1.0) for step in STEPS]
+            both = [dict(_numbers(self._compiled({k: change}))) for change in changes]
+            for name, start in base.items():
+                if any(x[name].shape != start.shape for x in both):
+                    raise self._refused(key)
+                one, two = ((x[name] - start) / change for x, change in zip(both, changes, strict=True))
+                if np.any(abs(one - two) > LINEAR * np.maximum(abs(one), abs(two))):
+                    raise self._refused(key)
+                whole = np.rint(one)
+                slope = np.where(abs(one - whole) <= LINEAR, whole, one)
+                for index in zip(*np.nonzero(slope), strict=True):
+                    found[name][index] = found[name][index] + slope[index] * (p[k] - self.parameter_start[k])
+        self._check_products(base)
+        return known._replace(**found)
+
+    def _check_products(self, base: dict[str, np.ndarray]) -> None:
+        """Raise SpecError if the effects of parameters do not add up, as with products of two of them."""
+        steps = [STEPS[0] * (abs(start) or 1.0) for start in self.parameter_start]
+        together = dict(_numbers(self._compiled(dict(enumerate(steps)))))
+        apart = [dict(_numbers(self._compiled({k: step}))) for k, step in enumerate(steps)]
+        for name, start in base.items():
+            total = sum((x[name] - start for x in apart), start=0.0 * start)
+            size = sum((abs(x[name] - start) for x in apart), start=abs(start))
+            if np.any(abs(together[name] - start - total) > LINEAR * size):
+                raise SpecError("the equations contain products of these parameters", key="parameters")
+
+    def _compiled(self, changes: Mapping[int, float]) -> Topology:
+        spec = copied(self._spec)
+        for k, change in changes.items():
+            self._set(spec, self.parameters[k], self.parameter_start[k] + change)
+        return compile_mechanism(self._mechanism(spec)).topology
+
+    def _refused(self, key: str) -> SpecError:
+        return SpecError(
+            "is not a parameter that can be exported: the equations of motion are not linear in it", key=f"model.{key}"
+        )
+
+
+def _numbers(topology: Topology) -> Iterator[tuple[str, np.ndarray]]:
+    for name, x in topology._asdict().items():
+        if x.dtype == np.float64 and name not in NOT_READ:
+            yield name, x
+
+
+def _plain(value: Any) -> Any:
+    return [_plain(one) for one in value] if isinstance(value, tuple | list) else value
