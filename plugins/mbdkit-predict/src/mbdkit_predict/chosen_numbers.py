@@ -1,7 +1,7 @@
 """Numbers of a mechanism that become arguments of functions: controls, and parameters.
 
 A control is added to the mechanism as a first-order state without a rate, which takes the place of the value of a load,
-the excitation of a muscle, or any other expression of the state.
+the excitation of a muscle, or any other expression of the state. A state of the mechanism may also be a control itself.
 
 How the arrays of a compiled mechanism depend on parameters is known from compiling it with changed values: each number
 in them must be a linear function of the parameters, as the stiffness of a spring or a point of a joint is.
@@ -9,6 +9,7 @@ in them must be a linear function of the parameters, as the stiffness of a sprin
 
 from __future__ import annotations
 
+import json
 from collections.abc import Iterator, Mapping, Sequence
 from copy import copy
 from typing import Any
@@ -44,6 +45,8 @@ class ChosenNumbers:
     ----------
     mechanism
         The mechanism with controls as states.
+    control_states
+        Names of the states that are the controls.
     control_start, parameter_start
         Present values; 0 for controls that are not numbers.
 
@@ -54,14 +57,14 @@ class ChosenNumbers:
     """
 
     def __init__(self, mechanism: Mechanism, controls: Sequence[str], parameters: Sequence[str]):
-        self.parameters = tuple(parameters)
+        self.controls, self.parameters = tuple(controls), tuple(parameters)
         self._spec = mechanism.to_spec()
         self._original = mechanism
         self.control_start = [self._start(key) for key in controls]
         self.parameter_start = [self._number(key) for key in parameters]
-        for key, start in zip(controls, self.control_start, strict=True):
-            self._set(self._spec, key, f'states["{key}"]')
-            self._spec.setdefault("states", {})[key] = {"initial": start, "rate": "0"}
+        self.control_states = [
+            self._add_control(key, start) for key, start in zip(controls, self.control_start, strict=True)
+        ]
         try:
             self.mechanism = self._mechanism(self._spec) if controls else self._with_muscles(copy(mechanism))
         except SpecError as error:
@@ -69,8 +72,19 @@ class ChosenNumbers:
                 raise
             raise SpecError("is no control, because it cannot change with time", key=error.key) from None
 
+    def _add_control(self, key: str, start: float) -> str:
+        """Add a control; return the name of its state."""
+        kind, *path = parse_path(key)
+        if kind == "states" and len(path) == 1:  # the state itself is the control
+            self._spec["states"][path[0]] |= {"initial": start, "rate": "0"}
+            return str(path[0])
+        self._set(self._spec, key, f"states[{json.dumps(key)}]")
+        self._spec.setdefault("states", {})[key] = {"initial": start, "rate": "0"}
+        return key
+
     def _start(self, key: str) -> float:
         value = self._value(key)
+        value = getattr(value, "initial", value)  # of a state
         return float(value) if isinstance(value, int | float) else 0.0
 
     def _number(self, key: str) -> float:
@@ -115,6 +129,15 @@ class ChosenNumbers:
         mechanism.muscles_act = bool(mechanism.muscles)
         return mechanism
 
+    def with_parameters(self, values: Sequence[float]) -> Mechanism:
+        """Return the mechanism with other values of the parameters."""
+        if not self.parameters:
+            return self.mechanism
+        spec = copied(self._spec)
+        for key, value in zip(self.parameters, values, strict=True):
+            self._set(spec, key, float(value))
+        return self._mechanism(spec)
+
     def topology(self, known: Topology, p: Sequence[Any]) -> Topology:
         """Return the arrays of the mechanism as functions of parameters `p`, given their values without changes.
 
@@ -155,10 +178,8 @@ class ChosenNumbers:
                 raise SpecError("the equations contain products of these parameters", key="parameters")
 
     def _compiled(self, changes: Mapping[int, float]) -> Topology:
-        spec = copied(self._spec)
-        for k, change in changes.items():
-            self._set(spec, self.parameters[k], self.parameter_start[k] + change)
-        return compile_mechanism(self._mechanism(spec)).topology
+        values = [start + changes.get(k, 0.0) for k, start in enumerate(self.parameter_start)]
+        return compile_mechanism(self.with_parameters(values)).topology
 
     def _refused(self, key: str) -> SpecError:
         return SpecError(

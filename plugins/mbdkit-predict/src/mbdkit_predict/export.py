@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING
 
 from mbdkit.plugin import MbdkitError, Mechanism
@@ -19,12 +19,19 @@ def exported(mechanism: Mechanism) -> Callable[..., CasadiSystem]:
     MbdkitError
         If CasADi is not installed.
     """
+    require_casadi("the export to CasADi needs")
+    from mbdkit_predict.chosen_numbers import ChosenNumbers
+    from mbdkit_predict.symbolic_mechanism import SymbolicMechanism
+
+    def system(controls: Sequence[str], parameters: Sequence[str], t0: float) -> CasadiSystem:
+        return SymbolicMechanism(ChosenNumbers(mechanism, controls, parameters), t0).system()
+
+    return system
+
+
+def require_casadi(what: str) -> None:
+    """Raise MbdkitError if CasADi is not installed; `what` are the first words of the message."""
     try:
         import casadi  # noqa: F401
     except ImportError:
-        raise MbdkitError(
-            "the export to CasADi needs the package casadi: install it with `pip install mbdkit[predict]`"
-        ) from None
-    from mbdkit_predict.symbolic_mechanism import SymbolicMechanism
-
-    return lambda *chosen: SymbolicMechanism(mechanism, *chosen).system()
+        raise MbdkitError(f"{what} the package casadi: install it with `pip install mbdkit[predict]`") from None

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from functools import cached_property
 from typing import Any
 
@@ -22,7 +22,6 @@ from mbdkit.engine.kernels.observe import Observed
 from mbdkit.engine.workspace import Workspace
 from mbdkit.events.event_expression import RunExpression
 from mbdkit.expressions.program import value_of
-from mbdkit.mechanism.mechanism import Mechanism
 from mbdkit.quantities.names import archive_names
 from mbdkit.quantities.quantity import Quantity
 from mbdkit.quantities.states import States
@@ -41,24 +40,25 @@ class SymbolicMechanism:
 
     Parameters
     ----------
-    mechanism
-        The mechanism.
-    controls, parameters, t0
+    chosen
+        Controls and parameters of the mechanism.
+    t0
         See `mbdkit.Mechanism.to_casadi`.
     """
 
-    def __init__(self, mechanism: Mechanism, controls: Sequence[str], parameters: Sequence[str], t0: float):
-        self.chosen = ChosenNumbers(mechanism, controls, parameters)
+    def __init__(self, chosen: ChosenNumbers, t0: float):
+        self.chosen = chosen
         self._start = mechanism_at_start(self.chosen.mechanism, t0)
         self._compiled = self._start.mechanism
         _check(self._compiled)
-        self._controls = {name: i for i, name in enumerate(controls)}
-        names = [state.name for state in self._compiled.states]
+        self._controls = {name: i for i, name in enumerate(chosen.control_states)}
+        self.states = self._compiled.states
+        names = [state.name for state in self.states]
         self._is_state = [name not in self._controls for name in names]
         n, m = 3 * len(self._compiled.bodies), len(self._compiled.solved_rows)
-        sizes = (n, n, n, m, sum(self._is_state), len(controls), len(parameters), 1)
+        sizes = (n, n, n, m, sum(self._is_state), len(chosen.controls), len(chosen.parameters), 1)
         self.symbols = {name: ca.SX.sym(name, size) for name, size in zip(ARGUMENTS, sizes, strict=True)}
-        self._q, self._v, self._a, self._lam, z, u, self._p, (self._t,) = map(_elements, self.symbols.values())
+        self._q, self._v, self._a, self._lam, z, u, self._p, (self.time,) = map(_elements, self.symbols.values())
         states = iter(z)
         self._z = [u[self._controls[name]] if name in self._controls else next(states) for name in names]
         self._run = Interpreter(self._compiled.laws)
@@ -71,7 +71,7 @@ class SymbolicMechanism:
             bodies=known.bodies,
             constraint_names=tuple(row.label for row in known.solved_rows),
             state_names=tuple(name for name in (state.name for state in known.states) if name not in self._controls),
-            control_names=tuple(self._controls),
+            control_names=self.chosen.controls,
             parameter_names=self.chosen.parameters,
             symbols=self.symbols,
             q0=self._start.q0[:n].copy(),
@@ -92,20 +92,20 @@ class SymbolicMechanism:
         scratch = _objects(work.scratch)
         scratch.law_values[:] = top.law_parameters
         found: equations.Equations = _objects(equations.new_equations(top, scratch, work.solver))
+        self._run(applied_forces.take_states)(top, scratch, self._z)
         return found
 
     def _functions(self) -> dict[str, ca.Function]:
         """Return the functions `residual`, `constraints` and `rates`."""
         eq, run = self._equations, self._run
         top, w = eq.top, eq.w
-        run(applied_forces.take_states)(top, w, self._z)
         residual = _zeros(len(self._q))
-        run(equations.residual_of)(eq, self._t, self._q, self._v, self._a, self._lam, True, residual)
+        run(equations.residual_of)(eq, self.time, self._q, self._v, self._a, self._lam, True, residual)
         run(applied_forces.applied_forces)(top, w, eq.q, eq.v)
         rates = _zeros(len(self._z))
         run(applied_forces.state_rates)(top, w, eq.v, rates)
         position, velocity, gamma, acceleration = _zeros(4, len(self._lam))
-        run(equations.rows_of)(eq, self._t, self._q, self._v, position, velocity, gamma)
+        run(equations.rows_of)(eq, self.time, self._q, self._v, position, velocity, gamma)
         eq.a[: len(self._a)] = self._a
         for k, row in np.ndindex(*w.phi.shape):
             if row < top.rows[k]:
@@ -124,9 +124,9 @@ class SymbolicMechanism:
         """The state as that of a run with one row, from which quantities are taken."""
         eq, run = self._equations, self._run
         top, w = eq.top._replace(gravity=eq.gravity), eq.w  # the equations subtract gravity apart
-        t, q, v, lam = (np.array([x], dtype=object) for x in (self._t, self._q, self._v, self._lam))
+        t, q, v, lam = (np.array([x], dtype=object) for x in (self.time, self._q, self._v, self._lam))
         forces = _objects(Reactions.zeros(1, len(top.pairs)))
-        run(equations.residual_of)(eq, self._t, self._q, self._v, self._a, self._lam, True, _zeros(len(self._q)))
+        run(equations.residual_of)(eq, self.time, self._q, self._v, self._a, self._lam, True, _zeros(len(self._q)))
         run(frames.reactions_in_frames)(eq, t, q, v, lam, forces)
         observed = _objects(Observed.zeros(1, self._compiled.topology))
         observed.lam[:], observed.acc[0, : len(self._a)] = forces.lam, self._a
@@ -193,12 +193,13 @@ class SymbolicMechanism:
     def _value(self, parsed: RunExpression) -> Any:
         def leaf(operation: str, number: float) -> Any:
             if operation == "get":
-                return self._quantity(parsed.quantities[int(number)])
-            return self._t if operation == "t" else number
+                return self.quantity(parsed.quantities[int(number)])
+            return self.time if operation == "t" else number
 
         return value_of(parsed.program, leaf)
 
-    def _quantity(self, quantity: Quantity) -> Any:
+    def quantity(self, quantity: Quantity) -> Any:
+        """Return a quantity as a symbol, the norm of a vector; raise SpecError if it cannot be exported."""
         name, reason = quantity.name, ""
         if quantity.recorded.array.is_shared and name in self._compiled.redundancy.not_unique:
             reason = "redundant joints share it, so that it does not follow from the multipliers"
