@@ -12,7 +12,7 @@ _RESULTS = {
     "objective": "Smallest value of what is minimized.",
     "objective_error": "Change of the objective by the last refinement of the mesh.",
     "mesh": "Intervals and objective of each mesh.",
-    "optimized": "Optimized numbers.",
+    "parameters": "Optimized numbers.",
     "controls": "Histories of the controls.",
 }
 

@@ -107,8 +107,16 @@ def _optimum(spec: PredictSpec, transcription: Transcription) -> Prediction:
         )
     if mesh.status not in SUCCESSES:
         code, sentence = statuses().get(mesh.status, ("not-solved", f"the optimizer stopped: {mesh.status}"))
-        reason = f"{code}: {sentence}, on a mesh of {mesh.intervals} intervals"
+        reason = f"{code}: {sentence}, on a mesh of {mesh.intervals} intervals{_cause(mesh) * (code == 'infeasible')}"
     return Prediction(spec, transcription, mesh, tuple((one.intervals, one.objective) for one in meshes), error, reason)
+
+
+def _cause(mesh: Mesh) -> str:
+    """Return a clause on the condition that is violated most."""
+    name, size = mesh.violated
+    if name.startswith("the "):
+        return "; motion does not lead from the start to the end within the bounds"
+    return f"; the largest violation is that of `{name}`, {size:.3g}"
 
 
 def _rows(result: Prediction) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:

@@ -34,7 +34,7 @@ def predict(
     -------
     Run
         The motion, with ``run.kind == "predicted"`` and a row for the start and for each collocation point;
-        `Run.objective`, `Run.objective_error`, `Run.mesh`, `Run.controls` and `Run.optimized`. If no optimum was found,
+        `Run.objective`, `Run.objective_error`, `Run.mesh`, `Run.controls` and `Run.parameters`. If no optimum was found,
         the status is ``failed``, and the motion is the last iterate.
 
     Raises

@@ -30,7 +30,7 @@ def mesh(run: Run) -> list[tuple[int, float]]:
     return [(int(count), float(value)) for count, value in json.loads(_recorded(run, "mesh"))]
 
 
-def optimized(run: Run) -> dict[str, float]:
+def parameters(run: Run) -> dict[str, float]:
     """Return the optimized numbers by their key path."""
     return {name: float(value) for name, value in json.loads(_recorded(run, "optimized")).items()}
 
@@ -50,4 +50,4 @@ def lines(run: Run) -> list[tuple[str, str]]:
     """Return the lines of the summary."""
     count, _ = mesh(run)[-1]
     found = [("objective", f"{objective(run):.10g} +- {objective_error(run):.2g} on {count} intervals")]
-    return found + [(name, f"{value:.6g}") for name, value in optimized(run).items()]
+    return found + [(name, f"{value:.6g}") for name, value in parameters(run).items()]

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import casadi as ca
 import numpy as np
@@ -50,6 +50,8 @@ class Mesh:
         What the optimizer reports.
     iterations
         Number of its iterations.
+    violated
+        Name of the condition with the largest violation, and the violation.
     """
 
     intervals: int
@@ -57,6 +59,16 @@ class Mesh:
     objective: float
     status: str
     iterations: int
+    violated: tuple[str, float] = ("", 0.0)
+
+
+class _Condition(NamedTuple):
+    """A condition: its name, its values, and their bounds."""
+
+    name: str
+    value: ca.MX
+    low: float = 0.0
+    high: float = 0.0
 
 
 class Transcription:
@@ -82,15 +94,23 @@ class Transcription:
         self._initial = self._conditions("initial", bounds_of(spec.initial))
         self._final = self._conditions("final", bounds_of(spec.final))
         self._periodic = self._conditions("periodic", dict.fromkeys(spec.periodic, (0.0, 0.0)))
-        self._path = {
-            name: (
-                self._expression(one.value, f"subject_to.{name}.value"),
-                -np.inf if one.min is None else one.min,
-                np.inf if one.max is None else one.max,
-            )
-            for name, one in spec.subject_to.items()
-        }
+        self._path: list[tuple[str, ca.SX, float, float]] = []
+        self._limits: list[tuple[str, int, float, float]] = []
+        self._add_path()
         self._stage = self._stage_function()
+
+    def _add_path(self) -> None:
+        """Add the conditions along the path; those of one coordinate, velocity or state are bounds of unknowns."""
+        places = {
+            x.element_hash(): (name, i) for name in "qvz" for i, x in enumerate(ca.vertsplit(self.system.symbols[name]))
+        }
+        for name, one in self.spec.subject_to.items():
+            expression = self._expression(one.value, f"subject_to.{name}.value")
+            low, high = -np.inf if one.min is None else one.min, np.inf if one.max is None else one.max
+            if expression.is_symbolic() and (place := places.get(expression.element_hash())):
+                self._limits.append((*place, low, high))
+            else:
+                self._path.append((name, expression, low, high))
 
     def points(self, intervals: int) -> np.ndarray:
         """Return the collocation points (N s,) as shares of the duration."""
@@ -151,16 +171,21 @@ class Transcription:
         program = {
             "x": ca.vertcat(*(ca.vec(x) for x in unknowns.values())),
             "f": objective,
-            "g": ca.vertcat(*(ca.vec(x) for x, _, _ in conditions)),
+            "g": ca.vertcat(*(ca.vec(one.value) for one in conditions)),
         }
         solver = ca.nlpsol("prediction", "ipopt", program, options)
-        sides = [np.concatenate([np.broadcast_to(one[k], one[0].numel()) for one in conditions]) for k in (1, 2)]
+        low, high = (
+            np.concatenate(
+                [np.broadcast_to(side, one.value.numel()) for one in conditions for side in [getattr(one, name)]]
+            )
+            for name in ("low", "high")
+        )
         result = solver(
             x0=np.concatenate([guess.values[name].ravel(order="F") for name in unknowns]),
             lbx=np.concatenate([bounds[name][0].ravel(order="F") for name in unknowns]),
             ubx=np.concatenate([bounds[name][1].ravel(order="F") for name in unknowns]),
-            lbg=sides[0],
-            ubg=sides[1],
+            lbg=low,
+            ubg=high,
         )
         found, values, begin = np.array(result["x"]).ravel(), {}, 0
         for name in unknowns:
@@ -168,8 +193,11 @@ class Transcription:
             size = int(np.prod(shape))
             values[name] = found[begin : begin + size].reshape(shape, order="F")
             begin += size
-        report = solver.stats()
-        return Mesh(guess.intervals, values, float(result["f"]), report["return_status"], report["iter_count"])
+        report, g = solver.stats(), np.array(result["g"]).ravel()
+        names = np.repeat([one.name for one in conditions], [one.value.numel() for one in conditions])
+        beyond = np.nan_to_num(np.maximum(np.maximum(low - g, g - high), 0.0), nan=np.inf)
+        worst = str(names[np.argmax(beyond)]), float(beyond.max())
+        return Mesh(guess.intervals, values, float(result["f"]), report["return_status"], report["iter_count"], worst)
 
     def _stage_function(self) -> ca.Function:
         """Return the function of a collocation point: conditions, q', z', integrands, and path."""
@@ -181,11 +209,11 @@ class Transcription:
         integrands = [x for kind, x in self.objective.functionals if kind == INTEGRAL]
         results = [
             ca.vertcat(system.residual(*given), position, velocity), system.v + turn, system.rates(*given),
-            ca.vertcat(ca.SX(0, 1), *integrands), ca.vertcat(ca.SX(0, 1), *(x for x, _, _ in self._path.values())),
+            ca.vertcat(ca.SX(0, 1), *integrands), ca.vertcat(ca.SX(0, 1), *(one[1] for one in self._path)),
         ]  # fmt: skip
         return ca.Function("point", [*given, mu], ca.cse(results))
 
-    def _program(self, count: int) -> tuple[dict[str, ca.MX], list[Any], dict[str, Any], ca.MX]:
+    def _program(self, count: int) -> tuple[dict[str, ca.MX], list[_Condition], dict[str, Any], ca.MX]:
         """Return unknowns, conditions with their bounds, bounds of unknowns, and the objective, for N = `count`."""
         system, s = self.system, len(self.c)
         total = count * s
@@ -201,29 +229,32 @@ class Transcription:
         ends = x["nodes"] if self.has_nodes else states[:, s - 1 :: s]
         begins = ca.horzcat(x["start"], ends[:, :-1])
         each = ca.DM.eye(count)
-        conditions: list[Any] = [
-            (zero, 0.0, 0.0),
-            (states - ca.mtimes(begins, ca.kron(each, ca.DM.ones(1, s)))
-             - h * ca.mtimes(slopes, ca.kron(each, ca.DM(self.a.T))), 0.0, 0.0),
-        ]  # fmt: skip
+        collocated = states - ca.mtimes(begins, ca.kron(each, ca.DM.ones(1, s)))
+        conditions = [
+            _Condition("the equations of motion", zero),
+            _Condition("the collocation", collocated - h * ca.mtimes(slopes, ca.kron(each, ca.DM(self.a.T)))),
+        ]
         if self.has_nodes:
-            conditions.append((ends - begins - h * ca.mtimes(slopes, ca.kron(each, ca.DM(self.b))), 0.0, 0.0))
+            whole = h * ca.mtimes(slopes, ca.kron(each, ca.DM(self.b)))
+            conditions.append(_Condition("the collocation", ends - begins - whole))
         start, end = x["start"], ends[:, -1]
         if len(system.constraint_names):
-            given = list(system.symbols.values())
-            rows: Any = ca.vertcat(*system.constraints(*given)[:2])
+            rows: Any = ca.vertcat(*system.constraints(*system.symbols.values())[:2])
             closed = self._at_node(rows)
-            conditions += [(closed(start, x["p"], 0.0), 0.0, 0.0)]
+            conditions.append(_Condition("the joints at the start", closed(start, x["p"], 0.0)))
             if self.has_nodes:
-                conditions += [(closed(end, x["p"], x["duration"]), 0.0, 0.0)]
-        for sides, at, t in ((self._initial, start, 0.0), (self._final, end, x["duration"])):
-            for expression, low, high in sides.values():
-                conditions.append((self._at_node(expression)(at, x["p"], t), low, high))
-        for expression, _, _ in self._periodic.values():
+                conditions.append(_Condition("the joints at the end", closed(end, x["p"], x["duration"])))
+        for key, sides, at, t in (
+            ("initial", self._initial, start, 0.0), ("final", self._final, end, x["duration"])
+        ):  # fmt: skip
+            for text, (expression, low, high) in sides.items():
+                conditions.append(_Condition(f"{key}: {text}", self._at_node(expression)(at, x["p"], t), low, high))
+        for text, (expression, _, _) in self._periodic.items():
             value = self._at_node(expression)
-            conditions.append((value(end, x["p"], x["duration"]) - value(start, x["p"], 0.0), 0.0, 0.0))
-        for k, (_, least, most) in enumerate(self._path.values()):
-            conditions.append((path[k, :], least, most))
+            change = value(end, x["p"], x["duration"]) - value(start, x["p"], 0.0)
+            conditions.append(_Condition(f"periodic: {text}", change))
+        for k, (name, _, low, high) in enumerate(self._path):
+            conditions.append(_Condition(f"subject_to: {name}", path[k, :], low, high))
         integrals = iter(ca.vertsplit(h * ca.mtimes(integrands, ca.DM(np.tile(self.b, count)))))
         functionals = [
             next(integrals) if kind == INTEGRAL else self._at_node(expression)(end, x["p"], x["duration"])
@@ -253,6 +284,11 @@ class Transcription:
                 for side in np.array([spec.controls[name].bounds for name in system.control_names]).reshape(-1, 2).T
             ),
         }
+        for name, i, low, high in self._limits:
+            found[name][0][i], found[name][1][i] = low, high
+            row = i + {"q": 0, "v": n, "z": 2 * n}[name]
+            if start[row]:  # not fixed
+                found["start"][0][row], found["start"][1][row] = low, high
         if self.has_nodes:
             found["nodes"] = (np.full((2 * n + z, count), -np.inf), np.full((2 * n + z, count), np.inf))
         return found

@@ -92,6 +92,15 @@ EXACT = {
         ),
         4.0,
     ),
+    "wall as an expression": (
+        block(
+            initial={"block.x": 0, "block.vx": 1},
+            final={"block.x": 0, "block.vx": -1},
+            subject_to={"wall": {"value": "2*block.x", "max": 2 / 9}},
+            minimize=f"0.5*{EFFORT}",
+        ),
+        4.0,
+    ),
     "brachistochrone": (of_states(FALL, {"x": 10, "y": 5}, [0.0, 3.0]), 1.801603122453081),
     "linear tangent steering": (of_states(STEERED, {"y": 5, "vx": 45, "vy": 0}, [-1.57, 1.57]), 0.5545708783346031),
 }  # fmt: skip
@@ -126,9 +135,9 @@ def test_a_parameter_is_optimized_together_with_the_motion() -> None:
                          "stiffness": 3.0}}  # fmt: skip
     run = mbdkit.predict(block(forces=spring, parameters={"forces.spring.stiffness": {"bounds": [0.0, 50.0]}}))
     assert run.status == "complete"
-    assert run.optimized["forces.spring.stiffness"] == pytest.approx(np.pi**2, rel=1e-4)
+    assert run.parameters["forces.spring.stiffness"] == pytest.approx(np.pi**2, rel=1e-4)
     assert run.objective < 1e-8
-    assert run.mechanism.forces["spring"].stiffness == run.optimized["forces.spring.stiffness"]
+    assert run.mechanism.forces["spring"].stiffness == run.parameters["forces.spring.stiffness"]
 
 
 def test_an_archive_of_a_prediction_is_read_and_repeated(tmp_path: Path) -> None:
@@ -151,8 +160,11 @@ def test_an_archive_of_a_prediction_is_read_and_repeated(tmp_path: Path) -> None
 def test_a_motion_that_cannot_be_is_infeasible(tmp_path: Path) -> None:
     run = mbdkit.predict(block(controls={PUSH: {"bounds": [-1, 1]}}, duration=0.5))
     assert (run.status, run.status_reason.split(":")[0]) == ("failed", "infeasible")
+    assert "motion does not lead from the start to the end within the bounds" in run.status_reason
     assert np.isnan(run.objective_error)
     assert len(run.time) == 61
+    run = mbdkit.predict(block(final={"2*block.x": 1, "3*block.x": 4}))
+    assert "the largest violation is that of `final: " in run.status_reason
 
 
 @pytest.mark.parametrize(
@@ -183,3 +195,36 @@ def test_examples_are_valid_and_without_casadi_the_package_is_named(monkeypatch:
     monkeypatch.setitem(sys.modules, "casadi", None)
     with pytest.raises(MbdkitError, match=r"predictions need the package casadi: install it with `pip install"):
         mbdkit.predict("block")
+
+
+def test_a_run_with_the_controls_of_a_closed_loop_is_the_predicted_motion() -> None:
+    # expected: the motion of the engine, by another method and in its own steps
+    m = mbdkit.Mechanism()
+    m.body("crank", mass=1.0, inertia=0.02, position=(0.0, 0.25), angle=np.pi / 2)
+    m.body("coupler", mass=2.0, inertia=0.2, position=(0.5, 0.6), angle=0.2)
+    m.body("rocker", mass=1.5, inertia=0.1, position=(1.0, 0.35), angle=np.pi / 2)
+    m.revolute("A", m.ground, "crank", points=((0, 0), (-0.25, 0)))
+    m.revolute("B", "crank", "coupler", points=((0.25, 0), (-0.51, 0)))
+    m.revolute("C", "coupler", "rocker", points=((0.51, 0), (0.35, 0)))
+    m.revolute("D", m.ground, "rocker", points=((1.0, 0), (-0.35, 0)))
+    m.torque("motor", "crank", value=0.0)
+    q0 = m.to_casadi().q0
+    run = mbdkit.predict(
+        {
+            "mbdkit_predict": 1, "base": {"model": m.to_spec()}, "duration": 1.0,
+            "controls": {"forces.motor.value": {"bounds": [-200, 200]}},
+            "initial": {"crank.angle": float(q0[2]), "crank.angular_velocity": 0},
+            "final": {"crank.angle": float(q0[2]) - 1.0, "crank.angular_velocity": 0},
+            "minimize": "integral(forces.motor.value**2)", "tolerance": 1e-6,
+        }
+    )  # fmt: skip
+    assert run.status == "complete"
+    assert np.max([run.joints[name].misalignment for name in "ABCD"]) < 1e-9
+    table = {"table": [run.time.tolist(), run.controls["forces.motor.value"].value.tolist()]}
+    m.forces.clear()
+    m.torque("motor", "crank", value=table)
+    forward = mbdkit.run(m, integrator={"name": "gauss", "stages": 3}, time={"end": 1.0, "step": 0.001}).check()
+    np.testing.assert_allclose(forward["rocker"].angle[-1], run["rocker"].angle[-1], atol=1e-5)
+    np.testing.assert_allclose(forward["rocker"].angular_velocity[-1], 0.0, atol=1e-4)
+    np.testing.assert_allclose(np.interp(0.4, forward.time, forward.joints["C"].reaction_force[:, 0]),
+                               np.interp(0.4, run.time, run.joints["C"].reaction_force[:, 0]), rtol=1e-3)  # fmt: skip
