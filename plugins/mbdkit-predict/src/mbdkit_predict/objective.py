@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import ast
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import casadi as ca
 
 from mbdkit.base.errors import SpecError
+from mbdkit.base.units import Unit
 from mbdkit.expressions.operations import OPERATIONS, REDUCE
 from mbdkit.expressions.program import execute
 from mbdkit.measures.measure_compiler import MeasureCompiler
@@ -35,6 +37,19 @@ class Objective:
     value: ca.Function
 
 
+class _ObjectiveCompiler(MeasureCompiler):
+    """Compiles an objective, whose weights are numbers: it may add effort and time."""
+
+    def common(self, operation: str, values: Sequence[Any], node: ast.expr) -> Unit | None:
+        """Return the unit of operands that are added or compared; None if they differ and are added."""
+        try:
+            return super().common(operation, values, node)
+        except SpecError:
+            if operation not in ("add", "sub"):
+                raise
+            return None
+
+
 def objective_of(spec: PredictSpec, quantity: Callable[[Quantity], Any], t: Any) -> Objective:
     """Return the objective of a spec.
 
@@ -57,7 +72,7 @@ def objective_of(spec: PredictSpec, quantity: Callable[[Quantity], Any], t: Any)
 
 
 def _objective(spec: PredictSpec, quantity: Callable[[Quantity], Any], t: Any) -> Objective:
-    compiler = MeasureCompiler(spec.minimize, spec)
+    compiler = _ObjectiveCompiler(spec.with_states(spec.minimize), spec)
     program, _ = compiler.measure()
     found: list[tuple[str, ca.SX]] = []
     symbols: list[ca.SX] = []

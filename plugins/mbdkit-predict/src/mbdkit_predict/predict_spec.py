@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+import re
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
@@ -9,7 +11,7 @@ from pydantic import AfterValidator, BaseModel, ConfigDict, Field, PrivateAttr, 
 
 from mbdkit.base.errors import SpecError
 from mbdkit.base.strict_model import description
-from mbdkit.base.text import listed
+from mbdkit.base.text import did_you_mean, listed
 from mbdkit.mechanism.values import Number, Positive
 from mbdkit.registry.catalogue import Registered, Registry
 from mbdkit.spec.choices import Choice
@@ -150,6 +152,18 @@ class PredictSpec(ModelSpec):
         self.mechanism()
         found: ChosenNumbers = self._chosen
         return found
+
+    def with_states(self, text: str) -> str:
+        """Return an expression in which controls, ``controls["forces.motor.value"]``, are states of the mechanism."""
+        states = dict(zip(self.controls, self.chosen.control_states, strict=True))
+
+        def state(match: re.Match[str]) -> str:
+            name = match[1] or match[2]
+            if name not in states:
+                raise SpecError(f"there is no control '{name}'{did_you_mean(name, states)}")
+            return f"states[{json.dumps(states[name])}].value"
+
+        return re.sub(r"\bcontrols(?:\[\"(.*?)\"\]|\.(\w+))", state, text)
 
     _chosen: Any = PrivateAttr(default=None)
 

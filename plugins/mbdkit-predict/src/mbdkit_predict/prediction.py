@@ -34,8 +34,8 @@ def predict(
     -------
     Run
         The motion, with ``run.kind == "predicted"`` and a row for the start and for each collocation point;
-        `Run.objective`, `Run.objective_error`, `Run.mesh`, `Run.controls` and `Run.parameters`. If no optimum was found,
-        the status is ``failed``, and the motion is the last iterate.
+        `Run.objective`, `Run.objective_error`, `Run.mesh`, `Run.controls` and `Run.parameters`. If no optimum was
+        found, the status is ``failed``, and the motion is the last iterate.
 
     Raises
     ------

@@ -314,7 +314,7 @@ class Transcription:
 
     def _expression(self, text: str, key: str) -> ca.SX:
         try:
-            return self.system.expression(text)
+            return self.system.expression(self.spec.with_states(text))
         except SpecError as error:
             raise SpecError(error.message, key=key) from None
 
