@@ -117,12 +117,12 @@ class ChosenNumbers:
 
     def _mechanism(self, spec: dict[str, Any]) -> Mechanism:
         """Return the mechanism of a changed spec, with its elements in the original order."""
-        made, original = Mechanism.from_spec(spec), self._original
-        made.name, made.contact_treatment = original.name, original.contact_treatment
+        changed, original = Mechanism.from_spec(spec), self._original
+        changed.name, changed.contact_treatment = original.name, original.contact_treatment
         for kind in ("bodies", *original.elements):
-            elements = getattr(made, kind)
-            setattr(made, kind, {name: elements[name] for name in getattr(original, kind)})
-        return self._with_muscles(made)
+            elements = getattr(changed, kind)
+            setattr(changed, kind, {name: elements[name] for name in getattr(original, kind)})
+        return self._with_muscles(changed)
 
     @staticmethod
     def _with_muscles(mechanism: Mechanism) -> Mechanism:
@@ -146,9 +146,9 @@ class ChosenNumbers:
         SpecError
             If a parameter is not allowed to change a little, or an array is not a linear function of it.
         """
-        found = {name: x.astype(object) for name, x in _numbers(known)}
+        arrays = {name: x.astype(object) for name, x in _numbers(known)}
         if not self.parameters:
-            return known._replace(**found)
+            return known._replace(**arrays)
         base = dict(_numbers(self._compiled({})))
         for k, key in enumerate(self.parameters):
             changes = [step * (abs(self.parameter_start[k]) or 1.0) for step in STEPS]
@@ -156,15 +156,15 @@ class ChosenNumbers:
             for name, start in base.items():
                 if any(x[name].shape != start.shape for x in both):
                     raise self._refused(key)
-                one, two = ((x[name] - start) / change for x, change in zip(both, changes, strict=True))
-                if np.any(abs(one - two) > LINEAR * np.maximum(abs(one), abs(two))):
+                first, second = ((x[name] - start) / change for x, change in zip(both, changes, strict=True))
+                if np.any(abs(first - second) > LINEAR * np.maximum(abs(first), abs(second))):
                     raise self._refused(key)
-                whole = np.rint(one)
-                slope = np.where(abs(one - whole) <= LINEAR, whole, one)
+                whole = np.rint(first)
+                slope = np.where(abs(first - whole) <= LINEAR, whole, first)
                 for index in zip(*np.nonzero(slope), strict=True):
-                    found[name][index] = found[name][index] + slope[index] * (p[k] - self.parameter_start[k])
+                    arrays[name][index] = arrays[name][index] + slope[index] * (p[k] - self.parameter_start[k])
         self._check_products(base)
-        return known._replace(**found)
+        return known._replace(**arrays)
 
     def _check_products(self, base: dict[str, np.ndarray]) -> None:
         """Raise SpecError if the effects of parameters do not add up, as with products of two of them."""
@@ -194,4 +194,4 @@ def _numbers(topology: Topology) -> Iterator[tuple[str, np.ndarray]]:
 
 
 def _plain(value: Any) -> Any:
-    return [_plain(one) for one in value] if isinstance(value, tuple | list) else value
+    return [_plain(item) for item in value] if isinstance(value, tuple | list) else value

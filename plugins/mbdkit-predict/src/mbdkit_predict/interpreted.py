@@ -126,13 +126,13 @@ class Interpreter:
             return self._known[function]
         names = dict[str, Any](_BUILTINS)
         cells = function.__closure__ and tuple(CellType() for _ in function.__closure__)
-        made = FunctionType(function.__code__, names, function.__name__, function.__defaults__, cells)
-        self._known[function] = made
+        translated = FunctionType(function.__code__, names, function.__name__, function.__defaults__, cells)
+        self._known[function] = translated
         used = {name: function.__globals__[name] for name in _names_in(function.__code__) & function.__globals__.keys()}
         names |= {name: self._replaced(value) for name, value in used.items()}
         for cell, given in zip(cells or (), function.__closure__ or (), strict=True):
             cell.cell_contents = self._replaced(given.cell_contents)
-        return made
+        return translated
 
     def _replaced(self, value: Any) -> Any:
         if value is math:
@@ -197,5 +197,5 @@ class Interpreter:
 
 def _names_in(code: CodeType) -> set[str]:
     """Return the names that a function and the functions in it use."""
-    inner = (one for one in code.co_consts if isinstance(one, CodeType))
+    inner = (constant for constant in code.co_consts if isinstance(constant, CodeType))
     return set(code.co_names).union(*map(_names_in, inner))

@@ -74,13 +74,13 @@ def objective_of(spec: PredictSpec, quantity: Callable[[Quantity], Any], t: Any)
 def _objective(spec: PredictSpec, quantity: Callable[[Quantity], Any], t: Any) -> Objective:
     compiler = _ObjectiveCompiler(spec.with_states(spec.minimize), spec)
     program, _ = compiler.measure()
-    found: list[tuple[str, ca.SX]] = []
+    functionals: list[tuple[str, ca.SX]] = []
     symbols: list[ca.SX] = []
     duration = ca.SX.sym("duration")
 
     def functional(kind: str, x: Any) -> Symbol:
-        found.append((kind, column([x])))
-        symbols.append(ca.SX.sym(f"functional_{len(found)}"))
+        functionals.append((kind, column([x])))
+        symbols.append(ca.SX.sym(f"functional_{len(functionals)}"))
         return Symbol(symbols[-1])
 
     def step(operation: str, number: float, *operands: Any) -> Any:
@@ -91,7 +91,7 @@ def _objective(spec: PredictSpec, quantity: Callable[[Quantity], Any], t: Any) -
             return t if operation == "t" else number
         if operation == "norm" and isinstance(operands[0], tuple):
             return operands[0][0]
-        if any(isinstance(one, tuple) for one in operands):
+        if any(isinstance(operand, tuple) for operand in operands):
             raise SpecError("a vector can be minimized only as its norm, such as abs(joints.knee.force)")
         reduction = operation.removeprefix(REDUCE)
         if reduction == operation:
@@ -109,4 +109,6 @@ def _objective(spec: PredictSpec, quantity: Callable[[Quantity], Any], t: Any) -
         )
 
     value = column([execute(tuple(program), step)])
-    return Objective(tuple(found), ca.Function("objective", [ca.vertcat(ca.SX(0, 1), *symbols), duration], [value]))
+    return Objective(
+        tuple(functionals), ca.Function("objective", [ca.vertcat(ca.SX(0, 1), *symbols), duration], [value])
+    )

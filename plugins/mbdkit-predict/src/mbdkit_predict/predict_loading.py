@@ -45,18 +45,18 @@ def load_predict_spec(source: Any, overrides: Iterable[str] = (), **sections: An
 
 def _with_base(data: Mapping[str, Any], folder: Path) -> dict[str, Any]:
     """Return a spec with model and named parameters of its base."""
-    found = dict(data)
-    if "base" not in found:
-        return found
-    base = _base(found.pop("base"), folder)
-    overrides = found.pop("overrides", {})
+    sections = dict(data)
+    if "base" not in sections:
+        return sections
+    base = _base(sections.pop("base"), folder)
+    overrides = sections.pop("overrides", {})
     if not isinstance(overrides, Mapping):
         raise SpecError(f"should be a mapping of key paths and values, not {value_text(overrides)}", key="overrides")
     for key, value in overrides.items():
         put(base, parse_path(str(key)), value)
-    if "parameters" in found:
-        found["optimized"] = found.pop("parameters")
-    return {"mbdkit": 1, **{key: base[key] for key in ("parameters", "model") if key in base}, **found}
+    if "parameters" in sections:
+        sections["optimized"] = sections.pop("parameters")
+    return {"mbdkit": 1, **{key: base[key] for key in ("parameters", "model") if key in base}, **sections}
 
 
 def _base(given: Any, folder: Path) -> dict[str, Any]:

@@ -150,8 +150,8 @@ class PredictSpec(ModelSpec):
     def chosen(self) -> ChosenNumbers:
         """Controls and parameters of the mechanism of the model."""
         self.mechanism()
-        found: ChosenNumbers = self._chosen
-        return found
+        chosen: ChosenNumbers = self._chosen
+        return chosen
 
     def with_states(self, text: str) -> str:
         """Return an expression in which controls, ``controls["forces.motor.value"]``, are states of the mechanism."""
@@ -182,4 +182,4 @@ def predict_spec_type(installed: Registry) -> type[PredictSpec]:
 
 def bounds_of(wanted: Mapping[str, float | tuple[float, float]]) -> dict[str, tuple[float, float]]:
     """Return the bounds of values; a number is both bounds."""
-    return {text: one if isinstance(one, tuple) else (one, one) for text, one in wanted.items()}
+    return {text: value if isinstance(value, tuple) else (value, value) for text, value in wanted.items()}

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import time
 from dataclasses import dataclass
+from importlib.metadata import version
 from pathlib import Path
 
 import h5py
@@ -108,7 +109,9 @@ def _optimum(spec: PredictSpec, transcription: Transcription) -> Prediction:
     if mesh.status not in SUCCESSES:
         code, sentence = statuses().get(mesh.status, ("not-solved", f"the optimizer stopped: {mesh.status}"))
         reason = f"{code}: {sentence}, on a mesh of {mesh.intervals} intervals{_cause(mesh) * (code == 'infeasible')}"
-    return Prediction(spec, transcription, mesh, tuple((one.intervals, one.objective) for one in meshes), error, reason)
+    return Prediction(
+        spec, transcription, mesh, tuple((solved.intervals, solved.objective) for solved in meshes), error, reason
+    )
 
 
 def _cause(mesh: Mesh) -> str:
@@ -183,7 +186,8 @@ def _archive_of(
     names = archive_names(mechanism)
     optional = [*layout.of_elements(names), *(["constraints/singularity_distance"] if mechanism.solved_rows else [])]
     optional += layout.FRICTION if mechanism.friction else ()
-    found: dict[str, str | int | float] = {
+    results: dict[str, str | int | float] = {
+        "casadi": version("casadi"),
         "objective": result.mesh.objective,
         "objective_error": float(result.error),
         "mesh": json.dumps(result.objectives),
@@ -194,7 +198,7 @@ def _archive_of(
     writer = ArchiveWriter(
         path,
         names,
-        Origin.of(spec, model_provenance(spec) | found),
+        Origin.of(spec, model_provenance(spec) | results),
         arrays=layout.recorded_by(names, layout.QUANTITIES, frozenset(optional)),
         overwrite=overwrite,
         shared=shared_forces(mechanism),

@@ -49,5 +49,5 @@ def _state_of(control: str) -> str:
 def lines(run: Run) -> list[tuple[str, str]]:
     """Return the lines of the summary."""
     count, _ = mesh(run)[-1]
-    found = [("objective", f"{objective(run):.10g} +- {objective_error(run):.2g} on {count} intervals")]
-    return found + [(name, f"{value:.6g}") for name, value in parameters(run).items()]
+    entries = [("objective", f"{objective(run):.10g} +- {objective_error(run):.2g} on {count} intervals")]
+    return entries + [(name, f"{value:.6g}") for name, value in parameters(run).items()]

@@ -91,9 +91,9 @@ class SymbolicMechanism:
         top = self.chosen.topology(known.topology, self._p)
         scratch = _objects(work.scratch)
         scratch.law_values[:] = top.law_parameters
-        found: equations.Equations = _objects(equations.new_equations(top, scratch, work.solver))
+        bundle: equations.Equations = _objects(equations.new_equations(top, scratch, work.solver))
         self._run(applied_forces.take_states)(top, scratch, self._z)
-        return found
+        return bundle
 
     def _functions(self) -> dict[str, ca.Function]:
         """Return the functions `residual`, `constraints` and `rates`."""
@@ -109,9 +109,9 @@ class SymbolicMechanism:
         eq.a[: len(self._a)] = self._a
         for k, row in np.ndindex(*w.phi.shape):
             if row < top.rows[k]:
-                place = eq.solver.row_index[k, row] - len(self._q)
+                index = eq.solver.row_index[k, row] - len(self._q)
                 by_acceleration = run(system.constraint_rate)(top.pairs, w.jac, _zeros(*w.phi_t.shape), eq.a, k, row)
-                acceleration[place] = by_acceleration - gamma[place]
+                acceleration[index] = by_acceleration - gamma[index]
         rows = {"position": column(position), "velocity": column(velocity), "acceleration": column(acceleration)}
         return {
             "residual": function("residual", self.symbols, {"residual": column(residual)}),
@@ -140,48 +140,48 @@ class SymbolicMechanism:
     @cached_property
     def _contacts(self) -> dict[str, np.ndarray]:
         """Values of all rows of contacts by name."""
-        found = dict[str, np.ndarray]()
+        by_name = dict[str, np.ndarray]()
         w, top = self._equations.w, self._equations.top
         for k, rows in enumerate(pairs_of_shapes(self._compiled.contacts)):
             law, begin = contact_law(rows, contact_laws.VALUES), top.laws[top.contacts[k, 2], 1]
             out = _zeros(len(rows), contact_laws.VALUE)
             self._run.call_law(law.address, law.program, 0.0, 0.0, 0.0, w.law_values, begin, out, 0, contact_laws.VALUE)
-            found |= {row.pair.name: values for row, values in zip(rows, out, strict=True)}
-        return found
+            by_name |= {row.pair.name: values for row, values in zip(rows, out, strict=True)}
+        return by_name
 
     def quantities(self) -> tuple[dict[str, ca.SX], dict[str, str]]:
         """Return all quantities by name, and the reasons why others cannot be exported."""
-        found, refused = {}, {}
+        values, refused = {}, {}
         for name in self._names():
             try:
                 parsed = self._parsed(name)
             except SpecError:  # such as the angle of a point mass
                 continue
             try:
-                found[name] = column([self._value(parsed)])
+                values[name] = column([self._value(parsed)])
             except SpecError as error:
                 refused[name] = error.message
-        return found, refused
+        return values, refused
 
     def _names(self) -> Iterator[str]:
         """Yield the names of all quantities that have one value at each time."""
         names = archive_names(self._compiled)
         for kind in KINDS:
             attributes = [
-                one
-                for one in kind.attributes.values()
-                if one.in_events and not (one.is_vector or one.array.is_of_steps)
+                attribute
+                for attribute in kind.attributes.values()
+                if attribute.in_events and not (attribute.is_vector or attribute.array.is_of_steps)
             ]
-            axis = next((one for one in kind.arrays if kind.axis and one.path == kind.named_by), None)
+            axis = next((array for array in kind.arrays if kind.axis and array.path == kind.named_by), None)
             elements = [""] if axis is None or axis.texts is None else list(axis.texts(names))
             for element in dict.fromkeys(elements):
                 if kind.word == "states" and element in self._controls:
                     continue
                 owner = f".{element}" if element.isidentifier() else element and f"[{json.dumps(element)}]"
-                for one in attributes:
-                    is_whole = not kind.owner or one.array.of_whole
-                    places = [""] if is_whole else [f"[{i}]" for i in range(elements.count(element))]
-                    yield from (f"{kind.word}{owner}.{one.name}{place}" for place in places)
+                for attribute in attributes:
+                    is_whole = not kind.owner or attribute.array.of_whole
+                    suffixes = [""] if is_whole else [f"[{i}]" for i in range(elements.count(element))]
+                    yield from (f"{kind.word}{owner}.{attribute.name}{suffix}" for suffix in suffixes)
 
     def expression(self, text: str) -> ca.SX:
         """Return an expression of quantities; see `CasadiSystem`."""
@@ -209,8 +209,8 @@ class SymbolicMechanism:
             reason = f"of contacts, there are {listed(list(_CONTACT), 'and')}"
         else:
             try:
-                found = quantity.taker(archive_names(self._compiled))(self._states)
-                return elementary.hypot(*found[0]) if quantity.is_vector else found[0]
+                value = quantity.taker(archive_names(self._compiled))(self._states)
+                return elementary.hypot(*value[0]) if quantity.is_vector else value[0]
             except (BranchError, TypeError, ValueError, AttributeError) as error:
                 reason = f"its definition cannot be executed with symbols ({error})"
         raise SpecError(f"{quantity} cannot be exported: {reason}")
@@ -218,14 +218,14 @@ class SymbolicMechanism:
 
 def _check(mechanism: CompiledMechanism) -> None:
     """Raise SpecError for a contact that is rigid, or whose shapes touch along edges that have to be searched."""
-    for one in mechanism.contacts:
-        if one.first_state >= 0:
+    for contact in mechanism.contacts:
+        if contact.first_state >= 0:
             reason = "is rigid, so that its force is not a function of the state; give it a `compliance`"
-        elif one.pair.kind[0] in ("edge", "inside", "polyline"):
+        elif contact.pair.kind[0] in ("edge", "inside", "polyline"):
             reason = "cannot be exported, because a search finds the edge that it touches; use lines, circles or points"
         else:
             continue
-        raise SpecError(f"contact '{one.pair.name}' {reason}", key=one.pair.key)
+        raise SpecError(f"contact '{contact.pair.name}' {reason}", key=contact.pair.key)
 
 
 def _elements(vector: ca.SX) -> list[Symbol]:

@@ -104,10 +104,10 @@ def smallest(first: Any, *others: Any) -> Any:
 
 def symbols(array: Any) -> np.ndarray:
     """Return an array of objects that are all symbols, from an array of numbers and symbols."""
-    found = np.empty(np.shape(array), dtype=object)
+    result = np.empty(np.shape(array), dtype=object)
     for index, x in np.ndenumerate(array):
-        found[index] = x if isinstance(x, Symbol) else Symbol(x)
-    return found
+        result[index] = x if isinstance(x, Symbol) else Symbol(x)
+    return result
 
 
 def column(values: Any) -> ca.SX:
@@ -134,7 +134,7 @@ def apply(function: np.ufunc, *operands: Any) -> Any:
 
 def _beyond(function: np.ufunc, x: ca.SX, y: ca.SX) -> bool | None:
     """Return the result of a comparison with an infinite number, since symbols count as finite; None for others."""
-    limits = [float(one) if one.is_constant() else 0.0 for one in (x, y)]
+    limits = [float(side) if side.is_constant() else 0.0 for side in (x, y)]
     return bool(function(*limits)) if any(map(math.isinf, limits)) else None
 
 
@@ -230,15 +230,15 @@ def every_branch(function: Callable[[], Sequence[Any]]) -> list[Any]:
         _paths.append(list(prefix))
         _used.append(0)
         try:
-            found = list(function())
+            values = list(function())
         finally:
             path = _paths.pop()
             _used.pop()
         for i in range(len(path) - 1, len(prefix) - 1, -1):
             condition = path[i][0]
             others = results([*path[:i], (condition, False)])
-            found = [_selected(condition, x, y) for x, y in zip(found, others, strict=True)]
-        return found
+            values = [_selected(condition, x, y) for x, y in zip(values, others, strict=True)]
+        return values
 
     return results([])
 

@@ -101,14 +101,17 @@ class Transcription:
 
     def _add_path(self) -> None:
         """Add the conditions along the path; those of one coordinate, velocity or state are bounds of unknowns."""
-        places = {
+        unknowns = {
             x.element_hash(): (name, i) for name in "qvz" for i, x in enumerate(ca.vertsplit(self.system.symbols[name]))
         }
-        for name, one in self.spec.subject_to.items():
-            expression = self._expression(one.value, f"subject_to.{name}.value")
-            low, high = -np.inf if one.min is None else one.min, np.inf if one.max is None else one.max
-            if expression.is_symbolic() and (place := places.get(expression.element_hash())):
-                self._limits.append((*place, low, high))
+        for name, condition in self.spec.subject_to.items():
+            expression = self._expression(condition.value, f"subject_to.{name}.value")
+            low, high = (
+                -np.inf if condition.min is None else condition.min,
+                np.inf if condition.max is None else condition.max,
+            )
+            if expression.is_symbolic() and (unknown := unknowns.get(expression.element_hash())):
+                self._limits.append((*unknown, low, high))
             else:
                 self._path.append((name, expression, low, high))
 
@@ -171,14 +174,14 @@ class Transcription:
         program = {
             "x": ca.vertcat(*(ca.vec(x) for x in unknowns.values())),
             "f": objective,
-            "g": ca.vertcat(*(ca.vec(one.value) for one in conditions)),
+            "g": ca.vertcat(*(ca.vec(condition.value) for condition in conditions)),
         }
         solver = ca.nlpsol("prediction", "ipopt", program, options)
         low, high = (
             np.concatenate(
-                [np.broadcast_to(side, one.value.numel()) for one in conditions for side in [getattr(one, name)]]
+                [np.broadcast_to(getattr(condition, side), condition.value.numel()) for condition in conditions]
             )
-            for name in ("low", "high")
+            for side in ("low", "high")
         )
         result = solver(
             x0=np.concatenate([guess.values[name].ravel(order="F") for name in unknowns]),
@@ -187,14 +190,16 @@ class Transcription:
             lbg=low,
             ubg=high,
         )
-        found, values, begin = np.array(result["x"]).ravel(), {}, 0
+        solution, values, begin = np.array(result["x"]).ravel(), {}, 0
         for name in unknowns:
             shape = guess.values[name].shape
             size = int(np.prod(shape))
-            values[name] = found[begin : begin + size].reshape(shape, order="F")
+            values[name] = solution[begin : begin + size].reshape(shape, order="F")
             begin += size
         report, g = solver.stats(), np.array(result["g"]).ravel()
-        names = np.repeat([one.name for one in conditions], [one.value.numel() for one in conditions])
+        names = np.repeat(
+            [condition.name for condition in conditions], [condition.value.numel() for condition in conditions]
+        )
         beyond = np.nan_to_num(np.maximum(np.maximum(low - g, g - high), 0.0), nan=np.inf)
         worst = str(names[np.argmax(beyond)]), float(beyond.max())
         return Mesh(guess.intervals, values, float(result["f"]), report["return_status"], report["iter_count"], worst)
@@ -209,7 +214,7 @@ class Transcription:
         integrands = [x for kind, x in self.objective.functionals if kind == INTEGRAL]
         results = [
             ca.vertcat(system.residual(*given), position, velocity), system.v + turn, system.rates(*given),
-            ca.vertcat(ca.SX(0, 1), *integrands), ca.vertcat(ca.SX(0, 1), *(one[1] for one in self._path)),
+            ca.vertcat(ca.SX(0, 1), *integrands), ca.vertcat(ca.SX(0, 1), *(condition[1] for condition in self._path)),
         ]  # fmt: skip
         return ca.Function("point", [*given, mu], ca.cse(results))
 
@@ -271,10 +276,10 @@ class Transcription:
         sizes = {"q": n, "v": n, "a": n, "lam": m, "mu": m, "z": z}
         free = {name: np.full((size, total), np.inf) for name, size in sizes.items()}
         conditions = [x for x, _, _ in (*self._initial.values(), *self._periodic.values())]
-        is_free = [any(ca.depends_on(x, one) for x in conditions) for one in ca.vertsplit(system.z)] if z else []
+        is_free = [any(ca.depends_on(x, state) for x in conditions) for state in ca.vertsplit(system.z)] if z else []
         start = np.concatenate([np.full(2 * n, np.inf), np.where(is_free, np.inf, 0.0)])
         at = np.concatenate([np.zeros(2 * n), np.where(is_free, 0.0, system.z0)])
-        found = {
+        bounds = {
             "duration": (np.array([shortest]), np.array([longest])),
             "p": tuple(np.array([spec.optimized[name].bounds for name in system.parameter_names]).reshape(-1, 2).T),
             "start": (at - start, at + start),
@@ -285,13 +290,13 @@ class Transcription:
             ),
         }
         for name, i, low, high in self._limits:
-            found[name][0][i], found[name][1][i] = low, high
+            bounds[name][0][i], bounds[name][1][i] = low, high
             row = i + {"q": 0, "v": n, "z": 2 * n}[name]
             if start[row]:  # not fixed
-                found["start"][0][row], found["start"][1][row] = low, high
+                bounds["start"][0][row], bounds["start"][1][row] = low, high
         if self.has_nodes:
-            found["nodes"] = (np.full((2 * n + z, count), -np.inf), np.full((2 * n + z, count), np.inf))
-        return found
+            bounds["nodes"] = (np.full((2 * n + z, count), -np.inf), np.full((2 * n + z, count), np.inf))
+        return bounds
 
     def _duration(self) -> tuple[float, float, float]:
         """Return the bounds of the duration, and its first guess [s]."""
@@ -320,12 +325,12 @@ class Transcription:
 
     def _conditions(self, key: str, bounds: Mapping[str, tuple[float, float]]) -> dict[str, tuple[ca.SX, float, float]]:
         """Return conditions on the state at the start or at the end."""
-        found = {}
+        conditions = {}
         for text, (low, high) in bounds.items():
             expression = self._expression(text, key)
             self._check_at_node(expression, text, key)
-            found[text] = expression, low, high
-        return found
+            conditions[text] = expression, low, high
+        return conditions
 
     def _check_at_node(self, expression: ca.SX, text: str, key: str) -> None:
         unknown = [self.system.symbols[name] for name in OF_STATE]
@@ -351,18 +356,22 @@ class Transcription:
         """
         system = self.system
         others = [system.symbols[name] for name in ("v", "z") if system.symbols[name].numel()]
-        wanted = [one for one in conditions.values() if not any(ca.depends_on(one[0], x) for x in others)]
-        rows: Any = ca.vertcat(system.constraints(*system.symbols.values())[0], *(one[0] for one in wanted))
+        wanted = [
+            condition for condition in conditions.values() if not any(ca.depends_on(condition[0], x) for x in others)
+        ]
+        rows: Any = ca.vertcat(system.constraints(*system.symbols.values())[0], *(condition[0] for condition in wanted))
         fixed: Any = [*(x for name, x in system.symbols.items() if name not in ("q", "p", "t")), system.p, system.t]
         values: Any = [*(ca.DM.zeros(*x.shape) for x in fixed[:-2]), system.p0, t]
         closed = ca.substitute([rows], fixed, [ca.DM(value) for value in values])[0]
         m = len(system.constraint_names)
         problem: Any = {"x": system.q, "f": ca.sumsqr(system.q - q), "g": closed}
         options: Any = {"print_time": False, "ipopt.print_level": 0, "ipopt.sb": "yes"}
-        found = ca.nlpsol("pose", "ipopt", problem, options)(
-            x0=q, lbg=[0.0] * m + [one[1] for one in wanted], ubg=[0.0] * m + [one[2] for one in wanted]
+        pose = ca.nlpsol("pose", "ipopt", problem, options)(
+            x0=q,
+            lbg=[0.0] * m + [condition[1] for condition in wanted],
+            ubg=[0.0] * m + [condition[2] for condition in wanted],
         )
-        return np.array(found["x"]).ravel()
+        return np.array(pose["x"]).ravel()
 
 
 def statuses() -> Mapping[str, tuple[str, str]]:
