@@ -22,6 +22,7 @@ from mbdkit.base.text import did_you_mean
 from mbdkit.engine.compile_mechanism import compile_mechanism
 from mbdkit.engine.kernels.engine_bundles import Topology
 from mbdkit.mechanism.mechanism import Mechanism
+from mbdkit.muscles.acting_muscles import check_acting
 
 STEPS = 0.25, 0.125
 """Changes of parameters, relative to their values, by which linear functions are recognized."""
@@ -126,7 +127,9 @@ class ChosenNumbers:
 
     @staticmethod
     def _with_muscles(mechanism: Mechanism) -> Mechanism:
-        mechanism.muscles_act = bool(mechanism.muscles)
+        if mechanism.muscles:
+            check_acting(mechanism)
+            mechanism.muscles_act = True
         return mechanism
 
     def with_parameters(self, values: Sequence[float]) -> Mechanism:

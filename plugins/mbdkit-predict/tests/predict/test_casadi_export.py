@@ -315,6 +315,14 @@ def test_a_wrong_key_is_one_sentence(keys: dict[str, list[str]], text: str) -> N
     assert text in str(caught.value)
 
 
+def test_muscles_without_excitation_need_a_control() -> None:
+    m = arm()
+    m.muscles["long"] = m.muscles["long"].model_copy(update={"excitation": None})
+    with pytest.raises(SpecError, match="a muscle needs an excitation"):
+        m.to_casadi()
+    assert m.to_casadi(controls=["muscles.long.excitation"]).u0.tolist() == [0.0]
+
+
 def test_contacts_that_cannot_be_exported_are_named() -> None:
     shapes, at, angle = PAIRS["polygons"]
     with pytest.raises(SpecError, match=r"contact 'c\.0' cannot be exported"):
