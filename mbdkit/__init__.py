@@ -42,6 +42,7 @@ if TYPE_CHECKING:
     from mbdkit_design.design import Design
     from mbdkit_design.solve_design import design, load_design
     from mbdkit_explore.server import explore
+    from mbdkit_predict.prediction import predict
     from mbdkit_report import plot
     from mbdkit_statics.equilibrium import Equilibrium, equilibrium
     from mbdkit_statics.equilibrium_path import EquilibriumPath, equilibrium_path
@@ -112,6 +113,7 @@ __all__ = [
     "load_study",
     "modes",
     "plot",
+    "predict",
     "prepare",
     "resume",
     "run",
@@ -149,6 +151,7 @@ _HOME = {
     "Modes": "mbdkit_statics.modes",
     "PluginError": "mbdkit.base.errors",
     "PreparedRun": "mbdkit_studies.prepared_run",
+    "predict": "mbdkit_predict.prediction",
     "prepare": "mbdkit_studies.prepared_run",
     "ResourceError": "mbdkit.base.errors",
     "Run": "mbdkit.archive.run",
@@ -221,6 +224,7 @@ higher_layers.installed_plugins = _of_higher_layer("mbdkit.spec.choices", "Regis
 higher_layers.symbolic_system = _of_higher_layer(
     "mbdkit_statics.symbolic_equations", "build_system", "Mechanism.to_sympy"
 )
+higher_layers.computed = _of_higher_layer("mbdkit.registry.accessors", "computed")
 higher_layers.state_program = _of_higher_layer("mbdkit.events.state_program", "state_program")
 higher_layers.state_values = _of_higher_layer("mbdkit.events.state_program", "state_values")
 higher_layers.check_gradients = _of_higher_layer("mbdkit.gradients.gradient", "check_gradients")

@@ -141,7 +141,19 @@ def blaming(what: str, *expected: type[Exception]) -> Iterator[None]:
         raise PluginError(f"{what}: {with_place(error)}") from error
 
 
-_PARTS = ("biomech", "builder", "contact", "design", "explore", "paper", "report", "statics", "studies", "testing")
+_PARTS = (
+    "biomech",
+    "builder",
+    "contact",
+    "design",
+    "explore",
+    "paper",
+    "predict",
+    "report",
+    "statics",
+    "studies",
+    "testing",
+)
 OWN_PACKAGES = ("mbdkit", *(f"mbdkit_{part}" for part in _PARTS))
 """The packages of mbdkit itself: the core and its parts."""
 

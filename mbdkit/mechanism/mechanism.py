@@ -27,6 +27,7 @@ from mbdkit.mechanism.validation_errors import spec_error
 from mbdkit.mechanism.values import Motion, Point
 
 if TYPE_CHECKING:
+    from mbdkit_predict.casadi_system import CasadiSystem
     from mbdkit_statics.symbolic_system import SymbolicSystem
 
 AnyValue = TypeVar("AnyValue")
@@ -368,6 +369,33 @@ class Mechanism(ElementMethods, HtmlView):
             path.
         """
         system: SymbolicSystem = higher_layers.symbolic_system(self, numbers=numbers)
+        return system
+
+    def to_casadi(
+        self, *, controls: Sequence[str] = (), parameters: Sequence[str] = (), t0: float = 0.0
+    ) -> CasadiSystem:
+        """Return equations of motion, constraints and quantities as functions of CasADi, for optimal control.
+
+        Parameters
+        ----------
+        controls
+            Key paths of the values that become controls: of a load (``forces.motor.value``, and
+            ``forces.push.value[0]`` of a component), the excitation of a muscle (``muscles.soleus.excitation``), or the
+            rate of a first-order state (``states.current.rate``).
+        parameters
+            Key paths of numbers that become parameters, such as ``forces.spring.stiffness``, ``bodies.rod.mass`` and
+            ``joints.A.points[1][0]``.
+        t0
+            Time [s] at which the initial state is made consistent.
+
+        Raises
+        ------
+        MbdkitError
+            If CasADi is not installed.
+        SpecError
+            For the first error of the mechanism, for an element that cannot be exported, or for a key that is wrong.
+        """
+        system: CasadiSystem = higher_layers.computed(self, "to_casadi", "mbdkit-predict")(controls, parameters, t0)
         return system
 
     # ---- private -------------------------------------------------------------------------------------------------

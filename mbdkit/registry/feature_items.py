@@ -230,16 +230,16 @@ class FileFormat(Feature):
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class Accessor(Feature):
-    """An attribute of results that a plugin computes, such as `Run.plot`.
+    """An attribute of results that a plugin computes, such as `Run.plot`, or a method of mechanisms.
 
     Parameters
     ----------
     name
         Name of the attribute.
     of
-        Class that has the attribute: ``Run``.
+        Class that has the attribute: ``Run``, or ``Mechanism``, which has `to_casadi` only.
     target
-        Function that takes the object and returns the value of the attribute, which is then kept.
+        Function that takes the object and returns the value of the attribute, which runs keep.
     """
 
     kind: ClassVar[str] = "accessor"
@@ -251,7 +251,7 @@ class Accessor(Feature):
     _check_name = _check_identifier
 
     def _check_of(self) -> None:
-        if self.of != "Run":
+        if self.of != "Run" and (self.of, self.name) != ("Mechanism", "to_casadi"):
             raise PluginError(f"its class is {self.of!r}, and attributes can be added to 'Run'")
 
 

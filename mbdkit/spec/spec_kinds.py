@@ -11,7 +11,8 @@ from mbdkit.registry.catalogue import MBDKIT
 from mbdkit.registry.feature_items import SpecKind
 from mbdkit.registry.manager import registry
 
-_OF_PARTS = {"mbdkit_study": "mbdkit-studies", "mbdkit_design": "mbdkit-design", "motion": "mbdkit-biomech"}
+_OF_PARTS = {"mbdkit_study": "mbdkit-studies", "mbdkit_design": "mbdkit-design", "motion": "mbdkit-biomech",
+             "mbdkit_predict": "mbdkit-predict"}  # fmt: skip
 """Parts of mbdkit by the markers of their specs, which are not run specs where the part is not installed either."""
 
 

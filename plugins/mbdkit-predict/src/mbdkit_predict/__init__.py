@@ -1,0 +1,1 @@
+"""Export of mechanisms to CasADi: their equations and quantities as symbolic functions."""

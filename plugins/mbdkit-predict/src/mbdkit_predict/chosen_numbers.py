@@ -1,0 +1,202 @@
+"""Numbers of a mechanism that become arguments of functions: controls, and parameters.
+
+A control is added to the mechanism as a first-order state without a rate, which takes the place of the value of a load,
+the excitation of a muscle, or any other expression of the state. A state of the mechanism may also be a control itself.
+
+How the arrays of a compiled mechanism depend on parameters is known from compiling it with changed values: each number
+in them must be a linear function of the parameters, as the stiffness of a spring or a point of a joint is.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator, Mapping, Sequence
+from copy import copy
+from typing import Any
+
+import numpy as np
+
+from mbdkit.base.errors import SpecError
+from mbdkit.base.plain_data import Path, copied, parse_path, path_text
+from mbdkit.base.text import did_you_mean
+from mbdkit.engine.compile_mechanism import compile_mechanism
+from mbdkit.engine.kernels.engine_bundles import Topology
+from mbdkit.mechanism.element_kinds import element_kinds
+from mbdkit.mechanism.mechanism import Mechanism
+
+STEPS = 0.25, 0.125
+"""Changes of parameters, relative to their values, by which linear functions are recognized."""
+LINEAR = 1e-9
+"""Largest difference between the slopes for both changes, relative to the slope."""
+NOT_READ = "weight", "length", "row_units"
+"""Arrays of numbers that the equations of motion do not contain, only their solution."""
+
+
+class ChosenNumbers:
+    """Controls and parameters of a mechanism.
+
+    Parameters
+    ----------
+    mechanism
+        The mechanism.
+    controls, parameters
+        Key paths of numbers in the mechanism, such as ``forces.motor.value`` and ``bodies.rod.mass``.
+
+    Attributes
+    ----------
+    mechanism
+        The mechanism with controls as states.
+    control_states
+        Names of the states that are the controls.
+    control_start, parameter_start
+        Present values; 0 for controls that are not numbers.
+
+    Raises
+    ------
+    SpecError
+        If a key does not exist, its value is no number, or a control cannot change with time.
+    """
+
+    def __init__(self, mechanism: Mechanism, controls: Sequence[str], parameters: Sequence[str]):
+        self.controls, self.parameters = tuple(controls), tuple(parameters)
+        self._spec = mechanism.to_spec()
+        self._original = mechanism
+        self.control_start = [self._start(key) for key in controls]
+        self.parameter_start = [self._number(key) for key in parameters]
+        self.control_states = [
+            self._add_control(key, start) for key, start in zip(controls, self.control_start, strict=True)
+        ]
+        try:
+            self.mechanism = self._mechanism(self._spec) if controls else self._of_run(copy(mechanism))
+        except SpecError as error:
+            if error.key.removeprefix("model.") not in controls:
+                raise
+            raise SpecError("is no control, because it cannot change with time", key=error.key) from None
+
+    def _add_control(self, key: str, start: float) -> str:
+        """Add a control; return the name of its state."""
+        kind, *path = parse_path(key)
+        if kind == "states" and len(path) == 1:  # the state itself is the control
+            self._spec["states"][path[0]] |= {"initial": start, "rate": "0"}
+            return str(path[0])
+        self._set(self._spec, key, f"states[{json.dumps(key)}]")
+        self._spec.setdefault("states", {})[key] = {"initial": start, "rate": "0"}
+        return key
+
+    def _start(self, key: str) -> float:
+        value = self._value(key)
+        value = getattr(value, "initial", value)  # of a state
+        return float(value) if isinstance(value, int | float) else 0.0
+
+    def _number(self, key: str) -> float:
+        value = self._value(key)
+        if isinstance(value, bool) or not isinstance(value, int | float):
+            raise SpecError("a parameter should be the key of a number of the mechanism", key=f"model.{key}")
+        return float(value)
+
+    def _value(self, key: str) -> Any:
+        """Return the value of the mechanism at a key path; raise SpecError if there is none."""
+        value: Any = self._original
+        path: Path = parse_path(key)
+        for i, part in enumerate(path):
+            try:
+                value = getattr(value, str(part)) if hasattr(value, str(part)) and i != 1 else value[part]
+            except (LookupError, TypeError):
+                names = list(value) if isinstance(value, Mapping) else list(getattr(value, "__dict__", ()))
+                hint = did_you_mean(str(part), [str(name) for name in names])
+                raise SpecError(f"the mechanism has no '{part}' here{hint}", key=f"model.{path_text(path)}") from None
+        return value
+
+    def _set(self, spec: dict[str, Any], key: str, value: Any) -> None:
+        *path, last = parse_path(key)
+        holder: Any = spec
+        for i, part in enumerate(path):
+            if isinstance(holder, dict) and part not in holder:  # a default value, which specs leave out
+                holder[part] = copied(_plain(self._value(path_text(tuple(path[: i + 1])))))
+            holder = holder[part]
+        holder[last] = value
+
+    def _mechanism(self, spec: dict[str, Any]) -> Mechanism:
+        """Return the mechanism of a changed spec, with its elements in the original order."""
+        changed, original = Mechanism.from_spec(spec), self._original
+        changed.name, changed.contact_treatment = original.name, original.contact_treatment
+        for kind in ("bodies", *original.elements):
+            elements = getattr(changed, kind)
+            setattr(changed, kind, {name: elements[name] for name in getattr(original, kind)})
+        return self._of_run(changed)
+
+    @staticmethod
+    def _of_run(mechanism: Mechanism) -> Mechanism:
+        """Return a mechanism with the elements that act only in runs."""
+        mechanism.is_of_run = True
+        for key, kind in element_kinds().items():
+            if kind.check_run is not None and mechanism.elements.get(key):
+                kind.check_run()(mechanism)
+        return mechanism
+
+    def with_parameters(self, values: Sequence[float]) -> Mechanism:
+        """Return the mechanism with other values of the parameters."""
+        if not self.parameters:
+            return self.mechanism
+        spec = copied(self._spec)
+        for key, value in zip(self.parameters, values, strict=True):
+            self._set(spec, key, float(value))
+        return self._mechanism(spec)
+
+    def topology(self, known: Topology, p: Sequence[Any]) -> Topology:
+        """Return the arrays of the mechanism as functions of parameters `p`, given their values without changes.
+
+        Raises
+        ------
+        SpecError
+            If a parameter is not allowed to change a little, or an array is not a linear function of it.
+        """
+        arrays = {name: x.astype(object) for name, x in _numbers(known)}
+        if not self.parameters:
+            return known._replace(**arrays)
+        base = dict(_numbers(self._compiled({})))
+        for k, key in enumerate(self.parameters):
+            changes = [step * (abs(self.parameter_start[k]) or 1.0) for step in STEPS]
+            both = [dict(_numbers(self._compiled({k: change}))) for change in changes]
+            for name, start in base.items():
+                if any(x[name].shape != start.shape for x in both):
+                    raise self._refused(key)
+                first, second = ((x[name] - start) / change for x, change in zip(both, changes, strict=True))
+                if np.any(abs(first - second) > LINEAR * np.maximum(abs(first), abs(second))):
+                    raise self._refused(key)
+                whole = np.rint(first)
+                slope = np.where(abs(first - whole) <= LINEAR, whole, first)
+                for index in zip(*np.nonzero(slope), strict=True):
+                    arrays[name][index] = arrays[name][index] + slope[index] * (p[k] - self.parameter_start[k])
+        self._check_products(base)
+        return known._replace(**arrays)
+
+    def _check_products(self, base: dict[str, np.ndarray]) -> None:
+        """Raise SpecError if the effects of parameters do not add up, as with products of two of them."""
+        steps = [STEPS[0] * (abs(start) or 1.0) for start in self.parameter_start]
+        together = dict(_numbers(self._compiled(dict(enumerate(steps)))))
+        apart = [dict(_numbers(self._compiled({k: step}))) for k, step in enumerate(steps)]
+        for name, start in base.items():
+            total = sum((x[name] - start for x in apart), start=0.0 * start)
+            size = sum((abs(x[name] - start) for x in apart), start=abs(start))
+            if np.any(abs(together[name] - start - total) > LINEAR * size):
+                raise SpecError("the equations contain products of these parameters", key="parameters")
+
+    def _compiled(self, changes: Mapping[int, float]) -> Topology:
+        values = [start + changes.get(k, 0.0) for k, start in enumerate(self.parameter_start)]
+        return compile_mechanism(self.with_parameters(values)).topology
+
+    def _refused(self, key: str) -> SpecError:
+        return SpecError(
+            "is not a parameter that can be exported: the equations of motion are not linear in it", key=f"model.{key}"
+        )
+
+
+def _numbers(topology: Topology) -> Iterator[tuple[str, np.ndarray]]:
+    for name, x in topology._asdict().items():
+        if x.dtype == np.float64 and name not in NOT_READ:
+            yield name, x
+
+
+def _plain(value: Any) -> Any:
+    return [_plain(item) for item in value] if isinstance(value, tuple | list) else value

@@ -1,0 +1,42 @@
+"""The command `predict`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+from mbdkit.cli.common_options import (
+    InverseSpecName,
+    MotionSet,
+    Overwrite,
+    Printing,
+    check_new,
+    grouped,
+    output_to,
+    stem,
+)
+from mbdkit.cli.outcome import tell
+
+
+@grouped
+def predict(
+    spec: InverseSpecName,
+    *,
+    output: Annotated[Path | None, output_to("FILE.h5", "The archive; by default ./SPEC.h5.")] = None,
+    assignments: MotionSet = None,
+    overwrite: Overwrite = False,
+    printing: Printing,
+) -> None:
+    """Find the motion and the controls that minimize an objective.
+
+    The optimal control problem is solved by direct collocation on finer and finer meshes.
+    See `mbdkit guide predict`.
+    """
+    from mbdkit_predict.predict_loading import load_predict_spec
+
+    checked = load_predict_spec(spec, assignments or ())
+    path = output if output is not None else Path(f"{stem(spec)}.h5")
+    check_new(path, spec, overwrite)
+    from mbdkit_predict.prediction import computed
+
+    tell(computed(checked, path, overwrite=overwrite), printing)

@@ -1,0 +1,62 @@
+"""What this part adds to mbdkit: the export of mechanisms to CasADi, and predictions by optimal control."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from pathlib import Path
+
+from mbdkit.plugin import Accessor, Command, Example, GuidePage, Item, SpecKind, SummaryLine, Target, hookimpl
+
+_HERE = Path(__file__).parent
+_RESULTS = {
+    "objective": "Smallest value of what is minimized.",
+    "objective_error": "Change of the objective by the last refinement of the mesh.",
+    "mesh": "Intervals and objective of each mesh.",
+    "parameters": "Optimized numbers.",
+    "controls": "Histories of the controls.",
+}
+
+
+@hookimpl
+def mbdkit_items() -> Iterable[Item]:
+    """Return the export, the kind of specs of predictions, their command, results, examples and pages of the guide."""
+    return [
+        SpecKind(
+            name="predict",
+            summary="Prediction: a motion by optimal control.",
+            order=150,
+            phrase="a spec of a prediction",
+            marker="mbdkit_predict",
+            command="mbdkit predict",
+            heading="PREDICTIONS",
+            load=Target("mbdkit_predict.predict_loading:load_predict_spec"),
+            run_kind="predicted",
+            model=Target("mbdkit_predict.predict_spec:PredictSpec"),
+            schema=Target("mbdkit_predict.predict_loading:predict_schema"),
+            repeat=Target("mbdkit_predict.prediction:repeated"),
+        ),
+        Command(
+            name="predict",
+            summary="Find the motion and the controls that minimize an objective.",
+            order=45,
+            target=Target("mbdkit_predict.commands:predict"),
+        ),
+        *(
+            Accessor(name=name, summary=summary, of="Run", target=Target(f"mbdkit_predict.run_results:{name}"))
+            for name, summary in _RESULTS.items()
+        ),
+        SummaryLine(
+            name="predict",
+            summary="Objective, its error, and optimized numbers.",
+            text=Target("mbdkit_predict.run_results:lines"),
+            of=frozenset({"predict"}),
+        ),
+        Accessor(
+            name="to_casadi",
+            summary="Equations of motion and quantities as functions of CasADi.",
+            of="Mechanism",
+            target=Target("mbdkit_predict.export:exported"),
+        ),
+        *Example.folder(_HERE / "examples"),
+        *GuidePage.folder(_HERE / "guide"),
+    ]

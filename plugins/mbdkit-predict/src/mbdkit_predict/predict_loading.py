@@ -1,0 +1,98 @@
+"""Loading of specs of predictions, whose base is a spec of runs."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from typing import Any, TypeAlias
+
+from mbdkit.base.errors import SpecError
+from mbdkit.base.plain_data import copied, parse_path, value_text
+from mbdkit.base.text import did_you_mean, listed
+from mbdkit.registry.catalogue import Registry
+from mbdkit.registry.manager import registry
+from mbdkit.spec.loading import example_names, exists, loaded, read_source
+from mbdkit.spec.reading import Document, put
+from mbdkit.spec.schema import DRAFT, described, model_schema
+from mbdkit_predict.predict_spec import PredictSpec, predict_spec_type
+
+PredictSource: TypeAlias = str | Path | Mapping[str, object] | PredictSpec
+"""A file, the name of a packaged example, a mapping, or a validated spec of a prediction."""
+
+
+def load_predict_spec(source: Any, overrides: Iterable[str] = (), **sections: Any) -> PredictSpec:
+    """Load and validate a spec of a prediction, build its mechanism, and return the spec.
+
+    Parameters
+    ----------
+    source, overrides, sections
+        See `load_spec`; the source may also be a `PredictSpec`.
+
+    Raises
+    ------
+    SpecError
+        If the spec is not valid, with the file, line and key path if known.
+    """
+    if not isinstance(source, PredictSpec):
+        document = read_source(source)
+        try:
+            document.data = _with_base(document.data | sections, document.folder)
+        except SpecError as error:
+            raise document.place(error) from None
+        source, sections = document, {}
+    return loaded("predict", PredictSpec, source, overrides, sections)
+
+
+def _with_base(data: Mapping[str, Any], folder: Path) -> dict[str, Any]:
+    """Return a spec with model and named parameters of its base."""
+    sections = dict(data)
+    if "base" not in sections:
+        return sections
+    base = _base(sections.pop("base"), folder)
+    overrides = sections.pop("overrides", {})
+    if not isinstance(overrides, Mapping):
+        raise SpecError(f"should be a mapping of key paths and values, not {value_text(overrides)}", key="overrides")
+    for key, value in overrides.items():
+        put(base, parse_path(str(key)), value)
+    if "parameters" in sections:
+        sections["optimized"] = sections.pop("parameters")
+    return {"mbdkit": 1, **{key: base[key] for key in ("parameters", "model") if key in base}, **sections}
+
+
+def _base(given: Any, folder: Path) -> dict[str, Any]:
+    if isinstance(given, Mapping):
+        return dict(copied(given))
+    if not isinstance(given, str):
+        raise SpecError(f"should be a file, the name of an example, or a run spec, not {value_text(given)}", key="base")
+    names = example_names("run")
+    if given not in names and not exists(folder / given):
+        hint = did_you_mean(given, names)
+        raise SpecError(f"there is no file and no example '{given}'{hint}; examples: {listed(names)}", key="base")
+    document: Document = read_source(folder / given if exists(folder / given) else given)
+    return document.data
+
+
+def predict_schema(installed: Registry | None = None) -> dict[str, Any]:
+    """Return the JSON schema (draft 2020-12) of the spec of a prediction, with a `base` or with its model.
+
+    Parameters
+    ----------
+    installed
+        Registry of the models and force laws to include; by default, all that are installed.
+    """
+    chosen = installed if installed is not None else registry()
+    schema = described(model_schema(predict_spec_type(chosen), chosen))
+    fields = schema["properties"]
+    fields["base"] = {
+        "anyOf": [{"type": "string"}, {"type": "object"}],
+        "description": "A run spec, whose model and named parameters are used: a file, the name of an example, or the "
+        "spec itself.",
+    }
+    fields["overrides"] = {"type": "object", "description": "Values in the base by key path."}
+    fields["parameters"] = {
+        "anyOf": [fields["parameters"], fields["optimized"]],
+        "description": fields["parameters"]["description"]
+        + " With a `base`: numbers that are optimized, by their key path in the model.",
+    }
+    schema["required"] = [name for name in schema["required"] if name not in ("mbdkit", "model")]
+    return {"$schema": DRAFT, **schema}

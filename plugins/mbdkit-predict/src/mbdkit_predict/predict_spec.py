@@ -1,0 +1,185 @@
+"""The spec of a prediction: a base, controls, conditions, and what is minimized."""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
+
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, PrivateAttr, create_model, model_validator
+
+from mbdkit.base.errors import SpecError
+from mbdkit.base.strict_model import description
+from mbdkit.base.text import did_you_mean, listed
+from mbdkit.mechanism.values import Number, Positive
+from mbdkit.registry.catalogue import Registered, Registry
+from mbdkit.spec.choices import Choice
+from mbdkit.spec.model_spec import ModelSpec
+from mbdkit.spec.sections import Count, Section
+from mbdkit.spec.study_measures import DefinedMeasure
+from mbdkit_predict.chosen_numbers import ChosenNumbers
+
+if TYPE_CHECKING:
+    from mbdkit.mechanism.mechanism import Mechanism
+
+STAGES = {"radau": (2, 3, 5), "gauss": (1, 2, 3, 4, 5, 6)}
+"""Numbers of collocation points of each method."""
+
+
+def _ordered(bounds: tuple[float, float]) -> tuple[float, float]:
+    if bounds[0] > bounds[1]:
+        raise SpecError(f"the lower bound {bounds[0]:g} is above the upper bound {bounds[1]:g}")
+    return bounds
+
+
+Bounds = Annotated[tuple[Number, Number], AfterValidator(_ordered)]
+Wanted = Number | Bounds
+
+
+class Variable(Section):
+    """A number or a function of time that is optimized."""
+
+    ABSENT_BY_DEFAULT: ClassVar[tuple[str, ...]] = ("start",)
+
+    bounds: Bounds
+    """Smallest and largest value."""
+    start: Number | None = None
+    """Value with which the optimization begins; by default, that of the base."""
+
+
+class Duration(Section):
+    """A free duration."""
+
+    ABSENT_BY_DEFAULT: ClassVar[tuple[str, ...]] = ("start",)
+
+    bounds: Annotated[tuple[Positive, Positive], AfterValidator(_ordered)]
+    """Shortest and longest duration [s]."""
+    start: Positive | None = None
+    """Duration with which the optimization begins [s]; by default, the mean of the bounds."""
+
+
+class Condition(Section):
+    """A condition along the path."""
+
+    ABSENT_BY_DEFAULT: ClassVar[tuple[str, ...]] = ("min", "max")
+
+    value: str
+    """An expression of quantities."""
+    min: Number | None = None
+    """Its smallest value."""
+    max: Number | None = None
+    """Its largest value."""
+
+
+class Collocation(Section):
+    """The collocation method, and the mesh with which the refinement begins."""
+
+    method: Literal["radau", "gauss"] = "radau"
+    """Radau IIA, or Gauss-Legendre."""
+    points: Count = 3
+    """Collocation points of an interval: 2, 3 or 5 with radau, 1 to 6 with gauss."""
+    intervals: Count = 20
+    """Intervals of the first mesh, of equal length."""
+
+    @model_validator(mode="after")
+    def _has_points(self) -> Collocation:
+        if self.points not in STAGES[self.method]:
+            raise SpecError(
+                f"{self.method} has {listed(map(str, STAGES[self.method]), 'or')} points, not {self.points}",
+                key="points",
+            )
+        return self
+
+
+class PredictSpec(ModelSpec):
+    """The complete input of a prediction: a motion that nobody measured, by optimal control.
+
+    The controls are first-order states of its mechanism, whose values are optimized.
+
+    Raises
+    ------
+    SpecError
+        If the spec is not valid, with the key path.
+    """
+
+    model_config = ConfigDict(title="mbdkit spec of a prediction", defer_build=True)
+    ABSENT_BY_DEFAULT: ClassVar[tuple[str, ...]] = ("parameters", "optimized", "subject_to", "periodic")
+
+    mbdkit_predict: Literal[1]
+    """Version of the format of predictions."""
+    controls: dict[str, Variable]
+    """Functions of time that are optimized, by the key path of the value in the model that they replace, such as
+    `forces.motor.value` and `muscles.soleus.excitation`."""
+    optimized: dict[str, Variable] = Field(default_factory=dict)
+    """Numbers that are optimized, by their key path in the model, such as `forces.spring.stiffness`. In specs with a
+    `base`, they are called `parameters`."""
+    duration: Positive | Duration
+    """Duration of the motion [s], or its bounds."""
+    initial: dict[str, Wanted] = Field(default_factory=dict)
+    """Values at the start, or their bounds, by expression of quantities; by default, nothing but the joints."""
+    final: dict[str, Wanted] = Field(default_factory=dict)
+    """Values at the end, or their bounds, by expression of quantities."""
+    subject_to: dict[str, Condition] = Field(default_factory=dict)
+    """Conditions at all times, by name."""
+    periodic: list[str] = Field(default_factory=list)
+    """Expressions of quantities whose values are equal at the start and at the end."""
+    minimize: str
+    """What is minimized: an expression of measures such as `integral(forces.motor.value**2)` and `final(t)`."""
+    collocation: Collocation = Collocation()
+    """The collocation method and the first mesh."""
+    tolerance: Positive = 1e-6
+    """Largest change of the objective by halving all intervals, relative to its size. Intervals are halved until the
+    change is smaller."""
+
+    @property
+    def span(self) -> None:
+        """None, because the duration may be free."""
+        return
+
+    @property
+    def items(self) -> list[Registered]:
+        """The registry entries of the model and the force laws."""
+        return [self.model_item, *self.force_law_items]
+
+    def defined_measures(self) -> tuple[DefinedMeasure, ...]:
+        """Return no measures."""
+        return ()
+
+    @property
+    def chosen(self) -> ChosenNumbers:
+        """Controls and parameters of the mechanism of the model."""
+        self.mechanism()
+        chosen: ChosenNumbers = self._chosen
+        return chosen
+
+    def with_states(self, text: str) -> str:
+        """Return an expression in which controls, ``controls["forces.motor.value"]``, are states of the mechanism."""
+        states = dict(zip(self.controls, self.chosen.control_states, strict=True))
+
+        def state(match: re.Match[str]) -> str:
+            name = match[1] or match[2]
+            if name not in states:
+                raise SpecError(f"there is no control '{name}'{did_you_mean(name, states)}")
+            return f"states[{json.dumps(states[name])}].value"
+
+        return re.sub(r"\bcontrols(?:\[\"(.*?)\"\]|\.(\w+))", state, text)
+
+    _chosen: Any = PrivateAttr(default=None)
+
+    def _built(self) -> Mechanism:
+        chosen = ChosenNumbers(super()._built(), list(self.controls), list(self.optimized))
+        self._chosen = chosen
+        return chosen.mechanism
+
+
+def predict_spec_type(installed: Registry) -> type[PredictSpec]:
+    """Return a PredictSpec class that selects from the given registry instead of the installed plugins."""
+    words = description(PredictSpec, "model")
+    field: Any = (Annotated[BaseModel, Choice("model", installed)], Field(description=words))
+    return create_model("PredictSpec", __base__=PredictSpec, __doc__=PredictSpec.__doc__, model=field)
+
+
+def bounds_of(wanted: Mapping[str, float | tuple[float, float]]) -> dict[str, tuple[float, float]]:
+    """Return the bounds of values; a number is both bounds."""
+    return {text: value if isinstance(value, tuple) else (value, value) for text, value in wanted.items()}

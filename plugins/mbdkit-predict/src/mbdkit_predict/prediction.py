@@ -1,0 +1,62 @@
+"""`predict`: finds the motion that minimizes the objective of a spec, and returns or writes it as an archive."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+from mbdkit.archive.run import Run
+from mbdkit_predict.export import require_casadi
+from mbdkit_predict.predict_loading import PredictSource, load_predict_spec
+from mbdkit_predict.predict_spec import PredictSpec
+
+
+def predict(
+    source: PredictSource, *, archive: str | Path | None = None, overwrite: bool = False, **sections: Any
+) -> Run:
+    """Find the motion and the controls that minimize the objective of a spec.
+
+    The motion satisfies the equations of motion and all conditions at the collocation points. Intervals are halved
+    until the objective changes by less than the tolerance.
+
+    Parameters
+    ----------
+    source
+        A file, the name of a packaged example, a mapping, or a PredictSpec.
+    archive
+        File to which the result is written; by default, the result stays in memory.
+    overwrite
+        Whether an existing archive may be replaced.
+    **sections
+        Sections of the spec, such as ``duration=2.0``; they replace those of `source`.
+
+    Returns
+    -------
+    Run
+        The motion, with ``run.kind == "predicted"`` and a row for the start and for each collocation point;
+        `Run.objective`, `Run.objective_error`, `Run.mesh`, `Run.controls` and `Run.parameters`. If no optimum was
+        found, the status is ``failed``, and the motion is the last iterate.
+
+    Raises
+    ------
+    MbdkitError
+        If CasADi is not installed.
+    SpecError
+        If the spec is wrong, or its mechanism cannot be exported.
+    RunError
+        If the last iterate is no motion.
+    """
+    return computed(load_predict_spec(source, (), **sections), archive, overwrite=overwrite)
+
+
+def computed(spec: PredictSpec, path: str | Path | None, *, overwrite: bool) -> Run:
+    """Compute a validated spec; see `predict`."""
+    require_casadi("predictions need")
+    from mbdkit_predict.predicted_run import predicted
+
+    return predicted(spec, path=path, overwrite=overwrite)
+
+
+def repeated(before: Run, archive: Path, output: Path | None, *, overwrite: bool, progress: Any) -> Run:
+    """Compute the prediction of an archive again."""
+    return computed(load_predict_spec(before.spec), output, overwrite=overwrite)

@@ -1,0 +1,243 @@
+"""Evaluates the equations of motion and the quantities of a mechanism with symbols."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from functools import cached_property
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from mbdkit.base import elementary
+from mbdkit.base.errors import SpecError
+from mbdkit.base.text import listed
+from mbdkit.engine.compiled_mechanism import CompiledMechanism
+from mbdkit.engine.consistent_start import mechanism_at_start
+from mbdkit.engine.kernels import acting, applied_forces, contact_laws, equations, frames, observe, system
+from mbdkit.engine.kernels.frames import Reactions
+from mbdkit.engine.kernels.observe import Observed
+from mbdkit.engine.workspace import Workspace
+from mbdkit.events.event_expression import RunExpression
+from mbdkit.expressions.program import value_of
+from mbdkit.quantities.names import archive_names
+from mbdkit.quantities.quantity import Quantity
+from mbdkit.quantities.states import States
+from mbdkit.quantities.table import KINDS
+from mbdkit_contact.acting_contacts import contact_law, pairs_of_shapes
+from mbdkit_predict.casadi_system import ARGUMENTS, CasadiSystem, function
+from mbdkit_predict.chosen_numbers import ChosenNumbers
+from mbdkit_predict.interpreted import Interpreter
+from mbdkit_predict.symbols import BranchError, Symbol, column, symbols
+
+_CONTACT = {"gap": 0, "normal_force": 1, "friction_force": 2, "slip": 3}
+"""Quantities of contacts, with their index in the results of the law of contacts."""
+
+
+class SymbolicMechanism:
+    """A mechanism at symbolic positions, velocities, accelerations, multipliers, states, controls and parameters.
+
+    Parameters
+    ----------
+    chosen
+        Controls and parameters of the mechanism.
+    t0
+        See `mbdkit.Mechanism.to_casadi`.
+    """
+
+    def __init__(self, chosen: ChosenNumbers, t0: float):
+        self.chosen = chosen
+        self._start = mechanism_at_start(self.chosen.mechanism, t0)
+        self._compiled = self._start.mechanism
+        _check(self._compiled)
+        self._controls = {name: i for i, name in enumerate(chosen.control_states)}
+        self.states = self._compiled.states
+        names = [state.name for state in self.states]
+        self._is_state = [name not in self._controls for name in names]
+        n, m = 3 * len(self._compiled.bodies), len(self._compiled.solved_rows)
+        sizes = (n, n, n, m, sum(self._is_state), len(chosen.controls), len(chosen.parameters), 1)
+        self.symbols = {name: ca.SX.sym(name, size) for name, size in zip(ARGUMENTS, sizes, strict=True)}
+        self._q, self._v, self._a, self._lam, z, u, self._p, (self.time,) = map(_elements, self.symbols.values())
+        states = iter(z)
+        self._z = [u[self._controls[name]] if name in self._controls else next(states) for name in names]
+        self._run = Interpreter(self._compiled.laws)
+        self._equations = self._new_equations()
+
+    def system(self) -> CasadiSystem:
+        """Return the mechanism as functions of CasADi."""
+        known, n = self._compiled, len(self._q)
+        return CasadiSystem(
+            bodies=known.bodies,
+            constraint_names=tuple(row.label for row in known.solved_rows),
+            state_names=tuple(name for name in (state.name for state in known.states) if name not in self._controls),
+            control_names=self.chosen.controls,
+            parameter_names=self.chosen.parameters,
+            symbols=self.symbols,
+            q0=self._start.q0[:n].copy(),
+            v0=self._start.v0[:n].copy(),
+            z0=known.initial_states[self._is_state],
+            u0=np.array(self.chosen.control_start),
+            p0=np.array(self.chosen.parameter_start),
+            **self._functions(),
+            expression=self.expression,
+            all_quantities=self.quantities,
+        )
+
+    def _new_equations(self) -> equations.Equations:
+        """Return the arrays of the engine, with numbers and symbols as objects."""
+        known = self._compiled
+        work = Workspace(known, 0.0, np.zeros(known.size), np.zeros(known.size))
+        top = self.chosen.topology(known.topology, self._p)
+        scratch = _objects(work.scratch)
+        scratch.law_values[:] = top.law_parameters
+        bundle: equations.Equations = _objects(equations.new_equations(top, scratch, work.solver))
+        self._run(applied_forces.take_states)(top, scratch, self._z)
+        return bundle
+
+    def _functions(self) -> dict[str, ca.Function]:
+        """Return the functions `residual`, `constraints` and `rates`."""
+        eq, run = self._equations, self._run
+        top, w = eq.top, eq.w
+        residual = _zeros(len(self._q))
+        run(equations.residual_of)(eq, self.time, self._q, self._v, self._a, self._lam, True, residual)
+        run(applied_forces.applied_forces)(top, w, eq.q, eq.v)
+        rates = _zeros(len(self._z))
+        run(applied_forces.state_rates)(top, w, eq.v, rates)
+        position, velocity, gamma, acceleration = _zeros(4, len(self._lam))
+        run(equations.rows_of)(eq, self.time, self._q, self._v, position, velocity, gamma)
+        eq.a[: len(self._a)] = self._a
+        for k, row in np.ndindex(*w.phi.shape):
+            if row < top.rows[k]:
+                index = eq.solver.row_index[k, row] - len(self._q)
+                by_acceleration = run(system.constraint_rate)(top.pairs, w.jac, _zeros(*w.phi_t.shape), eq.a, k, row)
+                acceleration[index] = by_acceleration - gamma[index]
+        rows = {"position": column(position), "velocity": column(velocity), "acceleration": column(acceleration)}
+        return {
+            "residual": function("residual", self.symbols, {"residual": column(residual)}),
+            "constraints": function("constraints", self.symbols, rows),
+            "rates": function("rates", self.symbols, {"rates": column(rates[self._is_state])}),
+        }
+
+    @cached_property
+    def _states(self) -> States:
+        """The state as that of a run with one row, from which quantities are taken."""
+        eq, run = self._equations, self._run
+        top, w = eq.top._replace(gravity=eq.gravity), eq.w  # the equations subtract gravity apart
+        t, q, v, lam = (np.array([x], dtype=object) for x in (self.time, self._q, self._v, self._lam))
+        forces = _objects(Reactions.zeros(1, len(top.pairs)))
+        run(equations.residual_of)(eq, self.time, self._q, self._v, self._a, self._lam, True, _zeros(len(self._q)))
+        run(frames.reactions_in_frames)(eq, t, q, v, lam, forces)
+        observed = _objects(Observed.zeros(1, self._compiled.topology))
+        observed.lam[:], observed.acc[0, : len(self._a)] = forces.lam, self._a
+        run(applied_forces.state_rates)(top, w, eq.v, observed.state_rates[0])
+        run(observe.describe)(top, w, eq.q, eq.v, observed, 0)
+        run(acting.joint_values)(top, w, eq.q, forces.lam[0], observed.reactions[0], observed.joints[0])
+        observed = Observed(*map(symbols, observed))
+        q, v, z = (symbols(x)[None] for x in (eq.q, eq.v, self._z))
+        return States(self._compiled, t, q, v, lambda: observed, z=z)
+
+    @cached_property
+    def _contacts(self) -> dict[str, np.ndarray]:
+        """Values of all rows of contacts by name."""
+        by_name = dict[str, np.ndarray]()
+        w, top = self._equations.w, self._equations.top
+        for k, rows in enumerate(pairs_of_shapes(self._compiled.extensions.get("contacts", ()))):
+            law, begin = contact_law(rows, contact_laws.VALUES), top.laws[top.contacts[k, 2], 1]
+            out = _zeros(len(rows), contact_laws.VALUE)
+            self._run.call_law(law.address, law.program, 0.0, 0.0, 0.0, w.law_values, begin, out, 0, contact_laws.VALUE)
+            by_name |= {row.pair.name: values for row, values in zip(rows, out, strict=True)}
+        return by_name
+
+    def quantities(self) -> tuple[dict[str, ca.SX], dict[str, str]]:
+        """Return all quantities by name, and the reasons why others cannot be exported."""
+        values, refused = {}, {}
+        for name in self._names():
+            try:
+                parsed = self._parsed(name)
+            except SpecError:  # such as the angle of a point mass
+                continue
+            try:
+                values[name] = column([self._value(parsed)])
+            except SpecError as error:
+                refused[name] = error.message
+        return values, refused
+
+    def _names(self) -> Iterator[str]:
+        """Yield the names of all quantities that have one value at each time."""
+        names = archive_names(self._compiled)
+        for kind in KINDS:
+            attributes = [
+                attribute
+                for attribute in kind.attributes.values()
+                if attribute.in_events and not (attribute.is_vector or attribute.array.is_of_steps)
+            ]
+            axis = next((array for array in kind.arrays if kind.axis and array.path == kind.named_by), None)
+            elements = [""] if axis is None or axis.texts is None else list(axis.texts(names))
+            for element in dict.fromkeys(elements):
+                if kind.word == "states" and element in self._controls:
+                    continue
+                owner = f".{element}" if element.isidentifier() else element and f"[{json.dumps(element)}]"
+                for attribute in attributes:
+                    is_whole = not kind.owner or attribute.array.of_whole
+                    suffixes = [""] if is_whole else [f"[{i}]" for i in range(elements.count(element))]
+                    yield from (f"{kind.word}{owner}.{attribute.name}{suffix}" for suffix in suffixes)
+
+    def expression(self, text: str) -> ca.SX:
+        """Return an expression of quantities; see `CasadiSystem`."""
+        return column([self._value(self._parsed(text))])
+
+    def _parsed(self, text: str) -> RunExpression:
+        return RunExpression.parse(text, self.chosen.mechanism, crosses=False)
+
+    def _value(self, parsed: RunExpression) -> Any:
+        def leaf(operation: str, number: float) -> Any:
+            if operation == "get":
+                return self.quantity(parsed.quantities[int(number)])
+            return self.time if operation == "t" else number
+
+        return value_of(parsed.program, leaf)
+
+    def quantity(self, quantity: Quantity) -> Any:
+        """Return a quantity as a symbol, the norm of a vector; raise SpecError if it cannot be exported."""
+        name, reason = quantity.name, ""
+        if quantity.recorded.array.is_shared and name in self._compiled.redundancy.not_unique:
+            reason = "redundant joints share it, so that it does not follow from the multipliers"
+        elif quantity.kind == "contacts" and quantity.attribute in _CONTACT:
+            return self._contacts[name][_CONTACT[quantity.attribute]]
+        elif quantity.kind in ("contacts", "ground_reactions"):
+            reason = f"of contacts, there are {listed(list(_CONTACT), 'and')}"
+        else:
+            try:
+                value = quantity.taker(archive_names(self._compiled))(self._states)
+                return elementary.hypot(*value[0]) if quantity.is_vector else value[0]
+            except (BranchError, TypeError, ValueError, AttributeError) as error:
+                reason = f"its definition cannot be executed with symbols ({error})"
+        raise SpecError(f"{quantity} cannot be exported: {reason}")
+
+
+def _check(mechanism: CompiledMechanism) -> None:
+    """Raise SpecError for a contact that is rigid, or whose shapes touch along edges that have to be searched."""
+    for contact in mechanism.extensions.get("contacts", ()):
+        if contact.first_state >= 0:
+            reason = "is rigid, so that its force is not a function of the state; give it a `compliance`"
+        elif contact.pair.kind[0] in ("edge", "inside", "polyline"):
+            reason = "cannot be exported, because a search finds the edge that it touches; use lines, circles or points"
+        else:
+            continue
+        raise SpecError(f"contact '{contact.pair.name}' {reason}", key=contact.pair.key)
+
+
+def _elements(vector: ca.SX) -> list[Symbol]:
+    return [Symbol(x) for x in ca.vertsplit(vector)] if vector.numel() else []
+
+
+def _zeros(*shape: int) -> np.ndarray:
+    return np.full(shape, 0.0, dtype=object)
+
+
+def _objects(bundle: Any) -> Any:
+    """Return a bundle with its numbers, not integers, as objects."""
+    return type(bundle)(
+        *(x.astype(object) if isinstance(x, np.ndarray) and x.dtype == np.float64 else x for x in bundle)
+    )

@@ -1,0 +1,239 @@
+"""Predictions against exact optima, and what is refused."""
+
+from __future__ import annotations
+
+import copy
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+import mbdkit
+from mbdkit import MbdkitError, SpecError
+from mbdkit.cli import app
+from mbdkit_predict.predict_loading import load_predict_spec
+
+PUSH = "forces.push.value[0]"
+BLOCK: dict[str, Any] = {
+    "name": "mechanism",
+    "gravity": [0, 0],
+    "bodies": {"block": {"mass": 1.0, "inertia": 1.0}},
+    "joints": {
+        "rail": {"type": "prismatic", "bodies": ["ground", "block"], "points": [[0, 0], [0, 0]], "axis": [1, 0]}
+    },
+    "forces": {"push": {"type": "force", "body": "block", "value": [0.0, 0.0]}},
+}
+EFFORT = "integral(forces.push.value**2)"
+AT_REST = {"block.x": 0, "block.vx": 0}
+STILL = {f"dot.{name}": 0 for name in ("x", "y", "vx", "vy")}
+
+
+def block(mass: float = 1.0, forces: dict[str, Any] | None = None, **sections: Any) -> dict[str, Any]:
+    model = copy.deepcopy(BLOCK)
+    model["bodies"]["block"]["mass"] = mass
+    model["forces"] |= forces or {}
+    first = {
+        "controls": {PUSH: {"bounds": [-100, 100]}}, "duration": 1.0, "initial": AT_REST, "minimize": EFFORT,
+        "final": {"block.x": 1, "block.vx": 0},
+    }  # fmt: skip
+    return {"mbdkit_predict": 1, "base": {"model": model}, **first, **sections}
+
+
+def of_states(states: dict[str, Any], final: dict[str, float], bounds: list[float]) -> dict[str, Any]:
+    """Return a problem of least time in first-order states; the angle `turn` is the control."""
+    model = {"name": "mechanism", "gravity": [0, 0], "bodies": {"dot": {"mass": 1}}, "states": states}
+    return {
+        "mbdkit_predict": 1, "base": {"model": model}, "duration": {"bounds": [0.1, 10]}, "initial": STILL,
+        "controls": {"states.turn": {"bounds": bounds, "start": 0.1}}, "minimize": "final(t)",
+        "final": {f"states.{name}.value": value for name, value in final.items()},
+    }  # fmt: skip
+
+
+DRAG = {"drag": {"type": "force", "body": "block", "value": ["-block.vx", 0]}}
+FALL = {
+    "x": {"rate": "states.v*sin(states.turn)"},
+    "y": {"initial": 10, "rate": "-states.v*cos(states.turn)"},
+    "v": {"rate": "9.80665*cos(states.turn)"},
+    "turn": {"rate": "0"},
+}
+STEERED = {
+    "x": {"rate": "states.vx"},
+    "y": {"rate": "states.vy"},
+    "vx": {"rate": "100*cos(states.turn)"},
+    "vy": {"rate": "100*sin(states.turn)"},
+    "turn": {"rate": "0"},
+}
+EXACT = {
+    # the force is 6 - 12 t
+    "least effort": (block(), 12.0),
+    "least effort by gauss": (block(collocation={"method": "gauss", "points": 2, "intervals": 5}), 12.0),
+    # 12 / T^3 + w T with T^4 = 36 / w
+    "effort and time": (
+        block(
+            duration={"bounds": [0.5, 20]}, minimize='integral(controls["forces.push.value[0]"]**2) + 0.1*final(t)'
+        ),
+        0.4 / 3.0 * 360.0**0.25,
+    ),
+    # bang-bang: 2 sqrt(m s / F)
+    "least time": (
+        block(
+            2.0, controls={PUSH: {"bounds": [-50, 50]}}, duration={"bounds": [0.05, 5]}, minimize="final(t)"
+        ),
+        0.4,
+    ),
+    # D. E. Kirk, Optimal Control Theory (1970), example 5.1-1, in closed form
+    "drag": (
+        block(forces=DRAG, duration=2.0, final={"block.x": 5, "block.vx": 2}, minimize=f"0.5*{EFFORT}"),
+        16.75072339679631,
+    ),
+    # A. E. Bryson and Y.-C. Ho, Applied Optimal Control (1975), section 3.11: 4 / (9 l)
+    "wall": (
+        block(
+            initial={"block.x": 0, "block.vx": 1},
+            final={"block.x": 0, "block.vx": -1},
+            subject_to={"wall": {"value": "block.x", "max": 1 / 9}},
+            minimize=f"0.5*{EFFORT}",
+        ),
+        4.0,
+    ),
+    "wall as an expression": (
+        block(
+            initial={"block.x": 0, "block.vx": 1},
+            final={"block.x": 0, "block.vx": -1},
+            subject_to={"wall": {"value": "2*block.x", "max": 2 / 9}},
+            minimize=f"0.5*{EFFORT}",
+        ),
+        4.0,
+    ),
+    "brachistochrone": (of_states(FALL, {"x": 10, "y": 5}, [0.0, 3.0]), 1.801603122453081),
+    "linear tangent steering": (of_states(STEERED, {"y": 5, "vx": 45, "vy": 0}, [-1.57, 1.57]), 0.5545708783346031),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", EXACT)
+def test_the_error_of_exact_optima_is_covered(name: str) -> None:
+    spec, exact = EXACT[name]
+    run = mbdkit.predict(spec)
+    assert run.status == "complete"
+    assert run.kind == "predicted"
+    assert abs(run.objective - exact) <= run.objective_error <= 1e-6 * exact
+    assert run.mesh[-1][1] == run.objective
+    if spec["minimize"] == "final(t)":
+        assert run.time[-1] == pytest.approx(run.objective)
+    if "gauss" not in name:  # on few intervals, powers are integrated with less accuracy
+        assert np.abs(run.energy.balance).max() < 1e-4
+
+
+def test_a_pole_is_swung_up_with_the_effort_of_minimal_coordinates() -> None:
+    # expected: the equations of Kelly 2017, section 6, in two coordinates, by Radau collocation with 5 points in each
+    # of 80 intervals; there is another local optimum, 57.945
+    run = mbdkit.predict("cart-pole", tolerance=1e-5)
+    assert run.status == "complete"
+    assert abs(run.objective - 58.807667) <= run.objective_error < 1e-3
+    assert run["pole"].angle[-1] == pytest.approx(np.pi / 2, abs=1e-8)
+    assert np.max(run.joints["pin"].misalignment) < 1e-8
+
+
+def test_a_parameter_is_optimized_together_with_the_motion() -> None:
+    # a spring k about x = 1/2: with omega = pi (half a period from rest at 0 to rest at 1), no force is needed
+    spring = {"spring": {"type": "spring-damper", "bodies": ["ground", "block"], "points": [[0.5, 0.0], [0, 0]],
+                         "stiffness": 3.0}}  # fmt: skip
+    run = mbdkit.predict(block(forces=spring, parameters={"forces.spring.stiffness": {"bounds": [0.0, 50.0]}}))
+    assert run.status == "complete"
+    assert run.parameters["forces.spring.stiffness"] == pytest.approx(np.pi**2, rel=1e-4)
+    assert run.objective < 1e-8
+    assert run.mechanism.forces["spring"].stiffness == run.parameters["forces.spring.stiffness"]
+
+
+def test_an_archive_of_a_prediction_is_read_and_repeated(tmp_path: Path) -> None:
+    path = tmp_path / "block.h5"
+    done = CliRunner().invoke(app, ["predict", "block", "-o", str(path)], prog_name="mbdkit")
+    assert done.exit_code == 0, done.output
+    assert "objective     12 +- 1.2e-07 on 40 intervals" in done.stdout
+    with mbdkit.load(path) as run:
+        t, force = run.time, run.controls[PUSH].value
+        np.testing.assert_allclose(force, 6.0 - 12.0 * t, atol=1e-6)
+        np.testing.assert_allclose(run["block"].position[:, 0], t**2 * (3.0 - 2.0 * t), atol=1e-9)
+        np.testing.assert_allclose(run.forces["push"].value, np.abs(force), atol=1e-12)
+        assert run.kind == "predicted"
+    done = CliRunner().invoke(app, ["rerun", str(path), "-o", str(tmp_path / "again.h5")], prog_name="mbdkit")
+    assert done.exit_code == 0, done.output
+    with pytest.raises(mbdkit.RunError, match="it is no prediction"):
+        _ = mbdkit.run("pendulum", time={"end": 0.1, "step": 0.01}).objective
+
+
+def test_a_motion_that_cannot_be_is_infeasible(tmp_path: Path) -> None:
+    run = mbdkit.predict(block(controls={PUSH: {"bounds": [-1, 1]}}, duration=0.5))
+    assert (run.status, run.status_reason.split(":")[0]) == ("failed", "infeasible")
+    assert "motion does not lead from the start to the end within the bounds" in run.status_reason
+    assert np.isnan(run.objective_error)
+    assert len(run.time) == 61
+    run = mbdkit.predict(block(final={"2*block.x": 1, "3*block.x": 4}))
+    assert "the largest violation is that of `final: " in run.status_reason
+
+
+@pytest.mark.parametrize(
+    ("changed", "key", "text"),
+    [
+        ({"minimize": "max(block.x)"}, "minimize", "'max' is not smooth"),
+        ({"minimize": "block.x"}, "minimize", ""),
+        ({"minimize": "integral(controls.push)"}, "minimize", "no control 'push'"),
+        ({"initial": {"block.ax": 0}}, "initial", "not known at the start"),
+        ({"final": {"blok.x": 0}}, "final", "did you mean 'block'"),
+        ({"subject_to": {"a": {"value": "block.z", "max": 1}}}, "subject_to.a.value", "block.z"),
+        ({"controls": {PUSH: {"bounds": [1, -1]}}}, 'controls."forces.push.value[0]".bounds', "is above"),
+        ({"controls": {"forces.pull.value": {"bounds": [0, 1]}}}, "model.forces.pull.value", "no 'pull' here"),
+        ({"collocation": {"points": 4}}, "collocation.points", "radau has 2, 3 or 5 points, not 4"),
+        ({"base": "blok"}, "base", "examples: belt, bouncing-ball"),
+        ({"durration": 1.0}, "durration", "did you mean 'duration'"),
+    ],
+)
+def test_a_wrong_spec_is_one_sentence(changed: dict[str, Any], key: str, text: str) -> None:
+    with pytest.raises(SpecError) as caught:
+        mbdkit.predict(block(**changed))
+    assert caught.value.key == key
+    assert text in caught.value.message
+
+
+def test_examples_are_valid_and_without_casadi_the_package_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    for name in ("block", "cart-pole"):
+        assert load_predict_spec(name).title
+    monkeypatch.setitem(sys.modules, "casadi", None)
+    with pytest.raises(MbdkitError, match=r"predictions need the package casadi: install it with `pip install"):
+        mbdkit.predict("block")
+
+
+def test_a_run_with_the_controls_of_a_closed_loop_is_the_predicted_motion() -> None:
+    # expected: the motion of the engine, by another method and in its own steps
+    m = mbdkit.Mechanism()
+    m.body("crank", mass=1.0, inertia=0.02, position=(0.0, 0.25), angle=np.pi / 2)
+    m.body("coupler", mass=2.0, inertia=0.2, position=(0.5, 0.6), angle=0.2)
+    m.body("rocker", mass=1.5, inertia=0.1, position=(1.0, 0.35), angle=np.pi / 2)
+    m.revolute("A", m.ground, "crank", points=((0, 0), (-0.25, 0)))
+    m.revolute("B", "crank", "coupler", points=((0.25, 0), (-0.51, 0)))
+    m.revolute("C", "coupler", "rocker", points=((0.51, 0), (0.35, 0)))
+    m.revolute("D", m.ground, "rocker", points=((1.0, 0), (-0.35, 0)))
+    m.torque("motor", "crank", value=0.0)
+    q0 = m.to_casadi().q0
+    run = mbdkit.predict(
+        {
+            "mbdkit_predict": 1, "base": {"model": m.to_spec()}, "duration": 1.0,
+            "controls": {"forces.motor.value": {"bounds": [-200, 200]}},
+            "initial": {"crank.angle": float(q0[2]), "crank.angular_velocity": 0},
+            "final": {"crank.angle": float(q0[2]) - 1.0, "crank.angular_velocity": 0},
+            "minimize": "integral(forces.motor.value**2)", "tolerance": 1e-6,
+        }
+    )  # fmt: skip
+    assert run.status == "complete"
+    assert np.max([run.joints[name].misalignment for name in "ABCD"]) < 1e-9
+    table = {"table": [run.time.tolist(), run.controls["forces.motor.value"].value.tolist()]}
+    m.forces.clear()
+    m.torque("motor", "crank", value=table)
+    forward = mbdkit.run(m, integrator={"name": "gauss", "stages": 3}, time={"end": 1.0, "step": 0.001}).check()
+    np.testing.assert_allclose(forward["rocker"].angle[-1], run["rocker"].angle[-1], atol=1e-5)
+    np.testing.assert_allclose(forward["rocker"].angular_velocity[-1], 0.0, atol=1e-4)
+    np.testing.assert_allclose(np.interp(0.4, forward.time, forward.joints["C"].reaction_force[:, 0]),
+                               np.interp(0.4, run.time, run.joints["C"].reaction_force[:, 0]), rtol=1e-3)  # fmt: skip
