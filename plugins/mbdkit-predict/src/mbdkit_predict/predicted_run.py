@@ -17,7 +17,7 @@ from mbdkit.archive.reader import load
 from mbdkit.archive.run import Run
 from mbdkit.archive.run_writer import UNJUDGED, Ending, Origin
 from mbdkit.archive.writer import ArchiveWriter
-from mbdkit.base.errors import RunError
+from mbdkit.base.errors import RunError, SpecError
 from mbdkit.base.one_thread import one_thread_of_linear_algebra
 from mbdkit.engine.consistent_start import workspace_at_start
 from mbdkit.engine.equations_of_motion import EquationsOfMotion
@@ -74,9 +74,7 @@ def predicted(spec: PredictSpec, *, path: str | Path | None = None, overwrite: b
     begin, file = time.perf_counter(), None if path is None else Path(path)
     if file is not None:
         check_target(file, overwrite=overwrite)
-    symbolic = SymbolicMechanism(spec.chosen, 0.0)
-    objective = objective_of(spec, symbolic.quantity, symbolic.time)
-    transcription = Transcription(spec, symbolic, objective)
+    transcription = transcribed(spec)
     setup, wall, cpu = time.perf_counter() - begin, time.perf_counter(), time.process_time()
     with one_thread_of_linear_algebra():
         result = _optimum(spec, transcription)
@@ -86,6 +84,21 @@ def predicted(spec: PredictSpec, *, path: str | Path | None = None, overwrite: b
         return Run(held)
     assert file is not None
     return load(file)
+
+
+def transcribed(spec: PredictSpec) -> Transcription:
+    """Return the optimal control problem of a spec.
+
+    Raises
+    ------
+    SpecError
+        If an expression is wrong, or the mechanism cannot be exported.
+    """
+    try:
+        symbolic = SymbolicMechanism(spec.chosen, 0.0)
+        return Transcription(spec, symbolic, objective_of(spec, symbolic.quantity, symbolic.time))
+    except SpecError as error:
+        raise spec.placed(error) from None
 
 
 def _optimum(spec: PredictSpec, transcription: Transcription) -> Prediction:
