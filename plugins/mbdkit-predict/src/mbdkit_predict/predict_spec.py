@@ -150,7 +150,7 @@ class PredictSpec(ModelSpec):
     final: dict[str, Wanted] = Field(default_factory=dict)
     """Values at the end, or their bounds, by expression of quantities."""
     subject_to: dict[str, Condition] = Field(default_factory=dict)
-    """Conditions at all times, by name."""
+    """Conditions at all collocation points, by name."""
     periodic: list[str] = Field(default_factory=list)
     """Expressions of quantities whose values are equal at the start and at the end."""
     minimize: str
