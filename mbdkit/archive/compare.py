@@ -114,9 +114,9 @@ def compare(first: Run, second: Run) -> Comparison:
         same_spec=first.spec_json == second.spec_json,
         differences=differences,
         versions={
-            name: (str(first.provenance.get(name, "")), str(second.provenance.get(name, "")))
+            name: pair
             for name in sorted({*first.provenance, *second.provenance} - _NOT_VERSIONS)
-            if first.provenance.get(name) != second.provenance.get(name)
+            if len(set(pair := (str(first.provenance.get(name, "")), str(second.provenance.get(name, ""))))) == 2
         },
         falsified=(*falsified_one, *falsified_two),
     )

@@ -49,6 +49,9 @@ At the end of a period, the values at start and end are equal, and in equilibriu
 MESH_ERROR = "the error of the mesh of beams"
 """What error bars of runs with beams do not include."""
 
+PERSON_ERROR = "the uncertainty of the person's joint centres, lengths, masses and muscles"
+"""What error bars of persons do not include."""
+
 #: Residuals [m or rad], overlaps [m] and creep [m/s] up to this value are rounding errors.
 EXACT = 1e-12
 
@@ -112,9 +115,9 @@ class Headline(NamedTuple):
 
 
 def excluded_error(run: Run) -> str:
-    """Return the error that the estimates of a run do not include, that of the mesh of beams; empty without beams."""
+    """Return the error that the estimates of a run do not include, that of the mesh of beams or of a person."""
     has_beams = run.spec.get("model", {}).get("beams") or (run.records("beams/strain_energy") and run.beams)
-    return MESH_ERROR if has_beams else ""
+    return MESH_ERROR if has_beams else PERSON_ERROR if "subject" in run.spec else ""
 
 
 def plus_minus(value: float, error: float, sign: str = "+-", digits: int = MOST_DIGITS) -> str:

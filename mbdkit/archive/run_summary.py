@@ -71,7 +71,7 @@ def summary_lines(run: Run) -> list[tuple[str, str]]:
         ("gravity", _gravity(spec)),
         ("redundancy", run.redundancy and f"{run.redundancy}{_LEAST_NORM}"),
         ("start", _start(run)),
-        ("integrator", _method(spec) if run.kind != "inverse" else ""),
+        ("integrator", _method(spec) if "integrator" in spec else ""),
         ("smoothing", _smoothing(spec)),
         ("stabilization", _stabilization(run)),
         *(("warning", warning) for warning in run.warnings if warning not in run.verdict_reasons),

@@ -62,6 +62,8 @@ class ChosenNumbers:
         self._spec = mechanism.to_spec()
         self._original = mechanism
         self.control_start = [self._start(key) for key in controls]
+        if both := set(controls) & set(parameters):
+            raise SpecError("is a control, so that it is no parameter", key=f"model.{min(both)}")
         self.parameter_start = [self._number(key) for key in parameters]
         self.control_states = [
             self._add_control(key, start) for key, start in zip(controls, self.control_start, strict=True)

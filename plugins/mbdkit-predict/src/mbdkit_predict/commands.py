@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
+from mbdkit.base.terminal import show
 from mbdkit.cli.common_options import (
     InverseSpecName,
     MotionSet,
@@ -16,6 +17,24 @@ from mbdkit.cli.common_options import (
     stem,
 )
 from mbdkit.cli.outcome import tell
+
+
+def validate_predict(source: Any, name: str, assignments: list[str]) -> None:
+    """Check the spec of a prediction and all its expressions, and print what would be computed."""
+    from mbdkit_predict.export import require_casadi
+    from mbdkit_predict.predict_loading import load_predict_spec
+
+    spec = load_predict_spec(source, assignments)
+    require_casadi("the check of a prediction needs")
+    from mbdkit_predict.predicted_run import transcribed
+
+    transcribed(spec)
+    show(f"{name}: this is valid as a spec of a prediction")
+    show(f"model        {spec.model_item.id}: {spec.mechanism().description()}")
+    show(f"controls     {', '.join(spec.controls)}")
+    if spec.optimized:
+        show(f"parameters   {', '.join(spec.optimized)}")
+    show("not checked  whether a motion satisfies all conditions")
 
 
 @grouped

@@ -30,6 +30,7 @@ def mbdkit_items() -> Iterable[Item]:
             command="mbdkit predict",
             heading="PREDICTIONS",
             load=Target("mbdkit_predict.predict_loading:load_predict_spec"),
+            validate=Target("mbdkit_predict.commands:validate_predict"),
             run_kind="predicted",
             model=Target("mbdkit_predict.predict_spec:PredictSpec"),
             schema=Target("mbdkit_predict.predict_loading:predict_schema"),

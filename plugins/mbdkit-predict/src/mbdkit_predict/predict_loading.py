@@ -19,6 +19,9 @@ from mbdkit_predict.predict_spec import PredictSpec, predict_spec_type
 PredictSource: TypeAlias = str | Path | Mapping[str, object] | PredictSpec
 """A file, the name of a packaged example, a mapping, or a validated spec of a prediction."""
 
+USED = ("parameters", "model")
+"""Sections of the base that are used."""
+
 
 def load_predict_spec(source: Any, overrides: Iterable[str] = (), **sections: Any) -> PredictSpec:
     """Load and validate a spec of a prediction, build its mechanism, and return the spec.
@@ -46,17 +49,28 @@ def load_predict_spec(source: Any, overrides: Iterable[str] = (), **sections: An
 def _with_base(data: Mapping[str, Any], folder: Path) -> dict[str, Any]:
     """Return a spec with model and named parameters of its base."""
     sections = dict(data)
+    if "phases" in sections:
+        raise SpecError("motions of several phases are not supported; `duration` is that of the whole", key="phases")
     if "base" not in sections:
+        if "model" not in sections:
+            raise SpecError(
+                "is missing: a run spec whose model is used, its file, or the name of an example", key="base"
+            )
         return sections
     base = _base(sections.pop("base"), folder)
     overrides = sections.pop("overrides", {})
     if not isinstance(overrides, Mapping):
         raise SpecError(f"should be a mapping of key paths and values, not {value_text(overrides)}", key="overrides")
     for key, value in overrides.items():
-        put(base, parse_path(str(key)), value)
+        path = parse_path(str(key))
+        if path[0] not in USED:
+            raise SpecError(
+                f"'{key}' has no effect, because only {listed(USED, 'and')} of the base are used", key="overrides"
+            )
+        put(base, path, value)
     if "parameters" in sections:
         sections["optimized"] = sections.pop("parameters")
-    return {"mbdkit": 1, **{key: base[key] for key in ("parameters", "model") if key in base}, **sections}
+    return {"mbdkit": 1, **{key: base[key] for key in USED if key in base}, **sections}
 
 
 def _base(given: Any, folder: Path) -> dict[str, Any]:

@@ -33,6 +33,17 @@ def _ordered(bounds: tuple[float, float]) -> tuple[float, float]:
     return bounds
 
 
+def _some(controls: dict[str, Any]) -> dict[str, Any]:
+    if not controls:
+        raise SpecError("needs at least one control, which moves the mechanism")
+    return controls
+
+
+def _check_start(start: float | None, bounds: tuple[float, float]) -> None:
+    if start is not None and not bounds[0] <= start <= bounds[1]:
+        raise SpecError(f"should be within the bounds, {bounds[0]:g} to {bounds[1]:g}, not {start:g}", key="start")
+
+
 Bounds = Annotated[tuple[Number, Number], AfterValidator(_ordered)]
 Wanted = Number | Bounds
 
@@ -47,6 +58,11 @@ class Variable(Section):
     start: Number | None = None
     """Value with which the optimization begins; by default, that of the base."""
 
+    @model_validator(mode="after")
+    def _starts_within(self) -> Variable:
+        _check_start(self.start, self.bounds)
+        return self
+
 
 class Duration(Section):
     """A free duration."""
@@ -57,6 +73,11 @@ class Duration(Section):
     """Shortest and longest duration [s]."""
     start: Positive | None = None
     """Duration with which the optimization begins [s]; by default, the mean of the bounds."""
+
+    @model_validator(mode="after")
+    def _starts_within(self) -> Duration:
+        _check_start(self.start, self.bounds)
+        return self
 
 
 class Condition(Section):
@@ -70,6 +91,14 @@ class Condition(Section):
     """Its smallest value."""
     max: Number | None = None
     """Its largest value."""
+
+    @model_validator(mode="after")
+    def _limits(self) -> Condition:
+        if self.min is None and self.max is None:
+            raise SpecError("has no effect without `min` or `max`")
+        if self.min is not None and self.max is not None:
+            _ordered((self.min, self.max))
+        return self
 
 
 class Collocation(Section):
@@ -108,7 +137,7 @@ class PredictSpec(ModelSpec):
 
     mbdkit_predict: Literal[1]
     """Version of the format of predictions."""
-    controls: dict[str, Variable]
+    controls: Annotated[dict[str, Variable], AfterValidator(_some)]
     """Functions of time that are optimized, by the key path of the value in the model that they replace, such as
     `forces.motor.value` and `muscles.soleus.excitation`."""
     optimized: dict[str, Variable] = Field(default_factory=dict)
@@ -121,7 +150,7 @@ class PredictSpec(ModelSpec):
     final: dict[str, Wanted] = Field(default_factory=dict)
     """Values at the end, or their bounds, by expression of quantities."""
     subject_to: dict[str, Condition] = Field(default_factory=dict)
-    """Conditions at all times, by name."""
+    """Conditions at all collocation points, by name."""
     periodic: list[str] = Field(default_factory=list)
     """Expressions of quantities whose values are equal at the start and at the end."""
     minimize: str

@@ -15,9 +15,9 @@ from mbdkit.archive import layout
 from mbdkit.archive.part_file import check_target
 from mbdkit.archive.reader import load
 from mbdkit.archive.run import Run
-from mbdkit.archive.run_writer import Ending, Origin
+from mbdkit.archive.run_writer import UNJUDGED, Ending, Origin
 from mbdkit.archive.writer import ArchiveWriter
-from mbdkit.base.errors import RunError
+from mbdkit.base.errors import RunError, SpecError
 from mbdkit.base.one_thread import one_thread_of_linear_algebra
 from mbdkit.engine.consistent_start import workspace_at_start
 from mbdkit.engine.equations_of_motion import EquationsOfMotion
@@ -26,6 +26,7 @@ from mbdkit.quantities.names import archive_names
 from mbdkit.quantities.states import States
 from mbdkit.runs.provenance import model_provenance
 from mbdkit.runs.recorder import shared_forces
+from mbdkit.trust.criteria import Judgement
 from mbdkit_predict.objective import objective_of
 from mbdkit_predict.predict_spec import PredictSpec
 from mbdkit_predict.symbolic_mechanism import SymbolicMechanism
@@ -35,8 +36,11 @@ ROUNDING = 1e-8
 """Smallest error of the objective, relative to its size, due to the tolerance of the optimizer."""
 NOTHING = 1e-9
 """Changes of the objective below this count as zero."""
+NO_OPTIMUM = "The motion is that of the last iterate: it is no optimum, and may violate conditions."
+INACCURATE = "The objective is less accurate than `tolerance`."
+"""Verdicts on motions whose optimization failed."""
 MOST_INTERVALS = 640
-"""Largest number of intervals of a mesh."""
+"""Largest number of intervals of a refined mesh; every first mesh is refined once."""
 
 
 @dataclass(frozen=True)
@@ -52,7 +56,7 @@ class Prediction:
     objectives
         Number of intervals and objective of each mesh.
     error
-        Estimated error of the objective: its change by the last refinement; nan if there is only one mesh.
+        Estimated error of the objective: its change by the last refinement; nan without an optimum on the last mesh.
     reason
         Code and sentence saying why the optimum was not found; empty if it was.
     """
@@ -70,9 +74,7 @@ def predicted(spec: PredictSpec, *, path: str | Path | None = None, overwrite: b
     begin, file = time.perf_counter(), None if path is None else Path(path)
     if file is not None:
         check_target(file, overwrite=overwrite)
-    symbolic = SymbolicMechanism(spec.chosen, 0.0)
-    objective = objective_of(spec, symbolic.quantity, symbolic.time)
-    transcription = Transcription(spec, symbolic, objective)
+    transcription = transcribed(spec)
     setup, wall, cpu = time.perf_counter() - begin, time.perf_counter(), time.process_time()
     with one_thread_of_linear_algebra():
         result = _optimum(spec, transcription)
@@ -84,15 +86,31 @@ def predicted(spec: PredictSpec, *, path: str | Path | None = None, overwrite: b
     return load(file)
 
 
+def transcribed(spec: PredictSpec) -> Transcription:
+    """Return the optimal control problem of a spec.
+
+    Raises
+    ------
+    SpecError
+        If an expression is wrong, or the mechanism cannot be exported.
+    """
+    try:
+        symbolic = SymbolicMechanism(spec.chosen, 0.0)
+        return Transcription(spec, symbolic, objective_of(spec, symbolic.quantity, symbolic.time))
+    except SpecError as error:
+        raise spec.placed(error) from None
+
+
 def _optimum(spec: PredictSpec, transcription: Transcription) -> Prediction:
     """Return the optimum on a mesh that is fine enough."""
     mesh = transcription.solved(transcription.guess())
     meshes, error, change = [mesh], np.nan, 0.0
-    while mesh.status in SUCCESSES and 2 * mesh.intervals <= MOST_INTERVALS:
+    while mesh.status in SUCCESSES and (len(meshes) == 1 or 2 * mesh.intervals <= MOST_INTERVALS):
         finer = transcription.solved(transcription.refined(mesh))
         meshes.append(finer)
         change, mesh = abs(finer.objective - mesh.objective), finer
         if finer.status not in SUCCESSES:
+            error = np.nan
             break
         error = max(change, ROUNDING * abs(finer.objective))
         if change <= spec.tolerance * abs(finer.objective) + NOTHING:
@@ -210,6 +228,10 @@ def _archive_of(
         counters = dict.fromkeys(layout.COUNTERS, 0) | {"newton_iterations": result.mesh.iterations}
         status = "failed" if result.reason else "complete"
         misalignment = states.misalignment.max(axis=0, initial=0.0)
-        return writer.finish(Ending(status, result.reason, {**counters, **timings}, misalignment))
+        judgement = UNJUDGED
+        if result.reason:  # an error is known if there is an optimum on the last mesh, the limit of meshes
+            known = np.isfinite(result.error)
+            judgement = Judgement("doubtful", (INACCURATE,)) if known else Judgement("bad", (NO_OPTIMUM,))
+        return writer.finish(Ending(status, result.reason, {**counters, **timings}, misalignment, judgement))
     finally:
         writer.abandon()

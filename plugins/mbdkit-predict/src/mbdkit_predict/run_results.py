@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 from typing import Any
 
 from mbdkit.base.plain_data import parse_path
@@ -21,7 +22,7 @@ def objective(run: Run) -> float:
 
 
 def objective_error(run: Run) -> float:
-    """Return the change of the objective by the last refinement of the mesh; nan if there was none."""
+    """Return the change of the objective by the last refinement of the mesh; nan if no optimum was found on it."""
     return float(_recorded(run, "objective_error"))
 
 
@@ -49,5 +50,12 @@ def _state_of(control: str) -> str:
 def lines(run: Run) -> list[tuple[str, str]]:
     """Return the lines of the summary."""
     count, _ = mesh(run)[-1]
-    entries = [("objective", f"{objective(run):.10g} +- {objective_error(run):.2g} on {count} intervals")]
+    value, error = objective(run), objective_error(run)
+    of_optimum = f"{value:.10g} +- {error:.2g} on {count} intervals"
+    of_iterate = f"{value:.10g} at the last iterate, which is no optimum"
+    method = run.spec["collocation"]
+    entries = [
+        ("collocation", f"{method['method']}, {method['points']} points in each of {count} intervals"),
+        ("objective", of_iterate if math.isnan(error) else of_optimum),
+    ]
     return entries + [(name, f"{value:.6g}") for name, value in parameters(run).items()]

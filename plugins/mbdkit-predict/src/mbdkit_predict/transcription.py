@@ -10,7 +10,9 @@ Journal of Computational and Applied Mathematics 12-13:77-90, 1985):
 
 from __future__ import annotations
 
+import io
 from collections.abc import Mapping
+from contextlib import redirect_stderr
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -49,7 +51,7 @@ class Mesh:
     status
         What the optimizer reports.
     iterations
-        Number of its iterations.
+        Number of its iterations, on this mesh and those before.
     violated
         Name of the condition with the largest violation, and the violation.
     """
@@ -162,7 +164,7 @@ class Transcription:
         for name in ("q", "v", "a", "lam", "mu", "z", "u"):
             rows = mesh.values[name]
             values[name] = np.array([np.interp(after, before, row) for row in rows]).reshape(len(rows), len(after))
-        return Mesh(count, self._with_nodes(values, count), mesh.objective, "", 0)
+        return Mesh(count, self._with_nodes(values, count), mesh.objective, "", mesh.iterations)
 
     def solved(self, guess: Mesh) -> Mesh:
         """Return the optimum on the mesh of a guess."""
@@ -176,14 +178,14 @@ class Transcription:
             "f": objective,
             "g": ca.vertcat(*(ca.vec(condition.value) for condition in conditions)),
         }
-        solver = ca.nlpsol("prediction", "ipopt", program, options)
         low, high = (
             np.concatenate(
                 [np.broadcast_to(getattr(condition, side), condition.value.numel()) for condition in conditions]
             )
             for side in ("low", "high")
         )
-        result = solver(
+        solver, result = _solution(
+            ("prediction", program, options),
             x0=np.concatenate([guess.values[name].ravel(order="F") for name in unknowns]),
             lbx=np.concatenate([bounds[name][0].ravel(order="F") for name in unknowns]),
             ubx=np.concatenate([bounds[name][1].ravel(order="F") for name in unknowns]),
@@ -202,7 +204,8 @@ class Transcription:
         )
         beyond = np.nan_to_num(np.maximum(np.maximum(low - g, g - high), 0.0), nan=np.inf)
         worst = str(names[np.argmax(beyond)]), float(beyond.max())
-        return Mesh(guess.intervals, values, float(result["f"]), report["return_status"], report["iter_count"], worst)
+        iterations = guess.iterations + report["iter_count"]
+        return Mesh(guess.intervals, values, float(result["f"]), report["return_status"], iterations, worst)
 
     def _stage_function(self) -> ca.Function:
         """Return the function of a collocation point: conditions, q', z', integrands, and path."""
@@ -366,12 +369,28 @@ class Transcription:
         m = len(system.constraint_names)
         problem: Any = {"x": system.q, "f": ca.sumsqr(system.q - q), "g": closed}
         options: Any = {"print_time": False, "ipopt.print_level": 0, "ipopt.sb": "yes"}
-        pose = ca.nlpsol("pose", "ipopt", problem, options)(
+        _, pose = _solution(
+            ("pose", problem, options),
             x0=q,
             lbg=[0.0] * m + [condition[1] for condition in wanted],
             ubg=[0.0] * m + [condition[2] for condition in wanted],
         )
         return np.array(pose["x"]).ravel()
+
+
+def _solution(problem: tuple[str, Any, Any], **given: Any) -> tuple[ca.Function, Any]:
+    """Return the optimizer of a problem (name, functions, options), and its solution.
+
+    CasADi prints warnings, for instance about more conditions than unknowns, whose sense is in its status, and takes an
+    interrupt by the user for a failure of the optimizer.
+    """
+    name, functions, options = problem
+    with redirect_stderr(io.StringIO()):
+        solver = ca.nlpsol(name, "ipopt", functions, options)
+        solution = solver(**given)
+    if solver.stats()["return_status"] in INTERRUPTED:
+        raise KeyboardInterrupt
+    return solver, solution
 
 
 def statuses() -> Mapping[str, tuple[str, str]]:
@@ -385,5 +404,8 @@ def statuses() -> Mapping[str, tuple[str, str]]:
         "Diverging_Iterates": ("unbounded", "unknowns grow without limit; give bounds to what is free"),
     }
 
+
+INTERRUPTED = ("NonIpopt_Exception_Thrown", "User_Requested_Stop")
+"""Reports of the optimizer if the user interrupts it."""
 
 SUCCESSES = ("Solve_Succeeded", "Solved_To_Acceptable_Level")

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import copy
+import signal
 import sys
+import threading
 from pathlib import Path
 from typing import Any
 
@@ -171,6 +173,8 @@ def test_a_motion_that_cannot_be_is_infeasible(tmp_path: Path) -> None:
     assert "motion does not lead from the start to the end within the bounds" in run.status_reason
     assert np.isnan(run.objective_error)
     assert len(run.time) == 61
+    assert (run.verdict, "no optimum" in run.verdict_reasons[0]) == ("bad", True)
+    assert "at the last iterate, which is no optimum" in run.summary()
     run = mbdkit.predict(block(final={"2*block.x": 1, "3*block.x": 4}))
     assert "the largest violation is that of `final: " in run.status_reason
 
@@ -189,6 +193,14 @@ def test_a_motion_that_cannot_be_is_infeasible(tmp_path: Path) -> None:
         ({"collocation": {"points": 4}}, "collocation.points", "radau has 2, 3 or 5 points, not 4"),
         ({"base": "blok"}, "base", "examples: belt, bouncing-ball"),
         ({"durration": 1.0}, "durration", "did you mean 'duration'"),
+        ({"phases": [{"duration": 1.0}]}, "phases", "several phases are not supported"),
+        ({"controls": {}}, "controls", "at least one control"),
+        ({"controls": {PUSH: {"bounds": [-1, 1], "start": 2}}}, f'controls."{PUSH}".start', "within the bounds"),
+        ({"duration": {"bounds": [1, 2], "start": 3}}, "duration.start", "within the bounds"),
+        ({"subject_to": {"a": {"value": "block.x"}}}, "subject_to.a", "no effect without `min` or `max`"),
+        ({"subject_to": {"a": {"value": "block.x", "min": 2, "max": 1}}}, "subject_to.a", "is above"),
+        ({"overrides": {"integrator": "x"}}, "overrides", "only parameters and model of the base"),
+        ({"parameters": {PUSH: {"bounds": [0, 1]}}}, f"model.{PUSH}", "is a control"),
     ],
 )
 def test_a_wrong_spec_is_one_sentence(changed: dict[str, Any], key: str, text: str) -> None:
@@ -198,9 +210,28 @@ def test_a_wrong_spec_is_one_sentence(changed: dict[str, Any], key: str, text: s
     assert text in caught.value.message
 
 
+def test_a_first_mesh_above_the_limit_is_refined_once() -> None:
+    run = mbdkit.predict(block(collocation={"points": 2, "intervals": 400}))
+    assert run.status == "complete"
+    assert [count for count, _ in run.mesh] == [400, 800]
+    assert abs(run.objective - 12.0) <= run.objective_error
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="signals")
+def test_an_interrupt_leaves_no_archive(tmp_path: Path) -> None:
+    # CasADi takes an interrupt for a failure of the optimizer
+    timer = threading.Timer(1.0, signal.raise_signal, [signal.SIGINT])
+    timer.start()
+    with pytest.raises(KeyboardInterrupt):
+        mbdkit.predict("cart-pole", archive=tmp_path / "cart-pole.h5", tolerance=1e-9)
+    assert not list(tmp_path.iterdir())
+
+
 def test_examples_are_valid_and_without_casadi_the_package_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
     for name in ("block", "cart-pole"):
         assert load_predict_spec(name).title
+        done = CliRunner().invoke(app, ["validate", name], prog_name="mbdkit")
+        assert "controls     forces.push.value[0]" in done.stdout
     monkeypatch.setitem(sys.modules, "casadi", None)
     with pytest.raises(MbdkitError, match=r"predictions need the package casadi: install it with `pip install"):
         mbdkit.predict("block")

@@ -125,9 +125,11 @@ class Segments:
         assert asked is not None
         for body in asked:
             if body not in bodies:
-                what = "is for a second leg: add `legs: 2` to the model" if body.endswith(LEFT) else "is no segment"
                 hint = did_you_mean(body, bodies) or f"; segments: {listed(bodies)}"
-                raise SpecError(f"{what}{hint}", key=f"motion.clusters.{quoted(body)}")
+                what = (
+                    "is for a second leg: add `legs: 2` to the model" if body.endswith(LEFT) else f"is no segment{hint}"
+                )
+                raise SpecError(what, key=f"motion.clusters.{quoted(body)}")
         clusters = {}
         for body in bodies:
             names, key = tuple(asked[body]), f"motion.clusters.{body}"

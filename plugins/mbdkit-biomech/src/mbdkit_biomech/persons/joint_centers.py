@@ -41,9 +41,10 @@ LARGEST_RESIDUAL = 0.02
 10 mm; a squat whose thigh moves within its skin gave 25 mm and a shank of 0.72 m."""
 
 LANDMARKS = 0.007
-"""Standard deviation of the middle of two landmarks along each axis [m]. Examiners place a landmark of the leg with a
-root mean square distance of 13 to 25 mm (U. Della Croce, A. Cappozzo and D. C. Kerrigan, Med. Biol. Eng. Comput. 37
-(1999) 155-161): about 10 mm along each axis, and less by the square root of two for the middle of two."""
+"""Standard deviation of the middle of two landmarks along each axis [m]. Marks of different examiners at the side of
+the knee are 12 mm apart on average (M. J. Simmonds and S. Kumar, Int. J. Ind. Ergonomics 11 (1993) 145-151), which is
+12 / sqrt(pi) = 6.8 mm along each axis of the skin. The middle of two such landmarks would be known to 4.8 mm; this
+contains 5 mm by which it may differ from the centre of rotation, an assumption."""
 
 REGRESSION = 0.0079
 """Standard deviation of `hip_center` along each axis [m]: G. Mantovani, K. C. G. Ng and M. Lamontagne, Gait Posture 44

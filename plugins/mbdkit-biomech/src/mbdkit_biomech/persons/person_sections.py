@@ -46,6 +46,11 @@ class Midpoint(Section):
     """Markers on the medial and the lateral side of the joint, in the static trial if it has them, otherwise in the
     motion."""
 
+    def model_post_init(self, _context: object) -> None:
+        """Raise SpecError if both landmarks are the same."""
+        if len(set(self.midpoint)) == 1:
+            raise SpecError("names one marker twice", key="midpoint")
+
 
 CenterMethod = Literal["functional", "hip-regression", "static"]
 OF_PERSONS = ("plane", "clusters", "centers", "static")
