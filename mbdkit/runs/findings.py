@@ -14,12 +14,12 @@ from mbdkit.trust.finding import Finding
 Stage = Literal["spec", "start", "rows", "end", "data"]
 
 
-def criteria(stage: Stage, spec: Any, kind: str = "run") -> Iterator[tuple[Registered, CriterionItem]]:
-    """Yield the criteria of a stage for the result of a spec, in their order."""
+def criteria(stage: Stage, spec: Any = None, kind: str = "run") -> Iterator[tuple[Registered, CriterionItem]]:
+    """Yield the criteria of a stage for the result of a spec, or for any spec, in their order."""
     for item in registry().of_kind(CriterionItem.kind):
         criterion = cast(CriterionItem, item.plugin)
         is_examined = criterion.stage == stage and kind in criterion.of
-        if is_examined and (not criterion.elements or spec.mechanism().elements.get(criterion.elements)):
+        if is_examined and (spec is None or not criterion.elements or criterion.elements in spec.mechanism().elements):
             yield item, criterion
 
 

@@ -18,6 +18,7 @@ from mbdkit.base.text import did_you_mean, listed
 from mbdkit.engine.formulation import FormulationName
 from mbdkit.mechanism.element_kinds import element_kinds
 from mbdkit.mechanism.mechanism import Mechanism
+from mbdkit.registry.catalogue import Registry
 from mbdkit.registry.feature_items import Example
 from mbdkit.registry.manager import registry
 from mbdkit.spec.model_spec import ModelSpec
@@ -156,10 +157,14 @@ def example_table(name: str) -> str | None:
     return path.read_text("utf-8") if path.is_file() else None
 
 
-@functools.cache
 def _examples() -> dict[str, Path]:
     """Return the files of the packaged specs by name."""
-    files = {item.name: cast(Example, item.plugin).file for item in registry().of_kind("example")}
+    return _examples_of(registry())
+
+
+@functools.lru_cache(maxsize=1)
+def _examples_of(known: Registry) -> dict[str, Path]:
+    files = {item.name: cast(Example, item.plugin).file for item in known.of_kind("example")}
     return {name: files[name] for name in sorted(files) if files[name].suffix == ".yaml"}
 
 
