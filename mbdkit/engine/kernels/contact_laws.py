@@ -1,7 +1,7 @@
 """The law of compliant contacts: where two shapes touch, with which forces, and the derivatives of these forces.
 
 The first shape is a line, polyline, polygon, circle or hole, the second a polygon, circle or point; a point is a circle
-of radius 0. A row (`mbdkit.mechanism.contacts.ContactPair`) is a possible contact point. The normal n of a row points
+of radius 0. A row (`mbdkit_contact.contact.ContactPair`) is a possible contact point. The normal n of a row points
 from the first shape to the second. With the center c and radius r of the second body's circle, the normal force N and
 the friction force T act at the point ``P = c - n (r + gap/2)``, midway between the two outlines. The velocity of the
 second body at P, relative to that of the first body at P, has the component ``gap'`` along n and the slip along t,
@@ -60,7 +60,7 @@ from mbdkit.engine.native.functions import inlined, kernel, law_function
 FORCES, SLOPES, VALUES = range(3)
 """Modes: what the law computes."""
 KINDS = ("line", "circles", "hole", "edge", "inside", "polyline")
-"""Kinds of geometry; see `mbdkit.mechanism.contacts.ContactPair`."""
+"""Kinds of geometry; see `mbdkit_contact.contact.ContactPair`."""
 _LINE, _CIRCLES, _HOLE, _EDGE, _INSIDE, _POLYLINE = range(len(KINDS))
 FORCE_LAWS = ("none", "hertz", "linear", "smooth")
 """Laws of the normal force; rigid contacts have no law."""
@@ -76,7 +76,7 @@ _HEAD = 8
 POSE = 7
 """Numbers of a body: x, y, cosine and sine of its angle, and its velocities."""
 STIFFNESS, DISSIPATION, RELEASE, STATIC, KINETIC, TRANSITION, ROLLING, SHAPES = range(2 * POSE, 2 * POSE + 8)
-"""Places of the parameters of the force law, see `mbdkit.mechanism.contacts.Contact.law_numbers`, and of the shapes."""
+"""Places of the parameters of the force law, see `mbdkit_contact.contact.Contact.law_numbers`, and of the shapes."""
 ROW = 7
 """Parameters of a row without polygon."""
 VALUE = 9

@@ -3,7 +3,7 @@
 A *part* of a polyline is a segment or the corner at its start. The height of a point over a part is negative in the
 material. A point lies over a segment if it can be projected onto it, and over a corner if it lies beyond the ends of
 both segments there: outside a convex corner, or in the material below a concave one. Of a convex piece
-(`mbdkit.mechanism.polylines`), the part with the largest height is touched.
+(`mbdkit_contact.polylines`), the part with the largest height is touched.
 
 A corner of a polygon touches only segments that face one of its two edges, as with two polygons
 (`mbdkit.engine.kernels.contact_laws`), so that a corner just inside the end of a segment is not pushed out sideways.
@@ -22,7 +22,7 @@ from math import sqrt
 from mbdkit.engine.native.functions import inlined
 
 EDGE, SEGMENT = 5, 10
-"""Numbers of an edge of a polygon: start, normal and length; of a segment: see `mbdkit.mechanism.polylines.SEGMENT`."""
+"""Numbers of an edge of a polygon: start, normal and length; of a segment: see `mbdkit_contact.polylines.SEGMENT`."""
 LOW, HIGH, DEPTH, COLOR, TURN, CORNER_COLOR = range(4, SEGMENT)
 OWN = 4
 """Numbers before the edges."""

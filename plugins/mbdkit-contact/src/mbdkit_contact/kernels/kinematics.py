@@ -1,6 +1,6 @@
 """Gaps and rows of rigid contacts, and where convex polygons touch.
 
-A row (a possible contact point, see `mbdkit.mechanism.contacts.ContactPair`) of a polygon has several features, each
+A row (a possible contact point, see `mbdkit_contact.contact.ContactPair`) of a polygon has several features, each
 with a smooth gap. For a corner of another polygon, the features are the edges of the polygon; for a circle, one edge
 and the corner before it. Circles and points touch the nearest feature. By the theorem of separating axes, two polygons
 can touch only along the edge from which the other polygon is farthest, and along the edge of the other polygon that
