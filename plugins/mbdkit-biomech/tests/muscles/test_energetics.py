@@ -9,8 +9,8 @@ from scipy.integrate import simpson
 from tests.muscles import leg
 from tests.muscles.models import leg_mechanism
 from tests.muscles.recruited import leg_spec
+from tests.muscles.test_muscles_in_runs import FORCE, WIDTH, arm
 from tests.muscles.test_recruitment import forearm
-from tests.runs.test_muscles_in_runs import FORCE, WIDTH, arm
 
 import mbdkit
 from mbdkit import SpecError

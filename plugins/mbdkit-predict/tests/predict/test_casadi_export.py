@@ -14,7 +14,6 @@ import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
 from tests.compliant.test_contact_forces import PAIRS, two_bodies
-from tests.contact.test_joint_friction import pendulum, slide
 
 from mbdkit import MbdkitError, Mechanism, SpecError
 from mbdkit.engine.equations_of_motion import EquationsOfMotion
@@ -25,6 +24,7 @@ from mbdkit_predict.casadi_system import CasadiSystem
 from mbdkit_predict.symbols import BranchError, Symbol, column, every_branch
 from tests.engine import random_mechanisms
 from tests.engine.strategies import Drawn, mechanisms
+from tests.runs.test_joint_friction import pendulum, slide
 from tests.witness.test_moving_center import wheel
 
 ROUNDING = 1e-12
