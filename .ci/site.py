@@ -38,8 +38,9 @@ class Stubs(griffe.Extension):
             path = ROOT / "mbdkit/mechanism/element_methods.pyi"
             stub = griffe.visit(path.stem, path, path.read_text(encoding="utf-8"))
             own = pkg["mechanism.element_methods.ElementMethods"]
-            for name, method in stub["ElementMethods"].members.items():
-                examples = own.members[name].docstring.value.partition("\n\n")[2]
+            for name, method in stub["ElementMethods"].functions.items():
+                given = own.members[name].docstring.value  # griffe has added methods of plugins from the stub
+                examples = "" if given == method.docstring.value else given.partition("\n\n")[2]
                 method.docstring.value += f"\n\nExamples\n--------\n{examples}" if examples else ""
                 own.set_member(name, method)
 

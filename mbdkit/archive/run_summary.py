@@ -328,7 +328,8 @@ def _includes_impacts(treatment: str | None) -> bool:
 def _restitutions(run: Run, struck: np.ndarray) -> str:
     """Return the restitution of the contacts with these names, and a comma; empty if the spec cannot be read."""
     try:
-        contacts, joints = run.mechanism.contacts, run.mechanism.joints
+        contacts: Mapping[str, Any] = run.mechanism.elements.get("contacts", {})
+        joints = run.mechanism.joints
     except MbdkitError:
         return ""
     known = {pair.name: one.restitution for name, one in contacts.items() for pair in one.pairs(name, joints)}

@@ -18,6 +18,9 @@ elementary_values: Callable[..., Any]
 installed_plugins: Callable[[], Any]
 """Returns the `PluginLookup` of the installed plugins, which finds the models of their options."""
 
+names_of_mechanisms: Callable[[], Any]
+"""Returns the names of the attributes that mechanisms have without elements of plugins."""
+
 symbolic_system: Callable[..., Any]
 """Returns the `SymbolicSystem` of a mechanism; with `numbers=True`, parameters are numbers instead of symbols."""
 

@@ -3,18 +3,20 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterator, Mapping
-from functools import cache
+from collections.abc import Callable, Mapping
+from functools import cache, lru_cache
 from typing import Any, TypeVar, cast
 
 from pydantic import Field, TypeAdapter, create_model
 from pydantic.fields import FieldInfo
 
+from mbdkit.base import higher_layers
 from mbdkit.base.errors import MissingPartError, SpecError
 from mbdkit.base.strict_model import StrictModel
 from mbdkit.mechanism.model_methods import of_models
+from mbdkit.registry.catalogue import MBDKIT, Registry
 from mbdkit.registry.feature_items import ElementKind
-from mbdkit.registry.manager import registry
+from mbdkit.registry.manager import log, registry
 
 _OF_PARTS = {"contacts": "mbdkit-contact", "muscles": "mbdkit-biomech"}
 """Parts of mbdkit by the keys of their elements, for messages where the part is not installed."""
@@ -23,9 +25,27 @@ AnyModel = TypeVar("AnyModel", bound=StrictModel)
 
 
 def element_kinds() -> dict[str, ElementKind]:
-    """Return the kinds of elements of all plugins by their key in the model, in their order."""
-    items = (item.plugin for item in registry().of_kind("element-kind"))
-    return {kind.key_in_model: kind for kind in cast("Iterator[ElementKind]", items)}
+    """Return the kinds of elements of all plugins by their key in the model, in their order.
+
+    A warning names the kinds that are not used because mechanisms have an attribute with the name of their key or
+    builder already.
+    """
+    return _kinds(registry())
+
+
+@lru_cache(maxsize=4)
+def _kinds(known: Registry) -> dict[str, ElementKind]:
+    taken, kinds = set(higher_layers.names_of_mechanisms()), {}
+    for item in sorted(known.of_kind("element-kind"), key=lambda item: item.origin.distribution != MBDKIT):
+        kind = cast(ElementKind, item.plugin)
+        own = {kind.key_in_model, kind.builder} - {""}
+        if clash := sorted(own & taken):
+            text = "mbdkit: warning: mechanisms have '%s' already, so the kind of elements '%s' is not used"
+            log.warning(text, clash[0], item.id)
+            continue
+        taken |= own
+        kinds[kind.key_in_model] = kind
+    return dict(sorted(kinds.items(), key=lambda item: item[1].order))
 
 
 def kinds_in(data: Mapping[str, Any]) -> list[ElementKind]:

@@ -410,6 +410,11 @@ class Mechanism(ElementMethods, HtmlView):
         ]
 
 
+def own_names() -> list[str]:
+    """Return the names of the attributes that mechanisms have without elements of plugins."""
+    return list(object.__dir__(Mechanism()))
+
+
 def _with_last(one: NamedCoordinate, last: Mapping[str, str]) -> NamedCoordinate:
     """Return a coordinate with the names of last nodes of beams in place of ``BEAM.last``."""
     owner, dot, quantity = one.of.rpartition(".")

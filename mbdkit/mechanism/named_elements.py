@@ -14,7 +14,7 @@ from mbdkit.base.text import did_you_mean, listed
 from mbdkit.mechanism.beams import Beam, last_nodes, with_body
 from mbdkit.mechanism.bodies import Body, Element, Marker
 from mbdkit.mechanism.checks import check_known, check_name
-from mbdkit.mechanism.element_kinds import check_elements, element_kinds
+from mbdkit.mechanism.element_kinds import check_elements, element_kinds, kinds_in
 from mbdkit.mechanism.forces import Force
 from mbdkit.mechanism.joints import Joint
 from mbdkit.mechanism.mechanism_data import Assembly, MechanismData, NamedCoordinate, check_coordinates
@@ -66,6 +66,10 @@ class NamedElements:
         """
         further = element_kinds()
         if kind not in _KINDS and kind not in further:
+            try:
+                kinds_in({kind: {}})
+            except SpecError as error:  # its part is not installed
+                raise error.located(prefix="model") from None
             known = [*_KINDS, *further]
             hint = did_you_mean(kind, known) or f"; there are {listed(known)}"
             raise SpecError(f"there are no elements called '{kind}'{hint}", key="model")

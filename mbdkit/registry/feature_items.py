@@ -500,7 +500,7 @@ class ElementKind(Feature):
         Function that takes this object and the `Lowering`, adds expressions of the state, and returns a new object. It
         must not add states.
     at_start
-        Function that takes this object, the mechanism, the time [s] and the positions (3 (B + 1),) after assembly, and
+        Function that takes this object, the mechanism, the time [s] and the positions (B, 3) after assembly, and
         returns initial values of states by their index.
     members
         Function that takes this object and returns names and bodies of what archives record; by default, those of the
@@ -551,6 +551,11 @@ class ElementKind(Feature):
     draw: Target[Callable[[Any, Any], list[list[tuple[str, tuple[float, float]]]]]] | None = None
     example: str = ""
     supports: Mapping[str, str] = field(default_factory=dict)
+
+    def _check_key_in_model(self) -> None:
+        for name in (self.key_in_model, self.builder or self.key_in_model):
+            if not re.fullmatch(r"[A-Za-z]\w*", name, re.ASCII):
+                raise PluginError(f"the name {name!r} is not a letter followed by letters, digits and _")
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)

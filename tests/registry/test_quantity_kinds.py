@@ -178,11 +178,11 @@ print(any(name.startswith("mbdkit_biomech") for name in sys.modules))
         (", is_optional=True", "", "has arrays that are not optional, as those of plugins must be"),
         ('word="wear"', 'word="worn"', "the word of its kind is 'worn', not 'wear'"),
         (
-            'take=lambda s: abs(s.of_contacts("slip"))',
+            'take=lambda s: abs(s.of(contacts_in)["slip"])',
             "take=lambda s: s.time",
             "returned wear/rate with the shape (1,), not",
         ),
-        ('take=lambda s: abs(s.of_contacts("slip"))', "take=lambda s: s.nothing", "has no attribute 'nothing'"),
+        ('take=lambda s: abs(s.of(contacts_in)["slip"])', "take=lambda s: s.nothing", "has no attribute 'nothing'"),
     ],
 )
 def test_a_wrong_kind_is_refused_in_one_sentence(before, after, sentence, made, tmp_path):
@@ -213,3 +213,39 @@ def test_a_group_of_mbdkit_is_not_replaced(made, tmp_path):
     )
     assert done.stdout.strip() == "<3 of muscle: biceps, brachialis, triceps>"
     assert "the group 'muscles' belongs to 'mbdkit:muscles', so 'wear-kit:wear' is not used" in done.stderr
+
+
+def test_rigid_contacts_are_summarized_and_reported_without_their_part(tmp_path):
+    mbdkit.run("walker", archive=tmp_path / "walker.h5").close()
+    of = {"path": (), "cwd": tmp_path, "MBDKIT_DISABLE_PLUGINS": "mbdkit/contact"}
+    assert "sound" in python("-m", "mbdkit", "archive", "check", "walker.h5", **of).stdout
+    reported = python("-m", "mbdkit", "report", "walker.h5", "-o", "walker.html", **of)
+    assert reported.returncode == 0, reported.stderr
+
+
+@pytest.mark.parametrize(("key", "builder"), [("muscles", ""), ("bodies", ""), ("ropes", "body"), ("ropes", "muscle")])
+def test_a_kind_of_elements_does_not_replace_names_of_mechanisms(key, builder, tmp_path):
+    code = f"""
+from mbdkit.plugin import Element, ElementKind, Target, hookimpl
+
+class Rope(Element):
+    pass
+
+@hookimpl
+def mbdkit_items():
+    return [ElementKind(name="rope", summary="Ropes.", key_in_model={key!r}, builder={builder!r},
+                        model=Target("rope_kit:Rope"))]
+"""
+    install_module(tmp_path / "site", "rope-kit", code)
+    done = python("-m", "mbdkit", "validate", "elbow-curl", path=(tmp_path / "site",), cwd=tmp_path)
+    assert "this spec is valid" in done.stdout
+    assert (
+        f"mechanisms have '{builder or key}' already, so the kind of elements 'rope-kit:rope' is not used"
+        in done.stderr
+    )
+
+
+def test_elements_of_a_part_that_is_left_out_are_refused_by_its_name(tmp_path):
+    program = "import mbdkit; mbdkit.Mechanism().add('muscles', 'soleus')"
+    done = python("-c", program, path=(), cwd=tmp_path, MBDKIT_DISABLE_PLUGINS="mbdkit/biomech")
+    assert "model.muscles: a model with this key needs mbdkit-biomech" in done.stderr

@@ -10,6 +10,7 @@ import numpy as np
 
 from mbdkit.archive.layout import COUNTERS, SOME_TIMINGS, TIMINGS
 from mbdkit.mechanism.contacts import STICK
+from mbdkit.quantities.registered_kinds import added_kinds
 from mbdkit_report.figures.beam_curves import has_beams
 from mbdkit_report.figures.page_model import Cell, Column, Table, columns_of
 from mbdkit_report.pages.answer_section import Peaks
@@ -30,7 +31,7 @@ EVENTS = 50
 def run_tables(run: Run) -> tuple[Table, ...]:
     """Return the tables of a run. The tables of events and of the cost come last."""
     tables = [_joints(run)] if run.joint_names else []
-    if "contacts" in run.kinds:
+    if "contacts" in run.kinds.keys() & added_kinds().keys():  # their part is installed
         tables += [_contacts(run), *_transitions(run)]
     if run.joint_names and len(run.impacts) and np.any(np.isfinite(run.impacts.reaction_impulse)):
         tables.append(_impulses(run))
