@@ -37,27 +37,34 @@ _CRITERIA: tuple[tuple[Literal["spec", "start", "rows", "end"], str, str, str], 
     *(("spec", *note) for note in _NOTES),
     ("spec", "left-out", "Effects of a file that the mechanism lacks.", "run_criteria:left_out"),
     ("spec", "degrees", "Angles that are probably in degrees.", "run_criteria:degrees"),
-    ("spec", "improbable-values", "Improbable masses and friction.", "run_criteria:improbable_values"),
-    ("spec", "improbable-sizes", "Improbable sizes, often in another unit.", "run_criteria:improbable_sizes"),
+    (
+        "spec",
+        "improbable-values",
+        "Improbable inertias and coefficients of friction, often in another unit.",
+        "run_criteria:improbable_values",
+    ),
+    (
+        "spec",
+        "improbable-sizes",
+        "Improbable beams, lengths and masses, often in another unit.",
+        "run_criteria:improbable_sizes",
+    ),
     ("spec", "long-step", "A step that is longer than the run.", "run_criteria:long_step"),
     ("spec", "corners", "Tables that overshoot, and too many discontinuities.", "corners:overshoots_and_corners"),
     ("start", "moved-start", "Positions that assembly changes by far.", "run_criteria:moved_start"),
     ("start", "changed-velocities", "Velocities that assembly changes.", "run_criteria:changed_velocities"),
     ("rows", "table-ends", "Ends of the tables of moving centers.", "moving_centers:MovingCenters.of"),
-    ("rows", "slow-friction", "Joints that slip so slowly that friction is viscous.", "slow_friction:of_joints"),
+    ("rows", "slow-friction", "Dry friction that slips so slowly that it is viscous.", "slow_friction:of_joints"),
     ("rows", "coincident-ends", "Forces whose ends meet.", "coincident_ends:CoincidentEnds.of"),
     ("rows", "coarse-beams", "Beams whose elements are too coarse.", "coarse_beams:CoarseBeams.of"),
     ("end", "passive-laws", "Laws that are declared passive, but supply energy.", "run_criteria:passive_laws"),
 )
 _SEVERAL = {
-    "improbable-values": tuple(
-        f"improbable-{what}" for what in ("inertias", "frictions", "beams", "lengths", "bodies", "people")
-    ),
-    "improbable-sizes": (),
+    "improbable-values": ("improbable-inertias", "improbable-frictions"),
+    "improbable-sizes": tuple(f"improbable-{what}" for what in ("beams", "lengths", "bodies", "people")),
     "corners": ("corners", "overshoots"),
 }
-"""Criteria that one item examines, where they are several; those of `improbable-sizes` are among those of
-`improbable-values`."""
+"""Criteria that one item examines, where they are several."""
 _WITHOUT_RUN = ("model-notes", "unused-parameters", "left-out", "degrees", "improbable-values", "improbable-sizes")
 """Criteria that also apply to a mechanism without a run."""
 

@@ -29,9 +29,21 @@ def _of_treatments(name: str) -> Target[Any]:
 
 
 _CRITERIA: tuple[tuple[int, Literal["spec", "rows"], str, str, str], ...] = (
-    (85, "spec", "rolling-point-masses", "Point masses that do not roll.", "contact_criteria:rolling_point_masses"),
-    (107, "spec", "slip-events", "Events at rounding errors of a slip.", "contact_criteria:slip_events"),
-    (155, "rows", "slow-contacts", "Contacts that slip slowly.", "contact_criteria:slow_friction"),
+    (
+        85,
+        "spec",
+        "rolling-point-masses",
+        "Circles of point masses, which friction cannot turn.",
+        "contact_criteria:rolling_point_masses",
+    ),
+    (107, "spec", "slip-events", "Events at zeros of a slip that are rounding errors.", "contact_criteria:slip_events"),
+    (
+        155,
+        "rows",
+        "slow-contacts",
+        "Dry friction that slips so slowly that it is viscous.",
+        "contact_criteria:slow_friction",
+    ),
     (175, "rows", "deep-overlaps", "Circles in contact that overlap deeply.", "deep_overlaps:DeepOverlaps.of"),
 )
 

@@ -57,7 +57,7 @@ WRONG: dict[str, tuple[str, str, dict[str, str]]] = {
             CLASS: f"def lines(mechanism, one): return [[('ground', (0, 0)), ('boot', (0, 0))]]\n\n\n{CLASS}",
         },
     ),
-    "units": ("element.spec", "its numbers change if they are written with units", {"piston [m^2]": "piston [mm^2]"}),
+    "scale": ("element.spec", "its numbers change if they are written with units", {"piston [m^2]": "piston [mm^2]"}),
     "places": ("element.bodies", "lists no bodies", {METHOD: f"    def places(self): return []\n\n{METHOD}"}),
     "rate": ("order.states", "instead of 4", {"({self.flow})": "({self.flow} + 0.01*sin(1e6*t))"}),
     "force": (
