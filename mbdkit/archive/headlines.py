@@ -36,7 +36,7 @@ SMALLEST_PLACE, LARGEST_PLACE = -3, 8
 #: up to this share of the largest force in a joint [N].
 ROUND_OFF = 1e-10
 
-#: Largest number of joints, contacts, muscles or other elements that one line lists; the rest are only counted.
+#: Largest number of joints or other elements that one line lists; the rest are only counted.
 JOINTS_NAMED = 4
 
 AT_END, LEAST_RISE = 0.01, 1e-3
@@ -49,7 +49,7 @@ At the end of a period, the values at start and end are equal, and in equilibriu
 MESH_ERROR = "the error of the mesh of beams"
 """What error bars of runs with beams do not include."""
 
-PERSON_ERROR = "the uncertainty of the person's joint centres, lengths, masses and muscles"
+PERSON_ERROR = "the uncertainty of the person's joint centres, lengths, masses and strength"
 """What error bars of persons do not include."""
 
 #: Residuals [m or rad], overlaps [m] and creep [m/s] up to this value are rounding errors.

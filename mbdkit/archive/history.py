@@ -108,7 +108,7 @@ class Energy(columns.Energy, of="energy"):
     """Energies of the whole mechanism.
 
     `dissipated` contains the losses of dampers, passive laws, joints with friction, beams and rigid contacts. `work`
-    contains the work of drivers, muscles and all other loads, among them the whole work of compliant contacts, whose
+    contains the work of drivers, loads and active elements, among them the whole work of compliant contacts, whose
     losses are negative work.
     """
 

@@ -205,7 +205,7 @@ class Run(RecordedData, HtmlView):
         """Estimated errors of the measures by name, each in its unit; nan where unknown, as in runs without check.
 
         In inverse dynamics, they are bounds that hold with a probability of 95 %, given the noise of the data and the
-        uncertainties of cutoff and muscle properties.
+        uncertainties of the cutoff and of stated properties.
         """
         return self.measures.errors
 

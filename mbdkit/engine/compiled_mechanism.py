@@ -81,7 +81,7 @@ class ActingForce:
     Attributes
     ----------
     kind, name
-        Word for the kind of element, such as ``muscle``, and name of the element.
+        Word for the kind of element, such as ``force``, and name of the element.
     force
         The element.
     place

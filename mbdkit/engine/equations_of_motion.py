@@ -81,7 +81,7 @@ class EquationsOfMotion(EvaluatedEquations):
     q0, v0 : (n,) arrays
         Consistent positions and velocities at the start.
     z0 : (Z,) array
-        First-order states of elements (muscles, motors, controllers, force laws with states) at the start, each in its
+        First-order states of elements (motors, controllers, force laws with states) at the start, each in its
         own unit.
     formulation, stabilization
         Name of the formulation and stabilization requested for the run. Baumgarte's terms are included in gamma, in the

@@ -54,10 +54,10 @@ length at the start.
 """
 
 LARGE = 3.0
-"""The optimal length of a muscle, and the deflection at the start of a one-sided spring along a coordinate, are
-improbable if they exceed this many sizes of the mechanism.
+"""Lengths of elements (`Element.lengths_to_check`), and the deflection at the start of a one-sided spring along a
+coordinate, are improbable if they exceed this many sizes of the mechanism.
 
-In all packaged examples, optimal lengths are at most 0.21 sizes.
+In all packaged examples, such lengths are at most 0.21 sizes.
 """
 
 

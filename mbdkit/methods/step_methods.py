@@ -45,7 +45,7 @@ class StepState:
     low
         Compensation terms of the sums computed by `moved`; for internal use.
     z
-        (Z,) first-order states of elements, such as activations of muscles; none by default.
+        (Z,) first-order states of elements, such as those of controllers; none by default.
     """
 
     q: np.ndarray

@@ -42,7 +42,7 @@ class States:
     start_energy
         Total energy at the start of the run [J]; (T,) for states of several runs.
     handles
-        What inverse dynamics knows of kinds of plugins, by group, such as the muscles.
+        What inverse dynamics knows of kinds of plugins, by group.
     elapsed
         (T,) wall time since the first step [s]; empty if not known.
     multipliers

@@ -75,7 +75,7 @@ class Claims:
         Orders by formulation, where they differ from `order` and `multiplier_order`, which are those on the first
         formulation.
     states
-        Whether the method integrates first-order states of elements, such as those of muscles and controllers.
+        Whether the method integrates first-order states of elements, such as those of controllers.
     variable_order
         Whether the method, which is adaptive, changes its order during a run. A multistep method of a fixed order that
         only starts, and restarts after discontinuities, with a lower order does not claim this.

@@ -169,8 +169,8 @@ class Event(Section):
     """`note` records the crossing; `stop` also ends the run, which then counts as complete."""
     set: dict[str, Expression] = Field(default_factory=dict)
     """New values of first-order states at the crossing, by name, as numbers or expressions of the state before the
-    crossing, such as `{i: 0}` or `{w: "-0.8*states.w"}`. The key of a state of a force element, muscle or controller,
-    or of an output of a controller, is "NAME.STATE" or "NAME.OUTPUT"."""
+    crossing, such as `{i: 0}` or `{w: "-0.8*states.w"}`. The key of a state of an element or controller, or of an
+    output of a controller, is "NAME.STATE" or "NAME.OUTPUT"."""
 
     @model_validator(mode="after")
     def _goes_on(self) -> Event:
