@@ -123,15 +123,15 @@ def example_names(kind: str | None = None) -> list[str]:
     `load_spec` accepts the names of run specs as a source, `load_inverse_spec` those of inverse dynamics, and
     `load_design_spec` those of designs.
     """
-    return [name for name, own in _kinds().items() if kind in (None, own)]
+    return [name for name, own in _kinds(registry()).items() if kind in (None, own)]
 
 
-@functools.cache
-def _kinds() -> dict[str, str]:
+@functools.lru_cache(maxsize=1)
+def _kinds(known: Registry) -> dict[str, str]:
     """Return the kind of each packaged spec by its name, in order of the names."""
     marked = [kind for kind in spec_kinds() if kind.marker]
     kinds = {}
-    for name, path in _examples().items():
+    for name, path in _examples_of(known).items():
         text = path.read_text("utf-8")
         kinds[name] = next((kind.name for kind in marked if f"\n{kind.marker}:" in text), "run")
     return kinds

@@ -41,8 +41,8 @@ def generated() -> str:
     text += "\n\n" + "\n\n".join(_method(name, one) for name, one in methods.items())
     used = [name for pair in re.findall(r"\bMapping\[str, Any\] \| (\w+)|: dict\[str, (\w+)\]", text) for name in pair]
     classes = ["NamedElements", *filter(None, used)]
-    packages = ("mbdkit.mechanism.", *(f"{kind.model().__module__.partition('.')[0]}." for kind in kinds))
-    rooms = [vars(module) for name, module in sys.modules.items() if name.startswith(packages)]
+    own = {kind.model().__module__ for kind in kinds}
+    rooms = [vars(one) for name, one in sys.modules.items() if name.startswith("mbdkit.mechanism.") or name in own]
     places = {name: one.__module__ for room in rooms for name, one in room.items() if isinstance(one, type)}
     imports = "\n".join(sorted({f"from {places[name]} import {name}" for name in classes}))
     return _HEADER.format(imports=imports, about=ElementMethods.__doc__) + text + "\n"
