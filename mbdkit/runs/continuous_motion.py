@@ -273,12 +273,16 @@ class Sampled:
         )  # fmt: skip
         around = min(AROUND * step, 0.25 * (end - begin))
         middle = min(max(float(minimum.x), begin + around), end - around)
-        places = elementary.cos(np.pi * (np.arange(PEAK_POINTS) + 0.5) / PEAK_POINTS)[::-1]
-        power = np.polynomial.Polynomial.fit(places, sign * self.at(middle + around * places), PEAK_POINTS - 1)
-        rate, place = power.deriv(), (float(minimum.x) - middle) / around
+        angles = np.pi * (np.arange(PEAK_POINTS)[::-1] + 0.5) / PEAK_POINTS
+        values = sign * self.at(middle + around * elementary.cos(angles))
+        # the polynomial through the values, in Chebyshev polynomials; a fit would use LAPACK, which rounds differently
+        # on other processors
+        powers = [float(sum(values * elementary.cos(k * angles))) for k in range(PEAK_POINTS)]
+        rate = np.polynomial.Chebyshev(powers).deriv()  # but for a factor and a constant
+        bend, place = rate.deriv(), (float(minimum.x) - middle) / around
         with np.errstate(all="ignore"):
             for _ in range(4):
-                place -= float(rate(place) / rate.deriv()(place))
+                place -= float(rate(place) / bend(place))
         at_root = sign * float(self.at(np.array([middle + around * place]))[0]) if abs(place) <= 1.0 else -np.inf
         if at_root < -float(minimum.fun):
             return float(minimum.x), -float(minimum.fun)
