@@ -225,7 +225,6 @@ higher_layers.names_of_mechanisms = _of_higher_layer("mbdkit.mechanism.mechanism
 higher_layers.symbolic_system = _of_higher_layer(
     "mbdkit_statics.symbolic_equations", "build_system", "Mechanism.to_sympy"
 )
-higher_layers.computed = _of_higher_layer("mbdkit.registry.accessors", "computed")
 higher_layers.state_program = _of_higher_layer("mbdkit.events.state_program", "state_program")
 higher_layers.state_values = _of_higher_layer("mbdkit.events.state_program", "state_values")
 higher_layers.check_gradients = _of_higher_layer("mbdkit.gradients.gradient", "check_gradients")

@@ -85,16 +85,15 @@ if TYPE_CHECKING:
     from mbdkit.quantities.names import archive_names, with_members
     from mbdkit.quantities.registered_kinds import kind_of_group, sizes_of
     from mbdkit.quantities.states import States
+    from mbdkit.registry.element_items import ElementKind, QuantityKind
     from mbdkit.registry.feature_items import (
         Accessor,
         CriterionItem,
-        ElementKind,
         Example,
         FileFormat,
         GuidePage,
         HeadlineItem,
         PlotKind,
-        QuantityKind,
         ReportSection,
         SpecKind,
         SummaryLine,
@@ -135,8 +134,9 @@ _STABLE = {
     "mbdkit.base.files_read": "read_data",
     "mbdkit.runs.findings": "findings",
     "mbdkit.trust.finding": "Finding accepted_doubts open_doubts",
-    "mbdkit.registry.feature_items": "Accessor CriterionItem ElementKind "
-    "Example FileFormat GuidePage HeadlineItem PlotKind QuantityKind ReportSection SpecKind "
+    "mbdkit.registry.element_items": "ElementKind QuantityKind",
+    "mbdkit.registry.feature_items": "Accessor CriterionItem "
+    "Example FileFormat GuidePage HeadlineItem PlotKind ReportSection SpecKind "
     "SummaryLine TableFormat Treatment ViewItem",
     "mbdkit.registry.hookspecs": "hookimpl",
     "mbdkit.registry.target": "Target",

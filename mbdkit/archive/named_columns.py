@@ -15,7 +15,7 @@ from mbdkit.archive.read_only_dict import ReadOnlyDict
 from mbdkit.base.errors import MbdkitError, UnknownNameError
 from mbdkit.quantities.array import COORDINATE_UNITS, MIXED, Array, Kind, Recorded
 from mbdkit.quantities.registered_kinds import added_kinds, array_at, groups, kind_of_group
-from mbdkit.registry.feature_items import QuantityKind
+from mbdkit.registry.element_items import QuantityKind
 from mbdkit.registry.use import use
 
 

@@ -24,9 +24,6 @@ names_of_mechanisms: Callable[[], Any]
 symbolic_system: Callable[..., Any]
 """Returns the `SymbolicSystem` of a mechanism; with `numbers=True`, parameters are numbers instead of symbols."""
 
-computed: Callable[..., Any]
-"""Returns the value of an attribute that a plugin computes; see `mbdkit.registry.accessors.computed`."""
-
 state_program: Callable[..., Any]
 """Returns the program of an expression of the state, and the quantities in it; see `mbdkit.events.state_program`."""
 

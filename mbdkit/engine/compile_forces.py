@@ -31,7 +31,7 @@ from mbdkit.mechanism.law_element import Law
 from mbdkit.mechanism.mechanism import Mechanism
 from mbdkit.mechanism.pathways import path_ends
 from mbdkit.mechanism.state_values import is_of_state
-from mbdkit.registry.feature_items import ElementKind
+from mbdkit.registry.element_items import ElementKind
 
 Numbers = tuple[float, ...]
 

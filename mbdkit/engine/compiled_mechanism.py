@@ -17,7 +17,7 @@ from mbdkit.engine.kernels.engine_bundles import Topology
 from mbdkit.mechanism.contacts import COMPLIANT, ChosenTreatment
 from mbdkit.mechanism.element_kinds import element_kinds
 from mbdkit.mechanism.values import Motion
-from mbdkit.registry.feature_items import ElementKind
+from mbdkit.registry.element_items import ElementKind
 
 MOST_COUPLINGS = 60
 """Limit of a ratio: the sum of the squared numbers of pairs of rows on each body, by the number of all pairs of rows.

@@ -15,7 +15,7 @@ from mbdkit.base.errors import MissingPartError, SpecError
 from mbdkit.base.strict_model import StrictModel
 from mbdkit.mechanism.model_methods import of_models
 from mbdkit.registry.catalogue import MBDKIT, Registry
-from mbdkit.registry.feature_items import ElementKind
+from mbdkit.registry.element_items import ElementKind
 from mbdkit.registry.manager import log, registry
 
 _OF_PARTS = {"contacts": "mbdkit-contact", "muscles": "mbdkit-biomech"}

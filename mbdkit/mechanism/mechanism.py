@@ -25,6 +25,7 @@ from mbdkit.mechanism.mechanism_data import ELEMENTS, Assembly, MechanismData, N
 from mbdkit.mechanism.parameters import parameter_values, with_expressions
 from mbdkit.mechanism.validation_errors import spec_error
 from mbdkit.mechanism.values import Motion, Point
+from mbdkit.registry.accessors import accessors, computed
 
 if TYPE_CHECKING:
     from mbdkit_predict.casadi_system import CasadiSystem
@@ -122,18 +123,22 @@ class Mechanism(ElementMethods, HtmlView):
         return own | {kind: elements for kind in element_kinds() if (elements := self.__dict__.get(kind))}
 
     def __getattr__(self, name: str) -> Any:
-        """Return the elements of a kind that a plugin adds, or the method that adds one."""
+        """Return the elements of a kind that a plugin adds, the method that adds one, or another attribute of a
+        plugin.
+        """
         if not name.startswith("_"):
             if name in element_kinds():
                 return self.__dict__.setdefault(name, {})
             if (kind := kind_built_by(name)) is not None:
                 return MethodType(builder_of(kind), self)
+            if name in accessors(type(self)):
+                return computed(self, name)
         raise AttributeError(f"'{type(self).__name__}' object has no attribute '{name}'", name=name, obj=self)
 
     def __dir__(self) -> list[str]:
-        """Return the names of the attributes, those of further kinds included."""
-        kinds = element_kinds().values()
-        return [*super().__dir__(), *(name for kind in kinds for name in (kind.key_in_model, kind.builder) if name)]
+        """Return the names of the attributes, those of plugins included."""
+        of_kinds = [name for kind in element_kinds().values() for name in (kind.key_in_model, kind.builder) if name]
+        return [*super().__dir__(), *of_kinds, *accessors(type(self))]
 
     # ---- queries -------------------------------------------------------------------------------------------------
 
@@ -395,7 +400,7 @@ class Mechanism(ElementMethods, HtmlView):
         SpecError
             For the first error of the mechanism, for an element that cannot be exported, or for a key that is wrong.
         """
-        system: CasadiSystem = higher_layers.computed(self, "to_casadi", "mbdkit-predict")(controls, parameters, t0)
+        system: CasadiSystem = computed(self, "to_casadi", "mbdkit-predict")(controls, parameters, t0)
         return system
 
     # ---- private -------------------------------------------------------------------------------------------------

@@ -19,7 +19,7 @@ from mbdkit.quantities.array import Array, Kind, Recorded
 from mbdkit.quantities.names import ArchiveNames
 from mbdkit.quantities.table import KINDS
 from mbdkit.registry.catalogue import MBDKIT, Registered, Registry
-from mbdkit.registry.feature_items import QuantityKind
+from mbdkit.registry.element_items import QuantityKind
 from mbdkit.registry.manager import log, registry
 from mbdkit.registry.use import use
 

@@ -24,9 +24,9 @@ class Extensible:
     def __new__(cls, *_arguments: Any, **_named: Any) -> Self:
         """Make an object of the class, which has the attributes of plugins."""
         if "_added" not in vars(cls):
-            accessors = _accessors(cls)
-            cls._added = frozenset(name for name in accessors if not hasattr(cls, name))
-            for item in (item for name in accessors.keys() - cls._added for item in accessors[name]):
+            known = accessors(cls)
+            cls._added = frozenset(name for name in known if not hasattr(cls, name))
+            for item in (item for name in known.keys() - cls._added for item in known[name]):
                 if item.origin.distribution != MBDKIT:
                     sentence = "mbdkit: warning: %s.%s is an attribute of mbdkit itself, so '%s' is not used"
                     log.warning(sentence, cls.__name__, item.name, item.id)
@@ -48,7 +48,7 @@ class _Computed:
         return value
 
 
-def _accessors(kind: type) -> dict[str, list[Registered]]:
+def accessors(kind: type) -> dict[str, list[Registered]]:
     """Return the accessors of a class by name; several distributions may offer the same name."""
     items: dict[str, list[Registered]] = {}
     for item in registry().of_kind("accessor"):
@@ -67,7 +67,7 @@ def computed(thing: Any, name: str, part: str = "") -> Any:
     PluginError
         If the function of the plugin fails, or several distributions have an attribute of this name.
     """
-    items = _accessors(type(thing)).get(name, [])
+    items = accessors(type(thing)).get(name, [])
     items = [item for item in items if item.origin.distribution == MBDKIT] or items
     if not items:
         raise MissingPartError(f"{type(thing).__name__}.{name}", part)

@@ -8,6 +8,7 @@ from typing import Literal
 
 from mbdkit.base.errors import SpecError
 from mbdkit.base.text import did_you_mean, listed
+from mbdkit.registry.element_items import ElementKind, QuantityKind
 from mbdkit.registry.feature_items import FEATURES
 from mbdkit.registry.item import Item, Plugin
 from mbdkit.registry.items import ITEM_CLASSES
@@ -19,7 +20,8 @@ Kind = str
 MBDKIT = "mbdkit"
 """The distribution of the core and of its own plugins."""
 
-KINDS: dict[Kind, type[Item]] = {item_class.kind: item_class for item_class in (*ITEM_CLASSES, *FEATURES)}
+_CLASSES: tuple[type[Item], ...] = (*ITEM_CLASSES, *FEATURES, ElementKind, QuantityKind)
+KINDS: dict[Kind, type[Item]] = {item_class.kind: item_class for item_class in _CLASSES}
 """The item class of each kind."""
 
 

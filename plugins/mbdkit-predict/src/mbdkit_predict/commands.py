@@ -5,9 +5,10 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated, Any
 
+import typer
+
 from mbdkit.base.terminal import show
 from mbdkit.cli.common_options import (
-    InverseSpecName,
     MotionSet,
     Overwrite,
     Printing,
@@ -39,7 +40,12 @@ def validate_predict(source: Any, name: str, assignments: list[str]) -> None:
 
 @grouped
 def predict(
-    spec: InverseSpecName,
+    spec: Annotated[
+        str,
+        typer.Argument(
+            metavar="SPEC", help="A YAML, TOML or JSON file, - for stdin, or a packaged example such as block."
+        ),
+    ],
     *,
     output: Annotated[Path | None, output_to("FILE.h5", "The archive; by default ./SPEC.h5.")] = None,
     assignments: MotionSet = None,

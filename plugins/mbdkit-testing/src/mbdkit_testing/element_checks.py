@@ -32,7 +32,7 @@ from mbdkit.mechanism.mechanism import Mechanism
 from mbdkit.quantities.array import Kind, Recorded
 from mbdkit.quantities.registered_kinds import kind_of_group
 from mbdkit.registry.catalogue import Registered, Registry
-from mbdkit.registry.feature_items import ElementKind
+from mbdkit.registry.element_items import ElementKind
 from mbdkit.runs.preparation import build
 from mbdkit.runs.resuming import resume
 from mbdkit.runs.simulation import simulate

@@ -1,0 +1,70 @@
+"""Elements of a plugin that act on a body by laws of their own, and an attribute that a plugin adds to mechanisms."""
+
+from __future__ import annotations
+
+import json
+
+import pytest
+
+from tests.installing import install_module, python
+
+pytestmark = pytest.mark.end_to_end
+
+PLUGIN = """
+import sympy
+from mbdkit.plugin import Accessor, Element, ElementKind, ExpressionLaw, Target, hookimpl
+
+LAW = ExpressionLaw(sympy.Symbol("size", real=True) * sympy.cos(sympy.Symbol("time", real=True)), parameters=dict)
+
+class Jet(Element):
+    body: str
+    sizes: list[float]
+
+    def places(self):
+        return [("body", self.body)]
+
+def lower(jets, lowering, acting):
+    for name, jet in jets.items():
+        laws = [lowering.law(name, LAW, {"size": size}, "jets") for size in jet.sizes]
+        lowering.wrench(name, lowering.number(jet.body), laws)
+    return tuple(jets)
+
+def thrust_of(mechanism):
+    return sum(jet.sizes[0] for jet in mechanism.jets.values())
+
+@hookimpl
+def mbdkit_items():
+    return [
+        ElementKind(name="jet", summary="Jets by name.", key_in_model="jets", builder="jet",
+                    model=Target("jet_kit:Jet"), lower=Target("jet_kit:lower")),
+        Accessor(name="thrust", summary="Sum of thrusts.", of="Mechanism", target=Target("jet_kit:thrust_of")),
+    ]
+"""
+PROGRAM = """
+import json, mbdkit
+m = mbdkit.Mechanism(gravity=(0.0, 0.0))
+m.body("ship", mass=2.0, inertia=0.5)
+m.jet("main", body="ship", sizes=[3.0, -1.0, 0.25])
+assert "thrust" in dir(m)
+found = {"thrust": m.thrust}
+for name in ("dop853", "gauss"):
+    with mbdkit.run(m, integrator={"name": name}, time={"end": 2.0, "step": 0.01}) as run:
+        ship = run.bodies["ship"]
+        speeds = [*ship.velocity[-1].tolist(), float(ship.angular_velocity[-1])]
+        found[name] = [*speeds, float(run.energy.work[-1])]
+print(json.dumps(found))
+"""
+
+
+def test_elements_act_by_laws_of_their_own_and_mechanisms_have_attributes_of_plugins(tmp_path) -> None:
+    # expected: integrals of F cos(t) / m and of its power; the law of the torque is the third one
+    install_module(tmp_path / "site", "jet-kit", PLUGIN)
+    done = python("-c", PROGRAM, path=(tmp_path / "site",), cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    found = json.loads(done.stdout.splitlines()[-1])
+    sine = 0.9092974268256817  # sin(2)
+    speeds = [3.0 / 2.0 * sine, -1.0 / 2.0 * sine, 0.25 / 0.5 * sine]
+    work = 0.5 * (2.0 * (speeds[0] ** 2 + speeds[1] ** 2) + 0.5 * speeds[2] ** 2)
+    assert found["thrust"] == 3.0
+    for name in ("dop853", "gauss"):
+        assert found[name] == pytest.approx([*speeds, work], rel=1e-9)
