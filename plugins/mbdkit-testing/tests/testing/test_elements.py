@@ -93,6 +93,8 @@ def site(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
     forget()
     yield folder
     sys.path[:] = before
+    for name in [name for name in sys.modules if name.startswith("mbdkit_wrong_")]:
+        del sys.modules[name]  # parallel tests may use this fixture twice in a process
     forget()
 
 
