@@ -25,7 +25,6 @@ if TYPE_CHECKING:
         StepError,
     )
     from mbdkit.engine.equations_of_motion import EquationsOfMotion
-    from mbdkit.gradients.gradient import Gradient, gradient
     from mbdkit.mechanism.force_law import ExpressionLaw, FunctionLaw
     from mbdkit.mechanism.mechanism import Mechanism
     from mbdkit.methods.kinds import ExplicitRungeKutta, ImplicitRungeKutta, Tolerances
@@ -42,6 +41,7 @@ if TYPE_CHECKING:
     from mbdkit_design.design import Design
     from mbdkit_design.solve_design import design, load_design
     from mbdkit_explore.server import explore
+    from mbdkit_gradients.gradient import Gradient, gradient
     from mbdkit_predict.prediction import predict
     from mbdkit_report import plot
     from mbdkit_statics.equilibrium import Equilibrium, equilibrium
@@ -138,7 +138,7 @@ _HOME = {
     "ForceLawPlugin": "mbdkit.registry.items",
     "ExternalMethod": "mbdkit.methods.step_methods",
     "FunctionLaw": "mbdkit.mechanism.force_law",
-    "Gradient": "mbdkit.gradients.gradient",
+    "Gradient": "mbdkit_gradients.gradient",
     "ImplicitRungeKutta": "mbdkit.methods.kinds",
     "IntegratorPlugin": "mbdkit.registry.items",
     "InverseSpec": "mbdkit.spec",
@@ -169,7 +169,7 @@ _HOME = {
     "equilibrium": "mbdkit_statics.equilibrium",
     "equilibrium_path": "mbdkit_statics.equilibrium_path",
     "explore": "mbdkit_explore.server",
-    "gradient": "mbdkit.gradients.gradient",
+    "gradient": "mbdkit_gradients.gradient",
     "hookimpl": "mbdkit.registry.hookspecs",
     "inverse": "mbdkit_biomech.inverse_dynamics.inverse_run",
     "inverse_gradient": "mbdkit_biomech.inverse_dynamics.inverse_gradient",
@@ -227,8 +227,8 @@ higher_layers.symbolic_system = _of_higher_layer(
 )
 higher_layers.state_program = _of_higher_layer("mbdkit.events.state_program", "state_program")
 higher_layers.state_values = _of_higher_layer("mbdkit.events.state_program", "state_values")
-higher_layers.check_gradients = _of_higher_layer("mbdkit.gradients.gradient", "check_gradients")
-higher_layers.gradients_json = _of_higher_layer("mbdkit.gradients.gradient", "gradients_json")
+higher_layers.check_gradients = _of_higher_layer("mbdkit_gradients.gradient", "check_gradients", "the key gradients")
+higher_layers.gradients_json = _of_higher_layer("mbdkit_gradients.gradient", "gradients_json", "the key gradients")
 higher_layers.run_summary = _of_higher_layer("mbdkit.archive.run_summary", "summary")
 higher_layers.run_frame = _of_higher_layer("mbdkit.archive.group_table", "to_frame")
 higher_layers.built_in_measures = _of_higher_layer("mbdkit_studies.measures", "built_in_measures")

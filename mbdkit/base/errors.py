@@ -147,6 +147,7 @@ _PARTS = (
     "contact",
     "design",
     "explore",
+    "gradients",
     "paper",
     "predict",
     "report",

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from mbdkit.base import terminal
+from mbdkit.base import higher_layers, terminal
 from mbdkit.base.progress_bars import progress_bar
 from mbdkit.base.terminal import say, show
 from mbdkit.base.text import listed, table
@@ -174,9 +174,7 @@ def validate_run(source: Document, spec: str, assignments: list[str]) -> None:
     mechanism = checked.mechanism()
     check_jumps(checked)
     if checked.gradients:
-        from mbdkit.gradients.gradient import check_gradients
-
-        check_gradients(checked, make_method(checked))
+        higher_layers.check_gradients(checked, make_method(checked))
     problem, start = build(checked)
     try:
         require_support(checked, make_method(checked), problem.mechanism)

@@ -75,7 +75,7 @@ class ElementKind(Feature):
     sides
         Function that takes this object and a function that returns the indices in ``Topology.law_parameters`` of the
         parameters of a law, their number first. It returns the discontinuities of its laws, at which steps with
-        derivatives end: objects like `mbdkit.gradients.law_corners.FurtherCondition`.
+        derivatives end: objects like `mbdkit_gradients.law_corners.FurtherCondition`.
     gradient_doubts
         Function that takes this object and returns doubts about derivatives of runs.
     draw

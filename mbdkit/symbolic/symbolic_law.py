@@ -17,7 +17,7 @@ from mbdkit.mechanism.force_law import ARGUMENTS, ExpressionLaw
 LENGTH, RATE, T = (sp.Symbol(name, real=True) for name in ARGUMENTS)
 
 SIDE = "mbdkit_side_"
-"""Prefix of parameters that select one side of each discontinuity of a law (`mbdkit.gradients.law_corners`).
+"""Prefix of parameters that select one side of each discontinuity of a law (`mbdkit_gradients.law_corners`).
 
 The potential of a law with such parameters is not checked, because it belongs to the force on the selected side only.
 """

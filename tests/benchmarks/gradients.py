@@ -17,11 +17,11 @@ from rich.console import Console
 from rich.table import Table
 
 import mbdkit
-from mbdkit.gradients.differentiated_run import Needs, differentiated_run
-from mbdkit.gradients.gradient_parameters import resolved
-from mbdkit.gradients.prepared_derivatives import prepared_derivatives
 from mbdkit.runs.simulation import simulate_arrays
 from mbdkit.spec import load_spec
+from mbdkit_gradients.differentiated_run import Needs, differentiated_run
+from mbdkit_gradients.gradient_parameters import resolved
+from mbdkit_gradients.prepared_derivatives import prepared_derivatives
 
 from .timing import duration, take_turns
 

@@ -69,7 +69,8 @@ the free length of a spring above three times this size and ten times its length
 more than 300 times as far from its centre of mass as all other bodies are large, a body longer than 10 m whose mass is
 below 0.0005 kg/m^2 times the square of its length (at 100 m, below 5 kg), and a person taller than 3 m or heavier than
 400 kg. A rope or tether may be that light: three or more links of equal mass and length cause no doubt. A run whose
-[gradients](gradients.md) fail their check is doubtful as well.
+[gradients](../../plugins/mbdkit-gradients/src/mbdkit_gradients/guide/gradients.md) fail their check is
+doubtful as well.
 
 The *branch* of a run is the family of positions that the mechanism can reach continuously from its start. In a singular
 position, several branches meet, and a run can continue on the wrong one. A run is `bad` if its direction of motion

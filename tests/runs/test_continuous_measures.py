@@ -12,8 +12,8 @@ import numpy as np
 import pytest
 
 import mbdkit
-from mbdkit.gradients.derived_values import Value, of_operands
 from mbdkit.spec import RunSpec
+from mbdkit_gradients.derived_values import Value, of_operands
 from mbdkit_studies.batch import simulate_batch
 from mbdkit_studies.lane_runs import why_alone
 

@@ -1,6 +1,6 @@
 """Discontinuities of the linear law of compliant contacts, at which steps of runs with derivatives end.
 
-See `mbdkit.gradients.law_corners`.
+See `mbdkit_gradients.law_corners`.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ class Push:
     ----------
     force, side
         Name of the contact, and index of the parameter with the side; see
-        `mbdkit.gradients.law_corners.Condition`.
+        `mbdkit_gradients.law_corners.Condition`.
     bodies
         Indices of both bodies.
     law
@@ -51,7 +51,7 @@ class Push:
     rows: int
 
     def values(self, forces: np.ndarray, q: np.ndarray, v: np.ndarray, numbers: np.ndarray) -> list[float]:
-        """Return g in T states; see `mbdkit.gradients.law_corners.Condition.values`."""
+        """Return g in T states; see `mbdkit_gradients.law_corners.Condition.values`."""
         return np.min(self._overlap_and_force(q, v, numbers), axis=0).tolist()
 
     def slopes(self, state: tuple[np.ndarray, ...], directions: Sequence[tuple[np.ndarray, ...]]) -> list[float]:

@@ -6,11 +6,11 @@ from typing import Any
 
 import numpy as np
 import pytest
+from tests.gradients.test_gradients_at_corners import GAUSS, MEASURES, PAD, expected
+from tests.gradients.test_gradients_at_corners import ball as ball_on_pad
 
 import mbdkit
 from tests.benchmarks.contact_cases import biped
-from tests.gradients.test_gradients_at_corners import GAUSS, MEASURES, PAD, expected
-from tests.gradients.test_gradients_at_corners import ball as ball_on_pad
 
 ADAPTIVE = {"name": "dopri5", "adaptive": True, "rtol": 1e-9, "atol": 1e-11}
 LINEAR = {"law": "linear", "stiffness": "k", "dissipation": "c"}

@@ -13,12 +13,12 @@ from mbdkit.base.errors import MbdkitError
 from mbdkit.base.one_thread import one_thread_of_linear_algebra
 from mbdkit.base.plain_data import path_text
 from mbdkit.base.text import counted, told_apart
-from mbdkit.gradients.differentiated_expressions import definitions_of
-from mbdkit.gradients.gradient import Gradient, gradient_of_run_spec
-from mbdkit.gradients.gradient_check import GradientCheck, inaccurate_entries
-from mbdkit.gradients.gradient_parameters import resolved
 from mbdkit.spec import RunSpec
 from mbdkit_biomech.inverse_dynamics.inverse_gradient import gradient_of_inverse
+from mbdkit_gradients.differentiated_expressions import definitions_of
+from mbdkit_gradients.gradient import Gradient, gradient_of_run_spec
+from mbdkit_gradients.gradient_check import GradientCheck, inaccurate_entries
+from mbdkit_gradients.gradient_parameters import resolved
 
 if TYPE_CHECKING:
     from mbdkit_design.evaluation import Evaluator

@@ -25,7 +25,6 @@ from mbdkit.base.units import described_units, read_unit
 from mbdkit.engine.equations_of_motion import EquationsOfMotion
 from mbdkit.engine.observed_states import StateObserver
 from mbdkit.engine.workspace import Workspace
-from mbdkit.gradients.gradient import Gradient, gradient
 from mbdkit.mechanism.bodies import GROUND
 from mbdkit.mechanism.element_kinds import lines_of
 from mbdkit.mechanism.mechanism import Mechanism
@@ -39,6 +38,7 @@ from mbdkit.runs.simulation import simulate
 from mbdkit.spec.loading import load_spec
 from mbdkit.spec.reading import put
 from mbdkit.spec.run_spec import RunSpec
+from mbdkit_gradients.gradient import Gradient, gradient
 from mbdkit_statics.equilibrium import equilibrium
 from mbdkit_testing.check import Skip, check
 from mbdkit_testing.check_result import Result, failed, passed, skipped

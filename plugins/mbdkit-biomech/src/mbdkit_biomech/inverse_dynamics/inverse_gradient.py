@@ -1,7 +1,7 @@
 """`inverse_gradient`: measures of inverse dynamics and their derivatives with respect to parameters, without
 integration.
 
-The motion is part of the preparation (`mbdkit.gradients.parameter_differences`): if the motion depends on a parameter,
+The motion is part of the preparation (`mbdkit_gradients.parameter_differences`): if the motion depends on a parameter,
 such as a length, it is fitted again for other values of this parameter. The derivatives of the forces that produce the
 motion are exact: differentiation of ``M a + Phi_q^T lam = Q + Q_loads + B u`` with respect to a parameter p gives
 
@@ -28,19 +28,6 @@ from mbdkit.engine.kernels.observe import Observed
 from mbdkit.engine.native.arithmetic import DIRECTIONS
 from mbdkit.engine.native.bundle import PinnedBundle
 from mbdkit.engine.stacked_matrices import products
-from mbdkit.gradients.differentiated_expressions import (
-    Definitions,
-    Measures,
-    definitions_of,
-    expressions_of,
-)
-from mbdkit.gradients.differentiated_run import DifferentiatedRun
-from mbdkit.gradients.differentiated_states import DifferentiatedStates, joined_states
-from mbdkit.gradients.gradient import Gradient, gradient_of_run, require_derivatives
-from mbdkit.gradients.gradient_check import Settings
-from mbdkit.gradients.gradient_parameters import Names, Parameter, read_names, resolved
-from mbdkit.gradients.parameter_differences import PreparedDerivatives
-from mbdkit.integrators.differentiated_stepper import dual_laws
 from mbdkit.integrators.dual_run import Seeds, constants, dual_states, new_dual_run
 from mbdkit.plugin import MbdkitError, SpecError, archive_names, with_members
 from mbdkit.spec import InverseSpec, load_inverse_spec
@@ -57,6 +44,19 @@ from mbdkit_biomech.inverse_dynamics.recruitment_gradient import (
     require_derivatives_of,
 )
 from mbdkit_biomech.muscles.muscle_values import Muscles
+from mbdkit_gradients.differentiated_expressions import (
+    Definitions,
+    Measures,
+    definitions_of,
+    expressions_of,
+)
+from mbdkit_gradients.differentiated_run import DifferentiatedRun
+from mbdkit_gradients.differentiated_states import DifferentiatedStates, joined_states
+from mbdkit_gradients.differentiated_stepper import dual_laws
+from mbdkit_gradients.gradient import Gradient, gradient_of_run, require_derivatives
+from mbdkit_gradients.gradient_check import Settings
+from mbdkit_gradients.gradient_parameters import Names, Parameter, read_names, resolved
+from mbdkit_gradients.parameter_differences import PreparedDerivatives
 
 WITHOUT_BARS: Settings = [(("motion", "errors"), "none")]  # type: ignore[list-item]
 """Settings that leave out the error bars. Measures do not need them, and they take ten times as long as the rest."""

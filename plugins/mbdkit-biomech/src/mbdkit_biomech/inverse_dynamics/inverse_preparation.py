@@ -5,9 +5,6 @@ from __future__ import annotations
 import numpy as np
 
 from mbdkit.base.errors import SpecError
-from mbdkit.gradients.differentiated_expressions import Definitions, numbers_of
-from mbdkit.gradients.gradient_parameters import Parameter
-from mbdkit.gradients.parameter_differences import Arrays, Preparation
 from mbdkit.spec import InverseSpec
 from mbdkit_biomech.inverse_dynamics.compute import Inverse, InverseProblem, fit, motion_of
 from mbdkit_biomech.inverse_dynamics.dynamics import columns_of, weights_of
@@ -15,6 +12,9 @@ from mbdkit_biomech.inverse_dynamics.inverse_loading import varied_inverse
 from mbdkit_biomech.inverse_dynamics.loads import loads_on
 from mbdkit_biomech.inverse_dynamics.recruitment_gradient import muscle_arrays
 from mbdkit_biomech.inverse_dynamics.reduced_motion import Motion
+from mbdkit_gradients.differentiated_expressions import Definitions, numbers_of
+from mbdkit_gradients.gradient_parameters import Parameter
+from mbdkit_gradients.parameter_differences import Arrays, Preparation
 
 MOTION = ("motion.q", "motion.v", "motion.a", "motion.columns", "motion.loads", "motion.weights")
 """Names of the arrays of a motion.

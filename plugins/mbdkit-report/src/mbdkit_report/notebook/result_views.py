@@ -18,14 +18,13 @@ from mbdkit.archive.run_summary import answer_lines, summary_lines
 from mbdkit.base.errors import MbdkitError
 from mbdkit.base.html_view import HtmlView
 from mbdkit.base.text import shown
-from mbdkit.gradients.gradient import Gradient
 from mbdkit.mechanism.mechanism import Mechanism
 from mbdkit.registry.feature_items import ViewItem
 from mbdkit.registry.manager import registry
 from mbdkit_report.figures.curves import take
 from mbdkit_report.figures.drawing_geometry import mechanism_of
 from mbdkit_report.figures.mechanism_drawing import NamedPose
-from mbdkit_report.figures.page_model import Cell, Column, Illustration, Table, columns_of
+from mbdkit_report.figures.page_model import Cell, Illustration, Table, columns_of
 from mbdkit_report.figures.plane_geometry import Array
 from mbdkit_report.pages.model_section import composition, drawing, element_tables
 from mbdkit_report.pages.report_page import FILTERS
@@ -144,19 +143,6 @@ def _(mechanism: Mechanism) -> View:
     named = NamedPose.of(mechanism, list(mechanism.bodies), pose, np.zeros(1))
     tables = tuple(element_tables(named))
     return View(title, (composition(mechanism),), drawing=drawing(named), tables=tables, is_folded=True)
-
-
-@view.register
-def _(found: Gradient) -> View:
-    columns = [*columns_of("measure; unit; value"), *(Column(f"by {name}") for name in found.parameters)]
-    rows: list[tuple[Cell, ...]] = [
-        (name, unit, float(value), *found.texts(name, "\u00b1"))
-        for name, unit, value in zip(found.measures, found.units, found.value, strict=True)
-    ]
-    check = () if found.check is None else (str(found.check),)
-    note = "In the unit of the measure for each SI unit of the parameter."
-    table = Table("gradient", "Derivatives", tuple(columns), tuple(rows), note)
-    return View("Gradient", (*found.doubts, *found.remarks, *check), tables=(table,))
 
 
 @view.register

@@ -17,11 +17,11 @@ from mbdkit.engine.kernels.system import DIVERGED, NOT_FINITE, OK
 from mbdkit.engine.native.bundle import PinnedBundle
 from mbdkit.engine.workspace import Workspace
 from mbdkit.integrators.compiled_stepper import CompiledStepper
-from mbdkit.integrators.differentiated_laws import DifferentiatedLaws
-from mbdkit.integrators.differentiated_sampling import DifferentiatedSampler
 from mbdkit.integrators.dual_run import DualRun, Seeds, new_dual_run
 from mbdkit.integrators.interface import Moment, StepTaken, Timetable
 from mbdkit.integrators.run_state import PROJECTIONS
+from mbdkit_gradients.differentiated_laws import DifferentiatedLaws
+from mbdkit_gradients.differentiated_sampling import DifferentiatedSampler
 
 if TYPE_CHECKING:
     from mbdkit.integrators.compiled_method import CompiledMethod

@@ -11,9 +11,9 @@ import pytest
 
 import mbdkit
 from mbdkit.base.errors import SpecError
-from mbdkit.gradients import gradient_check
-from mbdkit.gradients.gradient_parameters import resolved
 from mbdkit.spec import load_spec
+from mbdkit_gradients import gradient_check
+from mbdkit_gradients.gradient_parameters import resolved
 
 SLIDER_CRANK: dict[str, Any] = {
     "mbdkit": 1,

@@ -7,9 +7,9 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from mbdkit.base.plain_data import Path, path_text
-from mbdkit.gradients.gradient_parameters import Parameter
-from mbdkit.gradients.parameter_differences import PreparedDerivatives
 from mbdkit.spec import RunSpec
+from mbdkit_gradients.gradient_parameters import Parameter
+from mbdkit_gradients.parameter_differences import PreparedDerivatives
 
 COORDINATES = {"position": ("q", 0), "angle": ("q", 2), "velocity": ("v", 0), "angular_velocity": ("v", 2)}
 """For each key of a body: array of the initial state, and index of the first number among the three of the body."""

@@ -12,17 +12,17 @@ from dataclasses import dataclass
 import numpy as np
 
 from mbdkit.base.errors import MbdkitError
-from mbdkit.gradients.differentiated_expressions import Definitions, expressions_of, of_measure, slopes_of
-from mbdkit.gradients.differentiated_run import Needs, differentiated_run
-from mbdkit.gradients.gradient_check import Settings
-from mbdkit.gradients.law_corners import with_sides
-from mbdkit.gradients.measured_derivatives import MeasureOfRun
-from mbdkit.gradients.parameter_differences import PreparedDerivatives
 from mbdkit.runs.accuracy.compared_measures import other_methods, with_other_steps
 from mbdkit.runs.preparation import build, make_method
 from mbdkit.runs.simulation import measured_in
 from mbdkit.spec import RunSpec
 from mbdkit.spec.varied_specs import VariedSpecs
+from mbdkit_gradients.differentiated_expressions import Definitions, expressions_of, of_measure, slopes_of
+from mbdkit_gradients.differentiated_run import Needs, differentiated_run
+from mbdkit_gradients.gradient_check import Settings
+from mbdkit_gradients.law_corners import with_sides
+from mbdkit_gradients.measured_derivatives import MeasureOfRun
+from mbdkit_gradients.parameter_differences import PreparedDerivatives
 
 ASSUMED_STEPS = 2_000
 """Assumed number of steps of a run, from which the step limit of the other method is computed."""

@@ -21,8 +21,8 @@ import numpy as np
 from mbdkit.base import elementary
 from mbdkit.base.errors import SpecError
 from mbdkit.engine.compiled_mechanism import CompiledMechanism
-from mbdkit.gradients.gradient_parameters import Parameter
 from mbdkit.integrators.dual_run import Seeds
+from mbdkit_gradients.gradient_parameters import Parameter
 
 Arrays = Mapping[str, np.ndarray]
 

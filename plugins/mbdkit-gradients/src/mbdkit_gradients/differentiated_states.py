@@ -13,10 +13,10 @@ from mbdkit.engine.compiled_mechanism import CompiledMechanism
 from mbdkit.engine.kernels.observe import Observed
 from mbdkit.events.event_expression import RunExpression
 from mbdkit.expressions.program import execute
-from mbdkit.gradients.derived_values import Value, of_operands
 from mbdkit.quantities.names import ArchiveNames, archive_names
 from mbdkit.quantities.quantity import Quantity
 from mbdkit.quantities.states import NONE, States
+from mbdkit_gradients.derived_values import Value, of_operands
 
 
 @dataclass(frozen=True)

@@ -15,11 +15,11 @@ from hypothesis import HealthCheck, Phase, given, seed, settings
 import mbdkit
 from mbdkit.base.errors import SpecError
 from mbdkit.base.plain_data import Path
-from mbdkit.gradients.differentiated_run import Needs, differentiated_run
-from mbdkit.gradients.gradient_parameters import resolved
-from mbdkit.gradients.prepared_derivatives import prepared_derivatives
 from mbdkit.spec import RunSpec, load_spec
 from mbdkit.spec.varied_specs import VariedSpecs
+from mbdkit_gradients.differentiated_run import Needs, differentiated_run
+from mbdkit_gradients.gradient_parameters import resolved
+from mbdkit_gradients.prepared_derivatives import prepared_derivatives
 from tests.engine.strategies import Drawn, mechanisms
 
 METHODS = ({"name": "gauss", "stages": 2}, {"name": "rk4"}, {"name": "radau-iia", "stages": 2})

@@ -8,11 +8,11 @@ import numpy as np
 
 from mbdkit.archive.headlines import is_at_end
 from mbdkit.expressions.operations import OF_PARTS, OPERATIONS
-from mbdkit.gradients.derived_values import Value, of_operands
-from mbdkit.gradients.differentiated_run import DifferentiatedRun
 from mbdkit.measures.measure_compiler import ALONG
 from mbdkit.measures.measure_expression import AT_END_OF_RUN, MeasureExpression
 from mbdkit.runs.continuous_motion import EQUAL
+from mbdkit_gradients.derived_values import Value, of_operands
+from mbdkit_gradients.differentiated_run import DifferentiatedRun
 
 AT_ZERO = 1e-9
 """Operands below this share of the quantities from which they were computed count as zero."""

@@ -18,16 +18,16 @@ from mbdkit.archive.measured_values import Integrals
 from mbdkit.base import elementary
 from mbdkit.expressions.operations import REDUCE, arity_of
 from mbdkit.expressions.program import execute
-from mbdkit.gradients.derivative_doubts import AT_ZERO, LIMIT_POINTS, DoubtedMeasure, switch_of
-from mbdkit.gradients.derived_values import Value, of_operands
-from mbdkit.gradients.differentiated_motion import DifferentiatedMotion, states_of
-from mbdkit.gradients.differentiated_run import DifferentiatedRun, Needs
-from mbdkit.gradients.differentiated_states import DifferentiatedStates, joined_states, one_after_another, quantity_of
-from mbdkit.gradients.sided_stepper import Corner
 from mbdkit.measures.measure_expression import MeasureExpression
 from mbdkit.measures.reductions import Functional
 from mbdkit.quantities.quantity import Quantity
 from mbdkit.runs.continuous_motion import EQUAL, Peak, Sampled, sampled
+from mbdkit_gradients.derivative_doubts import AT_ZERO, LIMIT_POINTS, DoubtedMeasure, switch_of
+from mbdkit_gradients.derived_values import Value, of_operands
+from mbdkit_gradients.differentiated_motion import DifferentiatedMotion, states_of
+from mbdkit_gradients.differentiated_run import DifferentiatedRun, Needs
+from mbdkit_gradients.differentiated_states import DifferentiatedStates, joined_states, one_after_another, quantity_of
+from mbdkit_gradients.sided_stepper import Corner
 
 BESIDE = 0.05
 """The limit on one side of a point is extrapolated from values within this share of a step."""

@@ -6,10 +6,10 @@ from typing import Any
 
 import numpy as np
 import pytest
+from tests.gradients.test_gradients import SLIDER_CRANK
 
 import mbdkit
 from mbdkit.base.errors import SpecError
-from tests.gradients.test_gradients import SLIDER_CRANK
 
 MEASURES = (
     "final(bodies.rod.angle)",

@@ -17,13 +17,6 @@ from mbdkit.engine.native.arithmetic import DIRECTIONS
 from mbdkit.engine.observed_states import StateObserver
 from mbdkit.events.event_expression import RunExpression
 from mbdkit.events.watch import Found, Watch, Watched
-from mbdkit.gradients.differentiated_expressions import of_event, slopes_of
-from mbdkit.gradients.differentiated_motion import DifferentiatedMotion
-from mbdkit.gradients.differentiated_states import DifferentiatedStates, joined_states, one_after_another, series_of
-from mbdkit.gradients.evaluated_states import StateEvaluator, rate_of
-from mbdkit.gradients.law_corners import doubts_of_kinds, with_sides, with_unknown_corners
-from mbdkit.gradients.sided_stepper import SidedStepper
-from mbdkit.integrators.differentiated_stepper import DifferentiatedStepper
 from mbdkit.integrators.dual_run import NO_SEEDS, Seeds, constants
 from mbdkit.integrators.interface import Moment, Stepper, Stretch, joined
 from mbdkit.integrators.sampled_control import states_at_start
@@ -31,6 +24,13 @@ from mbdkit.integrators.start import NoDerivativeError, compiled_method, require
 from mbdkit.methods.kinds import Method
 from mbdkit.runs.preparation import build, guards, make_method, size_at_start, timetable
 from mbdkit.spec import RunSpec
+from mbdkit_gradients.differentiated_expressions import of_event, slopes_of
+from mbdkit_gradients.differentiated_motion import DifferentiatedMotion
+from mbdkit_gradients.differentiated_states import DifferentiatedStates, joined_states, one_after_another, series_of
+from mbdkit_gradients.differentiated_stepper import DifferentiatedStepper
+from mbdkit_gradients.evaluated_states import StateEvaluator, rate_of
+from mbdkit_gradients.law_corners import doubts_of_kinds, with_sides, with_unknown_corners
+from mbdkit_gradients.sided_stepper import SidedStepper
 
 
 @dataclass(frozen=True)

@@ -2,7 +2,7 @@
 
 The result of a step across a corner is not a smooth function of the parameters. However small such a step is, the
 derivative of its result lacks the effect of the change of the time at which the corner is reached. Steps therefore end
-at corners, and every step uses only one side of each corner (`mbdkit.gradients.law_corners`). If the force is
+at corners, and every step uses only one side of each corner (`mbdkit_gradients.law_corners`). If the force is
 discontinuous, the derivatives of the velocities change by the difference of the accelerations before and after the
 corner, times the derivative of the time of the corner (P. C. Mueller, Calculation of Lyapunov exponents for dynamic
 systems with discontinuities, Chaos, Solitons & Fractals 5 (1995) 1671-1681).
@@ -19,14 +19,14 @@ from scipy.optimize import brentq
 from mbdkit.base.errors import StepError
 from mbdkit.engine.observed_states import StateObserver
 from mbdkit.engine.workspace import Workspace
-from mbdkit.gradients.differentiated_states import DifferentiatedStates
-from mbdkit.gradients.evaluated_states import StateEvaluator, rate_of
-from mbdkit.gradients.law_corners import Condition, FurtherCondition
 from mbdkit.integrators.compiled_method import CompiledMethod
-from mbdkit.integrators.differentiated_stepper import DifferentiatedStepper
 from mbdkit.integrators.dual_run import Seeds
 from mbdkit.integrators.interface import Moment, StepTaken, Stretch, Timetable
 from mbdkit.integrators.run_state import MODIFIED
+from mbdkit_gradients.differentiated_states import DifferentiatedStates
+from mbdkit_gradients.differentiated_stepper import DifferentiatedStepper
+from mbdkit_gradients.evaluated_states import StateEvaluator, rate_of
+from mbdkit_gradients.law_corners import Condition, FurtherCondition
 
 PLACES = (0.25, 0.5, 0.75, 1.0)
 """Shares of a step at which conditions are evaluated."""

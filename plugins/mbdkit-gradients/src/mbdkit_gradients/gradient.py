@@ -15,32 +15,6 @@ from mbdkit.base.errors import MbdkitError, RunError, SpecError
 from mbdkit.base.html_view import HtmlView
 from mbdkit.base.one_thread import one_thread_of_linear_algebra
 from mbdkit.base.plain_data import path_text
-from mbdkit.gradients.differentiated_expressions import (
-    Definitions,
-    Measures,
-    definitions_of,
-    expressions_of,
-    of_measure,
-    slopes_of,
-)
-from mbdkit.gradients.differentiated_run import DifferentiatedRun, Needs, differentiated_run, plain_run, refuse
-from mbdkit.gradients.differentiated_states import require_derivative
-from mbdkit.gradients.gradient_check import (
-    DIGITS,
-    NATURAL,
-    Direction,
-    GradientCheck,
-    Measured,
-    Settings,
-    check_doubts,
-    check_gradient,
-)
-from mbdkit.gradients.gradient_parameters import Names, Parameter, read_names, resolved
-from mbdkit.gradients.measured_derivatives import MeasureOfRun, needs_of
-from mbdkit.gradients.other_method import Reference
-from mbdkit.gradients.parameter_differences import PreparedDerivatives
-from mbdkit.gradients.prepared_derivatives import prepared_derivatives
-from mbdkit.gradients.start_doubts import start_doubts
 from mbdkit.integrators.dual_run import NO_SEEDS
 from mbdkit.measures.measure_expression import MeasureExpression
 from mbdkit.measures.natural_size import natural_scales, natural_size
@@ -52,6 +26,32 @@ from mbdkit.spec import RunSpec, load_spec
 from mbdkit.spec.loading import RunSource
 from mbdkit.spec.varied_specs import VariedSpecs
 from mbdkit.trust.finding import open_doubts
+from mbdkit_gradients.differentiated_expressions import (
+    Definitions,
+    Measures,
+    definitions_of,
+    expressions_of,
+    of_measure,
+    slopes_of,
+)
+from mbdkit_gradients.differentiated_run import DifferentiatedRun, Needs, differentiated_run, plain_run, refuse
+from mbdkit_gradients.differentiated_states import require_derivative
+from mbdkit_gradients.gradient_check import (
+    DIGITS,
+    NATURAL,
+    Direction,
+    GradientCheck,
+    Measured,
+    Settings,
+    check_doubts,
+    check_gradient,
+)
+from mbdkit_gradients.gradient_parameters import Names, Parameter, read_names, resolved
+from mbdkit_gradients.measured_derivatives import MeasureOfRun, needs_of
+from mbdkit_gradients.other_method import Reference
+from mbdkit_gradients.parameter_differences import PreparedDerivatives
+from mbdkit_gradients.prepared_derivatives import prepared_derivatives
+from mbdkit_gradients.start_doubts import start_doubts
 
 
 @dataclass(frozen=True)

@@ -16,10 +16,10 @@ from mbdkit.engine.kernels.observe import Observed
 from mbdkit.engine.kernels.system import OK
 from mbdkit.engine.native.bundle import PinnedBundle
 from mbdkit.engine.native.number_arrays import Duals
-from mbdkit.gradients.differentiated_states import DifferentiatedStates, one_after_another
-from mbdkit.gradients.parameter_differences import CENTRAL, weights
-from mbdkit.integrators.differentiated_stepper import DifferentiatedSteps
 from mbdkit.integrators.dual_run import constants, dual_states
+from mbdkit_gradients.differentiated_states import DifferentiatedStates, one_after_another
+from mbdkit_gradients.differentiated_stepper import DifferentiatedSteps
+from mbdkit_gradients.parameter_differences import CENTRAL, weights
 
 
 class StateEvaluator:

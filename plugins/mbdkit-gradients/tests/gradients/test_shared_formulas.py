@@ -7,12 +7,12 @@ from typing import Any
 import pytest
 
 import mbdkit
-from mbdkit.gradients.differentiated_run import plain_run
-from mbdkit.gradients.differentiated_states import require_derivative
-from mbdkit.gradients.measured_derivatives import MeasureOfRun
 from mbdkit.measures.measure_expression import MeasureExpression
 from mbdkit.measures.measured_quantities import ATTRIBUTES
 from mbdkit.spec import RunSpec, load_spec
+from mbdkit_gradients.differentiated_run import plain_run
+from mbdkit_gradients.differentiated_states import require_derivative
+from mbdkit_gradients.measured_derivatives import MeasureOfRun
 
 FUNCTIONS = (
     "max(sin(rod1.angle), cos(rod2.angle)) - min(0.3, sin(rod1.angle))",

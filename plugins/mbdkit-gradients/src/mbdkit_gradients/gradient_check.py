@@ -25,8 +25,8 @@ import numpy as np
 from mbdkit.archive.headlines import plus_minus
 from mbdkit.base.plain_data import Path
 from mbdkit.base.text import counted, listed, told_apart
-from mbdkit.gradients.gradient_parameters import Parameter
-from mbdkit.gradients.parameter_differences import PreparedDerivatives
+from mbdkit_gradients.gradient_parameters import Parameter
+from mbdkit_gradients.parameter_differences import PreparedDerivatives
 
 STEPS = (1e-4, 2e-4)
 """Relative changes of the parameters in the runs."""

@@ -11,7 +11,7 @@ from scipy.linalg import expm
 
 import mbdkit
 from mbdkit import Mechanism, SpecError
-from mbdkit.gradients.gradient import Gradient
+from mbdkit_gradients.gradient import Gradient
 
 INERTIA, GRAVITY, END = 0.05 + 3.0 * 0.2**2, 3.0 * 9.81 * 0.2, 0.5
 VALUES = {"Kp": 40.0, "Kd": 3.0, "lag": 0.05, "start": 0.1}

@@ -1,0 +1,22 @@
+"""What this part adds to mbdkit: what notebooks show of gradients, and a page of the guide."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from pathlib import Path
+
+from mbdkit.plugin import GuidePage, Item, Target, ViewItem, hookimpl
+
+
+@hookimpl
+def mbdkit_items() -> Iterable[Item]:
+    """Return what notebooks show of gradients, and the page of the guide."""
+    return [
+        ViewItem(
+            name="gradient",
+            summary="Measures of a run and their derivatives.",
+            of="mbdkit_gradients.gradient:Gradient",
+            make=Target("mbdkit_gradients.views:gradient_view"),
+        ),
+        *GuidePage.folder(Path(__file__).parent / "guide"),
+    ]
