@@ -28,7 +28,7 @@ SECTIONS = {
 RUNS = [
     (integrator.name, name)
     for integrator in registry().of_kind("integrator")
-    for name in WORKS.get(integrator.name, ("pendulum", "double-pendulum", "knee"))
+    for name in WORKS.get(integrator.name, ("pendulum", "double-pendulum", "slider-crank"))
 ]
 
 

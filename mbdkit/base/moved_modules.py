@@ -53,6 +53,7 @@ MOVED = {
     "mbdkit.mechanism.symbolic_system": "mbdkit_statics.symbolic_system",
     "mbdkit.mechanism.unit_of_use": "mbdkit_explore.unit_of_use",
     "mbdkit.methods.moreau_jean": "mbdkit_contact.time_stepping_methods",
+    "mbdkit.models.four_bar_knee": "mbdkit_biomech.models.four_bar_knee",
     "mbdkit.models.leg": "mbdkit_biomech.models.leg",
     "mbdkit.muscles.fibers": "mbdkit_biomech.inverse_dynamics.fibers",
     "mbdkit.muscles": "mbdkit_biomech.muscles",

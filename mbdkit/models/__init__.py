@@ -46,14 +46,6 @@ MODELS = (
         references="REFERENCES",
     ),
     _model(
-        50,
-        "four-bar-knee",
-        "A lower leg on a crossed four-bar linkage at a fixed thigh, with springs and dampers.",
-        "four_bar_knee",
-        "FourBarKneeOptions",
-        references="REFERENCES",
-    ),
-    _model(
         80, "mechanism", "Any mechanism of named bodies, joints, drivers and forces.", "free_form", "MechanismOptions"
     ),
 )

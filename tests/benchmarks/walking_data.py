@@ -23,7 +23,7 @@ import numpy as np
 from scipy.optimize import least_squares
 from tests.inverse_dynamics.running import reference, table
 
-from mbdkit.models._segments import Person
+from mbdkit_biomech.models._segments import Person
 
 STRIDE = 1.1396
 """Duration of a stride [s]."""

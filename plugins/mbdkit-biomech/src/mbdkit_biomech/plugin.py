@@ -1,4 +1,4 @@
-"""What this part adds to mbdkit: inverse dynamics of measured motion, workload, and models of legs."""
+"""What this part adds to mbdkit: inverse dynamics of measured motion, workload, and models of knees and legs."""
 
 from __future__ import annotations
 
@@ -28,6 +28,7 @@ _HERE = Path(__file__).parent
 _ROOM = "mbdkit_biomech.inverse_dynamics"
 _MUSCLES = "mbdkit_biomech.muscles.acting_muscles"
 _MODELS = "mbdkit_biomech.models.leg"
+_KNEE = "mbdkit_biomech.models.four_bar_knee"
 _CRITERIA = {
     "columns": "Columns of the motion and their smoothing.",
     "loads": "Measured loads.",
@@ -46,8 +47,16 @@ _QUANTITIES = {
 
 @hookimpl
 def mbdkit_models() -> list[ModelPlugin]:
-    """Return models of legs."""
+    """Return models of knees and legs."""
     return [
+        ModelPlugin(
+            "four-bar-knee",
+            "A lower leg on a crossed four-bar linkage at a fixed thigh, with springs and dampers.",
+            Target(f"{_KNEE}:FourBarKneeOptions", type),
+            Target(f"{_KNEE}:build"),
+            Target(f"{_KNEE}:REFERENCES", tuple),
+            order=50,
+        ),
         ModelPlugin(
             "leg",
             "One or two legs of thigh, shank and foot, scaled by body mass and height, on a fixed hip or on a free "

@@ -15,8 +15,8 @@ import pytest
 import mbdkit
 from mbdkit import SpecError
 from mbdkit.mechanism.mechanism import Mechanism
-from mbdkit.models._segments import Person
 from mbdkit.spec import load_spec
+from mbdkit_biomech.models._segments import Person
 from mbdkit_biomech.models.leg import LegFourBarOptions, LegOptions, build, build_four_bar
 
 POSE = {"hip_flexion": 0.4, "knee_flexion": 0.9, "ankle_dorsiflexion": -0.2, "trunk_angle": -0.1}

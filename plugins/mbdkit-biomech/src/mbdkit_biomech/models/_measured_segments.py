@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
-from mbdkit.models._segments import Person, SegmentTable
+from mbdkit_biomech.models._segments import Person, SegmentTable
 
 
 @dataclass(frozen=True)

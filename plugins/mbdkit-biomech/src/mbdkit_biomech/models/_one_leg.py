@@ -15,9 +15,9 @@ from mbdkit.mechanism.joint_friction import PinFriction
 from mbdkit.mechanism.joints import Joint, Revolute
 from mbdkit.mechanism.mechanism_data import NamedCoordinate
 from mbdkit.mechanism.values import Number
-from mbdkit.models._crossed_four_bar import CrossedFourBar
-from mbdkit.models._knee_linkage import Frame, knee_of, xy
-from mbdkit.models._segments import Person
+from mbdkit_biomech.models._crossed_four_bar import CrossedFourBar
+from mbdkit_biomech.models._knee_linkage import Frame, knee_of, xy
+from mbdkit_biomech.models._segments import Person
 from mbdkit_biomech.muscles.muscle import Muscle, PathItem
 
 SUFFIX = "_left"

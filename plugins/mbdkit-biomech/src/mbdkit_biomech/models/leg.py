@@ -60,11 +60,11 @@ from mbdkit.mechanism.joints import Joint
 from mbdkit.mechanism.mechanism import Mechanism
 from mbdkit.mechanism.mechanism_data import MechanismData, NamedCoordinate
 from mbdkit.mechanism.values import Number, Point, Positive
-from mbdkit.models._knee_linkage import Frame, xy
-from mbdkit.models._segments import DE_LEVA, FRACTIONS, GAIT2D, WINTER, Person
-from mbdkit.models.four_bar_knee import EXOSKELETON, KneeLinks, KneePitches, linkage
+from mbdkit_biomech.models._knee_linkage import Frame, xy
 from mbdkit_biomech.models._measured_segments import MeasuredPerson
 from mbdkit_biomech.models._one_leg import Hip, LegParts, LegPose, four_bar_leg, muscles_of_both, pinned_leg, second_leg
+from mbdkit_biomech.models._segments import DE_LEVA, FRACTIONS, GAIT2D, WINTER, Person
+from mbdkit_biomech.models.four_bar_knee import EXOSKELETON, KneeLinks, KneePitches, linkage
 from mbdkit_biomech.muscles.muscle import Muscle
 from mbdkit_contact.contact import Contact
 

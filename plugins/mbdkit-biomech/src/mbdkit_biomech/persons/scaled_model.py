@@ -16,8 +16,8 @@ import numpy as np
 
 from mbdkit.base.errors import SpecError
 from mbdkit.mechanism.quantity_names import QuantityNames
-from mbdkit.models._segments import Person
 from mbdkit_biomech.models._one_leg import SUFFIX
+from mbdkit_biomech.models._segments import Person
 from mbdkit_biomech.models.leg import LegFourBarOptions, LegOptions, person_of
 from mbdkit_biomech.muscles.muscle_path import MusclePath
 from mbdkit_biomech.persons.person_sections import Subject

@@ -49,9 +49,9 @@ from mbdkit.base.strict_model import StrictModel
 from mbdkit.mechanism.joint_friction import PinFriction
 from mbdkit.mechanism.mechanism import Mechanism
 from mbdkit.mechanism.values import NotNegative, Number, Point, Points, Positive
-from mbdkit.models._crossed_four_bar import CrossedFourBar
-from mbdkit.models._knee_linkage import Frame, knee_of, xy
-from mbdkit.models._segments import FRACTIONS, GAIT2D, WINTER, Person
+from mbdkit_biomech.models._crossed_four_bar import CrossedFourBar
+from mbdkit_biomech.models._knee_linkage import Frame, knee_of, xy
+from mbdkit_biomech.models._segments import FRACTIONS, GAIT2D, WINTER, Person
 
 EXOSKELETON = """@misc{group3exoskeleton,
   author       = {{emelieseguin}},

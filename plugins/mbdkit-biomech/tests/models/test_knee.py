@@ -9,9 +9,8 @@ import numpy as np
 import pytest
 
 import mbdkit
-
-from .four_bar import FourBar, Link, Spring
-from .running import gauss, run
+from tests.witness.four_bar import FourBar, Link, Spring
+from tests.witness.running import gauss, run
 
 SEATED: dict[str, Any] = {"name": "four-bar-knee", "thigh_angle": 0.0, "flexion": 0.4, "flexion_rate": 0.5}
 SUPPORTED: dict[str, Any] = SEATED | {

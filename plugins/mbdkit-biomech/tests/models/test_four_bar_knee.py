@@ -10,9 +10,12 @@ import numpy as np
 import pytest
 from pydantic import ValidationError
 
+import mbdkit
 from mbdkit.base.errors import SpecError
-from mbdkit.models._segments import Person
-from mbdkit.models.four_bar_knee import FourBarKneeOptions, KneeLinks, KneePitches, build, linkage
+from mbdkit.spec import load_spec
+from mbdkit_biomech.models._segments import Person
+from mbdkit_biomech.models.four_bar_knee import FourBarKneeOptions, KneeLinks, KneePitches, build, linkage
+from tests.models.test_examples import length
 
 STRAIGHT = {
     "A": (0.0, 0.0),
@@ -241,3 +244,19 @@ def test_a_spring_s_name_must_be_usable(name):
 def test_wrong_parameters_are_refused(values):
     with pytest.raises(ValidationError):
         FourBarKneeOptions(**values)
+
+
+def test_strut_of_the_knee_holds_the_foot_forward_of_where_it_would_hang():
+    # expected: at rest the potential energy of weight and strut is least; the comment says the rest
+    rest = {}
+    for name, settings in (("supported", ()), ("free", ("model.springs={}",))):
+        spec = load_spec("knee", settings)
+        with mbdkit.run(spec) as run:
+            flexion = np.degrees(np.pi / 2 - np.asarray(run["shank"].angle))
+            rest[name] = flexion[np.argmin(run.energy.potential)]
+            if name == "supported":
+                strut = length(run, spec.mechanism(), "support")
+                assert flexion[-1] == pytest.approx(rest[name], abs=0.5)
+    assert rest["free"] - rest["supported"] == pytest.approx(25, abs=1)
+    assert strut[0] < 0.4
+    assert strut.min() > 0.2

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 from mbdkit.base import elementary
 from mbdkit.mechanism.bodies import Body
-from mbdkit.models._crossed_four_bar import CrossedFourBar, Pose
-from mbdkit.models._segments import Segment
+from mbdkit_biomech.models._crossed_four_bar import CrossedFourBar, Pose
+from mbdkit_biomech.models._segments import Segment
 
 MOUNTING = 0.009 / 1.78
 """Distance of the midpoint of the tibial link below the knee, as a share of body height."""
