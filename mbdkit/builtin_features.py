@@ -1,4 +1,4 @@
-"""What mbdkit itself adds through items of plugins: run specs, formats of tables, examples and pages of the guide."""
+"""What mbdkit itself adds through items of plugins: run specs, criteria, examples and pages of the guide."""
 
 from __future__ import annotations
 
@@ -11,19 +11,11 @@ from mbdkit.registry.feature_items import (
     Feature,
     GuidePage,
     SpecKind,
-    TableFormat,
     Treatment,
 )
 from mbdkit.registry.target import Target
 
 _HERE = Path(__file__).parent
-_FORMATS = {
-    "csv": "Comma-separated values.",
-    "parquet": "Parquet.",
-    "mat": "MATLAB.",
-    "sto": "Storage files of OpenSim.",
-    "json": "JSON.",
-}
 
 _NOTES = (
     ("model-notes", "What the model says about its mechanism.", "run_criteria:model_notes"),
@@ -83,16 +75,6 @@ def builtin_features() -> list[Feature]:
         run_kind="forward",
         model=Target("mbdkit.spec.run_spec:RunSpec"),
     )
-    formats = [
-        TableFormat(
-            name=name,
-            summary=summary,
-            order=10 * number,
-            suffix=f".{name}",
-            write=Target(f"mbdkit.archive.table_formats:write_{name}"),
-        )
-        for number, (name, summary) in enumerate(_FORMATS.items())
-    ]
     notes = {name for name, *_ in _NOTES}
     criteria = [
         CriterionItem(
@@ -111,7 +93,6 @@ def builtin_features() -> list[Feature]:
     return [
         run,
         compliant,
-        *formats,
         *criteria,
         *Example.folder(_HERE / "models" / "examples"),
         *GuidePage.folder(_HERE / "guide"),

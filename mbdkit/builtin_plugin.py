@@ -48,7 +48,6 @@ COMMANDS = (
     Command(name="plugins", summary="List, verify and diagnose plugins; `new` creates one.", order=180),
     _command(10, "plugins list", "List installed plugins, and those that could not be loaded.", "plugins:plugins_list"),
     _command(20, "plugins show", "Show the options, claims and references of a plugin.", "plugins:plugins_show"),
-    _command(25, "plugins where", "Print the file and line of the code that a name adds.", "plugins:plugins_where"),
     _command(
         40, "plugins doctor", "Show the plugins, the machine code in use, and any problems.", "plugins:plugins_doctor"
     ),
@@ -57,7 +56,6 @@ COMMANDS = (
     _command(10, "archive info", "Describe run archives.", "archives:archive_info"),
     _command(20, "archive check", "Check the structure and contents of run archives.", "archives:archive_check"),
     _command(30, "archive diff", "Compare the data of two run archives.", "archives:archive_diff"),
-    _command(40, "archive export", "Export a run, or the table of the runs of a study.", "archives:archive_export"),
 )
 
 

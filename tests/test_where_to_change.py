@@ -11,9 +11,9 @@ from typing import Any
 
 import pytest
 
-from mbdkit.guide.item_places import whereabouts
 from mbdkit.registry.manager import registry
 from mbdkit.spec.yaml_reader import read_data
+from mbdkit_testing.item_places import whereabouts
 from tests.first_party import PACKAGES, ROOT
 from tests.test_map import MAPS
 

@@ -2,14 +2,11 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-from typing import Annotated, cast
-
 import typer
 
 from mbdkit.base import terminal
 from mbdkit.base.terminal import say, show, show_json
-from mbdkit.cli.common_options import Archive, Archives, AsJson, Debug, Overwrite, Quiet, output_to
+from mbdkit.cli.common_options import Archive, Archives, AsJson, Debug, Quiet
 
 
 def archive_info(archives: Archives, as_json: AsJson = False, debug: Debug = False) -> None:
@@ -70,48 +67,3 @@ def archive_diff(first: Archive, second: Archive, as_json: AsJson = False, debug
         show(found)
     if not found.same_data or found.falsified:
         raise typer.Exit(terminal.DIFFERS)
-
-
-def archive_export(
-    archive: Annotated[Path, typer.Argument(metavar="FILE.h5|DIR", help="A run archive, or the folder of a study.")],
-    to: Annotated[
-        str,
-        typer.Option(
-            "--to",
-            metavar="FORMAT",
-            help="csv; parquet (needs the package pyarrow); mat: MATLAB; sto: OpenSim; json; or a format of a plugin.",
-        ),
-    ],
-    output: Annotated[
-        Path | None,
-        output_to("DIR", "Folder of the files, which is created; by default FILE-FORMAT, such as knee-csv."),
-    ] = None,
-    overwrite: Overwrite = False,
-    quiet: Quiet = False,
-    debug: Debug = False,
-) -> None:
-    """Export a run, or the table of the runs of a study.
-
-    Writes several files into a folder: each group of a run gives a file GROUP.FORMAT.
-    Groups are trajectory, joints, forces, markers, constraints, energy, steps, events and
-    accuracy, as far as the archive contains them. Columns are named as in expressions of
-    events, such as knee.force_x. The folder of a study gives one file, runs.FORMAT, with
-    one row for each run: its values, status, verdict with reasons, measures and cost.
-    Prints the names of the files.
-    """
-    from mbdkit.archive.changed_contents import opened
-    from mbdkit.archive.export import export
-    from mbdkit.registry.feature_items import FileFormat
-    from mbdkit.registry.manager import registry
-
-    folder = output if output is not None else archive.with_name(f"{archive.stem}-{to}")
-    formats = [cast(FileFormat, item.plugin) for item in registry().of_kind("file-format")]
-    kind = FileFormat.of_folder(archive, formats) if archive.is_dir() else None
-    if kind is not None and kind.export is not None:
-        files = kind.export()(archive, folder, to, overwrite=overwrite)
-    else:
-        with opened(archive) as loaded:
-            files = export(loaded, folder, to, overwrite=overwrite)
-    if not quiet:
-        for file in files:
-            show(file)

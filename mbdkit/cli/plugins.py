@@ -42,28 +42,6 @@ def plugins_show(
         show("\n\n".join(describe.page(item) for item in items))
 
 
-def plugins_where(
-    name: Annotated[
-        str, typer.Argument(metavar="NAME", help="A name or id of any item, such as gauss, study or 'plugins new'.")
-    ],
-    as_json: AsJson = False,
-    debug: Debug = False,
-) -> None:
-    """Print the file and line of the code that a name adds.
-
-    The name is that of a command, model, integrator, force law, study or measure.
-    Also prints the command that shows its help, and the pages of the guide that
-    mention it. With --json, prints one object with a list "items".
-    """
-    from mbdkit.guide import item_places
-
-    found = item_places.whereabouts(name)
-    if as_json:
-        show_json(found)
-    else:
-        show(item_places.whereabouts_text(found))
-
-
 def plugins_doctor(as_json: AsJson = False, debug: Debug = False) -> None:
     """Show the plugins, the machine code in use, and any problems.
 

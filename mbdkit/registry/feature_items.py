@@ -392,7 +392,7 @@ class TableFormat(Feature):
     suffix
         Suffix of the files, with its dot.
     write
-        Function that takes a table, see `mbdkit.archive.export.ExportedTable`, and the path of the file to write.
+        Function that takes a table, see `mbdkit_report.table_formats.ExportedTable`, and the path of the file to write.
     needs
         Name of the package that the function imports, if it is not part of mbdkit's requirements.
     """

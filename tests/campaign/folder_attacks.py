@@ -110,7 +110,7 @@ def whole() -> Path:
         "mbdkit_report.pages.report",
         "mbdkit_studies.study_report",
         "mbdkit_design.design_report",
-        "mbdkit.archive.export",
+        "mbdkit_report.export",
         "mbdkit_statics.commands",
     ):
         importlib.import_module(module)  # forks have them, then

@@ -15,11 +15,11 @@ import mbdkit
 import mbdkit.plugin
 from mbdkit.base.errors import PluginError, SpecError
 from mbdkit.cli import app
-from mbdkit.guide import item_places
 from mbdkit.plugin import Command, IntegratorPlugin, ModelPlugin, SpecKind, Target
 from mbdkit.registry.item_options import named_options
 from mbdkit.registry.manager import checked, load_registry, registry
 from mbdkit.registry.policy import Policy
+from mbdkit_testing import item_places
 from tests.installing import install_module, python
 from tests.registry.conftest import offering_items as offering
 

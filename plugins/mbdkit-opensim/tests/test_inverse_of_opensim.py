@@ -11,8 +11,8 @@ import osim_texts as osim
 import pytest
 
 import mbdkit
-from mbdkit.archive.export import export
 from mbdkit_opensim.building import build_mechanism
+from mbdkit_report.export import export
 
 needs_opensim = pytest.mark.skipif(
     not importlib.util.find_spec("opensim"), reason="the package opensim is not installed"

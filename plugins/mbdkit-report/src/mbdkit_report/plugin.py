@@ -1,17 +1,35 @@
-"""What this part adds to mbdkit: plots, animations, reports, and what notebooks show of results."""
+"""What this part adds to mbdkit: plots, animations, reports, exported tables, and what notebooks show."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable
 from pathlib import Path
 
-from mbdkit.plugin import Accessor, Command, Example, GuidePage, Item, PlotKind, ReportSection, Target, hookimpl
+from mbdkit.plugin import (
+    Accessor,
+    Command,
+    Example,
+    GuidePage,
+    Item,
+    PlotKind,
+    ReportSection,
+    TableFormat,
+    Target,
+    hookimpl,
+)
 
 _HERE = Path(__file__).parent
 _COMMANDS = {
     "plot": (100, "Plot a run, or one quantity of several runs."),
     "animate": (110, "Animate a run."),
     "report": (120, "Write a report on a run, study or design as an HTML page."),
+}
+_FORMATS = {
+    "csv": "Comma-separated values.",
+    "parquet": "Parquet.",
+    "mat": "MATLAB.",
+    "sto": "Storage files of OpenSim.",
+    "json": "JSON.",
 }
 _PLOTS = {
     "trajectory": "paths of free ends and moving joints, first and last pose",
@@ -35,9 +53,27 @@ def mbdkit_items() -> Iterable[Item]:
         Command(name=name, summary=summary, order=order, target=Target(f"mbdkit_report.commands:{name}"))
         for name, (order, summary) in _COMMANDS.items()
     ]
+    formats = [
+        TableFormat(
+            name=name,
+            summary=summary,
+            order=10 * number,
+            suffix=f".{name}",
+            write=Target(f"mbdkit_report.table_formats:write_{name}"),
+        )
+        for number, (name, summary) in enumerate(_FORMATS.items())
+    ]
     return [
         *commands,
+        Command(
+            name="export",
+            group="archive",
+            summary="Export a run, or the table of the runs of a study.",
+            order=40,
+            target=Target("mbdkit_report.export_command:archive_export"),
+        ),
         *plots,
+        *formats,
         Accessor(
             name="plot",
             summary="Draws a kind of plot on axes.",

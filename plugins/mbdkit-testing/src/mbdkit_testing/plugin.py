@@ -1,4 +1,4 @@
-"""What this part adds to mbdkit: a self-test, the conformance kit, and templates of new plugins."""
+"""What this part adds to mbdkit: a self-test, places of code, the conformance kit, and templates of new plugins."""
 
 from __future__ import annotations
 
@@ -9,13 +9,20 @@ from mbdkit.plugin import Command, Item, Target, hookimpl
 
 @hookimpl
 def mbdkit_items() -> Iterable[Item]:
-    """Return the commands that check an installation, and verify and create plugins."""
+    """Return the commands that check an installation, and find, verify and create plugins."""
     return [
         Command(
             name="doctor",
             summary="Check this installation: plugins, machine code, small runs.",
             order=175,
             target=Target("mbdkit_testing.commands:doctor"),
+        ),
+        Command(
+            name="where",
+            group="plugins",
+            summary="Print the file and line of the code that a name adds.",
+            order=25,
+            target=Target("mbdkit_testing.item_places:plugins_where"),
         ),
         Command(
             name="verify",

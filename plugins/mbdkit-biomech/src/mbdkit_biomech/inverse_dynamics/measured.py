@@ -16,13 +16,13 @@ from mbdkit.base.errors import SpecError
 from mbdkit.base.plain_data import quoted
 from mbdkit.base.text import counted, listed, shown
 from mbdkit.base.units import Unit, read_unit
-from mbdkit.engine.interpolating_splines import interpolating_spline
 from mbdkit.engine.stacked_matrices import products
 from mbdkit.mechanism.mechanism_quantities import Quantity
 from mbdkit.mechanism.quantity_names import QuantityNames
 from mbdkit.spec import InverseSpec
 from mbdkit_biomech.inverse_dynamics.continued_angles import continued
 from mbdkit_biomech.inverse_dynamics.fit import Target
+from mbdkit_biomech.inverse_dynamics.interpolating_splines import interpolating_spline
 from mbdkit_biomech.inverse_dynamics.inverse_sections import (
     ColumnOfTable,
     Gaps,

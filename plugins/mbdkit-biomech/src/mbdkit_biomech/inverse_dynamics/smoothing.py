@@ -11,7 +11,6 @@ from scipy.interpolate import BSpline, make_smoothing_spline
 
 from mbdkit.base import elementary
 from mbdkit.base.errors import SpecError
-from mbdkit.engine.interpolating_splines import Spline, interpolating_spline
 from mbdkit.engine.linear_systems import SparseFactors
 from mbdkit.engine.stacked_matrices import least_norms, products
 from mbdkit_biomech.inverse_dynamics.digital_filters import (
@@ -21,6 +20,7 @@ from mbdkit_biomech.inverse_dynamics.digital_filters import (
     single_cutoff,
     state_after,
 )
+from mbdkit_biomech.inverse_dynamics.interpolating_splines import Spline, interpolating_spline
 from mbdkit_biomech.inverse_dynamics.inverse_sections import (
     Butterworth,
     NoSmoothing,

@@ -3,16 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any
+from typing import Annotated, Any
+
+import typer
 
 from mbdkit.base.errors import SpecError
+from mbdkit.base.terminal import show, show_json
 from mbdkit.base.text import did_you_mean, listed
+from mbdkit.cli.common_options import AsJson, Debug
 from mbdkit.guide.pages import search
 from mbdkit.registry.catalogue import Registered, Registry
 from mbdkit.registry.item import Plugin
 from mbdkit.registry.items import Command
 from mbdkit.registry.manager import registry
-from mbdkit.registry.whereabouts import places
+from mbdkit_testing.whereabouts import places
 
 PAGES = 3
 """Largest number of pages of the guide that are named for an item."""
@@ -67,3 +71,23 @@ def _help(item: Registered) -> str:
 
 def _guide_words(item: Registered) -> str:
     return f"mbdkit {item.name}" if isinstance(item.plugin, Command) else item.name
+
+
+def plugins_where(
+    name: Annotated[
+        str, typer.Argument(metavar="NAME", help="A name or id of any item, such as gauss, study or 'plugins new'.")
+    ],
+    as_json: AsJson = False,
+    debug: Debug = False,
+) -> None:
+    """Print the file and line of the code that a name adds.
+
+    The name is that of a command, model, integrator, force law, study or measure.
+    Also prints the command that shows its help, and the pages of the guide that
+    mention it. With --json, prints one object with a list "items".
+    """
+    found = whereabouts(name)
+    if as_json:
+        show_json(found)
+    else:
+        show(whereabouts_text(found))

@@ -16,12 +16,12 @@ import pytest
 from scipy.io import loadmat
 
 import mbdkit
-from mbdkit.archive import table_formats
-from mbdkit.archive.export import export
 from mbdkit.archive.group_table import group_names, group_table
 from mbdkit.archive.named_columns import NotRecordedError
 from mbdkit.base.errors import MbdkitError, ResourceError, SpecError
 from mbdkit.registry.target import Target
+from mbdkit_report import table_formats
+from mbdkit_report.export import export
 from tests.synthetic_runs import make_run as make_run
 
 # A rod hangs on a pin and on a spring, has a name that spreadsheets would take for a formula, and passes its lowest
