@@ -6,10 +6,8 @@ import math
 from collections.abc import Callable
 from typing import Any
 
-from mbdkit.base.errors import MbdkitError
 from mbdkit.engine.compiled_mechanism import CompiledMechanism
-from mbdkit.engine.formulation import FORMULATIONS, Formulation
-from mbdkit.engine.stabilization import Stabilization
+from mbdkit.engine.formulation import FORMULATIONS
 from mbdkit.engine.workspace import Workspace
 from mbdkit.integrators.compiled_method import CompiledMethod
 from mbdkit.integrators.compiled_stepper import CompiledStepper
@@ -19,10 +17,6 @@ from mbdkit.integrators.step_host import StepHost
 from mbdkit.methods.kinds import Method, Traits
 from mbdkit.methods.step_methods import ExternalMethod, StepMethod
 from mbdkit.registry.treatments import treatment_of
-
-
-class NoDerivativeError(MbdkitError, ValueError):
-    """The steps of a method, formulation or stabilization cannot be differentiated."""
 
 
 def step_control(traits: Traits, mechanism: CompiledMechanism) -> Control | None:
@@ -92,15 +86,3 @@ def start_method(method: Method, workspace: Workspace, timetable: Timetable) -> 
         return StepHost(steps, workspace, timetable)
     compiled, control = compiled_method(method, workspace)
     return CompiledStepper(compiled if between is None else between(compiled), workspace, timetable, control)
-
-
-def require_derivatives(method: Method, formulation: Formulation, stabilization: Stabilization) -> None:
-    """Raise NoDerivativeError unless the steps of a method with this formulation can be differentiated."""
-    if not method.traits.has_derivatives:
-        raise NoDerivativeError(
-            "only steps of explicit Runge-Kutta methods and of collocation methods (gauss, radau-iia) have derivatives"
-        )
-    if formulation.coordinates == "joint" and not method.traits.is_explicit:
-        raise NoDerivativeError("with joint-coordinates, only steps of explicit Runge-Kutta methods have derivatives")
-    if stabilization.symmetric:
-        raise NoDerivativeError("symmetric projections are not differentiated; use `stabilization: projection` or none")

@@ -9,7 +9,6 @@ import pytest
 from pydantic import BaseModel
 
 import mbdkit
-from mbdkit.archive import export as exports
 from mbdkit.archive.run import Run
 from mbdkit.base.errors import PluginError, SpecError
 from mbdkit.plugin import (
@@ -28,6 +27,7 @@ from mbdkit.registry import accessors, manager
 from mbdkit.registry.item_options import named_options
 from mbdkit.registry.manager import checked
 from mbdkit.spec.spec_kinds import kind_of
+from mbdkit_report import export as exports
 from mbdkit_report.pages.section_items import added_sections
 from mbdkit_report.plot.plot_kinds import plot_kinds, plot_module
 

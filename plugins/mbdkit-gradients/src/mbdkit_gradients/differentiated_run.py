@@ -8,19 +8,20 @@ from typing import Any
 
 import numpy as np
 
-from mbdkit.base.errors import RunError, SpecError, StepError
+from mbdkit.base.errors import MbdkitError, RunError, SpecError, StepError
 from mbdkit.base.plain_data import path_text
 from mbdkit.engine.elimination_order import SingularSystemError
-from mbdkit.engine.formulation import FORMULATIONS
+from mbdkit.engine.formulation import FORMULATIONS, Formulation
 from mbdkit.engine.kernels.observe import Observed
 from mbdkit.engine.native.arithmetic import DIRECTIONS
 from mbdkit.engine.observed_states import StateObserver
+from mbdkit.engine.stabilization import Stabilization
 from mbdkit.events.event_expression import RunExpression
 from mbdkit.events.watch import Found, Watch, Watched
 from mbdkit.integrators.dual_run import NO_SEEDS, Seeds, constants
 from mbdkit.integrators.interface import Moment, Stepper, Stretch, joined
 from mbdkit.integrators.sampled_control import states_at_start
-from mbdkit.integrators.start import NoDerivativeError, compiled_method, require_derivatives, start_method
+from mbdkit.integrators.start import compiled_method, start_method
 from mbdkit.methods.kinds import Method
 from mbdkit.runs.preparation import build, guards, make_method, size_at_start, timetable
 from mbdkit.spec import RunSpec
@@ -31,6 +32,10 @@ from mbdkit_gradients.differentiated_stepper import DifferentiatedStepper
 from mbdkit_gradients.evaluated_states import StateEvaluator, rate_of
 from mbdkit_gradients.law_corners import doubts_of_kinds, with_sides, with_unknown_corners
 from mbdkit_gradients.sided_stepper import SidedStepper
+
+
+class NoDerivativeError(MbdkitError, ValueError):
+    """The steps of a method, formulation or stabilization cannot be differentiated."""
 
 
 @dataclass(frozen=True)
@@ -198,6 +203,18 @@ def refuse(spec: RunSpec, method: Method) -> None:
         raise SpecError(
             "gradients are not available with `interval`; use `every` to record every k-th step", key="output.interval"
         )
+
+
+def require_derivatives(method: Method, formulation: Formulation, stabilization: Stabilization) -> None:
+    """Raise NoDerivativeError unless the steps of a method with this formulation can be differentiated."""
+    if not method.traits.has_derivatives:
+        raise NoDerivativeError(
+            "only steps of explicit Runge-Kutta methods and of collocation methods (gauss, radau-iia) have derivatives"
+        )
+    if formulation.coordinates == "joint" and not method.traits.is_explicit:
+        raise NoDerivativeError("with joint-coordinates, only steps of explicit Runge-Kutta methods have derivatives")
+    if stabilization.symmetric:
+        raise NoDerivativeError("symmetric projections are not differentiated; use `stabilization: projection` or none")
 
 
 def _pass(spec: RunSpec, seeds: Seeds, needs: Needs, sizes: Sequence[float] | None) -> DifferentiatedRun:
