@@ -15,20 +15,16 @@ from mbdkit.base.errors import MissingPartError
 from mbdkit.registry.manager import registry
 from mbdkit.spec import load_spec
 
-WORKS = {"taylor": ("pendulum", "double-pendulum")}
-"""Examples of integrators that do not integrate all mechanisms."""
-
 SECTIONS = {
     "rattle": {"formulation": "index-3"},
     "lobatto-pair": {"formulation": "index-3"},
-    "taylor": {"formulation": "joint-coordinates"},
 }
 """What integrators require, by name."""
 
 RUNS = [
     (integrator.name, name)
     for integrator in registry().of_kind("integrator")
-    for name in WORKS.get(integrator.name, ("pendulum", "double-pendulum", "slider-crank"))
+    for name in ("pendulum", "double-pendulum", "slider-crank")
 ]
 
 

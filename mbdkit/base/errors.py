@@ -153,6 +153,7 @@ _PARTS = (
     "report",
     "statics",
     "studies",
+    "taylor",
     "testing",
 )
 OWN_PACKAGES = ("mbdkit", *(f"mbdkit_{part}" for part in _PARTS))

@@ -73,13 +73,6 @@ INTEGRATORS = (
         "method_options.ControlledOptions",
     ),
     _integrator(
-        50,
-        "taylor",
-        "Taylor series of any order: explicit, fixed or adaptive steps, for trees of revolute joints.",
-        "taylor",
-        "TaylorOptions",
-    ),
-    _integrator(
         60,
         "gauss",
         "Gauss-Legendre collocation: implicit, 1 to 6 stages, order 2 s, symmetric, symplectic; or adaptive.",
@@ -143,6 +136,6 @@ INTEGRATORS = (
         "REFERENCES_OF_LSODA",
     ),
 )
-"""The built-in integrators: explicit methods, Taylor series, collocation, partitioned methods and SciPy's solvers;
+"""The built-in integrators: explicit methods, collocation, partitioned methods and SciPy's solvers;
 within a family by order of convergence, then by name.
 """

@@ -13,7 +13,6 @@ from functools import cached_property
 from typing import TYPE_CHECKING, Any, Literal
 
 from mbdkit.engine.formulation import INDEX_1, Formulation
-from mbdkit.engine.known_series import require_series
 from mbdkit.methods.tableau import ButcherTableau, TableauError
 from mbdkit.registry.target import Target
 
@@ -166,36 +165,6 @@ class ExplicitRungeKutta(Method):
             lanes=Target("mbdkit.integrators.lane_control:EXPLICIT_IN_LANES"),
             has_derivatives=True,
         )
-
-
-@dataclass(frozen=True)
-class TaylorSeries(Method):
-    """Taylor series of the joint coordinates of a tree of pins, with fixed or controlled step size.
-
-    Parameters
-    ----------
-    order
-        Order of the series of velocities, 4 or more.
-    tolerances
-        Tolerances for a controlled step size; None for fixed steps.
-    """
-
-    order: int
-    tolerances: Tolerances | None = None
-
-    @property
-    def traits(self) -> Traits:
-        """See `Method`."""
-        return Traits(
-            Target("mbdkit.integrators.taylor_series:CompiledTaylor"),
-            tolerances=self.tolerances,
-            local_error=None if self.tolerances is None else LocalError(self.order, self.order),
-            is_explicit=True,
-        )
-
-    def require_mechanism(self, mechanism: CompiledMechanism) -> None:
-        """See `Method`."""
-        require_series(mechanism)
 
 
 @dataclass(frozen=True)

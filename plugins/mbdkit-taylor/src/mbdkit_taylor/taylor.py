@@ -1,6 +1,6 @@
 """Taylor series of any order for trees of pins in joint coordinates.
 
-The coefficients follow from recurrences, not from stages; see `mbdkit.engine.kernels.tree_series`. A higher order costs
+The coefficients follow from recurrences, not from stages; see `mbdkit_taylor.kernels.tree_series`. A higher order costs
 little, so that the order is chosen by the tolerance. With the radius of convergence rho, a series of order p allows
 steps of ``rho rtol^(1/p)``. If the cost of a step is proportional to p^2, ``p = -ln(rtol) / 2`` is cheapest (Jorba and
 Zou 2005). Here most of the cost is proportional to p, so that a higher order is cheapest.
@@ -9,14 +9,20 @@ Zou 2005). Here most of the cost is proportional to p, so that a higher order is
 from __future__ import annotations
 
 import math
-from typing import Annotated
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Annotated
 
 from pydantic import Field
 
 from mbdkit.base import elementary
-from mbdkit.methods.kinds import TaylorSeries
+from mbdkit.methods.kinds import LocalError, Method, Tolerances, Traits
 from mbdkit.methods.method_options import ControlledOptions
 from mbdkit.registry.items import Claims
+from mbdkit.registry.target import Target
+from mbdkit_taylor.known_series import require_series
+
+if TYPE_CHECKING:
+    from mbdkit.engine.compiled_mechanism import CompiledMechanism
 
 JORBA_ZOU = """@article{jorba2005,
   author = {Jorba, {\\`A}ngel and Zou, Maorong},
@@ -31,6 +37,36 @@ LEAST, PER_DIGIT = 4.0, 0.75
 
 For the double pendulum, this order is close to the fastest one.
 """
+
+
+@dataclass(frozen=True)
+class TaylorSeries(Method):
+    """Taylor series of the joint coordinates of a tree of pins, with fixed or controlled step size.
+
+    Parameters
+    ----------
+    order
+        Order of the series of velocities, 4 or more.
+    tolerances
+        Tolerances for a controlled step size; None for fixed steps.
+    """
+
+    order: int
+    tolerances: Tolerances | None = None
+
+    @property
+    def traits(self) -> Traits:
+        """See `Method`."""
+        return Traits(
+            Target("mbdkit_taylor.kernels.taylor_series:CompiledTaylor"),
+            tolerances=self.tolerances,
+            local_error=None if self.tolerances is None else LocalError(self.order, self.order),
+            is_explicit=True,
+        )
+
+    def require_mechanism(self, mechanism: CompiledMechanism) -> None:
+        """See `Method`."""
+        require_series(mechanism)
 
 
 class TaylorOptions(ControlledOptions):

@@ -11,12 +11,11 @@ from scipy.integrate import solve_ivp
 
 import mbdkit
 from mbdkit.base.errors import SpecError, UnsupportedMechanismError
-from mbdkit.engine.kernels.power_series import EXPANDED
 from mbdkit.mechanism.mechanism import Mechanism
+from mbdkit_taylor.kernels.power_series import EXPANDED
 from tests.engine.random_mechanisms import chain, loop, slides, tree
+from tests.integrators.test_joint_coordinates import floating, forced_pendulum, lagrange
 from tests.witness.double_pendulum import HORIZONTAL
-
-from .test_joint_coordinates import floating, forced_pendulum, lagrange
 
 JOINT = "joint-coordinates"
 TIGHT = {"name": "taylor", "adaptive": True, "rtol": 1e-13, "atol": 1e-13}

@@ -8,8 +8,8 @@ from mbdkit.base.errors import UnsupportedMechanismError
 from mbdkit.engine.compiled_mechanism import CompiledMechanism
 from mbdkit.engine.kernels.applied_forces import PATHWAYS
 from mbdkit.engine.kernels.motions import OPCODES
-from mbdkit.engine.kernels.power_series import EXPANDED
 from mbdkit.engine.spanning_tree import is_tree_of_pins, spanning_tree
+from mbdkit_taylor.kernels.power_series import EXPANDED
 
 _PATHWAYS = [PATHWAYS[name] for name in ("two_points", "relative_angle")]
 _CODES = {OPCODES[name] for name in EXPANDED}

@@ -1,4 +1,4 @@
-"""Taylor series of joint coordinates: one expansion per step, of any order (`mbdkit.engine.kernels.tree_series`).
+"""Taylor series of joint coordinates: one expansion per step, of any order (`mbdkit_taylor.kernels.tree_series`).
 
 A step of another size from the same state, after a rejection or for dense output, only evaluates the series again.
 """
@@ -12,25 +12,8 @@ import numpy as np
 from mbdkit.base.quadrature import gauss_legendre
 from mbdkit.engine.kernels.applied_forces import any_forces, applied_forces
 from mbdkit.engine.kernels.bundle_types import State
-from mbdkit.engine.kernels.power_series import expand_motions
 from mbdkit.engine.kernels.system import NOT_FINITE, OK, evaluate_powers, prepare_angles
 from mbdkit.engine.kernels.tree import BODY, PLACE, PLACE_SIDE, coordinates_of, place_bodies
-from mbdkit.engine.kernels.tree_series import (
-    BEFORE,
-    BEFORE_X,
-    BEFORE_Y,
-    OF,
-    OF_BODY,
-    OF_SPRING,
-    OMEGA,
-    OWN_X,
-    OWN_Y,
-    PAIR,
-    SERIES,
-    VX,
-    VY,
-    expand_tree,
-)
 from mbdkit.engine.kernels.vectors import copy, stays_finite
 from mbdkit.engine.native.bundle import PinnedBundle, bundle_loader
 from mbdkit.engine.native.functions import entry, inlined, subkernel
@@ -47,11 +30,28 @@ from mbdkit.integrators.relative import (
     new_relative,
 )
 from mbdkit.integrators.run_state import AT_START_OF_LAST, FACTORIZATIONS, RHS, keep_node, load_run_state
+from mbdkit_taylor.kernels.power_series import expand_motions
+from mbdkit_taylor.kernels.tree_series import (
+    BEFORE,
+    BEFORE_X,
+    BEFORE_Y,
+    OF,
+    OF_BODY,
+    OF_SPRING,
+    OMEGA,
+    OWN_X,
+    OWN_Y,
+    PAIR,
+    SERIES,
+    VX,
+    VY,
+    expand_tree,
+)
 
 if TYPE_CHECKING:
     from mbdkit.engine.workspace import Workspace
     from mbdkit.integrators.step_control import Control
-    from mbdkit.methods.kinds import TaylorSeries
+    from mbdkit_taylor.taylor import TaylorSeries
 
 WINDOW = 4
 """Number of the last coefficients from which the error is estimated. Several may vanish by symmetry: for a pendulum
@@ -66,7 +66,7 @@ class Taylor(NamedTuple):
     is_expanded: State
     """(1,) whether the series are those of the last base state."""
     links: np.ndarray
-    """(B, LINK) the tree; see `mbdkit.engine.kernels.tree_series`."""
+    """(B, LINK) the tree; see `mbdkit_taylor.kernels.tree_series`."""
     places: np.ndarray
     """(B + 1,) place of every body in this order."""
     inverses: np.ndarray

@@ -20,9 +20,9 @@ from __future__ import annotations
 
 from mbdkit.base import elementary
 from mbdkit.engine.kernels.applied_forces import BODY_FORCE, PATHWAYS, POINT_FORCE, TORQUE
-from mbdkit.engine.kernels.power_series import coefficient
 from mbdkit.engine.kernels.tree import turned
 from mbdkit.engine.native.functions import inlined, subkernel
+from mbdkit_taylor.kernels.power_series import coefficient
 
 OF, PAIR, SIDE, BEFORE, LINK = range(5)
 """Columns of `links` (B, 4), the bodies in the order of the tree: body, pair that pins it (-1: none), whether it is the
@@ -289,7 +289,7 @@ def expand_tree(top, cs, m, q, v):
     q, v : (3 (B + 1),) array
         Positions and velocities of the bodies.
     m
-        Bundle of the following arrays (`mbdkit.integrators.taylor_series.Taylor`).
+        Bundle of the following arrays (`mbdkit_taylor.kernels.taylor_series.Taylor`).
     links : (B, 4) array of int
         The bodies in the order of the tree.
     places : (B + 1,) array of int

@@ -1,0 +1,1 @@
+"""Taylor series of the motion of trees of pins, of any order."""
