@@ -10,108 +10,70 @@ from types import CodeType, ModuleType
 
 from mbdkit.base.lazy_names import import_part
 
-MOVED = {
-    "mbdkit.analysis.cost": "mbdkit_studies.cost",
-    "mbdkit.analysis.sample_statistics": "mbdkit_studies.sample_statistics",
-    "mbdkit.analysis.sobol_indices": "mbdkit_studies.sobol_indices",
-    "mbdkit.analysis.cycles": "mbdkit_biomech.inverse_dynamics.cycles",
-    "mbdkit.analysis.workload": "mbdkit_biomech.inverse_dynamics.workload",
-    "mbdkit.analysis": "mbdkit_report.analysis",
-    "mbdkit.archive.block_writer": "mbdkit_studies.block_writer",
-    "mbdkit.archive.blocks": "mbdkit_studies.blocks",
-    "mbdkit.archive.columns": "mbdkit_studies.columns",
-    "mbdkit.archive.export": "mbdkit_report.export",
-    "mbdkit.archive.history_columns": "mbdkit_testing.history_columns",
-    "mbdkit.archive.inverse_summary": "mbdkit_biomech.inverse_dynamics.inverse_summary",
-    "mbdkit.archive.layout_document": "mbdkit_testing.layout_document",
-    "mbdkit.archive.table_formats": "mbdkit_report.table_formats",
-    "mbdkit.designs": "mbdkit_design",
-    "mbdkit.engine.compiler": "mbdkit_builder",
-    "mbdkit.engine.contact_forces": "mbdkit_contact.acting_contacts",
-    "mbdkit.engine.kernels.power_series": "mbdkit_taylor.kernels.power_series",
-    "mbdkit.engine.kernels.tree_series": "mbdkit_taylor.kernels.tree_series",
-    "mbdkit.engine.known_series": "mbdkit_taylor.known_series",
-    "mbdkit.engine.ground_reactions": "mbdkit_contact.ground_reactions",
-    "mbdkit.engine.interpolating_splines": "mbdkit_biomech.inverse_dynamics.interpolating_splines",
-    "mbdkit.exploration": "mbdkit_explore",
-    "mbdkit.figures": "mbdkit_report.figures",
-    "mbdkit.gradients": "mbdkit_gradients",
-    "mbdkit.guide.item_places": "mbdkit_testing.item_places",
-    "mbdkit.integrators.closed_contacts": "mbdkit_contact.closed_contacts",
-    "mbdkit.integrators.complementarity": "mbdkit_contact.complementarity",
-    "mbdkit.integrators.contact_impacts": "mbdkit_contact.contact_impacts",
-    "mbdkit.integrators.contact_kinematics": "mbdkit_contact.contact_kinematics",
-    "mbdkit.integrators.contact_state": "mbdkit_contact.contact_state",
-    "mbdkit.integrators.differentiated_laws": "mbdkit_gradients.differentiated_laws",
-    "mbdkit.integrators.differentiated_sampling": "mbdkit_gradients.differentiated_sampling",
-    "mbdkit.integrators.differentiated_stepper": "mbdkit_gradients.differentiated_stepper",
-    "mbdkit.integrators.event_driven": "mbdkit_contact.event_driven",
-    "mbdkit.integrators.event_step": "mbdkit_contact.event_step",
-    "mbdkit.integrators.forced_equations": "mbdkit_contact.forced_equations",
-    "mbdkit.integrators.generalized_alpha": "mbdkit_contact.stepping",
-    "mbdkit.integrators.rigid_contacts": "mbdkit_contact.rigid_contacts",
-    "mbdkit.integrators.step_impulses": "mbdkit_contact.stepping",
-    "mbdkit.integrators.taylor_series": "mbdkit_taylor.kernels.taylor_series",
-    "mbdkit.integrators.time_stepping": "mbdkit_contact.stepping",
-    "mbdkit.integrators.lane_stepper": "mbdkit_studies.lane_stepper",
-    "mbdkit.inverse_dynamics": "mbdkit_biomech.inverse_dynamics",
-    "mbdkit.mechanics.source": "mbdkit_statics.prepared_mechanism",
-    "mbdkit.mechanics": "mbdkit_statics",
-    "mbdkit.mechanism.polylines": "mbdkit_contact.polylines",
-    "mbdkit.mechanism.symbolic_system": "mbdkit_statics.symbolic_system",
-    "mbdkit.mechanism.unit_of_use": "mbdkit_explore.unit_of_use",
-    "mbdkit.methods.moreau_jean": "mbdkit_contact.time_stepping_methods",
-    "mbdkit.methods.taylor": "mbdkit_taylor.taylor",
-    "mbdkit.models.four_bar_knee": "mbdkit_biomech.models.four_bar_knee",
-    "mbdkit.models.leg": "mbdkit_biomech.models.leg",
-    "mbdkit.muscles.fibers": "mbdkit_biomech.inverse_dynamics.fibers",
-    "mbdkit.muscles": "mbdkit_biomech.muscles",
-    "mbdkit.mechanism.muscles": "mbdkit_biomech.muscles.muscle",
-    "mbdkit.notebook.example_notebooks": "mbdkit.spec.example_notebooks",
-    "mbdkit.notebook": "mbdkit_report.notebook",
-    "mbdkit.plot.equilibrium_plot": "mbdkit_statics.equilibrium_plot",
-    "mbdkit.plot.mode_shapes": "mbdkit_statics.mode_shapes",
-    "mbdkit.plot": "mbdkit_report.plot",
-    "mbdkit.registry.whereabouts": "mbdkit_testing.whereabouts",
-    "mbdkit.report.design_charts": "mbdkit_design.design_charts",
-    "mbdkit.report.design_report": "mbdkit_design.design_report",
-    "mbdkit.report.design_verdict": "mbdkit_design.design_verdict",
-    "mbdkit.report.sensitivity_bars": "mbdkit_design.sensitivity_bars",
-    "mbdkit.report.sample_figures": "mbdkit_studies.sample_figures",
-    "mbdkit.report.study_figures": "mbdkit_studies.study_figures",
-    "mbdkit.report.study_report": "mbdkit_studies.study_report",
-    "mbdkit.report.load_frames": "mbdkit_biomech.inverse_dynamics.load_frames",
-    "mbdkit.report.load_sections": "mbdkit_biomech.inverse_dynamics.load_sections",
-    "mbdkit.report": "mbdkit_report.pages",
-    "mbdkit.runs.batch": "mbdkit_studies.batch",
-    "mbdkit.runs.deep_overlaps": "mbdkit_contact.deep_overlaps",
-    "mbdkit.runs.given_start": "mbdkit_studies.given_start",
-    "mbdkit.runs.lane_runs": "mbdkit_studies.lane_runs",
-    "mbdkit.runs.prepared_run": "mbdkit_studies.prepared_run",
-    "mbdkit.scaffold": "mbdkit_testing.scaffold",
-    "mbdkit.spec.design_loading": "mbdkit_design.design_loading",
-    "mbdkit.spec.design_spec": "mbdkit_design.design_spec",
-    "mbdkit.spec.inverse_loading": "mbdkit_biomech.inverse_dynamics.inverse_loading",
-    "mbdkit.spec.inverse_sections": "mbdkit_biomech.inverse_dynamics.inverse_sections",
-    "mbdkit.spec.inverse_spec": "mbdkit_biomech.inverse_dynamics.inverse_spec",
-    "mbdkit.spec.key_words": "mbdkit_report.key_words",
-    "mbdkit.spec.named_actuators": "mbdkit_biomech.inverse_dynamics.named_actuators",
-    "mbdkit.spec.polyline_files": "mbdkit_contact.polyline_files",
-    "mbdkit.spec.sample_section": "mbdkit_studies.sample_section",
-    "mbdkit.spec.spec_page": "mbdkit_testing.spec_page",
-    "mbdkit.spec.study_loading": "mbdkit_studies.study_loading",
-    "mbdkit.spec.study_spec": "mbdkit_studies.study_spec",
-    "mbdkit.spec.value_sets": "mbdkit_studies.value_sets",
-    "mbdkit.studies.packaged": "mbdkit_paper",
-    "mbdkit.stepping": "mbdkit.integrators",
-    "mbdkit.studies": "mbdkit_studies",
-    "mbdkit.symbolic.__main__": "mbdkit_builder.element_kernels",
-    "mbdkit.symbolic.build": "mbdkit_statics.symbolic_equations",
-    "mbdkit.symbolic.definitions": "mbdkit_statics.element_definitions",
-    "mbdkit.symbolic.generate": "mbdkit_builder.element_kernels",
-    "mbdkit.testing": "mbdkit_testing",
+_SAME_NAME = {
+    "mbdkit.spec": "notebook.example_notebooks",
+    "mbdkit_biomech": "inverse_dynamics muscles",
+    "mbdkit_biomech.inverse_dynamics": """
+        analysis.cycles analysis.workload archive.inverse_summary engine.interpolating_splines muscles.fibers
+        report.load_frames report.load_sections spec.inverse_loading spec.inverse_sections spec.inverse_spec
+        spec.named_actuators""",
+    "mbdkit_biomech.models": "models.four_bar_knee models.leg",
+    "mbdkit_contact": """
+        engine.ground_reactions integrators.closed_contacts integrators.complementarity
+        integrators.contact_impacts integrators.contact_kinematics integrators.contact_state
+        integrators.event_driven integrators.event_step integrators.forced_equations integrators.rigid_contacts
+        mechanism.polylines runs.deep_overlaps spec.polyline_files""",
+    "mbdkit_design": """
+        report.design_charts report.design_report report.design_verdict report.sensitivity_bars
+        spec.design_loading spec.design_spec""",
+    "mbdkit_explore": "mechanism.unit_of_use",
+    "mbdkit_gradients": """
+        integrators.differentiated_laws integrators.differentiated_sampling integrators.differentiated_stepper""",
+    "mbdkit_report": "analysis archive.export archive.table_formats figures notebook plot spec.key_words",
+    "mbdkit_statics": "mechanism.symbolic_system plot.equilibrium_plot plot.mode_shapes",
+    "mbdkit_studies": """
+        analysis.cost analysis.sample_statistics analysis.sobol_indices archive.block_writer archive.blocks
+        archive.columns integrators.lane_stepper report.sample_figures report.study_figures report.study_report
+        runs.batch runs.given_start runs.lane_runs runs.prepared_run spec.sample_section spec.study_loading
+        spec.study_spec spec.value_sets""",
+    "mbdkit_taylor": "engine.known_series methods.taylor",
+    "mbdkit_taylor.kernels": "engine.kernels.power_series engine.kernels.tree_series integrators.taylor_series",
+    "mbdkit_testing": "archive.history_columns archive.layout_document guide.item_places scaffold spec.spec_page",
 }
-"""New names of modules and packages; the first prefix that fits counts."""
+"""Modules, without the prefix ``mbdkit.``, that kept the last part of their name, by their new packages."""
+
+_OTHER_NAME = {
+    "designs": "mbdkit_design",
+    "engine.compiler": "mbdkit_builder",
+    "engine.contact_forces": "mbdkit_contact.acting_contacts",
+    "exploration": "mbdkit_explore",
+    "gradients": "mbdkit_gradients",
+    "integrators.generalized_alpha": "mbdkit_contact.stepping",
+    "integrators.step_impulses": "mbdkit_contact.stepping",
+    "integrators.time_stepping": "mbdkit_contact.stepping",
+    "mechanics": "mbdkit_statics",
+    "mechanics.source": "mbdkit_statics.prepared_mechanism",
+    "mechanism.muscles": "mbdkit_biomech.muscles.muscle",
+    "methods.moreau_jean": "mbdkit_contact.time_stepping_methods",
+    "registry.whereabouts": "mbdkit_testing.item_places",
+    "report": "mbdkit_report.pages",
+    "stepping": "mbdkit.integrators",
+    "studies": "mbdkit_studies",
+    "studies.packaged": "mbdkit_paper",
+    "symbolic.__main__": "mbdkit_builder.element_kernels",
+    "symbolic.build": "mbdkit_statics.symbolic_equations",
+    "symbolic.definitions": "mbdkit_statics.element_definitions",
+    "symbolic.generate": "mbdkit_builder.element_kernels",
+    "testing": "mbdkit_testing",
+}
+"""New names of other modules and packages, by their old names without the prefix ``mbdkit.``."""
+
+MOVED = {
+    f"mbdkit.{old}": f"{new}.{old.rpartition('.')[2]}" for new, several in _SAME_NAME.items() for old in several.split()
+}
+MOVED |= {f"mbdkit.{old}": new for old, new in _OTHER_NAME.items()}
+MOVED = dict(sorted(MOVED.items(), reverse=True))
+"""New names of modules and packages; the first prefix that fits counts, and longer ones come first."""
 
 STABLE = ("mbdkit.plot", "mbdkit.testing")
 """Names that stay: they are documented as names of mbdkit."""

@@ -15,7 +15,7 @@ from mbdkit.spec import load_inverse_spec
 from mbdkit.spec.loading import example_table
 from mbdkit_biomech.inverse_dynamics.compute import InverseProblem, compute
 from mbdkit_biomech.inverse_dynamics.data_verdict import doubts_about_data, doubts_before_computation
-from mbdkit_biomech.inverse_dynamics.missing_points import forces_at_centres, missing_points
+from mbdkit_biomech.inverse_dynamics.load_point_criterion import forces_at_centres, missing_points
 
 
 def test_a_unit_of_a_load_that_contradicts_the_file_is_named(tmp_path: Path) -> None:

@@ -26,6 +26,7 @@ from mbdkit.spec import RunSpec, load_spec
 from mbdkit.spec.loading import RunSource
 from mbdkit.spec.varied_specs import VariedSpecs
 from mbdkit.trust.finding import open_doubts
+from mbdkit_gradients.derivative_doubts import start_doubts
 from mbdkit_gradients.differentiated_expressions import (
     Definitions,
     Measures,
@@ -51,7 +52,6 @@ from mbdkit_gradients.measured_derivatives import MeasureOfRun, needs_of
 from mbdkit_gradients.other_method import Reference
 from mbdkit_gradients.parameter_differences import PreparedDerivatives
 from mbdkit_gradients.prepared_derivatives import prepared_derivatives
-from mbdkit_gradients.start_doubts import start_doubts
 
 
 @dataclass(frozen=True)

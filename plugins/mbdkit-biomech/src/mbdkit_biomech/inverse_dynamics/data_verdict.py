@@ -14,17 +14,14 @@ from mbdkit.trust.criteria import Evidence, Judgement, judge
 from mbdkit_biomech.inverse_dynamics.column_criteria import column_doubts, doubts_before_fit
 from mbdkit_biomech.inverse_dynamics.compute import Inverse, InverseProblem
 from mbdkit_biomech.inverse_dynamics.error_bars import ErrorBars
-from mbdkit_biomech.inverse_dynamics.inertias_about_joints import inertias_about_joints
-from mbdkit_biomech.inverse_dynamics.knee_criterion import knee_doubts
-from mbdkit_biomech.inverse_dynamics.large_errors import large_errors
 from mbdkit_biomech.inverse_dynamics.load_criteria import load_doubts, units_of_loads
-from mbdkit_biomech.inverse_dynamics.missing_points import forces_at_centres, missing_points
-from mbdkit_biomech.inverse_dynamics.model_criteria import model_doubts, spec_doubts
-from mbdkit_biomech.inverse_dynamics.record_criteria import record_doubts
+from mbdkit_biomech.inverse_dynamics.load_point_criterion import forces_at_centres, missing_points
+from mbdkit_biomech.inverse_dynamics.model_criteria import inertias_about_joints, model_doubts, spec_doubts
+from mbdkit_biomech.inverse_dynamics.record_criteria import large_errors, record_doubts
 from mbdkit_biomech.inverse_dynamics.shared_columns import equal_columns, shared_columns
 from mbdkit_biomech.inverse_dynamics.smoothing_criteria import cutoff_doubts
 from mbdkit_biomech.inverse_dynamics.stated_deviations import large_deviations
-from mbdkit_biomech.inverse_dynamics.turn_criteria import turn_doubts, uncertain_turns
+from mbdkit_biomech.inverse_dynamics.turn_criteria import knee_doubts, turn_doubts, uncertain_turns
 
 
 class DataDoubts(NamedTuple):
