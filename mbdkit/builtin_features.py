@@ -12,7 +12,6 @@ from mbdkit.registry.feature_items import (
     GuidePage,
     SpecKind,
     TableFormat,
-    Treatment,
 )
 from mbdkit.registry.target import Target
 
@@ -107,10 +106,8 @@ def builtin_features() -> list[Feature]:
         )
         for number, (stage, name, summary, where) in enumerate(_CRITERIA)
     ]
-    compliant = Treatment(name="compliant", summary="Forces by the overlap of the shapes.", order=0)
     return [
         run,
-        compliant,
         *formats,
         *criteria,
         *Example.folder(_HERE / "models" / "examples"),

@@ -344,7 +344,7 @@ def new_scratch(mechanism: CompiledMechanism) -> tuple[Scratch, dict[str, int]]:
     cs = np.zeros((len(mechanism.bodies) + 1, 2))
     cs[:, 0] = 1.0
     unknowns = mechanism.unknowns
-    is_rigid = mechanism.contact_treatment.is_rigid
+    reacts = mechanism.reacting is not None
     changing = len(top.states) + len(top.inputs) + len(top.reactions) + len(top.contacts) > 0
     scratch = Scratch(
         time=np.zeros(1),
@@ -373,8 +373,8 @@ def new_scratch(mechanism: CompiledMechanism) -> tuple[Scratch, dict[str, int]]:
         friction=np.zeros((len(top.frictions), len(top.frictions) + 3)),
         response=np.zeros((len(top.reactions), len(top.frictions) + 1)),
         reacting=np.zeros(7, dtype=np.int64),
-        reaction=np.zeros((3, mechanism.size) if is_rigid else (0, 0)),
-        reaction_lam=np.zeros((p if is_rigid else 0, 2)),
+        reaction=np.zeros((3, mechanism.size) if reacts else (0, 0)),
+        reaction_lam=np.zeros((p if reacts else 0, 2)),
         reaction_power=np.zeros(1),
         faulty=np.array([-1]),
         source=source,

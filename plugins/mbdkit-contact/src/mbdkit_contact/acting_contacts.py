@@ -206,7 +206,7 @@ def acting_contacts(mechanism: Mechanism, number: Mapping[str, int]) -> list[Act
     if not mechanism.contacts:
         return []
     found = []
-    is_rigid = mechanism.contact_treatment.is_rigid
+    is_rigid = mechanism.reacting is not None
     for name, own in mechanism.contacts.items():
         for pair in own.pairs(name, mechanism.joints):
             moving = _coordinates(mechanism, pair.bodies[0]), _coordinates(mechanism, pair.bodies[1])
@@ -247,7 +247,7 @@ def lower_contacts(elements: Mapping[str, Contact], lowering: Lowering, acting: 
     """
     mechanism = lowering.mechanism
     contacts = acting_contacts(mechanism, lowering.bodies)
-    if not mechanism.contact_treatment.is_rigid:
+    if mechanism.reacting is None:
         compliant: list[ActingContact] = []
         for rows in pairs_of_shapes(contacts):
             laws = [contact_law(rows, mode) for mode in (FORCES, SLOPES)]

@@ -16,7 +16,7 @@ from mbdkit_contact.kernels.steps_to_events import attempt, dense, keep
 
 if TYPE_CHECKING:
     from mbdkit.integrators.run_state import RunState
-    from mbdkit.mechanism.contacts import ChosenTreatment
+    from mbdkit_contact.contact_section import ContactTreatment
 
 
 class CompiledEventDriven(CompiledMethod):
@@ -33,7 +33,7 @@ class CompiledEventDriven(CompiledMethod):
     attempt, keep = attempt, keep
     remembers = True
 
-    def __init__(self, between: CompiledMethod, treatment: ChosenTreatment):
+    def __init__(self, between: CompiledMethod, treatment: ContactTreatment):
         super().__init__(between.workspace)
         workspace = between.workspace
         self.between = between
