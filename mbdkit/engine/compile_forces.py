@@ -117,7 +117,7 @@ class Lowering:
             "frictions": np.array(self.frictions, dtype=np.int64),
             "loads": np.array(self.loads, dtype=np.int64).reshape(-1, 5),
             "load_points": np.array(self.load_points, dtype=float).reshape(-1, 2),
-            "contacts": np.array(self.pairs, dtype=np.int64).reshape(-1, 3),
+            "interactions": np.array(self.pairs, dtype=np.int64).reshape(-1, 3),
             "force_place": np.array(self.spring_places + self.load_places, dtype=np.int64),
         }
 

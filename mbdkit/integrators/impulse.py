@@ -76,7 +76,7 @@ def reacting_memory(stepper: object) -> ReactingMemory | None:
     """
     memory = getattr(getattr(getattr(stepper, "now", None), "state", None), "memory", None)
     if hasattr(stepper, "method"):  # of a compiled method
-        memory = getattr(stepper.method, "contacts", memory)
+        memory = getattr(stepper.method, "reacting", memory)
     return cast(ReactingMemory, memory) if hasattr(memory, "impacts") else None
 
 

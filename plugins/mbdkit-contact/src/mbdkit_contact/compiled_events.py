@@ -95,7 +95,7 @@ class CompiledEventDriven(CompiledMethod):
 
     def stored_systems(self) -> Any:
         """See `CompiledMethod.stored_systems`: those of the method between events, and the impacts so far."""
-        state = self.contacts.stored()
+        state = self.reacting.stored()
         return {"between": self.between.stored_systems(), **{name: state[name] for name in ("impacts", "reactions")}}
 
     def restore_systems(self, state: Any) -> None:
@@ -111,8 +111,8 @@ class CompiledEventDriven(CompiledMethod):
         events.bundle.known.number[:] = 0
 
     @property
-    def contacts(self) -> ContactState:
-        """See `CompiledMethod.contacts`."""
+    def reacting(self) -> ContactState:
+        """See `CompiledMethod.reacting`."""
         self.events.serve()
         return self.events.state(tuple(self.events.impacts))
 

@@ -12,8 +12,8 @@ from mbdkit.archive.peak_errors import errors_of_largest, missed_between_rows
 from mbdkit.archive.run_summary import counted_impacts, few, impacts_of_drivers, ranked
 from mbdkit.base.errors import MbdkitError
 from mbdkit.base.text import listed
-from mbdkit.mechanism.contacts import SLIP, STICK
 from mbdkit.plugin import Headline
+from mbdkit_contact.modes import SLIP, STICK
 
 if TYPE_CHECKING:
     from mbdkit.plugin import Run

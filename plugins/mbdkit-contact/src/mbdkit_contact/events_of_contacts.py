@@ -15,7 +15,6 @@ from mbdkit.engine.kernels.system import NOT_FINITE, OK
 from mbdkit.engine.native.bundle import PinnedBundle
 from mbdkit.integrators.impulse import ElementImpact
 from mbdkit.integrators.step_loop import PAUSED
-from mbdkit.mechanism.contacts import OPEN, STICK
 from mbdkit_contact.contact_state import ContactState
 from mbdkit_contact.kernels.contact_forces import new_closed_contacts
 from mbdkit_contact.kernels.contact_modes import react
@@ -38,6 +37,7 @@ from mbdkit_contact.kernels.event_bundle import (
 )
 from mbdkit_contact.kernels.impacts import LAWS, new_impacts
 from mbdkit_contact.kernels.steps_to_events import MOST_EVENTS, close_at, forces_at, happen_at
+from mbdkit_contact.modes import OPEN, STICK
 from mbdkit_contact.rigid_contacts import RigidContacts
 
 if TYPE_CHECKING:

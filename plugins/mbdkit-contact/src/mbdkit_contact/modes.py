@@ -1,4 +1,4 @@
-"""Modes of contacts, which are elements of a plugin."""
+"""Modes of contacts."""
 
 from __future__ import annotations
 
