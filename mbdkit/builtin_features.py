@@ -11,7 +11,6 @@ from mbdkit.registry.feature_items import (
     Feature,
     GuidePage,
     SpecKind,
-    Treatment,
 )
 from mbdkit.registry.target import Target
 
@@ -89,10 +88,8 @@ def builtin_features() -> list[Feature]:
         )
         for number, (stage, name, summary, where) in enumerate(_CRITERIA)
     ]
-    compliant = Treatment(name="compliant", summary="Forces by the overlap of the shapes.", order=0)
     return [
         run,
-        compliant,
         *criteria,
         *Example.folder(_HERE / "models" / "examples"),
         *GuidePage.folder(_HERE / "guide"),

@@ -118,6 +118,7 @@ if TYPE_CHECKING:
     from mbdkit.runs.findings import findings
     from mbdkit.runs.preparation import build, caution
     from mbdkit.runs.simulation import run, simulate
+    from mbdkit.spec.item_names import TreatmentName
     from mbdkit.spec.loading import example_names, loaded, read_source
     from mbdkit.spec.model_spec import ModelSpec, StrictSpec
     from mbdkit.spec.reading import Document, parse_key, put, read_file, set_value
@@ -175,6 +176,7 @@ _STABLE = {
     "mbdkit.archive.run": "Run",
     "mbdkit.archive.reader": "load",
     "mbdkit.spec.run_spec": "RunSpec",
+    "mbdkit.spec.item_names": "TreatmentName",
     "mbdkit.spec.loading": "loaded",
     "mbdkit.runs.simulation": "run simulate",
     "mbdkit_studies.prepared_run": "PreparedRun prepare",
@@ -332,6 +334,7 @@ __all__ = [
     "TracedLaw",
     "Traits",
     "Treatment",
+    "TreatmentName",
     "Unit",
     "UnsupportedMechanismError",
     "VariedSpecs",

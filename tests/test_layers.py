@@ -7,7 +7,7 @@ import re
 from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
 
-from mbdkit.base.errors import OWN_PACKAGES
+from mbdkit.base.parts import OWN_PACKAGES
 from mbdkit.cli import QUIET
 from tests.first_party import PACKAGES, modules
 

@@ -99,7 +99,7 @@ SHARED = tuple(array.path for kind in KINDS for array in kind.arrays if isinstan
 #: Paths of the arrays of events; all of them are present if the spec has events.
 EVENTS = tuple(kind_of_group("events").by_path)
 
-#: Paths of the arrays of impacts; all of them are present if contacts are rigid or drivers may have impulses.
+#: Paths of the arrays of impacts; all of them are present if elements or drivers may have impulses.
 IMPACTS = tuple(kind_of_group("impacts").by_path)
 
 #: Paths of the arrays of friction in joints; all of them are present if a joint has friction.

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from mbdkit.archive.measured_values import ComparedMeasures, Integrals
+from mbdkit.quantities.registered_kinds import mode_arrays
 from mbdkit.trust.measure_error import measure_error
 
 if TYPE_CHECKING:
@@ -96,7 +97,7 @@ def whole_peak_errors(run: Run, name: str) -> np.ndarray:
 def expression_of_largest(quantity: str, name: str) -> str:
     """Return the expression of the largest value of a quantity of the element `name`.
 
-    The quantity is one of magnitudes, such as ``joints.force``, or the overlap of a contact, ``-contacts.gap``.
+    The quantity is one of magnitudes, such as ``joints.force``, or a negative one after a minus sign.
     """
     kind, attribute = quantity.removeprefix("-").split(".")
     value = f"{kind}[{name!r}].{attribute}"
@@ -131,13 +132,15 @@ def missed_by_rows(
     return None if not skips_steps and np.any(np.isnan(missed)) else np.asarray(missed)
 
 
-def errors_of_contacts(integrals: Integrals, compared: ComparedMeasures, names: Sequence[str]) -> np.ndarray:
-    """Return the errors (C,) of the largest normal forces of contacts during a run, nan where unknown.
+def errors_of_largest(
+    integrals: Integrals, compared: ComparedMeasures, quantity: str, names: Sequence[str]
+) -> np.ndarray:
+    """Return the errors (E,) of the largest values of a quantity of elements during a run, nan where unknown.
 
     They are estimated like those of measures, from the comparison runs of the check; see
     `mbdkit.runs.integrals.compared_loads`.
     """
-    texts = [expression_of_largest("contacts.normal_force", name) for name in names]
+    texts = [expression_of_largest(quantity, name) for name in names]
     known = {text: float(integrals[text]) for text in texts if text in compared and text in integrals}  # type: ignore[arg-type]
     return np.array([measure_error(known[text], compared[text]) if text in known else np.nan for text in texts])
 
@@ -169,14 +172,15 @@ def skips_steps(spec: Mapping[str, Any]) -> bool:
 def jumps(run: Run) -> np.ndarray:
     """Return the times (B,) at which forces may be discontinuous [s].
 
-    These are the times of impacts, of events that set states, and of changes of the mode of a contact. A mode is
+    These are the times of impacts, of events that set states, and of changes of the mode of an element. A mode is
     assumed to change halfway between two rows.
     """
     named = [name for name, event in (run.spec.get("events") or {}).items() if event.get("set")]
     found = [run.impacts.time, *(run.events.of_name(name).time for name in named)]
-    if run.records("contacts/mode"):
-        changed = np.flatnonzero(np.any(np.diff(run.array("contacts/mode"), axis=0), axis=1))
-        found.append(0.5 * (run.time[changed] + run.time[changed + 1]))
+    for path in mode_arrays():
+        if run.records(path):
+            changed = np.flatnonzero(np.any(np.diff(run.array(path), axis=0), axis=1))
+            found.append(0.5 * (run.time[changed] + run.time[changed + 1]))
     return np.unique(np.concatenate(found))
 
 

@@ -17,8 +17,9 @@ from mbdkit.archive.named_columns import NotRecordedError, histories_of
 from mbdkit.archive.read_only_dict import ReadOnlyDict
 from mbdkit.archive.recorded_columns import FurtherKinds
 from mbdkit.archive.run_contents import ArchiveContents, RunContents
+from mbdkit.base.parts import GROUPS_OF_PARTS
 from mbdkit.quantities.array import Kind
-from mbdkit.quantities.registered_kinds import OF_PARTS, groups, kind_of_group, kind_of_word, words
+from mbdkit.quantities.registered_kinds import groups, kind_of_group, kind_of_word, words
 from mbdkit.registry.accessors import Extensible
 
 #: Arrays larger than this [bytes] are not cached, and are read column by column.
@@ -48,7 +49,7 @@ class RecordedData(FurtherKinds, Extensible):
 
     def __new__(cls, *arguments: Any, **named: Any) -> Self:
         """Make an object of the class, which has the histories of all kinds, also of those of plugins."""
-        for word in {*words(), *OF_PARTS}:
+        for word in {*words(), *GROUPS_OF_PARTS}:
             if not hasattr(cls, word):
                 histories = _histories_of(word)
                 setattr(cls, word, histories)
@@ -103,7 +104,7 @@ class RecordedData(FurtherKinds, Extensible):
     def records(self, path: str) -> bool:
         """Return whether the run recorded the array at `path` of the layout."""
         group = path.partition("/")[0]
-        if group not in self.kinds and group in (*groups(), *OF_PARTS):
+        if group not in self.kinds and group in (*groups(), *GROUPS_OF_PARTS):
             return False
         try:
             self.dataset(path)
@@ -311,7 +312,7 @@ class RecordedData(FurtherKinds, Extensible):
 
     @cached_property
     def impacts(self) -> history.Impacts:
-        """Impacts of rigid contacts, and impulses of drivers whose velocities jump, in order of time."""
+        """Impacts of elements, and impulses of drivers whose velocities jump, in order of time."""
         return history.Impacts.of(self)
 
     @property

@@ -19,12 +19,12 @@ from mbdkit.archive.headlines import (
     largest_torques,
     plus_minus,
 )
-from mbdkit.base.errors import MbdkitError, PluginError
-from mbdkit.base.text import counted, listed, shown
+from mbdkit.base.errors import PluginError
+from mbdkit.base.text import counted, shown
 from mbdkit.mechanism.beams import beam_of
 from mbdkit.mechanism.mechanism import gravity_text
 from mbdkit.registry.catalogue import Registered
-from mbdkit.registry.feature_items import SummaryLine, Treatment
+from mbdkit.registry.feature_items import SummaryLine
 from mbdkit.registry.manager import registry
 from mbdkit.registry.use import use
 from mbdkit.spec.formulation_choice import name_of
@@ -293,51 +293,26 @@ def _smoothing(spec: Mapping[str, Any]) -> str:
     return ", ".join([*([str(chosen["name"])] if chosen else []), *_options(chosen)])
 
 
+def impacts_of_drivers(run: Run) -> np.ndarray:
+    """Return which impacts (I,) of a run are impulses of drivers, which have no impulses of their own."""
+    impacts = run.impacts
+    has_none = (impacts.normal_impulse == 0.0) & (impacts.tangential_impulse == 0.0)
+    return np.asarray(has_none & np.isin(impacts.contact.astype(str), list(run.drivers)))
+
+
 def _impacts(run: Run) -> str:
-    """Return the number of impacts of each contact, the largest of their impulses and the energy that they lose, and
-    the same for the impulses of drivers.
-
-    Time-stepping does not locate impacts; the text then says that contact forces include them.
-    """
-    impacts, parts = run.impacts, []
-    of_contacts = np.isin(impacts.contact.astype(str), list(run.contacts) if len(impacts) else [])
-    if _includes_impacts((run.spec.get("contact") or {}).get("treatment")):
-        told = "the contact force of a step with an impact includes its impulse, divided by the step"
-        parts.append(f"not located: {told}")
-    elif np.any(of_contacts):
-        largest = np.max(np.abs(impacts.normal_impulse))
-        who, change = _struck(impacts, of_contacts)
-        given = _restitutions(run, np.unique(impacts.contact[of_contacts].astype(str)))
-        size = f"impulses up to {largest:.4g} N s"
-        parts.append(f"{who}, {given}{size}, {change}; contact forces do not include impulses")
-    if np.any(~of_contacts):
-        force = np.max(np.linalg.norm(impacts.reaction_impulse[~of_contacts], axis=2))
-        torque = np.max(np.abs(impacts.reaction_torque_impulse[~of_contacts]))
-        who, change = _struck(impacts, ~of_contacts)
-        size = f"{force:.4g} N s and {torque:.4g} N m s"
-        parts.append(f"{who}, impulses of joints up to {size}, {change}; their forces do not include impulses")
-    return "; ".join(parts)
-
-
-def _includes_impacts(treatment: str | None) -> bool:
-    """Return whether the forces of a treatment include impacts; False if it is not installed."""
-    items = (item.plugin for item in registry().of_kind(Treatment.kind) if treatment in registry().accepted(item))
-    return any(cast(Treatment, item).includes_impacts for item in items)
-
-
-def _restitutions(run: Run, struck: np.ndarray) -> str:
-    """Return the restitution of the contacts with these names, and a comma; empty if the spec cannot be read."""
-    try:
-        contacts: Mapping[str, Any] = run.mechanism.elements.get("contacts", {})
-        joints = run.mechanism.joints
-    except MbdkitError:
+    """Return the number of impulses of each driver, the largest impulses of joints, and the energy."""
+    impacts, some = run.impacts, impacts_of_drivers(run)
+    if not np.any(some):
         return ""
-    known = {pair.name: one.restitution for name, one in contacts.items() for pair in one.pairs(name, joints)}
-    values = dict.fromkeys(f"{known[name]:g}" for name in struck if name in known)
-    return f"restitution {listed([*values][:JOINTS_NAMED], 'and')}, " if values else ""
+    force = np.max(np.linalg.norm(impacts.reaction_impulse[some], axis=2))
+    torque = np.max(np.abs(impacts.reaction_torque_impulse[some]))
+    who, change = counted_impacts(impacts, some)
+    size = f"{force:.4g} N s and {torque:.4g} N m s"
+    return f"{who}, impulses of joints up to {size}, {change}; their forces do not include impulses"
 
 
-def _struck(impacts: Impacts, some: np.ndarray) -> tuple[str, str]:
+def counted_impacts(impacts: Impacts, some: np.ndarray) -> tuple[str, str]:
     """Return two texts on the impacts `some` (I,): their numbers, in total and for each name, and the lost energy."""
     names, counts = np.unique(impacts.contact[some].astype(str), return_counts=True)
     each = few([f"{name} {count}" for name, count in zip(names, counts, strict=True)], ", ")

@@ -257,8 +257,8 @@ class RunWriter(ABC):
         self._append("event", {**keyed, "events/event": self._numbers("event", len(rows["name"]))})
 
     def append_impacts(self, rows: Mapping[str, np.ndarray]) -> None:
-        """Append impacts: ``time``, ``contact`` (strings), impulses and energy, each (I,), and for the joints the
-        impulses of forces (I, J, 2) and of torques (I, J).
+        """Append impacts: the arrays of the group by name, each (I,), and for the joints the impulses of forces
+        (I, J, 2) and of torques (I, J).
         """
         keyed = {f"impacts/{name}": values for name, values in rows.items()}
         self._append("impact", {**keyed, "impacts/impact": self._numbers("impact", len(rows["time"]))})

@@ -11,9 +11,10 @@ from mbdkit.archive.fingerprint import is_text
 from mbdkit.archive.hdf5 import dims
 from mbdkit.archive.missing_plugins import missing_plugins
 from mbdkit.base.errors import MissingPartError, PluginError
+from mbdkit.base.parts import GROUPS_OF_PARTS
 from mbdkit.base.text import listed, shown
 from mbdkit.quantities.array import FLOAT, INTEGER, TEXT, Array, Kind
-from mbdkit.quantities.registered_kinds import OF_PARTS, added_kinds, kind_of_group, kinds, order_of
+from mbdkit.quantities.registered_kinds import added_kinds, kind_of_group, kinds, order_of
 from mbdkit.registry.manager import log
 
 
@@ -49,7 +50,9 @@ def _warn(path: str, groups: tuple[str, ...], reason: str) -> None:
 def reasons_for_missing(file: h5py.File) -> Mapping[str, str]:
     """Return the groups of plugins that are not installed, and for each a clause that says what is missing."""
     present = [group for group, item in file.items() if isinstance(item, h5py.Group) and group not in added_kinds()]
-    parts = {group: str(MissingPartError("it", OF_PARTS[group])) for group in present if group in OF_PARTS}
+    parts = {
+        group: str(MissingPartError("it", GROUPS_OF_PARTS[group])) for group in present if group in GROUPS_OF_PARTS
+    }
     if "provenance" not in file:
         return parts
     needed = {one.group: one.advice for one in missing_plugins(dict(file["provenance"].attrs)) if one.group}

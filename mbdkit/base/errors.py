@@ -10,6 +10,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Literal
 
+from mbdkit.base.parts import OWN_PACKAGES
 from mbdkit.base.text import did_you_mean, listed, one_line, shortened, shown
 
 
@@ -140,24 +141,6 @@ def blaming(what: str, *expected: type[Exception]) -> Iterator[None]:
     except BaseException as error:
         raise PluginError(f"{what}: {with_place(error)}") from error
 
-
-_PARTS = (
-    "biomech",
-    "builder",
-    "contact",
-    "design",
-    "explore",
-    "gradients",
-    "paper",
-    "predict",
-    "report",
-    "statics",
-    "studies",
-    "taylor",
-    "testing",
-)
-OWN_PACKAGES = ("mbdkit", *(f"mbdkit_{part}" for part in _PARTS))
-"""The packages of mbdkit itself: the core and its parts."""
 
 _NO_PLUGINS = {*OWN_PACKAGES, "pluggy", "pydantic", "pydantic_core", "numpy", "scipy", "sympy", "numba", "h5py"}
 """Packages that are not plugins, but that call plugins or are called by them."""

@@ -23,6 +23,7 @@ _SAME_NAME = {
         integrators.contact_impacts integrators.contact_kinematics integrators.contact_state
         integrators.event_driven integrators.event_step integrators.forced_equations integrators.rigid_contacts
         mechanism.polylines runs.deep_overlaps spec.polyline_files""",
+    "mbdkit_contact.kernels": "engine.kernels.contact_laws engine.kernels.uneven_ground",
     "mbdkit_design": """
         report.design_charts report.design_report report.design_verdict report.sensitivity_bars
         spec.design_loading spec.design_spec""",
@@ -53,6 +54,7 @@ _OTHER_NAME = {
     "integrators.time_stepping": "mbdkit_contact.stepping",
     "mechanics": "mbdkit_statics",
     "mechanics.source": "mbdkit_statics.prepared_mechanism",
+    "mechanism.contacts": "mbdkit_contact.modes",
     "mechanism.muscles": "mbdkit_biomech.muscles.muscle",
     "methods.moreau_jean": "mbdkit_contact.time_stepping_methods",
     "registry.whereabouts": "mbdkit_testing.item_places",

@@ -8,7 +8,7 @@ import linecache
 from collections.abc import Mapping
 from functools import cache, lru_cache
 from itertools import pairwise
-from typing import Any
+from typing import Any, ClassVar
 
 from pydantic import BaseModel, ConfigDict, GetJsonSchemaHandler
 from pydantic.fields import FieldInfo
@@ -28,6 +28,8 @@ class StrictModel(BaseModel):
     """
 
     model_config = ConfigDict(**STRICT)
+    FURTHER_AFTER: ClassVar[str] = ""
+    """Key after which the `further_keys` are listed; by default, they come last."""
 
     @classmethod
     def chosen_unit(cls, name: str, data: Mapping[str, Any]) -> str:

@@ -16,8 +16,8 @@ from typing import Annotated
 
 import typer
 
-from mbdkit.base.errors import OWN_PACKAGES
 from mbdkit.base.interrupts import INTERRUPTED, stop_as_by_ctrl_c
+from mbdkit.base.parts import OWN_PACKAGES
 from mbdkit.base.terminal import PlainStream, keep_results_apart, open_streams, show
 from mbdkit.cli.common_options import PLAIN, Debug
 from mbdkit.cli.registered_commands import MainCommands

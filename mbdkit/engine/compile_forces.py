@@ -117,7 +117,7 @@ class Lowering:
             "frictions": np.array(self.frictions, dtype=np.int64),
             "loads": np.array(self.loads, dtype=np.int64).reshape(-1, 5),
             "load_points": np.array(self.load_points, dtype=float).reshape(-1, 2),
-            "contacts": np.array(self.pairs, dtype=np.int64).reshape(-1, 3),
+            "interactions": np.array(self.pairs, dtype=np.int64).reshape(-1, 3),
             "force_place": np.array(self.spring_places + self.load_places, dtype=np.int64),
         }
 
@@ -207,8 +207,7 @@ class Lowering:
         self.load_points.append(load.point)
 
     def pair(self, name: str, bodies: tuple[int, int], laws: Sequence[CompiledLaw], numbers: Sequence[float]) -> int:
-        """Add a force between two bodies that depends on their poses and velocities, such as a contact; return the
-        index of its law.
+        """Add a force between two bodies that depends on their poses and velocities; return the index of its law.
 
         Parameters
         ----------
@@ -249,7 +248,7 @@ class Lowering:
             Indices of the laws of the components x and y, and of the torque.
         """
         for kind, components in (("point_force", (0, 1)), ("torque", (2,)))[: max(len(laws) - 1, 0)]:
-            motions = [self.motions.add(f'contacts["{name}"].{len(self.loads)}.{one}') for one in components]
+            motions = [self.motions.add(f'loads["{name}"].{len(self.loads)}.{one}') for one in components]
             self.load_places.append(len(self.elements))
             self.elements.append(ForceElement(name, ("ground", "ground"), "m"))
             self.load_values += [(laws[one], motion) for one, motion in zip(components, motions, strict=True)]

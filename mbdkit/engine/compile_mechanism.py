@@ -24,7 +24,6 @@ from mbdkit.engine.kernels.engine_bundles import Topology
 from mbdkit.engine.nested_dissection import sparse_order
 from mbdkit.mechanism.angle_function import Center
 from mbdkit.mechanism.bodies import Element
-from mbdkit.mechanism.contacts import COMPLIANT
 from mbdkit.mechanism.element_kinds import element_kinds
 from mbdkit.mechanism.mechanism import Mechanism
 from mbdkit.mechanism.mechanism_data import ELEMENTS
@@ -120,7 +119,7 @@ def compile_mechanism(mechanism: Mechanism) -> CompiledMechanism:
         first_friction=forces.first_friction,
         extensions=forces.extensions,
         members=_members(mechanism, forces.extensions),
-        contact_treatment=mechanism.contact_treatment if "contacts" in forces.extensions else COMPLIANT,
+        treatments=tuple(chosen for chosen in mechanism.treatments if chosen.key in forces.extensions),
         order=tuple(order),
         below=tuple(frozenset(b) for b in below),
         well_scaled=_is_well_scaled(mechanism),
@@ -207,10 +206,10 @@ def compiled_content(mechanism: Mechanism) -> bytes | None:
             mechanism.states,
             mechanism.controllers,
             *(getattr(mechanism, kind.key_in_model) for kind in kinds),
-            {"treatment": tuple(mechanism.contact_treatment)} if mechanism.elements.get("contacts") else {},
         )
         for name, one in named.items()
     ]
+    data += [("treatment", plain(chosen.content)) for chosen in mechanism.treatments]
     try:
         return marshal.dumps((bodies, data, elements, len(mechanism.joints), tuple(mechanism.gravity), tuple(fixed)), 2)
     except ValueError:  # `marshal` rejects the type of a value, such as an option of a force law

@@ -14,8 +14,8 @@ from mbdkit.base.plain_data import quoted
 from mbdkit.base.text import counted, listed
 from mbdkit.engine.force_laws import CompiledLaw
 from mbdkit.engine.kernels.engine_bundles import Topology
-from mbdkit.mechanism.contacts import COMPLIANT, ChosenTreatment
 from mbdkit.mechanism.element_kinds import element_kinds
+from mbdkit.mechanism.treatments import ChosenTreatment, reacting_among
 from mbdkit.mechanism.values import Motion
 from mbdkit.registry.element_items import ElementKind
 
@@ -106,7 +106,7 @@ class ElementState:
     name, unit
         Name, such as ``element.state``, and unit.
     by_method
-        Whether the method of the run itself sets its value, such as those of forces of rigid contacts.
+        Whether the method of the run itself sets its value, such as those of reactions of a plugin's elements.
     """
 
     name: str
@@ -211,8 +211,8 @@ class CompiledMechanism:
         Each motion as given in the model: a number, an expression or a table.
     laws
         Name of the element and compiled law, in the order of ``topology.laws``: for each force element with a law, this
-        law and those of the rates of its states; and laws of contacts and of expressions of the state. Linear springs
-        have no law.
+        law and those of the rates of its states; and laws of forces between two bodies and of expressions of the state.
+        Linear springs have no law.
     order, below
         Order of elimination of the pairs, and the resulting fill, as returned by `sparse_order`.
     well_scaled
@@ -220,13 +220,15 @@ class CompiledMechanism:
     redundancy
         Constraints that are excluded because the other constraints imply them.
     states
-        First-order states of elements and of the mechanism, and values that are constant during a step: forces
-        and modes of rigid contacts, and outputs and states of sampled controllers.
+        First-order states of elements and of the mechanism, and values that are constant during a step: those that
+        the method sets, and outputs and states of sampled controllers.
     controllers
         Sampled controllers.
     members
-        Names and bodies of the elements, for each kind that has no attribute above. A contact of a polygon has one
-        entry for each corner.
+        Names and bodies of the elements, for each kind that has no attribute above; an element may have several
+        entries.
+    treatments
+        Treatments of elements in a run.
     """
 
     topology: Topology
@@ -254,7 +256,7 @@ class CompiledMechanism:
     friction: tuple[int, ...] = ()
     first_friction: int = 0
     extensions: Mapping[str, Any] = field(default_factory=dict)
-    contact_treatment: ChosenTreatment = COMPLIANT
+    treatments: tuple[ChosenTreatment, ...] = ()
     members: Mapping[str, tuple[tuple[str, tuple[str, ...]], ...]] = field(default_factory=dict)
 
     def freedoms(self) -> str:
@@ -276,15 +278,25 @@ class CompiledMechanism:
         """(Z,) initial values of the first-order states."""
         return self.topology.law_parameters[self.topology.states[:, 1]]
 
+    @property
+    def reacting(self) -> ChosenTreatment | None:
+        """The treatment of elements whose reactions the steps of a run determine; None if there are none."""
+        return reacting_among(self.treatments)
+
     def kinds(self) -> list[tuple[Any, ElementKind]]:
         """Return the objects of `extensions`, each with its kind of elements."""
         return [(handle, element_kinds()[key]) for key, handle in self.extensions.items()]
 
     def refuse_kinds(self, what: str) -> None:
-        """Raise SpecError if there are elements of a plugin's kind that does not support `what`, such as gradients."""
+        """Raise SpecError if there are elements of a plugin's kind that does not support `what`, such as gradients, or
+        whose treatment does not.
+        """
         for _, kind in self.kinds():
             if what in kind.supports:
                 raise SpecError(kind.supports[what], key=f"model.{kind.key_in_model}")
+        for chosen in self.treatments:
+            if what in chosen.item.supports:
+                raise SpecError(chosen.item.supports[what], key=f"{chosen.section_key}.treatment")
 
     def refuse_states(self, what: str, hint: str = "") -> None:
         """Raise SpecError if the mechanism has first-order states.

@@ -76,9 +76,9 @@ def workspace_at_start(
     ------
     SpecError
         If, at the start, the constraints cannot be satisfied, a driver, load or moving center is not finite, the table
-        of a moving center does not cover the angle, the two ends of a spring coincide, shapes of a contact overlap too
-        much, redundant joints are inconsistent or make the friction of a joint undetermined, the position is singular,
-        or numbers are too large or too small for double precision.
+        of a moving center does not cover the angle, the two ends of a spring coincide, an element does not allow the
+        positions, redundant joints are inconsistent or make the friction of a joint undetermined, the position is
+        singular, or numbers are too large or too small for double precision.
     """
     start = (starts or Starts()).at_start(mechanism, t0, end)
     workspace = Workspace(start.mechanism, t0, start.q0, start.v0, formulation=formulation, stabilization=stabilization)
@@ -158,8 +158,8 @@ class CompiledForStarts:
             return self.checked(mechanism, assemble(mechanism, self.search.t0, self.mechanism, self.search), end)
 
     def checked(self, mechanism: Mechanism, start: AssembledState, end: float) -> MechanismAtStart:
-        """Return a mechanism at its start after assembly; raise SpecError for a spring, center or contact that does not
-        allow it.
+        """Return a mechanism at its start after assembly; raise SpecError for a spring, center or other element that
+        does not allow it.
         """
         poses = dict(zip(mechanism.bodies, start.q, strict=True))
 

@@ -76,7 +76,7 @@ def matrix_terms(mechanism: CompiledMechanism, offsets: dict[str, int], *, stabi
     top = mechanism.topology
     tables = (
         top.pairs, top.rows, top.spare, top.springs, top.couplings, top.loads, top.sections, mechanism.row_index,
-        top.slopes, top.inputs, top.contacts,
+        top.slopes, top.inputs, top.interactions,
     )  # fmt: skip
     return _terms(len(mechanism.bodies), tuple(map(_Table.of, tables)), tuple(offsets.items()), stabilized)
 
@@ -102,7 +102,7 @@ def _terms(
     count: int, tables: tuple[_Table, ...], places: tuple[tuple[str, int], ...], stabilized: bool
 ) -> MatrixTerms:
     """Return the terms of a mechanism with these integer arrays; cached, because runs of a study share them."""
-    pairs, rows, spare, springs, couplings, loads, sections, row_index, slopes, inputs, contacts = (
+    pairs, rows, spare, springs, couplings, loads, sections, row_index, slopes, inputs, interactions = (
         table.array for table in tables
     )
     terms = _Terms(3 * count, row_index, dict(places))
@@ -130,7 +130,8 @@ def _terms(
         sides = loads[slopes[:, 0], 1:3], of_input
         # If an input is a coordinate, the columns of its second body are zero.
         terms.add_tangents("slope", 36 * np.arange(len(slopes)), 6, sides, range(6))
-    terms.add_tangents("contact", 36 * np.arange(len(contacts)), 6, (contacts[:, :2], contacts[:, :2]), range(6))
+    both = interactions[:, :2]
+    terms.add_tangents("interaction", 36 * np.arange(len(both)), 6, (both, both), range(6))
     for nodes in range(2, NODES + 1):
         members = np.flatnonzero(sections[:, 1] == nodes)
         bodies = sections[members, 2:]

@@ -214,7 +214,7 @@ class Workspace:
         """
         if self.scratch.faulty[0] in self.mechanism.topology.load_values[:, 0]:
             return f"the value of load '{self.unusable_law()}' is not finite"
-        if self.scratch.faulty[0] in self.mechanism.topology.contacts[:, 2]:
+        if self.scratch.faulty[0] in self.mechanism.topology.interactions[:, 2]:
             return f"the force of {self.unusable_law()} is not finite"
         if self.locks:
             return (
@@ -331,7 +331,7 @@ def new_scratch(mechanism: CompiledMechanism) -> tuple[Scratch, dict[str, int]]:
         "spring_stiff": (s, 36), "spring_damp": (s, 36),
         "coupled_stiff": (couplings, 36), "coupled_damp": (couplings, 36), "load_stiff": (loads, 3),
         "slope_stiff": (len(top.slopes), 36), "slope_damp": (len(top.slopes), 36),
-        "contact_stiff": (len(top.contacts), 36), "contact_damp": (len(top.contacts), 36),
+        "interaction_stiff": (len(top.interactions), 36), "interaction_damp": (len(top.interactions), 36),
         "beam_stiff": (sections, 81), "beam_damp": (sections, 81),
     }  # fmt: skip
     offsets, total = {"mass": 0}, n3
@@ -344,8 +344,8 @@ def new_scratch(mechanism: CompiledMechanism) -> tuple[Scratch, dict[str, int]]:
     cs = np.zeros((len(mechanism.bodies) + 1, 2))
     cs[:, 0] = 1.0
     unknowns = mechanism.unknowns
-    is_rigid = mechanism.contact_treatment.is_rigid
-    changing = len(top.states) + len(top.inputs) + len(top.reactions) + len(top.contacts) > 0
+    reacts = mechanism.reacting is not None
+    changing = len(top.states) + len(top.inputs) + len(top.reactions) + len(top.interactions) > 0
     scratch = Scratch(
         time=np.zeros(1),
         sides=np.array([-np.inf, np.inf]),
@@ -361,8 +361,8 @@ def new_scratch(mechanism: CompiledMechanism) -> tuple[Scratch, dict[str, int]]:
         grad=np.zeros((s, 6)),
         hess=np.zeros((s, 36)),
         tension=np.zeros((s + 1, 4)),
-        contact=np.zeros((len(top.contacts), 6)),
-        contact_slopes=np.zeros((1, 72)),
+        interaction=np.zeros((len(top.interactions), 6)),
+        interaction_slopes=np.zeros((1, 72)),
         section=np.zeros((sections, STATE)),
         section_force=np.zeros((sections, 4)),
         section_stress=np.zeros((sections, 3)),
@@ -373,8 +373,8 @@ def new_scratch(mechanism: CompiledMechanism) -> tuple[Scratch, dict[str, int]]:
         friction=np.zeros((len(top.frictions), len(top.frictions) + 3)),
         response=np.zeros((len(top.reactions), len(top.frictions) + 1)),
         reacting=np.zeros(7, dtype=np.int64),
-        reaction=np.zeros((3, mechanism.size) if is_rigid else (0, 0)),
-        reaction_lam=np.zeros((p if is_rigid else 0, 2)),
+        reaction=np.zeros((3, mechanism.size) if reacts else (0, 0)),
+        reaction_lam=np.zeros((p if reacts else 0, 2)),
         reaction_power=np.zeros(1),
         faulty=np.array([-1]),
         source=source,

@@ -126,8 +126,8 @@ class CompiledMethod(ABC):
         """Use the systems that `stored_systems` has returned; raise ValueError if they are not valid."""
 
     @property
-    def contacts(self) -> Any:
-        """Memory of rigid contacts (`mbdkit.integrators.impulse.ContactMemory`); None if the method has none."""
+    def reacting(self) -> Any:
+        """Memory of reactions of elements (`mbdkit.integrators.impulse.ReactingMemory`); None if there is none."""
         return None
 
     @property

@@ -1,4 +1,4 @@
-"""Impulses: those of drivers whose velocities are discontinuous, and those of contacts.
+"""Impulses: those of drivers whose velocities are discontinuous, and those of elements of plugins.
 
 The velocities after the impulse of drivers are the nearest ones that satisfy the constraints.
 """
@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, NamedTuple, Protocol, cast
+from typing import TYPE_CHECKING, Any, NamedTuple, Protocol, cast
 
 import numpy as np
 
@@ -34,47 +34,50 @@ class DriverImpulse(Impact):
     reactions: np.ndarray
 
 
-class ContactImpact(NamedTuple):
-    """An impact of a contact.
+class ElementImpact(NamedTuple):
+    """An impact of an element whose reactions the steps determine.
 
-    Time [s], index of the contact, its impulses [N s], energy dissipated at all contacts together [J], and impulses
-    (J, 3) of the joints caused by all contacts [N s, N m s]; see `EquationsOfMotion.reactions`.
+    Time [s], index of the element among those of its kind, its impulses [N s], energy dissipated by all of them
+    together [J], and impulses (J, 3) of the joints caused by all of them [N s, N m s]; see
+    `EquationsOfMotion.reactions`.
     """
 
     time: float
-    contact: int
+    element: int
     normal_impulse: float
     tangential_impulse: float
     energy_lost: float
     reactions: np.ndarray
 
 
-class ContactMemory(Protocol):
-    """What the memory of a method with rigid contacts offers; see `StepState.memory`."""
+class ReactingMemory(Protocol):
+    """What the memory of a method that determines reactions of elements offers; see `Treatment.method`."""
 
     @property
-    def impacts(self) -> Sequence[ContactImpact]:
+    def impacts(self) -> Sequence[ElementImpact]:
         """All impacts so far."""
         ...
 
     def remarks(self) -> Sequence[str]:
-        """Return sentences about the contacts for the user, which do not question the results."""
+        """Return sentences about the elements for the user, which do not question the results."""
         ...
 
-    def agrees(self, others: Sequence[ContactMemory], rest_energy: float) -> tuple[float, str]:
-        """Return the time until which the contacts of comparison runs behave in the same way [s], and why not later.
+    def agrees(self, others: Sequence[ReactingMemory], section: Any) -> tuple[float, str]:
+        """Return the time until which the elements of comparison runs behave in the same way [s], and why not later.
 
-        The reason is a sentence after a space, empty if the time is infinite. `rest_energy` is that of the spec.
+        The reason is a sentence after a space, empty if the time is infinite. `section` is that of the spec.
         """
         ...
 
 
-def contact_memory(stepper: object) -> ContactMemory | None:
-    """Return the memory of rigid contacts, with the impacts so far; None if the run of a stepper has none."""
+def reacting_memory(stepper: object) -> ReactingMemory | None:
+    """Return the memory of the reactions of elements, with the impacts so far; None if the run of a stepper has
+    none.
+    """
     memory = getattr(getattr(getattr(stepper, "now", None), "state", None), "memory", None)
     if hasattr(stepper, "method"):  # of a compiled method
-        memory = getattr(stepper.method, "contacts", memory)
-    return cast(ContactMemory, memory) if hasattr(memory, "impacts") else None
+        memory = getattr(stepper.method, "reacting", memory)
+    return cast(ReactingMemory, memory) if hasattr(memory, "impacts") else None
 
 
 def impulse(

@@ -76,11 +76,11 @@ def _constrain_by_address(c, solver, e):
 
 @inlined
 def _no_constraints(c, solver, e):
-    """Do nothing: runs with rigid contacts are neither vectorized nor differentiated with respect to parameters."""
+    """Do nothing: runs with reactions of elements are neither vectorized nor differentiated by parameters."""
 
 
 def constrain_solution(c, solver, e):
-    """Let the solution for eigenvalue number `e` satisfy the constraints of rigid contacts; see `Scratch.reacting`.
+    """Let the solution for eigenvalue number `e` satisfy the constraints of reacting elements; see `Scratch.reacting`.
 
     Numbers of complex eigenvalues are -1, -2, ...
     """

@@ -16,7 +16,6 @@ from mbdkit.integrators.step_control import Control, unit_of_length
 from mbdkit.integrators.step_host import StepHost
 from mbdkit.methods.kinds import Method, Traits
 from mbdkit.methods.step_methods import ExternalMethod, StepMethod
-from mbdkit.registry.treatments import treatment_of
 
 
 def step_control(traits: Traits, mechanism: CompiledMechanism) -> Control | None:
@@ -74,10 +73,10 @@ def start_method(method: Method, workspace: Workspace, timetable: Timetable) -> 
     mbdkit.base.errors.UnsupportedMechanismError
         If the method does not support the mechanism.
     """
-    traits, treatment = method.traits, workspace.mechanism.contact_treatment
+    traits, chosen = method.traits, workspace.mechanism.reacting
     between: Callable[[CompiledMethod], CompiledMethod] | None = None
-    if treatment.is_rigid and (steps_of := treatment_of(treatment.kind).method) is not None:
-        between = steps_of()(method, treatment)
+    if chosen is not None and (steps_of := chosen.item.method) is not None:
+        between = steps_of()(method, chosen.section)
         if isinstance(between, StepMethod | ExternalMethod):
             return StepHost(between, workspace, timetable)
     if traits.compiled is None:

@@ -95,7 +95,7 @@ def error_of(measure: DefinedMeasure, value: float, run: Run, spec: ModelSpec) -
     """
     accuracy = run.accuracy
     compared = () if accuracy is None else accuracy.compared_measures.get(measure.expression, ())
-    if measure.item is not None or not compared or not is_taken(measure, spec) or _contacts_are_undecided(run, spec):
+    if measure.item is not None or not compared or not is_taken(measure, spec) or _why_undecided(run, spec):
         return math.nan
     unit = MeasureExpression.parse(measure.expression, spec, measure.unit).unit
     mechanism, duration = spec.mechanism(), float(run.time[-1] - run.time[0])
@@ -104,14 +104,15 @@ def error_of(measure: DefinedMeasure, value: float, run: Run, spec: ModelSpec) -
     return measure_error(value, [one / unit.factor for one in compared], natural_size(unit, *scales))
 
 
-def _contacts_are_undecided(run: Run, spec: ModelSpec) -> bool:
-    """Return whether the errors of a run with rigid contacts are unknown at its end.
+def _why_undecided(run: Run, spec: ModelSpec) -> str:
+    """Return why errors of measures are unknown if those of the motion are unknown at the end of a run; empty if they
+    are known.
 
-    The order of impacts may then be undecided. The comparison runs may choose the same order as the run, so that the
-    differences of their measures are smaller than the errors.
+    With impacts, their order may then be undecided. The comparison runs may choose the same order as the run, so that
+    the differences of their measures are smaller than the errors.
     """
-    accuracy = run.accuracy
-    return isinstance(spec, RunSpec) and spec.has_rigid_contacts and accuracy is not None and not accuracy.is_complete
+    accuracy, chosen = run.accuracy, spec.reacting if isinstance(spec, RunSpec) else None
+    return "" if chosen is None or accuracy is None or accuracy.is_complete else chosen.item.undecided
 
 
 def has_error(measure: DefinedMeasure, spec: ModelSpec) -> bool:
@@ -157,8 +158,8 @@ def _why_unknown(measure: DefinedMeasure, error: float, run: Run, spec: ModelSpe
         return ["its error is unknown: errors of measures of plugins are not estimated"]
     if run.status != "complete":
         return ["its error is unknown: the run is not complete"]
-    if _contacts_are_undecided(run, spec):
-        return ["its error is unknown: impacts of rigid contacts make the errors of the motion unknown before its end"]
+    if why := _why_undecided(run, spec):
+        return [f"its error is unknown: {why}"]
     compared = () if run.accuracy is None else run.accuracy.compared_measures.get(measure.expression, ())
     if len(compared) == 3 and all(map(math.isfinite, compared)):
         values = listed([f"{one:.6g}" for one in compared], "and")

@@ -12,14 +12,12 @@ from pydantic.fields import FieldInfo
 
 from mbdkit.base import higher_layers
 from mbdkit.base.errors import MissingPartError, SpecError
+from mbdkit.base.parts import ELEMENTS_OF_PARTS
 from mbdkit.base.strict_model import StrictModel
 from mbdkit.mechanism.model_methods import of_models
 from mbdkit.registry.catalogue import MBDKIT, Registry
 from mbdkit.registry.element_items import ElementKind
 from mbdkit.registry.manager import log, registry
-
-_OF_PARTS = {"contacts": "mbdkit-contact", "muscles": "mbdkit-biomech"}
-"""Parts of mbdkit by the keys of their elements, for messages where the part is not installed."""
 
 AnyModel = TypeVar("AnyModel", bound=StrictModel)
 
@@ -57,10 +55,15 @@ def kinds_in(data: Mapping[str, Any]) -> list[ElementKind]:
         If the part of mbdkit that adds a kind is not installed.
     """
     kinds = element_kinds()
-    for key, part in _OF_PARTS.items():
+    for key, part in ELEMENTS_OF_PARTS.items():
         if key in data and key not in kinds:
             raise SpecError(str(MissingPartError("a model with this key", part)), key=key)
     return [kind for key, kind in kinds.items() if key in data]
+
+
+def kinds_with_section() -> dict[str, ElementKind]:
+    """Return the kinds of elements that have a section in run specs, by the key of the section."""
+    return {kind.section: kind for kind in element_kinds().values() if kind.section}
 
 
 def kind_built_by(method: str) -> ElementKind | None:

@@ -1,4 +1,4 @@
-"""Dry friction inside joints: the coefficients of a spec, and the formula that contacts and joints share."""
+"""Dry friction inside joints: the coefficients of a spec, and the formula of their force."""
 
 from __future__ import annotations
 

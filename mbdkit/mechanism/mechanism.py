@@ -17,12 +17,12 @@ from mbdkit.base.text import counted
 from mbdkit.mechanism.beams import last_nodes, parts_of
 from mbdkit.mechanism.bodies import GROUND, Element
 from mbdkit.mechanism.checks import check_centers, check_mechanism, check_name, check_names, check_tables
-from mbdkit.mechanism.contacts import ChosenTreatment
 from mbdkit.mechanism.element_kinds import builder_of, check_elements, element_kinds, kind_built_by
 from mbdkit.mechanism.element_methods import ElementMethods
 from mbdkit.mechanism.law_element import Law
 from mbdkit.mechanism.mechanism_data import ELEMENTS, Assembly, MechanismData, NamedCoordinate, check_coordinates
 from mbdkit.mechanism.parameters import parameter_values, with_expressions
+from mbdkit.mechanism.treatments import ChosenTreatment, reacting_among
 from mbdkit.mechanism.validation_errors import spec_error
 from mbdkit.mechanism.values import Motion, Point
 from mbdkit.registry.accessors import accessors, computed
@@ -60,7 +60,7 @@ class Mechanism(ElementMethods, HtmlView):
     ----------
     bodies, joints, forces, markers : dict
         The elements by name, in the order in which they were added. Elements of each kind that a plugin adds are in the
-        attribute with the key of the kind, such as `contacts` and `muscles`.
+        attribute with the key of the kind, such as `muscles`.
     beams : dict
         The beams by name. Their nodes are among `bodies`, and the forces that replace their distributed loads are among
         `forces`.
@@ -75,13 +75,13 @@ class Mechanism(ElementMethods, HtmlView):
     is_of_run : bool
         Whether the mechanism is that of a run, in which elements also act that otherwise do not: muscles, to which
         inverse dynamics distributes the moments of actuators.
-    contact_treatment : ChosenTreatment
-        How contacts act in a run.
+    treatments : tuple of ChosenTreatment
+        How a run treats elements of kinds that have a section in run specs.
     warnings : tuple of str
         Warnings for every run of the mechanism, such as parts of a file that were ignored. They do not change the
         verdict, and are not part of a spec.
     left_out : tuple of str
-        Sentences about effects that the model describes and the mechanism lacks, such as a contact in a file, although
+        Sentences about effects that the model describes and the mechanism lacks, such as a force in a file, although
         they change the motion. They make the verdict doubtful unless a spec accepts `left-out`, and are not part of a
         spec.
     left_out_of_runs : tuple of str
@@ -104,7 +104,7 @@ class Mechanism(ElementMethods, HtmlView):
             setattr(self, kind, {})
         self.assembly = Assembly()
         self.is_of_run = False
-        self.contact_treatment = ChosenTreatment()
+        self.treatments: tuple[ChosenTreatment, ...] = ()
         self.warnings: tuple[str, ...] = ()
         self.left_out: tuple[str, ...] = ()
         self.left_out_of_runs: tuple[str, ...] = ()
@@ -113,6 +113,11 @@ class Mechanism(ElementMethods, HtmlView):
     def ground(self) -> str:
         """Name of the fixed global frame, for use as a body argument."""
         return GROUND
+
+    @property
+    def reacting(self) -> ChosenTreatment | None:
+        """The treatment of elements whose reactions the steps of a run determine; None if there are none."""
+        return reacting_among(self.treatments)
 
     @property
     def elements(self) -> dict[str, dict[str, Element]]:
@@ -305,7 +310,7 @@ class Mechanism(ElementMethods, HtmlView):
         spec
             Mapping with the keys ``gravity``, ``bodies``, ``beams``, ``joints``, ``forces``, ``markers``,
             ``coordinates``, ``states``, ``controllers``, ``assembly`` and those of further kinds of elements, such as
-            ``contacts``; ``name`` is optional and must be ``mechanism``.
+            ``muscles``; ``name`` is optional and must be ``mechanism``.
         parameters
             Named parameters: numbers, or expressions of other parameters. Numbers in `spec` may be expressions of them.
 

@@ -195,7 +195,9 @@ def _unknown_key(key: str, owner: type[BaseModel] | None, plugins: PluginLookup)
         return "unknown key"
     fields = owner.model_fields
     known = sorted((info.alias or name for name, info in fields.items()), key=lambda name: name != "name")
-    known += (key for key in owner.further_keys() if key not in known) if issubclass(owner, StrictModel) else ()
+    if issubclass(owner, StrictModel):
+        place = known.index(owner.FURTHER_AFTER) + 1 if owner.FURTHER_AFTER in known else len(known)
+        known[place:place] = [further for further in owner.further_keys() if further not in known]
     message = plugins.owners_of(key, owner) or f"unknown key{did_you_mean(key, known)}"
     for name, info in fields.items():
         section = info.annotation

@@ -84,7 +84,7 @@ class Traits:
     has_derivatives
         Whether steps can be differentiated with respect to parameters.
     is_time_stepping
-        Whether velocities may jump in any step, so that the method integrates contacts without locating impacts.
+        Whether velocities may jump in any step, so that the method does not locate impacts of elements.
     integrates_states
         Whether the method integrates first-order states of elements; None if its claims say so.
     why_no_checkpoint

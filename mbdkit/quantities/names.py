@@ -41,7 +41,7 @@ class ArchiveNames:
     states, state_units
         Names of the first-order states, and the unit of each.
     members
-        Names of the elements of each further kind, such as contacts, each with its bodies or other texts; see
+        Names of the elements of each further kind, each with its bodies or other texts; see
         `CompiledMechanism.members`.
     """
 

@@ -10,11 +10,12 @@ import math
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import replace
 from functools import cache, lru_cache
-from typing import TYPE_CHECKING, cast
+from typing import TYPE_CHECKING, NamedTuple, cast
 
 import numpy as np
 
 from mbdkit.base.errors import MissingPartError, PluginError
+from mbdkit.base.parts import GROUPS_OF_PARTS
 from mbdkit.quantities.array import Array, Kind, Recorded
 from mbdkit.quantities.names import ArchiveNames
 from mbdkit.quantities.table import KINDS
@@ -26,11 +27,6 @@ from mbdkit.registry.use import use
 if TYPE_CHECKING:
     from mbdkit.mechanism.mechanism import Mechanism
     from mbdkit.quantities.states import States
-
-OF_PARTS: Mapping[str, str] = dict.fromkeys(("contacts", "ground_reactions"), "mbdkit-contact") | dict.fromkeys(
-    ("motion", "actuators", "muscles", "loads"), "mbdkit-biomech"
-)
-"""Parts of mbdkit by their groups, which archives may have where the part is not installed either."""
 
 _OF_CORE: Mapping[str, Kind] = {kind.group: kind for kind in KINDS}
 
@@ -95,14 +91,14 @@ def kind_of_group(group: str) -> Kind:
     PluginError
         If the plugin with the group does not provide its kind.
     """
-    if group in OF_PARTS and group not in added_kinds():
-        raise MissingPartError(f"the group {group}", OF_PARTS[group])
+    if group in GROUPS_OF_PARTS and group not in added_kinds():
+        raise MissingPartError(f"the group {group}", GROUPS_OF_PARTS[group])
     return _OF_CORE[group] if group in _OF_CORE else _imported(added_kinds()[group])
 
 
 def kind_of_word(word: str) -> Kind:
     """Return the kind with a word; raise KeyError if there is none."""
-    return kind_of_group(word if word in OF_PARTS else words()[word])
+    return kind_of_group(word if word in GROUPS_OF_PARTS else words()[word])
 
 
 @cache
@@ -150,6 +146,42 @@ def kinds_of(names: ArchiveNames) -> tuple[Kind, ...]:
     if not present:
         return KINDS
     return kinds(group for group in added_kinds() if item_of_group(group).of in present)
+
+
+class Peaks(NamedTuple):
+    """Quantities of the elements of a kind whose largest values checked runs determine; see `QuantityKind.peaks`.
+
+    Attributes
+    ----------
+    of
+        Key of the elements in the model.
+    quantities
+        Quantities as `QuantityKind.peaks` has them, after the word of the kind and a dot.
+    names
+        Names of the elements.
+    """
+
+    of: str
+    quantities: tuple[str, ...]
+    names: list[str]
+
+
+def peaks_of(names: ArchiveNames) -> list[Peaks]:
+    """Return the quantities of a mechanism whose largest values checked runs determine between their rows."""
+    items = (cast(QuantityKind, item.plugin) for item in added_kinds().values())
+    return [
+        Peaks(
+            item.of, tuple(f"{'-' * one.startswith('-')}{item.word}.{one.lstrip('-')}" for one in item.peaks), members
+        )
+        for item in items
+        if item.peaks and (members := names.names_of(item.of))
+    ]
+
+
+def mode_arrays() -> list[str]:
+    """Return the paths of the arrays of modes, at whose changes forces may be discontinuous."""
+    items = ((group, cast(QuantityKind, item.plugin)) for group, item in added_kinds().items())
+    return [f"{group}/{item.modes}" for group, item in items if item.modes]
 
 
 def array_at(path: str) -> Array | None:

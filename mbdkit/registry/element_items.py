@@ -26,7 +26,7 @@ class ElementKind(Feature):
         Description of the key in the schema of specs.
     order
         Elements of kinds of lower order are compiled first, which numbers their force elements and states: forces 0,
-        muscles 100, friction in joints 200, contacts 300, expressions 900.
+        friction in joints 200, expressions 900.
     key_in_model
         Key of the model, and attribute of `mbdkit.Mechanism`, such as ``muscles``.
     model
@@ -36,6 +36,11 @@ class ElementKind(Feature):
     method
         This method, a function whose first argument is the mechanism; by default, it takes the name of the element and
         the fields of `model` by name.
+    section
+        Key of the section of run specs that chooses how a run treats the elements; empty if there is none.
+    section_model
+        Class of this section, derived from `mbdkit.plugin.StrictModel`. All its fields have default values, and the
+        first one is `treatment`, whose annotation is `mbdkit.plugin.TreatmentName`.
     only_in_runs
         Whether the elements act only in runs, and are ignored by equilibria and inverse dynamics.
     in_expressions
@@ -48,7 +53,8 @@ class ElementKind(Feature):
         Function that takes elements by name, a mechanism or its data, and the beginning of key paths, and raises
         SpecError for elements that do not fit the other elements.
     check_run
-        Function that takes a mechanism and raises SpecError for elements that runs do not support.
+        Function that takes the mechanism of a run, with its `treatments`, and raises SpecError for elements that the
+        run does not support.
     forces
         Function that takes elements by name and returns force elements with laws along pathways by name, as
         `mbdkit.plugin.LawForce` describes. The elements act by these forces. By default, without `lower`, these are the
@@ -95,6 +101,8 @@ class ElementKind(Feature):
     model: Target[type[Any]]
     builder: str = ""
     method: Target[Callable[..., Any]] | None = None
+    section: str = ""
+    section_model: Target[type[Any]] | None = None
     only_in_runs: bool = False
     in_expressions: Mapping[str, str] = field(default_factory=dict)
     read_files: Target[Callable[[Mapping[str, Any], Path], None]] | None = None
@@ -135,11 +143,17 @@ class QuantityKind(Feature):
         Attribute of `Run` with the histories of the objects by name, and word for the kind in expressions; empty if
         there is neither.
     of
-        Elements of mechanisms whose presence in a run makes it record the group, such as ``contacts``: a key of
+        Elements of mechanisms whose presence in a run makes it record the group: a key of
         `mbdkit.quantities.names.ArchiveNames.members`; by default, the group.
     names
         Function that takes a mechanism with such elements and returns the names of the objects; by default, those of
         the elements.
+    peaks
+        Quantities of which checked runs determine the largest values between their rows as well, such as
+        ``normal_force``; of the negative quantity after a minus sign. The first one is a force: its largest values
+        are compared with those of other runs, and their errors count in the verdict.
+    modes
+        Array of modes of the objects, at whose changes forces may be discontinuous.
     history
         Class of the history of an object, derived from `mbdkit.archive.named_columns.View` with the group as argument
         ``of``; by default, a class that has only the columns of the arrays.
@@ -153,6 +167,8 @@ class QuantityKind(Feature):
     word: str = ""
     of: str = ""
     names: Target[Callable[[Any], list[str]]] | None = None
+    peaks: tuple[str, ...] = ()
+    modes: str = ""
     history: Target[type[Any]] | None = None
 
     def __post_init__(self) -> None:

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import Any, ClassVar, Literal
 
@@ -411,23 +411,27 @@ class TableFormat(Feature):
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class Treatment(Feature):
-    """A treatment of contacts, which the key ``contact.treatment`` of run specs chooses.
+    """A treatment of elements in runs, which the key ``treatment`` of a section of run specs chooses.
 
-    With all treatments but ``compliant``, bodies in contact are rigid: contacts exert no forces of their own, and the
-    steps of the run include them.
+    The section belongs to a kind of elements, see `ElementKind.section`.
 
     Parameters
     ----------
+    of
+        Key of the elements in the model.
+    reacting
+        Whether the elements exert no forces of their own: the steps of the run determine their reactions, as they do
+        for joints. All fields that follow are for such treatments.
     require
         Function that takes a spec and its method, and raises SpecError if they do not suit the treatment.
     begin
         Function that takes the `mbdkit.plugin.Workspace` of a run and returns one that starts with the forces and modes
-        of contacts at the initial state.
+        of the elements at the initial state.
     method
-        Function that takes the method of a run and the `mbdkit.mechanism.contacts.ChosenTreatment`, and returns the
-        `mbdkit.StepMethod` or `mbdkit.ExternalMethod` that takes the steps, or a function that returns this from the
+        Function that takes the method of a run and the section of its spec, and returns the `mbdkit.StepMethod` or
+        `mbdkit.ExternalMethod` that takes the steps, or a function that returns this from the
         `mbdkit.integrators.compiled_method.CompiledMethod` of the method. Its memory has the attributes of
-        `mbdkit.integrators.impulse.ContactMemory`. By default, the method itself takes the steps.
+        `mbdkit.integrators.impulse.ReactingMemory`. By default, the method itself takes the steps.
     guards
         Function that takes the method of a run, and returns names of fixed-step methods for comparison runs, with the
         factors by which their steps are smaller.
@@ -435,15 +439,22 @@ class Treatment(Feature):
         Treatment of these comparison runs.
     factors
         Factors by which the steps of two comparison runs with the method of the run are smaller; by default, those of
-        runs without contacts.
+        runs without such elements.
     includes_impacts
         Whether steps include impacts without locating them, so that states within a step are on straight lines and
         forces are means over steps.
+    undecided
+        Clause on why errors of measures are unknown if the errors of the motion are not known to the end of the run;
+        by default, they are known.
+    supports
+        Sentences that refuse what does not support the treatment, ``gradients`` or ``statics``, by its name.
     """
 
     kind: ClassVar[str] = "treatment"
-    key: ClassVar[str] = "contact.treatment"
+    key: ClassVar[str] = "treatment"
 
+    of: str
+    reacting: bool = False
     require: Target[Callable[[Any, Any], None]] | None = None
     begin: Target[Callable[[Any], Any]] | None = None
     method: Target[Callable[[Any, Any], Any]] | None = None
@@ -451,11 +462,13 @@ class Treatment(Feature):
     guarded_by: str = ""
     factors: tuple[int, int] | None = None
     includes_impacts: bool = False
+    undecided: str = ""
+    supports: Mapping[str, str] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class HeadlineItem(Feature):
-    """Headlines of a run without measures, which come before those of contacts and joints.
+    """Headlines of a run without measures, which come before those of joints.
 
     Parameters
     ----------

@@ -16,7 +16,6 @@ from mbdkit.integrators.sampled_control import states_at_start
 from mbdkit.measures.reductions import EventTimes, Functional
 from mbdkit.quantities.names import archive_names
 from mbdkit.quantities.quantity import Quantity
-from mbdkit.registry.treatments import treatment_of
 from mbdkit.runs.continuous_motion import MotionPart, Peak, observed_at, sampled, steps_of_extremum
 from mbdkit.runs.step_interpolation import NODES_WITHOUT_ACCELERATIONS, StepEnds
 
@@ -161,16 +160,16 @@ class ContinuousFunctionals:
         some = slice(begin, end)
         time, q, v, z = (np.array(x[some]) for x in (ends.time, ends.q, ends.v, ends.z))
         sides, has_states = (ends.begin, ends.end), z.shape[1] > 0
-        accelerations, treatment = None, self._workspace.mechanism.contact_treatment
+        accelerations, chosen = None, self._workspace.mechanism.reacting
         if self._uses_accelerations or has_states:
             observed = observed_at(self._observer, np.clip(time, *sides), q, v, z)
-            if treatment.is_rigid or not has_states:
+            if chosen is not None or not has_states:
                 accelerations = observed.acc
             else:  # the second derivatives of first-order states are not known
                 q, v = np.column_stack([q, z]), np.column_stack([v, observed.state_rates])
         steps = range(first - begin, first - begin + count)
-        held = z if treatment.is_rigid else None
-        states = StepEnds(time, q, v, accelerations, held, is_linear=treatment_of(treatment.kind).includes_impacts)
+        held, is_linear = (None, False) if chosen is None else (z, chosen.item.includes_impacts)
+        states = StepEnds(time, q, v, accelerations, held, is_linear=is_linear)
         return MotionPart(self._observer, self._names, states, steps, sides)
 
     def _is_within(self, one: Functional, span: tuple[float, float]) -> bool:

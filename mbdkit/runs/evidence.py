@@ -10,10 +10,12 @@ import numpy as np
 
 from mbdkit.archive.accuracy import Accuracy
 from mbdkit.archive.measured_values import Integrals
-from mbdkit.archive.peak_errors import errors_of_contacts, expression_of_largest, missed_by_rows, missed_of_verdict
+from mbdkit.archive.peak_errors import errors_of_largest, expression_of_largest, missed_by_rows, missed_of_verdict
 from mbdkit.engine.compiled_mechanism import CompiledMechanism
 from mbdkit.integrators.interface import StepEvidence
+from mbdkit.mechanism.element_kinds import element_kinds
 from mbdkit.quantities.names import archive_names
+from mbdkit.quantities.registered_kinds import peaks_of
 from mbdkit.runs.recorded_states import ObservedRows
 from mbdkit.runs.recorder import Recorder
 from mbdkit.trust.criteria import EstimatedErrors, Evidence
@@ -147,11 +149,11 @@ def estimated_errors(
             f"joint '{worst.name}' reaches {worst.peak + worst.missed:.4g} N, in the recorded rows {worst.peak:.4g} N; "
             f"{advice}"
         )
-    contact, pressed = _contact_error(recorder, accuracy, integrals)
+    peak, peak_of = _peak_error(recorder, accuracy, integrals)
     return EstimatedErrors(
         position=position_error,
-        contact=contact,
-        pressed=pressed,
+        peak=peak,
+        peak_of=peak_of,
         reaction=0.0 if worst is None else worst.share,
         known_until=figures.known_until,
         between=between,
@@ -161,19 +163,22 @@ def estimated_errors(
     )
 
 
-def _contact_error(recorder: Recorder, accuracy: Accuracy, integrals: Integrals) -> tuple[float, str]:
-    """Return the largest error of the largest normal force of a contact, relative to this force, and its contact.
+def _peak_error(recorder: Recorder, accuracy: Accuracy, integrals: Integrals) -> tuple[float, str]:
+    """Return the largest error of the largest force of an element of a plugin's kind, relative to this force, and a
+    phrase that names the force.
 
-    Only contacts whose forces were compared with those of other runs count; without them, the result is 0 and an empty
-    name. An unknown error is nan, and counts as the largest.
+    Only forces that were compared with those of other runs count; without them, the result is 0 and an empty text. An
+    unknown error is nan, and counts as the largest.
     """
-    names = archive_names(recorder.workspace.mechanism).names_of("contacts")
-    errors = errors_of_contacts(integrals, accuracy.compared_measures, names)
     found = [(0.0, "")]
-    for name, error in zip(names, errors.tolist(), strict=True):
-        text = expression_of_largest("contacts.normal_force", name)
-        if text in accuracy.compared_measures:
-            found.append((error / float(integrals[text]), name))  # type: ignore[arg-type] # a force, not a vector
+    for peaks in peaks_of(archive_names(recorder.workspace.mechanism)):
+        force, kind = peaks.quantities[0], element_kinds()[peaks.of].name
+        errors = errors_of_largest(integrals, accuracy.compared_measures, force, peaks.names)
+        for name, error in zip(peaks.names, errors.tolist(), strict=True):
+            text = expression_of_largest(force, name)
+            if text in accuracy.compared_measures:
+                phrase = f"the largest {force.partition('.')[2].replace('_', ' ')} of {kind} '{name}'"
+                found.append((error / float(integrals[text]), phrase))  # type: ignore[arg-type] # not a vector
     return max(found, key=lambda one: math.inf if math.isnan(one[0]) else one[0])
 
 

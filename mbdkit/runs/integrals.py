@@ -25,8 +25,8 @@ from mbdkit.measures.reductions import EventTimes, Functional, Series
 from mbdkit.mechanism.joints import Distance, Revolute
 from mbdkit.quantities.names import archive_names
 from mbdkit.quantities.quantity import Quantity
+from mbdkit.quantities.registered_kinds import Peaks
 from mbdkit.quantities.states import States
-from mbdkit.registry.treatments import treatment_of
 from mbdkit.runs.continuous_functionals import ContinuousFunctionals, no_events
 from mbdkit.runs.law_ranges import steps_are_rows
 
@@ -41,8 +41,8 @@ Each force is searched for separately, which takes a time proportional to the nu
 with 150 steps, these searches take longer than the rest of the check.
 """
 
-MOST_CONTACTS = 4
-"""Largest number of contacts whose normal forces have errors."""
+MOST_COMPARED = 4
+"""Largest number of elements of a kind whose largest forces have errors."""
 
 BLOCK = 1024
 """Number of nodes that are summed together.
@@ -57,17 +57,13 @@ def expressions_of(spec: RunSpec, expressions: Iterable[str] = ()) -> tuple[str,
     return tuple(dict.fromkeys(texts))
 
 
-def largest_loads_of(spec: RunSpec, contacts: Sequence[str]) -> tuple[str, ...]:
+def largest_loads_of(spec: RunSpec, peaks: Iterable[Peaks]) -> tuple[str, ...]:
     """Return expressions of the largest loads of a checked run, to determine what its rows miss between them.
 
     These are the largest force and torque of each joint that is recorded, except those that are always zero, and the
-    largest normal force and overlap of each contact; see `mbdkit.archive.peak_errors`. If there are more than
+    quantities of further elements in `peaks`; see `mbdkit.archive.peak_errors`. If there are more than
     `MOST_JOINTS` joints and every step is recorded, peaks between rows are estimated by interpolation of the rows.
 
-    Parameters
-    ----------
-    contacts
-        Names of the contacts.
     """
     if not spec.estimates_errors:
         return ()
@@ -81,31 +77,29 @@ def largest_loads_of(spec: RunSpec, contacts: Sequence[str]) -> tuple[str, ...]:
             for name, joint in joints.items()
             if not isinstance(joint, Revolute | Distance) or getattr(joint, "friction", None) is not None
         ],
-        "contacts.normal_force": contacts,
-        "-contacts.gap": contacts,
     }
+    loads |= {quantity: one.names for one in peaks for quantity in one.quantities}
     return tuple(expression_of_largest(quantity, name) for quantity, names in loads.items() for name in names)
 
 
-def compared_loads(spec: RunSpec, integrals: Integrals, contacts: Sequence[str]) -> tuple[str, ...]:
+def compared_loads(spec: RunSpec, integrals: Integrals, peaks: Iterable[Peaks]) -> tuple[str, ...]:
     """Return expressions of the largest loads whose errors are estimated from comparison runs, like those of measures.
 
-    These are the normal forces of the contacts with the largest ones. The forces of joints have errors in every row,
-    and those of contacts in time-stepping runs include impulses if a step contains an impact.
+    These are the first quantities of `peaks`, of the elements with the largest ones. The forces of joints have errors
+    in every row, and those of elements whose impacts are not located include impulses.
 
     Parameters
     ----------
     integrals
         Integrals and extrema of the run.
-    contacts
-        Names of the contacts.
     """
-    if treatment_of(spec.contact.treatment).includes_impacts:
-        return ()
-    largest = {name: integrals.get(expression_of_largest("contacts.normal_force", name), 0.0) for name in contacts}
-    pressed = [name for name, force in largest.items() if isinstance(force, float) and force > 0.0]
-    pressed.sort(key=lambda name: -float(largest[name]))  # type: ignore[arg-type]
-    return tuple(expression_of_largest("contacts.normal_force", name) for name in pressed[:MOST_CONTACTS])
+    chosen, compared = spec.reacting, list[str]()
+    for one in peaks:
+        if chosen is None or chosen.key != one.of or not chosen.item.includes_impacts:
+            texts = [expression_of_largest(one.quantities[0], name) for name in one.names]
+            largest = {text: force for text in texts if isinstance(force := integrals.get(text), float) and force > 0.0}
+            compared += sorted(largest, key=lambda text: -largest[text])[:MOST_COMPARED]
+    return tuple(compared)
 
 
 def functionals_of(spec: RunSpec, expressions: Iterable[str] = ()) -> tuple[Functional, ...]:

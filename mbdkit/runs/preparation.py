@@ -25,7 +25,6 @@ from mbdkit.methods.step_methods import ExternalMethod
 from mbdkit.methods.tableau import TableauError
 from mbdkit.quantities.array import Array
 from mbdkit.quantities.names import archive_names
-from mbdkit.registry.treatments import treatment_of
 from mbdkit.runs.corners import stops_of
 from mbdkit.runs.findings import findings
 from mbdkit.spec import RunSpec
@@ -86,13 +85,14 @@ def build(spec: RunSpec, starts: Starts | None = None) -> tuple[Workspace, Assem
         with within_double_precision():
             require_unique_start(workspace)
             workspace.mechanism.length**2  # step guards divide by this
-            if workspace.mechanism.contact_treatment.is_rigid:
-                begin = treatment_of(workspace.mechanism.contact_treatment.kind).begin
-                workspace = workspace if begin is None else begin()(workspace)
+            chosen = workspace.mechanism.reacting
+            if chosen is not None and (begin := chosen.item.begin) is not None:
+                workspace = begin()(workspace)
     except SpecError as error:
         raise spec.placed(error) from error
     except StepError as error:
-        raise spec.placed(SpecError(f"{error}, at the start", key="model.contacts")) from error
+        assert chosen is not None
+        raise spec.placed(SpecError(f"{error}, at the start", key=f"model.{chosen.key}")) from error
     return workspace, start
 
 
@@ -137,7 +137,7 @@ def make_method(spec: RunSpec) -> Method:
     PluginError
         If the plugin fails to create a method that matches its claims.
     SpecError
-        If the method or other settings do not suit rigid contacts of the spec.
+        If the method or other settings do not suit the treatment of elements.
     """
     try:
         with blaming(f"integrator {spec.integrator_item.id} failed to start"):
@@ -150,8 +150,11 @@ def make_method(spec: RunSpec) -> Method:
             "create an ExplicitRungeKutta, an ImplicitRungeKutta, a SciPySolver, or an instance of a subclass of "
             "StepMethod or ExternalMethod"
         )
-    if spec.has_rigid_contacts:
-        _check_treatment(spec, method)
+    if (chosen := spec.reacting) is not None and (require := chosen.item.require) is not None:
+        try:
+            require()(spec, method)
+        except SpecError as error:
+            raise spec.placed(error) from None
     if spec.stabilized.symmetric and isinstance(method, ExternalMethod):
         raise PluginError(
             f"integrator {spec.integrator_item.id} claims to support symmetric projection, which libraries with a loop "
@@ -188,25 +191,6 @@ def require_support(spec: RunSpec, method: Method, mechanism: CompiledMechanism)
         raise spec.placed(SpecError(message, key="integrator"))
 
 
-def _check_treatment(spec: RunSpec, method: Method) -> None:
-    """Raise SpecError if the method or other settings of a spec do not suit its rigid contacts."""
-    require = treatment_of(spec.contact.treatment).require
-    try:
-        if require is not None:
-            require()(spec, method)
-        if spec.formulated.coordinates == "joint":
-            message = "rigid contacts are not available in joint coordinates; use index-1, or compliant contacts"
-            raise SpecError(message, key="formulation")
-        if spec.stabilized.kind != "none":
-            message = "with rigid contacts, every step projects joints and contacts; omit `stabilization`"
-            raise SpecError(message, key="stabilization")
-        if spec.accuracy is not None:
-            message = "`accuracy` is not available for runs with rigid contacts; give `time.step` and `check: true`"
-            raise SpecError(message, key="accuracy")
-    except SpecError as error:
-        raise spec.placed(error) from None
-
-
 def recorded_arrays(spec: RunSpec, method: Method, mechanism: CompiledMechanism) -> tuple[Array, ...]:
     """Return the arrays of the layout that a run records."""
     names = archive_names(mechanism)
@@ -215,7 +199,7 @@ def recorded_arrays(spec: RunSpec, method: Method, mechanism: CompiledMechanism)
         *(["constraints/method_multiplier"] if carries_multipliers else []),
         *of_elements(names),
         *(FRICTION if mechanism.friction else ()),
-        *(IMPACTS if mechanism.contact_treatment.is_rigid or spec.impacts == "allow" else ()),
+        *(IMPACTS if mechanism.reacting is not None or spec.impacts == "allow" else ()),
         *(["constraints/singularity_distance"] if mechanism.solved_rows else []),
         *CORRECTIONS[spec.stabilized.kind],
         *(EVENTS if spec.events else ()),
@@ -265,7 +249,8 @@ def timetable(
         impacts=tuple(stops.impacts),
         samples=stops.samples,
     )
-    return replace(table, single=table.single or spec.has_rigid_contacts or not rows_are_ends(table)) if ends else table
+    reacts = spec.reacting is not None
+    return replace(table, single=table.single or reacts or not rows_are_ends(table)) if ends else table
 
 
 def rows_are_ends(table: Timetable) -> bool:

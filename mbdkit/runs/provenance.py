@@ -89,15 +89,16 @@ def model_provenance(spec: ModelSpec) -> dict[str, str | int | float]:
 def plugins_of(spec: RunSpec) -> dict[str, str]:
     """Return the plugins of a run and their versions; the kind of the spec only if a plugin defines it."""
     kinds = registry().of_kind("spec-kind") if type(spec) is not RunSpec else ()
-    own = [("spec_kind", kind) for kind in kinds if kind.origin.distribution != MBDKIT and _model(kind) is type(spec)]
+    own = [("spec_kind", kind) for kind in kinds if kind.origin.distribution != MBDKIT and _is_of(spec, kind)]
     items = {"model": spec.model_item, "integrator": spec.integrator_item, **dict(own)}
     return _plugins(items, spec) | _quantities(spec)
 
 
-def _model(kind: Registered) -> Any:
-    """Return the class of the specs of a kind whose runs have archives."""
-    model = cast(SpecKind, kind.plugin).model
-    return None if model is None else model()
+def _is_of(spec: RunSpec, kind: Registered) -> bool:
+    """Return whether a kind of specs has a class of its own for a run spec; sections of plugins do not matter."""
+    target = cast(SpecKind, kind.plugin).model
+    model: Any = None if target is None else target()
+    return model not in (None, RunSpec) and isinstance(spec, model)
 
 
 def _plugins(items: dict[str, Registered], spec: ModelSpec) -> dict[str, str]:

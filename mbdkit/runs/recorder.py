@@ -29,7 +29,7 @@ from mbdkit.trust.finding import Finding
 
 if TYPE_CHECKING:
     from mbdkit.events.watch import Found
-    from mbdkit.integrators.impulse import ContactImpact, DriverImpulse
+    from mbdkit.integrators.impulse import DriverImpulse, ElementImpact
 
 APART = 1e-6
 """Residuals of redundant constraint rows up to this size are attributed to round-off.
@@ -305,26 +305,27 @@ class Recorder:
 
     def record_impacts(
         self,
-        impacts: Sequence[ContactImpact],
+        impacts: Sequence[ElementImpact],
         of_drivers: Sequence[DriverImpulse],
         drivers: Mapping[float, Sequence[str]],
     ) -> None:
-        """Write impacts of contacts and impulses of drivers, in order of time.
+        """Write impacts of elements and impulses of drivers, in order of time.
 
         `drivers` has the names of the drivers whose velocities are discontinuous at a time [s].
         """
-        names = archive_names(self.workspace.mechanism).names_of("contacts")
+        mechanism = self.workspace.mechanism
+        names = [] if mechanism.reacting is None else archive_names(mechanism).names_of(mechanism.reacting.key)
         rows = [
             (name, one.time, 0.0, 0.0, -one.energy, one.reactions) for one in of_drivers for name in drivers[one.time]
         ]
-        rows += [(names[one.contact], one.time, *one[2:]) for one in impacts]
+        rows += [(names[one.element], one.time, *one[2:]) for one in impacts]
         if not rows:
             return
-        contact, time, normal, tangential, lost, reactions = zip(*sorted(rows, key=lambda row: row[1]), strict=True)
+        element, time, normal, tangential, lost, reactions = zip(*sorted(rows, key=lambda row: row[1]), strict=True)
         self.writer.append_impacts(
             {
                 "time": np.array(time),
-                "contact": np.array(contact, dtype=object),
+                "contact": np.array(element, dtype=object),
                 "normal_impulse": np.array(normal),
                 "tangential_impulse": np.array(tangential),
                 "energy_lost": np.array(lost),

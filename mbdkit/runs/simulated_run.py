@@ -30,7 +30,7 @@ from mbdkit.engine.counters import Counters
 from mbdkit.engine.elimination_order import SingularSystemError
 from mbdkit.engine.workspace import Workspace
 from mbdkit.integrators.compiled_stepper import CompiledStepper
-from mbdkit.integrators.impulse import ContactMemory, DriverImpulse, contact_memory
+from mbdkit.integrators.impulse import DriverImpulse, ReactingMemory, reacting_memory
 from mbdkit.integrators.interface import Advancing, Failure, Stretch
 from mbdkit.integrators.sampled_control import states_at_start
 from mbdkit.integrators.start import start_method
@@ -38,6 +38,7 @@ from mbdkit.integrators.step_host import StepHost
 from mbdkit.measures.reductions import Functional
 from mbdkit.methods.kinds import Method
 from mbdkit.quantities.names import archive_names
+from mbdkit.quantities.registered_kinds import peaks_of
 from mbdkit.runs.accuracy.check_run import check_by_pilots, check_run, missed_because, with_asked
 from mbdkit.runs.accuracy.chosen_method import Choice
 from mbdkit.runs.accuracy.compared_measures import compared_measures
@@ -306,9 +307,9 @@ class SimulatedRun:
         return self.stepper if self.watch is None else self.watch.stepper
 
     @property
-    def contacts(self) -> ContactMemory | None:
-        """Memory of rigid contacts, with their impacts so far; None if there are none."""
-        return contact_memory(self.inner_stepper)
+    def memory(self) -> ReactingMemory | None:
+        """Memory of the reactions of elements, with their impacts so far; None if there are none."""
+        return reacting_memory(self.inner_stepper)
 
     def parts(self) -> Parts | None:
         """Return the parts of the run that a checkpoint stores; None if some of them cannot be stored."""
@@ -381,7 +382,7 @@ class SimulatedRun:
             found = check_by_pilots(self.spec, self.workspace, rows, choice.pilots, choice.setting)
         else:
             found = check_run(
-                self.spec, self.method, self.workspace, rows, steps, lambda: self.interrupted, progress, self.contacts
+                self.spec, self.method, self.workspace, rows, steps, lambda: self.interrupted, progress, self.memory
             )
         self.accuracy = with_asked(found, self.spec, self.workspace, self.choice)
         expressions = tuple(dict.fromkeys((*self.expressions, *self.compared_loads()))) if self.spec.check else ()
@@ -394,10 +395,10 @@ class SimulatedRun:
 
     def compared_loads(self) -> tuple[str, ...]:
         """Return expressions of the largest loads that are compared with those of other runs."""
-        contacts = archive_names(self.workspace.mechanism).names_of("contacts")
-        if self.integrals is None or not contacts:
+        peaks = peaks_of(archive_names(self.workspace.mechanism))
+        if self.integrals is None or not peaks:
             return ()
-        return compared_loads(self.spec, self.integrals.totals(self.recorder.of_event), contacts)
+        return compared_loads(self.spec, self.integrals.totals(self.recorder.of_event), peaks)
 
     def measured(self, file: h5py.File) -> str:
         """Evaluate the measures of a run in a file, store their gradients, and return the attribute of the archive."""
@@ -433,11 +434,11 @@ class SimulatedRun:
         )
         ending = status, reason
         steps = None if stepper is None else stepper.evidence
-        contacts = self.contacts
-        notes = () if contacts is None else contacts.remarks()
+        memory = self.memory
+        notes = () if memory is None else memory.remarks()
         of_drivers = [] if steps is None else [one for one in steps.impacts if isinstance(one, DriverImpulse)]
         drivers = stops_of(self.spec).impacts if of_drivers else {}
-        self.recorder.record_impacts(() if contacts is None else contacts.impacts, of_drivers, drivers)
+        self.recorder.record_impacts(() if memory is None else memory.impacts, of_drivers, drivers)
         found = (*self.findings, *self.recorder.findings())
         if self.becomes_run and self.spec.gradients and status == "complete" and not self.interrupted:
             self.gradients = higher_layers.gradients_json(self.spec)
@@ -474,7 +475,7 @@ class SimulatedRun:
             {**counters, **self.timings},
             misalignment_max,
             judgement,
-            (*map(str, found), *notes),  # notes about the treatment of contacts do not question the result
+            (*map(str, found), *notes),  # notes about the treatment of elements do not question the result
             self.accuracy,
             totals,
             self.cause,

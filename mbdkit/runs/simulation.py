@@ -31,6 +31,7 @@ from mbdkit.engine.workspace import Workspace
 from mbdkit.measures.measure_expression import MeasureExpression
 from mbdkit.methods.kinds import Method
 from mbdkit.quantities.names import archive_names
+from mbdkit.quantities.registered_kinds import peaks_of
 from mbdkit.runs.accuracy.chosen_method import MOST_ATTEMPTS, Choice, choose_method, other_method
 from mbdkit.runs.corners import check_jumps
 from mbdkit.runs.findings import findings
@@ -222,7 +223,7 @@ class _Preparation:
         if _LOG.isEnabledFor(logging.DEBUG):
             _LOG.debug("mechanism: %s; start: %s", workspace.mechanism.freedoms(), start.describe())
         check_disk_space(spec, workspace.mechanism, self.path)
-        loads = largest_loads_of(spec, archive_names(workspace.mechanism).names_of("contacts"))
+        loads = largest_loads_of(spec, peaks_of(archive_names(workspace.mechanism)))
         functionals = functionals_of(spec, (*self.measures, *loads))
         noted: list[bool] = []
         noting = _not_noted if self.begun is _begun_arrays else interrupts_noted

@@ -47,7 +47,7 @@ class StepEnds:
         stiff mechanisms they amplify the errors of positions. All three arrays may have an additional last axis of
         derivatives.
     held
-        (N, Z) forces of rigid contacts, which have no rates; None without them.
+        (N, Z) forces that the method sets, which have no rates; None without them.
     is_linear
         Whether all states are linear over each step, as in time-stepping methods, whose steps contain impacts:
         polynomials of a higher degree would overshoot there.
@@ -61,7 +61,7 @@ class StepEnds:
     is_linear: bool = False
 
     def held_at(self, times: np.ndarray) -> np.ndarray:
-        """Return the forces of rigid contacts at times (T,) [s]: (T, Z).
+        """Return the forces that the method sets at times (T,) [s]: (T, Z).
 
         Between two events, at which steps end, they are splines through the ends of the steps.
         """

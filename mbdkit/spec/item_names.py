@@ -1,4 +1,4 @@
-"""Texts in specs that name what items of plugins add: criteria in `accept`, and treatments of contacts."""
+"""Texts in specs that name what items of plugins add: criteria in `accept`, and treatments of elements."""
 
 from __future__ import annotations
 
@@ -63,10 +63,20 @@ class CriterionName(ItemName):
 
 
 class TreatmentName(ItemName):
-    """Annotation of a text that names a treatment of contacts."""
+    """Annotation of a text that names a treatment of elements.
 
-    known = ("compliant",)
+    Parameters
+    ----------
+    of
+        Key of the elements in the model.
+    known
+        The treatment by default.
+    """
+
+    def __init__(self, of: str, known: str):
+        self.of, self.known = of, (known,)
 
     def names(self) -> list[str]:
         """See `ItemName`."""
-        return registry().names(Treatment.kind)
+        items = registry().of_kind(Treatment.kind)
+        return [registry().accepted(item)[0] for item in items if cast(Treatment, item.plugin).of == self.of]

@@ -2,22 +2,36 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from contextlib import suppress
+from functools import cache
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field, PrivateAttr, create_model, model_validator
+from pydantic import (
+    AfterValidator,
+    BaseModel,
+    ConfigDict,
+    Field,
+    GetJsonSchemaHandler,
+    PrivateAttr,
+    create_model,
+    model_validator,
+)
+from pydantic.fields import FieldInfo
+from pydantic_core import CoreSchema
 
-from mbdkit.base.errors import PluginError, SpecError, blaming
+from mbdkit.base.errors import MissingPartError, PluginError, SpecError, blaming
 from mbdkit.base.files_read import FilesRead
+from mbdkit.base.parts import SECTIONS_OF_PARTS
 from mbdkit.base.plain_data import canonical, canonical_text, quoted
 from mbdkit.base.strict_model import description
 from mbdkit.base.text import listed
 from mbdkit.engine.formulation import FORMULATIONS, Formulation
 from mbdkit.engine.stabilization import Stabilization
-from mbdkit.mechanism.element_kinds import element_kinds
-from mbdkit.mechanism.joints import joint_with_friction
+from mbdkit.mechanism.element_kinds import element_kinds, kinds_with_section
+from mbdkit.mechanism.treatments import ChosenTreatment
 from mbdkit.registry.catalogue import Kind, Registered, Registry
+from mbdkit.registry.element_items import ElementKind
 from mbdkit.registry.item_options import item_of
 from mbdkit.registry.items import Claims, IntegratorPlugin
 from mbdkit.spec.choices import Choice, choice_of
@@ -27,7 +41,6 @@ from mbdkit.spec.model_spec import ModelSpec
 from mbdkit.spec.sections import (
     LARGEST_COUNT,
     UNSTABILIZED,
-    ContactTreatment,
     Event,
     Limits,
     Output,
@@ -112,9 +125,10 @@ class RunSpec(ModelSpec):
         "accuracy",
         "choose",
         "impacts",
-        "contact",
         "accept",
     )
+
+    FURTHER_AFTER: ClassVar[str] = "impacts"
 
     formulation: FormulationChoice = BY_ACCELERATIONS
     """Equations of motion with constraints on accelerations (index-1, the default), velocities (index-2), positions
@@ -153,8 +167,6 @@ class RunSpec(ModelSpec):
     """Whether the velocity of a driver may be discontinuous: `refuse` reports a discontinuity as an error of the
     motion; `allow` changes velocities at a discontinuity by the smallest impulse that satisfies the constraints, and
     records the work of the impulse."""
-    contact: ContactTreatment = ContactTreatment()
-    """How contacts act."""
     accept: list[Annotated[str, CriterionName("run", ("law-ranges",))]] = Field(default_factory=list)
     """Criteria that are not applied in the verdict, because their findings are known and intended. `left-out`: effects
     that the file of a model describes, but the mechanism lacks; `law-ranges`: arguments that leave the range of a force
@@ -165,8 +177,42 @@ class RunSpec(ModelSpec):
     _around_model: tuple[str, str] | None = PrivateAttr(default=None)
     """The canonical JSON before and after the value of `model`; None until it is needed."""
 
+    def __new__(cls, **data: Any) -> RunSpec:
+        """Create a spec of a derived class if there are sections for kinds of elements that plugins add."""
+        return super().__new__(with_sections(cls, data))
+
     def __init__(self, **data: Any):
         super().__init__(**_with_accuracy(data))
+
+    if not TYPE_CHECKING:  # otherwise any attribute would be valid
+
+        def __getattr__(self, name: str) -> Any:
+            """Return a section with default values for a kind of elements that a plugin adds, which is not in the spec,
+            or another attribute.
+            """
+            kind = None if name.startswith("_") else kinds_with_section().get(name)
+            return super().__getattr__(name) if kind is None else kind.section_model()()
+
+    @classmethod
+    def further_keys(cls) -> list[str]:
+        """Return the keys of the sections for kinds of elements that plugins add."""
+        return list(kinds_with_section())
+
+    @classmethod
+    def further_field(cls, key: str | int) -> FieldInfo | None:
+        """Return the field of such a section; None for any other key."""
+        return with_sections(cls, kinds_with_section()).model_fields.get(str(key))
+
+    @classmethod
+    def __get_pydantic_json_schema__(cls, core_schema: CoreSchema, handler: GetJsonSchemaHandler) -> dict[str, Any]:
+        """Return the schema with the sections of plugins in their place."""
+        schema = super().__get_pydantic_json_schema__(core_schema, handler)
+        resolved = handler.resolve_ref_schema(schema)
+        properties = resolved["properties"]
+        further = {key: properties.pop(key) for key in cls.further_keys() if key in properties}
+        first = list(properties)[: list(properties).index(cls.FURTHER_AFTER) + 1]
+        resolved["properties"] = {key: properties[key] for key in first} | further | properties
+        return schema
 
     @model_validator(mode="after")
     def _suits_the_method(self) -> RunSpec:
@@ -240,9 +286,9 @@ class RunSpec(ModelSpec):
             )
 
     @property
-    def has_rigid_contacts(self) -> bool:
-        """Whether the mechanism has contacts, and the run treats the bodies in contact as rigid."""
-        return self.contact.treatment != "compliant" and "contacts" in self.mechanism().elements
+    def reacting(self) -> ChosenTreatment | None:
+        """The treatment of elements whose reactions the steps of the run determine; None if there are none."""
+        return self.mechanism().reacting
 
     @property
     def estimates_errors(self) -> bool:
@@ -395,17 +441,15 @@ class RunSpec(ModelSpec):
 
     def _accept(self, mechanism: Mechanism) -> None:
         mechanism.is_of_run = True
-        for key, kind in element_kinds().items():
-            if kind.check_run is not None and mechanism.elements.get(key):
+        kinds = [kind for key, kind in element_kinds().items() if mechanism.elements.get(key)]
+        mechanism.treatments = tuple(
+            ChosenTreatment(kind.key_in_model, getattr(self, kind.section)) for kind in kinds if kind.section
+        )
+        if len(reacting := [chosen.key for chosen in mechanism.treatments if chosen.item.reacting]) > 1:
+            raise SpecError(f"a run can determine reactions of one kind of elements only, not of {listed(reacting)}")
+        for kind in kinds:
+            if kind.check_run is not None:
                 kind.check_run()(mechanism)
-        if "contacts" in mechanism.elements:
-            mechanism.contact_treatment = self.contact.of_mechanism
-            if mechanism.contact_treatment.is_rigid and (name := joint_with_friction(mechanism.joints)):
-                raise SpecError(
-                    "runs with rigid contacts do not support friction in joints; omit it, or use "
-                    "`contact: {treatment: compliant}`",
-                    key=f"model.joints.{quoted(name)}.friction",
-                )
         self._watched = self._parsed(mechanism)
         self._settings = self._parsed_settings(mechanism)
 
@@ -437,10 +481,43 @@ class RunSpec(ModelSpec):
         return parsed
 
 
+def with_sections(cls: type[RunSpec], keys: Collection[str]) -> type[RunSpec]:
+    """Return a class of run specs with fields for those of the given keys that are sections of plugins' elements.
+
+    Raises
+    ------
+    SpecError
+        If the part of mbdkit that adds a section is not installed.
+    """
+    further = set(keys) - cls.model_fields.keys()
+    if not further:
+        return cls
+    known = kinds_with_section()
+    for key in further & SECTIONS_OF_PARTS.keys() - known.keys():
+        raise SpecError(str(MissingPartError("a run spec with this key", SECTIONS_OF_PARTS[key])), key=key)
+    kinds = tuple(kind for key, kind in known.items() if key in further)
+    return _derived(cls, kinds) if kinds else cls
+
+
+@cache
+def _derived(cls: type[RunSpec], kinds: tuple[ElementKind, ...]) -> type[RunSpec]:
+    fields: dict[str, Any] = {}
+    for kind in kinds:
+        assert kind.section_model is not None
+        model = kind.section_model()
+        fields[kind.section] = (model, Field(default=model(), description=f"How {kind.key_in_model} act."))
+    derived = create_model(cls.__name__, __base__=cls, __module__=cls.__module__, __doc__=cls.__doc__, **fields)
+    derived.ABSENT_BY_DEFAULT = (*cls.ABSENT_BY_DEFAULT, *fields)
+    return derived
+
+
 def spec_type(installed: Registry, base: type[RunSpec] = RunSpec) -> type[RunSpec]:
-    """Return a class of run specs that selects from the given registry instead of the installed plugins."""
+    """Return a class of run specs with all sections, which selects from the given registry instead of the installed
+    plugins.
+    """
     fields: dict[str, Any] = {
         kind: (Annotated[BaseModel, Choice(kind, installed)], Field(description=description(base, kind)))
         for kind in _CHOSEN
     }
-    return create_model(base.__name__, __base__=base, __doc__=base.__doc__, **fields)
+    whole = with_sections(base, kinds_with_section())
+    return create_model(base.__name__, __base__=whole, __doc__=base.__doc__, **fields)

@@ -1,4 +1,4 @@
-"""Sections of a run spec that do not depend on plugins: contact, time, output, events, limits and stabilization."""
+"""Sections of a run spec that do not depend on plugins: time, output, events, limits and stabilization."""
 
 from __future__ import annotations
 
@@ -18,11 +18,9 @@ from mbdkit.base.strict_model import StrictModel
 from mbdkit.base.text import did_you_mean, listed
 from mbdkit.engine.stabilization import NONE, Stabilization
 from mbdkit.mechanism.checks import check_name
-from mbdkit.mechanism.contacts import ChosenTreatment
 from mbdkit.mechanism.state_values import Expression
 from mbdkit.quantities.entries import ChosenGroup
 from mbdkit.quantities.table import quantities_of_events
-from mbdkit.spec.item_names import TreatmentName
 
 QUANTITIES = get_args(ChosenGroup)
 
@@ -40,27 +38,6 @@ Positive = Annotated[float, Field(gt=0)]
 
 class Section(StrictModel):
     """Base class of the sections of a spec."""
-
-
-class ContactTreatment(Section):
-    """How contacts of the mechanism act in the run."""
-
-    treatment: Annotated[str, TreatmentName()] = "compliant"
-    """`compliant`: the bodies overlap slightly, and `compliance` of a contact determines the force; for every method.
-    `event-driven`: rigid bodies, whose impacts and changes between sticking, slipping and separation are located; for
-    Runge-Kutta methods, SciPy's solvers and methods of plugins. `time-stepping`: rigid bodies, whose velocities may
-    jump in every step; for `moreau-jean` and `nonsmooth-generalized-alpha`."""
-    impact_law: Literal["newton", "poisson"] = "newton"
-    """Law of impacts with `event-driven`: `restitution` of a contact is a ratio of velocities (`newton`) or of impulses
-    (`poisson`)."""
-    rest_energy: Annotated[float, Field(gt=0, lt=1, allow_inf_nan=False)] = 1e-12
-    """Kinetic energy of a rebound, as a share of the mechanism's largest kinetic energy so far, below which
-    `event-driven` keeps the contact closed."""
-
-    @property
-    def of_mechanism(self) -> ChosenTreatment:
-        """The treatment as an attribute of the mechanism."""
-        return ChosenTreatment(self.treatment, self.impact_law, self.rest_energy)
 
 
 class Time(Section):

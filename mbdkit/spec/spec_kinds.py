@@ -6,14 +6,11 @@ from collections.abc import Mapping
 from typing import Any, cast
 
 from mbdkit.base.errors import MissingPartError, SpecError
+from mbdkit.base.parts import MARKERS_OF_PARTS
 from mbdkit.base.text import listed
 from mbdkit.registry.catalogue import MBDKIT
 from mbdkit.registry.feature_items import SpecKind
 from mbdkit.registry.manager import registry
-
-_OF_PARTS = {"mbdkit_study": "mbdkit-studies", "mbdkit_design": "mbdkit-design", "motion": "mbdkit-biomech",
-             "mbdkit_predict": "mbdkit-predict"}  # fmt: skip
-"""Parts of mbdkit by the markers of their specs, which are not run specs where the part is not installed either."""
 
 
 def spec_kinds() -> list[SpecKind]:
@@ -29,7 +26,7 @@ def kind_named(name: str) -> SpecKind:
 def kind_of(data: Mapping[str, Any]) -> SpecKind:
     """Return the kind of a spec, given as plain data; raise SpecError if the part for its kind is not installed."""
     kinds = spec_kinds()
-    for marker, part in _OF_PARTS.items():
+    for marker, part in MARKERS_OF_PARTS.items():
         if marker in data and all(kind.marker != marker for kind in kinds):
             raise SpecError(str(MissingPartError("a spec with this key", part)), key=marker)
     items = registry().of_kind("spec-kind")

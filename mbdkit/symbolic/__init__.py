@@ -1,1 +1,1 @@
-"""Contacts and force laws in SymPy, from which runs derive functions."""
+"""Force laws in SymPy, from which runs derive functions."""

@@ -131,9 +131,9 @@ class EstimatedErrors:
         part of the peak that is larger than the other errors.
     unknown
         Why errors are unknown after `known_until`, as a clause; empty if all are known.
-    contact, pressed
-        Largest error of the largest normal force of a contact, as a share of this force, and the name of the contact;
-        nan if an error is unknown, 0 without such contacts.
+    peak, peak_of
+        Largest error of the largest force of an element of a plugin's kind, as a share of this force, and a phrase that
+        names the force; nan if an error is unknown, 0 without such elements.
     """
 
     position: float
@@ -144,8 +144,8 @@ class EstimatedErrors:
     missed: str = ""
     between: str = ""
     unknown: str = ""
-    contact: float = 0.0
-    pressed: str = ""
+    peak: float = 0.0
+    peak_of: str = ""
 
 
 KNOWN_POSITION = Limits(1e-2, 0.1)
@@ -153,7 +153,7 @@ KNOWN_POSITION = Limits(1e-2, 0.1)
 
 KNOWN_REACTION = Limits(1e-2, 0.1)
 """Limits of the estimated errors of joint forces, as a share of the largest force in the joint; also those of the
-largest normal forces of contacts.
+largest forces of elements of a plugin's kind.
 """
 
 
@@ -334,9 +334,8 @@ def _errors(evidence: Evidence, accuracy: EstimatedErrors) -> Found:
             rows = f" Between rows, the force in {accuracy.between}."
             advice = rows if what == "joint forces" and accuracy.between else ""
             yield level, f"The estimated error of {what} is {value:.2g} of {share} ({limits}).{advice}"
-    if math.isnan(accuracy.contact):
-        pressed = f"the largest normal force of contact '{accuracy.pressed}'"
-        yield "doubtful", f"The error of {pressed} is unknown: its values in comparison runs do not converge."
-    elif level := KNOWN_REACTION.level(accuracy.contact):
-        pressed = f"the largest normal force of contact '{accuracy.pressed}'"
-        yield level, f"The estimated error of {pressed} is {accuracy.contact:.2g} of this force ({KNOWN_REACTION})."
+    if math.isnan(accuracy.peak):
+        yield "doubtful", f"The error of {accuracy.peak_of} is unknown: its values in comparison runs do not converge."
+    elif level := KNOWN_REACTION.level(accuracy.peak):
+        share = f"{accuracy.peak:.2g} of this force ({KNOWN_REACTION})"
+        yield level, f"The estimated error of {accuracy.peak_of} is {share}."

@@ -1,4 +1,6 @@
-"""Elements of a plugin that act on a body by laws of their own, and an attribute that a plugin adds to mechanisms."""
+"""Elements of a plugin that act on a body by laws of their own, with a section in run specs, and an attribute that a
+plugin adds to mechanisms.
+"""
 
 from __future__ import annotations
 
@@ -11,10 +13,19 @@ from tests.installing import install_module, python
 pytestmark = pytest.mark.end_to_end
 
 PLUGIN = """
+from typing import Annotated
 import sympy
-from mbdkit.plugin import Accessor, Element, ElementKind, ExpressionLaw, Target, hookimpl
+from mbdkit.plugin import (
+    Accessor, Element, ElementKind, ExpressionLaw, StrictModel, Target, Treatment, TreatmentName, hookimpl,
+)
 
-LAW = ExpressionLaw(sympy.Symbol("size", real=True) * sympy.cos(sympy.Symbol("time", real=True)), parameters=dict)
+SIZE = sympy.Symbol("size", real=True)
+PULSES = ExpressionLaw(SIZE * sympy.cos(sympy.Symbol("time", real=True)), parameters=dict)
+STEADY = ExpressionLaw(SIZE, parameters=dict)
+
+class JetSection(StrictModel):
+    treatment: Annotated[str, TreatmentName("jets", "pulses")] = "pulses"
+    scale: float = 1.0
 
 class Jet(Element):
     body: str
@@ -24,8 +35,10 @@ class Jet(Element):
         return [("body", self.body)]
 
 def lower(jets, lowering, acting):
+    [chosen] = lowering.mechanism.treatments
+    law, scale = {"pulses": PULSES, "steady": STEADY}[chosen.item.name], chosen.section.scale
     for name, jet in jets.items():
-        laws = [lowering.law(name, LAW, {"size": size}, "jets") for size in jet.sizes]
+        laws = [lowering.law(name, law, {"size": scale * size}, "jets") for size in jet.sizes]
         lowering.wrench(name, lowering.number(jet.body), laws)
     return tuple(jets)
 
@@ -36,7 +49,9 @@ def thrust_of(mechanism):
 def mbdkit_items():
     return [
         ElementKind(name="jet", summary="Jets by name.", key_in_model="jets", builder="jet",
-                    model=Target("jet_kit:Jet"), lower=Target("jet_kit:lower")),
+                    model=Target("jet_kit:Jet"), lower=Target("jet_kit:lower"), section="jetting",
+                    section_model=Target("jet_kit:JetSection")),
+        *(Treatment(name=name, summary="Forces by time.", of="jets") for name in ("pulses", "steady")),
         Accessor(name="thrust", summary="Sum of thrusts.", of="Mechanism", target=Target("jet_kit:thrust_of")),
     ]
 """
@@ -52,12 +67,22 @@ for name in ("dop853", "gauss"):
         ship = run.bodies["ship"]
         speeds = [*ship.velocity[-1].tolist(), float(ship.angular_velocity[-1])]
         found[name] = [*speeds, float(run.energy.work[-1])]
+        assert "jetting" not in run.spec
+times = {"integrator": {"name": "gauss"}, "time": {"end": 2.0, "step": 0.01}}
+with mbdkit.run(m, jetting={"treatment": "steady", "scale": 2}, **times) as run:
+    found["steady"] = run.bodies["ship"].velocity[-1].tolist()
+    assert run.spec["jetting"] == {"scale": 2.0, "treatment": "steady"}
+try:
+    mbdkit.run(m, jetting={"treatment": "steadi"}, **times)
+except mbdkit.SpecError as error:
+    found["wrong"] = str(error)
 print(json.dumps(found))
 """
 
 
 def test_elements_act_by_laws_of_their_own_and_mechanisms_have_attributes_of_plugins(tmp_path) -> None:
-    # expected: integrals of F cos(t) / m and of its power; the law of the torque is the third one
+    # expected: integrals of F cos(t) / m and of its power; the law of the torque is the third one; twice F t / m if the
+    # section of the run chooses so
     install_module(tmp_path / "site", "jet-kit", PLUGIN)
     done = python("-c", PROGRAM, path=(tmp_path / "site",), cwd=tmp_path)
     assert done.returncode == 0, done.stderr
@@ -66,5 +91,10 @@ def test_elements_act_by_laws_of_their_own_and_mechanisms_have_attributes_of_plu
     speeds = [3.0 / 2.0 * sine, -1.0 / 2.0 * sine, 0.25 / 0.5 * sine]
     work = 0.5 * (2.0 * (speeds[0] ** 2 + speeds[1] ** 2) + 0.5 * speeds[2] ** 2)
     assert found["thrust"] == 3.0
+    assert found["steady"] == pytest.approx([2.0 * 3.0 * 2.0 / 2.0, -2.0 * 2.0 / 2.0], rel=1e-12)
+    assert (
+        found["wrong"]
+        == "jetting.treatment: should be 'pulses' or 'steady', not the text 'steadi' (did you mean 'steady'?)"
+    )
     for name in ("dop853", "gauss"):
         assert found[name] == pytest.approx([*speeds, work], rel=1e-9)

@@ -174,7 +174,7 @@ def solve_loaded(top, w, solver, q, v, acc, lam, refine):
 
 @inlined
 def _add_by_address(w, solver, q, v, acc, lam):
-    """Add the accelerations and multipliers that rigid contacts cause, by the function in ``w.reacting``, if any."""
+    """Add the accelerations and multipliers due to reactions of elements, by the function in ``w.reacting``, if any."""
     if w.reacting[0] == 0:
         return OK
     copy(q, w.reaction[0])
@@ -191,12 +191,12 @@ def _add_by_address(w, solver, q, v, acc, lam):
 
 @inlined
 def _no_reactions(w, solver, q, v, acc, lam):
-    """Return OK: runs with rigid contacts are neither vectorized nor differentiated with respect to parameters."""
+    """Return OK: runs with reactions of elements are neither vectorized nor differentiated by parameters."""
     return OK
 
 
 def add_reactions(w, solver, q, v, acc, lam):
-    """Add what rigid contacts cause to a solution of the index-1 system; return a status."""
+    """Add what reactions of elements cause to a solution of the index-1 system; return a status."""
     return _add_by_address(w, solver, q, v, acc, lam)
 
 

@@ -1,4 +1,4 @@
-"""Applied forces: force elements (a law on a pathway), beams, contacts, torques, point forces; tangents, powers,
+"""Applied forces: force elements (a law on a pathway), beams, interactions, torques, point forces; tangents, powers,
 potentials.
 
 A force element pulls its two bodies together with the tension ``F(s, s', t)`` along a pathway of length ``s``. Its
@@ -41,8 +41,8 @@ coordinate_x_hessian, coordinate_y_hessian = e.coordinate_x_hessian, e.coordinat
 
 @inlined
 def any_forces(top):
-    """Return whether there are force elements, loads, contacts or beams; if not, `applied_forces` writes zeros."""
-    return len(top.springs) + len(top.loads) + len(top.contacts) + len(top.sections) > 0
+    """Return whether there are force elements, loads, interactions or beams; if not, `applied_forces` writes zeros."""
+    return len(top.springs) + len(top.loads) + len(top.interactions) + len(top.sections) > 0
 
 
 @subkernel
@@ -313,33 +313,35 @@ def applied_forces(top, w, q, v):
             force[3 * body] += fx
             force[3 * body + 1] += fy
             force[3 * body + 2] += px * fy - py * fx
-    for k in range(len(top.contacts)):
-        add_contact_forces(top, w, q, v, k)
+    for k in range(len(top.interactions)):
+        add_interaction(top, w, q, v, k)
     if len(top.sections) > 0:
         add_beam_forces(top, w, q, v)
 
 
 @subkernel
-def add_contact_forces(top, w, q, v, k):
-    """Evaluate the forces and torques of compliant contact `k` into its row of ``w.contact`` (C, 6), and add them."""
-    law = top.contacts[k, 2]
+def add_interaction(top, w, q, v, k):
+    """Evaluate the forces and torques of interaction `k` into its row of ``w.interaction`` (C, 6), and add them."""
+    law = top.interactions[k, 2]
     place_bodies(top, w, q, v, k)
     code, program, first = top.laws[law, 0], top.laws[law, 3], top.laws[law, 1]
-    call_law(code, program, 0.0 * w.cs[0, 0], 0.0, w.time[0], w.law_values, first, w.contact, k, 6)
+    call_law(code, program, 0.0 * w.cs[0, 0], 0.0, w.time[0], w.law_values, first, w.interaction, k, 6)
     total = 0.0
     for i in range(6):
-        w.force[3 * top.contacts[k, i // 3] + i % 3] += w.contact[k, i]
-        total += w.contact[k, i]
+        w.force[3 * top.interactions[k, i // 3] + i % 3] += w.interaction[k, i]
+        total += w.interaction[k, i]
     if is_refused(abs(total) < np.inf):
         w.faulty[0] = law
 
 
 @inlined
 def place_bodies(top, w, q, v, k):
-    """Store the states of the bodies of contact `k` as parameters of its law; `mbdkit.engine.kernels.contact_laws`."""
-    place = top.laws[top.contacts[k, 2], 1] + 1
+    """Store the states of the bodies of interaction `k` as the first parameters of its law: for each body x, y, cosine
+    and sine of the angle, and the velocities.
+    """
+    place = top.laws[top.interactions[k, 2], 1] + 1
     for side in range(2):
-        body = top.contacts[k, side]
+        body = top.interactions[k, side]
         put_in_place(w.law_values, place, q[3 * body])
         put_in_place(w.law_values, place + 1, q[3 * body + 1])
         put_in_place(w.law_values, place + 2, w.cs[body, 0])
@@ -350,15 +352,15 @@ def place_bodies(top, w, q, v, k):
 
 
 @subkernel
-def contact_tangents(top, w, q, v, k):
-    """Write -dQ/dq and -dQ/dv of compliant contact `k` into its rows of ``w.contact_stiff`` and ``w.contact_damp``."""
-    law = top.contacts[k, 2] + 1
+def interaction_tangents(top, w, q, v, k):
+    """Write -dQ/dq and -dQ/dv of interaction `k` into ``w.interaction_stiff`` and ``w.interaction_damp``."""
+    law = top.interactions[k, 2] + 1
     place_bodies(top, w, q, v, k)
     code, program, first = top.laws[law, 0], top.laws[law, 3], top.laws[law, 1]
-    call_law(code, program, 0.0 * w.cs[0, 0], 0.0, w.time[0], w.law_values, first, w.contact_slopes, 0, 72)
+    call_law(code, program, 0.0 * w.cs[0, 0], 0.0, w.time[0], w.law_values, first, w.interaction_slopes, 0, 72)
     for i in range(36):
-        w.contact_stiff[k, i] = -w.contact_slopes[0, i]
-        w.contact_damp[k, i] = -w.contact_slopes[0, 36 + i]
+        w.interaction_stiff[k, i] = -w.interaction_slopes[0, i]
+        w.interaction_damp[k, i] = -w.interaction_slopes[0, 36 + i]
 
 
 @subkernel
@@ -466,15 +468,15 @@ def force_tangents(top, w, q, v):
             load_stiff[k, 1] = -fx
         else:
             load_stiff[k, 2] = px * fx + py * fy
-    for k in range(len(top.contacts)):
-        contact_tangents(top, w, q, v, k)
+    for k in range(len(top.interactions)):
+        interaction_tangents(top, w, q, v, k)
     if len(top.sections) > 0:
         beam_tangents(top, w, q, v)
 
 
 @subkernel
 def powers(top, w, v, lam):
-    """Return two powers [W]: that of loads, contacts, drivers and active laws, and the dissipated power.
+    """Return two powers [W]: that of loads, interactions, drivers and active laws, and the dissipated power.
 
     Requires `applied_forces` and Phi_t at the same state. The bodies supply the power ``F s'`` to a force element. If
     the law has a potential V, the part ``V_s s'`` is stored as potential energy. The rest counts as dissipated if the
@@ -511,9 +513,9 @@ def powers(top, w, v, lam):
             fx, fy, px, py = point_force(top, w, k)
             spin = v[3 * body + 2]
             work += fx * (v[3 * body] - spin * py) + fy * (v[3 * body + 1] + spin * px)
-    for k in range(len(top.contacts)):
+    for k in range(len(top.interactions)):
         for i in range(6):
-            work += w.contact[k, i] * v[3 * top.contacts[k, i // 3] + i % 3]
+            work += w.interaction[k, i] * v[3 * top.interactions[k, i // 3] + i % 3]
     for k in range(len(top.sections)):
         lost += w.section_energy[k, 1]
     for k in range(len(pairs)):

@@ -14,7 +14,7 @@ class Topology(NamedTuple):
     """A compiled mechanism: all data that do not change during a run.
 
     B is the number of bodies without ground, P of pairs of constraint rows, S of segments of springs, X of pairs of
-    segments of the same spring, L of loads, C of pairs of shapes with compliant contacts, G of cross-sections of beams,
+    segments of the same spring, L of loads, C of interactions, G of cross-sections of beams,
     E of their elements, J of joints, K of markers. All force elements on a pathway are called springs, whatever their
     law. Most have one segment; the length of one with several is the sum over its segments.
     """
@@ -78,9 +78,9 @@ class Topology(NamedTuple):
     """(L, 5) kind, body, reaction body, motion x (or of the torque), motion y."""
     load_points: Annotated[RealMatrix, 2]
     """(L, 2) point of application of each load in the frame of its body [m]."""
-    contacts: Annotated[IntMatrix, 3]
-    """(C, 3) compliant contacts: first body, second body, row of `laws` of the forces; the next row is that of their
-    derivatives (`mbdkit.engine.kernels.contact_laws`)."""
+    interactions: Annotated[IntMatrix, 3]
+    """(C, 3) interactions, which are forces and torques on two bodies that depend on their poses and velocities: first
+    body, second body, row of `laws` of the forces; the next row is that of their derivatives."""
     sections: Annotated[IntMatrix, 5]
     """(G, 5) cross-sections at which the elements of beams are integrated: element, number of its nodes, the nodes."""
     section_parameters: Annotated[RealMatrix, 16]
@@ -145,9 +145,9 @@ class Scratch(NamedTuple):
     tension: Annotated[RealMatrix, 4]
     """(S + 1, 4) force, derivatives with respect to length and rate, and potential of the spring of each segment; the
     last row is a work array."""
-    contact: Annotated[RealMatrix, 6]
-    """(C, 6) forces and torques of the contacts on their first and second bodies."""
-    contact_slopes: Annotated[RealMatrix, 72]
+    interaction: Annotated[RealMatrix, 6]
+    """(C, 6) forces and torques of the interactions on their first and second bodies."""
+    interaction_slopes: Annotated[RealMatrix, 72]
     """(1, 72) work array: the derivatives of these with respect to positions and velocities of both bodies."""
     section: Annotated[RealMatrix, 10]
     """(G, 10) state of each cross-section of a beam, its rates, cosine and sine of its angle."""
@@ -163,7 +163,7 @@ class Scratch(NamedTuple):
     """(G, 16) derivatives of the forces with respect to the rates."""
     law_values: RealVector
     """(N,) parameters of laws as in `Topology.law_parameters`, but with the present values of states and inputs.
-    Without states, inputs and contacts, it is that array itself."""
+    Without states, inputs and interactions, it is that array itself."""
     friction: RealMatrix
     """(F, F + 3) matrix and right side of Newton's method for the friction in joints, the frictions, and their
     scales."""
@@ -171,14 +171,14 @@ class Scratch(NamedTuple):
     """(N, F + 1) change of each multiplier in ``Topology.reactions`` by a unit of each friction; the value of the
     multiplier in the last column."""
     reacting: IntVector
-    """(7,) whether rigid contacts act in the equations of motion; address of the function that adds their forces, and
+    """(7,) whether elements react in the equations of motion; address of the function that adds their forces, and
     its first two arguments; address of the function that constrains the solutions of implicit steps, and its own."""
     reaction: RealMatrix
     """(3, 3 (B + 1)) positions, velocities and accelerations, which this function reads and changes, and (P, 2)
-    multipliers; both empty without rigid contacts."""
+    multipliers; both empty without such elements."""
     reaction_lam: Annotated[RealMatrix, 2]
     reaction_power: RealVector
-    """(1,) power that the friction of these contacts dissipates [W]."""
+    """(1,) power that these elements dissipate [W]."""
     faulty: IntVector
     """(1,) row of the last law whose force or required derivatives were not finite; -1 for none."""
     source: RealVector
@@ -203,10 +203,10 @@ class Scratch(NamedTuple):
     """(D, 36) -dQ/dq of loads whose value is an expression of the state, due to one of its inputs."""
     slope_damp: Annotated[RealMatrix, 36]
     """(D, 36) -dQ/dv of the same loads."""
-    contact_stiff: Annotated[RealMatrix, 36]
-    """(C, 36) -dQ/dq of the contacts."""
-    contact_damp: Annotated[RealMatrix, 36]
-    """(C, 36) -dQ/dv of the contacts."""
+    interaction_stiff: Annotated[RealMatrix, 36]
+    """(C, 36) -dQ/dq of the interactions."""
+    interaction_damp: Annotated[RealMatrix, 36]
+    """(C, 36) -dQ/dv of the interactions."""
     load_stiff: Annotated[RealMatrix, 3]
     """(L, 3) -dQ/dq of the loads; see `mbdkit.engine.kernels.applied_forces.force_tangents`."""
     beam_stiff: Annotated[RealMatrix, 81]

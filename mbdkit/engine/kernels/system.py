@@ -68,13 +68,13 @@ def evaluate_powers(top, w, q, v, lam):
 
 
 def power_of_reactions(w, v):
-    """Return the power that the friction of rigid contacts dissipates [W]; see `Scratch.reacting`."""
+    """Return the power that reactions of elements dissipate [W]; see `Scratch.reacting`."""
     return w.reaction_power[0]
 
 
 @overload(power_of_reactions)
 def _power_of_reactions(w, v):
-    if is_lanes(v) or is_dual(v):  # such runs have no rigid contacts
+    if is_lanes(v) or is_dual(v):  # such runs have no reactions of elements
         return lambda w, v: 0.0
     return lambda w, v: w.reaction_power[0]
 

@@ -3,9 +3,9 @@
 A law is a C function ``void law(int64 program, double length, double rate, double time, const double *parameters,
 double *out)``. It writes the force, its derivatives with respect to length and rate, and the potential into
 ``out[0..3]``; ``parameters[0]`` is the number of parameters that follow, and ``program`` the address of further data of
-the law (`mbdkit.engine.kernels.law_programs`). The law of contacts (`mbdkit.engine.kernels.contact_laws`) writes other
-numbers. Kernels read the addresses of the law and of its program from an array,
-so that they need not be compiled again for a new law.
+the law (`mbdkit.engine.kernels.law_programs`). The laws of interactions (`Topology.interactions`) write other
+numbers. Kernels read the addresses of the law and of its program from an array, so that they need not be compiled again
+for a new law.
 
 Laws for dual numbers have the same arguments, but all numbers except the time are addresses of dual numbers.
 """

@@ -184,7 +184,7 @@ def library_name(group: str, target: Platform, level: str) -> str:
 
 
 def source_file(name: str) -> Path:
-    """Return a source file by its path in mbdkit, or in another package, as in ``mbdkit_contact:kernels/cones.py``."""
+    """Return a source file by its path in mbdkit, or in another package, as in ``mbdkit_part:kernels/cones.py``."""
     package, _, path = name.rpartition(":")
     return folder_of(package or CORE) / path
 

@@ -15,7 +15,7 @@ from mbdkit.archive.accuracy import Accuracy
 from mbdkit.archive.headlines import MESH_ERROR
 from mbdkit.base.text import listed
 from mbdkit.engine.workspace import Workspace
-from mbdkit.integrators.impulse import ContactMemory
+from mbdkit.integrators.impulse import ReactingMemory
 from mbdkit.integrators.interface import Failure, Stepper
 from mbdkit.mechanism.mechanism import Mechanism
 from mbdkit.methods.kinds import Method
@@ -42,7 +42,7 @@ def check_run(
     steps: int,
     interrupted: Callable[[], bool],
     progress: Callable[[float, float], None] | None = None,
-    contacts: ContactMemory | None = None,
+    memory: ReactingMemory | None = None,
 ) -> Accuracy:
     """Estimate the errors of a run by comparison runs (companions).
 
@@ -62,8 +62,8 @@ def check_run(
         Function that returns whether the user has asked to stop; the errors are then unknown.
     progress
         Called with (time reached, end time) [s] of each companion.
-    contacts
-        Memory of the rigid contacts of the run at its end, with their impacts; None if the run has none.
+    memory
+        Memory of the reactions of elements at the end of the run, with their impacts; None if the run has none.
     """
     begin = time.perf_counter()
     if len(rows.time) < 2:
@@ -79,9 +79,9 @@ def check_run(
     errors = estimate_errors((rows, runs[0].rows, runs[1].rows), guarded.rows, units, chosen.refinement)
     pairs = [*zip(chosen.finer, runs, strict=True), (guard, guarded)]
     description, unknown = _sentence(chosen, pairs), why_unknown(errors, rows.time, spec.mechanism(), pairs)
-    if contacts is not None:
-        others = [rows.contacts for _, rows in pairs if rows.contacts is not None]
-        until, why = contacts.agrees(others, spec.contact.rest_energy)
+    if memory is not None and (treated := spec.reacting) is not None:
+        others = [rows.memory for _, rows in pairs if rows.memory is not None]
+        until, why = memory.agrees(others, treated.section)
         unknown = _clause(why) if not until >= errors.known_until else unknown
         errors = _cut(errors, rows.time, until)
         description += why

@@ -14,11 +14,11 @@ from mbdkit.base.text import one_line
 from mbdkit.engine.elimination_order import SingularSystemError
 from mbdkit.engine.stabilization import Stabilization
 from mbdkit.engine.workspace import Workspace
-from mbdkit.integrators.impulse import ContactMemory, contact_memory
+from mbdkit.integrators.impulse import ReactingMemory, reacting_memory
 from mbdkit.integrators.interface import SAME_TIME, Stepper, Stretch, Timetable
 from mbdkit.integrators.sampled_control import states_at_start
 from mbdkit.integrators.start import start_method
-from mbdkit.mechanism.contacts import ChosenTreatment
+from mbdkit.mechanism.treatments import ChosenTreatment
 from mbdkit.methods.kinds import Method
 from mbdkit.runs.recorded_states import ObservedRows
 
@@ -51,7 +51,7 @@ class Companion:
         Used if `within_steps`. If true, rows of the main run at a stop show the state after the stop, as dense output
         does; otherwise the state before it, as rows at ends of steps do.
     treatment
-        ChosenTreatment of contacts; None for that of the run.
+        Treatment of elements whose reactions the steps determine; None for that of the run.
     """
 
     name: str
@@ -74,13 +74,13 @@ class CompanionRows:
         The rows.
     failure
         Reason why the companion stopped early, as the end of a sentence; empty if it did not stop early.
-    contacts
-        Memory of the rigid contacts at the end, with their impacts; None if there are none.
+    memory
+        Memory of the reactions of elements at the end, with their impacts; None if there are none.
     """
 
     rows: ObservedRows
     failure: str
-    contacts: ContactMemory | None = None
+    memory: ReactingMemory | None = None
 
 
 def run_companion(
@@ -114,7 +114,7 @@ def run_companion(
         Rows of the companion. An exception of a plugin is reported as a failure.
     """
     if companion.treatment is not None:
-        workspace = replace(workspace, mechanism=replace(workspace.mechanism, contact_treatment=companion.treatment))
+        workspace = replace(workspace, mechanism=replace(workspace.mechanism, treatments=(companion.treatment,)))
     own = workspace.for_another_run(companion.formulation, companion.stabilization)
     states = _States(times, own, companion)
     stepper: Stepper | None = None
@@ -130,7 +130,7 @@ def run_companion(
     except (Exception, SystemExit) as error:  # exception of a plugin
         failure = f"its method raised {one_line(error)}"
     rows = ObservedRows.at(own, times, states.q, states.v, states.z)
-    return CompanionRows(rows, failure.rstrip("."), contact_memory(stepper))
+    return CompanionRows(rows, failure.rstrip("."), reacting_memory(stepper))
 
 
 class _States:

@@ -15,11 +15,11 @@ import numpy as np
 from mbdkit.engine.stabilization import NONE, Stabilization
 from mbdkit.engine.workspace import Workspace
 from mbdkit.integrators.interface import Guards, Timetable
+from mbdkit.mechanism.treatments import ChosenTreatment
 from mbdkit.methods import dop853, gauss, radau_iia
 from mbdkit.methods.kinds import ExplicitRungeKutta, ImplicitRungeKutta, Method, Tolerances
 from mbdkit.registry.items import IntegratorPlugin
 from mbdkit.registry.manager import registry
-from mbdkit.registry.treatments import treatment_of
 from mbdkit.runs.accuracy.companion import NEVER, Companion, finer, row_interval, until
 from mbdkit.runs.preparation import make_method, timetable
 from mbdkit.spec import RunSpec
@@ -121,37 +121,43 @@ def choose_companions(spec: RunSpec, method: Method, workspace: Workspace, times
             for table in tables
         )
         interval = row_interval(plan)
-        if spec.has_rigid_contacts:
-            guards = _guards_of_contacts(spec, method, workspace, plan, times)
-        else:
+        guards = _guards_of_treatment(spec, method, plan, times)
+        if guards is None:
             guards = _guards(spec, method, workspace, within, steps, interval)
         return Chosen((first, second), guards, factors[1] / factors[0], "step")
     first, second = _tighter(spec, method, workspace, within)
     own = _has_tolerances(spec, method)
     rough, fine = TENTHS if own else OTHER_TENTHS
-    if spec.has_rigid_contacts:
-        guards = _guards_of_contacts(spec, method, workspace, within, times)
-    else:
+    guards = _guards_of_treatment(spec, method, within, times)
+    if guards is None:
         guards = _guards(spec, method, workspace, within, steps, None)
     return Chosen((first, second), guards, fine / rough, "tolerance")
 
 
 def step_factors(spec: RunSpec) -> tuple[int, int]:
     """Return the factors by which the fixed steps of two comparison runs are smaller than those of the run."""
-    return (treatment_of(spec.contact.treatment).factors if spec.has_rigid_contacts else None) or HALVINGS
+    chosen = spec.reacting
+    return (None if chosen is None else chosen.item.factors) or HALVINGS
 
 
-def guards_of_contacts(spec: RunSpec, method: Method) -> Mapping[str, int]:
-    """Return the guards of a run with rigid contacts: names of methods, and the factors of their steps."""
-    guards = treatment_of(spec.contact.treatment).guards
-    return {} if guards is None else guards()(method)
+def guards_of_treatment(spec: RunSpec, method: Method) -> tuple[ChosenTreatment, Mapping[str, int]] | None:
+    """Return the treatment in guards of a run that determines reactions of elements, the names of the methods, and the
+    factors of their steps; None for other runs.
+    """
+    chosen = spec.reacting
+    if chosen is None or chosen.item.guards is None:
+        return None
+    return chosen.replaced(chosen.item.guarded_by), chosen.item.guards()(method)
 
 
-def _guards_of_contacts(
-    spec: RunSpec, method: Method, workspace: Workspace, plan: Timetable, times: np.ndarray
-) -> tuple[Companion, ...]:
-    """Return the guards of a run with rigid contacts, which have fixed steps if the run has."""
-    kind = treatment_of(spec.contact.treatment).guarded_by
+def _guards_of_treatment(
+    spec: RunSpec, method: Method, plan: Timetable, times: np.ndarray
+) -> tuple[Companion, ...] | None:
+    """Return the guards of a run that determines reactions of elements, with fixed steps if the run has."""
+    if (treated := guards_of_treatment(spec, method)) is None:
+        return None
+    treatment, factors = treated
+    kind = treatment.section.treatment
     is_fixed, tight = not spec.claims.adaptive, {"adaptive": True, "rtol": GUARD_TOLERANCE}
     return tuple(
         Companion(
@@ -162,9 +168,9 @@ def _guards_of_contacts(
             NONE,
             within_steps=not is_fixed,
             after_stops=not is_fixed and spec.output.interval is not None,
-            treatment=workspace.mechanism.contact_treatment._replace(kind=kind),
+            treatment=treatment,
         )
-        for name, factor in guards_of_contacts(spec, method).items()
+        for name, factor in factors.items()
     )
 
 
@@ -266,9 +272,11 @@ def _most(limits: tuple[int, int], steps: int) -> int:
 
 
 def _projected(workspace: Workspace) -> Stabilization:
-    """Return projection after every step if the mechanism has constraints; rigid contacts are projected themselves."""
+    """Return projection after every step if the mechanism has constraints; with reactions of elements, steps project
+    themselves.
+    """
     mechanism = workspace.mechanism
-    return Stabilization("projection") if len(mechanism.rows) and not mechanism.contact_treatment.is_rigid else NONE
+    return Stabilization("projection") if len(mechanism.rows) and mechanism.reacting is None else NONE
 
 
 def _steps_within(spec: RunSpec, times: np.ndarray) -> Timetable:

@@ -15,7 +15,6 @@ from mbdkit.base.plain_data import canonical
 from mbdkit.engine.workspace import Workspace
 from mbdkit.methods import radau_iia
 from mbdkit.methods.kinds import Method
-from mbdkit.registry.treatments import treatment_of
 from mbdkit.runs.accuracy.companion_choice import (
     GUARD_TOLERANCE,
     IMPLICIT_GUARD_TOLERANCE,
@@ -24,7 +23,7 @@ from mbdkit.runs.accuracy.companion_choice import (
     SINGLE_STEPS,
     TENTHS,
     TIGHTEST,
-    guards_of_contacts,
+    guards_of_treatment,
     step_factors,
 )
 from mbdkit.spec import RunSpec
@@ -95,8 +94,9 @@ def other_methods(
 
     The runs record every step or, if `interval` [s] is given, the states at this interval.
     """
-    if spec.has_rigid_contacts:
-        contact = canonical(spec.contact) | {"treatment": treatment_of(spec.contact.treatment).guarded_by}
+    if (treated := guards_of_treatment(spec, method)) is not None:
+        treatment, factors = treated
+        section = {treatment.section_key: canonical(treatment.section)}
         is_fixed, step = not spec.claims.adaptive, spec.time.step
         tight: dict[str, Any] = {} if is_fixed else {"adaptive": True, "rtol": GUARD_TOLERANCE}
         return [
@@ -105,10 +105,10 @@ def other_methods(
                 integrator={"name": name, **tight},
                 step=step / factor if step and is_fixed else None,
                 factor=factor,
-                contact=contact,
+                **section,
                 **_index_1(spec),
             )
-            for name, factor in guards_of_contacts(spec, method).items()
+            for name, factor in factors.items()
         ]
     tableau, stiff = method.traits.tableau, method.traits.suits_stiff
     family = "" if tableau is None else tableau.name

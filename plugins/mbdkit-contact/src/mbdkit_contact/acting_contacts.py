@@ -1,6 +1,6 @@
 """Contacts that act in a run: the parameters of their laws, and their recorded quantities.
 
-A law of `mbdkit.engine.kernels.contact_laws` evaluates all rows of two shapes. It computes the forces of compliant
+A law of `mbdkit_contact.kernels.contact_laws` evaluates all rows of two shapes. It computes the forces of compliant
 contacts in runs, and the recorded quantities of all contacts.
 """
 
@@ -16,7 +16,9 @@ import numpy as np
 from mbdkit.base import elementary
 from mbdkit.engine.compiled_mechanism import with_ground
 from mbdkit.engine.force_laws import CompiledLaw, NativeLaw, native_law
-from mbdkit.engine.kernels.contact_laws import (
+from mbdkit.plugin import GROUND, SpecError
+from mbdkit_contact.contact import ContactPair
+from mbdkit_contact.kernels.contact_laws import (
     FORCE_LAWS,
     FORCES,
     KINDS,
@@ -28,10 +30,8 @@ from mbdkit.engine.kernels.contact_laws import (
     contact,
     contact_rows,
 )
-from mbdkit.engine.kernels.uneven_ground import EDGE, OWN, SEGMENT
-from mbdkit.mechanism.contacts import OPEN, SLIP, STICK
-from mbdkit.plugin import GROUND, SpecError
-from mbdkit_contact.contact import ContactPair
+from mbdkit_contact.kernels.uneven_ground import EDGE, OWN, SEGMENT
+from mbdkit_contact.modes import OPEN, SLIP, STICK
 from mbdkit_contact.polylines import reaching_segments
 
 if TYPE_CHECKING:
@@ -57,7 +57,7 @@ centre of mass.
 
 FORMS = {"hunt-crossley": "hertz", "flores": "hertz", "lankarani-nikravesh": "hertz", "linear": "linear",
           "smooth-sphere-half-space": "smooth"}  # fmt: skip
-"""Form of the normal force of each law, one of `mbdkit.engine.kernels.contact_laws.FORCE_LAWS`."""
+"""Form of the normal force of each law, one of `mbdkit_contact.kernels.contact_laws.FORCE_LAWS`."""
 
 
 @dataclass(frozen=True)
@@ -69,7 +69,7 @@ class ActingContact:
     pair
         Names, bodies and geometry of the row.
     force
-        Form of its normal force, one of `mbdkit.engine.kernels.contact_laws.FORCE_LAWS`.
+        Form of its normal force, one of `mbdkit_contact.kernels.contact_laws.FORCE_LAWS`.
     moving
         Number of coordinates of the first and of the second body: 0 for ground, 2 for a point mass, else 3.
     bodies
@@ -105,7 +105,7 @@ def pairs_of_shapes(contacts: Sequence[ActingContact]) -> list[list[ActingContac
 
 
 def contact_law(rows: Sequence[ActingContact], mode: int) -> CompiledLaw:
-    """Return the law of a pair of shapes in a mode of `mbdkit.engine.kernels.contact_laws`."""
+    """Return the law of a pair of shapes in a mode of `mbdkit_contact.kernels.contact_laws`."""
     one, (kind, edges) = rows[0], rows[0].pair.kind
     count = edges or len(rows)
     other = polygon_edges(one) if kind == "polyline" else len(rows) - count
@@ -140,7 +140,7 @@ def polygon_edges(contact: ActingContact) -> int:
 
 
 def surface_numbers(contact: ActingContact) -> list[float]:
-    """Return the parameters of a row on a polyline (`mbdkit.engine.kernels.uneven_ground`). For rigid bodies, segments
+    """Return the parameters of a row on a polyline (`mbdkit_contact.kernels.uneven_ground`). For rigid bodies, segments
     reach into the material at concave corners.
     """
     numbers, begin = contact.pair.numbers, -SEGMENT * contact.pair.kind[1]
@@ -206,7 +206,7 @@ def acting_contacts(mechanism: Mechanism, number: Mapping[str, int]) -> list[Act
     if not mechanism.contacts:
         return []
     found = []
-    is_rigid = mechanism.contact_treatment.is_rigid
+    is_rigid = mechanism.reacting is not None
     for name, own in mechanism.contacts.items():
         for pair in own.pairs(name, mechanism.joints):
             moving = _coordinates(mechanism, pair.bodies[0]), _coordinates(mechanism, pair.bodies[1])
@@ -247,7 +247,7 @@ def lower_contacts(elements: Mapping[str, Contact], lowering: Lowering, acting: 
     """
     mechanism = lowering.mechanism
     contacts = acting_contacts(mechanism, lowering.bodies)
-    if not mechanism.contact_treatment.is_rigid:
+    if mechanism.reacting is None:
         compliant: list[ActingContact] = []
         for rows in pairs_of_shapes(contacts):
             laws = [contact_law(rows, mode) for mode in (FORCES, SLOPES)]

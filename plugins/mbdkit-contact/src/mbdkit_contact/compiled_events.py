@@ -16,7 +16,7 @@ from mbdkit_contact.kernels.steps_to_events import attempt, dense, keep
 
 if TYPE_CHECKING:
     from mbdkit.integrators.run_state import RunState
-    from mbdkit.mechanism.contacts import ChosenTreatment
+    from mbdkit_contact.contact_section import ContactTreatment
 
 
 class CompiledEventDriven(CompiledMethod):
@@ -33,7 +33,7 @@ class CompiledEventDriven(CompiledMethod):
     attempt, keep = attempt, keep
     remembers = True
 
-    def __init__(self, between: CompiledMethod, treatment: ChosenTreatment):
+    def __init__(self, between: CompiledMethod, treatment: ContactTreatment):
         super().__init__(between.workspace)
         workspace = between.workspace
         self.between = between
@@ -95,7 +95,7 @@ class CompiledEventDriven(CompiledMethod):
 
     def stored_systems(self) -> Any:
         """See `CompiledMethod.stored_systems`: those of the method between events, and the impacts so far."""
-        state = self.contacts.stored()
+        state = self.reacting.stored()
         return {"between": self.between.stored_systems(), **{name: state[name] for name in ("impacts", "reactions")}}
 
     def restore_systems(self, state: Any) -> None:
@@ -111,8 +111,8 @@ class CompiledEventDriven(CompiledMethod):
         events.bundle.known.number[:] = 0
 
     @property
-    def contacts(self) -> ContactState:
-        """See `CompiledMethod.contacts`."""
+    def reacting(self) -> ContactState:
+        """See `CompiledMethod.reacting`."""
         self.events.serve()
         return self.events.state(tuple(self.events.impacts))
 

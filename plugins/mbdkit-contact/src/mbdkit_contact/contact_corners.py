@@ -11,8 +11,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from mbdkit.engine.force_laws import CompiledLaw
-from mbdkit.engine.kernels.contact_laws import STIFFNESS, VALUE, VALUES, contact_rows
 from mbdkit_contact.acting_contacts import ActingContact, contact_law, has_sides, pairs_of_shapes
+from mbdkit_contact.kernels.contact_laws import STIFFNESS, VALUE, VALUES, contact_rows
 
 OFFSET = 3e-4
 """Largest change of a coordinate, velocity or parameter in the differences that differentiate a `Push` [SI units].

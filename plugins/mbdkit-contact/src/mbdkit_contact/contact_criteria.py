@@ -48,7 +48,7 @@ def rolling_point_masses(spec: RunSpec, _measures: Sequence[str] = ()) -> Iterat
 
 def slow_friction(spec: RunSpec, compiled: CompiledMechanism, size: float) -> SlowFriction | None:
     """Return the slow friction of the contacts of a mechanism; None if they are rigid, or cannot touch."""
-    if compiled.contact_treatment.is_rigid or not compiled.extensions["contacts"]:
+    if compiled.reacting is not None or not compiled.extensions["contacts"]:
         return None
     elements = []
     for name, contact in spec.mechanism().contacts.items():

@@ -10,7 +10,6 @@ from itertools import groupby
 
 import numpy as np
 
-from mbdkit.engine.kernels.uneven_ground import EDGE, FAR, HIGH, LOW, OWN, SEGMENT
 from mbdkit.engine.repeated_call import RepeatedCall
 from mbdkit_contact.acting_contacts import ActingContact, polygon_edges, surface_numbers
 from mbdkit_contact.contact import ContactPair
@@ -25,6 +24,7 @@ from mbdkit_contact.kernels.kinematics import (
     hold_at,
     rows_at,
 )
+from mbdkit_contact.kernels.uneven_ground import EDGE, FAR, HIGH, LOW, OWN, SEGMENT
 
 NEAR = 1e-3
 """Gap, relative to the length of the mechanism, up to which two shapes count as near each other."""

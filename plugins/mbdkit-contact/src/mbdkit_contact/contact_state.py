@@ -6,13 +6,16 @@ import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from itertools import zip_longest
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from mbdkit.base.text import listed
-from mbdkit.integrators.impulse import ContactImpact, ContactMemory
+from mbdkit.integrators.impulse import ElementImpact, ReactingMemory
 from mbdkit_contact.acting_contacts import HELD, ActingContact, held_coordinates, held_states
+
+if TYPE_CHECKING:
+    from mbdkit_contact.contact_section import ContactTreatment
 
 SOLVED = 1e-6
 """`ContactState.remarks` mentions relative errors of the velocities of contacts that are larger than this."""
@@ -65,7 +68,7 @@ class ContactState:
     normal: np.ndarray
     tangent: np.ndarray
     force: np.ndarray
-    impacts: tuple[ContactImpact, ...] = ()
+    impacts: tuple[ElementImpact, ...] = ()
     cut: frozenset[str] = frozenset()
     changed: frozenset[str] = frozenset()
     undetermined: frozenset[str] = frozenset()
@@ -108,7 +111,7 @@ class ContactState:
         if any(not 0 <= int(impact[1]) < count for impact in values["impacts"]):
             raise ValueError("an impact is that of another contact")
         values["impacts"] = tuple(
-            ContactImpact(t, int(contact), normal, tangential, lost, own)
+            ElementImpact(t, int(contact), normal, tangential, lost, own)
             for (t, contact, normal, tangential, lost), own in zip(values["impacts"].tolist(), reactions, strict=True)
         )
         return ContactState(**values | {name: frozenset(map(str, values[name])) for name in _NAMES})
@@ -152,8 +155,8 @@ class ContactState:
             )
         return tuple(found)
 
-    def agrees(self, others: Sequence[ContactMemory], rest_energy: float) -> tuple[float, str]:
-        """See `ContactMemory.agrees`: impacts should be the same, in the same order, and none should be left out.
+    def agrees(self, others: Sequence[ReactingMemory], section: ContactTreatment) -> tuple[float, str]:
+        """See `ReactingMemory.agrees`: impacts should be the same, in the same order, and none should be left out.
 
         Runs by time-stepping methods, which do not locate impacts, are not compared.
         """
@@ -161,14 +164,14 @@ class ContactState:
         undecided = min(run.undecided for run in runs)
         differs = math.inf
         for impacts in zip_longest(*(run.impacts for run in runs if not run.is_over_step)):
-            if len({None if impact is None else impact.contact for impact in impacts}) > 1:
+            if len({None if impact is None else impact.element for impact in impacts}) > 1:
                 differs = min(impact.time for impact in impacts if impact is not None)
                 break
         until, why = differs, f" After {differs:.6g} s, the impacts of the runs differ."
         if undecided < differs:
             until = undecided
             why = f" At {undecided:.6g} s, contacts that affect each other close at once, in an unknown order."
-        if self.cut and rest_energy > NEGLIGIBLE_BOUNCES and self.cut_time < until:
+        if self.cut and section.rest_energy > NEGLIGIBLE_BOUNCES and self.cut_time < until:
             until = self.cut_time
             why = (
                 f" After {until:.6g} s, bounces below contact.rest_energy are left out, in the comparison runs as well."

@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from mbdkit.archive.headlines import EXACT, MISSED, largest_of
-from mbdkit.archive.peak_errors import errors_of_contacts, missed_between_rows
-from mbdkit.archive.run_summary import few, ranked
-from mbdkit.mechanism.contacts import SLIP, STICK
+from mbdkit.archive.headlines import EXACT, JOINTS_NAMED, MISSED, largest_of
+from mbdkit.archive.peak_errors import errors_of_largest, missed_between_rows
+from mbdkit.archive.run_summary import counted_impacts, few, impacts_of_drivers, ranked
+from mbdkit.base.errors import MbdkitError
+from mbdkit.base.text import listed
 from mbdkit.plugin import Headline
+from mbdkit_contact.modes import SLIP, STICK
 
 if TYPE_CHECKING:
     from mbdkit.plugin import Run
@@ -24,7 +27,9 @@ def largest_forces(run: Run) -> list[Headline]:
     missed = missed_between_rows(run, "contacts.normal_force", names, force)
     errors = None
     if run.accuracy is not None and missed is not None:
-        errors = missed + errors_of_contacts(run.integrals, run.accuracy.compared_measures, names)
+        errors = missed + errors_of_largest(
+            run.integrals, run.accuracy.compared_measures, "contacts.normal_force", names
+        )
     return largest_of("normal force at", run, names, force, "N", errors, missed)[:2]
 
 
@@ -59,3 +64,36 @@ def _overlaps(run: Run) -> str:
     if not parts:
         return f"no overlap above {EXACT:g} m{' in the recorded rows' if np.any(np.isnan(beyond)) else ''}"
     return few(ranked(parts))
+
+
+def impact_lines(run: Run) -> list[tuple[str, str]]:
+    """Return the line of the summary about impacts of contacts."""
+    return [("impacts", _impacts(run))]
+
+
+def _impacts(run: Run) -> str:
+    """Return the number of impacts of each contact, the largest of their impulses and the energy that they lose.
+
+    Time-stepping does not locate impacts; the text then says that contact forces include them.
+    """
+    if (run.spec.get("contact") or {}).get("treatment") == "time-stepping":
+        return "not located: the contact force of a step with an impact includes its impulse, divided by the step"
+    impacts, some = run.impacts, ~impacts_of_drivers(run)
+    if not np.any(some):
+        return ""
+    largest = np.max(np.abs(impacts.normal_impulse))
+    who, change = counted_impacts(impacts, some)
+    given = _restitutions(run, np.unique(impacts.contact[some].astype(str)))
+    return f"{who}, {given}impulses up to {largest:.4g} N s, {change}; contact forces do not include impulses"
+
+
+def _restitutions(run: Run, struck: np.ndarray) -> str:
+    """Return the restitution of the contacts with these names, and a comma; empty if the spec cannot be read."""
+    try:
+        contacts: Mapping[str, Any] = run.mechanism.elements.get("contacts", {})
+        joints = run.mechanism.joints
+    except MbdkitError:
+        return ""
+    known = {pair.name: one.restitution for name, one in contacts.items() for pair in one.pairs(name, joints)}
+    values = dict.fromkeys(f"{known[name]:g}" for name in struck if name in known)
+    return f"restitution {listed([*values][:JOINTS_NAMED], 'and')}, " if values else ""

@@ -35,7 +35,7 @@ class DeepOverlaps:
 
     def __init__(self, compiled: CompiledMechanism, finer: str):
         self._pairs = [one.pair for one in compiled.extensions["contacts"]]
-        self._is_rigid, self._finer = compiled.contact_treatment.is_rigid, finer
+        self._is_rigid, self._finer = compiled.reacting is not None, finer
         self._depth, self._time = np.zeros((2, len(self._pairs)))
 
     @classmethod

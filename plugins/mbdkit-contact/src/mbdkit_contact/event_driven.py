@@ -13,8 +13,8 @@ from mbdkit.base.errors import StepError
 from mbdkit.engine.equations_of_motion import EquationsOfMotion
 from mbdkit.engine.workspace import Workspace
 from mbdkit.integrators.sampled_control import states_at_start
-from mbdkit.mechanism.contacts import ChosenTreatment
 from mbdkit.methods.step_methods import Dense, ExternalMethod, Step, StepMethod, StepState, Why
+from mbdkit_contact.contact_section import ContactTreatment
 from mbdkit_contact.contact_state import ContactState
 from mbdkit_contact.event_step import Event, EventStep, NotAcceptedError, Point, gains
 from mbdkit_contact.events_of_contacts import ContactEvents
@@ -35,7 +35,7 @@ class EventDriven(StepMethod):
         Treatment of contacts in the run.
     """
 
-    def __init__(self, method: StepMethod, treatment: ChosenTreatment):
+    def __init__(self, method: StepMethod, treatment: ContactTreatment):
         self.treatment, self.between = treatment, method
         self.tolerances, self.error_order, self.hint = method.tolerances, method.error_order, method.hint
         self.carries_multipliers = method.carries_multipliers  # type: ignore[misc]
@@ -133,7 +133,7 @@ class EventDrivenLibrary(ExternalMethod):
         Treatment of contacts in the run.
     """
 
-    def __init__(self, library: ExternalMethod, treatment: ChosenTreatment):
+    def __init__(self, library: ExternalMethod, treatment: ContactTreatment):
         self.treatment, self._given = treatment, library
         self.tolerances, self.hint = library.tolerances, library.hint
         self.carries_multipliers = library.carries_multipliers  # type: ignore[misc]
@@ -264,9 +264,10 @@ def with_contact_forces(workspace: Workspace) -> Workspace:
         If no modes or forces of the contacts are possible.
     """
     mechanism = workspace.mechanism
-    top = mechanism.topology
+    top, chosen = mechanism.topology, mechanism.reacting
+    assert chosen is not None
     p = EquationsOfMotion(workspace, states_at_start(workspace))
-    events = ContactEvents.on(p, mechanism.contact_treatment)
+    events = ContactEvents.on(p, chosen.section)
     begin = StepState(p.q0, p.v0, z=p.z0)
     begin = replace(begin, memory=events.contacts.begun(begin))
     state = EventStep(None, events, workspace.t0, begin).state()

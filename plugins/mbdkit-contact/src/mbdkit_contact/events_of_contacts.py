@@ -13,9 +13,8 @@ from mbdkit.engine.elimination_order import SingularSystemError
 from mbdkit.engine.equations_of_motion import EquationsOfMotion
 from mbdkit.engine.kernels.system import NOT_FINITE, OK
 from mbdkit.engine.native.bundle import PinnedBundle
-from mbdkit.integrators.impulse import ContactImpact
+from mbdkit.integrators.impulse import ElementImpact
 from mbdkit.integrators.step_loop import PAUSED
-from mbdkit.mechanism.contacts import OPEN, STICK, ChosenTreatment
 from mbdkit_contact.contact_state import ContactState
 from mbdkit_contact.kernels.contact_forces import new_closed_contacts
 from mbdkit_contact.kernels.contact_modes import react
@@ -38,10 +37,12 @@ from mbdkit_contact.kernels.event_bundle import (
 )
 from mbdkit_contact.kernels.impacts import LAWS, new_impacts
 from mbdkit_contact.kernels.steps_to_events import MOST_EVENTS, close_at, forces_at, happen_at
+from mbdkit_contact.modes import OPEN, STICK
 from mbdkit_contact.rigid_contacts import RigidContacts
 
 if TYPE_CHECKING:
     from mbdkit.engine.workspace import Workspace
+    from mbdkit_contact.contact_section import ContactTreatment
 
 FAILURES: dict[int, tuple[StepCode, str]] = {
     PAINLEVE: ("painleve", "the friction of contact {name} presses it together more than it is pressed"),
@@ -84,7 +85,7 @@ class ContactEvents:
     def __init__(self, equations: EquationsOfMotion):
         self.p, self.contacts = equations, RigidContacts(equations)
         self.workspace: Workspace = equations.workspace
-        self.impacts: list[ContactImpact] = []
+        self.impacts: list[ElementImpact] = []
         top, size, states = self.workspace.mechanism.topology, equations.n + 3, len(equations.z0)
         count, pairs, held = len(self.contacts.names), len(top.pairs), self.contacts.held
 
@@ -135,13 +136,13 @@ class ContactEvents:
         return {"closed": closed, "newton": newton, "impacts": new_impacts(most)}
 
     @classmethod
-    def on(cls, equations: EquationsOfMotion, treatment: ChosenTreatment) -> ContactEvents:
+    def on(cls, equations: EquationsOfMotion, treatment: ContactTreatment) -> ContactEvents:
         """Return the contacts of equations of motion, and exclude their forces, computed here, from the equations."""
         events = equations.derived(cls)
         events.use(treatment)
         return events
 
-    def use(self, treatment: ChosenTreatment) -> None:
+    def use(self, treatment: ContactTreatment) -> None:
         """Use the law of impact of a treatment, and its limit of energies."""
         self.bundle.law[0], self.bundle.limits[0] = LAWS.index(treatment.impact_law), treatment.rest_energy
 
@@ -160,12 +161,12 @@ class ContactEvents:
 
     # ---- impacts and what one step passes to the next --------------------------------------------------------------
 
-    def take_impacts(self) -> list[ContactImpact]:
+    def take_impacts(self) -> list[ElementImpact]:
         """Return the impacts that kernels have stored since the last call."""
         known, n, p = self.bundle.known, self.p.n, self.p
         rows, strikes = known.rows[: known.number[0]], known.strikes[: known.number[1]]
         unknowns = self.workspace.mechanism.row_index
-        found, reactions = list[ContactImpact](), list[np.ndarray]()
+        found, reactions = list[ElementImpact](), list[np.ndarray]()
         times = {int(row[5]): float(row[0]) for row in rows}
         for number, strike in enumerate(strikes):
             lam, pairs = np.zeros(p.m), strike[n + 3 :].reshape(-1, 2)
@@ -174,7 +175,7 @@ class ContactEvents:
         none = 0.0 * p.reactions(0.0, p.q0, np.zeros(p.m)) if len(rows) > 0 else np.zeros((0, 3))
         for time, contact, normal, tangent, lost, strike_of in rows.tolist():
             own = none if strike_of < 0 else reactions[int(strike_of)]
-            found.append(ContactImpact(time, int(contact), normal, tangent, lost, own))
+            found.append(ElementImpact(time, int(contact), normal, tangent, lost, own))
         known.number[:] = 0
         return found
 
@@ -192,7 +193,7 @@ class ContactEvents:
                 self.grow()
         self.bundle.reason[0] = 0
 
-    def state(self, impacts: tuple[ContactImpact, ...] = (), **more: Any) -> ContactState:
+    def state(self, impacts: tuple[ElementImpact, ...] = (), **more: Any) -> ContactState:
         """Return the present data of the contacts, with impacts so far."""
         known = self.bundle.known
 

@@ -6,9 +6,9 @@ from collections.abc import Iterable, Mapping, Sequence
 
 import numpy as np
 
-from mbdkit.mechanism.contacts import OPEN
 from mbdkit.plugin import GROUND
 from mbdkit_contact.acting_contacts import ActingContact
+from mbdkit_contact.modes import OPEN
 
 
 def feet(pairs: Iterable[Sequence[str]]) -> list[str]:

@@ -86,7 +86,18 @@ def mbdkit_integrators() -> list[IntegratorPlugin]:
 @hookimpl
 def mbdkit_items() -> Iterable[Item]:
     """Return contacts, what runs record and say of them, treatments, examples, and the page of the guide."""
-    comparison: dict[str, Any] = {"guards": _of_treatments("guards"), "guarded_by": "event-driven"}
+    rigid: dict[str, Any] = {
+        "of": "contacts",
+        "reacting": True,
+        "begin": _of_treatments("with_contact_forces"),
+        "guards": _of_treatments("guards"),
+        "guarded_by": "event-driven",
+        "undecided": "impacts of rigid contacts make the errors of the motion unknown before its end",
+        "supports": {
+            "gradients": "gradients of runs do not include event-driven and time-stepping contacts; use compliant ones",
+            "statics": "an analysis of a mechanism at rest needs compliant contacts: use `treatment: compliant`",
+        },
+    }
     return [
         ElementKind(
             name="contact",
@@ -97,8 +108,11 @@ def mbdkit_items() -> Iterable[Item]:
             model=Target("mbdkit_contact.contact:Contact"),
             builder="contact",
             method=Target("mbdkit_contact.contact:add_contact"),
+            section="contact",
+            section_model=Target("mbdkit_contact.contact_section:ContactTreatment"),
             read_files=Target("mbdkit_contact.polyline_files:read_polylines"),
             check_elements=Target("mbdkit_contact.contact:check_contacts"),
+            check_run=Target("mbdkit_contact.treatments:check_run"),
             lower=Target("mbdkit_contact.acting_contacts:lower_contacts"),
             at_start=Target("mbdkit_contact.acting_contacts:check_start"),
             members=Target("mbdkit_contact.acting_contacts:members_of"),
@@ -114,6 +128,8 @@ def mbdkit_items() -> Iterable[Item]:
                 word=name,
                 of="contacts",
                 names=Target(f"mbdkit_contact.quantities:{names}"),
+                peaks=("normal_force", "-gap") if name == "contacts" else (),
+                modes="mode" if name == "contacts" else "",
                 history=Target(f"mbdkit_contact.histories:{history}"),
             )
             for order, name, names, history, summary in (
@@ -127,6 +143,13 @@ def mbdkit_items() -> Iterable[Item]:
             order=1010,
             text=Target("mbdkit_contact.contact_summary:contact_lines"),
             group="contacts",
+        ),
+        SummaryLine(
+            name="impacts",
+            summary="Impacts of contacts.",
+            order=1020,
+            text=Target("mbdkit_contact.contact_summary:impact_lines"),
+            group="impacts",
         ),
         HeadlineItem(
             name="contact-forces",
@@ -148,26 +171,25 @@ def mbdkit_items() -> Iterable[Item]:
             )
             for order, stage, name, summary, find in _CRITERIA
         ),
+        Treatment(name="compliant", summary="Forces by the overlap of the shapes.", order=0, of="contacts"),
         Treatment(
             name="event-driven",
             summary="Rigid bodies; impacts and changes between sticking, slipping and separation are located.",
             order=10,
             require=_of_treatments("require_event_driven"),
-            begin=_of_treatments("with_contact_forces"),
             method=_of_treatments("event_driven"),
-            **comparison,
+            **rigid,
         ),
         Treatment(
             name="time-stepping",
             summary="Rigid bodies, whose velocities may jump in every step.",
             order=20,
             require=_of_treatments("require_time_stepping"),
-            begin=_of_treatments("with_contact_forces"),
             # errors are bounded by a constant times the step, but do not decrease steadily with the step, because
             # impacts fall between the ends of steps
             factors=(4, 16),
             includes_impacts=True,
-            **comparison,
+            **rigid,
         ),
         *Example.folder(_HERE / "examples"),
         *GuidePage.folder(_HERE / "guide"),

@@ -212,8 +212,8 @@ class CompiledTimeStepping(CompiledMethod):
         self.bundle.now.known[0] = 0
 
     @property
-    def contacts(self) -> ContactState:
-        """See `CompiledMethod.contacts`."""
+    def reacting(self) -> ContactState:
+        """See `CompiledMethod.reacting`."""
         held = self.bundle.now
 
         def names(some: np.ndarray) -> frozenset[str]:

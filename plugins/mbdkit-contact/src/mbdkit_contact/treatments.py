@@ -4,17 +4,36 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
+from mbdkit.base.plain_data import quoted
 from mbdkit.engine.formulation import INDEX_1
 from mbdkit.integrators.compiled_method import CompiledMethod
-from mbdkit.mechanism.contacts import ChosenTreatment
-from mbdkit.plugin import ExternalMethod, Method, RunSpec, SpecError, StepMethod
+from mbdkit.mechanism.joints import joint_with_friction
+from mbdkit.plugin import ExternalMethod, Mechanism, Method, RunSpec, SpecError, StepMethod
 from mbdkit_contact.compiled_events import CompiledEventDriven
+from mbdkit_contact.contact_section import ContactTreatment
 from mbdkit_contact.event_driven import EventDriven, EventDrivenLibrary, with_contact_forces
 
-__all__ = ["event_driven", "guards", "require_event_driven", "require_time_stepping", "with_contact_forces"]
+__all__ = [
+    "check_run",
+    "event_driven",
+    "guards",
+    "require_event_driven",
+    "require_time_stepping",
+    "with_contact_forces",
+]
 
 GUARDS = {"dop853": 4, "dopri5": 16}
 """Explicit methods for comparison runs, and the factors by which their steps are smaller than those of the run."""
+
+
+def check_run(mechanism: Mechanism) -> None:
+    """Raise SpecError if contacts are rigid and a joint has friction."""
+    if mechanism.reacting is not None and (name := joint_with_friction(mechanism.joints)):
+        raise SpecError(
+            "runs with rigid contacts do not support friction in joints; omit it, or use "
+            "`contact: {treatment: compliant}`",
+            key=f"model.joints.{quoted(name)}.friction",
+        )
 
 
 def require_time_stepping(spec: RunSpec, method: Method) -> None:
@@ -22,6 +41,7 @@ def require_time_stepping(spec: RunSpec, method: Method) -> None:
     if not method.traits.is_time_stepping:
         message = "the treatment time-stepping needs the integrator moreau-jean or nonsmooth-generalized-alpha"
         raise SpecError(message, key="integrator")
+    _require_rigid(spec)
 
 
 def require_event_driven(spec: RunSpec, method: Method) -> None:
@@ -42,10 +62,24 @@ def require_event_driven(spec: RunSpec, method: Method) -> None:
     if spec.stabilized.symmetric:
         message = "the treatment event-driven closes joints and contacts itself; omit `stabilization`"
         raise SpecError(message, key="stabilization")
+    _require_rigid(spec)
+
+
+def _require_rigid(spec: RunSpec) -> None:
+    """Raise SpecError unless the settings of a spec suit rigid contacts."""
+    if spec.formulated.coordinates == "joint":
+        message = "rigid contacts are not available in joint coordinates; use index-1, or compliant contacts"
+        raise SpecError(message, key="formulation")
+    if spec.stabilized.kind != "none":
+        message = "with rigid contacts, every step projects joints and contacts; omit `stabilization`"
+        raise SpecError(message, key="stabilization")
+    if spec.accuracy is not None:
+        message = "`accuracy` is not available for runs with rigid contacts; give `time.step` and `check: true`"
+        raise SpecError(message, key="accuracy")
 
 
 def event_driven(
-    method: Method, treatment: ChosenTreatment
+    method: Method, treatment: ContactTreatment
 ) -> EventDriven | EventDrivenLibrary | Callable[[CompiledMethod], CompiledMethod]:
     """Return the method that takes the steps of `method` between events, or the function that makes it of a compiled
     method.

@@ -9,9 +9,9 @@ import pytest
 
 import mbdkit
 from mbdkit import EquationsOfMotion
-from mbdkit.mechanism.contacts import OPEN, SLIP, STICK
 from mbdkit_contact.events_of_contacts import ContactEvents
 from mbdkit_contact.forced_equations import ForcedEquations
+from mbdkit_contact.modes import OPEN, SLIP, STICK
 
 SQUARE = {"polygon": [[-0.5, -0.5], [0.5, -0.5], [0.5, 0.5], [-0.5, 0.5]]}
 FLOOR = {"line": {"normal": [0.0, 1.0]}}

@@ -17,7 +17,7 @@ TABLE = {"polygon": [[-1.0, -0.5], [0.0, -0.5], [0.0, 0.0], [-1.0, 0.0]]}
 EDGE_OF_GROUND = {"polyline": [[-1.0, 0.0], [0.0, 0.0], [0.0, -0.5]]}
 """Ground that ends at the origin like the table."""
 TREATMENTS = [("event-driven", 0.02, 1e-8), ("time-stepping", 0.001, 0.01)]
-"""ChosenTreatment, step [s] and largest error of the position at the end [m]; that of time-stepping is of order 1."""
+"""Treatment, step [s] and largest error of the position at the end [m]; that of time-stepping is of order 1."""
 
 
 def outline(half_width: float, half_height: float) -> dict[str, Any]:

@@ -238,11 +238,6 @@ def _stepper(
     workspace, _ = build(spec)
     workspace.mechanism.refuse_kinds("gradients")
     workspace.mechanism.refuse_friction("gradients of runs do not include friction in joints; leave it out")
-    if workspace.mechanism.contact_treatment.is_rigid:
-        raise SpecError(
-            "gradients of runs do not include event-driven and time-stepping contacts; use compliant ones",
-            key="contact.treatment",
-        )
     if needs != Needs():
         workspace.mechanism.refuse_states("the gradient of an extremum, of an integral or of a value at a time")
     table = timetable(spec, guards(spec, size_at_start(spec, workspace)))

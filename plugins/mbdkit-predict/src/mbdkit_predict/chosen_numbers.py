@@ -121,7 +121,7 @@ class ChosenNumbers:
     def _mechanism(self, spec: dict[str, Any]) -> Mechanism:
         """Return the mechanism of a changed spec, with its elements in the original order."""
         changed, original = Mechanism.from_spec(spec), self._original
-        changed.name, changed.contact_treatment = original.name, original.contact_treatment
+        changed.name, changed.treatments = original.name, original.treatments
         for kind in ("bodies", *original.elements):
             elements = getattr(changed, kind)
             setattr(changed, kind, {name: elements[name] for name in getattr(original, kind)})

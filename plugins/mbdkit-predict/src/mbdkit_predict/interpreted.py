@@ -16,13 +16,14 @@ import numpy as np
 
 from mbdkit.base.errors import SpecError
 from mbdkit.engine.force_laws import CompiledLaw
-from mbdkit.engine.kernels import angles, contact_laws, equations, law_programs, motions
+from mbdkit.engine.kernels import angles, equations, law_programs, motions
 from mbdkit.engine.kernels.law_programs import OPCODES
 from mbdkit.engine.native import arithmetic, calls
 from mbdkit.engine.native.functions import LAWS
 from mbdkit.engine.native.kernel import Entry, Kernel, LawFunction
 from mbdkit.expressions import operations
 from mbdkit.mechanism.force_law import FunctionLaw
+from mbdkit_contact.kernels import contact_laws
 from mbdkit_predict.symbols import BranchError, Symbol, apply, every_branch, largest, smallest, where
 
 

@@ -15,7 +15,7 @@ from mbdkit.base.errors import SpecError
 from mbdkit.base.text import listed
 from mbdkit.engine.compiled_mechanism import CompiledMechanism
 from mbdkit.engine.consistent_start import mechanism_at_start
-from mbdkit.engine.kernels import acting, applied_forces, contact_laws, equations, frames, observe, system
+from mbdkit.engine.kernels import acting, applied_forces, equations, frames, observe, system
 from mbdkit.engine.kernels.frames import Reactions
 from mbdkit.engine.kernels.observe import Observed
 from mbdkit.engine.workspace import Workspace
@@ -26,6 +26,7 @@ from mbdkit.quantities.quantity import Quantity
 from mbdkit.quantities.states import States
 from mbdkit.quantities.table import KINDS
 from mbdkit_contact.acting_contacts import contact_law, pairs_of_shapes
+from mbdkit_contact.kernels import contact_laws
 from mbdkit_predict.casadi_system import ARGUMENTS, CasadiSystem, function
 from mbdkit_predict.chosen_numbers import ChosenNumbers
 from mbdkit_predict.interpreted import Interpreter
@@ -143,7 +144,7 @@ class SymbolicMechanism:
         by_name = dict[str, np.ndarray]()
         w, top = self._equations.w, self._equations.top
         for k, rows in enumerate(pairs_of_shapes(self._compiled.extensions.get("contacts", ()))):
-            law, begin = contact_law(rows, contact_laws.VALUES), top.laws[top.contacts[k, 2], 1]
+            law, begin = contact_law(rows, contact_laws.VALUES), top.laws[top.interactions[k, 2], 1]
             out = _zeros(len(rows), contact_laws.VALUE)
             self._run.call_law(law.address, law.program, 0.0, 0.0, 0.0, w.law_values, begin, out, 0, contact_laws.VALUE)
             by_name |= {row.pair.name: values for row, values in zip(rows, out, strict=True)}

@@ -15,7 +15,6 @@ from scipy.linalg import eigvalsh_tridiagonal, ldl
 from scipy.sparse import block_array, csc_array, csr_array, diags_array
 from scipy.sparse.linalg import splu
 
-from mbdkit.base.errors import SpecError
 from mbdkit_statics.prepared_mechanism import PreparedMechanism
 from mbdkit_statics.states_at_rest import CoupledStates, StatesAtRest, StaticEquations
 
@@ -79,9 +78,6 @@ def in_statics(prepared: PreparedMechanism) -> PreparedMechanism:
         muscles.
     """
     mechanism = prepared.workspace.mechanism
-    if mechanism.contact_treatment.is_rigid:
-        message = "an analysis of a mechanism at rest needs compliant contacts: use `treatment: compliant`"
-        raise SpecError(message, key="contact.treatment")
     if not mechanism.states:
         return prepared
     mechanism.refuse_kinds("statics")

@@ -25,7 +25,7 @@ def require_series(mechanism: CompiledMechanism) -> None:
             others or len(top.sections) or len(top.states)
         ),
         "loads that depend on the state": len(top.inputs) + len(top.load_values),
-        "contacts": len(top.contacts),
+        "contacts": len(top.interactions),
         "motions or loads given by tables or by functions other than sin, cos, exp, log, sqrt and whole powers": (
             not _CODES.issuperset(top.motion_ops.tolist())
         ),

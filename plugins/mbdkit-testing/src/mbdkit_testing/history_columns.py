@@ -10,8 +10,9 @@ from pathlib import Path
 from mbdkit.archive import history
 from mbdkit.archive.named_columns import VIEWS, columns_of, view_of
 from mbdkit.archive.recorded_data import RecordedData
+from mbdkit.base.parts import GROUPS_OF_PARTS
 from mbdkit.quantities.array import Kind
-from mbdkit.quantities.registered_kinds import OF_PARTS, added_kinds, kind_of_group
+from mbdkit.quantities.registered_kinds import added_kinds, kind_of_group
 
 TARGET = Path(history.__file__).with_name("recorded_columns.pyi")
 
@@ -26,7 +27,7 @@ from mbdkit.archive.named_columns import Histories, View
 def declarations() -> str:
     """Return the text of the stub."""
     own = [group for group, view in VIEWS.items() if view.__module__ == history.__name__]
-    kinds = [kind_of_group(group) for group in [*own, *(group for group in added_kinds() if group in OF_PARTS)]]
+    kinds = [kind_of_group(group) for group in [*own, *(group for group in added_kinds() if group in GROUPS_OF_PARTS)]]
     further = [kind for kind in kinds if kind.one and kind.word not in vars(RecordedData)]
     imports = sorted(f"from {view.__module__} import {view.__name__}\n" for view in map(view_of, further))
     properties = "".join(map(_property, further))

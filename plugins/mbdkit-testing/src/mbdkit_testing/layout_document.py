@@ -5,7 +5,8 @@ from __future__ import annotations
 import sys
 from pathlib import Path
 
-from mbdkit.quantities.registered_kinds import OF_PARTS, kinds
+from mbdkit.base.parts import GROUPS_OF_PARTS
+from mbdkit.quantities.registered_kinds import kinds
 
 BEGIN = "<!-- layout: begin (python -m mbdkit_testing.layout_document schemas/archive.md) -->"
 END = "<!-- layout: end -->"
@@ -14,7 +15,7 @@ END = "<!-- layout: end -->"
 def table() -> str:
     """Return the layout as a Markdown table."""
     rows = ["| array | axes | type | units | what |", "|---|---|---|---|---|"]
-    for array in (array for kind in kinds(OF_PARTS) for array in kind.arrays):
+    for array in (array for kind in kinds(GROUPS_OF_PARTS) for array in kind.arrays):
         units = f"mixed: {array.row_units}" if array.row_units else array.units
         what = f"{array.long_name} (optional)" if array.optional else array.long_name
         what += "" if array.since == "1.0" else f" (since {array.since})"

@@ -15,7 +15,7 @@ import numpy as np
 
 from mbdkit.engine.kernels.bundle_types import IntVector, RealMatrix, RealVector
 from mbdkit.engine.native.functions import subkernel
-from mbdkit.mechanism.contacts import OPEN, SLIP, STICK
+from mbdkit_contact.modes import OPEN, SLIP, STICK
 
 PROXIMAL = 1e-9
 """Share of the diagonal of the equations that is added to it."""

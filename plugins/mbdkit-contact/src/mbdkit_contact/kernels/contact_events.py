@@ -21,7 +21,6 @@ from mbdkit.engine.kernels.system import DIVERGED, OK, solved_rows
 from mbdkit.engine.kernels.vectors import copy, fill, fill_rows
 from mbdkit.engine.native.functions import separate, subkernel
 from mbdkit.integrators.step_loop import PAUSED, REFUSED
-from mbdkit.mechanism.contacts import OPEN, STICK
 from mbdkit_contact.kernels.contact_forces import (
     add_answers,
     along,
@@ -59,6 +58,7 @@ from mbdkit_contact.kernels.event_bundle import (
 )
 from mbdkit_contact.kernels.impacts import OTHER_LAW, UNSOLVED, find_ordered, strike
 from mbdkit_contact.kernels.kinematics import place
+from mbdkit_contact.modes import OPEN, STICK
 
 QUADRATIC = 1e-9
 """Relative residual from which one iteration of Newton's method leaves nothing but rounding errors."""

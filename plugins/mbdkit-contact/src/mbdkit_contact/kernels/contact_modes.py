@@ -14,7 +14,6 @@ from mbdkit.engine.kernels.system import NOT_FINITE, OK, prepare
 from mbdkit.engine.kernels.vectors import copy, fill
 from mbdkit.engine.native.functions import entry, separate, subkernel
 from mbdkit.integrators.step_loop import PAUSED, REFUSED
-from mbdkit.mechanism.contacts import OPEN, SLIP, STICK
 from mbdkit_contact.kernels.contact_forces import (
     SINGULAR,
     add_answers,
@@ -30,6 +29,7 @@ from mbdkit_contact.kernels.contact_forces import (
 from mbdkit_contact.kernels.event_bundle import FRICTION, MORE_ROOM, NO_MODES, NORMAL, PAINLEVE, PLACE, load_events
 from mbdkit_contact.kernels.kinematics import choose, find_margins, hold, place, place_turned, row_of
 from mbdkit_contact.kernels.pivoting import solve_cones
+from mbdkit_contact.modes import OPEN, SLIP, STICK
 
 SAME = 1e-10
 """Gaps below this, relative to the length of the mechanism, and velocities below this, relative to the largest of the

@@ -16,9 +16,9 @@ import numpy as np
 
 from mbdkit.engine.kernels.vectors import fill
 from mbdkit.engine.native.functions import separate, subkernel
-from mbdkit.mechanism.contacts import OPEN, STICK
 from mbdkit_contact.kernels.contact_modes import rate_of_gap
 from mbdkit_contact.kernels.event_bundle import NORMAL, PLACE
+from mbdkit_contact.modes import OPEN, STICK
 
 NEXT, RISE, HIGH, LOW, ROOT = range(5)
 """Phases: choose the next function; look for a positive value of a function that starts at zero; evaluate the function

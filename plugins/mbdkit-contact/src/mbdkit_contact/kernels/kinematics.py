@@ -7,7 +7,7 @@ can touch only along the edge from which the other polygon is farthest, and alon
 faces it. A corner of one edge acts where it is opposite the other edge. When a corner slides past the end of an edge,
 the corner of the other polygon therefore takes over, and the side of the polygon does not stop the motion.
 
-A row on a polyline (`mbdkit.engine.kernels.uneven_ground`) belongs to a circle or to a corner of a polygon, and to all
+A row on a polyline (`mbdkit_contact.kernels.uneven_ground`) belongs to a circle or to a corner of a polygon, and to all
 pieces of one color: its features are the parts of the polyline. Or it belongs to all convex corners of one color: its
 features are these corners on the edges of the polygon.
 """
@@ -21,7 +21,9 @@ import numpy as np
 
 from mbdkit.engine.kernels.angles import cosine_and_sine
 from mbdkit.engine.kernels.bundle_types import IntMatrix, IntVector, RealMatrix, RealVector
-from mbdkit.engine.kernels.uneven_ground import (
+from mbdkit.engine.native.functions import kernel, subkernel
+from mbdkit_contact.kernels.row_kernels import circles_gap, circles_row, hole_gap, hole_row, line_gap, line_row
+from mbdkit_contact.kernels.uneven_ground import (
     EDGE,
     HIGH,
     LOW,
@@ -35,8 +37,6 @@ from mbdkit.engine.kernels.uneven_ground import (
     touching_corner,
     window_around,
 )
-from mbdkit.engine.native.functions import kernel, subkernel
-from mbdkit_contact.kernels.row_kernels import circles_gap, circles_row, hole_gap, hole_row, line_gap, line_row
 
 KINDS = ("line", "circles", "hole")
 """Kinds of features, by their numbers."""

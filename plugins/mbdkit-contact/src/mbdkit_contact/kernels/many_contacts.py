@@ -18,10 +18,10 @@ import numpy as np
 
 from mbdkit.engine.kernels.vectors import copy, fill
 from mbdkit.engine.native.functions import subkernel
-from mbdkit.mechanism.contacts import OPEN, SLIP, STICK
 from mbdkit_contact.kernels.active_set import EXACT
 from mbdkit_contact.kernels.mode_path import solve_by_path
 from mbdkit_contact.kernels.stepping_bundle import ACROSS, ALONG, add_move, rate_of
+from mbdkit_contact.modes import OPEN, SLIP, STICK
 
 FIRST_SWEEPS, SWEEPS = 100, 500
 """Number of sweeps before modes are taken from them, and before this is repeated if modes and impulses do not agree."""

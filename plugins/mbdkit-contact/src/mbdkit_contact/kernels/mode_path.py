@@ -18,7 +18,6 @@ from __future__ import annotations
 import numpy as np
 
 from mbdkit.engine.native.functions import subkernel
-from mbdkit.mechanism.contacts import OPEN, SLIP, STICK
 from mbdkit_contact.kernels.active_set import (
     PROXIMAL,
     assemble,
@@ -28,6 +27,7 @@ from mbdkit_contact.kernels.active_set import (
     solve_modes,
     substitute,
 )
+from mbdkit_contact.modes import OPEN, SLIP, STICK
 
 MOST_CORNERS = 30, 40, 40
 """Largest numbers of corners of a path, of a first attempt with small eps, and of further attempts with decreasing eps;

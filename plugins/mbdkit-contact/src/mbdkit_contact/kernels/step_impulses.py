@@ -7,7 +7,6 @@ from mbdkit.engine.kernels.lu import solve_refined
 from mbdkit.engine.kernels.system import DIVERGED, OK, REPIVOT_STAGES
 from mbdkit.engine.kernels.vectors import copy, fill, fill_rows
 from mbdkit.engine.native.functions import subkernel
-from mbdkit.mechanism.contacts import OPEN, SLIP, STICK
 from mbdkit_contact.kernels.active_set import solve_active_set
 from mbdkit_contact.kernels.impacts import NEWTON, SMALL_RESTITUTION, find_ordered, stronge
 from mbdkit_contact.kernels.kinematics import NOWHERE, SINGLE, choose, find_gaps, place, row_of
@@ -25,6 +24,7 @@ from mbdkit_contact.kernels.stepping_bundle import (
     keep_held,
     rate_of,
 )
+from mbdkit_contact.modes import OPEN, SLIP, STICK
 
 MOST_PIVOTED = 64
 """Up to this number of contacts, impulses are found by elimination; for more, see `many_contacts`."""

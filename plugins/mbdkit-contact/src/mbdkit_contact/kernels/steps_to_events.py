@@ -21,7 +21,6 @@ from mbdkit.engine.native.functions import entry, kernel, separate, subkernel
 from mbdkit.integrators.run_state import AT_END_OF_LAST, AT_START_OF_LAST, MODIFIED, RHS, load_run_state
 from mbdkit.integrators.step_guards import begin_energy
 from mbdkit.integrators.step_loop import PAUSED, REFUSED
-from mbdkit.mechanism.contacts import OPEN
 from mbdkit_contact.kernels.contact_events import book_energy, close, drift, happen, limited
 from mbdkit_contact.kernels.contact_forces import gap_rate
 from mbdkit_contact.kernels.contact_modes import (
@@ -53,6 +52,7 @@ from mbdkit_contact.kernels.event_search import (
     release_sticking,
 )
 from mbdkit_contact.kernels.kinematics import find_gaps, find_margins, place, row_of
+from mbdkit_contact.modes import OPEN
 
 MOST_EVENTS = 1000
 """The run stops after this many consecutive events without a complete step."""

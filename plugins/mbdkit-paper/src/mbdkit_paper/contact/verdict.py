@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from mbdkit.mechanism.contacts import STICK
+from mbdkit_contact.modes import STICK
 from mbdkit_paper.drift.combination import COMBINATION, state_of, two
 from mbdkit_report.analysis.verdict import (
     Answer,

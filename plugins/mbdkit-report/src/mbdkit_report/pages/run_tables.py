@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from mbdkit.archive.layout import COUNTERS, SOME_TIMINGS, TIMINGS
-from mbdkit.mechanism.contacts import STICK
 from mbdkit.quantities.registered_kinds import added_kinds
+from mbdkit_contact.modes import STICK
 from mbdkit_report.figures.beam_curves import has_beams
 from mbdkit_report.figures.page_model import Cell, Column, Table, columns_of
 from mbdkit_report.pages.answer_section import Peaks

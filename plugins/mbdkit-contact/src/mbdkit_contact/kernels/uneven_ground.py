@@ -6,7 +6,7 @@ both segments there: outside a convex corner, or in the material below a concave
 (`mbdkit_contact.polylines`), the part with the largest height is touched.
 
 A corner of a polygon touches only segments that face one of its two edges, as with two polygons
-(`mbdkit.engine.kernels.contact_laws`), so that a corner just inside the end of a segment is not pushed out sideways.
+(`mbdkit_contact.kernels.contact_laws`), so that a corner just inside the end of a segment is not pushed out sideways.
 Convex corners of the polyline touch the edges of the polygon that face their segments, or that lie between these.
 
 The parameters `x` contain, from index `at` on: center and radius of the circle, the number of colors, the `EDGE`

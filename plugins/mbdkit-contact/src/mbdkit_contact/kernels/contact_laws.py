@@ -24,7 +24,7 @@ from `SHAPES` on, those of the shapes:
 - a polygon and a circle: center and radius of the circle, then `EDGE` numbers for each edge, which are the corner at
   which it starts, its normal and its length;
 - two polygons: the edges of the first, then those of the second;
-- a polyline and a circle or polygon: see `mbdkit.engine.kernels.uneven_ground`.
+- a polyline and a circle or polygon: see `mbdkit_contact.kernels.uneven_ground`.
 
 For the linear law and shapes without polygon, the side of each row follows: 1 if the force of spring and damper acts,
 -1 if it does not, and 0 if it acts where the shapes overlap and it pushes them apart. Gradients need steps with
@@ -40,7 +40,11 @@ from math import sqrt, tanh
 
 from mbdkit.engine.kernels.angles import cosine_and_sine
 from mbdkit.engine.kernels.bundle_types import IntMatrix, RealCube, RealMatrix, RealVector
-from mbdkit.engine.kernels.uneven_ground import (
+from mbdkit.engine.kernels.vectors import fill
+from mbdkit.engine.native.arithmetic import value_of
+from mbdkit.engine.native.calls import call_law, integers_at, new_registers, numbers_at
+from mbdkit.engine.native.functions import inlined, kernel, law_function
+from mbdkit_contact.kernels.uneven_ground import (
     EDGE,
     OWN,
     SEGMENT,
@@ -51,11 +55,7 @@ from mbdkit.engine.kernels.uneven_ground import (
     touching_corner,
     window_around,
 )
-from mbdkit.engine.kernels.uneven_ground import height_over as _over
-from mbdkit.engine.kernels.vectors import fill
-from mbdkit.engine.native.arithmetic import value_of
-from mbdkit.engine.native.calls import call_law, integers_at, new_registers, numbers_at
-from mbdkit.engine.native.functions import inlined, kernel, law_function
+from mbdkit_contact.kernels.uneven_ground import height_over as _over
 
 FORCES, SLOPES, VALUES = range(3)
 """Modes: what the law computes."""

@@ -1,0 +1,6 @@
+"""Modes of contacts."""
+
+from __future__ import annotations
+
+OPEN, STICK, SLIP = range(3)
+"""Modes of a contact: open, sticking (closed without slip) and slipping."""
