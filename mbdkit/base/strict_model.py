@@ -29,7 +29,7 @@ class StrictModel(BaseModel):
 
     model_config = ConfigDict(**STRICT)
     FURTHER_AFTER: ClassVar[str] = ""
-    """Key after which the `further_keys` are listed; by default, they come last."""
+    """Key after which the `further_keys` are listed if they are sections; by default, they come last."""
 
     @classmethod
     def chosen_unit(cls, name: str, data: Mapping[str, Any]) -> str:

@@ -193,11 +193,14 @@ def value_path(path: Path, key: Path) -> Path:
 def _unknown_key(key: str, owner: type[BaseModel] | None, plugins: PluginLookup) -> str:
     if owner is None:
         return "unknown key"
-    fields = owner.model_fields
+    fields = dict(owner.model_fields)
     known = sorted((info.alias or name for name, info in fields.items()), key=lambda name: name != "name")
     if issubclass(owner, StrictModel):
+        further = [name for name in owner.further_keys() if name not in known]
         place = known.index(owner.FURTHER_AFTER) + 1 if owner.FURTHER_AFTER in known else len(known)
-        known[place:place] = [further for further in owner.further_keys() if further not in known]
+        known[place:place] = further
+        if owner.FURTHER_AFTER:  # further keys are sections
+            fields |= {name: field for name in further if (field := owner.further_field(name)) is not None}
     message = plugins.owners_of(key, owner) or f"unknown key{did_you_mean(key, known)}"
     for name, info in fields.items():
         section = info.annotation
