@@ -237,8 +237,10 @@ class ModelSpec(StrictSpec):
         """Raise SpecError if the other sections are not compatible with the mechanism."""
 
     def _build(self) -> Mechanism:
+        from mbdkit.engine.native.levels import chosen_level
         from mbdkit.mechanism.mechanism import Mechanism
 
+        chosen_level()  # refuses a wrong MBDKIT_PROCESSOR, for which no model is to blame
         try:
             with blaming(f"model {self.model_item.id} failed to build"):
                 mechanism: Any = self._built()
