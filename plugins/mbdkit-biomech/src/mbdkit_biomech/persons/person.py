@@ -75,6 +75,8 @@ class Person:
         Doubts and remarks.
     time, columns
         Times (T,) and observed quantities (T,) of the model by name; nan in gaps.
+    reference
+        Index of the frame in whose pose the covariances of the centres are given.
     """
 
     subject: Subject
@@ -88,6 +90,7 @@ class Person:
     findings: tuple[Finding, ...]
     time: np.ndarray
     columns: Mapping[str, np.ndarray]
+    reference: int
 
     def to_dict(self) -> dict[str, Any]:
         """Return the person without motion and loads as plain data, for the archive; None where a number is nan."""
@@ -325,5 +328,5 @@ class Builder:
         findings = (*self.findings, *plates.findings)
         return Person(
             of, self.plane, self.centers, lengths, masses, self.segments.motion.artefacts, self.zeros, plates, findings,
-            self.time, columns,
+            self.time, columns, self.segments.reference,
         )  # fmt: skip
