@@ -217,7 +217,8 @@ def _covariances(
     coordinates with one of the smoothings `others` and the coordinates of the result.
     """
     totals: list[np.ndarray | float] = [0.0] * (1 + len(others))
-    for noise in path.samples(deviation, asked.samples, random):
+    for white in path.samples(deviation, asked.samples, random):
+        noise = white + path.artefacts(white.shape[2], random)
         own = path.smoothed(noise).every
         for index, change in enumerate([own, *(one.noise(noise).every - own for one in others)]):
             totals[index] = totals[index] + products(change, np.swapaxes(change, 1, 2))

@@ -186,7 +186,8 @@ def _noisy(
     random: np.random.Generator,
 ) -> Iterator[tuple[Smoothed, dict[str, LoadSeries]]]:
     """Yield samples of the coordinates, with noise and with changes at both ends, and of the loads."""
-    for block in path.samples(deviation, SAMPLES, random):
+    for white in path.samples(deviation, SAMPLES, random):
+        block = white + path.artefacts(white.shape[2], random)
         change = path.smoothed(block)
         for own in np.eye(block.shape[2]):
             ends = random.uniform(-1.0, 1.0, at_ends.value.shape[2:])

@@ -128,10 +128,9 @@ class Changer:
             other.joints = {name: _stretched_points(one, sizes) for name, one in base.joints.items()}
             other.forces = {name: _stretched_points(one, sizes) for name, one in base.forces.items()}
             other.markers = {
-                name: one.model_copy(update={"point": tuple(sizes[one.body] * x for x in one.point)})
-                if one.body in sizes else one
+                name: one.model_copy(update={"point": _scaled(one.point or (0.0, 0.0), sizes.get(one.body, 1.0))})
                 for name, one in base.markers.items()
-            }  # fmt: skip
+            }
         if muscles := getattr(base, "muscles", None):
             other.muscles = {name: _moved_points(name, one, sizes, change) for name, one in muscles.items()}
         return other
