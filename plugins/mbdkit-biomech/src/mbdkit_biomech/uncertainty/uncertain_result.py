@@ -47,6 +47,8 @@ class UncertainResult:
         (G, T, J) shares of the sources in the mean square changes of the forces of joints.
     scalars, samples, failed
         Number of scalars, of samples, and of samples in which the muscles cannot produce some frames.
+    failed_rows
+        Share of the frames of all samples that the muscles cannot produce.
     """
 
     squares: list[np.ndarray]
@@ -57,6 +59,15 @@ class UncertainResult:
     scalars: int
     samples: int
     failed: int
+    failed_rows: float
+
+    @property
+    def failures(self) -> str:
+        """A sentence on the samples without solution."""
+        return (
+            f"in {self.failed} of {self.samples} samples of the uncertain muscles, they are too weak, or their tendons "
+            f"too long, to produce some frames ({self.failed_rows:.2%} of all), which error bars leave out"
+        )
 
     @property
     def told(self) -> str:
@@ -130,7 +141,7 @@ def uncertain_result(result: Inverse, random: np.random.Generator) -> UncertainR
     kinds = {one.group: one.kind for one in sources}
     return UncertainResult(
         squares, _bound(np.abs(largest - own)), groups, tuple(kinds[one] for one in groups), shares, len(sources),
-        len(values), failed,
+        len(values), failed, float(np.mean(np.isnan(sampled.reactions).any(axis=(2, 3)))),
     )  # fmt: skip
 
 
