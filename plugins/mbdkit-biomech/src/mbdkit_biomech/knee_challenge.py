@@ -27,6 +27,7 @@ from mbdkit.spec.loading import read_source
 from mbdkit_biomech.inverse_dynamics.table_files import read_table
 from mbdkit_biomech.persons.calibration import LEFT
 from mbdkit_biomech.persons.person import Person
+from mbdkit_biomech.uncertainty.contributions import contributions, has_contributions
 
 TRIAL = "jw_ngait_og3"
 """The trial whose forces were open to the participants of the competition."""
@@ -80,7 +81,7 @@ def spec_of(markers: Path, **sections: Any) -> dict[str, Any]:
             "smooth": {"name": "butterworth", "cutoff": 8},
             "gaps": {"longest": 0.2},
         },
-        "recruitment": {"exponent": 2, "minimum": 0.01, "reserves": 1.0, "passive": True},
+        "recruitment": {"exponent": 2, "minimum": 0.01, "reserves": 1.0},
         **sections,
     }
 
@@ -202,39 +203,42 @@ def compared(run: mbdkit.Run, measured: Mapping[str, np.ndarray]) -> tuple[Compa
     )
 
 
-def report_of(phases: Sequence[Phase], force: Comparison, angle: Comparison) -> list[str]:
-    """Return the lines of the table; frames are counted from the first phase."""
+def report_of(phases: Sequence[Phase], force: Comparison, angle: Comparison, run: mbdkit.Run) -> list[str]:
+    """Return the lines of the table, and the sources of error at the peaks."""
     start = phases[0].first
     lines = [f"body weight {WEIGHT:.0f} N; knee force: compression along the shank; bars of 95 %", ""]
     lines.append(
         f"{'':<12}{'frames':>7}{'rms [N]':>9}{'rms [BW]':>10}{'bias [N]':>10}{'covered':>9}{'half width [BW]':>17}"
     )
-    whole = Phase("all", start, phases[-1].end)
-    stances = [one for one in phases if one.name.startswith("stance")]
-    for phase in (*phases, whole):
+    for phase in (*phases, Phase("all", start, phases[-1].end)):
         own = force.rows(slice(phase.first - start, phase.end - start))
         lines.append(
             f"{phase.name:<12}{len(own.error):>7}{own.rms:>9.0f}{own.rms / WEIGHT:>10.3f}{np.mean(own.error):>10.0f}"
-            f"{own.covered:>9.0%}{np.median(own.bar) / WEIGHT:>17.2f}"
+            f"{own.covered:>9.0%}{np.nanmedian(own.bar) / WEIGHT:>17.2f}"
         )
     lines += ["", f"{'peak':<22}{'measured [N]':>13}{'computed [N]':>13}{'bar [N]':>9}{'bar [BW]':>10}  inside"]
-    for stance in stances:
+    sources = []
+    for stance in (one for one in phases if one.name.startswith("stance")):
         middle = (stance.first + stance.end) // 2
-        for name, frames in (("first", slice(stance.first - start, middle - start)),
-                          ("second", slice(middle - start, stance.end - start))):  # fmt: skip
-            part = force.rows(frames)
+        halves = {
+            "first": slice(stance.first - start, middle - start),
+            "second": slice(middle - start, stance.end - start),
+        }
+        for name, half in halves.items():
+            part, label = force.rows(half), f"{stance.name}, {name}"
             at = int(np.argmax(part.computed))
             inside = abs(np.max(part.measured) - part.computed[at]) <= part.bar[at]
             lines.append(
-                f"{f'{stance.name}, {name}':<22}{np.max(part.measured):>13.0f}{part.computed[at]:>13.0f}"
+                f"{label:<22}{np.max(part.measured):>13.0f}{part.computed[at]:>13.0f}"
                 f"{part.bar[at]:>9.0f}{part.bar[at] / WEIGHT:>10.2f}  {'yes' if inside else 'no'}"
             )
-    lines.append("")
-    lines.append(
-        f"knee angle minus goniometer: {np.mean(angle.error):.1f} deg, standard deviation {np.std(angle.error):.1f}; "
-        f"the bar, {np.median(angle.bar):.1f} deg (median), holds the goniometer in {angle.covered:.0%} of the frames"
-    )
-    return lines
+            if has_contributions(run):
+                sources.append(f"{label:<22}{contributions(run, 'knee', float(run.time[half][at])).sentence}")
+    return [
+        *(*lines, "", *sources, ""),
+        f"knee angle minus goniometer: {np.mean(angle.error):.1f} deg, standard deviation {np.std(angle.error):.1f}",
+        f"bar of the angle: {np.median(angle.bar):.1f} deg; it holds the goniometer in {angle.covered:.0%} of frames",
+    ]
 
 
 def compare(folder: Path, trial: str = TRIAL, *, archive: Path | None = None, **sections: Any) -> list[str]:
@@ -264,7 +268,8 @@ def compare(folder: Path, trial: str = TRIAL, *, archive: Path | None = None, **
         force, angle = compared(run, {name: values[own] for name, values in measured.items()})
         summary = [f"{trial}: {len(run.time)} frames from {run.time[0]:.3f} to {run.time[-1]:.3f} s", ""]
         summary += [f"{label:<12} {text}" for label, text in person.lines().items()]
-    return [*summary, "", *report_of(phases, force, angle)]
+        lines = report_of(phases, force, angle, run)
+    return [*summary, "", *lines]
 
 
 def main(words: Sequence[str] | None = None) -> None:

@@ -167,7 +167,9 @@ class _Sources:
         yield from self._of_loads()
         yield from self._angles()
         if self.person is not None and self.person.plates.offset is not None and self.person.plates.loads:
-            deviation = self.person.plates.offset[1] / np.sqrt(3.0)  # uniform within the bound
+            # plates and markers of a file have the same clock: their samples belong to the same interval of frames
+            interval = float(np.median(np.diff(self.person.time)))
+            deviation = min(self.person.plates.offset[1], interval) / np.sqrt(3.0)  # uniform within the bound
             yield Source("offset in time of the plates", "person", {("offset",): deviation})
         yield from self._of_muscles()
 

@@ -7,9 +7,10 @@ from typing import Annotated, ClassVar
 from pydantic import Field
 
 from mbdkit.base.errors import SpecError
-from mbdkit.mechanism.values import NotNegative
 from mbdkit.spec.sections import Count, Section
 
+Distance = Annotated[float, Field(ge=0, le=0.1)]
+Angle = Annotated[float, Field(ge=0, le=0.5)]
 Share = Annotated[float, Field(ge=0, le=1)]
 Exponent = Annotated[float, Field(ge=2, le=20)]
 Activation = Annotated[float, Field(ge=0, lt=1)]
@@ -28,7 +29,7 @@ class Uncertainty(Section):
         *("muscle_points", "pressure", "plate_gain", "angles", "exponent", "minimum"),
     )
 
-    centers: NotNegative | dict[str, NotNegative] | None = None
+    centers: Distance | dict[str, Distance] | None = None
     """Joint centres of a person, forward and up [m], one value for all or one by joint; by default, the covariances of
     their calibration."""
     lengths: Share | None = None
@@ -43,13 +44,13 @@ class Uncertainty(Section):
     """Optimal length of the fibres of each muscle; default 0.05."""
     tendon_length: Share | None = None
     """Length of the tendon of each muscle; default 0.02."""
-    muscle_points: NotNegative | None = None
+    muscle_points: Distance | None = None
     """Points of each muscle on each body, which move together, along both axes of the body [m]; default 0.005."""
-    pressure: NotNegative | None = None
+    pressure: Distance | None = None
     """Point of application of each load with a point in the global frame, along x [m]; default 0.005."""
     plate_gain: Share | None = None
     """Factor of the force of each load; default 0.01."""
-    angles: NotNegative | None = None
+    angles: Angle | None = None
     """Zero of each observed angle [rad]. The default for a person is the scatter in the static trial or on the flat
     foot, and 0.05 for a trunk without static trial."""
     exponent: tuple[Exponent, Exponent] | None = None
