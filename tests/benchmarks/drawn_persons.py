@@ -213,7 +213,7 @@ def persons(console: Console, count: int = 20, seed: int = 0, samples: int = 200
     tally, begin = Tally(), time.process_time()
     for number in range(count):
         try:
-            _add_person(tally, np.random.default_rng([seed, number]), samples)
+            add_person(tally, np.random.default_rng([seed, number]), samples)
         except MbdkitError as error:
             tally.failed.append(f"{number}: {error}")
     tally.seconds = time.process_time() - begin
@@ -230,24 +230,26 @@ def persons(console: Console, count: int = 20, seed: int = 0, samples: int = 200
         console.print(f"failed: {text}")
 
 
-def _add_person(tally: Tally, random: np.random.Generator, samples: int) -> None:
+def add_person(tally: Tally, random: np.random.Generator, samples: int) -> None:
     """Add a person; raise MbdkitError if there is no result."""
-    person = drawn_person(random)
+    person = drawn_person(random, uncertainty={"samples": samples})
     with redirect_stderr(io.StringIO()):
         found, truth = mbdkit.inverse(person.measured), mbdkit.inverse(person.truth)
     assert found.accuracy is not None
+    parts = found.accuracy.parts
     for joint in JOINTS:
         own, other = (run.joints[joint].reaction_force for run in (found, truth))
-        bar = found.accuracy.reaction_error[:, list(found.joint_names).index(joint)]
-        tally.add(f"force of the {joint}", np.linalg.norm(own - other, axis=1), bar)
+        place = list(found.joint_names).index(joint)
+        tally.add(f"force of the {joint}", np.linalg.norm(own - other, axis=1), found.accuracy.reaction_error[:, place])
         sizes = [np.linalg.norm(one, axis=1) for one in (own, other)]
         at = int(np.argmax(sizes[0]))
-        tally.add(f"peak of the {joint}", np.array([sizes[0][at] - np.max(sizes[1])]), bar[[at]])
+        bar = np.hypot(parts["reaction_error_data"][at, place], parts["reaction_peak_error"][place])
+        tally.add(f"peak of the {joint}", sizes[0][at] - np.max(sizes[1]), bar)
     errors, peaks, bars, bars_of_peaks = [], [], [], []
     for name, muscle in found.muscles.items():
-        other, at = truth.muscles[name].force, int(np.argmax(muscle.force))
-        errors.append(muscle.force - other)
-        peaks.append(muscle.force[at] - np.max(other))
+        tension, at = truth.muscles[name].force, int(np.argmax(muscle.force))
+        errors.append(muscle.force - tension)
+        peaks.append(muscle.force[at] - np.max(tension))
         bars.append(muscle.force_error)
         bars_of_peaks.append(muscle.force_error[at])
     tally.add("forces of muscles", np.concatenate(errors), np.concatenate(bars))
