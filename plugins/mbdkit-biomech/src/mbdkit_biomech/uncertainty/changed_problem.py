@@ -158,7 +158,7 @@ class Changer:
         """The frame of the motion nearest to that in which covariances are given."""
         return int(np.argmin(np.abs(self.result.motion.time - self.person.time[self.person.reference])))
 
-    def _displacement(self, joint: str, change: Change) -> np.ndarray:
+    def displacement(self, joint: str, change: Change) -> np.ndarray:
         """Return the displacement (T, 2) of a joint centre."""
         x, y = (change.get(("centers", joint, axis), 0.0) for axis in "xy")
         found = np.zeros((len(self.result.motion.time), 2))
@@ -182,7 +182,7 @@ class Changer:
                 first, last = (f"{end}{leg}" for end in ends)
                 angle = self._angle(f"{name}{leg}")
                 up = np.column_stack([-elementary.sin(angle), elementary.cos(angle)])
-                gap = self._displacement(first, change) - self._displacement(last, change)
+                gap = self.displacement(first, change) - self.displacement(last, change)
                 moves.append(float(np.mean(np.sum(up * gap, axis=1))))
                 own, covariance = up[self._reference], self.person.centers[first].covariance
                 covariance = (covariance + self.person.centers[last].covariance)[:2, :2]
@@ -200,7 +200,7 @@ class Changer:
         for joint in dict.fromkeys(place[1] for place in change if place[0] == "centers"):
             is_hip = joint.startswith("hip")
             share = 1.0 / len(self._legs) if is_hip else 1.0  # both hips are one point of the trunk
-            moved = share * self._displacement(joint, change)
+            moved = share * self.displacement(joint, change)
             for axis, letter in enumerate("xy"):
                 found[:, names.index(f"markers.{'hip' if is_hip else joint}.{letter}")] += moved[:, axis]
         return found

@@ -10,6 +10,7 @@ The reactions are ``r + G F``.
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -28,8 +29,11 @@ from mbdkit_biomech.inverse_dynamics.shared_loads import Programme, share_loads
 from mbdkit_biomech.uncertainty.changed_problem import PROPERTIES, ChangedProblem, Changer
 from mbdkit_biomech.uncertainty.sources import Place, Source
 
-ROWS = 20_000
+ROWS = 10_000
 """Number of programmes of recruitment that are solved together; more of them do not fit in the caches."""
+
+THREADS = 2
+"""Number of blocks that are solved at once. Results do not depend on it."""
 
 SHORTEST = 1e-3
 """Least length of fibres along the tendon [m]; samples whose tendons leave less have no solution in these frames."""
@@ -189,9 +193,9 @@ class StackedOutcomes:
             np.empty((count, frames, layout.muscles)),
         )
         order = np.argsort(self._total(values, ("exponent",)), kind="stable")  # equal exponents are solved together
-        for chosen in _blocks(self._total(values, ("exponent",))[order], max(1, ROWS // frames)):
-            own = order[chosen]
-            self._fill(values[own], own, out)
+        blocks = _blocks(self._total(values, ("exponent",))[order], max(1, ROWS // frames))
+        with ThreadPoolExecutor(THREADS) as pool:  # NumPy and machine code release the lock of the interpreter
+            list(pool.map(lambda chosen: self._fill(values[order[chosen]], order[chosen], out), blocks))
         failed = np.isnan(out.reactions).any(axis=(1, 2, 3))
         return out, int(np.sum(failed))
 
