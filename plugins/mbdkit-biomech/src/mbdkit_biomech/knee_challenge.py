@@ -56,6 +56,10 @@ _LEG = {"thigh": ("ThighSuperior", "ThighInferior", "ThighLateral"),
         "foot": ("Heel", "Toe", "MidfootMedial", "MidfootLateral", "Hindfoot")}  # fmt: skip
 
 
+MARGIN = 0.15
+"""Time before and after the stances in which forces are computed [s], so that the ends of the record have no effect."""
+
+
 class Phase(NamedTuple):
     """A stance of the right leg or the swing between two, by its first frame and the frame after its last one."""
 
@@ -183,8 +187,9 @@ class Comparison(NamedTuple):
         return float(np.sqrt(np.mean(self.error * self.error)))
 
 
-def compared(run: mbdkit.Run, measured: Mapping[str, np.ndarray]) -> tuple[Comparison, Comparison]:
-    """Return the compressive force of the right knee along the shank [N], and the angle of the knee [deg].
+def compared(run: mbdkit.Run, measured: Mapping[str, np.ndarray], rows: slice) -> tuple[Comparison, Comparison]:
+    """Return the compressive force of the right knee along the shank [N], and the angle of the knee [deg], in some rows
+    of a run.
 
     The cells measure the force along the axis of the tibia; the bar is that of the whole force. The bar of the angle
     contains those of both segments as if they were independent.
@@ -192,18 +197,18 @@ def compared(run: mbdkit.Run, measured: Mapping[str, np.ndarray]) -> tuple[Compa
     joint, bodies = list(run.joint_names).index("knee"), list(run.bodies)
     accuracy = run.accuracy
     assert accuracy is not None
-    thigh, shank = (run.bodies[name].angle for name in ("thigh", "shank"))
-    force = run.joints["knee"].reaction_force
+    thigh, shank = (run.bodies[name].angle[rows] for name in ("thigh", "shank"))
+    force = run.joints["knee"].reaction_force[rows]
     along = elementary.sin(shank) * force[:, 0] - elementary.cos(shank) * force[:, 1]
-    errors = [accuracy.position_error[:, bodies.index(name), 2] for name in ("thigh", "shank")]
+    errors = [accuracy.position_error[rows, bodies.index(name), 2] for name in ("thigh", "shank")]
     bar = np.degrees(np.sqrt(sum(one * one for one in errors)))
     return (
-        Comparison(along, accuracy.reaction_error[:, joint], measured["force"]),
+        Comparison(along, accuracy.reaction_error[rows, joint], measured["force"]),
         Comparison(np.degrees(thigh - shank), bar, measured["GON"]),
     )
 
 
-def report_of(phases: Sequence[Phase], force: Comparison, angle: Comparison, run: mbdkit.Run) -> list[str]:
+def report_of(phases: Sequence[Phase], force: Comparison, angle: Comparison, run: mbdkit.Run, rows: slice) -> list[str]:
     """Return the lines of the table, and the sources of error at the peaks."""
     start = phases[0].first
     lines = [f"body weight {WEIGHT:.0f} N; knee force: compression along the shank; bars of 95 %", ""]
@@ -233,7 +238,7 @@ def report_of(phases: Sequence[Phase], force: Comparison, angle: Comparison, run
                 f"{part.bar[at]:>9.0f}{part.bar[at] / WEIGHT:>10.2f}  {'yes' if inside else 'no'}"
             )
             if has_contributions(run):
-                sources.append(f"{label:<22}{contributions(run, 'knee', float(run.time[half][at])).sentence}")
+                sources.append(f"{label:<22}{contributions(run, 'knee', float(run.time[rows][half][at])).sentence}")
     return [
         *(*lines, "", *sources, ""),
         f"knee angle minus goniometer: {np.mean(angle.error):.1f} deg, standard deviation {np.std(angle.error):.1f}",
@@ -262,13 +267,17 @@ def compare(folder: Path, trial: str = TRIAL, *, archive: Path | None = None, **
     person = load_inverse_spec(data).person
     phases = phases_of(person)
     own = slice(phases[0].first, phases[-1].end)
-    half = 0.5 * float(np.median(np.diff(person.time)))
-    data["time"] = {"start": float(person.time[own][0]) - half / 2, "end": float(person.time[own][-1]) + half / 2}
+    data["time"] = {"start": float(max(person.time[own][0] - MARGIN, person.time[0])),
+                    "end": float(min(person.time[own][-1] + MARGIN, person.time[-1]))}  # fmt: skip
     with mbdkit.inverse(data, archive=archive) as run:
-        force, angle = compared(run, {name: values[own] for name, values in measured.items()})
-        summary = [f"{trial}: {len(run.time)} frames from {run.time[0]:.3f} to {run.time[-1]:.3f} s", ""]
+        rows = slice(first := int(np.argmin(np.abs(run.time - person.time[own][0]))), first + own.stop - own.start)
+        force, angle = compared(run, {name: values[own] for name, values in measured.items()}, rows)
+        summary = [
+            f"{trial}: {own.stop - own.start} frames from {run.time[rows][0]:.3f} to {run.time[rows][-1]:.3f} s",
+            "",
+        ]
         summary += [f"{label:<12} {text}" for label, text in person.lines().items()]
-        lines = report_of(phases, force, angle, run)
+        lines = report_of(phases, force, angle, run, rows)
     return [*summary, "", *lines]
 
 
