@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -13,9 +13,10 @@ import numpy as np
 from mbdkit.archive.hdf5 import create, set_text
 from mbdkit.archive.measured_values import ComparedMeasures, compared_from_json, compared_json
 from mbdkit.base.html_view import HtmlView
-from mbdkit.quantities.array import COORDINATE_UNITS
+from mbdkit.quantities.array import COORDINATE_UNITS, TEXT
 from mbdkit.quantities.names import COORDINATES
 from mbdkit.quantities.registered_kinds import kind_of_group
+from mbdkit.quantities.table import PARTS_OF_ACCURACY
 
 SMALL_FORCE = 1e-3
 """Errors of the force of a joint are divided by its largest force, but at least by this share of the largest force of
@@ -120,6 +121,8 @@ class Accuracy(HtmlView):
     unknown
         Why errors are unknown after `known_until`, as a clause; empty if all are known, or in archives of earlier
         versions.
+    parts
+        Further arrays of the group ``/accuracy`` by name, such as the parts of `reaction_error`; empty for most runs.
     """
 
     time: np.ndarray
@@ -137,6 +140,7 @@ class Accuracy(HtmlView):
     why: str = ""
     compared_measures: ComparedMeasures = field(default_factory=dict)
     unknown: str = ""
+    parts: Mapping[str, np.ndarray] = field(default_factory=dict)
 
     def __str__(self) -> str:
         """Return method, observed order, and largest errors as lines of text; the arrays are not printed."""
@@ -226,7 +230,7 @@ class Accuracy(HtmlView):
     @property
     def size_in_bytes(self) -> int:
         """Size of the arrays."""
-        return sum(getattr(self, name).nbytes for name in _VALUES)
+        return sum(values.nbytes for values in (*(getattr(self, name) for name in _VALUES), *self.parts.values()))
 
     def arrays(self, bodies: Sequence[str], joints: Sequence[str]) -> dict[str, np.ndarray]:
         """Return the arrays of the group ``/accuracy`` by path; `bodies` and `joints` are the names in their order."""
@@ -236,6 +240,7 @@ class Accuracy(HtmlView):
             "accuracy/body": np.array(bodies, object),
             "accuracy/joint": np.array(joints, object),
             **{f"accuracy/{name}": np.ascontiguousarray(getattr(self, name), np.float64) for name in _VALUES},
+            **{f"accuracy/{name}": np.ascontiguousarray(values) for name, values in self.parts.items()},
         }
 
     def write(self, file: h5py.File, bodies: Sequence[str], joints: Sequence[str]) -> None:
@@ -251,7 +256,8 @@ class Accuracy(HtmlView):
         group = file.create_group("accuracy")
         values = self.arrays(bodies, joints)
         for array in sorted(kind_of_group("accuracy").arrays, key=lambda array: not array.is_scale):
-            create(file, array, values[array.path])
+            if array.path in values:
+                create(file, array, values[array.path])
         for name in _NUMBERS:
             group.attrs[name] = np.float64(getattr(self, name))
         for name in _TEXTS:
@@ -263,8 +269,11 @@ class Accuracy(HtmlView):
     def read(cls, group: h5py.Group) -> Accuracy:
         """Read the group ``/accuracy`` of an archive."""
         values: dict[str, Any] = {name: group[name][:] for name in _VALUES}
-        for array in values.values():
+        further = [one for one in PARTS_OF_ACCURACY if one.path in group]
+        parts = {one.path: group[one.path].asstr()[:] if one.dtype == TEXT else group[one.path][:] for one in further}
+        for array in (*values.values(), *parts.values()):
             array.flags.writeable = False
+        values["parts"] = parts
         values |= {name: float(group.attrs.get(name, math.nan)) for name in _NUMBERS}
         values |= {name: str(group.attrs.get(name, "")) for name in _TEXTS}
         values[_COMPARED] = compared_from_json(str(group.attrs.get(_COMPARED, "{}")))

@@ -50,7 +50,10 @@ MESH_ERROR = "the error of the mesh of beams"
 """What error bars of runs with beams do not include."""
 
 PERSON_ERROR = "the uncertainty of the person's joint centres, lengths, masses and strength"
-"""What error bars of persons do not include."""
+"""What error bars of persons do not include, if their uncertainty is left out."""
+
+PERSON_MODEL_ERROR = "muscles that the model lacks, and motion out of the plane"
+"""What error bars of persons do not include otherwise."""
 
 #: Residuals [m or rad], overlaps [m] and creep [m/s] up to this value are rounding errors.
 EXACT = 1e-12
@@ -117,7 +120,9 @@ class Headline(NamedTuple):
 def excluded_error(run: Run) -> str:
     """Return the error that the estimates of a run do not include, that of the mesh of beams or of a person."""
     has_beams = run.spec.get("model", {}).get("beams") or (run.records("beams/strain_energy") and run.beams)
-    return MESH_ERROR if has_beams else PERSON_ERROR if "subject" in run.spec else ""
+    if has_beams or "subject" not in run.spec:
+        return MESH_ERROR if has_beams else ""
+    return PERSON_MODEL_ERROR if run.accuracy is not None and run.accuracy.parts else PERSON_ERROR
 
 
 def plus_minus(value: float, error: float, sign: str = "+-", digits: int = MOST_DIGITS) -> str:

@@ -12,7 +12,7 @@ from functools import lru_cache
 from mbdkit.quantities.array import Array, Kind, Recorded
 from mbdkit.quantities.names import ArchiveNames
 from mbdkit.quantities.registered_kinds import array_at, groups, kind_of_group, kinds, kinds_of, sizes_of
-from mbdkit.quantities.table import KINDS
+from mbdkit.quantities.table import KINDS, PARTS_OF_ACCURACY
 
 FORMAT = "mbdkit-run"
 
@@ -105,8 +105,12 @@ IMPACTS = tuple(kind_of_group("impacts").by_path)
 #: Paths of the arrays of friction in joints; all of them are present if a joint has friction.
 FRICTION = ("joints/value_row_units", "joints/friction")
 
-#: Paths of the arrays of estimated errors; all of them are present after a check of accuracy.
-ACCURACY = tuple(kind_of_group("accuracy").by_path)
+#: Paths of the arrays of estimated errors that are present after a check of accuracy.
+ACCURACY = tuple(
+    path
+    for path in kind_of_group("accuracy").by_path
+    if path not in {f"accuracy/{one.path}" for one in PARTS_OF_ACCURACY}
+)
 
 #: Paths of the arrays of corrections, by the kind of stabilization.
 CORRECTIONS: Mapping[str, tuple[str, ...]] = {

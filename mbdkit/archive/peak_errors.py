@@ -205,6 +205,10 @@ def errors_of_frames(run: Run, quantity: str, names: Sequence[str], size: np.nda
     """
     rows = np.argmax(np.nan_to_num(size), axis=0)
     found = np.take_along_axis(errors, rows[None], axis=0)[0].copy()
+    parts = {} if run.accuracy is None or quantity != "joints.force" else run.accuracy.parts
+    if "reaction_peak_error" in parts:  # contains that another frame may have the largest force
+        of_data = np.take_along_axis(parts["reaction_error_data"], rows[None], axis=0)[0]
+        found = np.where(np.isfinite(found), np.sqrt(of_data**2 + parts["reaction_peak_error"] ** 2), np.nan)
     for name, measure in measures_of_largest(run.spec.get("measures") or {}, quantity).items():
         if name in names and measure in run.measures:
             place = list(names).index(name)

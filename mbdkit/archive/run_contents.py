@@ -437,9 +437,11 @@ class ArrayContents(RunContents):
             return self._finished.arrays[self.kinds[path.partition("/")[0]].by_path[path].key]
         if path in self._texts:
             return np.array(self._texts[path], object)
-        if self._finished.accuracy is not None and path in layout.ACCURACY:
+        if self._finished.accuracy is not None and path.startswith("accuracy/"):
             names = self._finished.names
-            return self._finished.accuracy.arrays(names.bodies, names.joints)[path]
+            of_accuracy = self._finished.accuracy.arrays(names.bodies, names.joints)
+            if path in of_accuracy:
+                return of_accuracy[path]
         if array_at(path) is None:
             raise UnknownNameError("array", path, [one.path for one in layout.every_array()])
         if self._store:

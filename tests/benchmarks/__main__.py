@@ -18,6 +18,7 @@ from . import (
     beams,
     chain,
     contacts,
+    drawn_persons,
     elementary,
     ensemble,
     executors,
@@ -45,6 +46,7 @@ SECTIONS: dict[str, Callable[[Console], None]] = {
     "implicit": chain.implicit,
     "inverse": inverse_frames.inverse_frames,
     "memory": chain.memory,
+    "persons": drawn_persons.persons,
     "plugins": plugins.plugins,
     "precision": precision,
     "python": python_steps.python_steps,
@@ -73,6 +75,7 @@ def main() -> None:
         action="store_true",
         help="print the calls of Python functions a step of `contacts` instead of times",
     )
+    parser.add_argument("--count", type=int, default=20, metavar="N", help="number of persons of `persons`")
     asked = parser.parse_args()
     chosen = asked.sections or list(SECTIONS)
     unknown = sorted(set(chosen) - set(SECTIONS))
@@ -81,7 +84,11 @@ def main() -> None:
     of_contacts = {"only": asked.only, "quick": asked.quick, "profile": asked.profile}
     if any(of_contacts.values()) and chosen != ["contacts"]:
         parser.error("--only, --quick and --profile are for the section contacts; ask for this one alone")
-    sections = {**SECTIONS, "contacts": functools.partial(contacts.contacts, **of_contacts)}
+    sections = {
+        **SECTIONS,
+        "contacts": functools.partial(contacts.contacts, **of_contacts),
+        "persons": functools.partial(drawn_persons.persons, count=asked.count),
+    }
     if asked.output is not None:
         drawing = [name for name in chosen if name in ("precision", "scale")]
         if len(drawing) != 1:

@@ -3,9 +3,10 @@
 Prints them as YAML. Needs ``pip install opensim pyyaml``, and the model Gait10dof18musc of
 https://github.com/opensim-org/opensim-models, the right leg of which has nine muscles. Points are scaled to the
 segments of the model `leg` for 1.8 m, each along its segment, and moved to its frames, whose origins are the centres of
-mass. The knee of OpenSim's model slides; here it is a pin at its mean place between 0 and 70 degrees. Fibres and
-tendons are scaled with the length of the whole muscle in upright posture. Insertions of the quadriceps move with the
-knee; their splines become polynomials of third degree that fit them between 0 and 85 degrees within 0.8 mm.
+mass. The knee of OpenSim's model slides and rolls: from 0 to 70 degrees, a point of its femur stays within 0.7 mm of
+a point of its tibia. Here, the knee is a pin at this point. Fibres and tendons are scaled with the length of the whole
+muscle in upright posture. Insertions of the quadriceps move with the knee; their splines become polynomials of fifth
+degree that fit them between -10 and 110 degrees within 0.4 mm.
 """
 
 from __future__ import annotations
@@ -26,9 +27,11 @@ THIGH, SHANK, FOOT = 0.245 * HEIGHT, 0.246 * HEIGHT, 0.152 * HEIGHT
 TRUNK_CENTRE = 0.3155
 """Height of the centre of mass of the trunk above the hip."""
 CENTRES = {"thigh": -0.433 * THIGH, "shank": -0.433 * SHANK}
+TALUS = np.array([0.0, -0.43])
+"""Ankle in the frame of the tibia in OpenSim's model [m]."""
 ANKLE = np.array([-0.04877, -0.04195, 0.00792])
 """Origin of calcn from the ankle in OpenSim's model."""
-BENT = np.radians(np.linspace(0, 85, 18))
+BENT = np.radians(np.linspace(-10, 110, 25))
 NAMES = {
     "hamstrings": "hamstrings",
     "bifemsh": "biceps femoris short head",
@@ -50,8 +53,7 @@ class Leg:
         self.model = osim.Model(file)
         self.state = self.model.initSystem()
         self.knee = self.model.getCoordinateSet().get("knee_angle_r")
-        places = [self.tibia(angle) for angle in np.radians(np.linspace(0, 70, 15))]
-        self.pin = np.mean(places, axis=0)
+        self.pin, self.pin_of_tibia = self.pins()
         self.bend(0.0)
         self.foot_centre = foot_centre
 
@@ -67,6 +69,18 @@ class Leg:
         place = bodies.get("tibia_r").findStationLocationInAnotherFrame(self.state, osim.Vec3(0), bodies.get("femur_r"))
         return np.array([place.get(0), place.get(1)])
 
+    def pins(self) -> tuple[np.ndarray, np.ndarray]:
+        """Return the points (2,) of femur and tibia that stay closest to each other while the knee bends."""
+        rows, places = [], []
+        for flexion in np.radians(np.linspace(0, 70, 15)):
+            c, s = np.cos(flexion), np.sin(flexion)
+            rows.append(np.hstack([np.eye(2), -np.array([[c, s], [-s, c]])]))
+            places.append(self.tibia(flexion))
+        found = np.linalg.lstsq(np.concatenate(rows), np.concatenate(places))[0]
+        left = np.reshape(np.concatenate(rows) @ found, (-1, 2)) - places
+        print(f"# distance of both points: {1e3 * np.max(np.hypot(*left.T)):.2g} mm", file=sys.stderr)
+        return found[:2], found[2:]
+
     def moved(self, body: str, point: np.ndarray) -> tuple[str, list[float]]:
         """Return body and point of `leg`."""
         x, y, z = point
@@ -75,7 +89,9 @@ class Leg:
         if body == "femur_r":
             return "thigh", [x - self.pin[0] * y / self.pin[1], y * THIGH / -self.pin[1] - CENTRES["thigh"], z]
         if body == "tibia_r":
-            return "shank", [x, y * SHANK / 0.43 - CENTRES["shank"], z]
+            x, y = np.array([x, y]) - self.pin_of_tibia
+            along = self.pin_of_tibia - TALUS
+            return "shank", [x - along[0] * y / along[1], y * SHANK / along[1] - CENTRES["shank"], z]
         x, y, z = point + ANKLE
         return "foot", [x - self.foot_centre[0], y - self.foot_centre[1], z]
 
@@ -123,13 +139,13 @@ class Leg:
             places.append(self.moved(body, self.location(point))[1])
         found = []
         for axis in range(2):
-            numbers = np.polynomial.polynomial.polyfit(BENT, np.array(places)[:, axis], 3)
+            numbers = np.polynomial.polynomial.polyfit(BENT, np.array(places)[:, axis], 5)
             left = np.polynomial.polynomial.polyval(BENT, numbers) - np.array(places)[:, axis]
             print(f"# fit of a moving point: {1e3 * np.max(np.abs(left)):.2g} mm", file=sys.stderr)
-            terms = [f"{numbers[0]:.4f}"]
+            terms = [f"{numbers[0]:.5f}"]
             for power, number in enumerate(numbers[1:], start=1):
                 bend = "knee_flexion" if power == 1 else f"knee_flexion**{power}"
-                terms.append(f"{'+' if number >= 0 else '-'} {abs(number):.4f}*{bend}")
+                terms.append(f"{'+' if number >= 0 else '-'} {abs(number):.5f}*{bend}")
             found.append(" ".join(terms))
         return found
 

@@ -144,6 +144,19 @@ def mbdkit_items() -> Iterable[Item]:
             of="Run",
             target=Target(f"{_ROOM}.moment_arms:arms_of"),
         ),
+        Accessor(
+            name="contributions",
+            summary="What contributes to the error bar of the force of a joint.",
+            of="Run",
+            target=Target("mbdkit_biomech.uncertainty.contributions:contributions_of"),
+        ),
+        SummaryLine(
+            name="uncertainty",
+            summary="Sources of the error bars of joint forces.",
+            order=510,
+            text=Target("mbdkit_biomech.uncertainty.contributions:uncertainty_lines"),
+            of=frozenset({"inverse"}),
+        ),
         SummaryLine(
             name="inverse",
             summary="Fit, gaps, actuators, residuals and reserves.",
@@ -189,6 +202,13 @@ def mbdkit_items() -> Iterable[Item]:
             make=Target(f"{_ROOM}.load_sections:inverse_sections"),
             charts=Target(f"{_ROOM}.load_sections:inverse_charts"),
             film=Target(f"{_ROOM}.load_frames:film_with_arrows"),
+        ),
+        ReportSection(
+            name="uncertainty",
+            summary="Sources of the error bars of joint forces.",
+            order=110,
+            make=Target("mbdkit_biomech.uncertainty.uncertainty_sections:uncertainty_sections"),
+            charts=Target("mbdkit_biomech.uncertainty.uncertainty_sections:uncertainty_charts"),
         ),
         ViewItem(
             name="workload",

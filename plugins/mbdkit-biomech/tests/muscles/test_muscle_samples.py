@@ -25,7 +25,7 @@ def test_a_single_muscle_has_its_tension_whatever_its_properties():
     with mbdkit.inverse(held({"max_force": 0.2})) as run:
         np.testing.assert_allclose(run.muscles["biceps"].force, FORCE, rtol=1e-9)
         assert np.max(run.muscles["biceps"].force_error) < 1e-6 * FORCE
-        assert "100 samples of properties of the muscles" in run.accuracy.method
+        assert "100 samples of 1 scalar of 1 source" in run.accuracy.method
 
 
 def test_the_error_of_a_shared_tension_follows_from_the_deviation_of_the_muscle():
@@ -48,9 +48,9 @@ def test_measures_have_samples_of_muscles_too(monkeypatch):
     spec["motion"]["smooth"] = "quintic"
     found = measure_samples.sampled_measures(load_inverse_spec(spec, ()), ["pull"])
     assert found is not None
-    assert len(found.muscles) == 40
+    assert len(found.uncertain) == measure_samples.UNCERTAIN_SAMPLES
     share = 1 / (1 + (0.04 * 600 / 20.0) ** 2)
-    assert np.std(found.muscles) == pytest.approx(2 * share * (1 - share) * FORCE * 0.02, rel=0.3)
+    assert np.std(found.uncertain) == pytest.approx(2 * share * (1 - share) * FORCE * 0.02, rel=0.3)
 
 
 @pytest.mark.parametrize(

@@ -166,7 +166,8 @@ def test_what_has_no_effect() -> None:
     other_way = columns_of(walker, walker.markers(np.random.default_rng(0)), 2.0 + np.pi)
     unseen = {name: np.where((np.arange(len(own)) == 40)[:, None], 0.0, own) if name == "RTHF" else own
               for name, own in columns.items()}  # fmt: skip
-    for changed in (opposite, other_way, unseen):
+    of_subject = {name if name.startswith("plate") else f"Subject:{name}": own for name, own in columns.items()}
+    for changed in (opposite, other_way, unseen, of_subject):
         person = person_of(data_of(walker, changed), motion={"gaps": {"longest": 0.1}})
         for name, load in expected.plates.loads.items():
             np.testing.assert_allclose(person.plates.loads[name].force, load.force, rtol=0, atol=2.0)

@@ -224,13 +224,13 @@ def test_the_packaged_example_finds_the_centres_of_the_person_who_made_its_table
 @pytest.mark.parametrize(
     ("kind", "side", "names"),
     [
-        ("asis", "r", ["RASI", "R.ASIS", "Subject:RASIS", "RAsis", "R_ASIS"]),
-        ("psis", "l", ["LPSI", "L.PSIS", "LPsis", "PSIS_Left"]),
+        ("asis", "r", ["RASI", "R.ASIS", "Subject:RASIS", "RAsis", "R_IAS", "r asis"]),
+        ("psis", "l", ["LPSI", "L.PSIS", "LPsis", "PSIS_Left", "L_IPS"]),
         ("sacrum", None, ["V.Sacral", "SACR", "Sacral", "VSAC"]),
-        ("knee.lateral", "r", ["RKNE", "R.Knee.Lat", "R.Knee.Lateral", "RLatKnee", "RLFE", "RLatEpicondyle"]),
-        ("knee.medial", "l", ["LKNM", "L.Knee.Med", "L.Knee.Medial", "LMedKnee", "LMFE", "LMKNE"]),
-        ("ankle.lateral", "l", ["LANK", "L.Ankle.Lat", "L_Ankle_Lateral", "LLatMalleolus", "LLMAL"]),
-        ("ankle.medial", "r", ["RANM", "R.Ankle.Med", "RMedMal", "RMMAL", "Right.Medial.Ankle"]),
+        ("knee.lateral", "r", ["RKNE", "R.Knee.Lat", "R.Knee.Lateral", "RLatKnee", "RLFE", "RLatEpicondyle", "R_FLE"]),
+        ("knee.medial", "l", ["LKNM", "L.Knee.Med", "L.Knee.Medial", "LMedKnee", "LMFE", "LMKNE", "L_FME"]),
+        ("ankle.lateral", "l", ["LANK", "L.Ankle.Lat", "L_Ankle_Lateral", "LLatMalleolus", "LLMAL", "L_FAL"]),
+        ("ankle.medial", "r", ["RANM", "R.Ankle.Med", "RMedMal", "RMMAL", "Right.Medial.Ankle", "R_TAM"]),
     ],
 )
 def test_names_of_landmarks_in_published_marker_sets(kind: str, side: Side | None, names: list[str]) -> None:

@@ -48,7 +48,7 @@ def test_noise_cancels_in_the_gain_of_a_spring_and_leaves_what_the_spring_change
 def test_the_packaged_spring_unloads_the_knee_with_any_exponent():
     # the gain is that of two independent computations, without the design
     spring = (
-        "model.forces.spring={type: torsion-spring, bodies: [thigh, shank], stiffness: 25.3869, free_angle: 0.168638}"
+        "model.forces.spring={type: torsion-spring, bodies: [thigh, shank], stiffness: 18.6863, free_angle: 0.0109345}"
     )
     for exponent in (2, 3):
         settings = ["motion.errors=none", f"recruitment.exponent={exponent}"]
@@ -56,7 +56,7 @@ def test_the_packaged_spring_unloads_the_knee_with_any_exponent():
         for one in ([], [spring]):
             with mbdkit.inverse(load_inverse_spec("walking-muscles", [*settings, *one])) as run:
                 peaks.append((run.measures["knee_force"], run.measures["hip_force"]))
-        assert peaks[1][0] < 0.88 * peaks[0][0]
+        assert peaks[1][0] < 0.95 * peaks[0][0]
         assert peaks[1][1] < 1.02 * peaks[0][1]
 
 

@@ -36,6 +36,7 @@ from mbdkit_biomech.inverse_dynamics.reduced_motion import (
 from mbdkit_biomech.inverse_dynamics.smoothing import smoothed
 from mbdkit_biomech.inverse_dynamics.unused_data import UnusedData
 from mbdkit_biomech.muscles.muscle_values import Muscles
+from mbdkit_biomech.uncertainty.sources import sources_of
 
 _COLUMNS = "motion.columns"
 
@@ -121,7 +122,12 @@ class InverseProblem:
         measured = measured.near(prepared.equations.q0)
         fitter = Fitter(Manifold(prepared), prepared.workspace.mechanism.bodies)
         unused = UnusedData.of(spec, names, measured, table)
-        return cls(spec, prepared, fitter, names, measured, loads, actuators, source, recruiter, unused)
+        problem = cls(spec, prepared, fitter, names, measured, loads, actuators, source, recruiter, unused)
+        try:
+            sources_of(problem)  # before the computation, so that wrong names are found early
+        except SpecError as error:
+            raise source.placed(error) from error
+        return problem
 
 
 @dataclass(frozen=True)

@@ -22,6 +22,7 @@ from mbdkit_biomech.inverse_dynamics.shared_columns import equal_columns, shared
 from mbdkit_biomech.inverse_dynamics.smoothing_criteria import cutoff_doubts
 from mbdkit_biomech.inverse_dynamics.stated_deviations import large_deviations
 from mbdkit_biomech.inverse_dynamics.turn_criteria import knee_doubts, turn_doubts, uncertain_turns
+from mbdkit_biomech.uncertainty.compression_criterion import compression_doubts
 
 
 class DataDoubts(NamedTuple):
@@ -73,6 +74,7 @@ def doubts_of_model(result: Inverse, _bars: ErrorBars | None) -> list[Finding]:
         *missing_points(result.problem),
         *turn_doubts(result),
         *knee_doubts(result),
+        *compression_doubts(result),
     ]
 
 
@@ -81,9 +83,13 @@ def doubts_of_record(result: Inverse, bars: ErrorBars | None) -> list[Finding]:
     return [*record_doubts(result, bars), *units_of_loads(result.problem), *large_errors(result, bars)]
 
 
-def doubts_of_person(result: Inverse, _bars: ErrorBars | None) -> list[Finding]:
+def doubts_of_person(result: Inverse, bars: ErrorBars | None) -> list[Finding]:
     """Return the doubts about the person and remarks on it."""
-    return person_findings(result.problem)
+    uncertain = None if bars is None else bars.uncertain
+    found = person_findings(result.problem)
+    if uncertain is not None and uncertain.failed:
+        found.append(Finding("max-force", None, uncertain.failures, is_named=False))
+    return found
 
 
 def person_findings(problem: InverseProblem) -> list[Finding]:

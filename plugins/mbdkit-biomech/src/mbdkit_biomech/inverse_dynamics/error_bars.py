@@ -8,10 +8,9 @@ without smoothing, because loads are not smoothed.
 Other effects are added by root sum of squares. The square of the effect of the cutoff is the mean of the squared
 changes of the result with a lower and with a higher cutoff, minus the mean square of these changes due to noise. If the
 independent coordinates are not the measured quantities, the square of the effect of their choice is the squared change
-of the result if other coordinates are smoothed, minus the mean square of this change due to noise. Uncertain properties
-of muscles are drawn at random, and the mean squares of the resulting changes are added. The effects of the ends of the
-record are added too. Bars on which a long gap has an effect are nan (see
-`mbdkit_biomech.inverse_dynamics.ends_and_gaps`).
+of the result if other coordinates are smoothed, minus the mean square of this change due to noise. The effects of the
+ends of the record are added too, and those of an uncertain person and its muscles (`mbdkit_biomech.uncertainty`). Bars
+on which a long gap has an effect are nan (see `mbdkit_biomech.inverse_dynamics.ends_and_gaps`).
 """
 
 from __future__ import annotations
@@ -39,10 +38,10 @@ from mbdkit_biomech.inverse_dynamics.ends_and_gaps import (
 )
 from mbdkit_biomech.inverse_dynamics.inverse_sections import ErrorBars as Asked
 from mbdkit_biomech.inverse_dynamics.inverse_sections import NoSmoothing, QuinticSpline, Smoothing
-from mbdkit_biomech.inverse_dynamics.muscle_samples import PROPERTIES, forces_with, known_mean, with_drawn_muscles
 from mbdkit_biomech.inverse_dynamics.noise import Noise, NoisePath, noise_of
 from mbdkit_biomech.inverse_dynamics.reduced_motion import Independent, motion_of_series, other_coordinates
 from mbdkit_biomech.inverse_dynamics.smoothing import Smoothed, fixed, smoothed, smoothed_each, with_cutoff
+from mbdkit_biomech.uncertainty.uncertain_result import UncertainResult, uncertain_result
 
 CUTOFFS = (0.8, 1.25)
 """The result is compared with results whose cutoff is multiplied by these factors."""
@@ -75,6 +74,8 @@ class ErrorBars:
     likely
         Magnitudes of actuators (T, U) and of reaction forces (T, J) with the accelerations at both ends that the data
         before smoothing show.
+    uncertain
+        Effects of the person and its muscles, which the bounds contain; None if they count as exact.
     """
 
     noise: Noise
@@ -84,6 +85,7 @@ class ErrorBars:
     of_ends: tuple[np.ndarray, np.ndarray]
     of_gaps: tuple[np.ndarray, np.ndarray]
     likely: tuple[np.ndarray, np.ndarray]
+    uncertain: UncertainResult | None = None
 
 
 @dataclass(frozen=True)
@@ -172,25 +174,37 @@ def error_bars(result: Inverse) -> ErrorBars | None:
     of_ends = _squares_of_changes(sensitivity, at_ends)
     likely = response(likely_at_ends(times, coordinates, series, how))
     squares = [square + more for square, more in zip(squares, of_ends, strict=True)]
-    of_muscles = _muscle_squares(result, random)
-    if of_muscles is not None:
-        squares = [square + more for square, more in zip(squares, of_muscles, strict=True)]
+    uncertain, of_data = uncertain_result(result, random), squares[1]
+    if uncertain is not None:
+        squares = [square + more for square, more in zip(squares, uncertain.squares, strict=True)]
     gaps = long_gaps(result)
     of_gaps = _squares_of_changes(sensitivity, changes_in_gaps(result, path, gaps))
     for square, more in zip(squares, of_gaps, strict=True):
         square[more > HIDDEN**2 * square] = np.nan
     method = _method(result, deviation, *([one.name for one in group] for group in groups), gaps=gaps)
+    method += "" if uncertain is None else uncertain.told
+    parts = {} if uncertain is None else uncertain.parts(of_data, squares[1])
     actuators, force, torque, position, velocity, muscles = (np.sqrt(square) for square in squares)
     return ErrorBars(
         seen,
         actuators,
         muscles,
         Accuracy(
-            times, position, velocity, force, torque, float(times[-1]), np.nan, method, time.perf_counter() - begin
+            times,
+            position,
+            velocity,
+            force,
+            torque,
+            float(times[-1]),
+            np.nan,
+            method,
+            time.perf_counter() - begin,
+            parts=parts,
         ),
         (np.sqrt(of_ends[0]), np.sqrt(of_ends[1])),
         (np.sqrt(of_gaps[0]), np.sqrt(of_gaps[1])),
         (np.abs(likely.actuators), np.linalg.norm(likely.reactions[:, :, :2], axis=2)),
+        uncertain,
     )
 
 
@@ -203,7 +217,8 @@ def _covariances(
     coordinates with one of the smoothings `others` and the coordinates of the result.
     """
     totals: list[np.ndarray | float] = [0.0] * (1 + len(others))
-    for noise in path.samples(deviation, asked.samples, random):
+    for white in path.samples(deviation, asked.samples, random):
+        noise = white + path.artefacts(white.shape[2], random)
         own = path.smoothed(noise).every
         for index, change in enumerate([own, *(one.noise(noise).every - own for one in others)]):
             totals[index] = totals[index] + products(change, np.swapaxes(change, 1, 2))
@@ -269,30 +284,6 @@ def _with_loads(
     every[:, range(own, own + count), range(own, own + count)] = np.square(deviations)
     of_loads = [np.array(one) for one in zip(*columns, strict=True)]
     return [np.concatenate(pair) for pair in zip(sensitivity, of_loads, strict=True)], every
-
-
-def _muscle_squares(result: Inverse, random: np.random.Generator) -> list[np.ndarray] | None:
-    """Return the squared bounds of all quantities due to uncertain properties of muscles, in the order of `_bounds`.
-
-    The properties are drawn at random several times. A draw is ignored in frames in which its muscles cannot produce
-    the motion. In frames in which more than half of the draws are ignored, the bounds are nan. None is returned if the
-    properties are taken as exact.
-    """
-    base, factor = _outcome(result), quantile(1.0)
-    unknown = tuple(np.full_like(part, np.nan) for part in base.parts)
-    changes = []
-    for problem in with_drawn_muscles(result.problem, random):
-        other = forces_with(problem, result)
-        changes.append(unknown if other is None else _outcome(other).minus(base).parts)
-    if not changes:
-        return None
-    actuators, reactions, position, velocity, muscles = (np.array(one) for one in zip(*changes, strict=True))
-    x, y, torque = np.moveaxis(reactions, -1, 0)
-    force = _norm_bound(*(known_mean(a * b) for a, b in ((x, x), (y, y), (x, y)))) ** 2
-    own, turned, place, rate, pull = (
-        factor * known_mean(one**2) for one in (actuators, torque, position, velocity, muscles)
-    )
-    return [own, force, turned, place, rate, pull]
 
 
 def _bounds(sensitivity: list[np.ndarray], covariance: np.ndarray) -> list[np.ndarray]:
@@ -407,15 +398,6 @@ def _other_coordinates(response: _Response) -> list[_Other]:
     return [_Other.of(_some(other.names), noise, outcome, base)]
 
 
-def _told_muscles(result: Inverse) -> str:
-    recruiter = result.problem.recruiter
-    own = None if recruiter is None else recruiter.asked.deviations
-    if own is None:
-        return ""
-    shares = [f"{key} {getattr(own, key):.3g}" for key in PROPERTIES if getattr(own, key)]
-    return f"; {own.samples} samples of properties of the muscles with the deviations {listed(shares, 'and')}"
-
-
 def _some(names: Sequence[str]) -> str:
     return listed(names[:6], "" if len(names) > 6 else "and") + (f" and {len(names) - 6} more" if names[6:] else "")
 
@@ -455,5 +437,5 @@ def _method(
         f"Bounds that hold with a probability of {LEVEL:.0%} at each time: Gaussian noise, independent from sample "
         f"to sample, with the standard deviations {_some(told)}, passed through the linearised fit, smoothing and "
         f"dynamics{of_loads}{''.join(effects)}{' by root sum of squares' if effects else ''}"
-        f"{'' if factors else '; no cutoff was varied'}{_told_muscles(result)}{ends}.{unknown}"
+        f"{'' if factors else '; no cutoff was varied'}{ends}.{unknown}"
     )

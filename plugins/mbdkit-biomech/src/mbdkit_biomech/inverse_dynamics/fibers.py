@@ -66,13 +66,32 @@ def fibers_on_rigid_tendon(name: str, muscle: Muscle, time: np.ndarray, length: 
             f"the tendon of muscle '{name}' is longer ({muscle.tendon_length:.6g} m) than its path "
             f"({length[frame]:.6g} m) at t = {time[frame]:.6g} s; correct `tendon_length`, or the path"
         )
-    own = elementary.hypot(along, muscle.thickness)
+    return fibers_of_length(muscle, along, rate, (muscle.max_force, muscle.optimal_length))
+
+
+def fibers_of_length(
+    muscle: Muscle, along: np.ndarray, rate: np.ndarray, properties: tuple[float | np.ndarray, float | np.ndarray]
+) -> Fibers:
+    """Return the fibres of a muscle with a rigid tendon, whose length along the tendon is known.
+
+    Parameters
+    ----------
+    along
+        (...) length of the path without the tendon [m], positive.
+    rate
+        (...) rate of the length of the path [m/s].
+    properties
+        Largest isometric force [N] and optimal length of the fibres [m] in place of those of the muscle; numbers or
+        arrays like `along`.
+    """
+    max_force, optimal = properties
+    own = elementary.hypot(along, optimal * float(elementary.sin(muscle.pennation)))
     cosine = along / own
     velocity = rate * cosine
     curves = CURVES[muscle.curves]
-    normal = own / muscle.optimal_length
-    by_velocity = np.maximum(curves.velocity(velocity / (muscle.max_velocity * muscle.optimal_length))[0], 0.0)
+    normal = own / optimal
+    by_velocity = np.maximum(curves.velocity(velocity / (muscle.max_velocity * optimal))[0], 0.0)
     active = np.maximum(curves.active(normal)[0], 0.0) * by_velocity
     passive = np.maximum(curves.passive(normal)[0], 0.0)
-    force = muscle.max_force * cosine
+    force = max_force * cosine
     return Fibers(own, velocity, cosine, force * active, force * passive)

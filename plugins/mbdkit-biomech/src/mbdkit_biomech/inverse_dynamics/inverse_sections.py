@@ -220,6 +220,7 @@ CRITERIA = (
     "centers",
     "lengths",
     "plates",
+    "compression",
 )
 """Names of the criteria of the verdict on measured data and on the model; plugins may add others."""
 

@@ -30,6 +30,7 @@ from mbdkit_biomech.inverse_dynamics.inverse_sections import (
 )
 from mbdkit_biomech.inverse_dynamics.named_actuators import actuators_of, reserves_of
 from mbdkit_biomech.persons.person_sections import OF_PERSONS, Subject
+from mbdkit_biomech.uncertainty.uncertainty_section import Uncertainty
 
 if TYPE_CHECKING:
     from mbdkit.mechanism.mechanism import Mechanism
@@ -61,6 +62,7 @@ class InverseSpec(ModelSpec):
         "loads",
         "actuators",
         "recruitment",
+        "uncertainty",
         "measures",
         "unbalanced",
         "accept",
@@ -78,6 +80,9 @@ class InverseSpec(ModelSpec):
     model gives to these coordinates."""
     recruitment: Recruitment | None = None
     """How the muscles of the model share the moments of the actuators; without it, muscles exert no force."""
+    uncertainty: Uncertainty | Literal["none"] | None = None
+    """How well the person, its loads and its muscles are known, for the error bars; on by default with `subject`, and
+    `none` to leave it out."""
     unbalanced: Literal["refuse", "report"] = "refuse"
     """What happens if the actuators cannot produce the motion: `refuse` makes this an error; `report` chooses their
     values so that the sum of squares of the unbalanced generalized forces is smallest, and reports these forces."""

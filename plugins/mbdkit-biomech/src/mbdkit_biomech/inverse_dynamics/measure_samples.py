@@ -1,4 +1,4 @@
-"""Errors of measures of inverse dynamics, by samples of noise and of properties of muscles, and by other cutoffs.
+"""Errors of measures of inverse dynamics, by samples of noise, of the person and its muscles, and by other cutoffs.
 
 The error bars of `mbdkit_biomech.inverse_dynamics.error_bars` hold at single times, while a measure depends on all
 times.
@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from mbdkit.base import elementary
-from mbdkit.base.errors import SpecError
+from mbdkit.base.errors import RunError, SpecError
 from mbdkit.engine.linear_systems import product
 from mbdkit.spec import InverseSpec
 from mbdkit_biomech.inverse_dynamics.chi_square import quantile
@@ -23,14 +23,19 @@ from mbdkit_biomech.inverse_dynamics.compute import Inverse, InverseProblem, com
 from mbdkit_biomech.inverse_dynamics.ends_and_gaps import changes_at_ends, changes_in_gaps, long_gaps
 from mbdkit_biomech.inverse_dynamics.error_bars import CUTOFFS, HIDDEN
 from mbdkit_biomech.inverse_dynamics.loads import LoadSeries
-from mbdkit_biomech.inverse_dynamics.muscle_samples import forces_with, known_mean, with_drawn_muscles
 from mbdkit_biomech.inverse_dynamics.noise import NoisePath, noise_of
 from mbdkit_biomech.inverse_dynamics.record import run_of
 from mbdkit_biomech.inverse_dynamics.reduced_motion import Independent, motion_of_series
 from mbdkit_biomech.inverse_dynamics.smoothing import Smoothed, fixed, smoothed_each, with_cutoff
+from mbdkit_biomech.uncertainty.changed_problem import Changer
+from mbdkit_biomech.uncertainty.sources import change_of, sources_of
+from mbdkit_biomech.uncertainty.uncertain_result import drawn
 
 SAMPLES = 40
 """Number of samples; with this number, the relative scatter of the bounds is 1 / sqrt(2 * SAMPLES), 11 %."""
+
+UNCERTAIN_SAMPLES = 60
+"""Number of samples of the person and its muscles, each of which is computed exactly."""
 
 HIDDEN_SAMPLES = 8
 """Number of samples of what long gaps may hide."""
@@ -49,7 +54,7 @@ small compared with the scatter.
 
 @dataclass(frozen=True)
 class SampledMeasures:
-    """Measures of inverse dynamics for the data, for noisy data, and for other cutoffs.
+    """Measures of inverse dynamics for the data, for noisy data, for other cutoffs, and for other persons and muscles.
 
     Attributes
     ----------
@@ -59,32 +64,34 @@ class SampledMeasures:
         (S, ..., K) measures with noise added to the data.
     cutoffs
         (C, ..., K) measures with other cutoffs; C may be 0.
-    muscles
-        (P, ..., K) measures with other properties of the muscles; P may be 0.
+    uncertain
+        (P, ..., K) measures with other uncertain properties of the person and its muscles; P may be 0.
     """
 
     value: np.ndarray
     noisy: np.ndarray
     cutoffs: np.ndarray
-    muscles: np.ndarray
+    uncertain: np.ndarray
 
     def minus(self, other: SampledMeasures) -> SampledMeasures:
-        """Return the differences between two results, sample by sample, for the same noise, cutoffs and muscles."""
+        """Return the differences between two results, sample by sample, for the same noise, cutoffs, persons and
+        muscles.
+        """
         return SampledMeasures(
             self.value - other.value,
             self.noisy - other.noisy,
             self.cutoffs - other.cutoffs,
-            self.muscles - other.muscles,
+            self.uncertain - other.uncertain,
         )
 
     def bounds(self) -> np.ndarray:
         """Return the bounds (..., K) of the errors, which hold with the probability `LEVEL`; nan if they are unknown.
 
-        The bounds are root sums of squares of the effects of noise, muscles and cutoffs. The effect of noise is the
-        bound of the scatter of the measure plus its bias, which is `FIRST_NOISE` times the mean change. The square of
-        the effect of muscles is `FACTOR` times the mean square change; for cutoffs, it is the mean square change
-        itself. Samples that are nan, because the muscles cannot produce the motion, are ignored. The bounds are nan if
-        these are more than half of the samples.
+        The bounds are root sums of squares of the effects of noise, person and muscles, and cutoffs. The effect of
+        noise is the bound of the scatter of the measure plus its bias, which is `FIRST_NOISE` times the mean change.
+        The square of the effect of person and muscles is `FACTOR` times the mean square change, which contains the
+        bias; for cutoffs, it is the mean square change itself. Samples that are nan, because the muscles cannot produce
+        the motion, are ignored. The bounds are nan if these are more than half of the samples.
         """
         square = np.zeros_like(self.value)
         if len(self.noisy):
@@ -93,7 +100,7 @@ class SampledMeasures:
             variance = known_mean((change - mean) ** 2)
             bias = FIRST_NOISE * np.sqrt(np.maximum(0.0, mean**2 - variance / np.maximum(1, number)))
             square = (bias + np.sqrt(FACTOR * variance)) ** 2
-        for factor, samples in ((FACTOR, self.muscles), (1.0, self.cutoffs)):
+        for factor, samples in ((FACTOR, self.uncertain), (1.0, self.cutoffs)):
             if len(samples):
                 square = square + factor * known_mean((samples - self.value) ** 2)
         return np.asarray(np.sqrt(square))
@@ -157,11 +164,9 @@ def samples_of(result: Inverse, measures: Sequence[str]) -> SampledMeasures | No
             except SpecError:  # the cutoff is too high for the sampling rate
                 continue
             others.append(_measured(_moved(result, independent, other, result.problem.loads), measures))
-    drawn = [forces_with(problem, result) for problem in with_drawn_muscles(result.problem, random)]
     value = _measured(result, measures)
-    unknown = np.full_like(value, np.nan)
-    muscles = [unknown if one is None else _measured(one, measures) for one in drawn]
-    found = SampledMeasures(value, *(np.array(one).reshape(len(one), len(value)) for one in (noisy, others, muscles)))
+    changed = [*_uncertain(result, measures, random)]
+    found = SampledMeasures(value, *(np.array(one).reshape(len(one), len(value)) for one in (noisy, others, changed)))
     change = changes_in_gaps(result, path, gaps)
     for _ in range(HIDDEN_SAMPLES if gaps else 0):
         phase = random.uniform(0.0, 2 * np.pi, len(gaps))
@@ -181,12 +186,34 @@ def _noisy(
     random: np.random.Generator,
 ) -> Iterator[tuple[Smoothed, dict[str, LoadSeries]]]:
     """Yield samples of the coordinates, with noise and with changes at both ends, and of the loads."""
-    for block in path.samples(deviation, SAMPLES, random):
+    for white in path.samples(deviation, SAMPLES, random):
+        block = white + path.artefacts(white.shape[2], random)
         change = path.smoothed(block)
         for own in np.eye(block.shape[2]):
             ends = random.uniform(-1.0, 1.0, at_ends.value.shape[2:])
             moved = _added(_added(series, change, own), at_ends, ends)
             yield moved, {name: load.with_noise(random) for name, load in result.problem.loads.items()}
+
+
+def _uncertain(result: Inverse, measures: Sequence[str], random: np.random.Generator) -> Iterator[np.ndarray]:
+    """Yield the measures (K,) for samples of the person and its muscles; nan where they cannot be computed, for example
+    because a tendon is longer than its path.
+    """
+    sources = sources_of(result.problem)
+    changer = Changer(result)
+    for values in drawn(sources, UNCERTAIN_SAMPLES, random) if sources else ():
+        try:
+            yield _measured(changer.at(change_of(sources, values)).forces(), measures)
+        except RunError:
+            yield np.full(len(measures), np.nan)
+
+
+def known_mean(samples: np.ndarray) -> np.ndarray:
+    """Return the mean (...) over the finite samples of (S, ...); nan where more than half of them are not finite."""
+    known = np.isfinite(samples)
+    number = np.sum(known, axis=0)
+    total = np.sum(np.where(known, samples, 0.0), axis=0)
+    return np.asarray(np.where(2 * number >= len(samples), total / np.maximum(number, 1), np.nan))
 
 
 def _added(series: Smoothed, changes: Smoothed, shares: np.ndarray) -> Smoothed:

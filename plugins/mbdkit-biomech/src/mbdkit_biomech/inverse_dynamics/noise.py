@@ -50,6 +50,7 @@ class NoisePath:
         self._time, self._how = result.motion.time, tuple(how)
         self._gaps = [result.problem.spec.motion.gaps_of(name) for name in result.fitted.measured.names]
         self._missing = np.isnan(result.fitted.measured.raw)
+        self._person, self._names = result.problem.source.person, result.fitted.measured.names
         manifold, target, q = result.problem.fitter.manifold, result.fitted.measured.target, result.fitted.q
         directions = manifold.directions(manifold.frames(target.time, q).jacobian)
         observed, coordinates = target.quantities.jacobian(q), independent.quantities.jacobian(q)
@@ -129,6 +130,30 @@ class NoisePath:
                     beside = noise[[gap.first - 1, gap.last], gap.column]
                     noise[gap.first : gap.last, gap.column] = gap.filled(self._time, own, beside)
             yield noise
+
+    def artefacts(self, count: int, random: np.random.Generator) -> np.ndarray:
+        """Return changes (T, K, `count`) of the data by artefacts of the markers of a person, which are correlated in
+        time; zero without a person.
+
+        The correlation is that of moving averages of white noise. Their weights are ``r(sqrt(2) l)`` at the lag l for
+        the correlation r of the artefacts, which is exact for Gaussian functions.
+        """
+        found = np.zeros((len(self._time), self.columns, count))
+        if self._person is None:
+            return found
+        columns = list(self._person.columns)
+        chosen = [columns.index(name) for name in self._names]
+        for body, shifts in self._person.shifts.items():
+            correlation = self._person.artefacts[body].correlation
+            lags = np.arange(len(correlation))
+            side = np.interp(np.sqrt(2.0) * lags, lags, correlation, right=0.0)
+            weights = np.concatenate([side[:0:-1], side])
+            weights = weights / np.sqrt(np.sum(weights * weights))
+            white = random.standard_normal((len(self._time) + len(weights) - 1, shifts.shape[1] * count))
+            rows = len(self._time)
+            series = sum(weight * white[lag : lag + rows] for lag, weight in enumerate(weights.tolist()))
+            found += products(shifts[chosen], np.asarray(series).reshape(rows, shifts.shape[1], count))
+        return found
 
 
 def _solved(directions: Directions, observed: np.ndarray, values: np.ndarray) -> np.ndarray:

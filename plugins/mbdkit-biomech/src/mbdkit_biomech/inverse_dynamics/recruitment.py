@@ -38,7 +38,7 @@ from mbdkit_biomech.inverse_dynamics.recruited import Contraction, Recruited, Sh
 from mbdkit_biomech.inverse_dynamics.reduced_motion import Motion
 from mbdkit_biomech.inverse_dynamics.shared_loads import Programme, Shared, share_loads, smallest_supplement
 from mbdkit_biomech.muscles.muscle import Muscle
-from mbdkit_biomech.muscles.muscle_path import MusclePath
+from mbdkit_biomech.muscles.muscle_path import MusclePath, PathState
 
 NO_ARM = 1e-9
 """A muscle does not act on a coordinate if its moment arm is at most this [m for angles, 1 for lengths]."""
@@ -162,7 +162,7 @@ class Recruiter:
         sharing = self.sharing(own, balance, dynamics.value)
         if self.is_elastic:
             own = self._in_equilibrium(own, sharing, dynamics.value, motion.time)
-            programme = self._programme(sharing.arms, sharing.driven, dynamics.value, own.capacity, own.passive)
+            programme = self.programme(sharing.arms, sharing.driven, dynamics.value, own.capacity, own.passive)
             sharing = replace(sharing, programme=programme)
         driven = sharing.driven
         shared = share_loads(sharing.programme, self.exponent)
@@ -228,12 +228,16 @@ class Recruiter:
         alone[self.reserve_places] = False
         return alone
 
+    def path(self, name: str, motion: Motion) -> PathState:
+        """Return the path of a muscle."""
+        return self._paths[name].at(motion.time, motion.q)
+
     def contraction(self, motion: Motion) -> Contraction:
         """Return the geometry and the possible forces of the muscles."""
         is_full = self.asked.capacity == "full"
         columns: list[tuple[np.ndarray, ...]] = []
         for name, muscle in self.muscles.items():
-            path = self._paths[name].at(motion.time, motion.q)
+            path = self.path(name, motion)
             rate = path.rate(motion.v)
             if is_full or self.asked.passive:
                 fibers = fibers_on_rigid_tendon(name, muscle, motion.time, path.length, rate)
@@ -259,12 +263,24 @@ class Recruiter:
         driven = self._joined & np.any(np.abs(arms) > NO_ARM, axis=(0, 2))
         if not driven.any():
             raise SpecError("no muscle acts on an actuator: muscles must cross joints that move", key="recruitment")
-        return Sharing(arms, driven, self._programme(arms, driven, value, own.capacity, own.passive))
+        return Sharing(arms, driven, self.programme(arms, driven, value, own.capacity, own.passive))
 
-    def _programme(
-        self, arms: np.ndarray, driven: np.ndarray, value: np.ndarray, capacity: np.ndarray, passive: np.ndarray
+    def programme(
+        self,
+        arms: np.ndarray,
+        driven: np.ndarray,
+        value: np.ndarray,
+        capacity: np.ndarray,
+        passive: np.ndarray,
+        minimum: np.ndarray | None = None,
     ) -> Programme:
-        """Return the convex programmes of T frames; see `Sharing` and `Contraction`."""
+        """Return the convex programmes of T frames; see `Sharing` and `Contraction`.
+
+        Parameters
+        ----------
+        minimum
+            (T,) smallest activations; by default, that of the spec.
+        """
         rows = np.flatnonzero(driven)
         spare = [reserve for reserve in self._reserves if driven[reserve.of]]
         frames, count = len(value), len(self.muscles)
@@ -272,6 +288,8 @@ class Recruiter:
         for column, reserve in enumerate(spare):
             reserves[:, np.flatnonzero(rows == reserve.of), column] = reserve.optimal
         low, high = np.full((frames, count), self.asked.minimum), np.ones((frames, count))
+        if minimum is not None:
+            low[:] = minimum[:, None]
         without = np.full((frames, len(spare)), np.inf)
         return Programme(
             np.concatenate([arms[:, driven] * capacity[:, None], reserves], axis=2),
@@ -299,7 +317,7 @@ class Recruiter:
         def share(frame: int, slope: np.ndarray, offset: np.ndarray) -> np.ndarray:
             capacity[frame, which], passive[frame, which] = slope, offset
             one = slice(frame, frame + 1)
-            programme = self._programme(sharing.arms[one], sharing.driven, value[one], capacity[one], passive[one])
+            programme = self.programme(sharing.arms[one], sharing.driven, value[one], capacity[one], passive[one])
             found = share_loads(programme, self.exponent)
             solved = np.isfinite(found.certificate[0])
             return np.asarray(np.where(solved, found.value[0, :count][which], np.nan))

@@ -170,33 +170,62 @@ def _proximal_newton(programme: Programme, start: np.ndarray, p: float, proximal
     """Return the multipliers (T, K) that maximise the dual function minus ``proximal |y - start|^2 / 2``."""
     y = start.copy()
     eye = np.eye(y.shape[1])
-    left = np.arange(len(y))
+    left, own, near, own_start = np.arange(len(y)), programme, proximal, start
+    here = _Evaluation.of(own, y, p, near, own_start)
     for _ in range(ITERATIONS):
-        own, near, own_start = programme.only(left), proximal[left], start[left]
-        x, slope = _unknowns(own, y[left], p)
-        gradient = _residual(own, x) - near[:, None] * (y[left] - own_start)
-        jacobian = products(own.matrix * slope[:, None], np.swapaxes(own.matrix, 1, 2)) + near[:, None, None] * eye
+        gradient = _residual(own, here.x) - near[:, None] * (here.y - own_start)
+        jacobian = products(own.matrix * here.slope[:, None], np.swapaxes(own.matrix, 1, 2)) + near[:, None, None] * eye
         step = least_norms(jacobian, gradient, 0.0)
-        before = _dual(own, y[left], x, p) - 0.5 * near * np.sum((y[left] - own_start) ** 2, axis=1)
         rise, norm = np.sum(gradient * step, axis=1), np.max(np.abs(gradient), axis=1)
-        rounding = ROUNDING * (
-            np.sum(elementary.pow(np.abs(x), p), axis=1) + np.sum(np.abs(y[left] * own.right), axis=1)
-        )
-        size, moved = np.ones(len(left)), y[left] + step
-        waiting = np.ones(len(left), dtype=bool)
-        for _ in range(40):
-            x, _ = _unknowns(own, moved, p)
-            after = _dual(own, moved, x, p) - 0.5 * near * np.sum((moved - own_start) ** 2, axis=1)
-            waiting &= after < before + 1e-4 * size * rise - rounding
-            if not waiting.any():
+        rounding = ROUNDING * (here.cost + np.sum(np.abs(here.y * own.right), axis=1))
+        size, there = 1.0, _Evaluation.of(own, here.y + step, p, near, own_start)
+        waiting = np.flatnonzero(there.dual < here.dual + 1e-4 * size * rise - rounding)
+        for _ in range(39):  # only the frames that wait for a shorter step are evaluated again
+            if not waiting.size:
                 break
-            size[waiting] *= 0.5
-            moved[waiting] = y[left][waiting] + size[waiting, None] * step[waiting]
-        y[left] = np.where(waiting[:, None], y[left], moved)
-        left = left[(norm > 0.1 * REACHED) & ~waiting]
-        if not left.size:
+            size *= 0.5
+            moved = here.y[waiting] + size * step[waiting]
+            shorter = _Evaluation.of(own.only(waiting), moved, p, near[waiting], own_start[waiting])
+            there.put(waiting, shorter)
+            waiting = waiting[shorter.dual < (here.dual + 1e-4 * size * rise - rounding)[waiting]]
+        moves = np.ones(len(left), dtype=bool)
+        moves[waiting] = False
+        y[left[moves]] = there.y[moves]
+        on = np.flatnonzero((norm > 0.1 * REACHED) & moves)
+        if not on.size:
             break
+        left, own, near, own_start, here = left[on], own.only(on), near[on], own_start[on], there.only(on)
     return y
+
+
+@dataclass
+class _Evaluation:
+    """Multipliers y (T, K) of proximal problems, the unknowns x and their slopes (T, N), the cost (T,) of the unknowns,
+    and the dual function (T,) with the proximal term.
+    """
+
+    y: np.ndarray
+    x: np.ndarray
+    slope: np.ndarray
+    cost: np.ndarray
+    dual: np.ndarray
+
+    @classmethod
+    def of(cls, programme: Programme, y: np.ndarray, p: float, proximal: np.ndarray, start: np.ndarray) -> _Evaluation:
+        """Return the evaluation at multipliers; `proximal` (T,) and `start` (T, K) define the proximal term."""
+        x, slope = _unknowns(programme, y, p)
+        cost = np.sum(elementary.pow(np.abs(x), p), axis=1)
+        dual = cost + np.sum(y * _residual(programme, x), axis=1)
+        return cls(y, x, slope, cost, dual - 0.5 * proximal * np.sum((y - start) ** 2, axis=1))
+
+    def only(self, rows: np.ndarray) -> _Evaluation:
+        """Return the evaluation of a selection of frames."""
+        return _Evaluation(self.y[rows], self.x[rows], self.slope[rows], self.cost[rows], self.dual[rows])
+
+    def put(self, rows: np.ndarray, other: _Evaluation) -> None:
+        """Replace the evaluations of a selection of frames."""
+        for name in ("y", "x", "slope", "cost", "dual"):
+            getattr(self, name)[rows] = getattr(other, name)
 
 
 def _unknowns(programme: Programme, y: np.ndarray, p: float) -> tuple[np.ndarray, np.ndarray]:
@@ -216,12 +245,6 @@ def _unknowns(programme: Programme, y: np.ndarray, p: float) -> tuple[np.ndarray
 def _residual(programme: Programme, x: np.ndarray) -> np.ndarray:
     left: np.ndarray = programme.right - products(programme.matrix, x)
     return left
-
-
-def _dual(programme: Programme, y: np.ndarray, x: np.ndarray, p: float) -> np.ndarray:
-    """Return the dual function (T,): the Lagrangian at its minimum."""
-    value: np.ndarray = np.sum(elementary.pow(np.abs(x), p), axis=1) + np.sum(y * _residual(programme, x), axis=1)
-    return value
 
 
 def _certificate(programme: Programme, x: np.ndarray, y: np.ndarray, p: float) -> np.ndarray:

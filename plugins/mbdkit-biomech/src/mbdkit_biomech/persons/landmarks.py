@@ -10,18 +10,18 @@ Side = Literal["r", "l"]
 
 _KNEE, _ANKLE = r"(knee|kne|femoral)?(epicondyle|epi|condyle)?(knee|kne)?", r"(ankle|ank)?(malleolus|mal)?(ankle|ank)?"
 PATTERNS = {
-    "asis": r"asis?",
-    "psis": r"psis?",
+    "asis": r"asis?|ias",
+    "psis": r"psis?|ips",
     "sacrum": r"v?sac(r|rum|ral)?",
-    "knee.lateral": rf"kne|knee|lfe|(lateral|lat){_KNEE}|{_KNEE}(lateral|lat)",
-    "knee.medial": rf"knm|mkne|kneem|mfe|(medial|med){_KNEE}|{_KNEE}(medial|med)",
-    "ankle.lateral": rf"ank|ankle|lmal|(lateral|lat){_ANKLE}|{_ANKLE}(lateral|lat)",
-    "ankle.medial": rf"anm|mank|anklem|mmal|(medial|med){_ANKLE}|{_ANKLE}(medial|med)",
+    "knee.lateral": rf"kne|knee|lfe|fle|(lateral|lat){_KNEE}|{_KNEE}(lateral|lat)",
+    "knee.medial": rf"knm|mkne|kneem|mfe|fme|(medial|med){_KNEE}|{_KNEE}(medial|med)",
+    "ankle.lateral": rf"ank|ankle|lmal|fal|(lateral|lat){_ANKLE}|{_ANKLE}(lateral|lat)",
+    "ankle.medial": rf"anm|mank|anklem|mmal|tam|(medial|med){_ANKLE}|{_ANKLE}(medial|med)",
 }
 """Patterns of names by landmark, in lower case, without subject, side and signs: ``Subject:R.Knee.Lateral`` is
 ``kneelateral``. A name of which the joint is missing, such as ``RMedial``, is left out by `landmark`."""
 
-_WORDS = {"knee": r"kn|fe|epi|condyle", "ankle": r"an|mal"}
+_WORDS = {"knee": r"kn|fe|fle|fme|epi|condyle", "ankle": r"an|mal|fal|tam"}
 
 
 def plain_name(name: str) -> str:

@@ -35,9 +35,15 @@ class MarkerFile:
         headings = self.table.headings
         return [one[:-2] for one in headings if one.endswith(".x") and not one.startswith("plate")]
 
+    def full_name(self, name: str) -> str:
+        """Return the name of a marker with its subject, such as ``Subject:RASI``, if only one subject has it."""
+        own = [one for one in self.names if one.rpartition(":")[2] == name]
+        return own[0] if len(own) == 1 else name
+
     def has(self, name: str) -> bool:
         """Return whether the file has a marker."""
-        return len(self.table.resolved([f"{name}.x", f"{name}.y", f"{name}.z"])) == 3
+        full = self.full_name(name)
+        return len(self.table.resolved([f"{full}.{axis}" for axis in "xyz"])) == 3
 
     def marker(self, name: str, key: str) -> np.ndarray:
         """Return the positions (T, 3) of a marker [m]; nan where it was not seen.
@@ -53,7 +59,8 @@ class MarkerFile:
                 some = listed(names[:HEADINGS_SHOWN]) + (", ..." if len(names) > HEADINGS_SHOWN else "")
                 hint = did_you_mean(name, self.names) or f"; its markers: {some or 'none'}"
                 raise SpecError(f"{self.table.name} has no marker '{shown(name)}'{hint}", key=key)
-            columns = [si_values(ColumnOfTable(column=f"{name}.{axis}"), self.table, "m", key) for axis in "xyz"]
+            full = self.full_name(name)
+            columns = [si_values(ColumnOfTable(column=f"{full}.{axis}"), self.table, "m", key) for axis in "xyz"]
             found = np.stack(columns, axis=1)
             found[np.isnan(found).any(axis=1) | np.all(found == 0, axis=1)] = np.nan  # some programs write 0 for unseen
             if np.nanmax(np.abs(found), initial=0.0) > LARGEST_LABORATORY:

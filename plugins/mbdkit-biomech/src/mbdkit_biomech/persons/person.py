@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields, is_dataclass, replace
 from typing import Any, NamedTuple
 
@@ -10,6 +10,7 @@ import numpy as np
 
 from mbdkit.base.errors import SpecError
 from mbdkit.base.text import listed
+from mbdkit.engine.linear_systems import product, symmetric_eigenvectors
 from mbdkit.trust.finding import Finding
 from mbdkit_biomech.models._measured_segments import MeasuredPerson
 from mbdkit_biomech.persons.calibration import LEAST_FRAMES, LEFT, Segments, angle_of
@@ -17,7 +18,7 @@ from mbdkit_biomech.persons.joint_centers import JointCenter
 from mbdkit_biomech.persons.motion_plane import MotionPlane, plane_of
 from mbdkit_biomech.persons.person_sections import Center, PlaneAxes, Subject
 from mbdkit_biomech.persons.plate_contacts import FootMotion, PlateResult
-from mbdkit_biomech.persons.rigid_clusters import Artefact, apply, rate_of
+from mbdkit_biomech.persons.rigid_clusters import Artefact, apply, cross_matrix, rate_of
 
 TRUNK_ABOVE_FEET = 0.2, 1.2
 """Heights of the markers of the trunk above those of the feet, as shares of body height, between which the unit of
@@ -75,6 +76,11 @@ class Person:
         Doubts and remarks.
     time, columns
         Times (T,) and observed quantities (T,) of the model by name; nan in gaps.
+    reference
+        Index of the frame in whose pose the covariances of the centres and `shifts` are given.
+    shifts
+        (C, 6) shifts of the C columns, by body, for artefacts of the pose of its cluster: six independent errors with
+        the standard deviation 1.
     """
 
     subject: Subject
@@ -88,6 +94,8 @@ class Person:
     findings: tuple[Finding, ...]
     time: np.ndarray
     columns: Mapping[str, np.ndarray]
+    reference: int
+    shifts: Mapping[str, np.ndarray]
 
     def to_dict(self) -> dict[str, Any]:
         """Return the person without motion and loads as plain data, for the archive; None where a number is nan."""
@@ -325,5 +333,31 @@ class Builder:
         findings = (*self.findings, *plates.findings)
         return Person(
             of, self.plane, self.centers, lengths, masses, self.segments.motion.artefacts, self.zeros, plates, findings,
-            self.time, columns,
+            self.time, columns, self.segments.reference, self._shifts(list(columns)),
         )  # fmt: skip
+
+    def _shifts(self, columns: Sequence[str]) -> dict[str, np.ndarray]:
+        """Return the shifts of columns by artefacts; see `Person.shifts`."""
+        found = {body: np.zeros((len(columns), 6)) for body in self.poses}
+        for body, cluster in self.segments.clusters.items():
+            size, rotation = self.segments.motion.artefacts[body].deviation, self.poses[body].rotation
+            to_plane = product(self.plane.axes, rotation[self.segments.reference])
+            values, vectors = symmetric_eigenvectors(cluster.inverse_inertia)
+            turns = size * vectors * np.sqrt(np.maximum(values, 0.0))
+            angle = f"bodies.{body}.angle"
+            if angle in columns:
+                found[body][columns.index(angle), 3:] = product(to_plane, turns)[2]
+            for joint, (first, second) in self.segments.joints.items():
+                center = self.centers[joint]
+                for one, point, weight in ((first, center.proximal, center.weights[0]),
+                                           (second, center.distal, center.weights[1])):  # fmt: skip
+                    if one != body:
+                        continue
+                    is_hip = joint.startswith("hip")
+                    own = weight / (len(self.segments.legs) if is_hip else 1)
+                    moves = np.hstack(
+                        [size / np.sqrt(len(cluster.names)) * np.eye(3), -product(cross_matrix(point), turns)]
+                    )
+                    row = columns.index(f"markers.{'hip' if is_hip else joint}.x")
+                    found[body][row : row + 2] += own * product(to_plane, moves)[:2]
+        return found

@@ -163,15 +163,16 @@ class Cluster:
     def covariance(self, p: np.ndarray) -> np.ndarray:
         """Return the covariance (3, 3) of a point of the segment for errors of markers with the variance 1."""
         cross = cross_matrix(p)
-        return np.asarray(np.eye(3) / len(self.template) - product(product(cross, self._inverse_inertia), cross))
+        return np.asarray(np.eye(3) / len(self.template) - product(product(cross, self.inverse_inertia), cross))
 
     @property
     def lever_matrix(self) -> np.ndarray:
         """(3, 3) matrix whose quadratic form in a point is the part of the trace of `covariance` by rotations."""
-        return np.asarray(np.trace(self._inverse_inertia) * np.eye(3) - self._inverse_inertia)
+        return np.asarray(np.trace(self.inverse_inertia) * np.eye(3) - self.inverse_inertia)
 
     @property
-    def _inverse_inertia(self) -> np.ndarray:
+    def inverse_inertia(self) -> np.ndarray:
+        """(3, 3) inverse of J, see the module; the covariance of rotations for errors of markers with variance 1."""
         x = self.template
         return inverse_of(np.sum(x * x) * np.eye(3) - product(x.T, x))
 

@@ -62,7 +62,7 @@ def scaled_model(spec: InverseSpec, subject: Subject, lengths: Mapping[str, floa
         return changed
     generic, person = (person_of(_upright(spec, one).model) for one in (data, changed))
     points = _points_of_segments(generic, person)
-    muscles = {name: _moved(muscle, points) for name, muscle in data["muscles"].items()}
+    muscles = {name: moved_muscle(muscle, points) for name, muscle in data["muscles"].items()}
     before, after = _path_lengths(spec, data), _path_lengths(spec, changed | {"muscles": muscles})
     for name, muscle in muscles.items():
         ratio = after[name] / before[name]
@@ -87,8 +87,16 @@ def _points_of_segments(generic: Person, person: Person) -> dict[str, tuple[floa
     return found
 
 
-def _moved(muscle: Mapping[str, Any], points: Mapping[str, tuple[float, float, float]]) -> dict[str, Any]:
-    """Return a muscle with scaled points and circles."""
+def moved_muscle(muscle: Mapping[str, Any], points: Mapping[str, tuple[float, float, float]]) -> dict[str, Any]:
+    """Return a muscle with scaled points and circles.
+
+    Parameters
+    ----------
+    muscle
+        The muscle as plain data.
+    points
+        By body, the factor of its points, and what is added to x and y.
+    """
     path = []
     for item in muscle["path"]:
         wrap = item.get("wrap")
@@ -113,9 +121,13 @@ def _stretched(value: Any, factor: float, move: float) -> Any:
 
 def _upright(spec: InverseSpec, data: Mapping[str, Any]) -> Any:
     """Return a spec with the section `model`, in the upright pose and without a motion."""
-    upright = {key: value for key, value in data.items() if key not in POSE}
+    return of_model(spec, {key: value for key, value in data.items() if key not in POSE})
+
+
+def of_model(spec: InverseSpec, data: Mapping[str, Any]) -> Any:
+    """Return a spec with the section `model` and the parameters of a spec, without a motion."""
     given = {"mbdkit": 1, "parameters": dict(spec.parameters), "motion": {"data": {"time": [0.0]}}}
-    return type(spec)(**given, model=upright)
+    return type(spec)(**given, model=data)
 
 
 def _path_lengths(spec: InverseSpec, data: Mapping[str, Any]) -> dict[str, float]:

@@ -1,0 +1,304 @@
+"""`python -m mbdkit_biomech.knee_challenge FOLDER`: a knee force against the one that an instrumented implant measured.
+
+The Grand Challenge Competition to Predict In Vivo Knee Loads (B. J. Fregly et al., J. Orthop. Res. 30 (2012) 503-513)
+published markers, force plates and the force in the knee implant of persons who walk. FOLDER is a copy of
+https://github.com/AnyBody/knee-grand-challenge-4th, or a folder with the files of one trial: `TRIAL.c3d` and
+`TRIAL_knee_forces.csv`. The table of forces has the loads of four cells below the plate on the tibia in pounds, the
+angle of a goniometer (GON) in degrees, and the vertical force of the plate under the left foot (GRFz). Its rows are the
+frames of the C3D file.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+import mbdkit
+from mbdkit.base import elementary
+from mbdkit.base.errors import MbdkitError, SpecError
+from mbdkit.base.terminal import show
+from mbdkit.spec import load_inverse_spec
+from mbdkit.spec.loading import read_source
+from mbdkit_biomech.inverse_dynamics.table_files import read_table
+from mbdkit_biomech.persons.calibration import LEFT
+from mbdkit_biomech.persons.person import Person
+from mbdkit_biomech.uncertainty.contributions import contributions, has_contributions
+
+TRIAL = "jw_ngait_og3"
+"""The trial whose forces were open to the participants of the competition."""
+
+POUND = 4.4482216152605
+"""One pound-force [N]."""
+
+CELLS = ("PM", "AM", "AL", "PL")
+"""Columns of the load cells: posterior or anterior, medial or lateral."""
+
+GRF_UNIT = 1995.0
+"""One unit of the column GRFz [N]."""
+
+LARGEST_MISMATCH = 30.0
+"""Root mean square difference of GRFz and the plates [N] from which the rows are not the frames of the C3D file;
+in the open trial it is 8 N."""
+
+MASS = 64.6
+"""Mass of the person [kg]."""
+WEIGHT = 9.81 * MASS
+MUSCLES_OF = "walking-two-legs"
+"""The packaged example whose muscles are used."""
+
+_LEG = {"thigh": ("ThighSuperior", "ThighInferior", "ThighLateral"),
+        "shank": ("ShankSuperior", "ShankInferior", "ShankLateral"),
+        "foot": ("Heel", "Toe", "MidfootMedial", "MidfootLateral", "Hindfoot")}  # fmt: skip
+
+
+MARGIN = 0.15
+"""Time before and after the stances in which forces are computed [s], so that the ends of the record have no effect."""
+
+
+class Phase(NamedTuple):
+    """A stance of the right leg or the swing between two, by its first frame and the frame after its last one."""
+
+    name: str
+    first: int
+    end: int
+
+
+def spec_of(markers: Path, **sections: Any) -> dict[str, Any]:
+    """Return the spec of inverse dynamics of a trial; `sections` replace or add sections."""
+    clusters = {"trunk": ["RAsis", "LAsis", "RPsis", "LPsis", "Sacral"]}
+    for leg, side in (("", "R"), (LEFT, "L")):
+        clusters |= {body + leg: [side + name for name in names] for body, names in _LEG.items()}
+    muscles = read_source(MUSCLES_OF).data["model"]["muscles"]
+    return {
+        "mbdkit": 1,
+        "title": f"Knee challenge: {markers.stem}",
+        "subject": {"mass": MASS, "height": 1.66, "sex": "male"},
+        "model": {"name": "leg", "legs": 2, "root": "trunk", "symmetric_muscles": True, "muscles": muscles},
+        "motion": {
+            "file": str(markers.resolve()),
+            "clusters": clusters,
+            "smooth": {"name": "butterworth", "cutoff": 8},
+            "gaps": {"longest": 0.2},
+        },
+        "recruitment": {"exponent": 2, "minimum": 0.01, "reserves": 1.0},
+        **sections,
+    }
+
+
+def file_of(folder: Path, name: str) -> Path:
+    """Return the file of a name in a folder or below it.
+
+    Raises
+    ------
+    SpecError
+        If there is no such file.
+    """
+    if not folder.is_dir():
+        raise SpecError(f"{folder} is not a folder; give a copy of github.com/AnyBody/knee-grand-challenge-4th")
+    found = sorted(path for path in folder.rglob(name) if path.is_file())
+    if not found:
+        raise SpecError(
+            f"{folder} has no file {name}; it is part of github.com/AnyBody/knee-grand-challenge-4th (branch master, "
+            "folder TKA_AnyMoCap_MultiTrials/Trials)"
+        )
+    return found[0]
+
+
+def measured_of(file: Path, markers: Path) -> dict[str, np.ndarray]:
+    """Return the columns of a table of forces, (T,) each: ``force`` [N], ``GON`` [deg] and ``GRFz`` [N].
+
+    Raises
+    ------
+    SpecError
+        If a column is missing, or the rows are not the frames of the C3D file.
+    """
+    try:
+        lines = [line.strip().rstrip(",") for line in file.read_text(encoding="utf-8").splitlines() if line.strip()]
+        names, rows = lines[0].split(","), np.array([line.split(",") for line in lines[1:]], dtype=float)
+        own = {name: rows[:, column] for column, name in enumerate(names)}
+        force = POUND * np.sum([own[name] for name in CELLS], axis=0)
+        found = {"force": force, "GON": own["GON"], "GRFz": GRF_UNIT * own["GRFz"]}
+    except (UnicodeDecodeError, ValueError, IndexError, KeyError):
+        needed = ", ".join((*CELLS, "GON", "GRFz"))
+        raise SpecError(f"should be a table of numbers with the columns {needed}", file=file) from None
+    table = read_table(markers, "motion.file")
+    if len(rows) != len(table.cells):
+        raise SpecError(f"has {len(rows)} rows, but {markers.name} has {len(table.cells)} frames", file=file)
+    mismatches = [
+        float(
+            np.sqrt(np.mean((np.abs(np.array([row[column] for row in table.cells], dtype=float)) - found["GRFz"]) ** 2))
+        )
+        for column, heading in enumerate(table.headings)
+        if heading.endswith(".force.z")
+    ]
+    if not min(mismatches, default=np.inf) < LARGEST_MISMATCH:
+        raise SpecError(f"its rows are not the frames of {markers.name}: GRFz is the force of no plate", file=file)
+    return found
+
+
+def phases_of(person: Person) -> list[Phase]:
+    """Return the stances of the right foot, and the swings between them.
+
+    Raises
+    ------
+    SpecError
+        If the right foot is on no plate.
+    """
+    own = sorted((one for one in person.plates.contacts if one.body == "foot"), key=lambda one: one.first)
+    if not own:
+        raise SpecError("the right foot stands on no force plate in this trial")
+    found: list[Phase] = []
+    for number, one in enumerate(own, 1):
+        if found:
+            found.append(Phase("swing", found[-1].end, one.first))
+        found.append(Phase(f"stance {number}", one.first, one.end))
+    return found
+
+
+class Comparison(NamedTuple):
+    """Computed and measured values (T,), and half widths of the error bars of the computed ones (T,)."""
+
+    computed: np.ndarray
+    bar: np.ndarray
+    measured: np.ndarray
+
+    def rows(self, own: slice) -> Comparison:
+        """Return the values in some frames."""
+        return Comparison(self.computed[own], self.bar[own], self.measured[own])
+
+    @property
+    def error(self) -> np.ndarray:
+        """Computed minus measured values."""
+        return np.asarray(self.computed - self.measured)
+
+    @property
+    def covered(self) -> float:
+        """Share of the frames in which the bar contains the measured value."""
+        return float(np.mean(np.abs(self.error) <= self.bar))
+
+    @property
+    def rms(self) -> float:
+        """Root mean square error."""
+        return float(np.sqrt(np.mean(self.error * self.error)))
+
+
+def compared(run: mbdkit.Run, measured: Mapping[str, np.ndarray], rows: slice) -> tuple[Comparison, Comparison]:
+    """Return the compressive force of the right knee along the shank [N], and the angle of the knee [deg], in some rows
+    of a run.
+
+    The cells measure the force along the axis of the tibia; the bar is that of the whole force. The bar of the angle
+    contains those of both segments as if they were independent.
+    """
+    joint, bodies = list(run.joint_names).index("knee"), list(run.bodies)
+    accuracy = run.accuracy
+    assert accuracy is not None
+    thigh, shank = (run.bodies[name].angle[rows] for name in ("thigh", "shank"))
+    force = run.joints["knee"].reaction_force[rows]
+    along = elementary.sin(shank) * force[:, 0] - elementary.cos(shank) * force[:, 1]
+    errors = [accuracy.position_error[rows, bodies.index(name), 2] for name in ("thigh", "shank")]
+    bar = np.degrees(np.sqrt(sum(one * one for one in errors)))
+    return (
+        Comparison(along, accuracy.reaction_error[rows, joint], measured["force"]),
+        Comparison(np.degrees(thigh - shank), bar, measured["GON"]),
+    )
+
+
+def report_of(phases: Sequence[Phase], force: Comparison, angle: Comparison, run: mbdkit.Run, rows: slice) -> list[str]:
+    """Return the lines of the table, and the sources of error at the peaks."""
+    start = phases[0].first
+    lines = [f"body weight {WEIGHT:.0f} N; knee force: compression along the shank; bars of 95 %", ""]
+    lines.append(
+        f"{'':<12}{'frames':>7}{'rms [N]':>9}{'rms [BW]':>10}{'bias [N]':>10}{'covered':>9}{'half width [BW]':>17}"
+    )
+    for phase in (*phases, Phase("all", start, phases[-1].end)):
+        own = force.rows(slice(phase.first - start, phase.end - start))
+        lines.append(
+            f"{phase.name:<12}{len(own.error):>7}{own.rms:>9.0f}{own.rms / WEIGHT:>10.3f}{np.mean(own.error):>10.0f}"
+            f"{own.covered:>9.0%}{np.nanmedian(own.bar) / WEIGHT:>17.2f}"
+        )
+    lines += ["", f"{'peak':<22}{'measured [N]':>13}{'computed [N]':>13}{'bar [N]':>9}{'bar [BW]':>10}  inside"]
+    sources = []
+    for stance in (one for one in phases if one.name.startswith("stance")):
+        middle = (stance.first + stance.end) // 2
+        halves = {
+            "first": slice(stance.first - start, middle - start),
+            "second": slice(middle - start, stance.end - start),
+        }
+        for name, half in halves.items():
+            part, label = force.rows(half), f"{stance.name}, {name}"
+            at = int(np.argmax(part.computed))
+            inside = abs(np.max(part.measured) - part.computed[at]) <= part.bar[at]
+            lines.append(
+                f"{label:<22}{np.max(part.measured):>13.0f}{part.computed[at]:>13.0f}"
+                f"{part.bar[at]:>9.0f}{part.bar[at] / WEIGHT:>10.2f}  {'yes' if inside else 'no'}"
+            )
+            if has_contributions(run):
+                sources.append(f"{label:<22}{contributions(run, 'knee', float(run.time[rows][half][at])).sentence}")
+    return [
+        *(*lines, "", *sources, ""),
+        f"knee angle minus goniometer: {np.mean(angle.error):.1f} deg, standard deviation {np.std(angle.error):.1f}",
+        f"bar of the angle: {np.median(angle.bar):.1f} deg; it holds the goniometer in {angle.covered:.0%} of frames",
+    ]
+
+
+def compare(folder: Path, trial: str = TRIAL, *, archive: Path | None = None, **sections: Any) -> list[str]:
+    """Compute a trial and return the lines of the report.
+
+    Parameters
+    ----------
+    archive
+        File for the results; by default, nothing is written.
+    sections
+        Sections of the spec that replace those of `spec_of`, or are added.
+
+    Raises
+    ------
+    SpecError
+        If a file is missing or has other contents.
+    """
+    markers, table = (file_of(folder, f"{trial}{end}") for end in (".c3d", "_knee_forces.csv"))
+    measured = measured_of(table, markers)
+    data = spec_of(markers, **sections)
+    person = load_inverse_spec(data).person
+    phases = phases_of(person)
+    own = slice(phases[0].first, phases[-1].end)
+    data["time"] = {"start": float(max(person.time[own][0] - MARGIN, person.time[0])),
+                    "end": float(min(person.time[own][-1] + MARGIN, person.time[-1]))}  # fmt: skip
+    with mbdkit.inverse(data, archive=archive) as run:
+        rows = slice(first := int(np.argmin(np.abs(run.time - person.time[own][0]))), first + own.stop - own.start)
+        force, angle = compared(run, {name: values[own] for name, values in measured.items()}, rows)
+        summary = [
+            f"{trial}: {own.stop - own.start} frames from {run.time[rows][0]:.3f} to {run.time[rows][-1]:.3f} s",
+            "",
+        ]
+        summary += [f"{label:<12} {text}" for label, text in person.lines().items()]
+        lines = report_of(phases, force, angle, run, rows)
+    return [*summary, "", *lines]
+
+
+def main(words: Sequence[str] | None = None) -> None:
+    """Print the comparison of a trial."""
+    parser = argparse.ArgumentParser(
+        prog="python -m mbdkit_biomech.knee_challenge",
+        description="Compare the computed force of a knee with the one that an instrumented implant measured, in the "
+        "data of the Grand Challenge Competition to Predict In Vivo Knee Loads. The data are not part of mbdkit: clone "
+        "https://github.com/AnyBody/knee-grand-challenge-4th. Nothing is written without --archive.",
+    )
+    parser.add_argument("folder", type=Path, help="the clone, or a folder with TRIAL.c3d and TRIAL_knee_forces.csv")
+    parser.add_argument("--trial", default=TRIAL, help="name of the trial (default: %(default)s)")
+    parser.add_argument("--archive", type=Path, metavar="FILE.h5", help="keep the results, for `mbdkit report FILE.h5`")
+    asked = parser.parse_args(words)
+    try:
+        for line in compare(asked.folder, asked.trial, archive=asked.archive):
+            show(line)
+    except MbdkitError as error:
+        sys.exit(f"error: {error}")
+
+
+if __name__ == "__main__":
+    main()

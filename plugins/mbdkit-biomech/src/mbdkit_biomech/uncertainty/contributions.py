@@ -1,0 +1,140 @@
+"""What contributes to the error bars of joint forces: `run.contributions`, the summary, and the report."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from types import MethodType
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from mbdkit.archive.headlines import plus_minus
+from mbdkit.base.errors import SpecError, UnknownNameError
+from mbdkit.base.text import listed, table
+from mbdkit_biomech.uncertainty.sources import ADVICE
+from mbdkit_biomech.uncertainty.uncertain_result import INTERACTIONS
+
+if TYPE_CHECKING:
+    from mbdkit.archive.run import Run
+
+SHOWN = 0.005
+"""Smallest share of a source in the printed table."""
+
+NAMED, JOINTS_NAMED = 3, 4
+"""Number of sources that a sentence names, and of joints in the summary."""
+
+
+@dataclass(frozen=True)
+class Contributions:
+    """What contributes to the error bar of the force of a joint at a time.
+
+    Attributes
+    ----------
+    joint
+        Name of the joint.
+    time
+        Time of the row [s].
+    force, error
+        Force of the joint and its error bar, which holds with a probability of 95 % [N].
+    shares
+        Shares of the sources in the square of the error bar, the largest first; their sum is 1. The share of
+        ``interactions`` is what the others leave. A share is negative if a source shifts the force in one direction,
+        and all of them together in the other.
+    """
+
+    joint: str
+    time: float
+    force: float
+    error: float
+    shares: dict[str, float]
+
+    @property
+    def advice(self) -> str:
+        """What reduces the largest source of the person and its muscles; empty if the noise of the data is larger."""
+        first = next((name for name in self.shares if name != INTERACTIONS), "")
+        return ADVICE.get(first.split(" ")[0], "")
+
+    @property
+    def sentence(self) -> str:
+        """The largest sources with their shares, and the advice."""
+        own = [(name, share) for name, share in self.shares.items() if name != INTERACTIONS and share > 0]
+        told = listed([f"{name} {share:.0%}" for name, share in own[:NAMED]], "")
+        return f"{told}{': ' if self.advice else ''}{self.advice}"
+
+    def __str__(self) -> str:
+        """Return the table as text."""
+        shown = {name: share for name, share in self.shares.items() if abs(share) >= SHOWN}
+        rows = [["source", "share"], *([name, f"{share:.1%}"] for name, share in shown.items())]
+        head = f"{self.joint} at {self.time:.4g} s: {plus_minus(self.force, self.error)} N (95 %)"
+        less = len(self.shares) - len(shown)
+        return f"{head}\n{table(rows, '  ')}" + (f"\n  and {less} with less than {SHOWN:.1%}" if less else "")
+
+
+def contributions(run: Run, joint: str, at: float | None = None) -> Contributions:
+    """Return what contributes to the error bar of the force of a joint.
+
+    Parameters
+    ----------
+    run
+        The result of inverse dynamics with uncertain properties of a person, loads or muscles.
+    joint
+        Name of the joint.
+    at
+        Time [s]; by default, that of the largest force. The nearest recorded row is used.
+
+    Raises
+    ------
+    UnknownNameError
+        If there is no such joint.
+    SpecError
+        If the run has no contributions, or `at` is outside of the motion.
+    """
+    if joint not in run.joint_names:
+        raise UnknownNameError("joint", joint, list(run.joint_names))
+    parts = {} if run.accuracy is None else run.accuracy.parts
+    if "contribution" not in parts:
+        raise SpecError("the run has no contributions: its spec has no `uncertainty`", key="uncertainty")
+    place, time = list(run.joint_names).index(joint), np.asarray(run.time)
+    force = _forces(run)[:, place]
+    row = int(np.argmax(force))
+    if at is not None:
+        if not time[0] <= at <= time[-1]:
+            raise SpecError(f"should be from {time[0]:.6g} to {time[-1]:.6g} s, not {at:g}", key="at")
+        row = int(np.argmin(np.abs(time - at)))
+    own = parts["contribution"][:, row, place]
+    order = np.argsort(-own, kind="stable").tolist()
+    shares = {str(parts["source"][index]): float(own[index]) for index in order}
+    assert run.accuracy is not None
+    error = float(run.accuracy.reaction_error[row, place])
+    return Contributions(joint, float(time[row]), float(force[row]), error, shares)
+
+
+def contributions_of(run: Run) -> Callable[..., Contributions]:
+    """Return the function that computes contributions of a run."""
+    return MethodType(contributions, run)
+
+
+def has_contributions(run: Run) -> bool:
+    """Return whether a run has contributions."""
+    return run.accuracy is not None and "contribution" in run.accuracy.parts
+
+
+def _forces(run: Run) -> np.ndarray:
+    """Return the magnitudes (T, J) of the forces of the joints."""
+    vectors = run.array("joints/reaction_force")
+    return np.asarray(np.hypot(vectors[..., 0], vectors[..., 1]))
+
+
+def largest_joints(run: Run) -> list[str]:
+    """Return the joints with the largest forces in descending order."""
+    order = np.argsort(-np.max(_forces(run), axis=0), kind="stable")[:JOINTS_NAMED]
+    return [run.joint_names[index] for index in order]
+
+
+def uncertainty_lines(run: Run) -> list[tuple[str, str]]:
+    """Return lines of the summary with the sources of the error bars at the largest forces."""
+    if not has_contributions(run):
+        return []
+    texts = [f"{joint}: {contributions(run, joint).sentence}" for joint in largest_joints(run)]
+    return [("" if number else "sources of error", text) for number, text in enumerate(texts)]

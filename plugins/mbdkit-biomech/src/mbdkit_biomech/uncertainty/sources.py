@@ -1,0 +1,271 @@
+"""Sources of uncertainty: independent scalars, each with its distribution and with what it changes.
+
+A scalar changes one or several places of a problem, such as ``("masses", "thigh")``; see
+`mbdkit_biomech.uncertainty.changed_problem`. Changes of several scalars in a place are added. Shares are changes of
+logarithms, so that factors are log-normal.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Literal, TypeAlias
+
+import numpy as np
+
+from mbdkit.base.errors import SpecError
+from mbdkit.base.plain_data import quoted
+from mbdkit.base.text import did_you_mean, listed
+from mbdkit_biomech.uncertainty.uncertainty_section import Uncertainty
+
+if TYPE_CHECKING:
+    from mbdkit_biomech.inverse_dynamics.compute import InverseProblem
+
+Place: TypeAlias = tuple[str, ...]
+"""What is changed: the key of `uncertainty`, the element, and the axis or the body if there are several."""
+
+Kind: TypeAlias = Literal["person", "muscles"]
+
+DEFAULTS: Mapping[str, Any] = {
+    "masses": 0.1, "inertias": 0.2, "pressure": 0.005, "plate_gain": 0.01, "max_force": 0.2, "optimal_length": 0.05,
+    "tendon_length": 0.02, "muscle_points": 0.005, "exponent": (2.0, 3.0), "minimum": (0.01, 0.05),
+}  # fmt: skip
+"""Values of keys that are left out with `subject`; the page `persons` of the guide gives the source of each."""
+
+TRUNK_ZERO = 0.05
+"""Standard deviation of the zero of the angle of a trunk without static trial [rad]."""
+
+LEVELS = 4
+"""Number of values of a scalar that is distributed uniformly over a range: the middles of as many parts."""
+
+WORDS = {
+    "masses": "mass of the {}",
+    "inertias": "inertia of the {}",
+    "lengths": "lengths of the {}",
+    "max_force": "strength of {}",
+    "optimal_length": "fibre length of {}",
+    "tendon_length": "tendon length of {}",
+    "muscle_points": "points of {}",
+    "pressure": "pressure point of {}",
+    "plate_gain": "gain of {}",
+    "angles": "zero of {}",
+}
+
+ADVICE = {
+    "centre": "measure medial and lateral landmarks of the joint, or calibrate its centre by a motion",
+    "mass": "measure the segments, or use a scan",
+    "inertia": "measure the segments, or use a scan",
+    "lengths": "measure the segments",
+    "strength": "measure the strength of the joint or the volume of the muscle",
+    "fibre": "measure the fibres, for example by ultrasound",
+    "tendon": "measure the tendon, for example by ultrasound",
+    "points": "take the attachments from images",
+    "pressure": "calibrate the positions of the plates",
+    "gain": "calibrate the plates",
+    "zero": "record a static trial",
+    "offset": "synchronise plates and markers",
+    "exponent": "compare activations with EMG",
+    "least": "compare activations with EMG",
+}
+"""What reduces the uncertainty of a source, by the first word of its name."""
+
+
+@dataclass(frozen=True)
+class Source:
+    """A scalar that is not known exactly.
+
+    Attributes
+    ----------
+    group
+        Name of the source in tables, which several scalars may share.
+    kind
+        ``person`` or ``muscles``.
+    moves
+        Changes of places for a change of the scalar by 1.
+    span
+        None if the scalar is normal with the standard deviation 1; otherwise it is uniform between these two.
+    """
+
+    group: str
+    kind: Kind
+    moves: Mapping[Place, float]
+    span: tuple[float, float] | None = None
+
+    @property
+    def levels(self) -> np.ndarray:
+        """(L,) values of a scalar in a range."""
+        assert self.span is not None
+        low, high = self.span
+        return np.asarray(low + (high - low) * (np.arange(LEVELS) + 0.5) / LEVELS)
+
+    @property
+    def nodes(self) -> list[tuple[float, float]]:
+        """Values and weights of a quadrature of a function of this scalar whose value at 0 is known.
+
+        For a normal scalar, these are the outer nodes of the Gauss-Hermite rule of three nodes; the inner one is 0.
+        """
+        if self.span is None:
+            return [(-np.sqrt(3.0), 1 / 6), (np.sqrt(3.0), 1 / 6)]
+        return [(float(value), 1 / LEVELS) for value in self.levels]
+
+
+def asked_uncertainty(problem: InverseProblem) -> tuple[Uncertainty, bool] | None:
+    """Return the uncertainty of a problem, and whether it is that of `recruitment.deviations`; None if there is none.
+
+    Raises
+    ------
+    SpecError
+        If `uncertainty` and `recruitment.deviations` are both given.
+    """
+    spec = problem.source
+    short = None if spec.recruitment is None else spec.recruitment.deviations
+    if short is not None and spec.uncertainty is not None:
+        raise SpecError("is the short form of `uncertainty`, which is given too: remove one of them",
+                        key="recruitment.deviations")  # fmt: skip
+    if short is not None:
+        own = {key: getattr(short, key) for key in ("max_force", "optimal_length", "tendon_length", "samples")}
+        return Uncertainty(**own), True
+    if spec.uncertainty == "none" or (spec.uncertainty is None and spec.subject is None):
+        return None
+    return spec.uncertainty or Uncertainty(), False
+
+
+def sources_of(problem: InverseProblem) -> list[Source]:
+    """Return the sources of uncertainty of a problem; empty if it has none.
+
+    Raises
+    ------
+    SpecError
+        If the spec states the uncertainty of something that it does not have.
+    """
+    asked = asked_uncertainty(problem)
+    return [] if asked is None else [*_Sources(problem, *asked).all()]
+
+
+def change_of(sources: Sequence[Source], values: np.ndarray) -> dict[Place, float]:
+    """Return the changes of places for values (K,) of the scalars."""
+    found: dict[Place, float] = {}
+    for source, value in zip(sources, values.tolist(), strict=True):
+        for place, size in source.moves.items():
+            found[place] = found.get(place, 0.0) + value * size
+    return found
+
+
+class _Sources:
+    """Builds the sources of a problem."""
+
+    def __init__(self, problem: InverseProblem, asked: Uncertainty, is_short: bool):
+        self.problem, self.asked, self.is_short = problem, asked, is_short
+        self.person, self.mechanism = problem.source.person, problem.names.mechanism
+
+    def all(self) -> Iterator[Source]:
+        yield from self._centers()
+        segments = dict.fromkeys(segment_of(name, self.person) for name in self.mechanism.bodies)
+        for key in ("lengths", "masses", "inertias"):
+            if size := self._size(key):
+                yield from (self._scalar(key, segment, size) for segment in segments)
+        yield from self._of_loads()
+        yield from self._angles()
+        if self.person is not None and self.person.plates.offset is not None and self.person.plates.loads:
+            # plates and markers of a file have the same clock: their samples belong to the same interval of frames
+            interval = float(np.median(np.diff(self.person.time)))
+            deviation = min(self.person.plates.offset[1], interval) / np.sqrt(3.0)  # uniform within the bound
+            yield Source("offset in time of the plates", "person", {("offset",): deviation})
+        yield from self._of_muscles()
+
+    def _size(self, key: str) -> Any:
+        """Return the value of a key: that of the spec, or the default of a person."""
+        given = getattr(self.asked, key)
+        return given if given is not None or self.person is None else DEFAULTS.get(key)
+
+    def _scalar(self, key: str, element: str, size: float, kind: Kind = "person") -> Source:
+        return Source(WORDS[key].format(element.replace("_", " ")), kind, {(key, element): size})
+
+    def _require(self, key: str, reason: str) -> None:
+        """Raise SpecError if the spec itself has a key that needs something else."""
+        if getattr(self.asked, key) and not self.is_short:
+            raise SpecError(reason, key=f"uncertainty.{key}")
+
+    def _centers(self) -> Iterator[Source]:
+        if self.person is None:
+            self._require("centers", "needs `subject`: only a person from markers has joint centres that are measured")
+            return
+        given = self.asked.centers
+        own = given if isinstance(given, dict) else {}
+        for joint in own:
+            if joint not in self.person.centers:
+                known = list(self.person.centers)
+                hint = did_you_mean(joint, known) or f"; joints: {listed(known)}"
+                raise SpecError(f"is no joint of the person{hint}", key=f"uncertainty.centers.{quoted(joint)}")
+        for joint, center in self.person.centers.items():
+            size = own.get(joint) if isinstance(given, dict) else given
+            (xx, xy), (_, yy) = center.covariance[:2, :2].tolist() if size is None else ((size * size, 0.0),
+                                                                                        (0.0, size * size))  # fmt: skip
+            first = np.sqrt(xx)
+            shared = xy / first if first > 0 else 0.0
+            name = f"centre of the {joint.replace('_', ' ')}"
+            for moves in ((first, shared), (0.0, np.sqrt(max(0.0, yy - shared * shared)))):
+                if any(moves):
+                    yield Source(
+                        name, "person", {("centers", joint, a): one for a, one in zip("xy", moves, strict=True)}
+                    )
+
+    def _of_loads(self) -> Iterator[Source]:
+        loads = self.problem.loads
+        pressed = [name for name, one in loads.items() if one.point is not None and one.frame < 0]
+        forced = [name for name, one in loads.items() if np.any(one.force != 0)]
+        for key, names, what in (("pressure", pressed, "point in the global frame"), ("plate_gain", forced, "force")):
+            if not names:
+                self._require(key, f"needs a load with a {what}, but `loads` has none")
+            elif size := self._size(key):
+                yield from (self._scalar(key, name, size) for name in names)
+
+    def _angles(self) -> Iterator[Source]:
+        size, measured = self.asked.angles, self.problem.measured
+        angles = [name for name, one in zip(measured.names, measured.quantities.is_angle, strict=True) if one]
+        if not angles:
+            self._require("angles", "needs an observed angle, but the motion has none")
+        for name in angles:
+            own = size
+            if size is None and self.person is not None:
+                own = self.person.zeros[name.split(".")[1]]
+                own = TRUNK_ZERO if np.isnan(own) else own
+            if own:
+                yield Source(f"zero of {name}", "person", {("angles", name): own})
+
+    def _of_muscles(self) -> Iterator[Source]:
+        recruiter = self.problem.recruiter
+        keys = ("max_force", "optimal_length", "tendon_length", "muscle_points", "exponent", "minimum")
+        if recruiter is None:
+            for key in keys:
+                self._require(key, "needs `recruitment`: without it, muscles exert no force")
+            return
+        if (size := self._size("max_force")) and not self.is_short:
+            moves: dict[Place, float] = {("max_force", name): size for name in recruiter.muscles}
+            yield Source("strength of all muscles", "muscles", moves)
+        for key in keys[:3]:
+            if size := self._size(key):
+                yield from (self._scalar(key, name, size, "muscles") for name in recruiter.muscles)
+        if size := self._size("muscle_points"):
+            for name, muscle in recruiter.muscles.items():
+                group = WORDS["muscle_points"].format(name.replace("_", " "))
+                for body in dict.fromkeys(item.on for item in muscle.path):
+                    for axis in "xy":
+                        yield Source(group, "muscles", {("muscle_points", name, body, axis): size})
+        for key, name, value in (
+            ("exponent", "exponent of recruitment", recruiter.exponent),
+            ("minimum", "least activation", recruiter.asked.minimum),
+        ):
+            own = self._size(key)
+            if own is None or (getattr(self.asked, key) is None and not own[0] <= value <= own[1]):
+                continue
+            if not np.isfinite(value) or (key == "exponent" and value < 2):
+                raise SpecError(f"needs `recruitment.exponent` of 2 or more, not {recruiter.asked.exponent}",
+                                key=f"uncertainty.{key}")  # fmt: skip
+            if own[0] < own[1] or own[0] != value:
+                yield Source(name, "muscles", {(key,): 1.0}, (own[0] - value, own[1] - value))
+
+
+def segment_of(body: str, person: Any) -> str:
+    """Return the name of a segment; those of both legs of a person follow from the same tables."""
+    return body if person is None else body.removesuffix("_left")

@@ -1,0 +1,278 @@
+"""Outcomes of inverse dynamics for many values of its uncertain scalars at once.
+
+What is smooth is taken to first order about the result, by central differences of the exactly changed problem: the
+values u of the actuators without muscles, the reactions r that they cause, moment arms R, reactions G of unit tensions
+that actuators balance, lengths and rates of the paths of muscles, and positions and velocities. What has corners is
+computed exactly: curves of the fibres, bounds of the activations, and the optimum of recruitment for the tensions F.
+The reactions are ``r + G F``.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from mbdkit.base import elementary
+from mbdkit.base.errors import MbdkitError, RunError
+from mbdkit.engine.joint_sums import JointSums
+from mbdkit.engine.stacked_matrices import products
+from mbdkit_biomech.inverse_dynamics.compute import Inverse
+from mbdkit_biomech.inverse_dynamics.dynamics import solve_dynamics
+from mbdkit_biomech.inverse_dynamics.fibers import fibers_of_length
+from mbdkit_biomech.inverse_dynamics.loads import loads_on
+from mbdkit_biomech.inverse_dynamics.recruitment import Recruiter
+from mbdkit_biomech.inverse_dynamics.shared_loads import Programme, share_loads
+from mbdkit_biomech.uncertainty.changed_problem import PROPERTIES, ChangedProblem, Changer
+from mbdkit_biomech.uncertainty.sources import Place, Source
+
+ROWS = 10_000
+"""Number of programmes of recruitment that are solved together; more of them do not fit in the caches."""
+
+THREADS = 2
+"""Number of blocks that are solved at once. Results do not depend on it."""
+
+SHORTEST = 1e-3
+"""Least length of fibres along the tendon [m]; samples whose tendons leave less have no solution in these frames."""
+
+SMOOTH = "length", "rate", "optimal_length", "tendon_length"
+"""Quantities of muscles that are taken to first order; lengths of fibres and tendons follow the scaled segments."""
+
+EXACT = (*PROPERTIES, "exponent", "minimum")
+"""Keys of places that are not taken to first order."""
+
+
+@dataclass(frozen=True)
+class Outcomes:
+    """Outcomes for S values of the scalars in T frames; nan in frames that the muscles cannot produce.
+
+    Actuators and reserves (S, T, U), reactions (S, T, J, 3), and tensions (S, T, M).
+    """
+
+    actuators: np.ndarray
+    reactions: np.ndarray
+    muscles: np.ndarray
+
+
+@dataclass(frozen=True)
+class _Layout:
+    """Numbers U of actuators, J of joints and M of muscles, and where their arrays are in a row of smooth values."""
+
+    actuators: int
+    joints: int
+    muscles: int
+
+    @cached_property
+    def parts(self) -> dict[str, tuple[slice, tuple[int, ...]]]:
+        u, j, m = self.actuators, self.joints, self.muscles
+        shapes: dict[str, tuple[int, ...]] = {"value": (u,), "reactions": (j, 3), "arms": (u, m), "unit": (j, 3, m)}
+        shapes |= dict.fromkeys(("length", "rate", "optimal_length", "tendon_length"), (m,))
+        found, begin = {}, 0
+        for name, shape in shapes.items():
+            size = int(np.prod(shape))
+            found[name] = (slice(begin, begin + size), shape)
+            begin += size
+        return found
+
+    def split(self, rows: np.ndarray) -> dict[str, np.ndarray]:
+        """Return the arrays (..., shape) of rows (..., W)."""
+        return {name: rows[..., part].reshape(*rows.shape[:-1], *shape) for name, (part, shape) in self.parts.items()}
+
+
+class StackedOutcomes:
+    """Computes outcomes for values of the scalars of sources.
+
+    Parameters
+    ----------
+    result
+        The result.
+    sources
+        The K sources.
+
+    Attributes
+    ----------
+    moves : (K, T, B, 6) array
+        Changes of positions and velocities of the bodies by a change of each scalar by 1.
+    """
+
+    def __init__(self, result: Inverse, sources: Sequence[Source]):
+        self.result, self.sources = result, sources
+        self.recruiter = result.problem.recruiter
+        self._names = [] if self.recruiter is None else list(self.recruiter.muscles)
+        base = self._smooth(ChangedProblem(result.problem, result.fitted, result.independent, result.motion))
+        frames, count = len(result.motion.time), len(sources)
+        self._base, self.moves = base, np.zeros((count, frames, result.motion.q.shape[1] // 3, 6))
+        slopes, changer = {}, Changer(result)
+        for index, source in enumerate(sources):
+            smooth = {place: size for place, size in source.moves.items() if place[0] not in EXACT}
+            if smooth:
+                slopes[index] = self._slope(changer, source, smooth, index)
+        self._smooth_places = list(slopes)
+        self._slopes = np.stack([*slopes.values()], axis=1) if slopes else np.zeros((frames, 0, base.shape[1]))
+
+    def _slope(self, changer: Changer, source: Source, smooth: Mapping[Place, float], index: int) -> np.ndarray:
+        """Return the derivatives (T, W) with respect to a scalar, from changes by one standard deviation."""
+        sides, states = [], []
+        for sign in (1.0, -1.0):
+            try:
+                changed = changer.at({place: sign * size for place, size in smooth.items()})
+                sides.append(self._smooth(changed, keys={place[0] for place in smooth}, muscles=_muscles(smooth)))
+            except MbdkitError as error:
+                raise RunError(
+                    f"inverse dynamics has no result with the {source.group} changed by one standard deviation "
+                    f"({error}): state a smaller uncertainty"
+                ) from error
+            motion = changed.motion
+            states.append(np.concatenate([x.reshape(len(x), -1, 3) for x in (motion.q, motion.v)], axis=2))
+        self.moves[index] = (states[0] - states[1]) / 2
+        return np.asarray((sides[0] - sides[1]) / 2)
+
+    @cached_property
+    def _layout(self) -> _Layout:
+        mechanism = self.result.problem.prepared.workspace.mechanism
+        return _Layout(len(self.result.problem.actuators), len(mechanism.joints), len(self._names))
+
+    def _smooth(
+        self, own: ChangedProblem, keys: set[str] | None = None, muscles: Sequence[str] | None = None
+    ) -> np.ndarray:
+        """Return rows (T, W) of smooth values, see `_Layout`.
+
+        Parameters
+        ----------
+        keys
+            Keys of what is changed; None for the result itself.
+        muscles
+            Muscles whose paths are changed; None for all.
+        """
+        problem, motion, layout = own.problem, own.motion, self._layout
+        manifold, time = problem.fitter.manifold, motion.time
+        rows = np.zeros((len(time), sum(int(np.prod(shape)) for _, shape in layout.parts.values())))
+        out = layout.split(rows)
+        loads = loads_on(motion, problem.loads, problem.fitter.bodies)
+        report = problem.spec.unbalanced == "report"
+        dynamics, balance, _ = solve_dynamics(problem.fitter, motion, loads, problem.actuators, report=report)
+        sums = JointSums(problem.prepared.workspace.mechanism)
+
+        def reactions(lam: np.ndarray) -> np.ndarray:
+            return sums.sum(manifold.reactions(time, motion.q, motion.v, lam).reactions)
+
+        out["value"][:], out["reactions"][:] = dynamics.value, reactions(dynamics.lam)
+        if problem.recruiter is None:
+            return rows
+        if keys is not None:
+            of_muscles = slice(layout.parts["arms"][0].start, None)
+            rows[:, of_muscles] = self._base[:, of_muscles]
+            if keys <= {"masses", "inertias", "pressure", "plate_gain", "offset"}:
+                return rows
+        nothing = reactions(np.zeros_like(dynamics.lam))
+        for index, name in enumerate(self._names):
+            if muscles is not None and name not in muscles:
+                continue
+            path = problem.recruiter.path(name, motion)
+            arms = balance.as_actuators(-path.gradient[..., None])[..., 0]
+            pushed = -path.gradient - products(balance.columns, arms)
+            out["length"][:, index], out["rate"][:, index] = path.length, path.rate(motion.v)
+            out["arms"][..., index] = arms
+            for key in PROPERTIES[1:]:
+                out[key][:, index] = getattr(problem.recruiter.muscles[name], key)
+            out["unit"][..., index] = reactions(balance.directions.multipliers(pushed)) - nothing
+        return rows
+
+    def at(self, values: np.ndarray) -> tuple[Outcomes, int]:
+        """Return the outcomes for values (S, K) of the scalars, and in how many of the S samples some frames have no
+        solution.
+        """
+        count, frames, layout = len(values), len(self._base), self._layout
+        reserves = 0 if self.recruiter is None else len(self.recruiter.reserves)
+        out = Outcomes(
+            np.empty((count, frames, layout.actuators + reserves)),
+            np.empty((count, frames, layout.joints, 3)),
+            np.empty((count, frames, layout.muscles)),
+        )
+        order = np.argsort(self._total(values, ("exponent",)), kind="stable")  # equal exponents are solved together
+        blocks = _blocks(self._total(values, ("exponent",))[order], max(1, ROWS // frames))
+        with ThreadPoolExecutor(THREADS) as pool:  # NumPy and machine code release the lock of the interpreter
+            list(pool.map(lambda chosen: self._fill(values[order[chosen]], order[chosen], out), blocks))
+        failed = np.isnan(out.reactions).any(axis=(1, 2, 3))
+        return out, int(np.sum(failed))
+
+    def _total(self, values: np.ndarray, place: Place) -> np.ndarray:
+        """Return the changes (S,) of a place."""
+        found = np.zeros(len(values))
+        for index, source in enumerate(self.sources):
+            if place in source.moves:
+                found = found + values[:, index] * source.moves[place]
+        return found
+
+    def _fill(self, values: np.ndarray, rows: np.ndarray, out: Outcomes) -> None:
+        """Compute the outcomes of samples and put them into the rows (S,) of the arrays."""
+        smooth = self._base[:, None] + products(values[:, self._smooth_places], self._slopes)  # (T, S, W)
+        own = self._layout.split(smooth)
+        value, reactions = own["value"], own["reactions"]
+        recruiter, recruited = self.recruiter, self.result.recruited
+        if recruiter is None or recruited is None:
+            out.actuators[rows], out.reactions[rows] = np.swapaxes(value, 0, 1), np.swapaxes(reactions, 0, 1)
+            return
+        frames, count = smooth.shape[:2]
+        flat = {name: one.reshape(frames * count, *one.shape[2:]) for name, one in own.items()}
+        capacity, passive = self._capacities(recruiter, values, own)
+        minimum = recruiter.asked.minimum + self._total(values, ("minimum",))
+        driven = recruited.sharing.driven
+        programme = recruiter.programme(
+            flat["arms"], driven, flat["value"], np.nan_to_num(capacity), np.nan_to_num(passive),
+            np.tile(minimum, frames),
+        )  # fmt: skip
+        exponent = recruiter.exponent + float(self._total(values[:1], ("exponent",))[0])
+        force = _tensions(programme, exponent, capacity, passive)
+        beside = flat["value"] - products(flat["arms"], force)
+        beside[:, recruiter.is_taken_over(driven)] = 0.0
+        reserve = np.where(driven, beside, 0.0)[:, recruiter.reserve_places]
+        joint = flat["reactions"].reshape(frames * count, -1)
+        joint = joint + products(flat["unit"].reshape(frames * count, joint.shape[1], -1), force)
+        actuators = np.hstack([np.where(driven, flat["value"], beside), reserve])
+        for target, found in ((out.actuators, actuators), (out.reactions, joint), (out.muscles, force)):
+            shape = frames, count, *target.shape[2:]
+            target[rows] = np.swapaxes(found.reshape(shape), 0, 1)
+
+    def _capacities(
+        self, recruiter: Recruiter, values: np.ndarray, smooth: Mapping[str, np.ndarray]
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Return capacities and passive forces (T * S, M) of muscles; nan where a tendon is too long."""
+        asked, columns = recruiter.asked, []
+        for index, (name, muscle) in enumerate(recruiter.muscles.items()):
+            length, rate, optimal, tendon = (smooth[key][..., index] for key in SMOOTH)
+            by_force, by_optimal, by_tendon = (elementary.exp(self._total(values, (key, name))) for key in PROPERTIES)
+            force = muscle.max_force * by_force
+            active = passive = np.broadcast_to(force, length.shape)
+            if asked.capacity == "full" or asked.passive:
+                along = length - tendon * by_tendon
+                fibers = fibers_of_length(muscle, np.maximum(along, SHORTEST), rate, (force, optimal * by_optimal))
+                passive = np.where(along > SHORTEST, fibers.passive, np.nan)
+                active = np.where(along > SHORTEST, fibers.active, np.nan) if asked.capacity == "full" else active
+            columns.append((active, passive if asked.passive else np.zeros_like(passive)))
+        capacity, passive = (np.stack(one, axis=-1).reshape(-1, len(columns)) for one in zip(*columns, strict=True))
+        return capacity, passive
+
+
+def _tensions(programme: Programme, exponent: float, capacity: np.ndarray, passive: np.ndarray) -> np.ndarray:
+    """Return the tensions (R, M) that solve programmes; nan where there is no solution."""
+    shared = share_loads(programme, exponent)
+    solved = np.isfinite(shared.certificate)
+    return np.asarray(np.where(solved[:, None], capacity * shared.value[:, : capacity.shape[1]] + passive, np.nan))
+
+
+def _muscles(smooth: Mapping[Place, float]) -> list[str] | None:
+    """Return the muscles whose paths alone are changed; None if others are changed as well."""
+    return [place[1] for place in smooth] if all(place[0] == "muscle_points" for place in smooth) else None
+
+
+def _blocks(exponents: np.ndarray, most: int) -> Iterator[slice]:
+    """Yield slices of at most `most` equal values of a sorted array."""
+    begin = 0
+    while begin < len(exponents):
+        end = min(begin + most, int(np.searchsorted(exponents, exponents[begin], side="right")))
+        yield slice(begin, end)
+        begin = end

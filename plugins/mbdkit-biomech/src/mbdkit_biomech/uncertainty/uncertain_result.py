@@ -1,0 +1,222 @@
+"""How uncertain scalars change the results of inverse dynamics: bars from samples, and shares of the sources.
+
+Bars are quantiles of the magnitudes of the changes in samples of all scalars together, so that they contain the bounds
+of activations, interactions of the sources, and the bias of the result. Normal scalars of the samples are orthogonal to
+each other and come in pairs of opposite sign: for linear functions, mean squares over samples are then exact.
+
+The share of a source in the mean square of a change d is ``E[d_k . d] / E[d . d]``, with the change d_k of the source
+alone: its variance plus the product of its mean change with the mean change of all. Moments of d_k are those of a
+quadrature (`Source.nodes`), which is first order for linear functions and follows corners otherwise. Interactions are
+what the shares leave.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from mbdkit.base.text import counted
+from mbdkit.engine.linear_systems import product
+from mbdkit_biomech.inverse_dynamics.chi_square import LEVEL, quantile
+from mbdkit_biomech.inverse_dynamics.compute import Inverse
+from mbdkit_biomech.uncertainty.sources import LEVELS, Kind, Source, asked_uncertainty, sources_of
+from mbdkit_biomech.uncertainty.stacked_outcomes import Outcomes, StackedOutcomes
+
+OF_DATA, INTERACTIONS = "noise of the data", "interactions"
+"""Names of the first and the last row of contributions."""
+
+KINDS: tuple[Kind, Kind] = ("person", "muscles")
+
+
+@dataclass(frozen=True)
+class UncertainResult:
+    """Effects of uncertain scalars on a result in T frames.
+
+    Attributes
+    ----------
+    squares
+        Squared bounds of actuators (T, U), forces (T, J) and torques (T, J) of joints, positions and velocities (T, B,
+        3), and tensions (T, M); each bound holds with the probability `LEVEL`.
+    peaks
+        (J,) bounds of the errors of the largest forces of joints over the motion [N].
+    groups, kinds
+        Names and kinds of the G sources.
+    shares
+        (G, T, J) shares of the sources in the mean square changes of the forces of joints.
+    scalars, samples, failed
+        Number of scalars, of samples, and of samples in which the muscles cannot produce some frames.
+    failed_rows
+        Share of the frames of all samples that the muscles cannot produce.
+    """
+
+    squares: list[np.ndarray]
+    peaks: np.ndarray
+    groups: tuple[str, ...]
+    kinds: tuple[Kind, ...]
+    shares: np.ndarray
+    scalars: int
+    samples: int
+    failed: int
+    failed_rows: float
+
+    @property
+    def failures(self) -> str:
+        """A sentence on the samples without solution."""
+        return (
+            f"in {self.failed} of {self.samples} samples of the uncertain muscles, they are too weak, or their tendons "
+            f"too long, to produce some frames ({self.failed_rows:.2%} of all), which error bars leave out"
+        )
+
+    @property
+    def told(self) -> str:
+        """A sentence for the description of the method."""
+        failed = f", of which {self.failed} have frames that the muscles cannot produce" if self.failed else ""
+        return (
+            f" Uncertain properties of the person, loads and muscles: {counted(self.samples, 'sample')} of "
+            f"{counted(self.scalars, 'scalar')} of {counted(len(self.groups), 'source')}{failed}."
+        )
+
+    def parts(self, of_data: np.ndarray, whole: np.ndarray) -> dict[str, np.ndarray]:
+        """Return the parts of the bars of joint forces, by the name of their arrays in the archive.
+
+        Parameters
+        ----------
+        of_data, whole
+            (T, J) squared bars by the data alone, and of the result.
+        """
+        own = self.squares[1]
+        safe = np.where(whole > 0, whole, 1.0)
+        rows = [of_data / safe, *(self.shares * (own / safe)), (1.0 - np.sum(self.shares, axis=0)) * (own / safe)]
+        return {
+            "reaction_error_data": np.sqrt(of_data),
+            **{f"reaction_error_{kind}": np.sqrt(self.share_of(kind) * own) for kind in KINDS},
+            "reaction_peak_error": self.peaks,
+            "source": np.array([OF_DATA, *self.groups, INTERACTIONS], object),
+            "contribution": np.array(rows),
+        }
+
+    def share_of(self, kind: Kind) -> np.ndarray:
+        """Return the share (T, J) of a kind of sources in the squared bars; interactions are divided among the kinds in
+        proportion.
+        """
+        own = [np.sum(self.shares[[one == each for one in self.kinds]], axis=0) for each in KINDS]
+        own = [np.maximum(one, 0.0) for one in own]
+        whole = own[0] + own[1]
+        return np.asarray(own[KINDS.index(kind)] / np.where(whole > 0, whole, 1.0))
+
+
+def uncertain_result(result: Inverse, random: np.random.Generator) -> UncertainResult | None:
+    """Return the effects of the uncertain scalars of a result; None if its spec states none.
+
+    Raises
+    ------
+    MbdkitError
+        If the result does not exist for a scalar that is changed by its standard deviation.
+    """
+    sources = sources_of(result.problem)
+    if not sources:
+        return None
+    asked = asked_uncertainty(result.problem)
+    assert asked is not None
+    stacked = StackedOutcomes(result, sources)
+    nominal, _ = stacked.at(np.zeros((1, len(sources))))
+    values = drawn(sources, asked[0].samples, random)
+    sampled, failed = stacked.at(values)
+    actuators, reactions, muscles = (one - own for one, own in zip(_arrays(sampled), _arrays(nominal), strict=True))
+    force = reactions[..., :2]
+    moves = np.sum(stacked.moves * stacked.moves, axis=0) * quantile(1.0)
+    squares = [
+        _bound(np.abs(actuators)) ** 2,
+        _bound(_norm(force)) ** 2,
+        _bound(np.abs(reactions[..., 2])) ** 2,
+        moves[..., :3],
+        moves[..., 3:],
+        _bound(np.abs(muscles)) ** 2,
+    ]
+    largest, own = (np.max(_norm(one.reactions[..., :2]), axis=1) for one in (sampled, nominal))
+    groups = tuple(dict.fromkeys(one.group for one in sources))
+    shares = _shares(stacked, sources, nominal, force, groups)
+    kinds = {one.group: one.kind for one in sources}
+    return UncertainResult(
+        squares, _bound(np.abs(largest - own)), groups, tuple(kinds[one] for one in groups), shares, len(sources),
+        len(values), failed, float(np.mean(np.isnan(sampled.reactions).any(axis=(2, 3)))),
+    )  # fmt: skip
+
+
+def _arrays(one: Outcomes) -> tuple[np.ndarray, ...]:
+    return one.actuators, one.reactions, one.muscles
+
+
+def _norm(vectors: np.ndarray) -> np.ndarray:
+    return np.asarray(np.sqrt(np.sum(vectors * vectors, axis=-1)))
+
+
+def _bound(sizes: np.ndarray) -> np.ndarray:
+    """Return the quantile (...) of magnitudes (S, ...); nan where more than half of them are nan.
+
+    With S samples, the probability of the k-th smallest one is ``k / (S + 1)`` on average.
+    """
+    known = np.sum(np.isfinite(sizes), axis=0)
+    ordered = np.sort(sizes, axis=0)
+    place = np.clip(LEVEL * (known + 1) - 1, 0, np.maximum(known - 1, 0))
+    low = np.floor(place).astype(int)
+    high = np.minimum(low + 1, np.maximum(known - 1, 0))
+    first, second = (np.take_along_axis(ordered, one[None], axis=0)[0] for one in (low, high))
+    found = first + (place - low) * (second - first)
+    return np.asarray(np.where(2 * known >= len(sizes), found, np.nan))
+
+
+def drawn(sources: Sequence[Source], samples: int, random: np.random.Generator) -> np.ndarray:
+    """Return values (S, K) of the scalars of samples; S is even.
+
+    Scalars with a range have each of their levels equally often. If there are fewer than twice as many samples as
+    scalars, normal scalars are not orthogonal.
+    """
+    half = -(-samples // 2)
+    found = np.zeros((2 * half, len(sources)))
+    normal = [index for index, one in enumerate(sources) if one.span is None]
+    own = random.standard_normal((half, len(normal)))
+    if len(normal) < half:
+        for column in range(len(normal)):  # Gram-Schmidt, modified
+            own[:, column] *= np.sqrt(half / np.sum(own[:, column] * own[:, column]))
+            share = product(own[:, column + 1 :].T, own[:, column]) / half
+            own[:, column + 1 :] -= own[:, column, None] * share
+    found[:, normal] = np.concatenate([own, -own])
+    for index, one in enumerate(sources):
+        if one.span is not None:
+            found[:, index] = one.levels[random.permutation(2 * half) % LEVELS]
+    return found
+
+
+def _shares(
+    stacked: StackedOutcomes, sources: Sequence[Source], nominal: Outcomes, force: np.ndarray, groups: Sequence[str]
+) -> np.ndarray:
+    """Return the shares (G, T, J) of groups in the mean squares of changes `force` (S, T, J, 2); see the module."""
+    known = np.isfinite(force)
+    number = np.maximum(np.sum(known, axis=0), 1)
+    mean = np.sum(np.where(known, force, 0.0), axis=0) / number
+    square = np.sum(np.sum(np.where(known, force * force, 0.0), axis=0) / number, axis=-1)
+    safe = np.where(square > 0, square, 1.0)
+    found = np.zeros((len(groups), *square.shape))
+    for group, weights, changed in _alone(stacked, sources):
+        change = np.nan_to_num(changed.reactions[..., :2] - nominal.reactions[..., :2])
+        own = np.sum(weights[:, None, None, None] * change, axis=0)
+        own_square = np.sum(np.sum(weights[:, None, None, None] * change * change, axis=0), axis=-1)
+        found[groups.index(group)] += (own_square + np.sum(own * (mean - own), axis=-1)) / safe
+    return found
+
+
+def _alone(stacked: StackedOutcomes, sources: Sequence[Source]) -> Iterator[tuple[str, np.ndarray, Outcomes]]:
+    """Yield the group, the weights and the outcomes of the nodes of each scalar."""
+    nodes = [(index, value, weight) for index, one in enumerate(sources) for value, weight in one.nodes]
+    values = np.zeros((len(nodes), len(sources)))
+    for row, (index, value, _) in enumerate(nodes):
+        values[row, index] = value
+    every, _ = stacked.at(values)
+    owner = np.array([index for index, _, _ in nodes])
+    weights = np.array([weight for _, _, weight in nodes])
+    for index, one in enumerate(sources):
+        rows = owner == index
+        yield one.group, weights[rows], Outcomes(*(x[rows] for x in _arrays(every)))

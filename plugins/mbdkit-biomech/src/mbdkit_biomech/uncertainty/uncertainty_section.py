@@ -1,0 +1,68 @@
+"""The section `uncertainty` of a spec of inverse dynamics: how well person, loads and muscles are known."""
+
+from __future__ import annotations
+
+from typing import Annotated, ClassVar
+
+from pydantic import Field
+
+from mbdkit.base.errors import SpecError
+from mbdkit.spec.sections import Count, Section
+
+Distance = Annotated[float, Field(ge=0, le=0.1)]
+Angle = Annotated[float, Field(ge=0, le=0.5)]
+Share = Annotated[float, Field(ge=0, le=1)]
+Exponent = Annotated[float, Field(ge=2, le=20)]
+Activation = Annotated[float, Field(ge=0, lt=1)]
+
+
+class Uncertainty(Section):
+    """How well a person, its loads and its muscles are known; the error bars contain the effects.
+
+    Numbers are standard deviations. Those of shares are standard deviations of the logarithms, which are about the
+    relative standard deviations. With `subject`, keys that are left out have the defaults stated here; otherwise, and
+    with `recruitment.deviations`, they are 0. Each scalar varies independently.
+    """
+
+    ABSENT_BY_DEFAULT: ClassVar[tuple[str, ...]] = (
+        *("centers", "lengths", "masses", "inertias", "max_force", "optimal_length", "tendon_length"),
+        *("muscle_points", "pressure", "plate_gain", "angles", "exponent", "minimum"),
+    )
+
+    centers: Distance | dict[str, Distance] | None = None
+    """Joint centres of a person, forward and up [m], one value for all or one by joint; by default, the covariances of
+    their calibration."""
+    lengths: Share | None = None
+    """Distances in each segment from its centre of mass, in addition to what follows from the centres; default 0."""
+    masses: Share | None = None
+    """Mass of each segment; default 0.1."""
+    inertias: Share | None = None
+    """Moment of inertia of each segment, at constant mass; default 0.2."""
+    max_force: Share | None = None
+    """Isometric forces: of a factor of all muscles together, and of one factor for each muscle; default 0.2."""
+    optimal_length: Share | None = None
+    """Optimal length of the fibres of each muscle; default 0.05."""
+    tendon_length: Share | None = None
+    """Length of the tendon of each muscle; default 0.02."""
+    muscle_points: Distance | None = None
+    """Points of each muscle on each body, which move together, along both axes of the body [m]; default 0.005."""
+    pressure: Distance | None = None
+    """Point of application of each load with a point in the global frame, along x [m]; default 0.005."""
+    plate_gain: Share | None = None
+    """Factor of the force of each load; default 0.01."""
+    angles: Angle | None = None
+    """Zero of each observed angle [rad]. The default for a person is the scatter in the static trial or on the flat
+    foot, and 0.05 for a trunk without static trial."""
+    exponent: tuple[Exponent, Exponent] | None = None
+    """Range of the exponent of recruitment; default [2, 3] if it contains `recruitment.exponent`."""
+    minimum: tuple[Activation, Activation] | None = None
+    """Range of the smallest activation; default [0.01, 0.05] if it contains `recruitment.minimum`."""
+    samples: Annotated[Count, Field(ge=20)] = 500
+    """Number of samples of all scalars together."""
+
+    def model_post_init(self, _context: object) -> None:
+        """Raise SpecError if a range is not in order."""
+        for key in ("exponent", "minimum"):
+            own = getattr(self, key)
+            if own is not None and not own[0] <= own[1]:
+                raise SpecError(f"should be a range [lowest, highest], not [{own[0]:g}, {own[1]:g}]", key=key)

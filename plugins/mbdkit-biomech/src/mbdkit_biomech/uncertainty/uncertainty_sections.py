@@ -1,0 +1,59 @@
+"""The section of the report on what contributes to the error bars of joint forces, with a chart over time."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from mbdkit.archive.headlines import PERSON_MODEL_ERROR
+from mbdkit.mechanism.mechanism import Mechanism
+from mbdkit_biomech.uncertainty.contributions import NAMED, contributions, has_contributions, largest_joints
+from mbdkit_report.figures.page_model import Axis, Cell, Figure, Line, Section, Table, columns_of
+
+if TYPE_CHECKING:
+    from mbdkit.archive.run import Run
+
+DRAWN = 6
+"""Number of sources of a chart; those that are left out have smaller shares."""
+
+
+def uncertainty_sections(run: Run, _mechanism: Mechanism | None) -> tuple[Section, ...]:
+    """Return the section with the sources of the error bars at the largest forces; empty without uncertainty."""
+    if not has_contributions(run):
+        return ()
+    assert run.accuracy is not None
+    rows: list[tuple[Cell, ...]] = []
+    sentences = []
+    for joint in largest_joints(run):
+        own = contributions(run, joint)
+        sentences.append(f"{joint}: {own.sentence}.")
+        rows += [(joint, own.time, own.force, own.error, name, share) for name, share in [*own.shares.items()][:DRAWN]]
+    heads = columns_of("joint; time [s]; force [N]; error bar [N]; source; share")
+    note = (
+        "Shares in the square of the error bar at the largest force of each joint. The error bars do not contain "
+        f"{PERSON_MODEL_ERROR}."
+    )
+    shown = Table("sources", "Sources of the error bars", heads, tuple(rows), note)
+    first = f"The {NAMED} largest sources at the largest force of each joint, and what reduces the first one."
+    return (Section("uncertainty", "Uncertainty", (first, *sentences), None, (shown,)),)
+
+
+def uncertainty_charts(run: Run) -> list[Figure]:
+    """Return a chart of the shares over time for the joints with the largest forces; empty without uncertainty."""
+    if not has_contributions(run):
+        return []
+    assert run.accuracy is not None
+    parts, time, found = run.accuracy.parts, np.asarray(run.time), []
+    for joint in largest_joints(run):
+        place = list(run.joint_names).index(joint)
+        shares, error = parts["contribution"][..., place], run.accuracy.reaction_error[:, place]
+        size = shares * error
+        order = np.argsort(-np.nansum(np.abs(size), axis=1), kind="stable")[:DRAWN]
+        lines = tuple(Line(str(parts["source"][index]), time, size[index]) for index in order)
+        caption = (
+            f"Error bar of the force of {joint}, divided among its sources in proportion to their shares in its square."
+        )
+        axis = Axis("part of the error bar", "N")
+        found.append(Figure(f"sources-{joint}", f"Sources of error, {joint}", caption, Axis("time", "s"), axis, lines))
+    return found

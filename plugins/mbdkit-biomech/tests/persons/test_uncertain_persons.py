@@ -1,0 +1,60 @@
+"""The uncertainty of a person: centres of joints, and error bars that contain them."""
+
+import numpy as np
+import pytest
+from tests.persons.walkers import loaded, person_spec
+
+import mbdkit
+from mbdkit import SpecError
+from mbdkit_biomech.inverse_dynamics.compute import InverseProblem, compute
+from mbdkit_biomech.uncertainty.changed_problem import Changer
+
+
+@pytest.mark.parametrize("axis", ["x", "y"])
+def test_an_error_of_a_knee_changes_its_moment_by_the_force_times_the_distance(axis):
+    # The segments beneath are in equilibrium with the force R of the thigh on the shank: the moment about a point that
+    # is moved by e changes by the cross product of e and R. The lengths are means of both legs, so that half of the
+    # change of a length does not fit this leg.
+    result = compute(InverseProblem.of(loaded()))
+    size, changer = 0.005, Changer(result)
+    moved = changer.at({("centers", "knee", axis): size})
+    values, others = moved.forces().dynamics.value, result.dynamics.value
+    names = [one.name for one in result.problem.actuators]
+    change = (values - others)[:, names.index("knee_flexion")]
+    with mbdkit.inverse(person_spec()) as run:
+        x, y = run.joints["knee"].reaction_force.T
+    displacement = changer.displacement("knee", {("centers", "knee", axis): size})
+    expected = displacement[:, 0] * y - displacement[:, 1] * x
+    inside = slice(5, -5)
+    left = change[inside] - expected[inside]
+    assert np.sqrt(np.mean(left**2)) < 0.15 * np.sqrt(np.mean(expected[inside] ** 2))
+
+
+def test_bars_of_a_person_contain_data_and_person_by_default():
+    with mbdkit.inverse(person_spec(motion={"errors": {"samples": 100}}, uncertainty={"samples": 100})) as run:
+        parts = run.accuracy.parts
+        of_data, person, muscles = (parts[f"reaction_error_{one}"] for one in ("data", "person", "muscles"))
+        np.testing.assert_allclose(of_data**2 + person**2 + muscles**2, run.accuracy.reaction_error**2, rtol=1e-9)
+        np.testing.assert_allclose(np.sum(parts["contribution"], axis=0), 1.0, atol=1e-9)
+        assert np.all(muscles == 0)
+        found = run.contributions("knee")
+        assert {"centre of the knee", "mass of the shank", "gain of ground"} <= set(found.shares)
+        assert "error bars do not include muscles that the model lacks" in run.summary()
+        with pytest.raises(mbdkit.MbdkitError, match="knees"):
+            run.contributions("knees")
+
+
+@pytest.mark.parametrize(
+    ("uncertainty", "key"),
+    [({"centers": {"knees": 0.01}}, "uncertainty.centers.knees"), ({"exponent": [2, 3]}, "uncertainty.exponent")],
+)
+def test_wrong_uncertainty_of_a_person_is_refused(uncertainty, key):
+    with pytest.raises(SpecError) as error:
+        mbdkit.inverse(person_spec(uncertainty=uncertainty))
+    assert error.value.key == key
+
+
+def test_without_uncertainty_bars_say_that_the_person_is_missing():
+    with mbdkit.inverse(person_spec(motion={"errors": {"samples": 20}}, uncertainty="none")) as run:
+        assert not run.accuracy.parts
+        assert "uncertainty of the person's joint centres" in run.summary()

@@ -1,0 +1,256 @@
+"""`python -m tests.benchmarks persons --count N`: do the error bars of persons from markers contain the truth?
+
+Persons are drawn around one who walks with known joints (`person_markers`) from the distributions that the guide page
+`persons` states: markers with artefacts of the skin, hips beside the place of the regression, landmarks of the ankle
+beside its centre, plates with an offset in time, a wrong gain and a wrong point, an unknown zero of the trunk, and
+masses, muscles and recruitment unlike those of the model. The forces of the drawn person, computed from its own motion,
+are the truth. The generic model, the markers and the plates are what mbdkit gets. The draws do not use its own ones.
+"""
+
+from __future__ import annotations
+
+import io
+import json
+import time
+from collections.abc import Mapping
+from contextlib import redirect_stderr
+from dataclasses import dataclass, field
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+from rich.console import Console
+from rich.table import Table
+
+import mbdkit
+from mbdkit.base.errors import MbdkitError
+from mbdkit.spec import InverseSpec, load_inverse_spec
+from mbdkit.spec.loading import read_source
+
+from .person_markers import CLUSTERS, SHANK, THIGH, Array, Walker, columns_of
+
+SUBJECT = {"mass": 75, "height": 1.8, "sex": "male"}
+HIP, LANDMARK, PRESSURE, POINTS = 0.0079, 0.007, 0.005, 0.005
+"""Standard deviations: hips, landmarks, points of application and points of muscles, along each axis [m]."""
+GAIN, MASS, INERTIA, STRENGTH, FIBER, TENDON = 0.01, 0.1, 0.2, 0.2, 0.05, 0.02
+"""Standard deviations of logarithms; `STRENGTH` is that of a common factor and that of one for each muscle."""
+TRUNK_ZERO = 0.05
+"""Standard deviation of the zero of the angle of the trunk [rad]."""
+EXPONENT, MINIMUM = (2.0, 3.0), (0.01, 0.05)
+"""Ranges of the exponent of recruitment and the least activation."""
+RECRUITMENT = {"exponent": 2, "minimum": 0.02, "reserves": 1.0}
+LEG = ("thigh", "shank", "foot")
+JOINTS = ("hip", "knee", "ankle")
+LEVEL = 0.95
+CHAIN = ("trunk", *LEG)
+
+
+@dataclass(frozen=True)
+class Drawn:
+    """A person: spec of what was measured, and spec of the truth."""
+
+    measured: dict[str, Any]
+    truth: InverseSpec
+
+
+@dataclass
+class Tally:
+    """Errors and bars of persons, and what failed."""
+
+    failed: list[str] = field(default_factory=list)
+    errors: dict[str, list[Array]] = field(default_factory=dict)
+    bars: dict[str, list[Array]] = field(default_factory=dict)
+    seconds: float = 0.0
+
+    def add(self, name: str, error: Array, bar: Array) -> None:
+        """Add magnitudes of errors and bars of a quantity."""
+        self.errors.setdefault(name, []).append(np.atleast_1d(np.abs(error)))
+        self.bars.setdefault(name, []).append(np.atleast_1d(bar))
+
+    def row(self, name: str) -> tuple[float, float, float]:
+        """Return the share of covered values, its standard error over persons, and the ratio of the median bar to the
+        quantile of the errors of all persons.
+        """
+        error, bar = np.array(self.errors[name]), np.array(self.bars[name])
+        known = np.isfinite(error) & np.isfinite(bar)
+        each = np.sum((error <= bar) & known, axis=1) / np.maximum(np.sum(known, axis=1), 1)
+        large = np.nanquantile(np.where(known, error, np.nan), LEVEL, axis=0)
+        ratio = np.nanmedian(np.where(known, bar, np.nan), axis=0) / large
+        return float(np.mean(each)), float(np.std(each) / np.sqrt(len(each))), float(np.nanmedian(ratio))
+
+
+@lru_cache(maxsize=1)
+def _walker() -> Walker:
+    return Walker.of_example(2, slice(24, 230))
+
+
+@lru_cache(maxsize=1)
+def _expanded() -> dict[str, Any]:
+    """Return the spec of the model that is scaled to exact markers, as plain data."""
+    walker = _walker()
+    spec = load_inverse_spec(_spec(columns_of(walker, walker.markers())))
+    assert spec.person is not None
+    data: dict[str, Any] = json.loads(spec.expanded.canonical_json())
+    data["model"] |= {"thigh_length": THIGH, "shank_length": SHANK}
+    return data
+
+
+def _spec(columns: Mapping[str, Array], **sections: Any) -> dict[str, Any]:
+    """Return the spec of a person with one leg and nine muscles, from columns (T, 3) of markers and plates."""
+    data = {"time": _walker().time} | {f"{n}.{a}": x[:, k] for n, x in columns.items() for k, a in enumerate("xyz")}
+    clusters = {body: names for body, names in CLUSTERS.items() if not body.endswith("_left")}
+    return {
+        "mbdkit": 1,
+        "subject": SUBJECT,
+        "model": {
+            "name": "leg",
+            "root": "trunk",
+            "muscles": read_source("walking-muscles").data["model"]["muscles"],
+        },
+        "motion": {
+            "data": data,
+            "clusters": clusters,
+            "centers": {"knee": "functional"},
+            "smooth": {"name": "butterworth", "cutoff": 6},
+        },
+        "recruitment": RECRUITMENT,
+        **sections,
+    }
+
+
+def drawn_person(random: np.random.Generator, **sections: Any) -> Drawn:
+    """Return a person drawn at random; `sections` are added to the spec of what was measured."""
+    return Drawn(_spec(_measured(random), **sections), _truth(random))
+
+
+def _measured(random: np.random.Generator) -> dict[str, Array]:
+    """Return the columns of markers and plates."""
+    walker = _walker()
+    markers = walker.markers(random)
+    shift = HIP * random.standard_normal(3)
+    for name in CLUSTERS["trunk"]:
+        markers[name] = markers[name] + walker.turned("trunk", tuple(shift))
+    shift = LANDMARK * random.standard_normal(3)
+    for name in ("RANK", "RANM"):
+        markers[name] = markers[name] + walker.turned("shank", tuple(shift))
+    columns = columns_of(walker, markers)
+    late = random.uniform(-1.0, 1.0) * float(walker.time[1] - walker.time[0])  # the bound that is found in these data
+    gain, press = np.exp(GAIN * random.standard_normal()), PRESSURE * random.standard_normal()
+    for number in range(1, len(walker.contacts()) + 1):
+        names = [f"plate{number}.{one}" for one in ("force", "point", "torque")]
+        force, point, torque = (columns[name] for name in names)
+        moment = np.where(np.isnan(point), 0.0, point) * force[:, 2:]
+        force, moment, torque = (_later(walker.time, x, late) for x in (gain * force, gain * moment, torque))
+        acts = force[:, 2] > 10.0
+        with np.errstate(divide="ignore", invalid="ignore"):
+            point = np.where(acts[:, None], moment / force[:, 2:], np.nan) + np.array([press, 0.0, 0.0])
+        columns |= dict(zip(names, (force * acts[:, None], point, torque), strict=True))
+    return columns
+
+
+def _later(at: Array, values: Array, late: float) -> Array:
+    """Return values (T, 3) of plates that are late by a time [s]."""
+    return np.stack([np.interp(at - late, at, column) for column in values.T], axis=1)
+
+
+def _truth(random: np.random.Generator) -> InverseSpec:
+    """Return the spec of the drawn person with its own motion, loads and muscles."""
+    walker, data = _walker(), json.loads(json.dumps(_expanded()))
+    muscles = data["model"]["muscles"]
+    common = STRENGTH * random.standard_normal()
+    for muscle in muscles.values():
+        muscle["max_force"] *= float(np.exp(common + STRENGTH * random.standard_normal()))
+        muscle["optimal_length"] *= float(np.exp(FIBER * random.standard_normal()))
+        muscle["tendon_length"] *= float(np.exp(TENDON * random.standard_normal()))
+        for body in dict.fromkeys(item["body"] for item in muscle["path"]):
+            move = (POINTS * random.standard_normal(2)).tolist()
+            for item in muscle["path"]:
+                if item["body"] == body:
+                    item["point"] = [*map(_moved, item["point"], move), *item["point"][2:]]
+    zero = TRUNK_ZERO * random.standard_normal()
+    tilt = walker.angles["trunk"] - np.mean(walker.angles["trunk"]) + zero
+    angles = [tilt, *(walker.angles[name] for name in LEG)]
+    columns = {"hip_x": walker.hip[:, 0], "hip_y": walker.hip[:, 1], "trunk_tilt": tilt}
+    names = ("hip_flexion", "knee_flexion", "ankle_dorsiflexion")
+    for name, sign, above, below in zip(names, (1, -1, 1), angles, angles[1:], strict=False):
+        columns[name] = sign * (below - above)
+    force, point = walker.loads["foot"]
+    point = np.where(force[:, 1:] > 0, point, np.nan)
+    load = {"time": walker.time, "fx": force[:, 0], "fy": force[:, 1], "px": point[:, 0], "py": point[:, 1]}
+    data |= {
+        "motion": {"data": {"time": walker.time, **columns}, "smooth": "quintic", "errors": "none"},
+        "loads": {"ground": {"body": "foot", "force": ["fx", "fy"], "point": ["px", "py"], "data": load}},
+        "recruitment": RECRUITMENT | {"minimum": float(random.uniform(*MINIMUM))},
+    }
+    data["model"] = _weighed(data, random)
+    spec = load_inverse_spec(data)
+    assert spec.recruitment is not None
+    recruitment = spec.recruitment.model_copy(update={"exponent": float(random.uniform(*EXPONENT))})
+    return spec.model_copy(update={"recruitment": recruitment})
+
+
+def _moved(value: Any, by: float) -> Any:
+    """Return a coordinate of a point, a number or an expression, moved by a length."""
+    return f"{value} + ({by!r})" if isinstance(value, str) else value + by
+
+
+def _weighed(data: Mapping[str, Any], random: np.random.Generator) -> dict[str, Any]:
+    """Return the model with other masses and moments of inertia, as a model of its elements."""
+    own = load_inverse_spec(dict(data)).mechanism()
+    whole = {name: getattr(own, name) for name in ("bodies", "joints", "markers", "muscles", "coordinates")}
+    model: dict[str, Any] = {
+        key: {name: json.loads(one.model_dump_json(exclude_none=True)) for name, one in group.items()}
+        for key, group in whole.items()
+    }
+    for body in model["bodies"].values():
+        mass, inertia = np.exp(MASS * random.standard_normal()), np.exp(INERTIA * random.standard_normal())
+        body["mass"], body["inertia"] = float(mass) * body["mass"], float(mass * inertia) * body["inertia"]
+    return {"name": "mechanism", "gravity": list(own.gravity), **model}
+
+
+def persons(console: Console, count: int = 20, seed: int = 0, samples: int = 200) -> None:
+    """Print the shares of values that the bars contain, for `count` drawn persons."""
+    tally, begin = Tally(), time.process_time()
+    for number in range(count):
+        try:
+            add_person(tally, np.random.default_rng([seed, number]), samples)
+        except MbdkitError as error:
+            tally.failed.append(f"{number}: {error}")
+    tally.seconds = time.process_time() - begin
+    table = Table(
+        title=f"{count - len(tally.failed)} of {count} persons, {tally.seconds / count:.1f} s of processor time each"
+    )
+    for heading in ("quantity", "covered [%]", "+- [%]", "bar / 95 % quantile of errors"):
+        table.add_column(heading)
+    for name in tally.errors:
+        covered, scatter, ratio = tally.row(name)
+        table.add_row(name, f"{100 * covered:.1f}", f"{100 * scatter:.1f}", f"{ratio:.2f}")
+    console.print(table)
+    for text in tally.failed:
+        console.print(f"failed: {text}")
+
+
+def add_person(tally: Tally, random: np.random.Generator, samples: int) -> None:
+    """Add a person; raise MbdkitError if there is no result."""
+    person = drawn_person(random, uncertainty={"samples": samples})
+    with redirect_stderr(io.StringIO()):
+        found, truth = mbdkit.inverse(person.measured), mbdkit.inverse(person.truth)
+    assert found.accuracy is not None
+    parts = found.accuracy.parts
+    for joint in JOINTS:
+        own, other = (run.joints[joint].reaction_force for run in (found, truth))
+        place = list(found.joint_names).index(joint)
+        tally.add(f"force of the {joint}", np.linalg.norm(own - other, axis=1), found.accuracy.reaction_error[:, place])
+        sizes = [np.linalg.norm(one, axis=1) for one in (own, other)]
+        at = int(np.argmax(sizes[0]))
+        bar = np.hypot(parts["reaction_error_data"][at, place], parts["reaction_peak_error"][place])
+        tally.add(f"peak of the {joint}", sizes[0][at] - np.max(sizes[1]), bar)
+    errors, peaks, bars, bars_of_peaks = [], [], [], []
+    for name, muscle in found.muscles.items():
+        tension, at = truth.muscles[name].force, int(np.argmax(muscle.force))
+        errors.append(muscle.force - tension)
+        peaks.append(muscle.force[at] - np.max(tension))
+        bars.append(muscle.force_error)
+        bars_of_peaks.append(muscle.force_error[at])
+    tally.add("forces of muscles", np.concatenate(errors), np.concatenate(bars))
+    tally.add("peaks of muscles", np.array(peaks), np.array(bars_of_peaks))
