@@ -49,13 +49,15 @@ def predict(
     *,
     output: Annotated[Path | None, output_to("FILE.h5", "The archive; by default ./SPEC.h5.")] = None,
     assignments: MotionSet = None,
+    report: Annotated[bool, typer.Option("--report", help="Also write a report, as `mbdkit report` does.")] = False,
     overwrite: Overwrite = False,
     printing: Printing,
 ) -> None:
     """Find the motion and the controls that minimize an objective.
 
-    The optimal control problem is solved by direct collocation on finer and finer meshes.
-    See `mbdkit guide predict`.
+    The optimal control problem is solved by direct collocation on finer and finer meshes,
+    until the error of the objective is below the tolerance of the spec. Ctrl-C keeps the
+    best motion so far. See `mbdkit guide predict`.
     """
     from mbdkit_predict.predict_loading import load_predict_spec
 
@@ -64,4 +66,11 @@ def predict(
     check_new(path, spec, overwrite)
     from mbdkit_predict.prediction import computed
 
-    tell(computed(checked, path, overwrite=overwrite), printing)
+    run = computed(checked, path, overwrite=overwrite)
+    if report:
+        from mbdkit_report.pages.report import report as write
+
+        target = write(path, overwrite=overwrite)
+        if not (printing.quiet or printing.as_json):
+            show(target)
+    tell(run, printing)

@@ -19,8 +19,6 @@ MOST_INTERVALS = 640
 """Largest number of intervals of a refined mesh; every first mesh is refined once."""
 ITERATIONS_OF_START = 500
 """Largest number of iterations from a drawn guess."""
-LOOSE = 1e-4
-"""From this tolerance on, the last change of the objective is its error, and no mesh is added for a sharper one."""
 SAFETY = 3.0
 """Factor of the estimated error of the objective."""
 ACCIDENT = 2.0**-10
@@ -99,7 +97,7 @@ class _Search:
             self.meshes.append(mesh)
             error, is_known = self._error()
             limit = self.spec.tolerance * abs(_solution(mesh).objective) + NOTHING
-            if error <= limit and (self.spec.tolerance >= LOOSE or (is_known and self._is_confirmed(error))):
+            if is_known and error <= limit and self._is_confirmed(error):
                 break
             if len(self.meshes) > 1 and 2 * len(mesh.grid.phase) > MOST_INTERVALS:
                 if error > limit:
