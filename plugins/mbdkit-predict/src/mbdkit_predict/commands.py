@@ -23,13 +23,15 @@ from mbdkit.cli.outcome import tell
 def validate_predict(source: Any, name: str, assignments: list[str]) -> None:
     """Check the spec of a prediction and all its expressions, and print what would be computed."""
     from mbdkit_predict.export import require_casadi
-    from mbdkit_predict.predict_loading import load_predict_spec
+    from mbdkit_predict.predict_loading import compared_spec, load_predict_spec
 
     spec = load_predict_spec(source, assignments)
     require_casadi("the check of a prediction needs")
     from mbdkit_predict.predicted_run import transcribed
 
     transcribed(spec)
+    if spec.compare:
+        transcribed(compared_spec(spec))
     show(f"{name}: this is valid as a spec of a prediction")
     show(f"model        {spec.model_item.id}: {spec.mechanism().description()}")
     show(f"controls     {', '.join(spec.controls)}")

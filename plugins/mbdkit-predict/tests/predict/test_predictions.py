@@ -214,6 +214,7 @@ def test_a_path_condition_of_a_phase_with_a_free_duration_holds_in_it_only() -> 
     run = mbdkit.predict(
         block(
             duration=None, controls={PUSH: {"bounds": [-1, 1]}}, final={"block.x": 3, "block.vx": 0}, tolerance=1e-5,
+            collocation={"intervals": 10},
             phases=[{"duration": free, "subject_to": slow, "final": {"block.x": 1}}, {"duration": free}],
             minimize="final(t)",
         )
