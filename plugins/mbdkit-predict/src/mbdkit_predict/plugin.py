@@ -5,15 +5,30 @@ from __future__ import annotations
 from collections.abc import Iterable
 from pathlib import Path
 
-from mbdkit.plugin import Accessor, Command, Example, GuidePage, Item, SpecKind, SummaryLine, Target, hookimpl
+from mbdkit.plugin import (
+    Accessor,
+    Command,
+    Example,
+    GuidePage,
+    Item,
+    ReportSection,
+    SpecKind,
+    SummaryLine,
+    Target,
+    hookimpl,
+)
 
 _HERE = Path(__file__).parent
 _RESULTS = {
     "objective": "Smallest value of what is minimized.",
-    "objective_error": "Change of the objective by the last refinement of the mesh.",
+    "objective_error": "Estimated error of the objective.",
     "mesh": "Intervals and objective of each mesh.",
     "parameters": "Optimized numbers.",
     "controls": "Histories of the controls.",
+    "sensitivities": "Derivatives of the optimum from the multipliers.",
+    "starts": "Objectives on the first mesh from several first guesses.",
+    "forward_run": "Differences of a run with the controls from the motion.",
+    "gain": "Difference of the optimum from that of another motion.",
 }
 
 
@@ -51,6 +66,11 @@ def mbdkit_items() -> Iterable[Item]:
             summary="Objective, its error, and optimized numbers.",
             text=Target("mbdkit_predict.run_results:lines"),
             of=frozenset({"predict"}),
+        ),
+        ReportSection(
+            name="prediction",
+            summary="Optimum, meshes and sensitivities of a prediction.",
+            make=Target("mbdkit_predict.report_section:section"),
         ),
         Accessor(
             name="to_casadi",
