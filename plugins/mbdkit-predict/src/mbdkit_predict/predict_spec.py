@@ -7,6 +7,7 @@ import re
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
+import numpy as np
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, PrivateAttr, create_model, model_validator
 
 from mbdkit.base.errors import SpecError
@@ -18,7 +19,7 @@ from mbdkit.spec.choices import Choice
 from mbdkit.spec.model_spec import ModelSpec
 from mbdkit.spec.sections import Count, Section
 from mbdkit.spec.study_measures import DefinedMeasure
-from mbdkit_predict.chosen_numbers import ChosenNumbers
+from mbdkit_predict.chosen_numbers import UNKNOWNS, ChosenNumbers, elastic_muscles, unknowns_of
 
 if TYPE_CHECKING:
     from mbdkit.mechanism.mechanism import Mechanism
@@ -184,7 +185,7 @@ class PredictSpec(ModelSpec):
 
     def with_states(self, text: str) -> str:
         """Return an expression in which controls, ``controls["forces.motor.value"]``, are states of the mechanism."""
-        states = dict(zip(self.controls, self.chosen.control_states, strict=True))
+        states = dict(zip(self.chosen.controls, self.chosen.control_states, strict=True))
 
         def state(match: re.Match[str]) -> str:
             name = match[1] or match[2]
@@ -194,10 +195,18 @@ class PredictSpec(ModelSpec):
 
         return re.sub(r"\bcontrols(?:\[\"(.*?)\"\]|\.(\w+))", state, text)
 
+    def control(self, name: str) -> tuple[float, float, float | None]:
+        """Return the bounds and the start of a control; of unknowns of fibres, they are free by default."""
+        if (own := self.controls.get(name)) is not None:
+            return *own.bounds, own.start
+        return (0.0, np.inf, 0.1) if name.endswith(UNKNOWNS[1]) else (-np.inf, np.inf, 0.0)
+
     _chosen: Any = PrivateAttr(default=None)
 
     def _built(self) -> Mechanism:
-        chosen = ChosenNumbers(super()._built(), list(self.controls), list(self.optimized))
+        mechanism = super()._built()
+        unknowns = [key for name in elastic_muscles(mechanism) for key in unknowns_of(name)]
+        chosen = ChosenNumbers(mechanism, list(dict.fromkeys([*self.controls, *unknowns])), list(self.optimized))
         self._chosen = chosen
         return chosen.mechanism
 

@@ -148,7 +148,7 @@ def _rows(result: Prediction) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.nd
     values, n = mesh.values, len(mesh.values["q"])
     begin, own_states = values["start"], slice(2 * n, None)
     ends = [values["nodes"][:, -1]] if method.has_nodes else []
-    low, high = np.array([result.spec.controls[name].bounds for name in method.system.control_names]).T
+    low, high = np.array([result.spec.control(name)[:2] for name in method.system.control_names]).T
     first, last = values["u"][:, : len(method.c)], values["u"][:, -len(method.c) :]
     columns = {
         "q": (begin[:n], [end[:n] for end in ends]),

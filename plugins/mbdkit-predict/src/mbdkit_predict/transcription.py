@@ -22,6 +22,7 @@ import numpy as np
 from mbdkit.base.errors import SpecError
 from mbdkit.methods import gauss, radau_iia
 from mbdkit_predict.casadi_system import CasadiSystem
+from mbdkit_predict.elastic_fibers import ElasticFibers
 from mbdkit_predict.objective import INTEGRAL, Objective
 from mbdkit_predict.predict_spec import Duration, PredictSpec, bounds_of
 from mbdkit_predict.symbolic_mechanism import SymbolicMechanism
@@ -92,6 +93,7 @@ class Transcription:
         self.states = symbolic.states
         method = radau_iia if spec.collocation.method == "radau" else gauss
         self.a, self.b, self.c = method.tableau(spec.collocation.points).floats()
+        self.fibers = ElasticFibers(spec.chosen, self.system)
         self.has_nodes = spec.collocation.method == "gauss"
         self._initial = self._conditions("initial", bounds_of(spec.initial))
         self._final = self._conditions("final", bounds_of(spec.final))
@@ -99,6 +101,7 @@ class Transcription:
         self._path: list[tuple[str, ca.SX, float, float]] = []
         self._limits: list[tuple[str, int, float, float]] = []
         self._add_path()
+        self._is_free = self._free_states()
         self._stage = self._stage_function()
 
     def _add_path(self) -> None:
@@ -116,6 +119,12 @@ class Transcription:
                 self._limits.append((*unknown, low, high))
             else:
                 self._path.append((name, expression, low, high))
+
+    def _free_states(self) -> np.ndarray:
+        """Return whether each first-order state (Z,) is in a condition on the start, so that it is free."""
+        conditions = [x for x, _, _ in (*self._initial.values(), *self._periodic.values())]
+        free = [any(ca.depends_on(x, state) for x in conditions) for state in _elements(self.system.z)]
+        return np.array(free, dtype=bool)
 
     def points(self, intervals: int) -> np.ndarray:
         """Return the collocation points (N s,) as shares of the duration."""
@@ -141,18 +150,21 @@ class Transcription:
         points = self.points(spec.collocation.intervals)
         q = start[:, None] + (self._nearest(start, self._final, duration[2]) - start)[:, None] * points
         count, m = len(points), len(system.constraint_names)
-        u = [self._start_of(spec.controls[name], x) for name, x in zip(system.control_names, system.u0, strict=True)]
-        p = [self._start_of(spec.optimized[name], x) for name, x in zip(system.parameter_names, system.p0, strict=True)]
+        z = np.repeat(system.z0[:, None], count, axis=1)
+        z[self.fibers.states] = self.fibers.guess(q, system.p0)
+        u = [self._start_of(spec.control(name), x) for name, x in zip(system.control_names, system.u0, strict=True)]
+        optimized = [(*spec.optimized[name].bounds, spec.optimized[name].start) for name in system.parameter_names]
+        p = [self._start_of(limits, x) for limits, x in zip(optimized, system.p0, strict=True)]
         values = {
             "duration": np.array([duration[2]]),
             "p": np.array(p),
-            "start": np.concatenate([start, 0.0 * start, system.z0]),
+            "start": np.concatenate([start, 0.0 * start, z[:, 0]]),
             "q": q,
             "v": 0.0 * q,
             "a": 0.0 * q,
             "lam": np.zeros((m, count)),
             "mu": np.zeros((m, count)),
-            "z": np.repeat(system.z0[:, None], count, axis=1),
+            "z": z,
             "u": np.repeat(np.array(u)[:, None], count, axis=1),
         }
         return Mesh(spec.collocation.intervals, self._with_nodes(values, spec.collocation.intervals), np.nan, "", 0)
@@ -215,9 +227,10 @@ class Transcription:
         position, velocity, _ = system.constraints(*given)
         turn = ca.mtimes(ca.jacobian(position, system.q).T, mu) if m else 0.0
         integrands = [x for kind, x in self.objective.functionals if kind == INTEGRAL]
+        zero = ca.vertcat(system.residual(*given), position, velocity, system.equilibrium(*given))
         results = [
-            ca.vertcat(system.residual(*given), position, velocity), system.v + turn, system.rates(*given),
-            ca.vertcat(ca.SX(0, 1), *integrands), ca.vertcat(ca.SX(0, 1), *(condition[1] for condition in self._path)),
+            zero, system.v + turn, system.rates(*given), ca.vertcat(ca.SX(0, 1), *integrands),
+            ca.vertcat(ca.SX(0, 1), *(condition[1] for condition in self._path)),
         ]  # fmt: skip
         return ca.Function("point", [*given, mu], ca.cse(results))
 
@@ -252,6 +265,10 @@ class Transcription:
             conditions.append(_Condition("the joints at the start", closed(start, x["p"], 0.0)))
             if self.has_nodes:
                 conditions.append(_Condition("the joints at the end", closed(end, x["p"], x["duration"])))
+        at_rest = [x for x, k in zip(self.fibers.at_rest, self.fibers.states, strict=True) if not self._is_free[k]]
+        if at_rest:
+            balance = self._at_node(ca.vertcat(*at_rest))
+            conditions.append(_Condition("the equilibrium of fibres at the start", balance(start, x["p"], 0.0)))
         for key, sides, at, t in (
             ("initial", self._initial, start, 0.0), ("final", self._final, end, x["duration"])
         ):  # fmt: skip
@@ -278,8 +295,8 @@ class Transcription:
         shortest, longest, _ = self._duration()
         sizes = {"q": n, "v": n, "a": n, "lam": m, "mu": m, "z": z}
         free = {name: np.full((size, total), np.inf) for name, size in sizes.items()}
-        conditions = [x for x, _, _ in (*self._initial.values(), *self._periodic.values())]
-        is_free = [any(ca.depends_on(x, state) for x in conditions) for state in ca.vertsplit(system.z)] if z else []
+        is_free = self._is_free.copy()
+        is_free[self.fibers.states] = True
         start = np.concatenate([np.full(2 * n, np.inf), np.where(is_free, np.inf, 0.0)])
         at = np.concatenate([np.zeros(2 * n), np.where(is_free, 0.0, system.z0)])
         bounds = {
@@ -289,7 +306,7 @@ class Transcription:
             **{name: (-limit, limit) for name, limit in free.items()},
             "u": tuple(
                 np.repeat(side[:, None], total, axis=1)
-                for side in np.array([spec.controls[name].bounds for name in system.control_names]).reshape(-1, 2).T
+                for side in np.array([spec.control(name)[:2] for name in system.control_names]).reshape(-1, 2).T
             ),
         }
         for name, i, low, high in self._limits:
@@ -310,9 +327,9 @@ class Transcription:
         return given, given, given
 
     @staticmethod
-    def _start_of(variable: Any, present: float) -> float:
-        low, high = variable.bounds
-        return float(np.clip(present if variable.start is None else variable.start, low, high))
+    def _start_of(limits: tuple[float, float, float | None], present: float) -> float:
+        low, high, start = limits
+        return float(np.clip(present if start is None else start, low, high))
 
     def _with_nodes(self, values: dict[str, np.ndarray], count: int) -> dict[str, np.ndarray]:
         if self.has_nodes:
@@ -376,6 +393,10 @@ class Transcription:
             ubg=[0.0] * m + [condition[2] for condition in wanted],
         )
         return np.array(pose["x"]).ravel()
+
+
+def _elements(vector: ca.SX) -> list[ca.SX]:
+    return ca.vertsplit(vector) if vector.numel() else []
 
 
 def _solution(problem: tuple[str, Any, Any], **given: Any) -> tuple[ca.Function, Any]:

@@ -16,6 +16,8 @@ from typer.testing import CliRunner
 import mbdkit
 from mbdkit import MbdkitError, SpecError
 from mbdkit.cli import app
+from mbdkit.mechanism.values import Table
+from mbdkit.spec import load_spec
 from mbdkit_predict.predict_loading import load_predict_spec
 
 PUSH = "forces.push.value[0]"
@@ -268,3 +270,30 @@ def test_a_run_with_the_controls_of_a_closed_loop_is_the_predicted_motion() -> N
     np.testing.assert_allclose(forward["rocker"].angular_velocity[-1], 0.0, atol=1e-4)
     np.testing.assert_allclose(np.interp(0.4, forward.time, forward.joints["C"].reaction_force[:, 0]),
                                np.interp(0.4, run.time, run.joints["C"].reaction_force[:, 0]), rtol=1e-3)  # fmt: skip
+
+
+def test_muscles_with_elastic_tendons_move_a_forearm_as_in_a_run_with_their_excitations() -> None:
+    # expected: the motion of the engine with explicit rates of the fibres, by another method and in its own steps
+    names = ("biceps", "brachialis", "triceps")
+    base = load_spec("elbow-curl")
+    start = base.mechanism().bodies["forearm"].angle
+    run = mbdkit.predict(
+        {
+            "mbdkit_predict": 1, "base": "elbow-curl", "duration": 0.8, "tolerance": 1e-2,
+            "controls": {f"muscles.{name}.excitation": {"bounds": [0.01, 1], "start": 0.1} for name in names},
+            "initial": {"forearm.angle": start, "forearm.angular_velocity": 0},
+            "final": {"forearm.angle": 0.3, "forearm.angular_velocity": 0},
+            "minimize": "integral(" + "+".join(f"muscles.{name}.activation**2" for name in names) + ")",
+        }
+    )  # fmt: skip
+    assert run.status == "complete"
+    assert np.abs(run.muscles["biceps"].fiber_rate[1:]).max() < 10 * 0.132
+    m = base.mechanism()
+    for name in names:
+        value = run.controls[f"muscles.{name}.excitation"].value
+        table = {"table": [run.time[::2].tolist(), value[::2].tolist()]}
+        m.muscles[name] = m.muscles[name].model_copy(update={"excitation": Table(**table)})
+    forward = mbdkit.run(m, integrator={"name": "radau-iia"}, time={"end": 0.8, "step": 0.002})
+    np.testing.assert_allclose(forward["forearm"].angle[-1], 0.3, atol=5e-3)
+    largest = [float(one.muscles["brachialis"].force.max()) for one in (run, forward)]
+    assert largest[0] == pytest.approx(largest[1], rel=0.01)
