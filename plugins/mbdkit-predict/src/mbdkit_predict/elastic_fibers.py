@@ -52,7 +52,7 @@ class ElasticFibers:
 
     def guess(self, q: np.ndarray, p: np.ndarray) -> np.ndarray:
         """Return the lengths (F, T) of the fibres on slack tendons at positions (n, T), for parameters (P,)."""
-        lengths = np.array(self._lengths(q, p)).reshape(len(self.states), -1)
+        lengths = np.array(self._lengths(q, p)).reshape(len(self.states), q.shape[1])
         rows = []
         for muscle, length in zip(self._muscles, lengths, strict=True):
             along = np.maximum(length - muscle.tendon_length, SHORTEST * muscle.optimal_length)

@@ -185,11 +185,11 @@ class Transcription:
             "print_time": False, "show_eval_warnings": False, "expand": True, "ipopt.print_level": 0, "ipopt.sb": "yes",
             "ipopt.tol": PRECISION, "ipopt.max_iter": MOST_ITERATIONS, "ipopt.bound_relax_factor": 0.0,
         }  # fmt: skip
-        program = {
-            "x": ca.vertcat(*(ca.vec(x) for x in unknowns.values())),
-            "f": objective,
-            "g": ca.vertcat(*(ca.vec(condition.value) for condition in conditions)),
-        }
+        given = ca.vertcat(*(ca.vec(x) for x in unknowns.values()))
+        values = [objective, ca.vertcat(*(ca.vec(condition.value) for condition in conditions))]
+        sizes = np.concatenate([self._size(name, bounds[name]).ravel(order="F") for name in unknowns])
+        x = ca.MX.sym("x", *given.shape)
+        program = dict(zip("xfg", [x, *ca.Function("program", [given], values)(ca.DM(sizes) * x)], strict=True))
         low, high = (
             np.concatenate(
                 [np.broadcast_to(getattr(condition, side), condition.value.numel()) for condition in conditions]
@@ -198,17 +198,17 @@ class Transcription:
         )
         solver, result = _solution(
             ("prediction", program, options),
-            x0=np.concatenate([guess.values[name].ravel(order="F") for name in unknowns]),
-            lbx=np.concatenate([bounds[name][0].ravel(order="F") for name in unknowns]),
-            ubx=np.concatenate([bounds[name][1].ravel(order="F") for name in unknowns]),
+            x0=np.concatenate([guess.values[name].ravel(order="F") for name in unknowns]) / sizes,
+            lbx=np.concatenate([bounds[name][0].ravel(order="F") for name in unknowns]) / sizes,
+            ubx=np.concatenate([bounds[name][1].ravel(order="F") for name in unknowns]) / sizes,
             lbg=low,
             ubg=high,
         )
-        solution, values, begin = np.array(result["x"]).ravel(), {}, 0
+        solution, found, begin = sizes * np.array(result["x"]).ravel(), {}, 0
         for name in unknowns:
             shape = guess.values[name].shape
             size = int(np.prod(shape))
-            values[name] = solution[begin : begin + size].reshape(shape, order="F")
+            found[name] = solution[begin : begin + size].reshape(shape, order="F")
             begin += size
         report, g = solver.stats(), np.array(result["g"]).ravel()
         names = np.repeat(
@@ -217,7 +217,7 @@ class Transcription:
         beyond = np.nan_to_num(np.maximum(np.maximum(low - g, g - high), 0.0), nan=np.inf)
         worst = str(names[np.argmax(beyond)]), float(beyond.max())
         iterations = guess.iterations + report["iter_count"]
-        return Mesh(guess.intervals, values, float(result["f"]), report["return_status"], iterations, worst)
+        return Mesh(guess.intervals, found, float(result["f"]), report["return_status"], iterations, worst)
 
     def _stage_function(self) -> ca.Function:
         """Return the function of a collocation point: conditions, q', z', integrands, and path."""
@@ -317,6 +317,23 @@ class Transcription:
         if self.has_nodes:
             bounds["nodes"] = (np.full((2 * n + z, count), -np.inf), np.full((2 * n + z, count), np.inf))
         return bounds
+
+    def _size(self, name: str, bounds: tuple[np.ndarray, np.ndarray]) -> np.ndarray:
+        """Return the natural sizes of unknowns, by which they are divided for the optimizer.
+
+        It regularizes indefinite problems by absolute numbers; without sizes, a squat takes 16 times as many iterations.
+        Sizes of controls and parameters are their largest bounds, that of multipliers is the weight of all bodies.
+        """
+        low, high = bounds
+        sizes = np.ones(low.shape)
+        if name in ("u", "p"):
+            largest = np.maximum(abs(low), abs(high))
+            return np.where(np.isfinite(largest) & (largest > 0.0), largest, sizes)
+        if name == "lam":
+            mechanism = self.spec.mechanism()
+            weight = sum(body.mass for body in mechanism.bodies.values()) * float(np.hypot(*mechanism.gravity))
+            return sizes * (weight or 1.0)
+        return sizes
 
     def _duration(self) -> tuple[float, float, float]:
         """Return the bounds of the duration, and its first guess [s]."""
