@@ -321,7 +321,7 @@ class Transcription:
     def _size(self, name: str, bounds: tuple[np.ndarray, np.ndarray]) -> np.ndarray:
         """Return the natural sizes of unknowns, by which they are divided for the optimizer.
 
-        It regularizes indefinite problems by absolute numbers; without sizes, a squat takes 16 times as many iterations.
+        It regularizes indefinite problems by absolute numbers; without sizes, a squat takes 395 iterations, not 24.
         Sizes of controls and parameters are their largest bounds, that of multipliers is the weight of all bodies.
         """
         low, high = bounds
