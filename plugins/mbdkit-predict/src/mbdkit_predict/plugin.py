@@ -10,10 +10,14 @@ from mbdkit.plugin import Accessor, Command, Example, GuidePage, Item, SpecKind,
 _HERE = Path(__file__).parent
 _RESULTS = {
     "objective": "Smallest value of what is minimized.",
-    "objective_error": "Change of the objective by the last refinement of the mesh.",
+    "objective_error": "Estimated error of the objective.",
     "mesh": "Intervals and objective of each mesh.",
     "parameters": "Optimized numbers.",
     "controls": "Histories of the controls.",
+    "sensitivities": "Derivatives of the optimum from the multipliers.",
+    "starts": "Objectives on the first mesh from several first guesses.",
+    "forward_run": "Differences of a run with the controls from the motion.",
+    "gain": "Difference of the optimum from that of another motion.",
 }
 
 

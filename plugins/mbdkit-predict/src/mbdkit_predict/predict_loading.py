@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any, TypeAlias
 
 from mbdkit.base.errors import SpecError
-from mbdkit.base.plain_data import copied, parse_path, value_text
+from mbdkit.base.plain_data import copied, parse_path, path_text, value_text
 from mbdkit.base.text import did_you_mean, listed
 from mbdkit.registry.catalogue import Registry
 from mbdkit.registry.manager import registry
@@ -21,6 +22,10 @@ PredictSource: TypeAlias = str | Path | Mapping[str, object] | PredictSpec
 
 USED = ("parameters", "model")
 """Sections of the base that are used."""
+OF_BASE = ("base", "overrides")
+"""Keys that are replaced when a spec is loaded."""
+KEYS = (*OF_BASE, *(key for key in PredictSpec.model_fields if key not in ("mbdkit", "model", "optimized")))
+"""Keys of a spec with a base."""
 
 
 def load_predict_spec(source: Any, overrides: Iterable[str] = (), **sections: Any) -> PredictSpec:
@@ -49,8 +54,9 @@ def load_predict_spec(source: Any, overrides: Iterable[str] = (), **sections: An
 def _with_base(data: Mapping[str, Any], folder: Path) -> dict[str, Any]:
     """Return a spec with model and named parameters of its base."""
     sections = dict(data)
-    if "phases" in sections:
-        raise SpecError("motions of several phases are not supported; `duration` is that of the whole", key="phases")
+    for key in sections:
+        if key not in PredictSpec.model_fields and key not in OF_BASE:
+            raise SpecError(f"unknown key{did_you_mean(key, KEYS)}; known here: {listed(KEYS)}", key=key)
     if "base" not in sections:
         if "model" not in sections:
             raise SpecError(
@@ -71,6 +77,20 @@ def _with_base(data: Mapping[str, Any], folder: Path) -> dict[str, Any]:
     if "parameters" in sections:
         sections["optimized"] = sections.pop("parameters")
     return {"mbdkit": 1, **{key: base[key] for key in USED if key in base}, **sections}
+
+
+def compared_spec(spec: PredictSpec) -> PredictSpec:
+    """Return the spec of the motion that a spec is compared with."""
+    data = copied(json.loads(spec.canonical_json()))
+    for key, value in data.pop("compare").items():
+        path = parse_path(key)
+        if path[0] not in USED:
+            raise SpecError(f"'{key}' has no effect, because only {listed(USED, 'and')} are compared", key="compare")
+        put(data, path, value)
+        for name in list(data.get("optimized", {})):
+            if path_text(path[1:]) == name:
+                del data["optimized"][name]
+    return load_predict_spec({**data, "sensitivities": []})
 
 
 def _base(given: Any, folder: Path) -> dict[str, Any]:

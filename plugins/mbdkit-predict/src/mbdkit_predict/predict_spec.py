@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import json
+import math
 import re
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, NamedTuple
 
-import numpy as np
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, PrivateAttr, create_model, model_validator
 
 from mbdkit.base.errors import SpecError
@@ -81,7 +81,7 @@ class Duration(Section):
         return self
 
 
-class Condition(Section):
+class PathCondition(Section):
     """A condition along the path."""
 
     ABSENT_BY_DEFAULT: ClassVar[tuple[str, ...]] = ("min", "max")
@@ -94,12 +94,54 @@ class Condition(Section):
     """Its largest value."""
 
     @model_validator(mode="after")
-    def _limits(self) -> Condition:
+    def _limits(self) -> PathCondition:
         if self.min is None and self.max is None:
             raise SpecError("has no effect without `min` or `max`")
         if self.min is not None and self.max is not None:
             _ordered((self.min, self.max))
         return self
+
+    @property
+    def bounds(self) -> tuple[float, float]:
+        """Smallest and largest value, infinite if there is none."""
+        return -math.inf if self.min is None else self.min, math.inf if self.max is None else self.max
+
+
+class Phase(Section):
+    """A part of a motion with a duration and conditions of its own."""
+
+    ABSENT_BY_DEFAULT: ClassVar[tuple[str, ...]] = ("subject_to", "final", "intervals")
+
+    duration: Positive | Duration
+    """Duration of the phase [s], or its bounds."""
+    subject_to: dict[str, PathCondition] = Field(default_factory=dict)
+    """Conditions at all collocation points of the phase, by name."""
+    final: dict[str, Wanted] = Field(default_factory=dict)
+    """Values at the end of the phase, or their bounds, by expression of quantities."""
+    intervals: Count | None = None
+    """Intervals of the first mesh; by default, those of `collocation`."""
+
+
+class TimeLimit(Section):
+    """Limits of the effort of an optimization."""
+
+    wall_time: Positive
+    """Largest elapsed real time of the optimization [s]. The best motion so far is kept."""
+
+
+class PhaseOfMotion(NamedTuple):
+    """A phase, or the whole motion if there are none."""
+
+    number: int
+    prefix: str
+    duration: float | Duration
+    subject_to: Mapping[str, PathCondition]
+    final: Mapping[str, Any]
+    intervals: int | None
+
+    def key(self, name: str) -> str:
+        """Return the key path of one of its sections."""
+        return f"{self.prefix}{name}"
 
 
 class Collocation(Section):
@@ -134,7 +176,10 @@ class PredictSpec(ModelSpec):
     """
 
     model_config = ConfigDict(title="mbdkit spec of a prediction", defer_build=True)
-    ABSENT_BY_DEFAULT: ClassVar[tuple[str, ...]] = ("parameters", "optimized", "subject_to", "periodic")
+    ABSENT_BY_DEFAULT: ClassVar[tuple[str, ...]] = (
+        "parameters", "optimized", "duration", "phases", "initial", "final", "subject_to", "periodic", "sensitivities",
+        "compare", "starts", "seed", "limits",
+    )  # fmt: skip
 
     mbdkit_predict: Literal[1]
     """Version of the format of predictions."""
@@ -144,16 +189,19 @@ class PredictSpec(ModelSpec):
     optimized: dict[str, Variable] = Field(default_factory=dict)
     """Numbers that are optimized, by their key path in the model, such as `forces.spring.stiffness`. In specs with a
     `base`, they are called `parameters`."""
-    duration: Positive | Duration
-    """Duration of the motion [s], or its bounds."""
+    duration: Positive | Duration | None = None
+    """Duration of the motion [s], or its bounds; needed without `phases`."""
+    phases: list[Phase] = Field(default_factory=list)
+    """Parts of the motion, each with a duration and conditions of its own; states are continuous."""
     initial: dict[str, Wanted] = Field(default_factory=dict)
     """Values at the start, or their bounds, by expression of quantities; by default, nothing but the joints."""
     final: dict[str, Wanted] = Field(default_factory=dict)
     """Values at the end, or their bounds, by expression of quantities."""
-    subject_to: dict[str, Condition] = Field(default_factory=dict)
+    subject_to: dict[str, PathCondition] = Field(default_factory=dict)
     """Conditions at all collocation points, by name."""
-    periodic: list[str] = Field(default_factory=list)
-    """Expressions of quantities whose values are equal at the start and at the end."""
+    periodic: list[str | dict[str, str]] = Field(default_factory=list)
+    """Expressions of quantities whose values are equal at the start and at the end. With `{FIRST: SECOND}`, the
+    value of each at the end is that of the other one at the start, as for left and right after half a step."""
     minimize: str
     """What is minimized: an expression of measures such as `integral(forces.motor.value**2)` and `final(t)`."""
     collocation: Collocation = Collocation()
@@ -161,6 +209,45 @@ class PredictSpec(ModelSpec):
     tolerance: Positive = 1e-6
     """Largest change of the objective by halving all intervals, relative to its size. Intervals are halved until the
     change is smaller."""
+    sensitivities: list[str] = Field(default_factory=list)
+    """Key paths of numbers in the model: the derivative of the optimum by each is computed from the multipliers."""
+    compare: dict[str, Any] = Field(default_factory=dict)
+    """Values in the model or its named parameters, by key path, such as `model.forces.spring.stiffness: 0`. The motion
+    is optimized with them too, and the gain is the difference of both optima. Numbers in `parameters` that are given
+    here are not optimized."""
+    starts: Count = 1
+    """Number of first guesses; all but the first one are drawn."""
+    seed: Annotated[int, Field(ge=0)] = 0
+    """Seed of the drawn guesses."""
+    limits: TimeLimit | None = None
+    """When the optimization is stopped."""
+
+    @model_validator(mode="after")
+    def _has_duration(self) -> PredictSpec:
+        if self.duration is None and not self.phases:
+            raise SpecError("is missing: a number [s], `bounds`, or `phases` with a duration each", key="duration")
+        if self.duration is not None and self.phases:
+            raise SpecError("has no effect, because each of the `phases` has its own", key="duration")
+        return self
+
+    @property
+    def whole(self) -> list[PhaseOfMotion]:
+        """The phases; without `phases`, the whole motion is one."""
+        if self.duration is not None:
+            return [PhaseOfMotion(0, "", self.duration, self.subject_to, self.final, None)]
+        return [
+            PhaseOfMotion(k, f"phases[{k}].", phase.duration, phase.subject_to, phase.final, phase.intervals)
+            for k, phase in enumerate(self.phases)
+        ]
+
+    @property
+    def repeated_values(self) -> list[tuple[str, str]]:
+        """Pairs of expressions: the first one at the end of the motion equals the second one at its start."""
+        pairs: list[tuple[str, str]] = []
+        for item in self.periodic:
+            both = [(item, item)] if isinstance(item, str) else [*item.items(), *((b, a) for a, b in item.items())]
+            pairs += [pair for pair in both if pair not in pairs]
+        return pairs
 
     @property
     def span(self) -> None:
@@ -199,14 +286,16 @@ class PredictSpec(ModelSpec):
         """Return the bounds and the start of a control; of unknowns of fibres, they are free by default."""
         if (own := self.controls.get(name)) is not None:
             return *own.bounds, own.start
-        return (0.0, np.inf, 0.1) if name.endswith(UNKNOWNS[1]) else (-np.inf, np.inf, 0.0)
+        return (0.0, math.inf, 0.1) if name.endswith(UNKNOWNS[1]) else (-math.inf, math.inf, 0.0)
 
     _chosen: Any = PrivateAttr(default=None)
 
     def _built(self) -> Mechanism:
         mechanism = super()._built()
         unknowns = [key for name in elastic_muscles(mechanism) for key in unknowns_of(name)]
-        chosen = ChosenNumbers(mechanism, list(dict.fromkeys([*self.controls, *unknowns])), list(self.optimized))
+        fixed = [key for key in self.sensitivities if key not in self.optimized]
+        controls = list(dict.fromkeys([*self.controls, *unknowns]))
+        chosen = ChosenNumbers(mechanism, controls, [*self.optimized, *fixed])
         self._chosen = chosen
         return chosen.mechanism
 

@@ -1,10 +1,10 @@
-"""Computes predictions: refines the mesh until the objective is accurate, and writes the motion to an archive."""
+"""Computes predictions, and writes the motion to an archive."""
 
 from __future__ import annotations
 
 import json
+import math
 import time
-from dataclasses import dataclass
 from importlib.metadata import version
 from pathlib import Path
 
@@ -15,7 +15,7 @@ from mbdkit.archive import layout
 from mbdkit.archive.part_file import check_target
 from mbdkit.archive.reader import load
 from mbdkit.archive.run import Run
-from mbdkit.archive.run_writer import UNJUDGED, Ending, Origin
+from mbdkit.archive.run_writer import Ending, Origin
 from mbdkit.archive.writer import ArchiveWriter
 from mbdkit.base.errors import RunError, SpecError
 from mbdkit.base.one_thread import one_thread_of_linear_algebra
@@ -27,46 +27,24 @@ from mbdkit.quantities.states import States
 from mbdkit.runs.provenance import model_provenance
 from mbdkit.runs.recorder import shared_forces
 from mbdkit.trust.criteria import Judgement
+from mbdkit_predict.forward_run import Difference, forward_difference
+from mbdkit_predict.grid import weights
+from mbdkit_predict.nonlinear_program import Stop
 from mbdkit_predict.objective import objective_of
+from mbdkit_predict.optimum import Optimum, find_optimum
+from mbdkit_predict.predict_loading import compared_spec
 from mbdkit_predict.predict_spec import PredictSpec
 from mbdkit_predict.symbolic_mechanism import SymbolicMechanism
-from mbdkit_predict.transcription import SUCCESSES, Mesh, Transcription, statuses
+from mbdkit_predict.transcription import Transcription
 
-ROUNDING = 1e-8
-"""Smallest error of the objective, relative to its size, due to the tolerance of the optimizer."""
-NOTHING = 1e-9
-"""Changes of the objective below this count as zero."""
-NO_OPTIMUM = "The motion is that of the last iterate: it is no optimum, and may violate conditions."
+NO_OPTIMUM = "The motion is that of the best iterate: it is no optimum, and may violate conditions."
 INACCURATE = "The objective is less accurate than `tolerance`."
-"""Verdicts on motions whose optimization failed."""
-MOST_INTERVALS = 640
-"""Largest number of intervals of a refined mesh; every first mesh is refined once."""
-
-
-@dataclass(frozen=True)
-class Prediction:
-    """A predicted motion.
-
-    Attributes
-    ----------
-    spec, transcription
-        The spec, and its optimal control problem.
-    mesh
-        The solution on the last mesh.
-    objectives
-        Number of intervals and objective of each mesh.
-    error
-        Estimated error of the objective: its change by the last refinement; nan without an optimum on the last mesh.
-    reason
-        Code and sentence saying why the optimum was not found; empty if it was.
-    """
-
-    spec: PredictSpec
-    transcription: Transcription
-    mesh: Mesh
-    objectives: tuple[tuple[int, float], ...]
-    error: float
-    reason: str
+NO_MINIMUM = (
+    "The second-order condition of a minimum does not hold: the motion is stationary, but others near it may have the "
+    "same or a smaller objective."
+)
+ESTIMATED = "The error of the objective is estimated, a forward run confirms the motion, and it is a local minimum."
+"""Verdicts on motions."""
 
 
 def predicted(spec: PredictSpec, *, path: str | Path | None = None, overwrite: bool = False) -> Run:
@@ -76,10 +54,12 @@ def predicted(spec: PredictSpec, *, path: str | Path | None = None, overwrite: b
         check_target(file, overwrite=overwrite)
     transcription = transcribed(spec)
     setup, wall, cpu = time.perf_counter() - begin, time.perf_counter(), time.process_time()
-    with one_thread_of_linear_algebra():
-        result = _optimum(spec, transcription)
+    stop = Stop(np.inf if spec.limits is None else wall + spec.limits.wall_time)
+    with one_thread_of_linear_algebra(), stop.noting():
+        result = find_optimum(spec, transcription, stop)
+        rival = _rival(spec, stop)
     timings = {"setup_s": setup, "wall_s": time.perf_counter() - wall, "cpu_s": time.process_time() - cpu}
-    held = _archive_of(result, file, timings, overwrite=overwrite)
+    held = _archive_of(result, rival, file, timings, overwrite=overwrite)
     if held is not None:
         return Run(held)
     assert file is not None
@@ -101,45 +81,15 @@ def transcribed(spec: PredictSpec) -> Transcription:
         raise spec.placed(error) from None
 
 
-def _optimum(spec: PredictSpec, transcription: Transcription) -> Prediction:
-    """Return the optimum on a mesh that is fine enough."""
-    mesh = transcription.solved(transcription.guess())
-    meshes, error, change = [mesh], np.nan, 0.0
-    while mesh.status in SUCCESSES and (len(meshes) == 1 or 2 * mesh.intervals <= MOST_INTERVALS):
-        finer = transcription.solved(transcription.refined(mesh))
-        meshes.append(finer)
-        change, mesh = abs(finer.objective - mesh.objective), finer
-        if finer.status not in SUCCESSES:
-            error = np.nan
-            break
-        error = max(change, ROUNDING * abs(finer.objective))
-        if change <= spec.tolerance * abs(finer.objective) + NOTHING:
-            break
-    else:
-        change = np.inf
-    reason = ""
-    if mesh.status in SUCCESSES and change == np.inf:
-        reason = (
-            f"mesh-limit: the objective still changes by {error:.2g} on a mesh of {mesh.intervals} intervals, which is "
-            "more than `tolerance`"
-        )
-    if mesh.status not in SUCCESSES:
-        code, sentence = statuses().get(mesh.status, ("not-solved", f"the optimizer stopped: {mesh.status}"))
-        reason = f"{code}: {sentence}, on a mesh of {mesh.intervals} intervals{_cause(mesh) * (code == 'infeasible')}"
-    return Prediction(
-        spec, transcription, mesh, tuple((solved.intervals, solved.objective) for solved in meshes), error, reason
-    )
+def _rival(spec: PredictSpec, stop: Stop) -> Optimum | None:
+    """Return the optimum that the spec is compared with, if any."""
+    if not spec.compare or stop.now:
+        return None
+    other = compared_spec(spec)
+    return find_optimum(other, transcribed(other), stop)
 
 
-def _cause(mesh: Mesh) -> str:
-    """Return a clause on the condition that is violated most."""
-    name, size = mesh.violated
-    if name.startswith("the "):
-        return "; motion does not lead from the start to the end within the bounds"
-    return f"; the largest violation is that of `{name}`, {size:.3g}"
-
-
-def _rows(result: Prediction) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+def _rows(result: Optimum) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """Return times (T,), positions and velocities (T, n), and first-order states with controls (T, Z).
 
     The rows are the start, the collocation points, and the end if it is no such point.
@@ -155,25 +105,20 @@ def _rows(result: Prediction) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.nd
         "v": (begin[n : 2 * n], [end[n : 2 * n] for end in ends]),
         "z": (begin[own_states], [end[own_states] for end in ends]),
         "u": (
-            np.clip(first @ _weights(method.c, 0.0), low, high),
-            [np.clip(last @ _weights(method.c, 1.0), low, high) for _ in ends],
+            np.clip(first @ weights(method.c, 0.0), low, high),
+            [np.clip(last @ weights(method.c, 1.0), low, high) for _ in ends],
         ),
     }
     q, v, z, u = (np.column_stack([columns[name][0], values[name], *columns[name][1]]).T for name in "qvzu")
-    shares = np.concatenate([[0.0], method.points(mesh.intervals), [1.0] * len(ends)])
+    time = np.concatenate([[0.0], mesh.times, [values["duration"].sum()] * len(ends)])
     own, controls = iter(z.T), dict(zip(result.spec.chosen.control_states, u.T, strict=True))
     compiled = [state.name for state in method.states]
     states = [controls[name] if name in controls else next(own) for name in compiled]
-    return shares * values["duration"][0], q, v, np.array(states).reshape(len(compiled), len(q)).T
-
-
-def _weights(points: np.ndarray, at: float) -> np.ndarray:
-    """Return the weights of values at points in the value at another one of the polynomial through them."""
-    return np.array([np.prod([(at - c) / (own - c) for c in points if c != own]) for own in points])
+    return time, q, v, np.array(states).reshape(len(compiled), len(q)).T
 
 
 def _archive_of(
-    result: Prediction, path: Path | None, timings: dict[str, float], *, overwrite: bool
+    result: Optimum, rival: Optimum | None, path: Path | None, timings: dict[str, float], *, overwrite: bool
 ) -> h5py.File | None:
     """Write the motion to an archive; return the file of the archive if it is in memory, else None."""
     spec, method = result.spec, result.transcription
@@ -194,7 +139,7 @@ def _archive_of(
         for at, x, rate, state in zip(time, q, v, z, strict=True)
     ]
     points = slice(1, 1 + result.mesh.values["u"].shape[1])
-    work, lost = method.integrated(np.array(powers)[points].T, time[-1])
+    work, lost = method.integrated(np.array(powers)[points].T, result.mesh)
     start = float(observed.kinetic[0] + observed.potential[0])
     states = States(
         mechanism, time, *whole, lambda: observed, work=work, dissipated=lost, start_energy=start,
@@ -203,15 +148,8 @@ def _archive_of(
     names = archive_names(mechanism)
     optional = [*layout.of_elements(names), *(["constraints/singularity_distance"] if mechanism.solved_rows else [])]
     optional += layout.FRICTION if mechanism.friction else ()
-    results: dict[str, str | int | float] = {
-        "casadi": version("casadi"),
-        "objective": result.mesh.objective,
-        "objective_error": float(result.error),
-        "mesh": json.dumps(result.objectives),
-        "optimized": json.dumps(
-            dict(zip(method.system.parameter_names, result.mesh.values["p"].tolist(), strict=True))
-        ),
-    }
+    forward = _forward(result, equations, time, np.column_stack([q, v, z]))
+    results = _results(result, rival, forward)
     writer = ArchiveWriter(
         path,
         names,
@@ -226,12 +164,69 @@ def _archive_of(
         counted = dict.fromkeys(("steps", "iterations", "iterations_max", "rejected"), none)
         writer.append_steps({"time": time[1:], "size": np.diff(time), **counted})
         counters = dict.fromkeys(layout.COUNTERS, 0) | {"newton_iterations": result.mesh.iterations}
-        status = "failed" if result.reason else "complete"
+        status = result.reason.partition(":")[0] if result.reason.startswith("interrupted") else "failed"
         misalignment = states.misalignment.max(axis=0, initial=0.0)
-        judgement = UNJUDGED
-        if result.reason:  # an error is known if there is an optimum on the last mesh, the limit of meshes
-            known = np.isfinite(result.error)
-            judgement = Judgement("doubtful", (INACCURATE,)) if known else Judgement("bad", (NO_OPTIMUM,))
-        return writer.finish(Ending(status, result.reason, {**counters, **timings}, misalignment, judgement))
+        ending = Ending(status if result.reason else "complete", result.reason, {**counters, **timings}, misalignment,
+                        _judgement(result, rival, forward))  # fmt: skip
+        return writer.finish(ending)
     finally:
         writer.abandon()
+
+
+def _forward(result: Optimum, equations: EquationsOfMotion, time: np.ndarray, states: np.ndarray) -> Difference:
+    """Return how a forward run with the controls differs from the rows of the prediction."""
+    method, s = result.transcription, len(result.transcription.c)
+    if np.isnan(result.error):
+        return Difference()
+    names, chosen = [state.name for state in method.states], result.spec.chosen.control_states
+    are_states = [name in names for name in chosen]  # unknowns of fibres are not
+    u = result.mesh.values["u"][are_states].reshape(sum(are_states), len(result.mesh.grid.phase), s)
+    controls = np.array([names.index(name) for name in chosen if name in names])
+    ends = result.mesh.values["duration"] @ (result.mesh.grid.starts + result.mesh.grid.lengths)
+    if method.has_nodes:
+        nodes, own = result.mesh.values["nodes"].T, np.delete(np.arange(states.shape[1]), 2 * equations.n + controls)
+        at_ends = np.zeros((len(nodes), states.shape[1]))
+        at_ends[:, own] = nodes
+    else:
+        at_ends = states[s::s]
+    return forward_difference(equations, np.append(0.0, ends), np.vstack([states[0], at_ends]), u, method.c, controls)
+
+
+def _results(result: Optimum, rival: Optimum | None, forward: Difference) -> dict[str, str | int | float]:
+    """Return what predictions record in addition to runs."""
+    optimized = dict(zip(result.transcription.system.parameter_names, result.mesh.values["p"].tolist(), strict=True))
+    texts = {
+        "mesh": [[counts[0] if len(counts) == 1 else counts, value] for counts, value in result.meshes],
+        "optimized": {name: optimized[name] for name in result.spec.optimized},
+        "starts": [None if np.isnan(value) else value for value in result.starts],
+        "sensitivities": {} if np.isnan(result.error) else result.sensitivities,
+        "forward_run": vars(forward),
+    }
+    numbers = {"objective": result.objective, "objective_error": float(result.error)}
+    if rival is not None:
+        numbers |= {"compared_objective": rival.objective, "compared_error": float(rival.error)}
+    return {"casadi": version("casadi"), **numbers, **{name: json.dumps(value) for name, value in texts.items()}}
+
+
+def _judgement(result: Optimum, rival: Optimum | None, forward: Difference) -> Judgement:
+    """Return the verdict on a prediction."""
+    if np.isnan(result.error):
+        return Judgement("bad", (NO_OPTIMUM,))
+    # the objective of a minimum changes with the square of a change of the motion
+    limit = math.sqrt(result.spec.tolerance)
+    doubts = [INACCURATE] if result.reason else []
+    if not result.is_minimum:
+        doubts.append(NO_MINIMUM)
+    if not forward.of_intervals <= limit:
+        doubts.append(
+            f"A forward run with the controls differs by {forward.of_intervals:.2g} of the range of the motion in the "
+            f"sum of all intervals; `tolerance` explains {limit:.2g}."
+        )
+    elif not forward.largest <= limit:
+        doubts.append(
+            f"The motion is unstable: in a forward run, differences of {forward.of_intervals:.2g} of its range in the "
+            f"sum of all intervals grow to {forward.largest:.2g}; without feedback, the controls do not reproduce it."
+        )
+    if rival is not None and (np.isnan(rival.error) or rival.reason):
+        doubts.append("The motion that is compared has no accurate optimum.")
+    return Judgement("doubtful", tuple(doubts)) if doubts else Judgement("good", (ESTIMATED,))

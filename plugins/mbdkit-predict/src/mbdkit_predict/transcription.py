@@ -1,19 +1,19 @@
 """Direct collocation of optimal control: a motion becomes the solution of a nonlinear program.
 
 The unknowns are the positions, velocities, accelerations, multipliers, first-order states and controls at the
-collocation points of all intervals, the state at the start, the duration and the parameters. Both the constraints and
-their rates are zero at every point; multipliers mu make this possible (C. W. Gear, B. Leimkuhler and G. K. Gupta,
-Journal of Computational and Applied Mathematics 12-13:77-90, 1985):
+collocation points of all intervals, the state at the start, the durations of the phases and the parameters. Both the
+constraints and their rates are zero at every point; multipliers mu make this possible (C. W. Gear, B. Leimkuhler and G.
+K. Gupta, Journal of Computational and Applied Mathematics 12-13:77-90, 1985):
 
     q' = v + Phi_q^T mu,      v' = a,      M a + Phi_q^T lam = Q,      Phi = 0,      Phi_q v + Phi_t = 0
+
+States are continuous from phase to phase, because the end of an interval is the start of the next one.
 """
 
 from __future__ import annotations
 
-import io
 from collections.abc import Mapping
-from contextlib import redirect_stderr
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
 import casadi as ca
@@ -23,59 +23,68 @@ from mbdkit.base.errors import SpecError
 from mbdkit.methods import gauss, radau_iia
 from mbdkit_predict.casadi_system import CasadiSystem
 from mbdkit_predict.elastic_fibers import ElasticFibers
+from mbdkit_predict.grid import Grid, weights
+from mbdkit_predict.nonlinear_program import Condition, NonlinearProgram, Solution, Stop, solve_pose
 from mbdkit_predict.objective import INTEGRAL, Objective
-from mbdkit_predict.predict_spec import Duration, PredictSpec, bounds_of
+from mbdkit_predict.predict_spec import Duration, PathCondition, PredictSpec, bounds_of
 from mbdkit_predict.symbolic_mechanism import SymbolicMechanism
 
 OF_STATE = ("a", "lam", "u")
 """Symbols that are not known at the start and the end of a motion, only at collocation points."""
-MOST_ITERATIONS = 2000
-"""Largest number of iterations of the optimizer on a mesh."""
-PRECISION = 1e-10
-"""Tolerance of the optimizer, to which it scales the conditions of optimality."""
+OF_POINTS = ("q", "v", "a", "lam", "mu", "z", "u")
+"""Unknowns with a column for each collocation point."""
+CUTS = 2, 8
+"""Parts into which intervals are divided, and those in which controls or accelerations are discontinuous."""
+UNEVEN = 10.0
+"""Intervals are divided into more parts if jumps at their ends are larger than this multiple of the median."""
+WEIGHT_OF_START = 10.0
+"""Weight of violations of conditions at the start, which others hardly are to blame for; see `nearest_violations`."""
+MOST_UNEVEN = 0.125
+"""Largest share of such intervals."""
 
 
 @dataclass(frozen=True)
 class Mesh:
-    """A solution at the collocation points of a mesh.
+    """A solution, or a first guess, on a grid.
 
     Attributes
     ----------
-    intervals
-        Number of intervals N.
+    grid
+        The intervals.
     values
         Arrays of the unknowns by name: ``q``, ``v``, ``a``, ``lam``, ``mu``, ``z``, ``u`` have a column for each of the
         N s points; ``start`` (2 n + Z,) is the state at the start, ``nodes`` are those at the ends of intervals, if
-        these are no points; ``duration`` and ``p``.
-    objective
-        Value of the objective.
-    status
-        What the optimizer reports.
+        these are no points; ``duration`` (P,) and ``p``.
     iterations
-        Number of its iterations, on this mesh and those before.
-    violated
-        Name of the condition with the largest violation, and the violation.
+        Number of iterations of the optimizer, on this mesh and those before.
+    solution, program
+        What the optimizer returned, and its program; None for a guess.
     """
 
-    intervals: int
+    grid: Grid
     values: Mapping[str, np.ndarray]
-    objective: float
-    status: str
-    iterations: int
-    violated: tuple[str, float] = ("", 0.0)
+    iterations: int = 0
+    solution: Solution | None = None
+    program: NonlinearProgram | None = None
+
+    @property
+    def times(self) -> np.ndarray:
+        """Times (N s,) of the collocation points [s]."""
+        return np.asarray(self.values["duration"] @ self.grid.points)
 
 
-class _Condition(NamedTuple):
-    """A condition: its name, its values, and their bounds."""
+class _Path(NamedTuple):
+    """A condition along the path of one phase, or of all if `phase` is None."""
 
     name: str
-    value: ca.MX
-    low: float = 0.0
-    high: float = 0.0
+    expression: ca.SX
+    low: float
+    high: float
+    phase: int | None
 
 
 class Transcription:
-    """The optimal control problem of a spec, for any mesh.
+    """The optimal control problem of a spec, for any grid.
 
     Parameters
     ----------
@@ -91,217 +100,276 @@ class Transcription:
         self.spec, self.objective = spec, objective
         self.system: CasadiSystem = symbolic.system()
         self.states = symbolic.states
+        self.fibers = ElasticFibers(spec.chosen, self.system)
         method = radau_iia if spec.collocation.method == "radau" else gauss
         self.a, self.b, self.c = method.tableau(spec.collocation.points).floats()
-        self.fibers = ElasticFibers(spec.chosen, self.system)
         self.has_nodes = spec.collocation.method == "gauss"
         self._initial = self._conditions("initial", bounds_of(spec.initial))
-        self._final = self._conditions("final", bounds_of(spec.final))
-        self._periodic = self._conditions("periodic", dict.fromkeys(spec.periodic, (0.0, 0.0)))
-        self._path: list[tuple[str, ca.SX, float, float]] = []
-        self._limits: list[tuple[str, int, float, float]] = []
-        self._add_path()
-        self._is_free = self._free_states()
+        self._ends = [self._conditions(phase.key("final"), bounds_of(phase.final)) for phase in spec.whole]
+        self._ends[-1] |= self._conditions("final", bounds_of(spec.final)) if spec.phases else {}
+        self._periodic = [
+            (
+                f"periodic: {last}" + f" = {first}" * (first != last),
+                self._expression(last, "periodic", at_node=True),
+                self._expression(first, "periodic", at_node=True),
+            )
+            for last, first in spec.repeated_values
+        ]
+        self._path: list[_Path] = []
+        self._limits: list[tuple[str, int, _Path]] = []
+        for phase in spec.whole:
+            self._add_path(phase.subject_to, phase.key("subject_to"), phase.number if spec.phases else None)
+        if spec.phases:
+            self._add_path(spec.subject_to, "subject_to", None)
+        conditions = [*(x for x, _, _ in self._initial.values()), *(x for _, *both in self._periodic for x in both)]
+        states = _elements(self.system.z)
+        self._is_free = np.array([any(ca.depends_on(x, state) for x in conditions) for state in states], dtype=bool)
         self._stage = self._stage_function()
+        self._idle = self._without_effect()
 
-    def _add_path(self) -> None:
-        """Add the conditions along the path; those of one coordinate, velocity or state are bounds of unknowns."""
+    def _add_path(self, conditions: Mapping[str, PathCondition], key: str, phase: int | None) -> None:
+        """Add conditions along the path; those of one coordinate, velocity or state are bounds of unknowns."""
         unknowns = {
             x.element_hash(): (name, i) for name in "qvz" for i, x in enumerate(ca.vertsplit(self.system.symbols[name]))
         }
-        for name, condition in self.spec.subject_to.items():
-            expression = self._expression(condition.value, f"subject_to.{name}.value")
-            low, high = (
-                -np.inf if condition.min is None else condition.min,
-                np.inf if condition.max is None else condition.max,
-            )
+        for name, condition in conditions.items():
+            expression = self._expression(condition.value, f"{key}.{name}.value")
+            low, high = condition.bounds
+            path = _Path(f"{key}: {name}", expression, low, high, phase)
             if expression.is_symbolic() and (unknown := unknowns.get(expression.element_hash())):
-                self._limits.append((*unknown, low, high))
+                self._limits.append((*unknown, path))
             else:
-                self._path.append((name, expression, low, high))
+                self._path.append(path)
 
-    def _free_states(self) -> np.ndarray:
-        """Return whether each first-order state (Z,) is in a condition on the start, so that it is free."""
-        conditions = [x for x, _, _ in (*self._initial.values(), *self._periodic.values())]
-        free = [any(ca.depends_on(x, state) for x in conditions) for state in _elements(self.system.z)]
-        return np.array(free, dtype=bool)
-
-    def points(self, intervals: int) -> np.ndarray:
-        """Return the collocation points (N s,) as shares of the duration."""
-        shares = (np.repeat(np.arange(intervals), len(self.c)) + np.tile(self.c, intervals)) / intervals
-        return np.asarray(shares)
-
-    def integrated(self, rates: np.ndarray, duration: float) -> np.ndarray:
+    def integrated(self, rates: np.ndarray, mesh: Mesh) -> np.ndarray:
         """Return the integrals of rates (K, N s) at the collocation points, from 0 at the start on, and at the end of
         the motion if it is no such point.
         """
         parts = rates.reshape(len(rates), -1, len(self.c))
-        h = duration / parts.shape[1]
-        whole = np.cumsum(h * parts @ self.b, axis=1)
-        begins = whole - h * parts @ self.b
-        within = begins[:, :, None] + h * parts @ self.a.T
+        h = mesh.values["duration"] @ mesh.grid.lengths
+        whole = np.cumsum(h * (parts @ self.b), axis=1)
+        begins = whole - h * (parts @ self.b)
+        within = begins[:, :, None] + h[:, None] * (parts @ self.a.T)
         return np.column_stack([np.zeros(len(rates)), within.reshape(len(rates), -1), *[whole[:, -1]] * self.has_nodes])
 
-    def guess(self) -> Mesh:
-        """Return the first guess: positions on straight lines from a start to an end that satisfy their conditions."""
+    def guess(self, random: np.random.Generator | None = None) -> Mesh:
+        """Return a first guess: positions on straight lines between poses that satisfy the conditions at the start and
+        at the ends of phases; with `random`, by way of drawn poses, and with drawn controls.
+        """
         system, spec = self.system, self.spec
-        start = self._nearest(system.q0, self._initial, 0.0)
-        duration = self._duration()
-        points = self.points(spec.collocation.intervals)
-        q = start[:, None] + (self._nearest(start, self._final, duration[2]) - start)[:, None] * points
-        count, m = len(points), len(system.constraint_names)
-        z = np.repeat(system.z0[:, None], count, axis=1)
+        grid = Grid.uniform([phase.intervals or spec.collocation.intervals for phase in spec.whole], self.c)
+        durations = np.array([_duration(phase.duration)[2] for phase in spec.whole])
+        knots, poses = [0.0], [self._nearest(system.q0, self._initial, 0.0)]
+        for index, (conditions, end) in enumerate(zip(self._ends, np.cumsum(durations), strict=True)):
+            if index == len(durations) - 1:  # values at the end that follow from the pose at the start
+                known = np.concatenate([poses[0], 0.0 * poses[0], system.z0])
+                for name, at_last, at_first in self._periodic:
+                    value = float(self._at_node(at_first)(known, system.p0, 0.0))
+                    conditions = conditions | {name: (at_last, value, value)}
+            if conditions or index == len(durations) - 1:
+                knots.append(float(end))
+                poses.append(self._nearest(poses[-1], conditions, float(end)))
+        times, m = durations @ grid.points, len(system.constraint_names)
+        start = np.array(
+            [self._start_of(spec.control(k), x) for k, x in zip(system.control_names, system.u0, strict=True)]
+        )
+        u = np.repeat(start[:, None], len(times), axis=1)
+        if random is not None:
+            low, high = np.array([spec.control(name)[:2] for name in system.control_names]).T
+            high, low = np.where(np.isfinite(high - low), (high, low), start)  # unknowns of fibres are not drawn
+            shares, end = np.linspace(0.0, 1.0, 5), knots[-1]
+            drawn = np.clip(start + 0.25 * (high - low) * random.standard_normal((5, len(u))), low, high)
+            u = np.array([np.interp(times, shares * end, x) for x in drawn.T])
+            size = np.array([*[float(np.ptp(np.reshape(poses, (-1, 3))[:, :2], axis=0).max()) or 1.0] * 2, 0.5 * np.pi])
+            for t in shares[1:-1] * end:
+                pose = np.array([np.interp(t, knots, x) for x in np.array(poses).T])
+                pose = pose + np.tile(size, len(pose) // 3) * random.standard_normal(len(pose))
+                place = int(np.searchsorted(knots, t))
+                knots.insert(place, t)
+                poses.insert(place, self._nearest(pose, {}, t))
+        q = np.array([np.interp(times, knots, x) for x in np.array(poses).T])
+        v = 0.0 * q
+        p = [
+            self._start_of((*spec.optimized[name].bounds, spec.optimized[name].start), x)
+            if name in spec.optimized
+            else x
+            for name, x in zip(system.parameter_names, system.p0, strict=True)
+        ]
+        z = np.repeat(system.z0[:, None], len(times), axis=1)
         z[self.fibers.states] = self.fibers.guess(q, system.p0)
-        u = [self._start_of(spec.control(name), x) for name, x in zip(system.control_names, system.u0, strict=True)]
-        optimized = [(*spec.optimized[name].bounds, spec.optimized[name].start) for name in system.parameter_names]
-        p = [self._start_of(limits, x) for limits, x in zip(optimized, system.p0, strict=True)]
         values = {
-            "duration": np.array([duration[2]]),
-            "p": np.array(p),
-            "start": np.concatenate([start, 0.0 * start, z[:, 0]]),
-            "q": q,
-            "v": 0.0 * q,
-            "a": 0.0 * q,
-            "lam": np.zeros((m, count)),
-            "mu": np.zeros((m, count)),
-            "z": z,
-            "u": np.repeat(np.array(u)[:, None], count, axis=1),
-        }
-        return Mesh(spec.collocation.intervals, self._with_nodes(values, spec.collocation.intervals), np.nan, "", 0)
+            "duration": durations, "p": np.array(p), "start": np.concatenate([poses[0], 0.0 * poses[0], z[:, 0]]),
+            "q": q, "v": v, "a": v, "lam": np.zeros((m, len(times))), "mu": np.zeros((m, len(times))),
+            "z": z, "u": u,
+        }  # fmt: skip
+        return Mesh(grid, self._with_nodes(values))
 
     def refined(self, mesh: Mesh) -> Mesh:
-        """Return a guess on a mesh of twice as many intervals, by linear interpolation."""
-        before, count = self.points(mesh.intervals), 2 * mesh.intervals
-        after, values = self.points(count), dict(mesh.values)
-        for name in ("q", "v", "a", "lam", "mu", "z", "u"):
-            rows = mesh.values[name]
-            values[name] = np.array([np.interp(after, before, row) for row in rows]).reshape(len(rows), len(after))
-        return Mesh(count, self._with_nodes(values, count), mesh.objective, "", mesh.iterations)
+        """Return a guess on a finer grid, from the polynomials of the solution.
 
-    def solved(self, guess: Mesh) -> Mesh:
-        """Return the optimum on the mesh of a guess."""
-        unknowns, conditions, bounds, objective = self._program(guess.intervals)
-        options: dict[str, Any] = {
-            "print_time": False, "show_eval_warnings": False, "expand": True, "ipopt.print_level": 0, "ipopt.sb": "yes",
-            "ipopt.tol": PRECISION, "ipopt.max_iter": MOST_ITERATIONS, "ipopt.bound_relax_factor": 0.0,
-        }  # fmt: skip
-        given = ca.vertcat(*(ca.vec(x) for x in unknowns.values()))
-        values = [objective, ca.vertcat(*(ca.vec(condition.value) for condition in conditions))]
-        sizes = np.concatenate([self._size(name, bounds[name]).ravel(order="F") for name in unknowns])
-        x = ca.MX.sym("x", *given.shape)
-        program = dict(zip("xfg", [x, *ca.Function("program", [given], values)(ca.DM(sizes) * x)], strict=True))
-        low, high = (
-            np.concatenate(
-                [np.broadcast_to(getattr(condition, side), condition.value.numel()) for condition in conditions]
-            )
-            for side in ("low", "high")
-        )
-        solver, result = _solution(
-            ("prediction", program, options),
-            x0=np.concatenate([guess.values[name].ravel(order="F") for name in unknowns]) / sizes,
-            lbx=np.concatenate([bounds[name][0].ravel(order="F") for name in unknowns]) / sizes,
-            ubx=np.concatenate([bounds[name][1].ravel(order="F") for name in unknowns]) / sizes,
-            lbg=low,
-            ubg=high,
-        )
-        solution, found, begin = sizes * np.array(result["x"]).ravel(), {}, 0
-        for name in unknowns:
-            shape = guess.values[name].shape
-            size = int(np.prod(shape))
-            found[name] = solution[begin : begin + size].reshape(shape, order="F")
-            begin += size
-        report, g = solver.stats(), np.array(result["g"]).ravel()
-        names = np.repeat(
-            [condition.name for condition in conditions], [condition.value.numel() for condition in conditions]
-        )
-        beyond = np.nan_to_num(np.maximum(np.maximum(low - g, g - high), 0.0), nan=np.inf)
-        worst = str(names[np.argmax(beyond)]), float(beyond.max())
-        iterations = guess.iterations + report["iter_count"]
-        return Mesh(guess.intervals, found, float(result["f"]), report["return_status"], iterations, worst)
+        All intervals are halved. Those where controls, accelerations or multipliers are discontinuous, which is where
+        conditions become active and the order of the method is lost, are divided into more parts.
+        """
+        s, count = len(self.c), len(mesh.grid.phase)
+        jumps = np.zeros(count)
+        for name in ("a", "lam", "u"):
+            parts = mesh.values[name].reshape(-1, count, s)
+            jump = abs(parts[:, 1:] @ weights(self.c, 0.0) - parts[:, :-1] @ weights(self.c, 1.0))
+            share = (jump / (np.ptp(parts, axis=(1, 2))[:, None] + 1e-9)).max(axis=0, initial=0.0)
+            jumps[1:] = np.maximum(jumps[1:], share)
+            jumps[:-1] = np.maximum(jumps[:-1], share)
+        most = np.partition(jumps, -int(MOST_UNEVEN * count) - 1)[-int(MOST_UNEVEN * count) - 1]
+        uneven = jumps > max(UNEVEN * np.median(jumps), most, 1e-3)
+        divided = np.where(uneven, CUTS[1], CUTS[0])
+        values = dict(mesh.values)
+        for name in OF_POINTS:
+            parts, points = mesh.values[name].reshape(-1, count, s), self.c
+            if name in self._rows:  # polynomials of states pass through the start of the interval
+                begins = np.concatenate(
+                    [mesh.values["start"][self._rows[name], None], self._at_ends(mesh, name)[:, :-1]], 1
+                )
+                parts, points = np.concatenate([begins[:, :, None], parts], axis=2), np.array([0.0, *self.c])
+            within = {m: np.array([weights(points, (j + c) / m) for j in range(m) for c in self.c]).T for m in CUTS}
+            columns = [parts[:, i] @ within[m] for i, m in enumerate(divided)]
+            values[name] = np.concatenate(columns, axis=1)
+        return Mesh(mesh.grid.divided(divided), self._with_nodes(values), mesh.iterations)
+
+    def solved(self, guess: Mesh, stop: Stop, most_iterations: int | None = None) -> Mesh:
+        """Return the optimum on the grid of a guess."""
+        program = NonlinearProgram(*self._program(guess.grid), self._sizes())
+        solution = program.solve(guess.values, stop, *(() if most_iterations is None else (most_iterations,)))
+        return replace(
+            guess, values=solution.values, iterations=guess.iterations + solution.iterations, solution=solution,
+            program=program,
+        )  # fmt: skip
+
+    def nearest_violations(self, guess: Mesh, stop: Stop) -> Mapping[str, float]:
+        """Return the violations, by name, of the motion whose conditions of the user have the smallest sum of
+        violations; empty if it is not found.
+        """
+        unknowns, bounds, conditions, _ = self._program(guess.grid)
+        total: Any = ca.MX(0)
+        values, rows = dict(guess.values), []
+        for k, row in enumerate(conditions):
+            if ": " not in row.name:
+                rows.append(row)
+                continue
+            over, under = f"over {k}", f"under {k}"
+            for name in (over, under):
+                unknowns[name] = ca.MX.sym(name, *row.value.shape)
+                bounds[name] = np.zeros(row.value.shape), np.full(row.value.shape, np.inf)
+                values[name] = np.zeros(row.value.shape)
+                weight = WEIGHT_OF_START if row.name.startswith("initial") else 1.0
+                total = total + weight * ca.sum2(ca.sum1(unknowns[name])) / row.value.numel()
+            rows.append(row._replace(value=row.value - unknowns[over] + unknowns[under]))
+        solution = NonlinearProgram(unknowns, bounds, rows, total, self._sizes()).solve(values, stop)
+        if not solution.is_optimum:
+            return {}
+        return {
+            row.name: float(max(solution.values[f"{side} {k}"].max() for side in ("over", "under")))
+            for k, row in enumerate(conditions)
+            if ": " in row.name
+        }
 
     def _stage_function(self) -> ca.Function:
-        """Return the function of a collocation point: conditions, q', z', integrands, and path."""
+        """Return the function of a collocation point: joints and fibres, q', z', integrands, forces, and path."""
         system, m = self.system, len(self.system.constraint_names)
         mu = ca.SX.sym("mu", m)
         given = list(system.symbols.values())
         position, velocity, _ = system.constraints(*given)
         turn = ca.mtimes(ca.jacobian(position, system.q).T, mu) if m else 0.0
         integrands = [x for kind, x in self.objective.functionals if kind == INTEGRAL]
-        zero = ca.vertcat(system.residual(*given), position, velocity, system.equilibrium(*given))
         results = [
-            zero, system.v + turn, system.rates(*given), ca.vertcat(ca.SX(0, 1), *integrands),
-            ca.vertcat(ca.SX(0, 1), *(condition[1] for condition in self._path)),
+            ca.vertcat(position, velocity, system.equilibrium(*given)), system.v + turn, system.rates(*given),
+            ca.vertcat(ca.SX(0, 1), *integrands), system.residual(*given) / self._weight,
+            ca.vertcat(ca.SX(0, 1), *(path.expression for path in self._path)),
         ]  # fmt: skip
         return ca.Function("point", [*given, mu], ca.cse(results))
 
-    def _program(self, count: int) -> tuple[dict[str, ca.MX], list[_Condition], dict[str, Any], ca.MX]:
-        """Return unknowns, conditions with their bounds, bounds of unknowns, and the objective, for N = `count`."""
+    def _without_effect(self) -> np.ndarray:
+        """Return which positions and velocities (2 n,) affect nothing, such as the angle of a point mass."""
+        system, n = self.system, len(self.system.q0)
+        final = [x for kind, x in self.objective.functionals if kind != INTEGRAL]
+        ends = [x for conditions in (self._initial, *self._ends) for x, _, _ in conditions.values()]
+        results = self._stage(*system.symbols.values(), ca.SX.sym("mu", len(system.constraint_names)))
+        known = [x for k, x in enumerate(results) if k != 1]  # without q'
+        everything = ca.vertcat(*known, *final, *ends, *(x for _, *both in self._periodic for x in both))
+        of_q, of_v = (np.array(ca.which_depends(everything, system.symbols[name], 1)) for name in "qv")
+        return np.concatenate([~of_q, ~(of_q | of_v)]) if n else np.zeros(0, dtype=bool)
+
+    def _program(self, grid: Grid) -> tuple[dict[str, ca.MX], dict[str, Any], list[Condition], ca.MX]:
+        """Return unknowns, their bounds, conditions, and the objective on a grid."""
         system, s = self.system, len(self.c)
+        count = len(grid.phase)
         total = count * s
-        bounds = self._bounds(total, count)
+        bounds = self._bounds(grid)
         x = {name: ca.MX.sym(name, *lower.shape) for name, (lower, _) in bounds.items()}
-        h = x["duration"] / count
-        times = x["duration"] * ca.DM(self.points(count)).T
-        point = self._stage.map(total)
-        zero, position_rates, rates, integrands, path = point(
+        h = ca.mtimes(x["duration"].T, ca.sparsify(ca.DM(grid.lengths)))
+        times = ca.mtimes(x["duration"].T, ca.DM(grid.points))
+        closed, position_rates, rates, integrands, balance, path = self._stage.map(total)(
             x["q"], x["v"], x["a"], x["lam"], x["z"], x["u"], ca.repmat(x["p"], 1, total), times, x["mu"]
         )
         states, slopes = ca.vertcat(x["q"], x["v"], x["z"]), ca.vertcat(position_rates, x["a"], rates)
         ends = x["nodes"] if self.has_nodes else states[:, s - 1 :: s]
         begins = ca.horzcat(x["start"], ends[:, :-1])
         each = ca.DM.eye(count)
-        collocated = states - ca.mtimes(begins, ca.kron(each, ca.DM.ones(1, s)))
+        spread = ca.kron(each, ca.DM.ones(1, s))
+        integrals = ca.mtimes(slopes, ca.kron(each, ca.DM(self.a.T))) * ca.repmat(
+            ca.mtimes(h, spread), states.shape[0], 1
+        )
         conditions = [
-            _Condition("the equations of motion", zero),
-            _Condition("the collocation", collocated - h * ca.mtimes(slopes, ca.kron(each, ca.DM(self.a.T)))),
+            Condition("the equations of motion", ca.vertcat(balance, closed)),
+            Condition("the collocation", states - ca.mtimes(begins, spread) - integrals),
         ]
         if self.has_nodes:
-            whole = h * ca.mtimes(slopes, ca.kron(each, ca.DM(self.b)))
-            conditions.append(_Condition("the collocation", ends - begins - whole))
-        start, end = x["start"], ends[:, -1]
+            whole = ca.mtimes(slopes, ca.kron(each, ca.DM(self.b))) * ca.repmat(h, states.shape[0], 1)
+            conditions.append(Condition("the collocation at the ends of intervals", ends - begins - whole))
+        start, end, duration = x["start"], ends[:, -1], ca.sum1(x["duration"])
         if len(system.constraint_names):
             rows: Any = ca.vertcat(*system.constraints(*system.symbols.values())[:2])
-            closed = self._at_node(rows)
-            conditions.append(_Condition("the joints at the start", closed(start, x["p"], 0.0)))
+            joints = self._at_node(rows)
+            conditions.append(Condition("the joints at the start", joints(start, x["p"], 0.0)))
             if self.has_nodes:
-                conditions.append(_Condition("the joints at the end", closed(end, x["p"], x["duration"])))
+                conditions.append(Condition("the joints at the end", joints(end, x["p"], duration)))
         at_rest = [x for x, k in zip(self.fibers.at_rest, self.fibers.states, strict=True) if not self._is_free[k]]
         if at_rest:
-            balance = self._at_node(ca.vertcat(*at_rest))
-            conditions.append(_Condition("the equilibrium of fibres at the start", balance(start, x["p"], 0.0)))
-        for key, sides, at, t in (
-            ("initial", self._initial, start, 0.0), ("final", self._final, end, x["duration"])
-        ):  # fmt: skip
-            for text, (expression, low, high) in sides.items():
-                conditions.append(_Condition(f"{key}: {text}", self._at_node(expression)(at, x["p"], t), low, high))
-        for text, (expression, _, _) in self._periodic.items():
-            value = self._at_node(expression)
-            change = value(end, x["p"], x["duration"]) - value(start, x["p"], 0.0)
-            conditions.append(_Condition(f"periodic: {text}", change))
-        for k, (name, _, low, high) in enumerate(self._path):
-            conditions.append(_Condition(f"subject_to: {name}", path[k, :], low, high))
-        integrals = iter(ca.vertsplit(h * ca.mtimes(integrands, ca.DM(np.tile(self.b, count)))))
+            balance = self._at_node(ca.vertcat(*at_rest))(start, x["p"], 0.0)
+            conditions.append(Condition("the equilibrium of fibres at the start", balance))
+        for name, (expression, low, high) in self._initial.items():
+            conditions.append(Condition(name, self._at_node(expression)(start, x["p"], 0.0), low, high))
+        for phase, last, at_end in zip(self.spec.whole, grid.ends_of_phases(), self._ends, strict=True):
+            t = ca.sum1(x["duration"][: phase.number + 1])
+            for name, (expression, low, high) in at_end.items():
+                conditions.append(Condition(name, self._at_node(expression)(ends[:, last], x["p"], t), low, high))
+        for name, at_last, at_first in self._periodic:
+            change = self._at_node(at_last)(end, x["p"], duration) - self._at_node(at_first)(start, x["p"], 0.0)
+            conditions.append(Condition(name, change))
+        for k, condition in enumerate(self._path):
+            columns = slice(None) if condition.phase is None else _columns(grid, condition.phase)
+            conditions.append(Condition(condition.name, path[k, columns], condition.low, condition.high))
+        weighted = ca.mtimes(h, ca.kron(each, ca.DM(self.b).T)).T
+        values = iter(ca.vertsplit(ca.mtimes(integrands, weighted)))
         functionals = [
-            next(integrals) if kind == INTEGRAL else self._at_node(expression)(end, x["p"], x["duration"])
+            next(values) if kind == INTEGRAL else self._at_node(expression)(end, x["p"], duration)
             for kind, expression in self.objective.functionals
         ]
-        objective = self.objective.value(ca.vertcat(ca.MX(0, 1), *functionals), x["duration"])
-        return x, conditions, bounds, objective
+        return x, bounds, conditions, self.objective.value(ca.vertcat(ca.MX(0, 1), *functionals), duration)
 
-    def _bounds(self, total: int, count: int) -> dict[str, tuple[np.ndarray, np.ndarray]]:
+    def _bounds(self, grid: Grid) -> dict[str, tuple[np.ndarray, np.ndarray]]:
         """Return the bounds of the unknowns."""
         system, spec = self.system, self.spec
-        n, m, z = len(system.q0), len(system.constraint_names), len(system.z0)
-        shortest, longest, _ = self._duration()
+        n, m, z, total = len(system.q0), len(system.constraint_names), len(system.z0), grid.points.shape[1]
         sizes = {"q": n, "v": n, "a": n, "lam": m, "mu": m, "z": z}
         free = {name: np.full((size, total), np.inf) for name, size in sizes.items()}
         is_free = self._is_free.copy()
         is_free[self.fibers.states] = True
-        start = np.concatenate([np.full(2 * n, np.inf), np.where(is_free, np.inf, 0.0)])
-        at = np.concatenate([np.zeros(2 * n), np.where(is_free, 0.0, system.z0)])
+        start = np.concatenate([np.where(self._idle, 0.0, np.inf), np.where(is_free, np.inf, 0.0)])
+        at = np.concatenate([np.where(self._idle, [*system.q0, *system.v0], 0.0), np.where(is_free, 0.0, system.z0)])
+        known = dict(zip(system.parameter_names, system.p0, strict=True))
+        numbers = [spec.optimized[name].bounds if name in spec.optimized else (x, x) for name, x in known.items()]
         bounds = {
-            "duration": (np.array([shortest]), np.array([longest])),
-            "p": tuple(np.array([spec.optimized[name].bounds for name in system.parameter_names]).reshape(-1, 2).T),
+            "duration": tuple(np.array([_duration(phase.duration)[:2] for phase in spec.whole]).T),
+            "p": tuple(np.array(numbers).reshape(-1, 2).T),
             "start": (at - start, at + start),
             **{name: (-limit, limit) for name, limit in free.items()},
             "u": tuple(
@@ -309,74 +377,81 @@ class Transcription:
                 for side in np.array([spec.control(name)[:2] for name in system.control_names]).reshape(-1, 2).T
             ),
         }
-        for name, i, low, high in self._limits:
-            bounds[name][0][i], bounds[name][1][i] = low, high
+        for name, i, path in self._limits:
+            columns = slice(None) if path.phase is None else _columns(grid, path.phase)
+            lower, upper = bounds[name]
+            lower[i, columns], upper[i, columns] = (
+                np.maximum(lower[i, columns], path.low), np.minimum(upper[i, columns], path.high)
+            )  # fmt: skip
             row = i + {"q": 0, "v": n, "z": 2 * n}[name]
-            if start[row]:  # not fixed
-                bounds["start"][0][row], bounds["start"][1][row] = low, high
+            if start[row] and not path.phase:  # not fixed
+                lower, upper = bounds["start"]
+                lower[row], upper[row] = max(lower[row], path.low), min(upper[row], path.high)
         if self.has_nodes:
-            bounds["nodes"] = (np.full((2 * n + z, count), -np.inf), np.full((2 * n + z, count), np.inf))
+            bounds["nodes"] = tuple(np.full((2 * n + z, len(grid.phase)), side) for side in (-np.inf, np.inf))
         return bounds
-
-    def _size(self, name: str, bounds: tuple[np.ndarray, np.ndarray]) -> np.ndarray:
-        """Return the natural sizes of unknowns, by which they are divided for the optimizer.
-
-        It regularizes indefinite problems by absolute numbers; without sizes, a squat takes 395 iterations, not 24.
-        Sizes of controls and parameters are their largest bounds, that of multipliers is the weight of all bodies.
-        """
-        low, high = bounds
-        sizes = np.ones(low.shape)
-        if name in ("u", "p"):
-            largest = np.maximum(abs(low), abs(high))
-            return np.where(np.isfinite(largest) & (largest > 0.0), largest, sizes)
-        if name == "lam":
-            mechanism = self.spec.mechanism()
-            weight = sum(body.mass for body in mechanism.bodies.values()) * float(np.hypot(*mechanism.gravity))
-            return sizes * (weight or 1.0)
-        return sizes
-
-    def _duration(self) -> tuple[float, float, float]:
-        """Return the bounds of the duration, and its first guess [s]."""
-        given = self.spec.duration
-        if isinstance(given, Duration):
-            least, most = given.bounds
-            return least, most, 0.5 * (least + most) if given.start is None else given.start
-        return given, given, given
 
     @staticmethod
     def _start_of(limits: tuple[float, float, float | None], present: float) -> float:
         low, high, start = limits
         return float(np.clip(present if start is None else start, low, high))
 
-    def _with_nodes(self, values: dict[str, np.ndarray], count: int) -> dict[str, np.ndarray]:
+    @property
+    def _rows(self) -> dict[str, slice]:
+        """Rows of positions, velocities and first-order states in a state."""
+        n = len(self.system.q0)
+        return {"q": slice(n), "v": slice(n, 2 * n), "z": slice(2 * n, None)}
+
+    def _at_ends(self, mesh: Mesh, name: str) -> np.ndarray:
+        """Return positions, velocities or first-order states at the ends of intervals."""
+        s = len(self.c)
+        return mesh.values["nodes"][self._rows[name]] if self.has_nodes else mesh.values[name][:, s - 1 :: s]
+
+    def _sizes(self) -> dict[str, np.ndarray]:
+        """Return natural sizes: of controls and parameters the largest bound, of multipliers the weight.
+
+        The optimizer regularizes indefinite problems by absolute numbers; without sizes, a squat takes 395 iterations,
+        not 24.
+        """
+        controls = [self.spec.control(name)[:2] for name in self.system.control_names]
+        own = [self.spec.optimized.get(name) for name in self.system.parameter_names]
+        numbers = [(0.0, 0.0) if variable is None else variable.bounds for variable in own]
+        sizes = {"lam": np.full(len(self.system.constraint_names), self._weight)}
+        for name, bounds in (("u", controls), ("p", numbers)):
+            largest = np.max(np.abs(np.reshape(bounds, (-1, 2))), axis=1)
+            sizes[name] = np.where(np.isfinite(largest) & (largest > 0.0), largest, 1.0)
+        return sizes
+
+    @property
+    def _weight(self) -> float:
+        """Weight of all bodies [N], or 1 without gravity."""
+        mechanism = self.spec.mechanism()
+        return sum(body.mass for body in mechanism.bodies.values()) * float(np.hypot(*mechanism.gravity)) or 1.0
+
+    def _with_nodes(self, values: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
         if self.has_nodes:
             states = np.vstack([values[name] for name in "qvz"])
             values["nodes"] = states[:, len(self.c) - 1 :: len(self.c)].copy()
         return values
 
-    def _expression(self, text: str, key: str) -> ca.SX:
+    def _expression(self, text: str, key: str, *, at_node: bool = False) -> ca.SX:
+        """Return an expression in symbols; `at_node`, if it must be known at the start and the end of the motion."""
         try:
-            return self.system.expression(self.spec.with_states(text))
+            expression = self.system.expression(self.spec.with_states(text))
         except SpecError as error:
             raise SpecError(error.message, key=key) from None
-
-    def _conditions(self, key: str, bounds: Mapping[str, tuple[float, float]]) -> dict[str, tuple[ca.SX, float, float]]:
-        """Return conditions on the state at the start or at the end."""
-        conditions = {}
-        for text, (low, high) in bounds.items():
-            expression = self._expression(text, key)
-            self._check_at_node(expression, text, key)
-            conditions[text] = expression, low, high
-        return conditions
-
-    def _check_at_node(self, expression: ca.SX, text: str, key: str) -> None:
         unknown = [self.system.symbols[name] for name in OF_STATE]
-        if any(x.numel() and ca.depends_on(expression, x) for x in unknown):
+        if at_node and any(x.numel() and ca.depends_on(expression, x) for x in unknown):
             raise SpecError(
                 f"'{text}' depends on accelerations, reactions or controls, which are not known at the start and the "
                 "end of the motion; use positions, velocities and states",
                 key=key,
             )
+        return expression
+
+    def _conditions(self, key: str, bounds: Mapping[str, tuple[float, float]]) -> dict[str, tuple[ca.SX, float, float]]:
+        """Return conditions on the state at the start or at the end, by key and text."""
+        return {f"{key}: {text}": (self._expression(text, key, at_node=True), *sides) for text, sides in bounds.items()}
 
     def _at_node(self, expression: ca.SX) -> ca.Function:
         """Return an expression as a function of the state (2 n + Z,), the parameters and the time."""
@@ -401,49 +476,27 @@ class Transcription:
         values: Any = [*(ca.DM.zeros(*x.shape) for x in fixed[:-2]), system.p0, t]
         closed = ca.substitute([rows], fixed, [ca.DM(value) for value in values])[0]
         m = len(system.constraint_names)
-        problem: Any = {"x": system.q, "f": ca.sumsqr(system.q - q), "g": closed}
-        options: Any = {"print_time": False, "ipopt.print_level": 0, "ipopt.sb": "yes"}
-        _, pose = _solution(
-            ("pose", problem, options),
+        return solve_pose(
+            {"x": system.q, "f": ca.sumsqr(system.q - q), "g": closed},
             x0=q,
             lbg=[0.0] * m + [condition[1] for condition in wanted],
             ubg=[0.0] * m + [condition[2] for condition in wanted],
         )
-        return np.array(pose["x"]).ravel()
 
 
 def _elements(vector: ca.SX) -> list[ca.SX]:
     return ca.vertsplit(vector) if vector.numel() else []
 
 
-def _solution(problem: tuple[str, Any, Any], **given: Any) -> tuple[ca.Function, Any]:
-    """Return the optimizer of a problem (name, functions, options), and its solution.
-
-    CasADi prints warnings, for instance about more conditions than unknowns, whose sense is in its status, and takes an
-    interrupt by the user for a failure of the optimizer.
-    """
-    name, functions, options = problem
-    with redirect_stderr(io.StringIO()):
-        solver = ca.nlpsol(name, "ipopt", functions, options)
-        solution = solver(**given)
-    if solver.stats()["return_status"] in INTERRUPTED:
-        raise KeyboardInterrupt
-    return solver, solution
+def _columns(grid: Grid, phase: int) -> slice:
+    """Return the collocation points of a phase."""
+    begin, end = np.searchsorted(grid.point_phase, (phase, phase + 1))
+    return slice(int(begin), int(end))
 
 
-def statuses() -> Mapping[str, tuple[str, str]]:
-    """Return code and sentence for each report of the optimizer that is no success."""
-    infeasible = "infeasible", "no motion was found that satisfies all conditions"
-    return {
-        "Infeasible_Problem_Detected": infeasible,
-        "Restoration_Failed": infeasible,
-        "Not_Enough_Degrees_Of_Freedom": ("infeasible", "there are more conditions than unknowns"),
-        "Maximum_Iterations_Exceeded": ("iteration-limit", f"no optimum was found in {MOST_ITERATIONS} iterations"),
-        "Diverging_Iterates": ("unbounded", "unknowns grow without limit; give bounds to what is free"),
-    }
-
-
-INTERRUPTED = ("NonIpopt_Exception_Thrown", "User_Requested_Stop")
-"""Reports of the optimizer if the user interrupts it."""
-
-SUCCESSES = ("Solve_Succeeded", "Solved_To_Acceptable_Level")
+def _duration(given: float | Duration) -> tuple[float, float, float]:
+    """Return the bounds of a duration, and its first guess [s]."""
+    if isinstance(given, Duration):
+        least, most = given.bounds
+        return least, most, 0.5 * (least + most) if given.start is None else given.start
+    return given, given, given

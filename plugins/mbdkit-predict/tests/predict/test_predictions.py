@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from scipy.interpolate import CubicSpline
 from typer.testing import CliRunner
 
 import mbdkit
@@ -63,6 +64,11 @@ FALL = {
     "v": {"rate": "9.80665*cos(states.turn)"},
     "turn": {"rate": "0"},
 }
+CHAIN = {
+    "y": {"initial": 1, "rate": "states.turn"},
+    "length": {"rate": "sqrt(1 + states.turn**2)"},
+    "turn": {"rate": "0"},
+}
 STEERED = {
     "x": {"rate": "states.vx"},
     "y": {"rate": "states.vy"},
@@ -112,18 +118,27 @@ EXACT = {
         ),
         4.0,
     ),
+    # J. T. Betts, Practical Methods for Optimal Control (2010), the chain of length 4 between heights 1 and 3
+    "hanging chain": (
+        {
+            **of_states(CHAIN, {"y": 3, "length": 4}, [-20.0, 20.0]),
+            "duration": 1.0, "minimize": "integral(states.y.value*sqrt(1 + controls[\"states.turn\"]**2))",
+        },
+        5.068480110993416,
+    ),
     "brachistochrone": (of_states(FALL, {"x": 10, "y": 5}, [0.0, 3.0]), 1.801603122453081),
     "linear tangent steering": (of_states(STEERED, {"y": 5, "vx": 45, "vy": 0}, [-1.57, 1.57]), 0.5545708783346031),
 }  # fmt: skip
 
 
 @pytest.mark.parametrize("name", EXACT)
-def test_the_error_of_exact_optima_is_covered(name: str) -> None:
+def test_the_error_bar_of_exact_optima_covers_and_is_sharp(name: str) -> None:
     spec, exact = EXACT[name]
     run = mbdkit.predict(spec)
-    assert run.status == "complete"
+    assert (run.status, run.verdict) == ("complete", "good")
     assert run.kind == "predicted"
-    assert abs(run.objective - exact) <= run.objective_error <= 1e-6 * exact
+    error = abs(run.objective - exact)
+    assert error <= run.objective_error <= max(10.0 * error, 1.0001e-8 * exact)
     assert run.mesh[-1][1] == run.objective
     if spec["minimize"] == "final(t)":
         assert run.time[-1] == pytest.approx(run.objective)
@@ -131,21 +146,30 @@ def test_the_error_of_exact_optima_is_covered(name: str) -> None:
         assert np.abs(run.energy.balance).max() < 1e-4
 
 
-def test_a_pole_is_swung_up_with_the_effort_of_minimal_coordinates() -> None:
+def test_starts_find_the_local_optima_of_a_swing_up() -> None:
     # expected: the equations of Kelly 2017, section 6, in two coordinates, by Radau collocation with 5 points in each
-    # of 80 intervals; there is another local optimum, 57.945
-    run = mbdkit.predict("cart-pole", tolerance=1e-5)
-    assert run.status == "complete"
-    assert abs(run.objective - 58.807667) <= run.objective_error < 1e-3
+    # of 80 intervals, from several guesses
+    run = mbdkit.predict("cart-pole")
+    error = abs(run.objective - 58.80766746)
+    assert error <= run.objective_error <= max(10.0 * error, 1.0001e-8 * run.objective)
     assert run["pole"].angle[-1] == pytest.approx(np.pi / 2, abs=1e-8)
     assert np.max(run.joints["pin"].misalignment) < 1e-8
+    run = mbdkit.predict("cart-pole", starts=5, tolerance=1e-2)
+    assert abs(run.objective - 57.944781) <= run.objective_error < 0.6
+    assert "starts        of 5, " in run.summary()
+    assert sum(abs(value - 58.93) < 0.01 for value in run.starts) >= 1
+
+
+def spring(stiffness: float) -> dict[str, Any]:
+    points = [[0.5, 0.0], [0, 0]]
+    return {
+        "spring": {"type": "spring-damper", "bodies": ["ground", "block"], "points": points, "stiffness": stiffness}
+    }
 
 
 def test_a_parameter_is_optimized_together_with_the_motion() -> None:
     # a spring k about x = 1/2: with omega = pi (half a period from rest at 0 to rest at 1), no force is needed
-    spring = {"spring": {"type": "spring-damper", "bodies": ["ground", "block"], "points": [[0.5, 0.0], [0, 0]],
-                         "stiffness": 3.0}}  # fmt: skip
-    run = mbdkit.predict(block(forces=spring, parameters={"forces.spring.stiffness": {"bounds": [0.0, 50.0]}}))
+    run = mbdkit.predict(block(forces=spring(3.0), parameters={"forces.spring.stiffness": {"bounds": [0.0, 50.0]}}))
     assert run.status == "complete"
     assert run.parameters["forces.spring.stiffness"] == pytest.approx(np.pi**2, rel=1e-4)
     assert run.objective < 1e-8
@@ -172,13 +196,13 @@ def test_an_archive_of_a_prediction_is_read_and_repeated(tmp_path: Path) -> None
 def test_a_motion_that_cannot_be_is_infeasible(tmp_path: Path) -> None:
     run = mbdkit.predict(block(controls={PUSH: {"bounds": [-1, 1]}}, duration=0.5))
     assert (run.status, run.status_reason.split(":")[0]) == ("failed", "infeasible")
-    assert "motion does not lead from the start to the end within the bounds" in run.status_reason
+    assert "`final: block.x` cannot hold with the others: the nearest motion misses it by 0.938" in run.status_reason
     assert np.isnan(run.objective_error)
     assert len(run.time) == 61
     assert (run.verdict, "no optimum" in run.verdict_reasons[0]) == ("bad", True)
-    assert "at the last iterate, which is no optimum" in run.summary()
+    assert "at the best iterate, which is no optimum" in run.summary()
     run = mbdkit.predict(block(final={"2*block.x": 1, "3*block.x": 4}))
-    assert "the largest violation is that of `final: " in run.status_reason
+    assert "`final: 2*block.x` cannot hold with the others" in run.status_reason
 
 
 @pytest.mark.parametrize(
@@ -194,8 +218,14 @@ def test_a_motion_that_cannot_be_is_infeasible(tmp_path: Path) -> None:
         ({"controls": {"forces.pull.value": {"bounds": [0, 1]}}}, "model.forces.pull.value", "no 'pull' here"),
         ({"collocation": {"points": 4}}, "collocation.points", "radau has 2, 3 or 5 points, not 4"),
         ({"base": "blok"}, "base", "examples: belt, bouncing-ball"),
-        ({"durration": 1.0}, "durration", "did you mean 'duration'"),
-        ({"phases": [{"duration": 1.0}]}, "phases", "several phases are not supported"),
+        (
+            {"durration": 1.0},
+            "durration",
+            "(did you mean 'duration'?); known here: base, overrides, title",
+        ),
+        ({"phases": [{"duration": 1.0}]}, "duration", "each of the `phases` has its own"),
+        ({"duration": None}, "duration", "is missing"),
+        ({"compare": {"gravity": 0}}, "compare", "only parameters and model are compared"),
         ({"controls": {}}, "controls", "at least one control"),
         ({"controls": {PUSH: {"bounds": [-1, 1], "start": 2}}}, f'controls."{PUSH}".start', "within the bounds"),
         ({"duration": {"bounds": [1, 2], "start": 3}}, "duration.start", "within the bounds"),
@@ -220,13 +250,17 @@ def test_a_first_mesh_above_the_limit_is_refined_once() -> None:
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="signals")
-def test_an_interrupt_leaves_no_archive(tmp_path: Path) -> None:
-    # CasADi takes an interrupt for a failure of the optimizer
-    timer = threading.Timer(1.0, signal.raise_signal, [signal.SIGINT])
+def test_an_interrupted_prediction_keeps_the_best_motion(tmp_path: Path) -> None:
+    timer = threading.Timer(1.5, signal.raise_signal, [signal.SIGINT])
     timer.start()
-    with pytest.raises(KeyboardInterrupt):
-        mbdkit.predict("cart-pole", archive=tmp_path / "cart-pole.h5", tolerance=1e-9)
-    assert not list(tmp_path.iterdir())
+    path = tmp_path / "cart-pole.h5"
+    done = CliRunner().invoke(app, ["predict", "cart-pole", "-o", str(path), "--set", "tolerance=1e-12"])
+    assert done.exit_code == 130
+    with mbdkit.load(path) as run:
+        assert (run.status, run.verdict in ("doubtful", "bad")) == ("interrupted", True)
+    run = mbdkit.predict("cart-pole", tolerance=1e-12, limits={"wall_time": 0.1})
+    assert run.status_reason == "wall-time: stopped after limits.wall_time = 0.1 s"
+    assert (run.status, run.verdict, len(run.time)) == ("failed", "bad", 61)
 
 
 def test_examples_are_valid_and_without_casadi_the_package_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -270,6 +304,104 @@ def test_a_run_with_the_controls_of_a_closed_loop_is_the_predicted_motion() -> N
     np.testing.assert_allclose(forward["rocker"].angular_velocity[-1], 0.0, atol=1e-4)
     np.testing.assert_allclose(np.interp(0.4, forward.time, forward.joints["C"].reaction_force[:, 0]),
                                np.interp(0.4, run.time, run.joints["C"].reaction_force[:, 0]), rtol=1e-3)  # fmt: skip
+
+
+def test_phases_are_joined_by_a_spline() -> None:
+    # expected: the least integral of x''^2 through a point is that of the clamped cubic spline
+    run = mbdkit.predict(
+        block(duration=None, phases=[{"duration": 0.4, "final": {"block.x": 0.75}}, {"duration": 0.6, "intervals": 30}])
+    )
+    spline = CubicSpline([0.0, 0.4, 1.0], [0.0, 0.75, 1.0], bc_type="clamped").derivative(2)
+    exact = sum(h * (a * a + a * b + b * b) / 3.0 for h, a, b in ((0.4, *spline([0, 0.4])), (0.6, *spline([0.4, 1]))))
+    assert abs(run.objective - exact) <= run.objective_error <= 1e-7 * exact
+    assert run.mesh[0] == ((20, 30), pytest.approx(exact))
+    assert np.interp(0.4, run.time, run["block"].position[:, 0]) == pytest.approx(0.75)
+
+
+def test_a_path_condition_of_a_phase_with_a_free_duration_holds_in_it_only() -> None:
+    # |F| <= 1 and, for the first metre, v <= 1: 1 s + 0.5 s; then 2 m with a peak v = sqrt(2.5): 2 v - 1
+    free, slow = {"bounds": [0.1, 10]}, {"slow": {"value": "block.vx", "max": 1}}
+    run = mbdkit.predict(
+        block(
+            duration=None, controls={PUSH: {"bounds": [-1, 1]}}, final={"block.x": 3, "block.vx": 0}, tolerance=1e-5,
+            phases=[{"duration": free, "subject_to": slow, "final": {"block.x": 1}}, {"duration": free}],
+            minimize="final(t)",
+        )
+    )  # fmt: skip
+    assert abs(run.objective - (0.5 + 10.0**0.5)) <= run.objective_error < 4e-5
+
+
+def test_half_a_step_mirrors_left_and_right() -> None:
+    # each of two blocks takes the place and the velocity of the other: 2 x 12, from rest to rest, although velocities
+    # are free: with s their mean, 12 ((1 - s)^2 + (1 + s)^2) + 2 (v(1) - v(0))^2
+    spec = block(initial={"block.x": 0}, final={}, periodic=[{"block.x": "other.x"}, {"block.vx": "other.vx"}])
+    model = spec["base"]["model"]
+    model["bodies"]["other"] = {"mass": 1.0, "inertia": 1.0, "position": [1, 0]}
+    model["joints"]["guide"] = model["joints"]["rail"] | {"bodies": ["ground", "other"]}
+    model["forces"]["pull"] = {"type": "force", "body": "other", "value": [0.0, 0.0]}
+    controls = {PUSH: {"bounds": [-100, 100]}, "forces.pull.value[0]": {"bounds": [-100, 100]}}
+    both = "integral(forces.push.value**2 + forces.pull.value**2)"
+    run = mbdkit.predict(spec, controls=controls, initial={"block.x": 0, "other.x": 1}, minimize=both)
+    assert abs(run.objective - 24.0) <= run.objective_error
+    assert run["block"].velocity[0, 0] == pytest.approx(0.0, abs=1e-6)
+
+
+def test_sensitivities_are_differences_of_optima() -> None:
+    # 12 x^2 / T^3; the spring by differences of optima
+    def of_spring(stiffness: float) -> mbdkit.Run:
+        return mbdkit.predict(block(forces=spring(stiffness)), sensitivities=["forces.spring.stiffness"])
+
+    rates = of_spring(3.0).sensitivities
+    both = [of_spring(3.0 + step).objective for step in (-0.01, 0.01)]
+    assert rates["forces.spring.stiffness"] == pytest.approx((both[1] - both[0]) / 0.02, rel=1e-4)
+    rates = mbdkit.predict("block").sensitivities
+    assert rates["duration"] == pytest.approx(-36.0, rel=1e-6)
+    assert rates["final: block.x"] == pytest.approx(24.0, rel=1e-6)
+
+
+def test_the_gain_of_a_spring_has_an_error() -> None:
+    run = mbdkit.predict(
+        block(
+            forces=spring(3.0), parameters={"forces.spring.stiffness": {"bounds": [0.0, 50.0]}},
+            compare={"model.forces.spring.stiffness": 0.0},
+        )
+    )  # fmt: skip
+    assert abs(run.gain().value - 12.0) <= run.gain().error < 1e-6
+    assert run.gain(mbdkit.predict("block")).value == pytest.approx(12.0)
+    assert "gain          12 +- 1." in run.summary()
+
+
+@pytest.mark.parametrize(("frequency", "verdict"), [(3.0, "good"), (3.3, "doubtful")])
+def test_a_stationary_motion_that_is_no_minimum_is_doubtful(frequency: float, verdict: str) -> None:
+    # x = 0 is stationary for the integral of x'^2 - w^2 x^2, x = 0 at both ends, and a minimum if w < pi (Jacobi)
+    spec = of_states({"x": {"rate": "states.turn"}, "turn": {"rate": "0"}}, {"x": 0}, [-10.0, 10.0])
+    spec["controls"]["states.turn"]["start"] = 0.0
+    square = f'integral(controls["states.turn"]**2 - {frequency**2}*states.x.value**2)'
+    run = mbdkit.predict(spec, duration=1.0, minimize=square)
+    assert (run.status, run.verdict) == ("complete", verdict)
+    assert abs(run.objective) < 1e-9
+    assert ("second-order" in run.verdict_reasons[0]) == (verdict == "doubtful")
+
+
+def test_a_forward_run_tells_an_unstable_motion() -> None:
+    push = {"away": {"type": "force", "body": "block", "value": ["900*block.x", 0]}}
+    run = mbdkit.predict(block(forces=push, duration=2.0, controls={PUSH: {"bounds": [-5000, 5000]}}))
+    assert run.forward_run["of_intervals"] < 1e-6 < 1e-3 < run.forward_run["largest"]
+    assert (run.verdict, "The motion is unstable" in run.verdict_reasons[0]) == ("doubtful", True)
+
+
+@pytest.mark.parametrize(
+    ("changed", "code"),
+    [
+        ({"minimize": "-final(t)", "duration": {"bounds": [0.5, 1e30]}}, "unbounded"),
+        ({"final": {"block.x": 1, "2*block.x": 1}}, "infeasible"),
+        ({"minimize": "integral(sqrt(block.x - 5))"}, "not-solved"),
+    ],
+)  # fmt: skip
+def test_what_has_no_optimum_is_told_in_one_sentence(changed: dict[str, Any], code: str) -> None:
+    run = mbdkit.predict(block(**changed))
+    assert (run.status, run.status_reason.split(":")[0]) == ("failed", code)
+    assert "\n" not in run.status_reason
 
 
 def test_muscles_with_elastic_tendons_move_a_forearm_as_in_a_run_with_their_excitations() -> None:

@@ -1,0 +1,126 @@
+"""The forward run of a prediction: its controls are integrated by another method, with the machine code of runs."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+from scipy.integrate import solve_ivp
+
+from mbdkit.base.errors import StepError
+from mbdkit.engine.equations_of_motion import EquationsOfMotion
+
+Rates = Callable[[float, np.ndarray], np.ndarray]
+
+PRECISION = 1e-9
+"""Relative tolerance of the integration."""
+EXPLICIT, IMPLICIT = "DOP853", "LSODA"
+"""Methods; the second one, which is implicit where the motion is stiff, is used if the first one needs too many
+evaluations.
+"""
+MOST_EVALUATIONS = 400
+"""Largest number of evaluations of the explicit method in an interval."""
+
+
+@dataclass(frozen=True)
+class Difference:
+    """How a forward run differs from the prediction, as a share of the range of the motion.
+
+    Ranges and differences are those of all coordinates x and y, of all angles, and of each first-order state.
+
+    Attributes
+    ----------
+    end, largest
+        At the end, and the largest one at the ends of intervals; nan if the integration stopped before the end.
+    of_intervals
+        The sum of the differences of all intervals, each of which starts on the predicted motion.
+    """
+
+    end: float = np.nan
+    largest: float = np.nan
+    of_intervals: float = np.nan
+
+
+def forward_difference(
+    equations: EquationsOfMotion,
+    times: np.ndarray,
+    predicted: np.ndarray,
+    controls: np.ndarray,
+    points: np.ndarray,
+    rows: np.ndarray,
+) -> Difference:
+    """Integrate the controls from the start on, and also each interval on its own.
+
+    Parameters
+    ----------
+    equations
+        The equations of motion.
+    times, predicted
+        Times (N + 1,) and states q, v, z (N + 1, 2 n + Z) of the prediction at the ends of intervals.
+    controls
+        Values (K, N, s) of the controls at the collocation points.
+    points
+        These points (s,) as shares of an interval.
+    rows
+        Indices (K,) of the controls among the first-order states z.
+    """
+    n, scale = equations.n, _scale(predicted, equations.n)
+    checked = np.delete(np.arange(predicted.shape[1]), np.concatenate([np.arange(n, 2 * n), 2 * n + rows]))
+    state, differences, defects = predicted[0], list[float](), 0.0
+    powers, matrix = np.arange(len(points)), np.vander(points, increasing=True)
+    try:
+        for i, (begin, end) in enumerate(pairwise(times)):
+            coefficients = np.linalg.solve(matrix, controls[:, i].T)
+
+            def rates(t: float, y: np.ndarray, b: float = begin, h: float = end - begin, k: Any = coefficients) -> Any:
+                z = y[2 * n :].copy()
+                z[rows] = ((t - b) / h) ** powers @ k
+                a, _, of_states = equations.derivatives(t, y[:n], y[n : 2 * n], z)
+                of_states[rows] = 0.0
+                return np.concatenate([y[n : 2 * n], a, of_states])
+
+            own = _integrated(rates, (begin, end), predicted[i], scale)
+            defects += float((abs(own - predicted[i + 1]) / scale)[checked].max())
+            state = own if not i else _integrated(rates, (begin, end), state, scale)
+            differences.append(float((abs(state - predicted[i + 1]) / scale)[checked].max()))
+    except StepError:
+        return Difference()
+    return Difference(differences[-1], max(differences), defects)
+
+
+def _integrated(rates: Rates, span: tuple[float, float], state: np.ndarray, scale: np.ndarray) -> np.ndarray:
+    """Return the state at the end of an interval."""
+    absolute = PRECISION * np.where(np.isfinite(scale), scale, 1.0)
+    count = 0
+
+    def counted(t: float, y: np.ndarray) -> np.ndarray:
+        nonlocal count
+        count += 1
+        if count > MOST_EVALUATIONS:
+            raise _TooManyError
+        return rates(t, y)
+
+    options: Any = {"rtol": PRECISION, "atol": absolute}
+    try:
+        result = solve_ivp(counted, span, state, EXPLICIT, **options)
+    except _TooManyError:
+        result = solve_ivp(rates, span, state, IMPLICIT, **options)
+    if result.success and np.all(np.isfinite(result.y[:, -1])):
+        return np.asarray(result.y[:, -1])
+    raise StepError("not-finite", "the forward run stopped")
+
+
+class _TooManyError(Exception):
+    pass
+
+
+def _scale(states: np.ndarray, n: int) -> np.ndarray:
+    """Return the ranges (2 n + Z,) of coordinates, velocities and states; infinite if nothing moves."""
+    ranges = np.ptp(states, axis=0)
+    for begin in (0, n):
+        of_bodies = ranges[begin : begin + n].reshape(-1, 3)
+        of_bodies[:, :2], of_bodies[:, 2] = of_bodies[:, :2].max(), of_bodies[:, 2].max()
+    return np.where(ranges > 1e-9, ranges, np.inf)

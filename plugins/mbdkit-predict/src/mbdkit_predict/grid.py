@@ -1,0 +1,75 @@
+"""Meshes of intervals, which need not be of equal length, in one or several phases."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+
+@dataclass(frozen=True)
+class Grid:
+    """N intervals of a motion with P phases, and the s collocation points in each of them.
+
+    Attributes
+    ----------
+    phase : (N,) array of int
+        Phase of each interval, in ascending order.
+    share : (N,) array
+        Length of each interval as a share of the duration of its phase.
+    c : (s,) array
+        Collocation points, as shares of an interval.
+    """
+
+    phase: np.ndarray
+    share: np.ndarray
+    c: np.ndarray
+
+    @classmethod
+    def uniform(cls, counts: Sequence[int], c: np.ndarray) -> Grid:
+        """Return intervals of equal length, given their number in each phase."""
+        return cls(np.repeat(np.arange(len(counts)), counts), np.repeat(1.0 / np.array(counts), counts), c)
+
+    def divided(self, parts: np.ndarray) -> Grid:
+        """Return a finer grid, given the number of parts (N,) of each interval."""
+        return Grid(np.repeat(self.phase, parts), np.repeat(self.share / parts, parts), self.c)
+
+    @property
+    def counts(self) -> tuple[int, ...]:
+        """Number of intervals of each phase."""
+        return tuple(np.bincount(self.phase).tolist())
+
+    @cached_property
+    def lengths(self) -> np.ndarray:
+        """Matrix (P, N), which turns durations (P,) into the lengths of the intervals."""
+        return np.asarray((np.arange(self.phase[-1] + 1)[:, None] == self.phase) * self.share)
+
+    @cached_property
+    def starts(self) -> np.ndarray:
+        """Matrix (P, N), which turns durations into the starts of the intervals, from the start of the motion on."""
+        sums = np.cumsum(self.lengths, axis=1)
+        return np.asarray(sums - self.lengths)
+
+    @cached_property
+    def points(self) -> np.ndarray:
+        """Matrix (P, N s), which turns durations into the times of the collocation points."""
+        s = len(self.c)
+        return np.asarray(
+            np.repeat(self.starts, s, axis=1) + np.repeat(self.lengths, s, axis=1) * np.tile(self.c, len(self.phase))
+        )
+
+    @cached_property
+    def point_phase(self) -> np.ndarray:
+        """Phase (N s,) of each collocation point."""
+        return np.repeat(self.phase, len(self.c))
+
+    def ends_of_phases(self) -> list[int]:
+        """Return the index of the last interval of each phase."""
+        return [int(end) - 1 for end in np.cumsum(self.counts)]
+
+
+def weights(points: np.ndarray, at: float) -> np.ndarray:
+    """Return the weights of values at `points` in the value of the polynomial through them at another point."""
+    return np.array([np.prod([(at - c) / (own - c) for c in points if c != own]) for own in points])

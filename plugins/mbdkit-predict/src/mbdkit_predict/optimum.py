@@ -1,0 +1,217 @@
+"""Finds the optimum of a spec: several first guesses, finer and finer meshes, and the error of the objective."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from mbdkit_predict.nonlinear_program import Solution, Stop, statuses
+from mbdkit_predict.predict_spec import PredictSpec
+from mbdkit_predict.transcription import Mesh, Transcription
+
+ROUNDING = 1e-8
+"""Smallest error of the objective, relative to its size, due to the tolerance of the optimizer."""
+NOTHING = 1e-9
+"""Changes of the objective below this count as zero."""
+MOST_INTERVALS = 640
+"""Largest number of intervals of a refined mesh; every first mesh is refined once."""
+ITERATIONS_OF_START = 500
+"""Largest number of iterations from a drawn guess."""
+LOOSE = 1e-4
+"""From this tolerance on, the last change of the objective is its error, and no mesh is added for a sharper one."""
+SAFETY = 3.0
+"""Factor of the estimated error of the objective."""
+ACCIDENT = 2.0**-10
+"""Smallest ratio of two changes of the objective in a row that is believed."""
+SLOWEST = 0.5
+"""Largest ratio of two changes of the objective in a row with which the error is extrapolated."""
+
+
+@dataclass(frozen=True)
+class Optimum:
+    """The best motion that was found.
+
+    Attributes
+    ----------
+    spec, transcription
+        The spec, and its optimal control problem.
+    mesh
+        The solution on the last mesh with an optimum; without one, the best iterate.
+    meshes
+        Numbers of intervals of the phases, and objective, of each mesh.
+    error
+        Estimated error of the objective; nan without an optimum.
+    reason
+        Code and sentence saying why the optimum was not found, or not accurately; empty if it was.
+    starts
+        Objective on the first mesh from each first guess; nan where no optimum was found.
+    is_minimum
+        Whether the second-order condition holds.
+    """
+
+    spec: PredictSpec
+    transcription: Transcription
+    mesh: Mesh
+    meshes: tuple[tuple[tuple[int, ...], float], ...]
+    error: float
+    reason: str
+    starts: tuple[float, ...]
+    is_minimum: bool
+
+    @property
+    def objective(self) -> float:
+        """Value of the objective."""
+        return _solution(self.mesh).objective
+
+    @property
+    def sensitivities(self) -> dict[str, float]:
+        """Derivatives of the optimum: by numbers of the model, fixed durations, and values at the start and the end."""
+        slopes, names = _solution(self.mesh).slopes, self.transcription.system.parameter_names
+        by_parameter = dict(zip(names, slopes["p"].tolist(), strict=True))
+        by_duration = {
+            phase.key("duration"): float(slope)
+            for phase, slope in zip(self.spec.whole, slopes["duration"], strict=True)
+            if isinstance(phase.duration, float)
+        }
+        by_condition = {
+            name: float(slope[0])
+            for name, slope in slopes.items()
+            if name.partition(":")[0].rpartition(".")[2] in ("initial", "final")
+        }
+        return {name: by_parameter[name] for name in self.spec.sensitivities} | by_duration | by_condition
+
+
+@dataclass
+class _Search:
+    spec: PredictSpec
+    transcription: Transcription
+    stop: Stop
+    meshes: list[Mesh] = field(default_factory=list)
+    starts: list[float] = field(default_factory=list)
+    reason: str = ""
+
+    def run(self) -> Optimum:
+        mesh = self._first()
+        error = np.nan
+        while _solution(mesh).is_optimum:
+            self.meshes.append(mesh)
+            error, is_known = self._error()
+            limit = self.spec.tolerance * abs(_solution(mesh).objective) + NOTHING
+            if error <= limit and (self.spec.tolerance >= LOOSE or (is_known and self._is_confirmed(error))):
+                break
+            if len(self.meshes) > 1 and 2 * len(mesh.grid.phase) > MOST_INTERVALS:
+                if error > limit:
+                    self.reason = (
+                        f"mesh-limit: the error of the objective is still {error:.2g} on a mesh of "
+                        f"{len(mesh.grid.phase)} intervals, which is more than `tolerance`"
+                    )
+                break
+            mesh = self.transcription.solved(self.transcription.refined(mesh), self.stop)
+        if not _solution(mesh).is_optimum:
+            self.reason = self._failure(mesh)
+        best = self.meshes[-1] if self.meshes else mesh
+        is_minimum = bool(self.meshes) and best.program is not None and best.program.is_strict_minimum()
+        record = tuple((solved.grid.counts, _solution(solved).objective) for solved in self.meshes or [mesh])
+        error = error if np.isfinite(error) else np.nan
+        return Optimum(self.spec, self.transcription, best, record, error, self.reason, tuple(self.starts), is_minimum)
+
+    def _first(self) -> Mesh:
+        """Return the best solution on the first mesh."""
+        random, best = np.random.default_rng(self.spec.seed), None
+        for k in range(self.spec.starts):
+            guess = self.transcription.guess(random if k else None)
+            mesh = self.transcription.solved(guess, self.stop, ITERATIONS_OF_START if k else None)
+            solution = _solution(mesh)
+            self.starts.append(solution.objective if solution.is_optimum else np.nan)
+            if best is None or _order(mesh) < _order(best):
+                best = mesh
+            if self.stop.now:
+                break
+        assert best is not None
+        return best
+
+    def _error(self) -> tuple[float, bool]:
+        """Return the estimated error of the objective, and whether it can be trusted: after three meshes, or if the
+        objective does not change any more.
+        """
+        floor = self._floor()
+        changes = np.abs(np.diff([_solution(mesh).objective for mesh in self.meshes]))
+        if not len(changes):
+            return np.inf, False
+        if changes[-1] <= floor or len(changes) == 1:
+            return max(floor, float(changes[-1])), bool(changes[-1] <= floor)
+        stages = len(self.transcription.c)
+        order = 2 * stages if self.transcription.has_nodes else 2 * stages - 1
+        return max(floor, extrapolated(changes, order)), True
+
+    def _floor(self) -> float:
+        """Return the smallest error of the objective, due to the optimizer."""
+        solution = _solution(self.meshes[-1])
+        return max(ROUNDING * abs(solution.objective), 2.0 * solution.gap)
+
+    def _is_confirmed(self, error: float) -> bool:
+        """Return whether an error needs no further mesh: it does if discontinuities were found, around which intervals
+        are divided into more parts, because errors then decrease by very different ratios.
+        """
+        if error <= self._floor() or len(self.meshes) > 3:
+            return True
+        counts = [len(mesh.grid.phase) for mesh in self.meshes[-3:]]
+        return counts[2] == 2 * counts[1] == 4 * counts[0]
+
+    def _failure(self, mesh: Mesh) -> str:
+        """Return code and sentence for a mesh without an optimum."""
+        if self.stop.interrupted:
+            why = "interrupted: stopped by the user"
+        elif self.stop.now:
+            assert self.spec.limits is not None
+            why = f"wall-time: stopped after limits.wall_time = {self.spec.limits.wall_time:g} s"
+        else:
+            status = _solution(mesh).status
+            code, sentence = statuses().get(status, ("not-solved", f"the optimizer stopped: {status}"))
+            why = f"{code}: {sentence}, on a mesh of {len(mesh.grid.phase)} intervals"
+            if code in ("infeasible", "iteration-limit") and not self.meshes:
+                why += self._cause(mesh)
+        if self.meshes:
+            why += f"; the motion is the optimum on a mesh of {len(self.meshes[-1].grid.phase)} intervals"
+        return why
+
+    def _cause(self, mesh: Mesh) -> str:
+        """Return a clause on the condition that cannot hold."""
+        guess = self.transcription.guess()
+        largest = max(self.transcription.nearest_violations(guess, self.stop).items(), key=lambda x: x[1], default=None)
+        if largest is not None and largest[1] > 1e-6:
+            return f"; `{largest[0]}` cannot hold with the others: the nearest motion misses it by {largest[1]:.3g}"
+        name, size = max(_solution(mesh).violations.items(), key=lambda x: x[1])
+        if ": " in name:
+            return f"; the largest violation is that of `{name}`, {size:.3g}"
+        return "; motion does not lead from the start to the end within the bounds" if size > 1e-6 else ""
+
+
+def find_optimum(spec: PredictSpec, transcription: Transcription, stop: Stop) -> Optimum:
+    """Return the optimum on a mesh that is fine enough."""
+    return _Search(spec, transcription, stop).run()
+
+
+def extrapolated(changes: Sequence[float] | np.ndarray, order: int) -> float:
+    """Return the estimated error of the last value of a sequence, from the changes of its values by refinement.
+
+    Halving all intervals divides the error by a constant ratio, at most 2^order, which the last two changes show. A
+    last change that is much smaller than that may be so by accident.
+    """
+    before, last = float(changes[-2]), float(changes[-1])
+    ratio = min(max(last / before if before else 1.0, 2.0**-order), SLOWEST)
+    return SAFETY * ratio / (1.0 - ratio) * max(last, before * ACCIDENT)
+
+
+def _solution(mesh: Mesh) -> Solution:
+    assert mesh.solution is not None
+    return mesh.solution
+
+
+def _order(mesh: Mesh) -> tuple[bool, float, float]:
+    """Return by what solutions are ordered: optima first, by their objective, and then by violations."""
+    solution = _solution(mesh)
+    worst = 0.0 if solution.is_optimum else max(solution.violations.values(), default=0.0)
+    return not solution.is_optimum, worst, solution.objective
