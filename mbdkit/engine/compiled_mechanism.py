@@ -338,7 +338,10 @@ class CompiledMechanism:
     @cached_property
     def has_power(self) -> bool:
         """Whether there are loads, drivers, dampers or force laws, so that work or dissipated energy can change."""
-        top = self.topology
+        return self.does_work(self.topology)
+
+    def does_work(self, top: Topology) -> bool:
+        """Return the same for a topology without some of these loads and laws."""
         damped = np.any(top.linear[:, 1]) or np.any(top.section_parameters[:, -3:])
         return bool(len(top.loads) or len(self.drives) or damped or len(top.laws))
 

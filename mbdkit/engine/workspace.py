@@ -115,6 +115,32 @@ class Workspace:
         """Number of accelerations and multipliers, 3 B + m."""
         return self.mechanism.unknowns
 
+    def leave_out_held_loads(self) -> None:
+        """Integrate equations without the loads that show forces which the method computes itself, and without
+        first-order states if there are no others than those that it sets.
+
+        These forces are zero during a step, and the states constant; see
+        `mbdkit.engine.compile_forces.Lowering.held_load`.
+        """
+        top, is_set = self.stepping_topology, [state.by_method for state in self.mechanism.states]
+        held = self.mechanism.topology.states[np.flatnonzero(is_set), 1]
+        of_held = np.isin(top.laws[:, 1] + 1, held)
+        is_shown = np.isin(top.load_values[:, 0], np.flatnonzero(of_held))
+        is_held = np.isin(top.loads[:, 3], top.load_values[is_shown, 1])
+        loads, laws = (len(some) - np.count_nonzero(some) for some in (is_held, of_held))
+        if not all(is_held[loads:]) or not all(of_held[laws:]):  # others have to keep their indices
+            return
+        top = top._replace(
+            laws=top.laws[:laws],
+            loads=top.loads[:loads],
+            load_points=top.load_points[:loads],
+            load_values=np.ascontiguousarray(top.load_values[~is_shown]),
+        )
+        if all(is_set):
+            top = top._replace(states=top.states[:0], state_places=top.state_places[:0])
+        self.stepping_topology = top
+        self._stepping_engine = PinnedBundle(Engine(self.stepping_topology, self.scratch, self.solver))
+
     def choose_pivots(self, rate: complex | None = None) -> tuple[Pattern, Factors, Scatter]:
         """Choose pivots for the current values in ``scratch.source``.
 
@@ -372,7 +398,7 @@ def new_scratch(mechanism: CompiledMechanism) -> tuple[Scratch, dict[str, int]]:
         law_values=top.law_parameters.copy() if changing else top.law_parameters,
         friction=np.zeros((len(top.frictions), len(top.frictions) + 3)),
         response=np.zeros((len(top.reactions), len(top.frictions) + 1)),
-        reacting=np.zeros(7, dtype=np.int64),
+        reacting=np.zeros(8, dtype=np.int64),
         reaction=np.zeros((3, mechanism.size) if reacts else (0, 0)),
         reaction_lam=np.zeros((p if reacts else 0, 2)),
         reaction_power=np.zeros(1),

@@ -93,7 +93,7 @@ def _predict(m, t, h):
 def evaluate_stages(c, m, h):
     """Evaluate positions, velocities and first-order states of every stage; the step begins at ``m.previous.begin``."""
     stage_states(c, m, h)
-    add_up_states(c, m, h, 0, len(c.from_z))
+    add_up_states(c, m, h, 0, len(c.top.states))
     shift = m.constraints.shift
     for i in range(len(shift)):
         for j in range(len(shift)):

@@ -47,11 +47,11 @@ def solve_states(c, m, t, h):
 
 @separate
 def _solve_states(c, m, t, h):
-    if len(c.from_z) == 0:
+    if len(c.top.states) == 0:
         return OK
     take_lengths(c, m, t, h)
     first = 0
-    while first < len(c.from_z):
+    while first < len(c.top.states):
         if is_held(c.top, first):
             first += 1
             continue

@@ -157,13 +157,13 @@ def _solve_stage(c, m, i, v):
     """Evaluate the accelerations of the bodies, the rates of first-order states and the power in stage `i`, with the
     velocities `v` of the bodies; return a status.
     """
-    if len(c.from_z) > 0:
+    if len(c.top.states) > 0:
         take_states(c.top, c.w, m.z_stage)
     c.counts[RHS] += 1
     c.counts[FACTORIZATIONS] += 1
     status = solve_accelerations(c.top, c.w, c.solver, m.q_stage, v, m.accelerations[i], m.lam, False)
     if status == OK:
-        if len(c.from_z) > 0:
+        if len(c.top.states) > 0:
             state_rates(c.top, c.w, v, m.z_rates[i])
         if c.has_power[0] != 0:
             m.power[i, 0], m.power[i, 1] = evaluate_powers(c.top, c.w, m.q_stage, v, m.lam)
@@ -178,9 +178,9 @@ def _solve_tree_of_pins(c, m, t, i):
     """
     r = m.relative
     c.counts[RHS] += 1
-    if any_forces(c.top) or len(c.from_z) > 0:
+    if any_forces(c.top) or len(c.top.states) > 0:
         place_bodies(c.top, c.w, r.tree, t, r.vectors[Y], m.rates[i], m.q_stage, r.vectors[V_STAGE])
-        if len(c.from_z) > 0:
+        if len(c.top.states) > 0:
             take_states(c.top, c.w, m.z_stage)
         applied_forces(c.top, c.w, m.q_stage, r.vectors[V_STAGE])
         has_forces = True
@@ -190,7 +190,7 @@ def _solve_tree_of_pins(c, m, t, i):
     articulated_accelerations(
         c.top, c.w.cs, r.tree, has_forces, c.w.force, r.vectors[V_STAGE], r.bodies, m.accelerations[i]
     )
-    if len(c.from_z) > 0:
+    if len(c.top.states) > 0:
         state_rates(c.top, c.w, r.vectors[V_STAGE], m.z_rates[i])
     if c.has_power[0] != 0:
         m.power[i, 0], m.power[i, 1] = evaluate_powers(c.top, c.w, m.q_stage, r.vectors[V_STAGE], m.lam)
@@ -213,7 +213,7 @@ def evaluate_stages(c, m, t, h, first, last):
         else:
             stage_state(base, h, m.a, m.rates, i, place)
             stage_state(base_rates, h, m.a, m.accelerations, i, m.rates[i])
-            if len(c.from_z) > 0:
+            if len(c.top.states) > 0:
                 stage_state(c.from_z, h, m.a, m.z_rates, i, m.z_stage)
         if len(r.bodies) > 0:
             _solve_tree_of_pins(c, m, t + m.c[i] * h, i)
@@ -241,7 +241,7 @@ def add_up_stages(c, m, t, h):
     _increment(h, m.b, m.accelerations, c.dv)
     if is_relative(m):
         end_of_step(c, m.relative, t + h)
-    if len(c.dz) > 0:
+    if len(c.top.states) > 0:
         _increment(h, m.b, m.z_rates, c.dz)
     if c.has_power[0] != 0:
         for k in range(2):

@@ -206,7 +206,18 @@ def _note_end_of_step(c, plan, t):
 
 
 @subkernel
-def _try_step(run, method, attempt, plan):
+def _shows(plan, progress, t, h, at_stop, path):
+    """Return whether a state at the end of the next step or within it is recorded, stored, or read by the stepper."""
+    recording, times = plan.recording, plan.times
+    if path != 0 or at_stop or recording.start_of_step[0] != 0 or _end_of_step(plan, progress, t, h, at_stop)[1]:
+        return True
+    if recording.every[0] > 0:
+        return (progress.whole[0] + 1) % recording.every[0] == 0
+    return times.start[0] + progress.next_row[0] * recording.interval[0] <= t + (1.0 + ROW_MARGIN) * h
+
+
+@subkernel
+def _try_step(run, method, attempt, plan, path):
     """Attempt the next step with its projection, and accept or reject it; return a status.
 
     An accepted step is then pending: its increments are known, but the state is still that at its start.
@@ -228,6 +239,8 @@ def _try_step(run, method, attempt, plan):
         begin_energy(c, guards, t, c.q, c.v)
     before = c.counts[ITERATIONS]
     progress.part[0] = 0.0
+    if c.w.reacting[1] != 0:
+        c.w.reacting[7] = _shows(plan, progress, t, h, at_stop, path)
     c.w.faulty[0] = -1  # only a force law that fails in this attempt is to be named if the run stops
     status = take(run, method, attempt, t, h, control.controlled[0], mode)
     iterations = c.counts[ITERATIONS] - before
@@ -486,7 +499,7 @@ def drive(run: int, method: int, attempt: int, dense: int, plan: int, budget: in
             if not (_has_room(c) and has_room(path)):
                 return OK, rows
             attempts += 1
-            status = _try_step(run, method, attempt, planned)
+            status = _try_step(run, method, attempt, planned, path)
             if status != OK:
                 return status, rows
             if progress.pending[0] == 0:  # the step was rejected

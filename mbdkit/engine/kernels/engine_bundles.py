@@ -171,8 +171,9 @@ class Scratch(NamedTuple):
     """(N, F + 1) change of each multiplier in ``Topology.reactions`` by a unit of each friction; the value of the
     multiplier in the last column."""
     reacting: IntVector
-    """(7,) whether elements react in the equations of motion; address of the function that adds their forces, and
-    its first two arguments; address of the function that constrains the solutions of implicit steps, and its own."""
+    """(8,) whether elements react in the equations of motion; address of the function that adds their forces, and
+    its first two arguments; address of the function that constrains the solutions of implicit steps, and its own;
+    whether forces at the end of the next step, or within it, are recorded."""
     reaction: RealMatrix
     """(3, 3 (B + 1)) positions, velocities and accelerations, which this function reads and changes, and (P, 2)
     multipliers; both empty without such elements."""

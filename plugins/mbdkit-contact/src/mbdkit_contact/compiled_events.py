@@ -36,6 +36,7 @@ class CompiledEventDriven(CompiledMethod):
     def __init__(self, between: CompiledMethod, treatment: ContactTreatment):
         super().__init__(between.workspace)
         workspace = between.workspace
+        workspace.leave_out_held_loads()
         self.between = between
         self.events = ContactEvents(EquationsOfMotion(workspace, states_at_start(workspace)))
         self.events.use(treatment)
@@ -49,7 +50,7 @@ class CompiledEventDriven(CompiledMethod):
         between = self.between
         functions = between.attempt, between.dense, between.keep
         self.events.bundle.inner[:] = [between.pinned.address, *(0 if f is None else f.address for f in functions)]
-        self.workspace.scratch.reacting[4:] = constrain.address, 0, between.pinned.address
+        self.workspace.scratch.reacting[4:7] = constrain.address, 0, between.pinned.address
 
     def kept(self, *roles: str) -> dict[str, np.ndarray]:
         """See `CompiledMethod.kept`."""
@@ -58,6 +59,7 @@ class CompiledEventDriven(CompiledMethod):
 
     def start(self, run_state: RunState, h: float) -> None:
         """See `CompiledMethod.start`."""
+        self.events.bundle.power[0] = self.workspace.mechanism.does_work(self.workspace.stepping_topology)
         run_state.has_power[0] = 1  # friction and impacts dissipate energy
         self.between.start(run_state, h)
         self._take_up_addresses()

@@ -54,6 +54,8 @@ FAILURES: dict[int, tuple[StepCode, str]] = {
 """Codes and clauses of the reasons for which a step fails."""
 FIRST_ROOM, MOST_SAMPLES = 8, 64
 """Number of contacts that may act at once before larger arrays are needed, and largest number of samples in a step."""
+MOST_SHARES = 1024
+"""Size of ``Known.shares``."""
 _PASSED = tuple(name for name in Known._fields if name not in ("number", "rows", "strikes"))
 """Arrays that steps in Python pass to the next step."""
 
@@ -65,7 +67,7 @@ def _new_known(count: int, size: int, pairs: int, held: int) -> Known:
     rows = max(2 * KEPT_STRIKES, 4 * count)
     return Known(
         modes=np.zeros(count), features=np.full(count, -1.0), basis=integers(1 + 2 * count),
-        determined=integers(1), event=integers(2), streak=integers(1),
+        shares=np.zeros(MOST_SHARES), determined=integers(2), event=integers(2), streak=integers(1),
         normal=np.zeros(count), tangent=np.zeros(count), force=np.zeros(size),
         energy=np.zeros(1), times=np.full(2, np.inf), flags=integers(4, count), number=integers(2),
         rows=np.zeros((rows, 6)), strikes=np.zeros((KEPT_STRIKES, size + 2 * pairs)), until=np.zeros(1),
@@ -105,7 +107,7 @@ class ContactEvents:
             "lam": np.zeros((pairs, 2)),
             "lam_x": np.zeros((pairs, 2)),
             "rows": np.zeros((count, 16)),
-            "sample_values": np.zeros((MOST_SAMPLES, 2, count)),
+            "sample_values": np.zeros((MOST_SAMPLES, 3, count)),
             "search": Search(
                 np.zeros((3, count, 2)), np.zeros((3, count, 4)), np.zeros((3, count)), np.zeros((3, count)),
                 np.zeros(count), integers(4), np.zeros(7), np.zeros(1), integers(2), np.zeros(1),
@@ -113,12 +115,14 @@ class ContactEvents:
             **self._of_room(max(1, min(count, FIRST_ROOM)), size, pairs),
         }  # fmt: skip
         sizes: dict[str, tuple[int, ...]] = {"t": (1,), "gained": (2,), "sample_times": (MOST_SAMPLES,)}
+        sizes |= {"shares": (MOST_SHARES,)}
         sizes |= dict.fromkeys(("q", "v", "a", "free", "x", "y", "rest"), (size,))
         sizes |= dict.fromkeys(("normal", "tangent", "sliding", "approach", "pace", "gaps"), (count,))
         sizes |= dict.fromkeys(("modes", "kept_modes", "kept_features"), (count,))
         sizes |= dict.fromkeys(("values", "begin", "end"), (3, count))
         given |= {name: np.zeros(shape) for name, shape in sizes.items()}
-        counts: dict[str, int] = {"inner": 4, "engine": 1, "law": 1, "samples": 2, "reason": 2, "pauses": 1}
+        counts: dict[str, int] = {"inner": 4, "engine": 1, "law": 1, "samples": 3, "reason": 2, "pauses": 1}
+        counts |= {"power": 1, "ended": 2}
         counts |= {"basis": 1 + 2 * count}
         counts |= dict.fromkeys(("touching", "struck"), count)
         given |= {name: integers(number) for name, number in counts.items()}
@@ -130,8 +134,17 @@ class ContactEvents:
     def _of_room(self, most: int, size: int, pairs: int) -> dict[str, Any]:
         """Return the arrays of up to `most` contacts that act at once."""
         unknowns, forces = self.workspace.unknowns, 2 * most
-        answers, matrix = np.zeros((forces, unknowns), complex), np.zeros((forces, forces + 1), complex)
-        newton = Newton(answers, np.zeros(unknowns, complex), matrix, np.zeros(unknowns), np.zeros(unknowns))
+        newton = Newton(
+            answers=np.zeros((forces, unknowns), complex),
+            right=np.zeros(max(unknowns, forces), complex),
+            sites=np.zeros((forces, 2), dtype=np.int64),
+            held=np.zeros((forces, 6)),
+            matrix=np.zeros((forces, forces), complex),
+            inverse=np.zeros((forces, forces), complex),
+            key=np.full(3, -1),
+            real=np.zeros(unknowns),
+            solved=np.zeros(unknowns),
+        )
         closed = new_closed_contacts(self._shapes, most, size, pairs)
         return {"closed": closed, "newton": newton, "impacts": new_impacts(most)}
 
@@ -235,7 +248,7 @@ class ContactEvents:
         counts = starts[np.searchsorted(starts, shapes.contacts[:, 2], side="right")] - shapes.contacts[:, 2]
         whole = known.features == np.round(known.features)
         forces = np.count_nonzero(known.modes != OPEN) + np.count_nonzero(known.modes == STICK)
-        basis = known.basis[1 : 1 + max(0, known.basis[0])]  # what lies behind is left from other modes
+        basis = known.basis[1 : 1 + forces * (known.basis[0] != 0)]  # what lies behind is left from other modes
         if (
             np.any(known.event < 0)
             or known.event[0] > 3

@@ -42,6 +42,7 @@ from mbdkit_contact.kernels.contact_modes import (
     find_touching,
     find_values,
     rate_of_gap,
+    rows_in_place,
     set_modes,
     speed,
 )
@@ -57,11 +58,47 @@ from mbdkit_contact.kernels.event_bundle import (
     PLACE,
 )
 from mbdkit_contact.kernels.impacts import OTHER_LAW, UNSOLVED, find_ordered, strike
-from mbdkit_contact.kernels.kinematics import place
+from mbdkit_contact.kernels.kinematics import place, place_turned
 from mbdkit_contact.modes import OPEN, STICK
 
+NEARLY = 1e-13
+"""Gaps and rates of joints and closed contacts up to this size, relative to the largest coordinate or velocity (at
+least 1), are left as they are at the end of a step. It exceeds the rounding errors of many steps and is much smaller
+than `SAME`.
+"""
 QUADRATIC = 1e-9
 """Relative residual from which one iteration of Newton's method leaves nothing but rounding errors."""
+
+
+@separate
+def is_nearly_closed(e, m):
+    """Evaluate the quantities of all contacts at the point; return whether joints and contacts are closed up to
+    `NEARLY`.
+    """
+    w, still, has_joints = e.w, m.still, len(e.w.phi) > 0
+    if has_joints:
+        position_rows(still, w, m.t[0], m.q)
+        place_turned(m.closed.shapes, w.cs, m.q, m.v)
+    else:
+        place(m.closed.shapes, m.q, m.v)
+    rows_in_place(m)
+    gap = scaled_residual(still, w.phi)
+    for i in range(len(m.rows)):
+        if m.known.modes[i] != OPEN:
+            gap = max(gap, abs(m.rows[i, 0]) / still.length[0])
+    if not gap <= NEARLY * largest_size(still, m.q):
+        return False
+    rate = 0.0
+    if has_joints:
+        solved_rows(still, w, m.q, m.v)
+        rate_rows(still, w.jac, w.phi_t, m.v, w.refinement)
+        rate = scaled_residual(still, w.refinement)
+    for i in range(len(m.rows)):
+        if m.known.modes[i] != OPEN:
+            rate = max(rate, abs(rate_of_gap(m, i, 2, m.v)) / still.length[0])
+        if m.known.modes[i] == STICK:
+            rate = max(rate, abs(m.rows[i, 1]) / still.length[0])
+    return rate <= NEARLY * largest_size(still, m.v)
 
 
 @subkernel
@@ -466,6 +503,7 @@ def _change_modes(e, m, kind, contact):
     modes, limits = m.known.modes, m.search.limits
     fill(m.sliding, 0.0)
     if kind == FRICTION and modes[contact] == STICK:
+        find_rows(m)
         status = find_values(e, m, True)
         if status != OK:
             return status

@@ -19,7 +19,7 @@ from mbdkit.engine.kernels.schur import solve as schur_solve
 from mbdkit.engine.kernels.system import OK
 from mbdkit.engine.kernels.vectors import fill, fill_rows
 from mbdkit.engine.native.functions import separate, subkernel
-from mbdkit_contact.kernels.kinematics import NOWHERE, Shapes, choose, row_of
+from mbdkit_contact.kernels.kinematics import NOWHERE, SINGLE, Shapes, choose, row_of
 
 SINGULAR = 1e-11
 """Singular values of the equations of contact forces below this share of the largest one indicate redundant rows."""
@@ -54,6 +54,9 @@ class ClosedContacts(NamedTuple):
     moved: RealMatrix
     """(U, N) accelerations and (U, P, 2) multipliers that unit forces cause alone."""
     loaded: RealCube
+    bound: RealCube
+    """(U, P, 2) work array: the constraints of contacts on joints, after forward substitution; see `find_few_forces`.
+    """
     matrix: RealMatrix
     """(U, U) equations of the forces, and work arrays of their solution."""
     columns: RealMatrix
@@ -76,8 +79,8 @@ def new_closed_contacts(shapes: Shapes, most: int, size: int, pairs: int) -> Clo
     return ClosedContacts(
         shapes, integers(most), integers(most), np.zeros(most), np.zeros((most, 16)),
         integers(u, 2), np.zeros((u, 6)), np.zeros((u, 6)), np.zeros((u, size)), np.zeros((u, pairs, 2)),
-        np.zeros((u, u)), np.zeros((u, u)), np.zeros((u, u)), np.zeros(u), np.zeros(u), np.zeros(u), np.zeros(u),
-        integers(u),
+        np.zeros((u, pairs, 2)), np.zeros((u, u)), np.zeros((u, u)), np.zeros((u, u)), np.zeros(u), np.zeros(u),
+        np.zeros(u), np.zeros(u), integers(u),
     )  # fmt: skip
 
 
@@ -116,7 +119,8 @@ def find_directions(s, k):
             s.shapes.features[i], s.shapes.least[i] = s.shapes.held[i], NOWHERE
         elif s.shapes.contacts[i, 3] != last:
             last = s.shapes.contacts[i, 3]
-            choose(s.shapes, last)
+            if s.shapes.pairs[last, 0] != SINGLE:
+                choose(s.shapes, last)
         row_of(s.shapes, i, s.rows[j])
         a, b = 3 * s.shapes.contacts[i, 0], 3 * s.shapes.contacts[i, 1]
         s.sites[j, 0], s.sites[j, 1] = a, b
@@ -202,53 +206,191 @@ def _balance(s, k, free):
             s.right[s.sticks[j]] = s.rows[j, 15] - along(s, s.sticks[j], free)
 
 
-@separate
-def find_few_forces(s, k, count, free, basis):
-    """Write forces as `find_forces` does, but with those of redundant equations zero; return whether there are any.
+@subkernel
+def _reduce(still, w, schur, sites, row, out):
+    """Write ``L^-1 Phi_q M^-1 d`` for the Schur complement ``L D L^T`` of the joints and a row d (6,) of a contact."""
+    pairs, jac, weight = still.pairs, w.jac, still.weight
+    for p in range(len(pairs)):
+        r0 = r1 = 0.0
+        for side in range(2):
+            body = pairs[p, 1 + side]
+            for end in range(2):
+                if 3 * body == sites[end]:
+                    for i in range(3):
+                        x = weight[body, i] * row[3 * end + i]
+                        r0 += jac[p, 3 * side + i] * x
+                        r1 += jac[p, 6 + 3 * side + i] * x
+        out[p, 0] = r0
+        out[p, 1] = r1 if still.rows[p] == 2 else 0.0
+    for p in range(len(pairs)):
+        x0, x1 = out[p, 0], out[p, 1]
+        if x0 != 0.0 or x1 != 0.0:
+            for e in range(schur.start[p], schur.start[p + 1]):
+                i = schur.row[e]
+                out[i, 0] -= schur.below[e, 0] * x0 + schur.below[e, 1] * x1
+                out[i, 1] -= schur.below[e, 2] * x0 + schur.below[e, 3] * x1
 
-    The accelerations that they cause are the same. `basis` holds the number of independent equations, 0 if it is
-    unknown, and these equations.
+
+@subkernel
+def _assemble_few(still, w, schur, s, k, basis):
+    """Write the equations of independent forces ``G (M^-1 - M^-1 Phi_q^T S^-1 Phi_q M^-1) D``, S being the Schur
+    complement of the joints.
+    """
+    rank, pairs, diagonal = basis[0], len(w.gamma), schur.diagonal
+    if pairs > 0:
+        for i in range(rank):
+            at = basis[1 + i]
+            x = s.loaded[i]
+            _reduce(still, w, schur, s.sites[at], s.held[at], s.bound[i])
+            if at < k and s.share[at] != 0.0:
+                _reduce(still, w, schur, s.sites[at], s.pushed[at], x)
+            else:
+                for p in range(pairs):
+                    x[p, 0], x[p, 1] = s.bound[i, p, 0], s.bound[i, p, 1]
+            for p in range(pairs):
+                x0, x1 = x[p, 0], x[p, 1]
+                x[p, 0] = diagonal[p, 0] * x0 + diagonal[p, 1] * x1
+                x[p, 1] = diagonal[p, 1] * x0 + diagonal[p, 2] * x1
+    for j in range(rank):
+        at = basis[1 + j]
+        d, a, b = s.pushed[at], s.sites[at, 0], s.sites[at, 1]
+        wa, wb = still.weight[a // 3], still.weight[b // 3]
+        a0, a1, a2, b0, b1, b2 = wa[0] * d[0], wa[1] * d[1], wa[2] * d[2], wb[0] * d[3], wb[1] * d[4], wb[2] * d[5]
+        for i in range(rank):
+            row, value = basis[1 + i], 0.0
+            g = s.held[row]
+            if s.sites[row, 0] == a:
+                value += g[0] * a0 + g[1] * a1 + g[2] * a2
+            elif s.sites[row, 0] == b:
+                value += g[0] * b0 + g[1] * b1 + g[2] * b2
+            if s.sites[row, 1] == b:
+                value += g[3] * b0 + g[4] * b1 + g[5] * b2
+            elif s.sites[row, 1] == a:
+                value += g[3] * a0 + g[4] * a1 + g[5] * a2
+            for p in range(pairs):
+                value -= s.bound[i, p, 0] * s.loaded[j, p, 0] + s.bound[i, p, 1] * s.loaded[j, p, 1]
+            s.matrix[i, j] = value
+
+
+@subkernel
+def _add_few(still, w, schur, s, basis, acc, lam):
+    """Add what independent forces cause to accelerations (N,) and multipliers (P, 2)."""
+    b, pairs, x = s.sizes, len(w.gamma), s.bound[0]
+    for j in range(basis[0]):
+        at = basis[1 + j]
+        for end in range(2):
+            first = s.sites[at, end]
+            for d in range(3):
+                acc[first + d] += b[j] * still.weight[first // 3, d] * s.pushed[at, 3 * end + d]
+    if pairs == 0:
+        return
+    for p in range(pairs):
+        x[p, 0] = x[p, 1] = 0.0
+        for j in range(basis[0]):
+            x[p, 0] += b[j] * s.loaded[j, p, 0]
+            x[p, 1] += b[j] * s.loaded[j, p, 1]
+    for p in range(pairs - 1, -1, -1):
+        for e in range(schur.start[p], schur.start[p + 1]):
+            i = schur.row[e]
+            x[p, 0] -= schur.below[e, 0] * x[i, 0] + schur.below[e, 2] * x[i, 1]
+            x[p, 1] -= schur.below[e, 1] * x[i, 0] + schur.below[e, 3] * x[i, 1]
+        lam[p, 0] += x[p, 0]
+        lam[p, 1] += x[p, 1]
+    apply_multipliers(still, w, x, acc, True)
+
+
+@separate
+def find_few_forces(still, w, solver, s, k, count, basis, acc, lam):
+    """Write forces as `find_forces` does, but with those of redundant equations zero, and add what they cause to the
+    accelerations (N,) and multipliers (P, 2) without them; return whether this was possible.
+
+    The accelerations are the same as with `find_forces`. `basis` holds the number of independent equations, 0 if it is
+    unknown, and these equations. They are eliminated after the joints, whose factors are those of the last solution.
     """
     a, b, rank, largest = s.matrix, s.sizes, basis[0], 0.0
-    if rank == 0 or rank > count:
+    if rank == 0 or rank > count or solver.pivoted[0] != 0:
         return False
-    _balance(s, k, free)
     for i in range(rank):
-        at = basis[1 + i]
-        if at >= count:
+        if basis[1 + i] >= count:
             return False
-        b[i] = s.right[at]
-        for j in range(rank):
-            a[i, j] = along(s, at, s.moved[basis[1 + j]])
+    _balance(s, k, acc)
+    _assemble_few(still, w, solver.schur, s, k, basis)
+    for i in range(rank):
+        b[i] = s.right[basis[1 + i]]
         if not a[i, i] > 0.0:
             return False
         largest = max(largest, a[i, i])
     for i in range(rank):
         if not a[i, i] > WEAK * largest:
             return False
+        s.weights[i] = 1.0 / a[i, i]
         for j in range(i + 1, rank):
-            factor = a[j, i] / a[i, i]
-            b[j] -= factor * b[i]
-            for x in range(i + 1, rank):
-                a[j, x] -= factor * a[i, x]
+            if a[j, i] != 0.0:  # contacts of different bodies
+                factor = a[j, i] * s.weights[i]
+                b[j] -= factor * b[i]
+                for x in range(i + 1, rank):
+                    a[j, x] -= factor * a[i, x]
     for j in range(count):
         s.forces[j] = 0.0
     for i in range(rank - 1, -1, -1):
         for j in range(i + 1, rank):
             b[i] -= a[i, j] * b[j]
-        b[i] /= a[i, i]
+        b[i] *= s.weights[i]
         s.forces[basis[1 + i]] = b[i]
+    _add_few(still, w, solver.schur, s, basis, acc, lam)
     return True
 
 
 @subkernel
-def _note_basis(s, k, count, rank, basis):
-    """Write the independent equations of the last solution by `least_squares`; their number is 0 if the redundant
-    forces change the accelerations, through the friction of contacts that slip.
+def spread(s, count, basis, shares):
+    """Replace the forces of independent equations by those of nearly least norm; return whether this was possible.
+
+    `shares` are those of `_note_shares` at the last call of `find_forces`.
+    """
+    rank, b = basis[0], s.sizes
+    extra = count - rank
+    if 2 * extra * rank > len(shares):
+        return False
+    for e in range(extra):
+        z = 0.0
+        for i in range(rank):
+            z += shares[(extra + e) * rank + i] * b[i]
+        s.forces[basis[1 + rank + e]] = z
+        for i in range(rank):
+            s.forces[basis[1 + i]] -= shares[e * rank + i] * z
+    return True
+
+
+@subkernel
+def _note_shares(s, rank, extra, shares):
+    """Write the combinations S of forces without effect (see `mbdkit.engine.kernels.orthogonal.solve_least_norm`), and
+    then ``(I + S^T S)^-1 S^T``, to `shares` if it has room for them.
+    """
+    lean = s.turns
+    if 2 * extra * rank > len(shares):
+        return
+    for i in range(rank):
+        for e in range(extra):
+            shares[e * rank + i] = value = lean[e, i]
+            for f in range(e):
+                value -= lean[e, rank + f] * shares[(extra + f) * rank + i]
+            shares[(extra + e) * rank + i] = value / lean[e, rank + e]
+        for e in range(extra - 1, -1, -1):
+            value = shares[(extra + e) * rank + i]
+            for f in range(e + 1, extra):
+                value -= lean[f, rank + e] * shares[(extra + f) * rank + i]
+            shares[(extra + e) * rank + i] = value / lean[e, rank + e]
+
+
+@subkernel
+def _note_basis(s, k, count, rank, basis, shares):
+    """Write the independent equations of the last solution by `least_squares`, and then the others; the number of
+    independent ones is 0 if redundant forces change the accelerations, through the friction of contacts that slip.
     """
     basis[0] = rank
-    for i in range(rank):
+    for i in range(count):
         basis[1 + i] = s.order[i]
+    _note_shares(s, rank, count - rank, shares)
     for e in range(rank, count):
         if s.order[e] < k and s.share[s.order[e]] != 0.0:
             basis[0] = 0
@@ -258,11 +400,12 @@ def _note_basis(s, k, count, rank, basis):
 
 
 @separate
-def find_forces(s, k, count, free, basis):
+def find_forces(s, k, count, free, basis, shares):
     """Write the forces with which gaps and slips do not accelerate, for accelerations `free` (N,) without them.
 
     Redundant contacts that stick share the friction force in proportion to their normal forces. Returns the place of a
-    contact that its own friction presses together more than it is pressed, or -1. `basis` is for `find_few_forces`.
+    contact that its own friction presses together more than it is pressed, or -1. `basis` and `shares` are for
+    `find_few_forces` and `spread`.
     """
     _balance(s, k, free)
     assemble(s, count)
@@ -270,7 +413,7 @@ def find_forces(s, k, count, free, basis):
         if s.matrix[j, j] <= 0.0 and s.share[j] != 0.0:
             return j
     rank = least_squares(s, count)
-    _note_basis(s, k, count, rank, basis)
+    _note_basis(s, k, count, rank, basis, shares)
     if rank < count and count > k:
         largest = 0.0
         for j in range(k):

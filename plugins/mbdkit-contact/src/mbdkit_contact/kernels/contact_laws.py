@@ -28,7 +28,7 @@ from `SHAPES` on, those of the shapes:
 
 For the linear law and shapes without polygon, the side of each row follows: 1 if the force of spring and damper acts,
 -1 if it does not, and 0 if it acts where the shapes overlap and it pushes them apart. Gradients need steps with
-constant sides (`mbdkit.gradients.law_corners`), because a damper makes this force jump where shapes begin to touch.
+constant sides (`mbdkit_gradients.law_corners`), because a damper makes this force jump where shapes begin to touch.
 
 The results depend on the mode: forces and torques on both bodies (6); their derivatives with respect to the positions
 (36) and velocities (36) of both bodies; or the `VALUE` quantities of each row.

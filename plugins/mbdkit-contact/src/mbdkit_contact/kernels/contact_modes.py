@@ -23,6 +23,7 @@ from mbdkit_contact.kernels.contact_forces import (
     find_few_forces,
     find_forces,
     gap_rate,
+    spread,
     tangential,
     triangular,
 )
@@ -75,7 +76,7 @@ def use_modes(m):
 @subkernel
 def set_modes(m, modes):
     """Set the modes, and fix the polygon features of closed contacts at the point."""
-    m.known.basis[0] = 0
+    m.known.basis[0], m.newton.key[0] = 0, -1
     for i in range(len(modes)):
         m.known.modes[i] = modes[i]
         m.touching[i] = modes[i] != OPEN
@@ -87,9 +88,14 @@ def set_modes(m, modes):
 @separate
 def find_rows(m):
     """Evaluate the quantities of all contacts at the point."""
-    s = m.closed.shapes
-    place(s, m.q, m.v)
-    last = -1
+    place(m.closed.shapes, m.q, m.v)
+    rows_in_place(m)
+
+
+@separate
+def rows_in_place(m):
+    """Evaluate the quantities of all contacts for the states of the bodies in ``m.closed.shapes``."""
+    s, last = m.closed.shapes, -1
     for i in range(len(s.contacts)):
         if s.contacts[i, 3] != last:
             last = s.contacts[i, 3]
@@ -157,11 +163,11 @@ def collect_closed(m):
 def react(engine, method, t, unused, none):
     """Add the forces of closed contacts to a solution of the equations of motion; see `Scratch.reacting`.
 
-    Within a step, only independent forces are computed, which cause the same accelerations. If all are independent,
-    they are stored as a sample of the step.
+    Only independent forces are computed, which cause the same accelerations, unless they are not known. Forces are
+    stored as a sample of the step.
     """
     e, m = load_engine(engine), load_events(method)
-    w, s = e.w, m.closed
+    w, s, known = e.w, m.closed, m.known
     w.reaction_power[0] = 0.0
     k = collect_closed(m)
     if k < 0:
@@ -170,27 +176,28 @@ def react(engine, method, t, unused, none):
         return OK
     place_turned(s.shapes, w.cs, w.reaction[0], w.reaction[1])
     count = find_directions(s, k)
-    status = find_answers(m.still, w, e.solver, s, count, False)
-    if status != OK:
-        return status
-    is_unique = m.known.basis[0] == count
-    if not (m.samples[1] != 0 and find_few_forces(s, k, count, w.reaction[2], m.known.basis)):
-        is_unique = True
-        failed = find_forces(s, k, count, w.reaction[2], m.basis)
+    if find_few_forces(m.still, w, e.solver, s, k, count, known.basis, w.reaction[2], w.reaction_lam):
+        if known.basis[0] < count:
+            m.samples[2] = 1 if spread(s, count, known.basis, known.shares) else 2
+    else:
+        status = find_answers(m.still, w, e.solver, s, count, False)
+        if status != OK:
+            return status
+        failed = find_forces(s, k, count, w.reaction[2], m.basis, m.shares)
         if failed >= 0:
             m.reason[0], m.reason[1] = PAINLEVE, s.chosen[failed]
             return NOT_FINITE
-    add_answers(s, count, w.reaction[2], w.reaction_lam)
+        add_answers(s, count, w.reaction[2], w.reaction_lam)
     for d in range(len(w.reaction[2]) - 3):
         if not abs(w.reaction[2, d]) < np.inf:
             return NOT_FINITE
-    place_of_sample = _sample_at(m, t) if is_unique else -1
+    place_of_sample = _sample_at(m, t)
     for j in range(k):
         i, normal, tangent = s.chosen[j], s.forces[j], tangential(s, j)
         w.reaction_power[0] -= tangent * s.rows[j, 1]
         if place_of_sample >= 0:
-            m.sample_values[place_of_sample, 0, i] = normal
-            m.sample_values[place_of_sample, 1, i] = friction_value(m, i, s.rows[j, 1], normal, tangent)
+            sample = m.sample_values[place_of_sample]
+            sample[0, i], sample[1, i], sample[2, i] = normal, tangent, s.rows[j, 1]
     return OK
 
 
@@ -242,7 +249,7 @@ def find_accelerations(e, m):
     status = find_answers(m.still, e.w, e.solver, s, count, True)
     if status != OK:
         return status
-    failed = find_forces(s, k, count, m.free, m.known.basis)
+    failed = find_forces(s, k, count, m.free, m.known.basis, m.known.shares)
     if failed >= 0:
         m.reason[0], m.reason[1] = PAINLEVE, s.chosen[failed]
         return REFUSED
@@ -406,10 +413,10 @@ def find_values(e, m, with_forces):
 
     They belong to the normal direction (gap or force), to friction (slip, or how far the friction force is from its
     limit), and to the place on the edge of a polygon. Those of forces are nan without `with_forces`; with it, the
-    forces are written to ``m.known``.
+    forces are written to ``m.known``. Requires `find_rows` at the point.
     """
     status = OK
-    find_rows(m)
+    find_margins(m.closed.shapes, m.values[PLACE])
     if with_forces:
         if any_closed(m):
             status = find_accelerations(e, m)
@@ -422,7 +429,6 @@ def find_values(e, m, with_forces):
         if status != OK:
             return status
         note_forces(m)
-    find_margins(m.closed.shapes, m.values[PLACE])
     for i in range(len(m.touching)):
         mode = m.known.modes[i]
         if mode == OPEN:

@@ -41,10 +41,13 @@ class Known(NamedTuple):
     features: RealVector
     """(C,) features at which closed contacts stay, or -1; see `Shapes.held`."""
     basis: IntVector
-    """(1 + 2 C,) number of independent equations of the forces in these modes, or 0, and their places; see
-    `mbdkit_contact.kernels.contact_forces.find_few_forces`."""
+    """(1 + 2 C,) number of independent equations of the forces in these modes, or 0, and the places of all equations,
+    these first; see `mbdkit_contact.kernels.contact_forces.find_few_forces`."""
+    shares: RealVector
+    """How redundant forces are shared; see `mbdkit_contact.kernels.contact_forces.spread`."""
     determined: IntVector
-    """(1,) whether the modes are known; not at the start and after a discontinuity."""
+    """(2,) whether the modes are known, not at the start and after a discontinuity, and whether the forces in `shown`
+    at the end of the last step are those of this state, and not of a stage before it."""
     event: IntVector
     """(2,) event at which the last step has ended, and with which the next one begins: its kind plus 1, or 0 if there
     is none, and its contact."""
@@ -114,8 +117,14 @@ class Newton(NamedTuple):
     """(U, N + M) solutions of these systems for unit forces; M is the number of multipliers."""
     right: ComplexVector
     """(N + M,) right side of a system."""
+    sites: Annotated[IntMatrix, 2]
+    """(U, 2) bodies of the constraints, and (U, 6) their derivatives; see `ClosedContacts`."""
+    held: Annotated[RealMatrix, 6]
     matrix: ComplexMatrix
-    """(U, U + 1) equations of the forces with which solutions satisfy the constraints, and their right side."""
+    """(U, U) equations of the forces with which solutions satisfy the constraints, and their inverse matrix."""
+    inverse: ComplexMatrix
+    key: IntVector
+    """(3,) numbers of the Jacobian and of the eigenvalue to which these arrays belong, and number of forces."""
     real: RealVector
     """(N + M,) right side and solution of a real system."""
     solved: RealVector
@@ -184,17 +193,24 @@ class Events(NamedTuple):
     gaps: RealVector
     """(C,) gaps within a step."""
     samples: IntVector
-    """(2,) number of samples of contact forces in the step; whether they are taken."""
+    """(3,) number of samples of contact forces in the step; whether they are taken; 0 if they are unique, 1 if they are
+    of nearly least norm, and 2 if those of some contacts are left out."""
     sample_times: RealVector
-    """(L,) their times, and (L, 2, C) normal forces, and slips or distances of friction forces from their limits."""
+    """(L,) their times, and (L, 3, C) normal forces, friction forces and slips."""
     sample_values: RealCube
+    power: IntVector
+    """(1,) whether forces other than those of contacts do work or dissipate energy."""
+    ended: IntVector
+    """(2,) whether `rows` are those of the state between two steps; whether joints and contacts had to be closed at the
+    end of the step."""
     begin: RealMatrix
     """(3, C) event functions at the start and at the end of the step."""
     end: RealMatrix
     search: Search
     closed: ClosedContacts
     basis: IntVector
-    """(1 + 2 C,) work array in place of ``known.basis``."""
+    """Work arrays in place of ``known.basis`` and ``known.shares``."""
+    shares: RealVector
     newton: Newton
     impacts: Impacts
     pauses: IntVector

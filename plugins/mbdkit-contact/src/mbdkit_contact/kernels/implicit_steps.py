@@ -16,7 +16,7 @@ from mbdkit.engine.kernels.lu import substitute
 from mbdkit.engine.kernels.system import OK
 from mbdkit.engine.native.functions import entry, separate, subkernel
 from mbdkit.integrators.collocation_stages import load_stages
-from mbdkit.integrators.run_state import load_run_state
+from mbdkit.integrators.run_state import JACOBIANS, load_run_state
 from mbdkit.integrators.simplified_newton import one_of
 from mbdkit_contact.kernels.contact_forces import find_directions
 from mbdkit_contact.kernels.contact_modes import collect_closed
@@ -28,49 +28,50 @@ WORN = 1e-9
 
 
 @subkernel
-def _along(s, j, n, x):
+def _along(x, j, n, y):
     """Return the product of the derivatives of constraint `j` and a vector (n,) or longer, without ground."""
-    a, b, total = s.sites[j, 0], s.sites[j, 1], 0.0 * x[0]
+    a, b, total = x.sites[j, 0], x.sites[j, 1], 0.0 * y[0]
     for d in range(3):
         if a < n:
-            total += s.held[j, d] * x[a + d]
+            total += x.held[j, d] * y[a + d]
         if b < n:
-            total += s.held[j, 3 + d] * x[b + d]
+            total += x.held[j, 3 + d] * y[b + d]
     return total
 
 
 @separate
-def _solve(matrix, count):
-    """Eliminate the unknowns of the equations (count, count + 1) in place, with row pivots; return nothing.
+def _invert(a, inverse, count):
+    """Write the inverse of the matrix (count, count), which is overwritten; return nothing.
 
-    The solution is in the last column; unknowns whose pivots vanish are zero.
+    Rows and columns of the inverse whose pivots vanish are zero.
     """
     largest = 0.0
     for i in range(count):
         for j in range(count):
-            largest = max(largest, abs(matrix[i, j]))
+            largest = max(largest, abs(a[i, j]))
+            inverse[i, j] = 1.0 if i == j else 0.0
     for k in range(count):
         pivot = k
         for i in range(k + 1, count):
-            if abs(matrix[i, k]) > abs(matrix[pivot, k]):
+            if abs(a[i, k]) > abs(a[pivot, k]):
                 pivot = i
-        if not abs(matrix[pivot, k]) > WORN * largest:
+        if not abs(a[pivot, k]) > WORN * largest:
             for i in range(count):
-                matrix[i, k] = 0.0
-            for j in range(count + 1):
-                matrix[k, j] = 0.0
-            matrix[k, k] = 1.0
+                a[i, k] = a[k, i] = inverse[k, i] = 0.0
             continue
-        for j in range(count + 1):
-            matrix[k, j], matrix[pivot, j] = matrix[pivot, j], matrix[k, j]
-        for i in range(k + 1, count):
-            factor = matrix[i, k] / matrix[k, k]
-            for j in range(k + 1, count + 1):
-                matrix[i, j] -= factor * matrix[k, j]
-    for k in range(count - 1, -1, -1):
-        for j in range(k + 1, count):
-            matrix[k, count] -= matrix[k, j] * matrix[j, count]
-        matrix[k, count] /= matrix[k, k]
+        for j in range(count):
+            a[k, j], a[pivot, j] = a[pivot, j], a[k, j]
+            inverse[k, j], inverse[pivot, j] = inverse[pivot, j], inverse[k, j]
+        scale = 1.0 / a[k, k]
+        for j in range(count):
+            a[k, j] *= scale
+            inverse[k, j] *= scale
+        for i in range(count):
+            factor = a[i, k]
+            if i != k and factor != 0.0:
+                for j in range(count):
+                    a[i, j] -= factor * a[k, j]
+                    inverse[i, j] -= factor * inverse[k, j]
 
 
 @subkernel
@@ -83,23 +84,23 @@ def _independent(events, count):
     return few
 
 
-@entry
-def constrain(run, stages, number, unused, none):
-    """Let the solution for an eigenvalue satisfy the constraints of closed contacts; see `constrain_solution`."""
-    c, m = load_run_state(run), load_stages(stages)
-    events = load_events(c.w.reacting[3])
-    s, x, n = events.closed, events.newton, len(c.q) - 3
+@separate
+def _prepare(events, y, tangent, e, n):
+    """Solve the system of eigenvalue `e` for unit forces of closed contacts, and write the inverse matrix of the
+    equations of the forces; return the number of forces.
+    """
+    s, x = events.closed, events.newton
     k = collect_closed(events)
     if k <= 0:
-        return OK
-    place(s.shapes, m.tangent.q, m.tangent.v)
-    count = find_directions(s, k)
-    e = int(number)
-    y = m.systems
-    count = _independent(events, count)
+        return 0
+    place(s.shapes, tangent.q, tangent.v)
+    count = _independent(events, find_directions(s, k))
     for i in range(count):
         j = s.order[i]
         a, b = s.sites[j, 0], s.sites[j, 1]
+        x.sites[i, 0], x.sites[i, 1] = a, b
+        for d in range(6):
+            x.held[i, d] = s.held[j, d]
         for d in range(len(x.real)):
             x.real[d], x.right[d] = 0.0, 0.0
         for d in range(3):
@@ -116,16 +117,34 @@ def constrain(run, stages, number, unused, none):
                 x.right[d] = x.real[d]
             substitute(y.pattern, one_of(y.cplx, -1 - e), x.right, x.answers[i])
     for i in range(count):
-        at = s.order[i]
         for j in range(count):
-            x.matrix[i, j] = _along(s, at, n, x.answers[j])
+            x.matrix[i, j] = _along(x, i, n, x.answers[j])
+    _invert(x.matrix, x.inverse, count)
+    return count
+
+
+@entry
+def constrain(run, stages, number, unused, none):
+    """Let the solution for an eigenvalue satisfy the constraints of closed contacts; see `constrain_solution`.
+
+    The solutions for unit forces are kept while the matrix of the eigenvalue stays the same.
+    """
+    c, m = load_run_state(run), load_stages(stages)
+    events = load_events(c.w.reacting[3])
+    x, n, y, e = events.newton, len(c.q) - 3, m.systems, int(number)
+    if x.key[0] != c.counts[JACOBIANS] or x.key[1] != e:
+        x.key[2] = _prepare(events, y, m.tangent, e, n)
+        x.key[0], x.key[1] = c.counts[JACOBIANS], e
+    count = x.key[2]
+    for i in range(count):
         if e >= 0:
-            x.matrix[i, count] = _along(s, at, n, y.x_real) - _along(s, at, n, y.z_real)
+            x.right[i] = _along(x, i, n, y.x_real) - _along(x, i, n, y.z_real)
         else:
-            x.matrix[i, count] = _along(s, at, n, y.x_complex) - _along(s, at, n, y.z_complex)
-    _solve(x.matrix, count)
+            x.right[i] = _along(x, i, n, y.x_complex) - _along(x, i, n, y.z_complex)
     for j in range(count):
-        force = x.matrix[j, count]
+        force = 0.0 * x.right[0]
+        for i in range(count):
+            force += x.inverse[j, i] * x.right[i]
         for d in range(len(x.real)):
             if e >= 0:
                 y.x_real[d] -= force.real * x.answers[j, d].real

@@ -21,7 +21,7 @@ from mbdkit.engine.native.functions import entry, kernel, separate, subkernel
 from mbdkit.integrators.run_state import AT_END_OF_LAST, AT_START_OF_LAST, MODIFIED, RHS, load_run_state
 from mbdkit.integrators.step_guards import begin_energy
 from mbdkit.integrators.step_loop import PAUSED, REFUSED
-from mbdkit_contact.kernels.contact_events import book_energy, close, drift, happen, limited
+from mbdkit_contact.kernels.contact_events import book_energy, close, drift, happen, is_nearly_closed, limited
 from mbdkit_contact.kernels.contact_forces import gap_rate
 from mbdkit_contact.kernels.contact_modes import (
     any_closed,
@@ -34,6 +34,7 @@ from mbdkit_contact.kernels.contact_modes import (
     friction_value,
     rate_of_gap,
     show_forces,
+    sum_forces,
     switch,
     use_modes,
 )
@@ -52,7 +53,7 @@ from mbdkit_contact.kernels.event_search import (
     release_sticking,
 )
 from mbdkit_contact.kernels.kinematics import find_gaps, find_margins, place, row_of
-from mbdkit_contact.modes import OPEN
+from mbdkit_contact.modes import OPEN, STICK
 
 MOST_EVENTS = 1000
 """The run stops after this many consecutive events without a complete step."""
@@ -60,6 +61,10 @@ SAMPLES = 8
 """Number of places in a step, the last one at its end, at which gaps and places on edges are evaluated."""
 TURN, MOST_SAMPLES = 0.5, 1000.0
 """Largest angle by which a body turns between two such places [rad], up to this number of places."""
+FAR = 3.0
+"""Least value of a force or slip, relative to its change between the stages of a step, that does not vanish within it.
+From the last stage of gauss-2 to the end, a linear function changes by a third of its change between the stages.
+"""
 CLEAR = 0.5
 """No gap is evaluated within a step if all gaps at both ends are larger than this times the sum of what they would
 change at the rates of both ends."""
@@ -99,6 +104,13 @@ def _show(m, row):
         out[3 * count + i] = known.force[m.coordinates[i]]
 
 
+@subkernel
+def _store_shown(c, m):
+    """Write forces and modes of contacts at the start of the step to the state of the run."""
+    for k in range(m.places[1]):
+        c.z[m.places[0] + k], c.z_low[m.places[0] + k] = m.known.shown[0, k], 0.0
+
+
 @separate
 def _change_state(e, c, m, t, kind, contact):
     """Apply an event to the state of the run at the start of a step; return a status, or `PAUSED` if that is asked for.
@@ -107,19 +119,19 @@ def _change_state(e, c, m, t, kind, contact):
     """
     known = m.known
     _take_point(c, m, t)
+    m.ended[0] = 0
     status = happen(e, m, kind, contact)
     c.counts[RHS] += 1
     if status == OK:
         status = show_forces(e, m)
     if status != OK:
         return _status(m, status)
-    known.determined[0], known.event[0] = 1, 0
+    known.determined[0], known.determined[1], known.event[0] = 1, 1, 0
     _show(m, 0)
     for d in range(len(m.v)):
         if m.v[d] != c.v[d]:
             c.v[d], c.v_low[d] = m.v[d], 0.0
-    for k in range(m.places[1]):
-        c.z[m.places[0] + k], c.z_low[m.places[0] + k] = known.shown[0, k], 0.0
+    _store_shown(c, m)
     copy(c.v, c.from_v)
     c.energy[0] += m.gained[0]
     c.energy[1] += m.gained[1]
@@ -133,6 +145,9 @@ def _begin(e, c, m, t, h):
     """Prepare a step, with the event at its start; return a status."""
     use_modes(m)
     known, is_due = m.known, False
+    for d in range(len(m.q)):
+        if m.q[d] != c.q[d] or m.v[d] != c.v[d]:
+            m.ended[0] = 0
     _take_point(c, m, t)
     book_energy(e, m)
     if known.event[0] > 0:
@@ -154,7 +169,9 @@ def _begin(e, c, m, t, h):
 @subkernel
 def _begin_values(e, c, m, t):
     """Write the event functions at the start of the step; return a status."""
-    _take_point(c, m, t)
+    if m.ended[0] == 0:
+        _take_point(c, m, t)
+        find_rows(m)
     status = find_values(e, m, False)
     for i in range(len(m.known.modes)):
         mode = m.known.modes[i]
@@ -175,28 +192,65 @@ def _status(m, status):
 
 
 @separate
+def _find_start(e, c, m, t):
+    """Evaluate the forces at the start of the step, which the step before has left out; return a status."""
+    _take_point(c, m, t)
+    m.ended[0] = 0
+    find_rows(m)
+    c.counts[RHS] += any_closed(m)
+    status = find_values(e, m, True)
+    if status != OK:
+        return status
+    m.known.determined[1] = 1
+    _show(m, 0)
+    _store_shown(c, m)
+    return _begin_values(e, c, m, t)
+
+
+@separate
 def _take(e, c, m, run, t, h, want_error):
-    """Take a step of the method, whose end becomes the point, with closed joints and contacts; return a status."""
+    """Take a step of the method, whose end becomes the point, with closed joints and contacts, and evaluate the
+    quantities of all contacts there; return a status.
+    """
     known = m.known
-    m.samples[0], m.samples[1], m.reason[0] = 0, 1, 0
-    switch(e, m, 1)
+    m.samples[0], m.samples[1], m.samples[2], m.reason[0], m.ended[0] = 0, 1, 0, 0, 0
+    has_power = _has_power(m)
+    c.has_power[0] = has_power
+    switch(e, m, any_closed(m))
     status = call_entry(m.inner[1], run, m.inner[0], t, h, want_error)
     switch(e, m, 0)
+    c.has_power[0] = 1
+    if not has_power:
+        fill(c.gain, 0.0)
     m.samples[1] = 0
     if status != OK:
         return _status(m, status)
     c.base_state[0] = AT_START_OF_LAST
     m.t[0] = t + h
-    for d in range(len(m.q)):
-        m.q[d] = known.shift_q[d] = c.from_q[d] + c.dq[d]
-        m.v[d] = known.shift_v[d] = c.from_v[d] + c.dv[d]
+    for d in range(len(m.q)):  # as `mbdkit.integrators.run_state.add_increments` does
+        m.q[d] = c.from_q[d] + (c.dq[d] + c.q_low[d])
+        m.v[d] = c.from_v[d] + (c.dv[d] + c.v_low[d])
     for d in range(len(m.z)):
         m.z[d] = c.from_z[d] + c.dz[d]
+    m.ended[1] = not is_nearly_closed(e, m)
+    if m.ended[1] == 0:
+        fill(known.shift_q, 0.0)
+        fill(known.shift_v, 0.0)
+        return OK
+    copy(m.q, known.shift_q)
+    copy(m.v, known.shift_v)
     status = close(e, m)
     for d in range(len(m.q)):
         known.shift_q[d] = m.q[d] - known.shift_q[d]
         known.shift_v[d] = m.v[d] - known.shift_v[d]
+    find_rows(m)
     return _status(m, status)
+
+
+@subkernel
+def _has_power(m):
+    """Return whether work is done or energy is dissipated between events."""
+    return m.power[0] != 0 or any_closed(m)
 
 
 @subkernel
@@ -231,9 +285,75 @@ def _is_clear(c, m, h):
             change = CLEAR * h * (m.pace[i] + abs(rate_of_gap(m, i, 2, m.v)))
             if min(m.begin[NORMAL, i], m.rows[i, 0]) <= change:
                 return False
-        elif min(m.begin[PLACE, i], m.end[PLACE, i]) <= h * (m.pace[i] + abs(m.rows[i, 1])):
+        elif min(m.begin[PLACE, i], m.values[PLACE, i]) <= h * (m.pace[i] + abs(m.rows[i, 1])):
             return False
     return True
+
+
+@subkernel
+def _sampled(m, j, kind, i):
+    """Return the event function of a force or a slip in sample `j`."""
+    sample = m.sample_values[j]
+    return sample[0, i] if kind == NORMAL else friction_value(m, i, sample[2, i], sample[0, i], sample[1, i])
+
+
+@subkernel
+def _keeps_mode(m, i):
+    """Return whether forces and slip of a closed contact are so far from zero, at the stages of a step whose end is the
+    point, that they do not vanish within the step.
+    """
+    if m.samples[0] < 2 or m.samples[2] == 2:
+        return False
+    for kind in range(2):
+        low = high = _sampled(m, 0, kind, i)
+        for j in range(1, m.samples[0]):
+            value = _sampled(m, j, kind, i)
+            low, high = min(low, value), max(high, value)
+        if kind == FRICTION and m.known.modes[i] != STICK:
+            value = friction_value(m, i, m.rows[i, 1], 0.0, 0.0)
+            low, high = min(low, value), max(high, value)
+        if not low > FAR * (high - low):
+            return False
+    return True
+
+
+@separate
+def _is_quiet(c, m, h):
+    """Return whether no event can happen within a step whose end is the point.
+
+    If redundant contacts had to be closed, independent ones are chosen anew.
+    """
+    if m.ended[1] != 0 and m.samples[2] != 0:
+        return False
+    for i in range(len(m.known.modes)):
+        if m.known.modes[i] != OPEN and not _keeps_mode(m, i):
+            return False
+    return _is_clear(c, m, h)
+
+
+@separate
+def _end_quietly(e, c, m, shows):
+    """End a step without events, with the forces at its end, or those at its last stage where no row shows them; return
+    a status.
+    """
+    known, has_closed = m.known, any_closed(m)
+    known.determined[1] = shows or not has_closed
+    m.ended[0] = m.ended[1] == 0
+    if not has_closed:
+        return OK
+    if shows:
+        c.counts[RHS] += 1
+        return find_values(e, m, True)
+    last = 0
+    for j in range(1, m.samples[0]):
+        if m.sample_times[j] > m.sample_times[last]:
+            last = j
+    for i in range(len(known.modes)):
+        is_closed = known.modes[i] != OPEN
+        m.normal[i] = known.normal[i] = m.sample_values[last, 0, i] if is_closed else 0.0
+        m.tangent[i] = known.tangent[i] = m.sample_values[last, 1, i] if is_closed else 0.0
+    sum_forces(m)
+    return OK
 
 
 @separate
@@ -276,7 +396,9 @@ def _sample_motion(c, m, h):
 
 @separate
 def _sample_forces(m, t, h):
-    """Add samples of contact forces, slips and limits of friction, at the stages of the method."""
+    """Add samples of contact forces, slips and limits of friction, at the stages of the method, if they are unique."""
+    if m.samples[2] != 0:
+        return
     for _ in range(m.samples[0]):
         first, at = 0, np.inf
         for j in range(m.samples[0]):
@@ -287,8 +409,8 @@ def _sample_forces(m, t, h):
         if 0.0 < share < 1.0:
             for i in range(len(m.known.modes)):
                 if m.known.modes[i] != OPEN:
-                    add_sample(m, NORMAL, i, share, m.sample_values[first, 0, i])
-                    add_sample(m, FRICTION, i, share, m.sample_values[first, 1, i])
+                    add_sample(m, NORMAL, i, share, _sampled(m, first, NORMAL, i))
+                    add_sample(m, FRICTION, i, share, _sampled(m, first, FRICTION, i))
 
 
 @separate
@@ -301,9 +423,10 @@ def _begin_search(e, c, m, t, h):
     copy_rows(m.values, m.end)
     find_limits(e, m, m.search.limits)
     begin_search(m, h)
+    is_clear = _is_clear(c, m, h)
     copy_rows(m.begin, m.values)
     add_samples(m, 0.0, m.pace)
-    if not _is_clear(c, m, h):
+    if not is_clear:
         _sample_motion(c, m, h)
     _sample_forces(m, t, h)
     copy_rows(m.end, m.values)
@@ -335,7 +458,20 @@ def _advance(e, c, m, run, t, h, want_error):
     """Take a step, or its part up to the first event; return a status, the size of the part, and whether there is an
     event.
     """
-    status = _take(e, c, m, run, t, h, want_error)
+    known, shows = m.known, e.w.reacting[7] != 0
+    status = _find_start(e, c, m, t) if shows and known.determined[1] == 0 else OK
+    if status == OK:
+        status = _take(e, c, m, run, t, h, want_error)
+    if status != OK:
+        return status, h, False
+    find_margins(m.closed.shapes, m.values[PLACE])
+    if _is_quiet(c, m, h):
+        return _end_quietly(e, c, m, shows), h, False
+    if known.determined[1] == 0:
+        status = _find_start(e, c, m, t)
+        if status == OK:
+            status = _take(e, c, m, run, t, h, want_error)
+    known.determined[1] = 1
     if status == OK:
         status = _begin_search(e, c, m, t, h)
     if status != OK:
@@ -433,9 +569,12 @@ def dense(run, method, t, h, theta):
     """
     c, m = load_run_state(run), load_events(method)
     e, known = load_engine(m.engine[0]), m.known
-    switch(e, m, 1)
+    m.ended[0] = 0
+    switch(e, m, any_closed(m))
     status = call_entry(m.inner[2], run, m.inner[0], t, h, theta)
     switch(e, m, 0)
+    if not _has_power(m):
+        fill(c.point_gain, 0.0)
     fade = theta * theta * (3.0 - 2.0 * theta)
     for d in range(len(m.q)):
         c.point_q[d] += fade * known.shift_q[d]
@@ -512,6 +651,7 @@ def values_at(engine: int, method: int) -> int:
     e, m = load_engine(engine), load_events(method)
     m.reason[0] = 0
     use_modes(m)
+    find_rows(m)
     status = find_values(e, m, True)
     find_rates(m, m.pace)
     return _status(m, status)
