@@ -164,7 +164,19 @@ def test_commands_open_nothing_that_an_archive_names(here: Path, tmp_path: Path)
     if strace is None or subprocess.run([strace, "-o", trace, "true"], capture_output=True, check=False).returncode:
         pytest.skip("strace is not installed, or this system refuses to trace processes")
     (here / "out").mkdir(exist_ok=True)
-    command = [strace, "-f", "-qq", "-s", "4096", "-e", "trace=open,openat,creat", "-o", str(trace), sys.executable]
+    command = [
+        strace,
+        "-f",
+        "--seccomp-bpf",
+        "-qq",
+        "-s",
+        "4096",
+        "-e",
+        "trace=open,openat,creat",
+        "-o",
+        str(trace),
+        sys.executable,
+    ]
     call = f"import subprocess, sys; sys.exit(subprocess.run({[*command, '-c', READ]!r}).returncode)"
     done = python("-c", call, path=with_plugins(here), cwd=here, MPLCONFIGDIR=str(here / "matplotlib"))
     assert done.returncode == 0, done.stderr

@@ -223,7 +223,7 @@ def test_the_memory_of_the_command_does_not_grow_with_moves_from_two_pages() -> 
 
         move(20)
         before = memory()
-        pages = [threading.Thread(target=move, args=(490,)) for _ in range(2)]
+        pages = [threading.Thread(target=move, args=(200,)) for _ in range(2)]
         for page in pages:
             page.start()
         for page in pages:
@@ -231,7 +231,7 @@ def test_the_memory_of_the_command_does_not_grow_with_moves_from_two_pages() -> 
         growth = memory() - before
         process.send_signal(signal.SIGINT)
         assert process.wait(5) == 130
-    assert growth < 30.0
+    assert growth < 12.0  # MiB; the results of 400 moves would take more
 
 
 @pytest.mark.end_to_end
