@@ -23,13 +23,15 @@ from mbdkit.cli.outcome import tell
 def validate_predict(source: Any, name: str, assignments: list[str]) -> None:
     """Check the spec of a prediction and all its expressions, and print what would be computed."""
     from mbdkit_predict.export import require_casadi
-    from mbdkit_predict.predict_loading import load_predict_spec
+    from mbdkit_predict.predict_loading import compared_spec, load_predict_spec
 
     spec = load_predict_spec(source, assignments)
     require_casadi("the check of a prediction needs")
     from mbdkit_predict.predicted_run import transcribed
 
     transcribed(spec)
+    if spec.compare:
+        transcribed(compared_spec(spec))
     show(f"{name}: this is valid as a spec of a prediction")
     show(f"model        {spec.model_item.id}: {spec.mechanism().description()}")
     show(f"controls     {', '.join(spec.controls)}")
@@ -49,13 +51,15 @@ def predict(
     *,
     output: Annotated[Path | None, output_to("FILE.h5", "The archive; by default ./SPEC.h5.")] = None,
     assignments: MotionSet = None,
+    report: Annotated[bool, typer.Option("--report", help="Also write a report, as `mbdkit report` does.")] = False,
     overwrite: Overwrite = False,
     printing: Printing,
 ) -> None:
     """Find the motion and the controls that minimize an objective.
 
-    The optimal control problem is solved by direct collocation on finer and finer meshes.
-    See `mbdkit guide predict`.
+    The optimal control problem is solved by direct collocation on finer and finer meshes,
+    until the error of the objective is below the tolerance of the spec. Ctrl-C keeps the
+    best motion so far. See `mbdkit guide predict`.
     """
     from mbdkit_predict.predict_loading import load_predict_spec
 
@@ -64,4 +68,11 @@ def predict(
     check_new(path, spec, overwrite)
     from mbdkit_predict.prediction import computed
 
-    tell(computed(checked, path, overwrite=overwrite), printing)
+    run = computed(checked, path, overwrite=overwrite)
+    if report:
+        from mbdkit_report.pages.report import report as write
+
+        target = write(path, overwrite=overwrite)
+        if not (printing.quiet or printing.as_json):
+            show(target)
+    tell(run, printing)

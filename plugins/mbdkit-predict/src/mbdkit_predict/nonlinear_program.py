@@ -24,6 +24,8 @@ instead of 40, and walking with muscles 117 instead of 240. The barrier paramete
 not found at all."""
 FEASIBLE = 1e-6
 """Of two iterates with violations below this, that with the smaller objective is the better one."""
+ACTIVE = 1e-6
+"""Relative distance from a bound up to which it is active."""
 SUCCESSES = ("Solve_Succeeded", "Solved_To_Acceptable_Level")
 STOPPED = "User_Requested_Stop"
 """Reports of the optimizer."""
@@ -89,6 +91,8 @@ class Solution:
     gap
         Bound of the error of the objective that is due to the tolerance of the optimizer: the sum of all products of
         multipliers with slacks, or with violations.
+    is_smooth
+        Whether no bound of an unknown or a condition is active at some points only.
     """
 
     values: Mapping[str, np.ndarray]
@@ -98,6 +102,7 @@ class Solution:
     violations: Mapping[str, float]
     slopes: Mapping[str, np.ndarray]
     gap: float
+    is_smooth: bool
 
     @property
     def is_optimum(self) -> bool:
@@ -169,12 +174,19 @@ class NonlinearProgram:
         for (name, _), row in zip(self._conditions, rows, strict=True):
             violations[name] = max(violations.get(name, 0.0), float(violation[row].max(initial=0.0)))
             slopes[name] = -lam[row]
+        scaled = self._apart(x)
+        sides = self._apart(self._low_x), self._apart(self._high_x)
+        is_smooth = not any(
+            _is_partly_active(*row)
+            for name, value in scaled.items()
+            if value.ndim > 1
+            for row in zip(value, sides[0][name], sides[1][name], strict=True)
+        ) and not any(_is_partly_active(g[row], self._low[row], self._high[row]) for row in rows)
         gap = _gap(np.array(result["lam_x"]).ravel(), x, self._low_x, self._high_x) + _gap(
             lam, g, self._low, self._high
         )
-        return Solution(
-            self._apart(self._sizes * x), float(objective), status, report["iter_count"], violations, slopes, gap
-        )
+        values = self._apart(self._sizes * x)
+        return Solution(values, float(objective), status, report["iter_count"], violations, slopes, gap, is_smooth)
 
     def is_strict_minimum(self) -> bool:
         """Return whether the second-order condition holds at the last solution.
@@ -282,6 +294,16 @@ def _gap(lam: np.ndarray, x: np.ndarray, low: np.ndarray, high: np.ndarray) -> f
     """Return the sum of the products of multipliers and distances from the bounds that they belong to."""
     distance = np.where(lam > 0.0, np.abs(high - x), np.abs(x - low))
     return float(np.abs(lam * np.where(np.isfinite(distance), distance, 0.0)).sum())
+
+
+def _is_partly_active(x: np.ndarray, low: np.ndarray, high: np.ndarray) -> bool:
+    """Return whether values at several points are at their lower or upper bound at some of them only."""
+    for bound in (low, high):
+        bounded = np.isfinite(bound) & (low < high)
+        near = abs(x - bound)[bounded] <= ACTIVE * np.maximum(1.0, abs(bound[bounded]))
+        if near.any() and not near.all():
+            return True
+    return False
 
 
 def statuses() -> Mapping[str, tuple[str, str]]:

@@ -9,7 +9,7 @@ import numpy as np
 
 from mbdkit_predict.nonlinear_program import Solution, Stop, statuses
 from mbdkit_predict.predict_spec import PredictSpec
-from mbdkit_predict.transcription import Mesh, Transcription
+from mbdkit_predict.transcription import OF_POINTS, Mesh, Transcription
 
 ROUNDING = 1e-8
 """Smallest error of the objective, relative to its size, due to the tolerance of the optimizer."""
@@ -19,14 +19,16 @@ MOST_INTERVALS = 640
 """Largest number of intervals of a refined mesh; every first mesh is refined once."""
 ITERATIONS_OF_START = 500
 """Largest number of iterations from a drawn guess."""
-LOOSE = 1e-4
-"""From this tolerance on, the last change of the objective is its error, and no mesh is added for a sharper one."""
+HUGE = 1e8
+"""Unknowns above this size at the limit of iterations are taken for unbounded ones."""
 SAFETY = 3.0
 """Factor of the estimated error of the objective."""
 ACCIDENT = 2.0**-10
 """Smallest ratio of two changes of the objective in a row that is believed."""
-SLOWEST = 0.5
-"""Largest ratio of two changes of the objective in a row with which the error is extrapolated."""
+SLOWEST, FASTEST = 0.5, 2.0**-4
+"""Largest and smallest ratio of two changes of the objective in a row with which the error is extrapolated. Where
+conditions become active, methods of high order have no constant ratio.
+"""
 
 
 @dataclass(frozen=True)
@@ -59,6 +61,11 @@ class Optimum:
     reason: str
     starts: tuple[float, ...]
     is_minimum: bool
+
+    @property
+    def is_optimum(self) -> bool:
+        """Whether the motion is an optimum, on one mesh at least."""
+        return _solution(self.mesh).is_optimum
 
     @property
     def objective(self) -> float:
@@ -99,7 +106,7 @@ class _Search:
             self.meshes.append(mesh)
             error, is_known = self._error()
             limit = self.spec.tolerance * abs(_solution(mesh).objective) + NOTHING
-            if error <= limit and (self.spec.tolerance >= LOOSE or (is_known and self._is_confirmed(error))):
+            if is_known and error <= limit:
                 break
             if len(self.meshes) > 1 and 2 * len(mesh.grid.phase) > MOST_INTERVALS:
                 if error > limit:
@@ -133,32 +140,26 @@ class _Search:
         return best
 
     def _error(self) -> tuple[float, bool]:
-        """Return the estimated error of the objective, and whether it can be trusted: after three meshes, or if the
-        objective does not change any more.
+        """Return the estimated error of the objective, and whether it can be trusted.
+
+        It can after three meshes, or if the objective does not change any more. Where conditions become active, two
+        meshes may agree by accident: then it takes four meshes, or two changes of nothing.
         """
-        floor = self._floor()
+        floor, is_smooth = self._floor(), _solution(self.meshes[-1]).is_smooth
         changes = np.abs(np.diff([_solution(mesh).objective for mesh in self.meshes]))
         if not len(changes):
             return np.inf, False
-        if changes[-1] <= floor or len(changes) == 1:
-            return max(floor, float(changes[-1])), bool(changes[-1] <= floor)
+        settled = bool(np.all(changes[-1 if is_smooth else -2 :] <= floor)) and (is_smooth or len(changes) > 1)
+        if settled or len(changes) == 1:
+            return max(floor, float(changes[-1])), settled
         stages = len(self.transcription.c)
         order = 2 * stages if self.transcription.has_nodes else 2 * stages - 1
-        return max(floor, extrapolated(changes, order)), True
+        return max(floor, extrapolated(changes, order)), is_smooth or len(changes) > 2
 
     def _floor(self) -> float:
         """Return the smallest error of the objective, due to the optimizer."""
         solution = _solution(self.meshes[-1])
         return max(ROUNDING * abs(solution.objective), 2.0 * solution.gap)
-
-    def _is_confirmed(self, error: float) -> bool:
-        """Return whether an error needs no further mesh: it does if discontinuities were found, around which intervals
-        are divided into more parts, because errors then decrease by very different ratios.
-        """
-        if error <= self._floor() or len(self.meshes) > 3:
-            return True
-        counts = [len(mesh.grid.phase) for mesh in self.meshes[-3:]]
-        return counts[2] == 2 * counts[1] == 4 * counts[0]
 
     def _failure(self, mesh: Mesh) -> str:
         """Return code and sentence for a mesh without an optimum."""
@@ -170,6 +171,9 @@ class _Search:
         else:
             status = _solution(mesh).status
             code, sentence = statuses().get(status, ("not-solved", f"the optimizer stopped: {status}"))
+            largest = max(float(abs(mesh.values[name]).max(initial=0.0)) for name in OF_POINTS)
+            if code == "iteration-limit" and largest > HUGE:
+                code, sentence = "unbounded", f"unknowns grow to {largest:.1e}; give bounds to what is free"
             why = f"{code}: {sentence}, on a mesh of {len(mesh.grid.phase)} intervals"
             if code in ("infeasible", "iteration-limit") and not self.meshes:
                 why += self._cause(mesh)
@@ -201,7 +205,7 @@ def extrapolated(changes: Sequence[float] | np.ndarray, order: int) -> float:
     last change that is much smaller than that may be so by accident.
     """
     before, last = float(changes[-2]), float(changes[-1])
-    ratio = min(max(last / before if before else 1.0, 2.0**-order), SLOWEST)
+    ratio = min(max(last / before if before else 1.0, 2.0**-order, FASTEST), SLOWEST)
     return SAFETY * ratio / (1.0 - ratio) * max(last, before * ACCIDENT)
 
 

@@ -5,7 +5,18 @@ from __future__ import annotations
 from collections.abc import Iterable
 from pathlib import Path
 
-from mbdkit.plugin import Accessor, Command, Example, GuidePage, Item, SpecKind, SummaryLine, Target, hookimpl
+from mbdkit.plugin import (
+    Accessor,
+    Command,
+    Example,
+    GuidePage,
+    Item,
+    ReportSection,
+    SpecKind,
+    SummaryLine,
+    Target,
+    hookimpl,
+)
 
 _HERE = Path(__file__).parent
 _RESULTS = {
@@ -55,6 +66,11 @@ def mbdkit_items() -> Iterable[Item]:
             summary="Objective, its error, and optimized numbers.",
             text=Target("mbdkit_predict.run_results:lines"),
             of=frozenset({"predict"}),
+        ),
+        ReportSection(
+            name="prediction",
+            summary="Optimum, meshes and sensitivities of a prediction.",
+            make=Target("mbdkit_predict.report_section:section"),
         ),
         Accessor(
             name="to_casadi",

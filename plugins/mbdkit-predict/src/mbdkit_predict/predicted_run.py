@@ -39,6 +39,7 @@ from mbdkit_predict.transcription import Transcription
 
 NO_OPTIMUM = "The motion is that of the best iterate: it is no optimum, and may violate conditions."
 INACCURATE = "The objective is less accurate than `tolerance`."
+UNKNOWN = "The motion is the optimum on the first mesh only, so that the error of the objective is not known."
 NO_MINIMUM = (
     "The second-order condition of a minimum does not hold: the motion is stationary, but others near it may have the "
     "same or a smaller objective."
@@ -53,11 +54,12 @@ def predicted(spec: PredictSpec, *, path: str | Path | None = None, overwrite: b
     if file is not None:
         check_target(file, overwrite=overwrite)
     transcription = transcribed(spec)
+    other = transcribed(compared_spec(spec)) if spec.compare else None
     setup, wall, cpu = time.perf_counter() - begin, time.perf_counter(), time.process_time()
     stop = Stop(np.inf if spec.limits is None else wall + spec.limits.wall_time)
     with one_thread_of_linear_algebra(), stop.noting():
         result = find_optimum(spec, transcription, stop)
-        rival = _rival(spec, stop)
+        rival = None if other is None or stop.now else find_optimum(other.spec, other, stop)
     timings = {"setup_s": setup, "wall_s": time.perf_counter() - wall, "cpu_s": time.process_time() - cpu}
     held = _archive_of(result, rival, file, timings, overwrite=overwrite)
     if held is not None:
@@ -79,14 +81,6 @@ def transcribed(spec: PredictSpec) -> Transcription:
         return Transcription(spec, symbolic, objective_of(spec, symbolic.quantity, symbolic.time))
     except SpecError as error:
         raise spec.placed(error) from None
-
-
-def _rival(spec: PredictSpec, stop: Stop) -> Optimum | None:
-    """Return the optimum that the spec is compared with, if any."""
-    if not spec.compare or stop.now:
-        return None
-    other = compared_spec(spec)
-    return find_optimum(other, transcribed(other), stop)
 
 
 def _rows(result: Optimum) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
@@ -176,7 +170,7 @@ def _archive_of(
 def _forward(result: Optimum, equations: EquationsOfMotion, time: np.ndarray, states: np.ndarray) -> Difference:
     """Return how a forward run with the controls differs from the rows of the prediction."""
     method, s = result.transcription, len(result.transcription.c)
-    if np.isnan(result.error):
+    if not result.is_optimum:
         return Difference()
     names, chosen = [state.name for state in method.states], result.spec.chosen.control_states
     are_states = [name in names for name in chosen]  # unknowns of fibres are not
@@ -199,7 +193,7 @@ def _results(result: Optimum, rival: Optimum | None, forward: Difference) -> dic
         "mesh": [[counts[0] if len(counts) == 1 else counts, value] for counts, value in result.meshes],
         "optimized": {name: optimized[name] for name in result.spec.optimized},
         "starts": [None if np.isnan(value) else value for value in result.starts],
-        "sensitivities": {} if np.isnan(result.error) else result.sensitivities,
+        "sensitivities": result.sensitivities if result.is_optimum else {},
         "forward_run": vars(forward),
     }
     numbers = {"objective": result.objective, "objective_error": float(result.error)}
@@ -210,11 +204,11 @@ def _results(result: Optimum, rival: Optimum | None, forward: Difference) -> dic
 
 def _judgement(result: Optimum, rival: Optimum | None, forward: Difference) -> Judgement:
     """Return the verdict on a prediction."""
-    if np.isnan(result.error):
+    if not result.is_optimum:
         return Judgement("bad", (NO_OPTIMUM,))
     # the objective of a minimum changes with the square of a change of the motion
     limit = math.sqrt(result.spec.tolerance)
-    doubts = [INACCURATE] if result.reason else []
+    doubts = [UNKNOWN if np.isnan(result.error) else INACCURATE] if result.reason else []
     if not result.is_minimum:
         doubts.append(NO_MINIMUM)
     if not forward.of_intervals <= limit:
@@ -227,6 +221,6 @@ def _judgement(result: Optimum, rival: Optimum | None, forward: Difference) -> J
             f"The motion is unstable: in a forward run, differences of {forward.of_intervals:.2g} of its range in the "
             f"sum of all intervals grow to {forward.largest:.2g}; without feedback, the controls do not reproduce it."
         )
-    if rival is not None and (np.isnan(rival.error) or rival.reason):
-        doubts.append("The motion that is compared has no accurate optimum.")
+    if result.spec.compare and (rival is None or rival.reason):
+        doubts.append("The motion that is compared has no accurate optimum, so that the gain is not known.")
     return Judgement("doubtful", tuple(doubts)) if doubts else Judgement("good", (ESTIMATED,))

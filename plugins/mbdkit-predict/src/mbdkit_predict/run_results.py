@@ -115,12 +115,12 @@ def lines(run: Run) -> list[tuple[str, str]]:
     count, _ = mesh(run)[-1]
     value, error = objective(run), objective_error(run)
     counts = " + ".join(map(str, count)) if isinstance(count, tuple) else str(count)
-    of_optimum = f"{value:.10g} +- {error:.2g} on {counts} intervals"
+    of_optimum = f"{value:.10g} +- {'unknown' if math.isnan(error) else f'{error:.2g}'} on {counts} intervals"
     of_iterate = f"{value:.10g} at the best iterate, which is no optimum"
     method, forward = run.spec["collocation"], forward_run(run)
     entries = [
         ("collocation", f"{method['method']}, {method['points']} points in each of {counts} intervals"),
-        ("objective", of_iterate if math.isnan(error) else of_optimum),
+        ("objective", of_optimum if any(map(math.isfinite, starts(run))) else of_iterate),
     ]
     if len(starts(run)) > 1:
         entries.append(("starts", _of_starts(starts(run))))

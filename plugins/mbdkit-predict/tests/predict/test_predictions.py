@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import copy
 import signal
 import sys
 import threading
@@ -20,115 +19,7 @@ from mbdkit.cli import app
 from mbdkit.mechanism.values import Table
 from mbdkit.spec import load_spec
 from mbdkit_predict.predict_loading import load_predict_spec
-
-PUSH = "forces.push.value[0]"
-BLOCK: dict[str, Any] = {
-    "name": "mechanism",
-    "gravity": [0, 0],
-    "bodies": {"block": {"mass": 1.0, "inertia": 1.0}},
-    "joints": {
-        "rail": {"type": "prismatic", "bodies": ["ground", "block"], "points": [[0, 0], [0, 0]], "axis": [1, 0]}
-    },
-    "forces": {"push": {"type": "force", "body": "block", "value": [0.0, 0.0]}},
-}
-EFFORT = "integral(forces.push.value**2)"
-AT_REST = {"block.x": 0, "block.vx": 0}
-STILL = {f"dot.{name}": 0 for name in ("x", "y", "vx", "vy")}
-
-
-def block(mass: float = 1.0, forces: dict[str, Any] | None = None, **sections: Any) -> dict[str, Any]:
-    model = copy.deepcopy(BLOCK)
-    model["bodies"]["block"]["mass"] = mass
-    model["forces"] |= forces or {}
-    first = {
-        "controls": {PUSH: {"bounds": [-100, 100]}}, "duration": 1.0, "initial": AT_REST, "minimize": EFFORT,
-        "final": {"block.x": 1, "block.vx": 0},
-    }  # fmt: skip
-    return {"mbdkit_predict": 1, "base": {"model": model}, **first, **sections}
-
-
-def of_states(states: dict[str, Any], final: dict[str, float], bounds: list[float]) -> dict[str, Any]:
-    """Return a problem of least time in first-order states; the angle `turn` is the control."""
-    model = {"name": "mechanism", "gravity": [0, 0], "bodies": {"dot": {"mass": 1}}, "states": states}
-    return {
-        "mbdkit_predict": 1, "base": {"model": model}, "duration": {"bounds": [0.1, 10]}, "initial": STILL,
-        "controls": {"states.turn": {"bounds": bounds, "start": 0.1}}, "minimize": "final(t)",
-        "final": {f"states.{name}.value": value for name, value in final.items()},
-    }  # fmt: skip
-
-
-DRAG = {"drag": {"type": "force", "body": "block", "value": ["-block.vx", 0]}}
-FALL = {
-    "x": {"rate": "states.v*sin(states.turn)"},
-    "y": {"initial": 10, "rate": "-states.v*cos(states.turn)"},
-    "v": {"rate": "9.80665*cos(states.turn)"},
-    "turn": {"rate": "0"},
-}
-CHAIN = {
-    "y": {"initial": 1, "rate": "states.turn"},
-    "length": {"rate": "sqrt(1 + states.turn**2)"},
-    "turn": {"rate": "0"},
-}
-STEERED = {
-    "x": {"rate": "states.vx"},
-    "y": {"rate": "states.vy"},
-    "vx": {"rate": "100*cos(states.turn)"},
-    "vy": {"rate": "100*sin(states.turn)"},
-    "turn": {"rate": "0"},
-}
-EXACT = {
-    # the force is 6 - 12 t
-    "least effort": (block(), 12.0),
-    "least effort by gauss": (block(collocation={"method": "gauss", "points": 2, "intervals": 5}), 12.0),
-    # 12 / T^3 + w T with T^4 = 36 / w
-    "effort and time": (
-        block(
-            duration={"bounds": [0.5, 20]}, minimize='integral(controls["forces.push.value[0]"]**2) + 0.1*final(t)'
-        ),
-        0.4 / 3.0 * 360.0**0.25,
-    ),
-    # bang-bang: 2 sqrt(m s / F)
-    "least time": (
-        block(
-            2.0, controls={PUSH: {"bounds": [-50, 50]}}, duration={"bounds": [0.05, 5]}, minimize="final(t)"
-        ),
-        0.4,
-    ),
-    # D. E. Kirk, Optimal Control Theory (1970), example 5.1-1, in closed form
-    "drag": (
-        block(forces=DRAG, duration=2.0, final={"block.x": 5, "block.vx": 2}, minimize=f"0.5*{EFFORT}"),
-        16.75072339679631,
-    ),
-    # A. E. Bryson and Y.-C. Ho, Applied Optimal Control (1975), section 3.11: 4 / (9 l)
-    "wall": (
-        block(
-            initial={"block.x": 0, "block.vx": 1},
-            final={"block.x": 0, "block.vx": -1},
-            subject_to={"wall": {"value": "block.x", "max": 1 / 9}},
-            minimize=f"0.5*{EFFORT}",
-        ),
-        4.0,
-    ),
-    "wall as an expression": (
-        block(
-            initial={"block.x": 0, "block.vx": 1},
-            final={"block.x": 0, "block.vx": -1},
-            subject_to={"wall": {"value": "2*block.x", "max": 2 / 9}},
-            minimize=f"0.5*{EFFORT}",
-        ),
-        4.0,
-    ),
-    # J. T. Betts, Practical Methods for Optimal Control (2010), the chain of length 4 between heights 1 and 3
-    "hanging chain": (
-        {
-            **of_states(CHAIN, {"y": 3, "length": 4}, [-20.0, 20.0]),
-            "duration": 1.0, "minimize": "integral(states.y.value*sqrt(1 + controls[\"states.turn\"]**2))",
-        },
-        5.068480110993416,
-    ),
-    "brachistochrone": (of_states(FALL, {"x": 10, "y": 5}, [0.0, 3.0]), 1.801603122453081),
-    "linear tangent steering": (of_states(STEERED, {"y": 5, "vx": 45, "vy": 0}, [-1.57, 1.57]), 0.5545708783346031),
-}  # fmt: skip
+from predict.exact_optima import EXACT, PUSH, block, of_states, swing_up
 
 
 @pytest.mark.parametrize("name", EXACT)
@@ -147,10 +38,8 @@ def test_the_error_bar_of_exact_optima_covers_and_is_sharp(name: str) -> None:
 
 
 def test_starts_find_the_local_optima_of_a_swing_up() -> None:
-    # expected: the equations of Kelly 2017, section 6, in two coordinates, by Radau collocation with 5 points in each
-    # of 80 intervals, from several guesses
     run = mbdkit.predict("cart-pole")
-    error = abs(run.objective - 58.80766746)
+    error = abs(run.objective - swing_up(5, 80))
     assert error <= run.objective_error <= max(10.0 * error, 1.0001e-8 * run.objective)
     assert run["pole"].angle[-1] == pytest.approx(np.pi / 2, abs=1e-8)
     assert np.max(run.joints["pin"].misalignment) < 1e-8
@@ -178,8 +67,11 @@ def test_a_parameter_is_optimized_together_with_the_motion() -> None:
 
 def test_an_archive_of_a_prediction_is_read_and_repeated(tmp_path: Path) -> None:
     path = tmp_path / "block.h5"
-    done = CliRunner().invoke(app, ["predict", "block", "-o", str(path)], prog_name="mbdkit")
+    done = CliRunner().invoke(app, ["predict", "block", "-o", str(path), "--report"], prog_name="mbdkit")
     assert done.exit_code == 0, done.output
+    page = (tmp_path / "block-report.html").read_text()
+    assert "by direct collocation with the stages of Radau IIA methods" in page
+    assert "No stabilization is used" not in page
     assert "objective     12 +- 1.2e-07 on 40 intervals" in done.stdout
     with mbdkit.load(path) as run:
         t, force = run.time, run.controls[PUSH].value
@@ -324,6 +216,7 @@ def test_a_path_condition_of_a_phase_with_a_free_duration_holds_in_it_only() -> 
     run = mbdkit.predict(
         block(
             duration=None, controls={PUSH: {"bounds": [-1, 1]}}, final={"block.x": 3, "block.vx": 0}, tolerance=1e-5,
+            collocation={"intervals": 10},
             phases=[{"duration": free, "subject_to": slow, "final": {"block.x": 1}}, {"duration": free}],
             minimize="final(t)",
         )

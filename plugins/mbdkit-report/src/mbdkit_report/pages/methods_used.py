@@ -51,9 +51,9 @@ def methods(specs: Iterable[Mapping[str, Any]], sources: Iterable[str] = ()) -> 
         Further BibTeX entries, such as those of a packaged study.
     """
     specs = list(specs)
-    forward = [spec for spec in specs if kind_of(spec).run_kind != "inverse"]
+    forward = [spec for spec in specs if "integrator" in spec]
     paragraphs = [_EQUATIONS, _stabilization(forward)] if forward else []
-    if len(forward) < len(specs):
+    if any(kind_of(spec).run_kind == "inverse" for spec in specs):
         paragraphs.append(_INVERSE)
     references = [_own_reference(), *sources]
     for kind in ("model", "integrator"):
