@@ -174,19 +174,19 @@ class NonlinearProgram:
         for (name, _), row in zip(self._conditions, rows, strict=True):
             violations[name] = max(violations.get(name, 0.0), float(violation[row].max(initial=0.0)))
             slopes[name] = -lam[row]
-        values = self._apart(x)
+        scaled = self._apart(x)
         sides = self._apart(self._low_x), self._apart(self._high_x)
         is_smooth = not any(
             _is_partly_active(*row)
-            for name, value in values.items()
+            for name, value in scaled.items()
             if value.ndim > 1
             for row in zip(value, sides[0][name], sides[1][name], strict=True)
         ) and not any(_is_partly_active(g[row], self._low[row], self._high[row]) for row in rows)
         gap = _gap(np.array(result["lam_x"]).ravel(), x, self._low_x, self._high_x) + _gap(
             lam, g, self._low, self._high
         )
-        unknowns = self._apart(self._sizes * x)
-        return Solution(unknowns, float(objective), status, report["iter_count"], violations, slopes, gap, is_smooth)
+        values = self._apart(self._sizes * x)
+        return Solution(values, float(objective), status, report["iter_count"], violations, slopes, gap, is_smooth)
 
     def is_strict_minimum(self) -> bool:
         """Return whether the second-order condition holds at the last solution.

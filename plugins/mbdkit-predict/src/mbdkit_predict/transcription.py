@@ -188,7 +188,7 @@ class Transcription:
                 knots.insert(place, t)
                 poses.insert(place, self._nearest(pose, {}, t))
         q = np.array([np.interp(times, knots, x) for x in np.array(poses).T])
-        v = 0.0 * q
+        v = np.gradient(q, times, axis=1) if len(times) > 1 else 0.0 * q
         p = [
             self._start_of((*spec.optimized[name].bounds, spec.optimized[name].start), x)
             if name in spec.optimized
@@ -198,8 +198,8 @@ class Transcription:
         z = np.repeat(system.z0[:, None], len(times), axis=1)
         z[self.fibers.states] = self.fibers.guess(q, system.p0)
         values = {
-            "duration": durations, "p": np.array(p), "start": np.concatenate([poses[0], 0.0 * poses[0], z[:, 0]]),
-            "q": q, "v": v, "a": v, "lam": np.zeros((m, len(times))), "mu": np.zeros((m, len(times))),
+            "duration": durations, "p": np.array(p), "start": np.concatenate([poses[0], v[:, 0], z[:, 0]]),
+            "q": q, "v": v, "a": 0.0 * v, "lam": np.zeros((m, len(times))), "mu": np.zeros((m, len(times))),
             "z": z, "u": u,
         }  # fmt: skip
         return Mesh(grid, self._with_nodes(values))
