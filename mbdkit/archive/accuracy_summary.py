@@ -121,9 +121,10 @@ def exact_loads(run: Run) -> str:
     """Return a clause on the measured loads that error bars of inverse dynamics count as exact; empty if there are none
     or no error bars.
     """
+    uncertain = run.spec.get("uncertainty") or {}
     names = (
         []
-        if run.accuracy is None
+        if run.accuracy is None or {"pressure", "plate_gain"} & set(uncertain)
         else [name for name, load in (run.spec.get("loads") or {}).items() if any(map(_is_exact, _measured(load)))]
     )
     return f"loads count as exact where columns have no `deviation`: {listed(names, 'and')}" if names else ""

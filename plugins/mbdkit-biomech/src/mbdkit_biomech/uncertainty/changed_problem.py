@@ -132,7 +132,7 @@ class Changer:
                 for name, one in base.markers.items()
             }
         if muscles := getattr(base, "muscles", None):
-            other.muscles = {name: _moved_points(name, one, sizes, change) for name, one in muscles.items()}
+            other.muscles = {name: with_moved_points(name, one, sizes, change) for name, one in muscles.items()}
         return other
 
     @cached_property
@@ -282,8 +282,8 @@ def _scaled(point: Any, size: float) -> tuple[float, ...]:
     return tuple(size * x for x in point)
 
 
-def _moved_points(name: str, muscle: Muscle, sizes: Mapping[str, float], change: Change) -> Muscle:
-    """Return a muscle with stretched and moved points."""
+def with_moved_points(name: str, muscle: Muscle, sizes: Mapping[str, float], change: Change) -> Muscle:
+    """Return a muscle with points that are stretched from the centres of mass of their bodies, and moved."""
     bodies = dict.fromkeys(item.on for item in muscle.path)
     points = {}
     for body in bodies:

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Literal, TypeAlias
+from typing import Any, Literal, TypeAlias
 
 import numpy as np
 
@@ -18,8 +18,8 @@ from mbdkit.base.plain_data import quoted
 from mbdkit.base.text import did_you_mean, listed
 from mbdkit_biomech.uncertainty.uncertainty_section import Uncertainty
 
-if TYPE_CHECKING:
-    from mbdkit_biomech.inverse_dynamics.compute import InverseProblem
+InverseProblem: TypeAlias = Any
+"""`mbdkit_biomech.inverse_dynamics.compute.InverseProblem`, whose module imports this one."""
 
 Place: TypeAlias = tuple[str, ...]
 """What is changed: the key of `uncertainty`, the element, and the axis or the body if there are several."""

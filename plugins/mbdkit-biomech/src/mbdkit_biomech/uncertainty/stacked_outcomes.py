@@ -26,7 +26,8 @@ from mbdkit_biomech.inverse_dynamics.fibers import fibers_of_length
 from mbdkit_biomech.inverse_dynamics.loads import loads_on
 from mbdkit_biomech.inverse_dynamics.recruitment import Recruiter
 from mbdkit_biomech.inverse_dynamics.shared_loads import Programme, share_loads
-from mbdkit_biomech.uncertainty.changed_problem import PROPERTIES, ChangedProblem, Changer
+from mbdkit_biomech.muscles.muscle_path import MusclePath, PathState
+from mbdkit_biomech.uncertainty.changed_problem import PROPERTIES, ChangedProblem, Changer, with_moved_points
 from mbdkit_biomech.uncertainty.sources import Place, Source
 
 ROWS = 10_000
@@ -40,6 +41,9 @@ SHORTEST = 1e-3
 
 SMOOTH = "length", "rate", "optimal_length", "tendon_length"
 """Quantities of muscles that are taken to first order; lengths of fibres and tendons follow the scaled segments."""
+
+OF_DYNAMICS = frozenset(("masses", "inertias", "pressure", "plate_gain", "offset"))
+"""Keys of places that leave the paths of muscles as they are."""
 
 EXACT = (*PROPERTIES, "exponent", "minimum")
 """Keys of places that are not taken to first order."""
@@ -82,6 +86,36 @@ class _Layout:
         return {name: rows[..., part].reshape(*rows.shape[:-1], *shape) for name, (part, shape) in self.parts.items()}
 
 
+class _Mechanics:
+    """Forces of actuators and joints in a motion, and what unit tensions of muscles add to them."""
+
+    def __init__(self, own: ChangedProblem):
+        problem, motion = own.problem, own.motion
+        self.own, self._sums = own, JointSums(problem.prepared.workspace.mechanism)
+        loads = loads_on(motion, problem.loads, problem.fitter.bodies)
+        report = problem.spec.unbalanced == "report"
+        self.dynamics, self._balance, _ = solve_dynamics(
+            problem.fitter, motion, loads, problem.actuators, report=report
+        )
+
+    def reactions(self, lam: np.ndarray) -> np.ndarray:
+        """Return the reactions (T, J, 3) for multipliers (T, m)."""
+        motion, manifold = self.own.motion, self.own.problem.fitter.manifold
+        return self._sums.sum(manifold.reactions(motion.time, motion.q, motion.v, lam).reactions)
+
+    @cached_property
+    def _nothing(self) -> np.ndarray:
+        return self.reactions(np.zeros_like(self.dynamics.lam))
+
+    def put_muscle(self, out: Mapping[str, np.ndarray], index: int, path: PathState) -> None:
+        """Put the length of a path, its rate, moment arms and reactions of a unit tension into the arrays of a row."""
+        pull = -path.gradient
+        arms = self._balance.as_actuators(pull[..., None])[..., 0]
+        lam = self._balance.directions.multipliers(pull - products(self._balance.columns, arms))
+        out["length"][:, index], out["rate"][:, index] = path.length, path.rate(self.own.motion.v)
+        out["arms"][..., index], out["unit"][..., index] = arms, self.reactions(lam) - self._nothing
+
+
 class StackedOutcomes:
     """Computes outcomes for values of the scalars of sources.
 
@@ -102,13 +136,16 @@ class StackedOutcomes:
         self.result, self.sources = result, sources
         self.recruiter = result.problem.recruiter
         self._names = [] if self.recruiter is None else list(self.recruiter.muscles)
-        base = self._smooth(ChangedProblem(result.problem, result.fitted, result.independent, result.motion))
+        own = ChangedProblem(result.problem, result.fitted, result.independent, result.motion)
+        base, self._mechanics = self._smooth(own), _Mechanics(own)
         frames, count = len(result.motion.time), len(sources)
         self._base, self.moves = base, np.zeros((count, frames, result.motion.q.shape[1] // 3, 6))
         slopes, changer = {}, Changer(result)
         for index, source in enumerate(sources):
             smooth = {place: size for place, size in source.moves.items() if place[0] not in EXACT}
-            if smooth:
+            if smooth and all(place[0] == "muscle_points" for place in smooth):
+                slopes[index] = self._slope_of_points(next(iter(smooth))[1], smooth)
+            elif smooth:
                 slopes[index] = self._slope(changer, source, smooth, index)
         self._smooth_places = list(slopes)
         self._slopes = np.stack([*slopes.values()], axis=1) if slopes else np.zeros((frames, 0, base.shape[1]))
@@ -119,7 +156,7 @@ class StackedOutcomes:
         for sign in (1.0, -1.0):
             try:
                 changed = changer.at({place: sign * size for place, size in smooth.items()})
-                sides.append(self._smooth(changed, keys={place[0] for place in smooth}, muscles=_muscles(smooth)))
+                sides.append(self._smooth(changed, {place[0] for place in smooth}))
             except MbdkitError as error:
                 raise RunError(
                     f"inverse dynamics has no result with the {source.group} changed by one standard deviation "
@@ -135,51 +172,42 @@ class StackedOutcomes:
         mechanism = self.result.problem.prepared.workspace.mechanism
         return _Layout(len(self.result.problem.actuators), len(mechanism.joints), len(self._names))
 
-    def _smooth(
-        self, own: ChangedProblem, keys: set[str] | None = None, muscles: Sequence[str] | None = None
-    ) -> np.ndarray:
+    def _smooth(self, own: ChangedProblem, keys: set[str] | None = None) -> np.ndarray:
         """Return rows (T, W) of smooth values, see `_Layout`.
 
         Parameters
         ----------
         keys
             Keys of what is changed; None for the result itself.
-        muscles
-            Muscles whose paths are changed; None for all.
         """
-        problem, motion, layout = own.problem, own.motion, self._layout
-        manifold, time = problem.fitter.manifold, motion.time
-        rows = np.zeros((len(time), sum(int(np.prod(shape)) for _, shape in layout.parts.values())))
+        mechanics, layout = _Mechanics(own), self._layout
+        rows = np.zeros((len(own.motion.time), sum(int(np.prod(shape)) for _, shape in layout.parts.values())))
         out = layout.split(rows)
-        loads = loads_on(motion, problem.loads, problem.fitter.bodies)
-        report = problem.spec.unbalanced == "report"
-        dynamics, balance, _ = solve_dynamics(problem.fitter, motion, loads, problem.actuators, report=report)
-        sums = JointSums(problem.prepared.workspace.mechanism)
-
-        def reactions(lam: np.ndarray) -> np.ndarray:
-            return sums.sum(manifold.reactions(time, motion.q, motion.v, lam).reactions)
-
-        out["value"][:], out["reactions"][:] = dynamics.value, reactions(dynamics.lam)
-        if problem.recruiter is None:
+        out["value"][:], out["reactions"][:] = mechanics.dynamics.value, mechanics.reactions(mechanics.dynamics.lam)
+        if (recruiter := own.problem.recruiter) is None:
             return rows
-        if keys is not None:
+        if keys is not None and keys <= OF_DYNAMICS:
             of_muscles = slice(layout.parts["arms"][0].start, None)
             rows[:, of_muscles] = self._base[:, of_muscles]
-            if keys <= {"masses", "inertias", "pressure", "plate_gain", "offset"}:
-                return rows
-        nothing = reactions(np.zeros_like(dynamics.lam))
+            return rows
         for index, name in enumerate(self._names):
-            if muscles is not None and name not in muscles:
-                continue
-            path = problem.recruiter.path(name, motion)
-            arms = balance.as_actuators(-path.gradient[..., None])[..., 0]
-            pushed = -path.gradient - products(balance.columns, arms)
-            out["length"][:, index], out["rate"][:, index] = path.length, path.rate(motion.v)
-            out["arms"][..., index] = arms
+            mechanics.put_muscle(out, index, recruiter.path(name, own.motion))
             for key in PROPERTIES[1:]:
-                out[key][:, index] = getattr(problem.recruiter.muscles[name], key)
-            out["unit"][..., index] = reactions(balance.directions.multipliers(pushed)) - nothing
+                out[key][:, index] = getattr(recruiter.muscles[name], key)
         return rows
+
+    def _slope_of_points(self, name: str, places: Mapping[Place, float]) -> np.ndarray:
+        """Return the derivatives (T, W) with respect to a scalar that moves points of one muscle."""
+        assert self.recruiter is not None
+        own, motion, sides = self._mechanics.own.problem, self.result.motion, []
+        for sign in (1.0, -1.0):
+            change = {place: sign * size for place, size in places.items()}
+            muscle = with_moved_points(name, self.recruiter.muscles[name], {}, change)
+            rows = self._base.copy()
+            path = MusclePath(name, muscle, own.names).at(motion.time, motion.q)
+            self._mechanics.put_muscle(self._layout.split(rows), self._names.index(name), path)
+            sides.append(rows)
+        return np.asarray((sides[0] - sides[1]) / 2)
 
     def at(self, values: np.ndarray) -> tuple[Outcomes, int]:
         """Return the outcomes for values (S, K) of the scalars, and in how many of the S samples some frames have no
@@ -262,11 +290,6 @@ def _tensions(programme: Programme, exponent: float, capacity: np.ndarray, passi
     shared = share_loads(programme, exponent)
     solved = np.isfinite(shared.certificate)
     return np.asarray(np.where(solved[:, None], capacity * shared.value[:, : capacity.shape[1]] + passive, np.nan))
-
-
-def _muscles(smooth: Mapping[Place, float]) -> list[str] | None:
-    """Return the muscles whose paths alone are changed; None if others are changed as well."""
-    return [place[1] for place in smooth] if all(place[0] == "muscle_points" for place in smooth) else None
 
 
 def _blocks(exponents: np.ndarray, most: int) -> Iterator[slice]:

@@ -8,6 +8,10 @@ The share of a source in the mean square of a change d is ``E[d_k . d] / E[d . d
 alone: its variance plus the product of its mean change with the mean change of all. Moments of d_k are those of a
 quadrature (`Source.nodes`), which is first order for linear functions and follows corners otherwise. Interactions are
 what the shares leave.
+
+First order alone would not suffice. For a person without muscles, its bars are within 10 % of those of samples at all
+times; for nine muscles of one leg in 29 % of the frames, and for 18 muscles of two legs in 46 %. They are mostly too
+small, by half in one of twenty frames.
 """
 
 from __future__ import annotations
