@@ -168,9 +168,8 @@ class _Sources:
         yield from self._angles()
         if self.person is not None and self.person.plates.offset is not None and self.person.plates.loads:
             # plates and markers of a file have the same clock: their samples belong to the same interval of frames
-            interval = float(np.median(np.diff(self.person.time)))
-            deviation = min(self.person.plates.offset[1], interval) / np.sqrt(3.0)  # uniform within the bound
-            yield Source("offset in time of the plates", "person", {("offset",): deviation})
+            bound = min(self.person.plates.offset[1], float(np.median(np.diff(self.person.time))))
+            yield Source("offset in time of the plates", "person", {("offset",): bound}, (-1.0, 1.0))
         yield from self._of_muscles()
 
     def _size(self, key: str) -> Any:
