@@ -309,7 +309,10 @@ class Transcription:
             closed = self._at_node(rows)
             conditions.append(Condition("the joints at the start", closed(start, x["p"], 0.0)))
             if self.has_nodes:
-                conditions.append(Condition("the joints at the end", closed(end, x["p"], duration)))
+                position = ca.vertsplit(rows[: rows.numel() // 2])
+                curved = [k for k, row in enumerate(position) if not ca.is_linear(row, system.q)]
+                curved_rows = closed(end, x["p"], duration)[[*curved, *(k + len(position) for k in curved)]]
+                conditions.append(Condition("the joints at the end", curved_rows))  # the others follow from the points
         for name, (expression, low, high) in self._initial.items():
             conditions.append(Condition(name, self._at_node(expression)(start, x["p"], 0.0), low, high))
         for phase, last, at_end in zip(self.spec.whole, grid.ends_of_phases(), self._ends, strict=True):
