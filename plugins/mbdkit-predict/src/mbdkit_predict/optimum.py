@@ -23,8 +23,10 @@ HUGE = 1e8
 """Unknowns above this size at the limit of iterations are taken for unbounded ones."""
 SAFETY = 3.0
 """Factor of the estimated error of the objective."""
-ACCIDENT = 2.0**-10
-"""Smallest ratio of two changes of the objective in a row that is believed."""
+ACCIDENT, ACCIDENT_OF_ACTIVE = 2.0**-10, 2.0**-5
+"""Smallest ratio of two changes of the objective in a row that is believed; the second one, where conditions become
+active.
+"""
 SLOWEST, FASTEST = 0.5, 2.0**-4
 """Largest and smallest ratio of two changes of the objective in a row with which the error is extrapolated. Where
 conditions become active, methods of high order have no constant ratio.
@@ -154,7 +156,9 @@ class _Search:
             return max(floor, float(changes[-1])), settled
         stages = len(self.transcription.c)
         order = 2 * stages if self.transcription.has_nodes else 2 * stages - 1
-        return max(floor, extrapolated(changes, order)), is_smooth or len(changes) > 2
+        return max(
+            floor, extrapolated(changes, order, ACCIDENT if is_smooth else ACCIDENT_OF_ACTIVE)
+        ), is_smooth or len(changes) > 2
 
     def _floor(self) -> float:
         """Return the smallest error of the objective, due to the optimizer."""
@@ -198,15 +202,15 @@ def find_optimum(spec: PredictSpec, transcription: Transcription, stop: Stop) ->
     return _Search(spec, transcription, stop).run()
 
 
-def extrapolated(changes: Sequence[float] | np.ndarray, order: int) -> float:
+def extrapolated(changes: Sequence[float] | np.ndarray, order: int, accident: float) -> float:
     """Return the estimated error of the last value of a sequence, from the changes of its values by refinement.
 
     Halving all intervals divides the error by a constant ratio, at most 2^order, which the last two changes show. A
-    last change that is much smaller than that may be so by accident.
+    last change below `accident` times the one before may be so small by accident.
     """
     before, last = float(changes[-2]), float(changes[-1])
     ratio = min(max(last / before if before else 1.0, 2.0**-order, FASTEST), SLOWEST)
-    return SAFETY * ratio / (1.0 - ratio) * max(last, before * ACCIDENT)
+    return SAFETY * ratio / (1.0 - ratio) * max(last, before * accident)
 
 
 def _solution(mesh: Mesh) -> Solution:

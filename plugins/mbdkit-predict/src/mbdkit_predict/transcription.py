@@ -331,7 +331,10 @@ class Transcription:
             joints = self._at_node(rows)
             conditions.append(Condition("the joints at the start", joints(start, x["p"], 0.0)))
             if self.has_nodes:
-                conditions.append(Condition("the joints at the end", joints(end, x["p"], duration)))
+                position = ca.vertsplit(rows[: rows.numel() // 2])
+                curved = [k for k, row in enumerate(position) if not ca.is_linear(row, system.q)]
+                curved_rows = joints(end, x["p"], duration)[[*curved, *(k + len(position) for k in curved)]]
+                conditions.append(Condition("the joints at the end", curved_rows))  # the others follow from the points
         at_rest = [x for x, k in zip(self.fibers.at_rest, self.fibers.states, strict=True) if not self._is_free[k]]
         if at_rest:
             balance = self._at_node(ca.vertcat(*at_rest))(start, x["p"], 0.0)

@@ -77,6 +77,9 @@ EXACT = {
     # the force is 6 - 12 t
     "least effort": (block(), 12.0),
     "least effort by gauss": (block(collocation={"method": "gauss", "points": 2, "intervals": 5}), 12.0),
+    "gauss, one point": (
+        block(collocation={"method": "gauss", "points": 1, "intervals": 10}, tolerance=1e-3), 12.0
+    ),
     # 12 / T^3 + w T with T^4 = 36 / w
     "effort and time": (
         block(
@@ -167,7 +170,7 @@ def swing_up(points: int, intervals: int) -> float:
 
 def main() -> None:
     """Print the table."""
-    problems = {**EXACT, "cart-pole": ("cart-pole", swing_up(5, 80))}
+    problems: dict[str, tuple[Any, float]] = {**EXACT, "cart-pole": ("cart-pole", np.nan)}
     heads = (
         ("optimum", 19),
         ("objective", 19),
@@ -181,6 +184,7 @@ def main() -> None:
     for name, (spec, exact) in problems.items():
         if any(word not in name for word in sys.argv[1:]):
             continue
+        exact = swing_up(5, 80) if name == "cart-pole" else exact
         begin = time.process_time()
         run = mbdkit.predict(spec)
         seconds, error, bar = time.process_time() - begin, abs(run.objective - exact), run.objective_error
