@@ -153,7 +153,7 @@ def error_bars(result: Inverse) -> ErrorBars | None:
     path = NoisePath(result, independent, how)
     left = measured.raw - measured.quantities.values(result.motion.q)
     seen = noise_of(path, left, measured.deviation, random)
-    deviation = seen.deviation
+    deviation = path.white(seen, left)
     if np.any(np.isnan(deviation)):
         return None
     response = _Response(result, independent)
@@ -437,5 +437,6 @@ def _method(
         f"Bounds that hold with a probability of {LEVEL:.0%} at each time: Gaussian noise, independent from sample "
         f"to sample, with the standard deviations {_some(told)}, passed through the linearised fit, smoothing and "
         f"dynamics{of_loads}{''.join(effects)}{' by root sum of squares' if effects else ''}"
-        f"{'' if factors else '; no cutoff was varied'}{ends}.{unknown}"
+        f"{'' if factors else '; no cutoff was varied'}"
+        f"{'; artefacts of the markers, correlated in time' if result.problem.source.person else ''}{ends}.{unknown}"
     )

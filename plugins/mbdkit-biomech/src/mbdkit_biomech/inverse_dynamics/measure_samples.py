@@ -146,7 +146,7 @@ def samples_of(result: Inverse, measures: Sequence[str]) -> SampledMeasures | No
     how = fixed(times, coordinates, spec.motion.smooth)
     path, gaps = NoisePath(result, independent, how), long_gaps(result)
     left = measured.raw - measured.quantities.values(result.motion.q)
-    deviation = noise_of(path, left, measured.deviation, random).deviation
+    deviation = path.white(noise_of(path, left, measured.deviation, random), left)
     if np.any(np.isnan(deviation)):
         return None
     series = smoothed_each(times, coordinates, how)

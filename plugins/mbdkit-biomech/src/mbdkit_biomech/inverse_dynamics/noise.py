@@ -131,6 +131,19 @@ class NoisePath:
                     noise[gap.first : gap.last, gap.column] = gap.filled(self._time, own, beside)
             yield noise
 
+    def white(self, noise: Noise, residual: np.ndarray) -> np.ndarray:
+        """Return the standard deviations (K,) of the noise that is independent from sample to sample.
+
+        For a person, residuals contain artefacts of the markers and errors of joint centres, which change slowly. The
+        noise is then at most what second differences of the residuals (T, K) show: their variance is 6 times its own.
+        """
+        if self._person is None:
+            return noise.deviation
+        bend = residual[2:] - 2.0 * residual[1:-1] + residual[:-2]
+        known = ~np.isnan(bend)
+        square = np.sum(np.where(known, bend * bend, 0.0), axis=0) / np.maximum(np.sum(known, axis=0), 1)
+        return np.asarray(np.minimum(noise.deviation, np.sqrt(square / 6.0)))
+
     def artefacts(self, count: int, random: np.random.Generator) -> np.ndarray:
         """Return changes (T, K, `count`) of the data by artefacts of the markers of a person, which are correlated in
         time; zero without a person.
