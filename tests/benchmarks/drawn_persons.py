@@ -134,7 +134,7 @@ def _measured(random: np.random.Generator) -> dict[str, Array]:
     for name in ("RANK", "RANM"):
         markers[name] = markers[name] + walker.turned("shank", tuple(shift))
     columns = columns_of(walker, markers)
-    late = random.uniform(-1.0, 1.0) * float(walker.time[1] - walker.time[0])  # the bound that is found in these data
+    late = random.uniform(-0.5, 0.5) * float(walker.time[1] - walker.time[0])  # 0.29 frames
     gain, press = np.exp(GAIN * random.standard_normal()), PRESSURE * random.standard_normal()
     for number in range(1, len(walker.contacts()) + 1):
         names = [f"plate{number}.{one}" for one in ("force", "point", "torque")]
