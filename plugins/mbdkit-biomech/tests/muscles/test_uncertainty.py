@@ -121,3 +121,11 @@ def test_uncertainty_of_what_is_missing_or_stated_twice_is_refused(change, key):
     with pytest.raises(SpecError) as error:
         mbdkit.inverse({name: one for name, one in spec.items() if one is not None})
     assert error.value.key == key
+
+
+def test_uncertainty_without_error_bars_is_refused():
+    spec = held({"masses": 0.1})
+    spec["motion"]["errors"] = "none"
+    with pytest.raises(SpecError, match=r"motion\.errors: none") as error:
+        mbdkit.inverse(spec)
+    assert error.value.key == "uncertainty"

@@ -115,13 +115,16 @@ def asked_uncertainty(problem: InverseProblem) -> tuple[Uncertainty, bool] | Non
     Raises
     ------
     SpecError
-        If `uncertainty` and `recruitment.deviations` are both given.
+        If `uncertainty` and `recruitment.deviations` are both given, or if there are no error bars at all.
     """
     spec = problem.source
     short = None if spec.recruitment is None else spec.recruitment.deviations
     if short is not None and spec.uncertainty is not None:
         raise SpecError("is the short form of `uncertainty`, which is given too: remove one of them",
                         key="recruitment.deviations")  # fmt: skip
+    if isinstance(spec.uncertainty, Uncertainty) and spec.motion.errors == "none":
+        raise SpecError("has no effect, because `motion.errors: none` asks for no error bars: remove one of them",
+                        key="uncertainty")  # fmt: skip
     if short is not None:
         own = {key: getattr(short, key) for key in ("max_force", "optimal_length", "tendon_length", "samples")}
         return Uncertainty(**own), True
