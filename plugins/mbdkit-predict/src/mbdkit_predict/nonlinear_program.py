@@ -20,11 +20,8 @@ PRECISION = 1e-10
 """Tolerance of the optimizer, to which it scales the conditions of optimality."""
 SCALE = 10.0
 """Factor of the objective for the optimizer, whose regularization is smaller in comparison: a squat takes 18 iterations
-instead of 40, and walking with muscles 117 instead of 240."""
-FAR: Mapping[str, Any] = {"ipopt.mu_strategy": "adaptive"}
-NEAR: Mapping[str, Any] = {"ipopt.mu_init": 1e-5, "ipopt.bound_push": 1e-6, "ipopt.bound_frac": 1e-6}
-"""Options of the optimizer for guesses far from an optimum, and near it. Without an adaptive barrier parameter, walking
-is not found at all."""
+instead of 40, and walking with muscles 117 instead of 240. The barrier parameter is adaptive, without which walking is
+not found at all."""
 FEASIBLE = 1e-6
 """Of two iterates with violations below this, that with the smaller objective is the better one."""
 ACTIVE = 1e-6
@@ -154,22 +151,12 @@ class NonlinearProgram:
         program = ca.Function("program", [given], values)
         self._functions: Any = dict(zip("xfg", [x, *program(ca.DM(self._sizes) * x)], strict=True))
 
-    def solve(
-        self,
-        guess: Mapping[str, np.ndarray],
-        stop: Stop,
-        most_iterations: int = MOST_ITERATIONS,
-        *,
-        is_near: bool = False,
-    ) -> Solution:
-        """Return the optimum near a guess; the best iterate if the optimizer does not reach it.
-
-        A guess that is near the optimum, that of a coarser mesh, is not moved away from its bounds.
-        """
+    def solve(self, guess: Mapping[str, np.ndarray], stop: Stop, most_iterations: int = MOST_ITERATIONS) -> Solution:
+        """Return the optimum near a guess; the best iterate if the optimizer does not reach it."""
         watcher = _Watcher(len(self._low_x), self._low, self._high, stop)
         options = {
-            "ipopt.max_iter": most_iterations, "iteration_callback": watcher, "ipopt.obj_scaling_factor": SCALE,
-            **(NEAR if is_near else FAR),
+            "ipopt.max_iter": most_iterations, "iteration_callback": watcher, "ipopt.mu_strategy": "adaptive",
+            "ipopt.obj_scaling_factor": SCALE,
         }  # fmt: skip
         with redirect_stderr(io.StringIO()):
             self._solver = ca.nlpsol("prediction", "ipopt", self._functions, _options(**options))

@@ -237,8 +237,7 @@ class Transcription:
     def solved(self, guess: Mesh, stop: Stop, most_iterations: int | None = None) -> Mesh:
         """Return the optimum on the grid of a guess."""
         program = NonlinearProgram(*self._program(guess.grid), self._sizes())
-        most = () if most_iterations is None else (most_iterations,)
-        solution = program.solve(guess.values, stop, *most, is_near=guess.iterations > 0)
+        solution = program.solve(guess.values, stop, *(() if most_iterations is None else (most_iterations,)))
         return replace(
             guess, values=solution.values, iterations=guess.iterations + solution.iterations, solution=solution,
             program=program,
