@@ -5,6 +5,7 @@ activations.
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from functools import partial
 from typing import TYPE_CHECKING, NamedTuple, cast
 
@@ -14,6 +15,7 @@ from mbdkit.archive.peak_errors import missed_between_rows, peak_errors
 from mbdkit.registry.catalogue import Registered
 from mbdkit.registry.feature_items import HeadlineItem
 from mbdkit.registry.manager import registry
+from mbdkit.registry.target import Target
 from mbdkit.registry.use import use
 
 if TYPE_CHECKING:
@@ -48,12 +50,6 @@ At the end of a period, the values at start and end are equal, and in equilibriu
 
 MESH_ERROR = "the error of the mesh of beams"
 """What error bars of runs with beams do not include."""
-
-PERSON_ERROR = "the uncertainty of the person's joint centres, lengths, masses and strength"
-"""What error bars of persons do not include, if their uncertainty is left out."""
-
-PERSON_MODEL_ERROR = "muscles that the model lacks, and motion out of the plane"
-"""What error bars of persons do not include otherwise."""
 
 #: Residuals [m or rad], overlaps [m] and creep [m/s] up to this value are rounding errors.
 EXACT = 1e-12
@@ -118,11 +114,17 @@ class Headline(NamedTuple):
 
 
 def excluded_error(run: Run) -> str:
-    """Return the error that the estimates of a run do not include, that of the mesh of beams or of a person."""
-    has_beams = run.spec.get("model", {}).get("beams") or (run.records("beams/strain_energy") and run.beams)
-    if has_beams or "subject" not in run.spec:
-        return MESH_ERROR if has_beams else ""
-    return PERSON_MODEL_ERROR if run.accuracy is not None and run.accuracy.parts else PERSON_ERROR
+    """Return the error that the estimates of a run do not include: that of the mesh of beams, or what plugins state."""
+    if run.spec.get("model", {}).get("beams") or (run.records("beams/strain_energy") and run.beams):
+        return MESH_ERROR
+    stated = [(item, cast(HeadlineItem, item.plugin).excluded) for item in _of_groups(run)]
+    return " and ".join(
+        filter(None, (use(item, partial(_words, words, run)) for item, words in stated if words is not None))
+    )
+
+
+def _words(words: Target[Callable[[Run], str]], run: Run) -> str:
+    return words()(run)
 
 
 def plus_minus(value: float, error: float, sign: str = "+-", digits: int = MOST_DIGITS) -> str:
@@ -171,8 +173,11 @@ def headlines(run: Run, most: int = MOST) -> list[Headline]:
 
 def _added(run: Run) -> list[Headline]:
     """Return the headlines of plugins whose groups the run has."""
-    items = [item for item in registry().of_kind("headline") if cast(HeadlineItem, item.plugin).group in run.kinds]
-    return [one for item in items for one in use(item, partial(_taken, item, run))]
+    return [one for item in _of_groups(run) for one in use(item, partial(_taken, item, run))]
+
+
+def _of_groups(run: Run) -> list[Registered]:
+    return [item for item in registry().of_kind("headline") if cast(HeadlineItem, item.plugin).group in run.kinds]
 
 
 def _taken(item: Registered, run: Run) -> list[Headline]:

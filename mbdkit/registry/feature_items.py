@@ -476,6 +476,9 @@ class HeadlineItem(Feature):
         Function that takes the run and returns headlines, of class `mbdkit.plugin.Headline`, the most important first.
     group
         Group of the archive that runs with these headlines have.
+    excluded
+        Function that takes the run and returns what the error bars of such a run do not include, as words that follow
+        "without"; empty if they include all.
     """
 
     kind: ClassVar[str] = "headline"
@@ -483,6 +486,7 @@ class HeadlineItem(Feature):
 
     take: Target[Callable[[Any], Iterable[Any]]]
     group: str
+    excluded: Target[Callable[[Any], str]] | None = None
 
 
 FEATURES: tuple[type[Feature], ...] = (

@@ -183,6 +183,7 @@ def mbdkit_items() -> Iterable[Item]:
             order=20,
             take=Target(f"{_ROOM}.inverse_summary:largest_actuators"),
             group="actuators",
+            excluded=Target("mbdkit_biomech.uncertainty.contributions:excluded_error"),
         ),
         *(
             QuantityKind(

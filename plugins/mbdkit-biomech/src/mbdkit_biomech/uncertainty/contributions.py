@@ -24,6 +24,19 @@ SHOWN = 0.005
 NAMED, JOINTS_NAMED = 3, 4
 """Number of sources that a sentence names, and of joints in the summary."""
 
+PERSON_ERROR = "the uncertainty of the person's joint centres, lengths, masses and strength"
+"""What error bars of persons do not include, if their uncertainty is left out."""
+
+PERSON_MODEL_ERROR = "muscles that the model lacks, and motion out of the plane"
+"""What error bars of persons do not include otherwise."""
+
+
+def excluded_error(run: Run) -> str:
+    """Return what the error bars of a person do not include; empty for other runs of inverse dynamics."""
+    if "subject" not in run.spec:
+        return ""
+    return PERSON_MODEL_ERROR if run.accuracy is not None and run.accuracy.parts else PERSON_ERROR
+
 
 @dataclass(frozen=True)
 class Contributions:

@@ -6,9 +6,14 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from mbdkit.archive.headlines import PERSON_MODEL_ERROR
 from mbdkit.mechanism.mechanism import Mechanism
-from mbdkit_biomech.uncertainty.contributions import NAMED, contributions, has_contributions, largest_joints
+from mbdkit_biomech.uncertainty.contributions import (
+    NAMED,
+    PERSON_MODEL_ERROR,
+    contributions,
+    has_contributions,
+    largest_joints,
+)
 from mbdkit_report.figures.page_model import Axis, Cell, Figure, Line, Section, Table, columns_of
 
 if TYPE_CHECKING:
