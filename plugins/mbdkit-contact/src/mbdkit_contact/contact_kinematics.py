@@ -15,6 +15,7 @@ from mbdkit_contact.acting_contacts import ActingContact, polygon_edges, surface
 from mbdkit_contact.contact import ContactPair
 from mbdkit_contact.kernels.kinematics import (
     KINDS,
+    NOWHERE,
     POLYGONS,
     ROUND,
     SINGLE,
@@ -200,7 +201,7 @@ def shapes_of(contacts: Sequence[ActingContact], bodies: int, exact: float) -> S
         np.full(count, -1),
         np.zeros((bodies + 1, 7)),
         np.zeros(count, dtype=np.int64),
-        np.zeros(count),
+        np.full(count, NOWHERE),
     )
 
 

@@ -86,7 +86,7 @@ class ContactState:
         """Return the state after a discontinuity of a motion or load; the next step determines the modes anew."""
         known = dict(self.known)
         if known:
-            known |= {"determined": np.zeros(1, dtype=np.int64), "event": np.zeros(2, dtype=np.int64)}
+            known |= {"determined": np.zeros(2, dtype=np.int64), "event": np.zeros(2, dtype=np.int64)}
         return replace(self, modes=np.zeros(0, dtype=int), known=known, between=None)
 
     def stored(self) -> dict[str, Any]:

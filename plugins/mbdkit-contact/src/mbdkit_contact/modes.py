@@ -1,4 +1,4 @@
-"""Modes of contacts."""
+"""The modes of a contact: open, sticking and slipping."""
 
 from __future__ import annotations
 
