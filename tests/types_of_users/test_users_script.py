@@ -9,6 +9,8 @@ from pathlib import Path
 
 import pytest
 
+from mbdkit.registry.element_items import ElementKind
+from mbdkit.registry.manager import registry
 from mbdkit.spec import RunSpec
 from mbdkit.spec.loading import Sections
 
@@ -39,4 +41,6 @@ def test_mypy_accepts_a_script_and_finds_its_mistakes(tmp_path: Path) -> None:
 
 
 def test_the_keyword_arguments_of_a_run_are_the_keys_of_its_spec() -> None:
-    assert set(typing.get_type_hints(Sections)) == set(RunSpec.model_fields)
+    kinds = [typing.cast(ElementKind, item.plugin) for item in registry().of_kind("element-kind")]
+    sections = {kind.section for kind in kinds if kind.section}
+    assert set(typing.get_type_hints(Sections)) == set(RunSpec.model_fields) | sections

@@ -37,6 +37,7 @@ import numpy as np
 import mbdkit
 from mbdkit.engine import force_laws
 from mbdkit.engine.native import bundle, functions, kernel
+from mbdkit.spec import load_spec
 from mbdkit_studies.compute_block import compute_block
 
 JOINTS, INDEX_3 = {"formulation": "joint-coordinates"}, {"formulation": "index-3"}
@@ -311,6 +312,17 @@ def main() -> None:
             compute_block(out, 0)  # again, in this process
             if "adaptive" not in integrator:
                 mbdkit.gradient(spec, "final(rod2.angle)", ["model.masses.1"])
+        recorder.counts.clear()
+        touching = load_spec(
+            "bouncing-ball",
+            [
+                "model.bodies.ball.position.1=0.1",
+                "integrator={name: rk4}",
+                "time={end: 0.01, step: 0.002}",
+                "events={}",
+            ],
+        )
+        mbdkit.gradient(touching, "final(ball.y)", ["model.bodies.ball.mass"])
         recorder.counts.clear()
         mbdkit.inverse("walking")
         recorder.close()
