@@ -22,7 +22,6 @@ import numpy as np
 from mbdkit.base.errors import SpecError
 from mbdkit.methods import gauss, radau_iia
 from mbdkit_predict.casadi_system import CasadiSystem
-from mbdkit_predict.elastic_fibers import ElasticFibers
 from mbdkit_predict.grid import Grid, weights
 from mbdkit_predict.nonlinear_program import Condition, NonlinearProgram, Solution, Stop, solve_pose
 from mbdkit_predict.objective import INTEGRAL, Objective
@@ -100,7 +99,6 @@ class Transcription:
         self.spec, self.objective = spec, objective
         self.system: CasadiSystem = symbolic.system()
         self.states = symbolic.states
-        self.fibers = ElasticFibers(spec.chosen, self.system)
         method = radau_iia if spec.collocation.method == "radau" else gauss
         self.a, self.b, self.c = method.tableau(spec.collocation.points).floats()
         self.has_nodes = spec.collocation.method == "gauss"
@@ -121,9 +119,6 @@ class Transcription:
             self._add_path(phase.subject_to, phase.key("subject_to"), phase.number if spec.phases else None)
         if spec.phases:
             self._add_path(spec.subject_to, "subject_to", None)
-        conditions = [*(x for x, _, _ in self._initial.values()), *(x for _, *both in self._periodic for x in both)]
-        states = _elements(self.system.z)
-        self._is_free = np.array([any(ca.depends_on(x, state) for x in conditions) for state in states], dtype=bool)
         self._stage = self._stage_function()
         self._idle = self._without_effect()
 
@@ -161,22 +156,16 @@ class Transcription:
         durations = np.array([_duration(phase.duration)[2] for phase in spec.whole])
         knots, poses = [0.0], [self._nearest(system.q0, self._initial, 0.0)]
         for index, (conditions, end) in enumerate(zip(self._ends, np.cumsum(durations), strict=True)):
-            if index == len(durations) - 1:  # values at the end that follow from the pose at the start
-                known = np.concatenate([poses[0], 0.0 * poses[0], system.z0])
-                for name, at_last, at_first in self._periodic:
-                    value = float(self._at_node(at_first)(known, system.p0, 0.0))
-                    conditions = conditions | {name: (at_last, value, value)}
             if conditions or index == len(durations) - 1:
                 knots.append(float(end))
                 poses.append(self._nearest(poses[-1], conditions, float(end)))
         times, m = durations @ grid.points, len(system.constraint_names)
         start = np.array(
-            [self._start_of(spec.control(k), x) for k, x in zip(system.control_names, system.u0, strict=True)]
+            [self._start_of(spec.controls[k], x) for k, x in zip(system.control_names, system.u0, strict=True)]
         )
         u = np.repeat(start[:, None], len(times), axis=1)
         if random is not None:
-            low, high = np.array([spec.control(name)[:2] for name in system.control_names]).T
-            high, low = np.where(np.isfinite(high - low), (high, low), start)  # unknowns of fibres are not drawn
+            low, high = np.array([spec.controls[name].bounds for name in system.control_names]).T
             shares, end = np.linspace(0.0, 1.0, 5), knots[-1]
             drawn = np.clip(start + 0.25 * (high - low) * random.standard_normal((5, len(u))), low, high)
             u = np.array([np.interp(times, shares * end, x) for x in drawn.T])
@@ -188,19 +177,15 @@ class Transcription:
                 knots.insert(place, t)
                 poses.insert(place, self._nearest(pose, {}, t))
         q = np.array([np.interp(times, knots, x) for x in np.array(poses).T])
-        v = np.gradient(q, times, axis=1) if len(times) > 1 else 0.0 * q
+        v = 0.0 * q
         p = [
-            self._start_of((*spec.optimized[name].bounds, spec.optimized[name].start), x)
-            if name in spec.optimized
-            else x
+            self._start_of(spec.optimized[name], x) if name in spec.optimized else x
             for name, x in zip(system.parameter_names, system.p0, strict=True)
         ]
-        z = np.repeat(system.z0[:, None], len(times), axis=1)
-        z[self.fibers.states] = self.fibers.guess(q, system.p0)
         values = {
-            "duration": durations, "p": np.array(p), "start": np.concatenate([poses[0], v[:, 0], z[:, 0]]),
-            "q": q, "v": v, "a": 0.0 * v, "lam": np.zeros((m, len(times))), "mu": np.zeros((m, len(times))),
-            "z": z, "u": u,
+            "duration": durations, "p": np.array(p), "start": np.concatenate([poses[0], 0.0 * poses[0], system.z0]),
+            "q": q, "v": v, "a": v, "lam": np.zeros((m, len(times))), "mu": np.zeros((m, len(times))),
+            "z": np.repeat(system.z0[:, None], len(times), axis=1), "u": u,
         }  # fmt: skip
         return Mesh(grid, self._with_nodes(values))
 
@@ -222,21 +207,16 @@ class Transcription:
         uneven = jumps > max(UNEVEN * np.median(jumps), most, 1e-3)
         divided = np.where(uneven, CUTS[1], CUTS[0])
         values = dict(mesh.values)
+        within = {m: np.array([weights(self.c, (j + c) / m) for j in range(m) for c in self.c]).T for m in CUTS}
         for name in OF_POINTS:
-            parts, points = mesh.values[name].reshape(-1, count, s), self.c
-            if name in self._rows:  # polynomials of states pass through the start of the interval
-                begins = np.concatenate(
-                    [mesh.values["start"][self._rows[name], None], self._at_ends(mesh, name)[:, :-1]], 1
-                )
-                parts, points = np.concatenate([begins[:, :, None], parts], axis=2), np.array([0.0, *self.c])
-            within = {m: np.array([weights(points, (j + c) / m) for j in range(m) for c in self.c]).T for m in CUTS}
+            parts = mesh.values[name].reshape(-1, count, s)
             columns = [parts[:, i] @ within[m] for i, m in enumerate(divided)]
             values[name] = np.concatenate(columns, axis=1)
         return Mesh(mesh.grid.divided(divided), self._with_nodes(values), mesh.iterations)
 
     def solved(self, guess: Mesh, stop: Stop, most_iterations: int | None = None) -> Mesh:
         """Return the optimum on the grid of a guess."""
-        program = NonlinearProgram(*self._program(guess.grid), self._sizes())
+        program = NonlinearProgram(*self._program(guess.grid))
         solution = program.solve(guess.values, stop, *(() if most_iterations is None else (most_iterations,)))
         return replace(
             guess, values=solution.values, iterations=guess.iterations + solution.iterations, solution=solution,
@@ -262,7 +242,7 @@ class Transcription:
                 weight = WEIGHT_OF_START if row.name.startswith("initial") else 1.0
                 total = total + weight * ca.sum2(ca.sum1(unknowns[name])) / row.value.numel()
             rows.append(row._replace(value=row.value - unknowns[over] + unknowns[under]))
-        solution = NonlinearProgram(unknowns, bounds, rows, total, self._sizes()).solve(values, stop)
+        solution = NonlinearProgram(unknowns, bounds, rows, total).solve(values, stop)
         if not solution.is_optimum:
             return {}
         return {
@@ -272,7 +252,7 @@ class Transcription:
         }
 
     def _stage_function(self) -> ca.Function:
-        """Return the function of a collocation point: joints and fibres, q', z', integrands, forces, and path."""
+        """Return the function of a collocation point: conditions, q', z', integrands, and path."""
         system, m = self.system, len(self.system.constraint_names)
         mu = ca.SX.sym("mu", m)
         given = list(system.symbols.values())
@@ -280,9 +260,8 @@ class Transcription:
         turn = ca.mtimes(ca.jacobian(position, system.q).T, mu) if m else 0.0
         integrands = [x for kind, x in self.objective.functionals if kind == INTEGRAL]
         results = [
-            ca.vertcat(position, velocity, system.equilibrium(*given)), system.v + turn, system.rates(*given),
-            ca.vertcat(ca.SX(0, 1), *integrands), system.residual(*given) / self._weight,
-            ca.vertcat(ca.SX(0, 1), *(path.expression for path in self._path)),
+            ca.vertcat(system.residual(*given), position, velocity), system.v + turn, system.rates(*given),
+            ca.vertcat(ca.SX(0, 1), *integrands), ca.vertcat(ca.SX(0, 1), *(path.expression for path in self._path)),
         ]  # fmt: skip
         return ca.Function("point", [*given, mu], ca.cse(results))
 
@@ -306,7 +285,7 @@ class Transcription:
         x = {name: ca.MX.sym(name, *lower.shape) for name, (lower, _) in bounds.items()}
         h = ca.mtimes(x["duration"].T, ca.sparsify(ca.DM(grid.lengths)))
         times = ca.mtimes(x["duration"].T, ca.DM(grid.points))
-        closed, position_rates, rates, integrands, balance, path = self._stage.map(total)(
+        zero, position_rates, rates, integrands, path = self._stage.map(total)(
             x["q"], x["v"], x["a"], x["lam"], x["z"], x["u"], ca.repmat(x["p"], 1, total), times, x["mu"]
         )
         states, slopes = ca.vertcat(x["q"], x["v"], x["z"]), ca.vertcat(position_rates, x["a"], rates)
@@ -318,7 +297,7 @@ class Transcription:
             ca.mtimes(h, spread), states.shape[0], 1
         )
         conditions = [
-            Condition("the equations of motion", ca.vertcat(balance, closed)),
+            Condition("the equations of motion", zero),
             Condition("the collocation", states - ca.mtimes(begins, spread) - integrals),
         ]
         if self.has_nodes:
@@ -327,17 +306,13 @@ class Transcription:
         start, end, duration = x["start"], ends[:, -1], ca.sum1(x["duration"])
         if len(system.constraint_names):
             rows: Any = ca.vertcat(*system.constraints(*system.symbols.values())[:2])
-            joints = self._at_node(rows)
-            conditions.append(Condition("the joints at the start", joints(start, x["p"], 0.0)))
+            closed = self._at_node(rows)
+            conditions.append(Condition("the joints at the start", closed(start, x["p"], 0.0)))
             if self.has_nodes:
                 position = ca.vertsplit(rows[: rows.numel() // 2])
                 curved = [k for k, row in enumerate(position) if not ca.is_linear(row, system.q)]
-                curved_rows = joints(end, x["p"], duration)[[*curved, *(k + len(position) for k in curved)]]
+                curved_rows = closed(end, x["p"], duration)[[*curved, *(k + len(position) for k in curved)]]
                 conditions.append(Condition("the joints at the end", curved_rows))  # the others follow from the points
-        at_rest = [x for x, k in zip(self.fibers.at_rest, self.fibers.states, strict=True) if not self._is_free[k]]
-        if at_rest:
-            balance = self._at_node(ca.vertcat(*at_rest))(start, x["p"], 0.0)
-            conditions.append(Condition("the equilibrium of fibres at the start", balance))
         for name, (expression, low, high) in self._initial.items():
             conditions.append(Condition(name, self._at_node(expression)(start, x["p"], 0.0), low, high))
         for phase, last, at_end in zip(self.spec.whole, grid.ends_of_phases(), self._ends, strict=True):
@@ -364,8 +339,8 @@ class Transcription:
         n, m, z, total = len(system.q0), len(system.constraint_names), len(system.z0), grid.points.shape[1]
         sizes = {"q": n, "v": n, "a": n, "lam": m, "mu": m, "z": z}
         free = {name: np.full((size, total), np.inf) for name, size in sizes.items()}
-        is_free = self._is_free.copy()
-        is_free[self.fibers.states] = True
+        conditions = [*(x for x, _, _ in self._initial.values()), *(x for _, *both in self._periodic for x in both)]
+        is_free = [any(ca.depends_on(x, state) for x in conditions) for state in ca.vertsplit(system.z)] if z else []
         start = np.concatenate([np.where(self._idle, 0.0, np.inf), np.where(is_free, np.inf, 0.0)])
         at = np.concatenate([np.where(self._idle, [*system.q0, *system.v0], 0.0), np.where(is_free, 0.0, system.z0)])
         known = dict(zip(system.parameter_names, system.p0, strict=True))
@@ -377,7 +352,7 @@ class Transcription:
             **{name: (-limit, limit) for name, limit in free.items()},
             "u": tuple(
                 np.repeat(side[:, None], total, axis=1)
-                for side in np.array([spec.control(name)[:2] for name in system.control_names]).reshape(-1, 2).T
+                for side in np.array([spec.controls[name].bounds for name in system.control_names]).reshape(-1, 2).T
             ),
         }
         for name, i, path in self._limits:
@@ -395,41 +370,9 @@ class Transcription:
         return bounds
 
     @staticmethod
-    def _start_of(limits: tuple[float, float, float | None], present: float) -> float:
-        low, high, start = limits
-        return float(np.clip(present if start is None else start, low, high))
-
-    @property
-    def _rows(self) -> dict[str, slice]:
-        """Rows of positions, velocities and first-order states in a state."""
-        n = len(self.system.q0)
-        return {"q": slice(n), "v": slice(n, 2 * n), "z": slice(2 * n, None)}
-
-    def _at_ends(self, mesh: Mesh, name: str) -> np.ndarray:
-        """Return positions, velocities or first-order states at the ends of intervals."""
-        s = len(self.c)
-        return mesh.values["nodes"][self._rows[name]] if self.has_nodes else mesh.values[name][:, s - 1 :: s]
-
-    def _sizes(self) -> dict[str, np.ndarray]:
-        """Return natural sizes: of controls and parameters the largest bound, of multipliers the weight.
-
-        The optimizer regularizes indefinite problems by absolute numbers; without sizes, a squat takes 395 iterations,
-        not 24.
-        """
-        controls = [self.spec.control(name)[:2] for name in self.system.control_names]
-        own = [self.spec.optimized.get(name) for name in self.system.parameter_names]
-        numbers = [(0.0, 0.0) if variable is None else variable.bounds for variable in own]
-        sizes = {"lam": np.full(len(self.system.constraint_names), self._weight)}
-        for name, bounds in (("u", controls), ("p", numbers)):
-            largest = np.max(np.abs(np.reshape(bounds, (-1, 2))), axis=1)
-            sizes[name] = np.where(np.isfinite(largest) & (largest > 0.0), largest, 1.0)
-        return sizes
-
-    @property
-    def _weight(self) -> float:
-        """Weight of all bodies [N], or 1 without gravity."""
-        mechanism = self.spec.mechanism()
-        return sum(body.mass for body in mechanism.bodies.values()) * float(np.hypot(*mechanism.gravity)) or 1.0
+    def _start_of(variable: Any, present: float) -> float:
+        low, high = variable.bounds
+        return float(np.clip(present if variable.start is None else variable.start, low, high))
 
     def _with_nodes(self, values: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
         if self.has_nodes:
@@ -485,10 +428,6 @@ class Transcription:
             lbg=[0.0] * m + [condition[1] for condition in wanted],
             ubg=[0.0] * m + [condition[2] for condition in wanted],
         )
-
-
-def _elements(vector: ca.SX) -> list[ca.SX]:
-    return ca.vertsplit(vector) if vector.numel() else []
 
 
 def _columns(grid: Grid, phase: int) -> slice:

@@ -16,8 +16,6 @@ from typer.testing import CliRunner
 import mbdkit
 from mbdkit import MbdkitError, SpecError
 from mbdkit.cli import app
-from mbdkit.mechanism.values import Table
-from mbdkit.spec import load_spec
 from mbdkit_predict.predict_loading import load_predict_spec
 from predict.exact_optima import EXACT, PUSH, block, of_states, swing_up
 
@@ -46,7 +44,7 @@ def test_starts_find_the_local_optima_of_a_swing_up() -> None:
     run = mbdkit.predict("cart-pole", starts=5, tolerance=1e-2)
     assert abs(run.objective - 57.944781) <= run.objective_error < 0.6
     assert "starts        of 5, " in run.summary()
-    assert sum(abs(value - 58.93) < 0.01 for value in run.starts) >= 1
+    assert sum(abs(value - 58.93) < 0.01 for value in run.starts) == 2
 
 
 def spring(stiffness: float) -> dict[str, Any]:
@@ -295,30 +293,3 @@ def test_what_has_no_optimum_is_told_in_one_sentence(changed: dict[str, Any], co
     run = mbdkit.predict(block(**changed))
     assert (run.status, run.status_reason.split(":")[0]) == ("failed", code)
     assert "\n" not in run.status_reason
-
-
-def test_muscles_with_elastic_tendons_move_a_forearm_as_in_a_run_with_their_excitations() -> None:
-    # expected: the motion of the engine with explicit rates of the fibres, by another method and in its own steps
-    names = ("biceps", "brachialis", "triceps")
-    base = load_spec("elbow-curl")
-    start = base.mechanism().bodies["forearm"].angle
-    run = mbdkit.predict(
-        {
-            "mbdkit_predict": 1, "base": "elbow-curl", "duration": 0.8, "tolerance": 1e-2,
-            "controls": {f"muscles.{name}.excitation": {"bounds": [0.01, 1], "start": 0.1} for name in names},
-            "initial": {"forearm.angle": start, "forearm.angular_velocity": 0},
-            "final": {"forearm.angle": 0.3, "forearm.angular_velocity": 0},
-            "minimize": "integral(" + "+".join(f"muscles.{name}.activation**2" for name in names) + ")",
-        }
-    )  # fmt: skip
-    assert run.status == "complete"
-    assert np.abs(run.muscles["biceps"].fiber_rate[1:]).max() < 10 * 0.132
-    m = base.mechanism()
-    for name in names:
-        value = run.controls[f"muscles.{name}.excitation"].value
-        table = {"table": [run.time[::2].tolist(), value[::2].tolist()]}
-        m.muscles[name] = m.muscles[name].model_copy(update={"excitation": Table(**table)})
-    forward = mbdkit.run(m, integrator={"name": "radau-iia"}, time={"end": 0.8, "step": 0.002})
-    np.testing.assert_allclose(forward["forearm"].angle[-1], 0.3, atol=5e-3)
-    largest = [float(one.muscles["brachialis"].force.max()) for one in (run, forward)]
-    assert largest[0] == pytest.approx(largest[1], rel=0.01)
