@@ -115,16 +115,13 @@ def asked_uncertainty(problem: InverseProblem) -> tuple[Uncertainty, bool] | Non
     Raises
     ------
     SpecError
-        If `uncertainty` and `recruitment.deviations` are both given, or if there are no error bars at all.
+        If `uncertainty` and `recruitment.deviations` are both given.
     """
     spec = problem.source
     short = None if spec.recruitment is None else spec.recruitment.deviations
     if short is not None and spec.uncertainty is not None:
         raise SpecError("is the short form of `uncertainty`, which is given too: remove one of them",
                         key="recruitment.deviations")  # fmt: skip
-    if isinstance(spec.uncertainty, Uncertainty) and spec.motion.errors == "none":
-        raise SpecError("has no effect, because `motion.errors: none` asks for no error bars: remove one of them",
-                        key="uncertainty")  # fmt: skip
     if short is not None:
         own = {key: getattr(short, key) for key in ("max_force", "optimal_length", "tendon_length", "samples")}
         return Uncertainty(**own), True
@@ -139,10 +136,14 @@ def sources_of(problem: InverseProblem) -> list[Source]:
     Raises
     ------
     SpecError
-        If the spec states the uncertainty of something that it does not have.
+        If the spec states the uncertainty of something that it does not have, or asks for no error bars.
     """
     asked = asked_uncertainty(problem)
-    return [] if asked is None else [*_Sources(problem, *asked).all()]
+    found = [] if asked is None else [*_Sources(problem, *asked).all()]
+    if isinstance(problem.source.uncertainty, Uncertainty) and problem.source.motion.errors == "none":
+        raise SpecError("has no effect, because `motion.errors: none` asks for no error bars: remove one of them",
+                        key="uncertainty")  # fmt: skip
+    return found
 
 
 def change_of(sources: Sequence[Source], values: np.ndarray) -> dict[Place, float]:
