@@ -36,7 +36,7 @@ def test_a_wheel_has_the_libraries_of_its_platform(target: Platform, tmp_path: P
         pytest.skip(f"no machine code is stored for {target}")
     wheel = built(target, tmp_path / "first")
     assert wheel.name.endswith(f"-py3-none-{TAGS[str(target)]}.whl")
-    if target == PLATFORMS[0]:
+    if target == next(iter(PLATFORMS)):
         assert wheel.read_bytes() == built(target, tmp_path / "second").read_bytes()
     with zipfile.ZipFile(wheel) as file:
         stored = {name: file.read(name) for name in file.namelist() if "/stored/" in name}
