@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import importlib
 import os
 import signal
@@ -9,6 +10,7 @@ import subprocess
 import sys
 import tempfile
 import time
+import traceback
 import warnings
 from collections.abc import Callable
 from pathlib import Path
@@ -41,12 +43,15 @@ class ForkedProcess:
         self.pid = os.fork()
         if not self.pid:
             status = 1
+            gc.freeze()  # a fork that closes an archive of its parent, as garbage of an earlier test, ends itself
             try:
                 _begin(folder, self._files[0].fileno(), self._files[1].fileno() if stderr is None else stderr)
                 function()
                 status = 0
             except SystemExit as end:
                 status = end.code if isinstance(end.code, int) else 1
+            except BaseException:
+                traceback.print_exc()
             finally:
                 sys.stdout.flush()
                 sys.stderr.flush()

@@ -8,8 +8,8 @@ from tests.benchmarks.drawn_persons import JOINTS, Tally, add_person
 
 
 def test_bars_of_a_drawn_person_contain_most_forces() -> None:
-    # The benchmark `persons` counts this for many: 96 %, with a standard deviation of 14 % between them, 2.5 of which are
-    # allowed. One person shows that no large source is missing: bars of the noise of the data alone contain 10 to 30 %.
+    # The benchmark `persons` counts this for many: 96 %, with a standard deviation of 14 % between them, of which 2.5
+    # are allowed. One person shows that no large source is missing: bars of the noise of the data contain 10 to 30 %.
     tally = Tally()
     add_person(tally, np.random.default_rng(1), samples=40)
     covered = {name: tally.row(name)[0] for name in tally.errors}
