@@ -7,6 +7,12 @@ K. Gupta, Journal of Computational and Applied Mathematics 12-13:77-90, 1985):
 
     q' = v + Phi_q^T mu,      v' = a,      M a + Phi_q^T lam = Q,      Phi = 0,      Phi_q v + Phi_t = 0
 
+With Radau IIA, the end of an interval is its last point. With Gauss, the state there follows from the collocation,
+q- and v-. It violates nonlinear constraints by the error of the interval, and is projected onto them, without which the
+method would lose its order (U. M. Ascher and L. R. Petzold, SIAM Journal on Numerical Analysis 28:1097-1120, 1991):
+
+    q = q- + Phi_q^T nu,      M v = M v- + Phi_q^T kappa,      Phi = 0,      Phi_q v + Phi_t = 0
+
 States are continuous from phase to phase, because the end of an interval is the start of the next one.
 """
 
@@ -53,7 +59,7 @@ class Mesh:
     values
         Arrays of the unknowns by name: ``q``, ``v``, ``a``, ``lam``, ``mu``, ``z``, ``u`` have a column for each of the
         N s points; ``start`` (2 n + Z,) is the state at the start, ``nodes`` are those at the ends of intervals, if
-        these are no points; ``duration`` (P,) and ``p``.
+        these are no points, and ``jumps`` (2 m, N) the multipliers nu and kappa there; ``duration`` (P,) and ``p``.
     iterations
         Number of iterations of the optimizer, on this mesh and those before.
     solution, program
@@ -120,6 +126,7 @@ class Transcription:
         if spec.phases:
             self._add_path(spec.subject_to, "subject_to", None)
         self._stage = self._stage_function()
+        self._projection = self._projection_function()
         self._idle = self._without_effect()
 
     def _add_path(self, conditions: Mapping[str, PathCondition], key: str, phase: int | None) -> None:
@@ -265,6 +272,24 @@ class Transcription:
         ]  # fmt: skip
         return ca.Function("point", [*given, mu], ca.cse(results))
 
+    def _projection_function(self) -> ca.Function:
+        """Return the function of the end of an interval with Gauss methods: what is zero in the projection.
+
+        Its arguments are the state, parameters and the time there, how far the state is from that of the collocation,
+        and the multipliers nu and kappa.
+        """
+        system, m, n = self.system, len(self.system.constraint_names), len(self.system.q0)
+        given = list(system.symbols.values())
+        position, velocity, _ = system.constraints(*given)
+        jacobian = ca.jacobian(position, system.q)
+        is_held = np.array(ca.which_depends(position, system.q, 1)) if m else np.zeros(n, dtype=bool)
+        mass = ca.if_else(ca.DM(is_held), ca.diag(ca.jacobian(system.residual(*given), system.a)), 1.0)
+        weight = ca.vertcat(ca.SX.ones(n), mass, ca.SX.ones(system.z.numel()))
+        shift, jumps = ca.SX.sym("shift", weight.numel()), ca.SX.sym("jumps", 2 * m)
+        pushes = ca.mtimes(jacobian.T, ca.reshape(jumps, m, 2)) if m else ca.SX.zeros(n, 2)
+        moved = weight * shift - ca.vertcat(ca.vec(pushes), ca.SX.zeros(system.z.numel()))
+        return self._at_node(moved, ca.vertcat(position, velocity), further=(shift, jumps))
+
     def _without_effect(self) -> np.ndarray:
         """Return which positions and velocities (2 n,) affect nothing, such as the angle of a point mass."""
         system, n = self.system, len(self.system.q0)
@@ -302,17 +327,17 @@ class Transcription:
         ]
         if self.has_nodes:
             whole = ca.mtimes(slopes, ca.kron(each, ca.DM(self.b))) * ca.repmat(h, states.shape[0], 1)
-            conditions.append(Condition("the collocation at the ends of intervals", ends - begins - whole))
+            at_ends = ca.mtimes(x["duration"].T, ca.DM(grid.starts + grid.lengths))
+            moved, joined = self._projection.map(count)(
+                ends, ca.repmat(x["p"], 1, count), at_ends, ends - begins - whole, x["jumps"]
+            )
+            conditions.append(Condition("the collocation at the ends of intervals", moved))
+            conditions.append(Condition("the joints at the ends of intervals", joined))
         start, end, duration = x["start"], ends[:, -1], ca.sum1(x["duration"])
         if len(system.constraint_names):
             rows: Any = ca.vertcat(*system.constraints(*system.symbols.values())[:2])
             closed = self._at_node(rows)
             conditions.append(Condition("the joints at the start", closed(start, x["p"], 0.0)))
-            if self.has_nodes:
-                position = ca.vertsplit(rows[: rows.numel() // 2])
-                curved = [k for k, row in enumerate(position) if not ca.is_linear(row, system.q)]
-                curved_rows = closed(end, x["p"], duration)[[*curved, *(k + len(position) for k in curved)]]
-                conditions.append(Condition("the joints at the end", curved_rows))  # the others follow from the points
         for name, (expression, low, high) in self._initial.items():
             conditions.append(Condition(name, self._at_node(expression)(start, x["p"], 0.0), low, high))
         for phase, last, at_end in zip(self.spec.whole, grid.ends_of_phases(), self._ends, strict=True):
@@ -366,7 +391,9 @@ class Transcription:
                 lower, upper = bounds["start"]
                 lower[row], upper[row] = max(lower[row], path.low), min(upper[row], path.high)
         if self.has_nodes:
-            bounds["nodes"] = tuple(np.full((2 * n + z, len(grid.phase)), side) for side in (-np.inf, np.inf))
+            for name, size in (("nodes", 2 * n + z), ("jumps", 2 * m)):
+                limit = np.full((size, len(grid.phase)), np.inf)
+                bounds[name] = -limit, limit
         return bounds
 
     @staticmethod
@@ -378,6 +405,7 @@ class Transcription:
         if self.has_nodes:
             states = np.vstack([values[name] for name in "qvz"])
             values["nodes"] = states[:, len(self.c) - 1 :: len(self.c)].copy()
+            values["jumps"] = np.zeros((2 * len(values["lam"]), values["nodes"].shape[1]))
         return values
 
     def _expression(self, text: str, key: str, *, at_node: bool = False) -> ca.SX:
@@ -399,13 +427,13 @@ class Transcription:
         """Return conditions on the state at the start or at the end, by key and text."""
         return {f"{key}: {text}": (self._expression(text, key, at_node=True), *sides) for text, sides in bounds.items()}
 
-    def _at_node(self, expression: ca.SX) -> ca.Function:
-        """Return an expression as a function of the state (2 n + Z,), the parameters and the time."""
+    def _at_node(self, *expressions: ca.SX, further: tuple[ca.SX, ...] = ()) -> ca.Function:
+        """Return expressions as a function of the state (2 n + Z,), the parameters, the time, and further symbols."""
         system = self.system
         state = ca.vertcat(system.q, system.v, system.z)
         unknown = {name: ca.SX.zeros(*system.symbols[name].shape) for name in OF_STATE}
-        plain = ca.substitute([expression], [system.symbols[name] for name in unknown], list(unknown.values()))
-        return ca.Function("node", [state, system.p, system.t], plain)
+        plain = ca.substitute([*expressions], [system.symbols[name] for name in unknown], list(unknown.values()))
+        return ca.Function("node", [state, system.p, system.t, *further], plain)
 
     def _nearest(self, q: np.ndarray, conditions: Mapping[str, tuple[ca.SX, float, float]], t: float) -> np.ndarray:
         """Return the positions nearest to `q` that satisfy the constraints, and conditions that are of positions only.
