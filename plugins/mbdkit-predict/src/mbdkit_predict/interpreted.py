@@ -2,7 +2,8 @@
 
 The source of kernels has no branches on numbers, because it is also compiled for lanes (several runs at once), with two
 exceptions: tables of motions, and laws that are called by address. These are executed once for each branch
-(`mbdkit_predict.symbols.every_branch`).
+(`mbdkit_predict.symbols.every_branch`), except the law of contacts, which searches among edges: its branches are merged
+(`mbdkit_predict.merged_branches`).
 """
 
 from __future__ import annotations
@@ -23,23 +24,13 @@ from mbdkit.engine.native.functions import LAWS
 from mbdkit.engine.native.kernel import Entry, Kernel, LawFunction
 from mbdkit.expressions import operations
 from mbdkit.mechanism.force_law import FunctionLaw
-from mbdkit_contact.kernels import contact_laws
+from mbdkit_contact.kernels import contact_laws, uneven_ground
+from mbdkit_predict.merged_branches import Numbers, merged, select
 from mbdkit_predict.symbols import BranchError, Symbol, apply, every_branch, largest, smallest, where
-
-
-class _OneRow(int):
-    """The number of rows of a contact, of which only one is evaluated."""
-
-    row: int
 
 
 def _number(x: Any) -> Any:
     return x if isinstance(x, Symbol) else float(x)
-
-
-def _range(*limits: int) -> Any:
-    last = limits[-1]
-    return (last.row,) if isinstance(last, _OneRow) else range(*limits)
 
 
 def _cosine_and_sine(x: Any) -> tuple[Any, Any]:
@@ -58,18 +49,34 @@ def _numbers_at(address: Any, first: int, count: int, like: Any) -> Any:
     return calls.numbers_at(int(address), first, int(count), 0.0).tolist()
 
 
-_BUILTINS = {"min": smallest, "max": largest, "float": _number, "range": _range}
+def _integers_at(address: Any, count: int) -> Any:
+    return calls.integers_at(int(address), int(count)).tolist()
+
+
+def _segment_at(x: np.ndarray, ground: int, count: int, px: Any) -> Any:
+    """Return the last segment that starts at or before a place; the search is not by bisection."""
+    last: Any = 0
+    for j in range(1, count):
+        last = select(x[ground + uneven_ground.SEGMENT * j] <= px, j, last)
+    return last
+
+
+MERGED = (contact_laws.__name__, uneven_ground.__name__)
+"""Modules whose functions search, so that their branches are merged."""
+_BUILTINS = {"min": smallest, "max": largest, "float": _number}
 _REPLACED: Mapping[Any, Callable[..., Any]] = {
     arithmetic.where: where,
     arithmetic.any_of: lambda condition: isinstance(condition, Symbol) or bool(condition),
     arithmetic.is_refused: lambda sound: False,
     arithmetic.renewed: lambda new, old, condition: where(condition, new, old),
+    calls.integers_at: _integers_at,
     calls.numbers_at: _numbers_at,
-    calls.new_registers: lambda count, like: np.full(count, 0.0, dtype=object),
+    calls.new_registers: lambda count, like: np.full(count, 0.0, dtype=object).view(Numbers),
     operations.where: where,
     angles.cosine_and_sine: _cosine_and_sine,
     angles.cosines_and_sines: _cosines_and_sines,
     equations.load_equations: lambda equations: equations,
+    uneven_ground._segment_at: _segment_at,
 }
 """Functions that compiled code replaces as well, or that need a form for symbols."""
 
@@ -102,10 +109,7 @@ class Interpreter:
             if isinstance(compiled.law, FunctionLaw):
                 self._functions[compiled.address] = compiled.law.function
         self._functions |= {law.address: law for law in LAWS.values()}
-        self._head: list[int] = []
-        self._known: dict[Any, Any] = {
-            **_REPLACED, calls.call_law: self.call_law, calls.integers_at: self._integers_at
-        }  # fmt: skip
+        self._known: dict[Any, Any] = {**_REPLACED, calls.call_law: self.call_law}
         execute, is_true = self(law_programs._execute), self(law_programs._is_true)
 
         def instruction(op: int, a: int, b: int, c: int, to: int, x: np.ndarray) -> None:
@@ -116,6 +120,8 @@ class Interpreter:
                 execute(op, a, b, c, to, x)
 
         self._known[law_programs._execute] = instruction
+        for window in (uneven_ground.window_around, uneven_ground.corners_window):
+            self._known[window] = self._bounded(self(window))
         polynomial = self(motions._piecewise_polynomial)
         self._known[motions._piecewise_polynomial] = lambda *given: every_branch(lambda: polynomial(*given))
 
@@ -125,10 +131,12 @@ class Interpreter:
             return self(function.function)
         if function in self._known:
             return self._known[function]
-        names = dict[str, Any](_BUILTINS)
+        original, names = function, dict[str, Any](_BUILTINS)
+        if function.__module__ in MERGED:
+            function = merged(function)
         cells = function.__closure__ and tuple(CellType() for _ in function.__closure__)
         translated = FunctionType(function.__code__, names, function.__name__, function.__defaults__, cells)
-        self._known[function] = translated
+        self._known[original] = translated
         used = {name: function.__globals__[name] for name in _names_in(function.__code__) & function.__globals__.keys()}
         names |= {name: self._replaced(value) for name, value in used.items()}
         for cell, given in zip(cells or (), function.__closure__ or (), strict=True):
@@ -144,6 +152,19 @@ class Interpreter:
             return self(value)
         return value
 
+    @staticmethod
+    def _bounded(window: Callable[..., Any]) -> Callable[..., Any]:
+        """Return a function for the segments that are searched: all of them, if the first search was not enough.
+
+        The distance that is searched is a number at first; it depends on the state once it is increased.
+        """
+
+        def segments(x: np.ndarray, at: int, sizes: tuple[int, int], *others: Any) -> Any:
+            is_first = not isinstance(others[-1], Symbol) or others[-1].sx.is_constant()
+            return window(x, at, sizes, *others) if is_first else (0, sizes[1] - 1)
+
+        return segments
+
     def call_law(
         self, address: int, program: int, length: Any, rate: Any, time: Any, parameters: np.ndarray, begin: int,
         out: np.ndarray, row: int, count: int,
@@ -154,7 +175,7 @@ class Interpreter:
         given = parameters[begin:]
         try:
             if law is contact_laws.contact:
-                self._call_contact(int(program), given, out[row:])
+                self(law)(int(program), length, rate, time, given.view(Numbers), out[row:].reshape(-1).view(Numbers))
             elif isinstance(law, LawFunction):
                 run = self(law)
 
@@ -169,31 +190,6 @@ class Interpreter:
                 out[row] = every_branch(lambda: function(length, rate, time, numbers))
         except BranchError as error:
             raise SpecError(f"{name} cannot be exported: {error}") from None
-
-    def _integers_at(self, address: int, count: int) -> Any:
-        """Return the integers at an address; those of the contact that is evaluated, with the row that is wanted."""
-        return self._head or calls.integers_at(int(address), int(count))
-
-    def _call_contact(self, program: int, given: np.ndarray, out: np.ndarray) -> None:
-        """Evaluate the contact of two shapes row by row, so that the numbers of their branches are not multiplied."""
-        head = calls.integers_at(program, contact_laws.ROWS + 1).tolist()
-        size = contact_laws.VALUE * head[-1] if head[contact_laws.MODE] == contact_laws.VALUES else 6
-        run = self(contact_laws.contact)
-
-        def results() -> Any:
-            values = np.full(size, 0.0, dtype=object)
-            run(program, 0.0, 0.0, 0.0, given, values)
-            return values
-
-        total = [0.0] * size
-        for row in range(head[-1]):
-            self._head = [*head[:-1], _OneRow(head[-1])]
-            self._head[-1].row = row  # type: ignore[attr-defined]
-            try:
-                total = [x + y for x, y in zip(total, every_branch(results), strict=True)]
-            finally:
-                self._head = []
-        out.reshape(-1)[:size] = total
 
 
 def _names_in(code: CodeType) -> set[str]:

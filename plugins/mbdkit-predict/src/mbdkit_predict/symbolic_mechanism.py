@@ -218,15 +218,14 @@ class SymbolicMechanism:
 
 
 def _check(mechanism: CompiledMechanism) -> None:
-    """Raise SpecError for a contact that is rigid, or whose shapes touch along edges that have to be searched."""
+    """Raise SpecError for a rigid contact."""
     for contact in mechanism.extensions.get("contacts", ()):
         if contact.first_state >= 0:
-            reason = "is rigid, so that its force is not a function of the state; give it a `compliance`"
-        elif contact.pair.kind[0] in ("edge", "inside", "polyline"):
-            reason = "cannot be exported, because a search finds the edge that it touches; use lines, circles or points"
-        else:
-            continue
-        raise SpecError(f"contact '{contact.pair.name}' {reason}", key=contact.pair.key)
+            raise SpecError(
+                f"contact '{contact.pair.name}' is rigid, so that its force is not a function of the state; give it a "
+                "`compliance`",
+                key=contact.pair.key,
+            )
 
 
 def _elements(vector: ca.SX) -> list[Symbol]:

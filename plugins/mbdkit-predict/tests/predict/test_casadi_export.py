@@ -130,10 +130,10 @@ def test_examples_are_those_of_the_machine_code(name: str) -> None:
     check(load_spec(name).mechanism())
 
 
-@pytest.mark.parametrize("name", ["circles", "hole", "circle before hole", "circle before line", "corners on a line"])
+@pytest.mark.parametrize("name", PAIRS)
 def test_contacts_are_those_of_the_machine_code(name: str) -> None:
     shapes, at, angle = PAIRS[name]
-    check(two_bodies(*shapes, at, angle), spread=0.01)
+    check(two_bodies(*shapes, at, angle), spread=0.03)
 
 
 @pytest.mark.parametrize(
@@ -323,10 +323,7 @@ def test_muscles_without_excitation_need_a_control() -> None:
     assert m.to_casadi(controls=["muscles.long.excitation"]).u0.tolist() == [0.0]
 
 
-def test_contacts_that_cannot_be_exported_are_named() -> None:
-    shapes, at, angle = PAIRS["polygons"]
-    with pytest.raises(SpecError, match=r"contact 'c\.0' cannot be exported"):
-        two_bodies(*shapes, at, angle).to_casadi()
+def test_rigid_contacts_are_named() -> None:
     with pytest.raises(SpecError, match=r"contact 'sole\.0' is rigid"):
         load_spec("jump").mechanism().to_casadi()
 

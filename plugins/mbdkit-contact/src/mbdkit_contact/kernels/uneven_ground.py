@@ -119,37 +119,34 @@ def touched_part(x, at, sizes, row, p, turn, window, exact):
     n, ground = sizes[0], at + OWN + EDGE * sizes[0]
     corner, color = (row % n, row // n) if n > 0 else (0, row)
     px, py = p
-    j, last = window
-    best, part, acts = FAR + 0.0 * px, 2 * j, False
-    while j <= last:
-        if x[ground + SEGMENT * j + COLOR] != color:
-            j += 1
+    best, part, acts = FAR + 0.0 * px, 2 * window[0], False
+    highest, top, is_over, is_outside = -FAR + 0.0 * px, 2 * window[0], False, False
+    least, nearest = FAR + 0.0 * px, 2 * window[0]
+    for j in range(window[0], window[1] + 1):
+        k = ground + SEGMENT * j
+        if x[k + COLOR] != color:
             continue
-        highest, top, is_over, is_outside = -FAR + 0.0 * px, 2 * j, False, False
-        least, nearest = FAR + 0.0 * px, 2 * j
-        while j <= last and x[ground + SEGMENT * j + COLOR] == color:
-            k = ground + SEGMENT * j
-            height, along = height_over_segment(x, k, px, py)
-            is_outside = is_outside or height > exact
-            own, past, faces = 2 * j, 0.0 * height, n == 0 or _faces(x, at, n, corner, k, turn)
-            if along > x[k + HIGH]:
-                past, own = along - x[k + HIGH], -1
-            elif along < x[k + LOW]:
-                past, own = along - x[k + LOW], -1
-            square = height * height + past * past
-            if square < least:
-                least, nearest = square, 2 * j
-            may_touch = x[k + TURN] < 0.0 or (x[k + TURN] > 0.0 and n == 0)
-            if (
-                along < x[k + LOW]
-                and may_touch
-                and height_over_segment(x, k - SEGMENT, px, py)[1] > x[k - SEGMENT + HIGH]
-            ):
-                own, height = 2 * j + 1, x[k + TURN] * sqrt(height * height + along * along)
-                faces = faces or _faces(x, at, n, corner, k - SEGMENT, turn)
-            if own >= 0 and faces and height >= -x[k + DEPTH] and height > highest:
-                highest, top, is_over = height, own, True
-            j += 1
+        if j == window[0] or x[k - SEGMENT + COLOR] != color:  # a piece begins
+            highest, top, is_over, is_outside = -FAR + 0.0 * px, 2 * j, False, False
+            least, nearest = FAR + 0.0 * px, 2 * j
+        height, along = height_over_segment(x, k, px, py)
+        is_outside = is_outside or height > exact
+        own, past, faces = 2 * j, 0.0 * height, n == 0 or _faces(x, at, n, corner, k, turn)
+        if along > x[k + HIGH]:
+            past, own = along - x[k + HIGH], -1
+        elif along < x[k + LOW]:
+            past, own = along - x[k + LOW], -1
+        square = height * height + past * past
+        if square < least:
+            least, nearest = square, 2 * j
+        may_touch = x[k + TURN] < 0.0 or (x[k + TURN] > 0.0 and n == 0)
+        if along < x[k + LOW] and may_touch and height_over_segment(x, k - SEGMENT, px, py)[1] > x[k - SEGMENT + HIGH]:
+            own, height = 2 * j + 1, x[k + TURN] * sqrt(height * height + along * along)
+            faces = faces or _faces(x, at, n, corner, k - SEGMENT, turn)
+        if own >= 0 and faces and height >= -x[k + DEPTH] and height > highest:
+            highest, top, is_over = height, own, True
+        if j < window[1] and x[k + SEGMENT + COLOR] == color:
+            continue
         if not is_over or (is_outside and highest < 0.0):
             highest, top, is_over = sqrt(least), nearest, False
         if highest < best:
