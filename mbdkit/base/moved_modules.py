@@ -39,11 +39,13 @@ _SAME_NAME = {
         spec.study_spec spec.value_sets""",
     "mbdkit_taylor": "engine.known_series methods.taylor",
     "mbdkit_taylor.kernels": "engine.kernels.power_series engine.kernels.tree_series integrators.taylor_series",
-    "mbdkit_testing": "archive.history_columns archive.layout_document guide.item_places scaffold spec.spec_page",
+    "mbdkit_testing": """
+        archive.history_columns archive.layout_document guide.item_places registry.describe scaffold spec.spec_page""",
 }
 """Modules, without the prefix ``mbdkit.``, that kept the last part of their name, by their new packages."""
 
 _OTHER_NAME = {
+    "cli.plugins": "mbdkit_testing.commands",
     "designs": "mbdkit_design",
     "engine.compiler": "mbdkit_builder",
     "engine.contact_forces": "mbdkit_contact.acting_contacts",
