@@ -30,7 +30,9 @@ _SAME_NAME = {
     "mbdkit_explore": "mechanism.unit_of_use",
     "mbdkit_gradients": """
         integrators.differentiated_laws integrators.differentiated_sampling integrators.differentiated_stepper""",
-    "mbdkit_report": "analysis archive.export archive.table_formats figures notebook plot spec.key_words",
+    "mbdkit_report": """
+        analysis archive.export archive.group_table archive.table_formats archive.xarray_tree figures notebook plot
+        spec.key_words""",
     "mbdkit_statics": "mechanism.symbolic_system plot.equilibrium_plot plot.mode_shapes",
     "mbdkit_studies": """
         analysis.cost analysis.sample_statistics analysis.sobol_indices archive.block_writer archive.blocks
