@@ -45,12 +45,6 @@ COMMANDS = (
     _command(130, "rerun", "Run the spec of an archive again and compare the results.", "runs:rerun"),
     _command(140, "guide", "List the pages of the guide, print one, or search them.", "specs:guide"),
     Command(name="schema", summary="Print the JSON schema of a spec, for editors.", order=170),
-    Command(name="plugins", summary="List, verify and diagnose plugins; `new` creates one.", order=180),
-    _command(10, "plugins list", "List installed plugins, and those that could not be loaded.", "plugins:plugins_list"),
-    _command(20, "plugins show", "Show the options, claims and references of a plugin.", "plugins:plugins_show"),
-    _command(
-        40, "plugins doctor", "Show the plugins, the machine code in use, and any problems.", "plugins:plugins_doctor"
-    ),
     _command(190, "examples", "List the packaged examples, or copy one.", "specs:examples_app"),
     Command(name="archive", summary="Describe, check, compare and export run archives.", order=200),
     _command(10, "archive info", "Describe run archives.", "archives:archive_info"),

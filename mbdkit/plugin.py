@@ -11,125 +11,188 @@ from typing import TYPE_CHECKING
 
 from mbdkit.base.lazy_names import lazy
 
-if TYPE_CHECKING:
-    from mbdkit.archive.accuracy import Accuracy
-    from mbdkit.archive.finished_run import FinishedRun
-    from mbdkit.archive.headlines import Headline, headline_texts, plus_minus
-    from mbdkit.archive.reader import load
-    from mbdkit.archive.run import Run
-    from mbdkit.base.errors import (
-        MbdkitError,
-        PluginError,
-        ResourceError,
-        RunError,
-        SpecError,
-        StepError,
-        UnsupportedMechanismError,
-        file_error,
-    )
-    from mbdkit.base.files import check_output, check_suffix, replacing
-    from mbdkit.base.files_read import read_data
-    from mbdkit.base.plain_data import copied, parse_path, path_text, plain, quoted, value_text
-    from mbdkit.base.progress_bars import progress_bar
-    from mbdkit.base.strict_model import StrictModel
-    from mbdkit.base.terminal import say, show, show_json, silence
-    from mbdkit.base.text import counted, did_you_mean, listed, one_line, shown, table
-    from mbdkit.base.units import Unit, read_quantity, read_unit
-    from mbdkit.cli.common_options import (
-        Archive,
-        AsJson,
-        Debug,
-        Overwrite,
-        Printing,
-        Quiet,
-        Set,
-        check_new,
-        grouped,
-        output_to,
-        stem,
-    )
-    from mbdkit.engine.compile_forces import Lowering
-    from mbdkit.engine.compiled_mechanism import ActingForce, CompiledMechanism, LawForce
-    from mbdkit.engine.equations_of_motion import EquationsOfMotion
-    from mbdkit.engine.iteration_matrix import IterationMatrix, IterationMatrixWithStates, StateTangents
-    from mbdkit.engine.kernels.observe import Observed
-    from mbdkit.engine.nearest_state import nearest_positions, nearest_velocities
-    from mbdkit.engine.observed_states import StateObserver
-    from mbdkit.engine.state_derivatives import Rates
-    from mbdkit.engine.tangents import Tangents
-    from mbdkit.engine.workspace import Workspace
-    from mbdkit.mechanism.bodies import GROUND, Body, Element
-    from mbdkit.mechanism.coordinate_function import CoordinateFunction
-    from mbdkit.mechanism.force_law import ExpressionLaw, FunctionLaw, LawState, TracedLaw
-    from mbdkit.mechanism.joint_friction import regularised_friction
-    from mbdkit.mechanism.joints import Driver, Joint, Revolute
-    from mbdkit.mechanism.mechanism import Mechanism
-    from mbdkit.mechanism.model_methods import of_models
-    from mbdkit.mechanism.pathways import LineForce, Pathway, Segment
-    from mbdkit.mechanism.quantity_names import QuantityNames
-    from mbdkit.mechanism.state_values import Expression
-    from mbdkit.mechanism.values import NotNegative, Number, Point, Positive, Table
-    from mbdkit.methods.kinds import (
-        ExplicitRungeKutta,
-        ImplicitRungeKutta,
-        Method,
-        Tolerances,
-        Traits,
-    )
-    from mbdkit.methods.method_options import ImplicitOptions, Options
-    from mbdkit.methods.scipy_solver import SciPySolver
-    from mbdkit.methods.step_methods import ExternalMethod, Step, StepEvent, StepMethod, StepState, Why
-    from mbdkit.methods.tableau import ButcherTableau, EmbeddedPair, TableauError, collocation
-    from mbdkit.quantities.array import Array, Chart, Kind, Recorded
-    from mbdkit.quantities.entries import AXIS, JOINT, name_array, quantity_group, unit_array
-    from mbdkit.quantities.names import archive_names, with_members
-    from mbdkit.quantities.registered_kinds import kind_of_group, sizes_of
-    from mbdkit.quantities.states import States
-    from mbdkit.registry.element_items import ElementKind, QuantityKind
-    from mbdkit.registry.feature_items import (
-        Accessor,
-        CriterionItem,
-        Example,
-        FileFormat,
-        GuidePage,
-        HeadlineItem,
-        PlotKind,
-        ReportSection,
-        SpecKind,
-        SummaryLine,
-        TableFormat,
-        Treatment,
-        ViewItem,
-    )
-    from mbdkit.registry.hookspecs import hookimpl
-    from mbdkit.registry.item import Item
-    from mbdkit.registry.items import (
-        Claims,
-        Command,
-        ForceLawPlugin,
-        IntegratorPlugin,
-        MeasurePlugin,
-        ModelPlugin,
-        Orders,
-        StudyPlugin,
-    )
-    from mbdkit.registry.target import Target
-    from mbdkit.registry.use import use
-    from mbdkit.runs.findings import findings
-    from mbdkit.runs.preparation import build, caution
-    from mbdkit.runs.simulation import run, simulate
-    from mbdkit.spec.item_names import TreatmentName
-    from mbdkit.spec.loading import example_names, loaded, read_source
-    from mbdkit.spec.model_spec import ModelSpec, StrictSpec
-    from mbdkit.spec.reading import Document, parse_key, put, read_file, set_value
-    from mbdkit.spec.run_spec import RunSpec
-    from mbdkit.spec.sections import Count, Section
-    from mbdkit.spec.study_measures import DefinedMeasure, defined
-    from mbdkit.spec.varied_specs import VariedSpecs
-    from mbdkit.spec.yaml_reader import write_yaml
-    from mbdkit.trust.criteria import Evidence, Judgement, Level, judge
-    from mbdkit.trust.finding import Finding, accepted_doubts, open_doubts
-    from mbdkit_studies.prepared_run import PreparedRun, prepare
+if TYPE_CHECKING:  # an alias exports a name for type checkers
+    from mbdkit.archive.accuracy import Accuracy as Accuracy
+    from mbdkit.archive.finished_run import FinishedRun as FinishedRun
+    from mbdkit.archive.headlines import Headline as Headline
+    from mbdkit.archive.headlines import headline_texts as headline_texts
+    from mbdkit.archive.headlines import plus_minus as plus_minus
+    from mbdkit.archive.reader import load as load
+    from mbdkit.archive.run import Run as Run
+    from mbdkit.base.errors import MbdkitError as MbdkitError
+    from mbdkit.base.errors import PluginError as PluginError
+    from mbdkit.base.errors import ResourceError as ResourceError
+    from mbdkit.base.errors import RunError as RunError
+    from mbdkit.base.errors import SpecError as SpecError
+    from mbdkit.base.errors import StepError as StepError
+    from mbdkit.base.errors import UnsupportedMechanismError as UnsupportedMechanismError
+    from mbdkit.base.errors import file_error as file_error
+    from mbdkit.base.files import check_output as check_output
+    from mbdkit.base.files import check_suffix as check_suffix
+    from mbdkit.base.files import replacing as replacing
+    from mbdkit.base.files_read import read_data as read_data
+    from mbdkit.base.plain_data import copied as copied
+    from mbdkit.base.plain_data import parse_path as parse_path
+    from mbdkit.base.plain_data import path_text as path_text
+    from mbdkit.base.plain_data import plain as plain
+    from mbdkit.base.plain_data import quoted as quoted
+    from mbdkit.base.plain_data import value_text as value_text
+    from mbdkit.base.progress_bars import progress_bar as progress_bar
+    from mbdkit.base.strict_model import StrictModel as StrictModel
+    from mbdkit.base.terminal import say as say
+    from mbdkit.base.terminal import show as show
+    from mbdkit.base.terminal import show_json as show_json
+    from mbdkit.base.terminal import silence as silence
+    from mbdkit.base.text import counted as counted
+    from mbdkit.base.text import did_you_mean as did_you_mean
+    from mbdkit.base.text import listed as listed
+    from mbdkit.base.text import one_line as one_line
+    from mbdkit.base.text import shown as shown
+    from mbdkit.base.text import table as table
+    from mbdkit.base.units import Unit as Unit
+    from mbdkit.base.units import read_quantity as read_quantity
+    from mbdkit.base.units import read_unit as read_unit
+    from mbdkit.cli.common_options import Archive as Archive
+    from mbdkit.cli.common_options import AsJson as AsJson
+    from mbdkit.cli.common_options import Debug as Debug
+    from mbdkit.cli.common_options import Overwrite as Overwrite
+    from mbdkit.cli.common_options import Printing as Printing
+    from mbdkit.cli.common_options import Quiet as Quiet
+    from mbdkit.cli.common_options import Set as Set
+    from mbdkit.cli.common_options import check_new as check_new
+    from mbdkit.cli.common_options import grouped as grouped
+    from mbdkit.cli.common_options import output_to as output_to
+    from mbdkit.cli.common_options import stem as stem
+    from mbdkit.engine.compile_forces import Lowering as Lowering
+    from mbdkit.engine.compiled_mechanism import ActingForce as ActingForce
+    from mbdkit.engine.compiled_mechanism import CompiledMechanism as CompiledMechanism
+    from mbdkit.engine.compiled_mechanism import LawForce as LawForce
+    from mbdkit.engine.equations_of_motion import EquationsOfMotion as EquationsOfMotion
+    from mbdkit.engine.iteration_matrix import IterationMatrix as IterationMatrix
+    from mbdkit.engine.iteration_matrix import IterationMatrixWithStates as IterationMatrixWithStates
+    from mbdkit.engine.iteration_matrix import StateTangents as StateTangents
+    from mbdkit.engine.kernels.observe import Observed as Observed
+    from mbdkit.engine.nearest_state import nearest_positions as nearest_positions
+    from mbdkit.engine.nearest_state import nearest_velocities as nearest_velocities
+    from mbdkit.engine.observed_states import StateObserver as StateObserver
+    from mbdkit.engine.state_derivatives import Rates as Rates
+    from mbdkit.engine.tangents import Tangents as Tangents
+    from mbdkit.engine.workspace import Workspace as Workspace
+    from mbdkit.mechanism.bodies import GROUND as GROUND
+    from mbdkit.mechanism.bodies import Body as Body
+    from mbdkit.mechanism.bodies import Element as Element
+    from mbdkit.mechanism.coordinate_function import CoordinateFunction as CoordinateFunction
+    from mbdkit.mechanism.force_law import ExpressionLaw as ExpressionLaw
+    from mbdkit.mechanism.force_law import FunctionLaw as FunctionLaw
+    from mbdkit.mechanism.force_law import LawState as LawState
+    from mbdkit.mechanism.force_law import TracedLaw as TracedLaw
+    from mbdkit.mechanism.joint_friction import regularised_friction as regularised_friction
+    from mbdkit.mechanism.joints import Driver as Driver
+    from mbdkit.mechanism.joints import Joint as Joint
+    from mbdkit.mechanism.joints import Revolute as Revolute
+    from mbdkit.mechanism.mechanism import Mechanism as Mechanism
+    from mbdkit.mechanism.model_methods import of_models as of_models
+    from mbdkit.mechanism.pathways import LineForce as LineForce
+    from mbdkit.mechanism.pathways import Pathway as Pathway
+    from mbdkit.mechanism.pathways import Segment as Segment
+    from mbdkit.mechanism.quantity_names import QuantityNames as QuantityNames
+    from mbdkit.mechanism.state_values import Expression as Expression
+    from mbdkit.mechanism.values import NotNegative as NotNegative
+    from mbdkit.mechanism.values import Number as Number
+    from mbdkit.mechanism.values import Point as Point
+    from mbdkit.mechanism.values import Positive as Positive
+    from mbdkit.mechanism.values import Table as Table
+    from mbdkit.methods.kinds import ExplicitRungeKutta as ExplicitRungeKutta
+    from mbdkit.methods.kinds import ImplicitRungeKutta as ImplicitRungeKutta
+    from mbdkit.methods.kinds import Method as Method
+    from mbdkit.methods.kinds import Tolerances as Tolerances
+    from mbdkit.methods.kinds import Traits as Traits
+    from mbdkit.methods.method_options import ImplicitOptions as ImplicitOptions
+    from mbdkit.methods.method_options import Options as Options
+    from mbdkit.methods.scipy_solver import SciPySolver as SciPySolver
+    from mbdkit.methods.step_methods import ExternalMethod as ExternalMethod
+    from mbdkit.methods.step_methods import Step as Step
+    from mbdkit.methods.step_methods import StepEvent as StepEvent
+    from mbdkit.methods.step_methods import StepMethod as StepMethod
+    from mbdkit.methods.step_methods import StepState as StepState
+    from mbdkit.methods.step_methods import Why as Why
+    from mbdkit.methods.tableau import ButcherTableau as ButcherTableau
+    from mbdkit.methods.tableau import EmbeddedPair as EmbeddedPair
+    from mbdkit.methods.tableau import TableauError as TableauError
+    from mbdkit.methods.tableau import collocation as collocation
+    from mbdkit.quantities.array import Array as Array
+    from mbdkit.quantities.array import Chart as Chart
+    from mbdkit.quantities.array import Kind as Kind
+    from mbdkit.quantities.array import Recorded as Recorded
+    from mbdkit.quantities.entries import AXIS as AXIS
+    from mbdkit.quantities.entries import JOINT as JOINT
+    from mbdkit.quantities.entries import name_array as name_array
+    from mbdkit.quantities.entries import quantity_group as quantity_group
+    from mbdkit.quantities.entries import unit_array as unit_array
+    from mbdkit.quantities.names import archive_names as archive_names
+    from mbdkit.quantities.names import with_members as with_members
+    from mbdkit.quantities.registered_kinds import kind_of_group as kind_of_group
+    from mbdkit.quantities.registered_kinds import sizes_of as sizes_of
+    from mbdkit.quantities.states import States as States
+    from mbdkit.registry.element_items import ElementKind as ElementKind
+    from mbdkit.registry.element_items import QuantityKind as QuantityKind
+    from mbdkit.registry.feature_items import Accessor as Accessor
+    from mbdkit.registry.feature_items import CriterionItem as CriterionItem
+    from mbdkit.registry.feature_items import Example as Example
+    from mbdkit.registry.feature_items import FileFormat as FileFormat
+    from mbdkit.registry.feature_items import GuidePage as GuidePage
+    from mbdkit.registry.feature_items import HeadlineItem as HeadlineItem
+    from mbdkit.registry.feature_items import PlotKind as PlotKind
+    from mbdkit.registry.feature_items import ReportSection as ReportSection
+    from mbdkit.registry.feature_items import SpecKind as SpecKind
+    from mbdkit.registry.feature_items import SummaryLine as SummaryLine
+    from mbdkit.registry.feature_items import TableFormat as TableFormat
+    from mbdkit.registry.feature_items import Treatment as Treatment
+    from mbdkit.registry.feature_items import ViewItem as ViewItem
+    from mbdkit.registry.hookspecs import hookimpl as hookimpl
+    from mbdkit.registry.item import Item as Item
+    from mbdkit.registry.items import Claims as Claims
+    from mbdkit.registry.items import Command as Command
+    from mbdkit.registry.items import ForceLawPlugin as ForceLawPlugin
+    from mbdkit.registry.items import IntegratorPlugin as IntegratorPlugin
+    from mbdkit.registry.items import MeasurePlugin as MeasurePlugin
+    from mbdkit.registry.items import ModelPlugin as ModelPlugin
+    from mbdkit.registry.items import Orders as Orders
+    from mbdkit.registry.items import StudyPlugin as StudyPlugin
+    from mbdkit.registry.target import Target as Target
+    from mbdkit.registry.use import use as use
+    from mbdkit.runs.findings import findings as findings
+    from mbdkit.runs.preparation import build as build
+    from mbdkit.runs.preparation import caution as caution
+    from mbdkit.runs.simulation import run as run
+    from mbdkit.runs.simulation import simulate as simulate
+    from mbdkit.spec.item_names import TreatmentName as TreatmentName
+    from mbdkit.spec.loading import example_names as example_names
+    from mbdkit.spec.loading import loaded as loaded
+    from mbdkit.spec.loading import read_source as read_source
+    from mbdkit.spec.model_spec import ModelSpec as ModelSpec
+    from mbdkit.spec.model_spec import StrictSpec as StrictSpec
+    from mbdkit.spec.reading import Document as Document
+    from mbdkit.spec.reading import parse_key as parse_key
+    from mbdkit.spec.reading import put as put
+    from mbdkit.spec.reading import read_file as read_file
+    from mbdkit.spec.reading import set_value as set_value
+    from mbdkit.spec.run_spec import RunSpec as RunSpec
+    from mbdkit.spec.sections import Count as Count
+    from mbdkit.spec.sections import Section as Section
+    from mbdkit.spec.study_measures import DefinedMeasure as DefinedMeasure
+    from mbdkit.spec.study_measures import defined as defined
+    from mbdkit.spec.varied_specs import VariedSpecs as VariedSpecs
+    from mbdkit.spec.yaml_reader import write_yaml as write_yaml
+    from mbdkit.trust.criteria import Evidence as Evidence
+    from mbdkit.trust.criteria import Judgement as Judgement
+    from mbdkit.trust.criteria import Level as Level
+    from mbdkit.trust.criteria import judge as judge
+    from mbdkit.trust.finding import Finding as Finding
+    from mbdkit.trust.finding import accepted_doubts as accepted_doubts
+    from mbdkit.trust.finding import open_doubts as open_doubts
+    from mbdkit_studies.prepared_run import PreparedRun as PreparedRun
+    from mbdkit_studies.prepared_run import prepare as prepare
 
 _STABLE = {
     "mbdkit.base.files_read": "read_data",
@@ -221,194 +284,10 @@ STABLE = frozenset(name for names in _STABLE.values() for name in names.split())
 
 _HOME = {name: module for table in (_STABLE, _OWN) for module, names in table.items() for name in names.split()}
 
-__all__ = [
-    "AXIS",
-    "GROUND",
-    "JOINT",
-    "STABLE",
-    "Accessor",
-    "Accuracy",
-    "ActingForce",
-    "Archive",
-    "Array",
-    "AsJson",
-    "Body",
-    "ButcherTableau",
-    "Chart",
-    "Claims",
-    "Command",
-    "CompiledMechanism",
-    "CoordinateFunction",
-    "Count",
-    "CriterionItem",
-    "Debug",
-    "DefinedMeasure",
-    "Document",
-    "Driver",
-    "Element",
-    "ElementKind",
-    "EmbeddedPair",
-    "EquationsOfMotion",
-    "Evidence",
-    "Example",
-    "ExplicitRungeKutta",
-    "Expression",
-    "ExpressionLaw",
-    "ExternalMethod",
-    "FileFormat",
-    "Finding",
-    "FinishedRun",
-    "ForceLawPlugin",
-    "FunctionLaw",
-    "GuidePage",
-    "Headline",
-    "HeadlineItem",
-    "ImplicitOptions",
-    "ImplicitRungeKutta",
-    "IntegratorPlugin",
-    "Item",
-    "IterationMatrix",
-    "IterationMatrixWithStates",
-    "Joint",
-    "Judgement",
-    "Kind",
-    "LawForce",
-    "LawState",
-    "Level",
-    "LineForce",
-    "Lowering",
-    "MbdkitError",
-    "MeasurePlugin",
-    "Mechanism",
-    "Method",
-    "ModelPlugin",
-    "ModelSpec",
-    "NotNegative",
-    "Number",
-    "Observed",
-    "Options",
-    "Orders",
-    "Overwrite",
-    "Pathway",
-    "PlotKind",
-    "PluginError",
-    "Point",
-    "Positive",
-    "PreparedRun",
-    "Printing",
-    "QuantityKind",
-    "QuantityNames",
-    "Quiet",
-    "Rates",
-    "Recorded",
-    "ReportSection",
-    "ResourceError",
-    "Revolute",
-    "Run",
-    "RunError",
-    "RunSpec",
-    "SciPySolver",
-    "Section",
-    "Segment",
-    "Set",
-    "SpecError",
-    "SpecKind",
-    "StateObserver",
-    "StateTangents",
-    "States",
-    "Step",
-    "StepError",
-    "StepEvent",
-    "StepMethod",
-    "StepState",
-    "StrictModel",
-    "StrictSpec",
-    "StudyPlugin",
-    "SummaryLine",
-    "Table",
-    "TableFormat",
-    "TableauError",
-    "Tangents",
-    "Target",
-    "Tolerances",
-    "TracedLaw",
-    "Traits",
-    "Treatment",
-    "TreatmentName",
-    "Unit",
-    "UnsupportedMechanismError",
-    "VariedSpecs",
-    "ViewItem",
-    "Why",
-    "Workspace",
-    "accepted_doubts",
-    "archive_names",
-    "build",
-    "caution",
-    "check_new",
-    "check_output",
-    "check_suffix",
-    "collocation",
-    "copied",
-    "counted",
-    "defined",
-    "did_you_mean",
-    "example_names",
-    "file_error",
-    "findings",
-    "grouped",
-    "headline_texts",
-    "hookimpl",
-    "judge",
-    "kind_of_group",
-    "listed",
-    "load",
-    "loaded",
-    "name_array",
-    "nearest_positions",
-    "nearest_velocities",
-    "of_models",
-    "one_line",
-    "open_doubts",
-    "output_to",
-    "parse_key",
-    "parse_path",
-    "path_text",
-    "plain",
-    "plus_minus",
-    "prepare",
-    "progress_bar",
-    "put",
-    "quantity_group",
-    "quoted",
-    "read_data",
-    "read_file",
-    "read_quantity",
-    "read_source",
-    "read_unit",
-    "regularised_friction",
-    "replacing",
-    "run",
-    "say",
-    "set_value",
-    "show",
-    "show_json",
-    "shown",
-    "silence",
-    "simulate",
-    "sizes_of",
-    "stem",
-    "table",
-    "unit_array",
-    "use",
-    "value_text",
-    "with_members",
-    "write_yaml",
-]
-
 if not TYPE_CHECKING:  # type checkers see only the names above
+    __all__ = ["STABLE", *_HOME]
     __getattr__ = lazy(globals(), _HOME)
 
 
 def __dir__() -> list[str]:
-    return sorted(__all__)
+    return sorted(["STABLE", *_HOME])

@@ -57,6 +57,8 @@ def test_example_runs_with_every_integrator_and_is_read_again(integrator, name, 
         (lambda: load_spec("pendulum").mechanism().to_casadi(), "Mechanism.to_casadi needs mbdkit-predict"),
         (lambda: mbdkit.run("pendulum").plot, "Run.plot needs mbdkit-report"),
         (lambda: mbdkit.run("pendulum").animate(), "Run.animate needs mbdkit-report"),
+        (lambda: mbdkit.run("pendulum").to_frame("joints"), "Run.to_frame needs mbdkit-report"),
+        (lambda: mbdkit.run("pendulum").to_xarray(), "Run.to_xarray needs mbdkit-report"),
     ],
 )
 def test_what_a_part_offers_is_refused_in_one_sentence(use, part):

@@ -16,6 +16,7 @@ from types import TracebackType
 from typing import Any
 
 import pytest
+from threadpoolctl import threadpool_limits
 from typer.testing import CliRunner
 
 from mbdkit.base.errors import MissingPartError
@@ -34,7 +35,12 @@ def pytest_configure(config: pytest.Config) -> None:
 
     Also restore SIGINT where the shell started the tests with SIGINT ignored, as it does for background jobs. Processes
     that tests start and interrupt would inherit that.
+
+    Linear algebra has one thread, as in runs and commands. Further threads wait in loops for their next call, at the
+    cost of the other process of tests. Tests about threads ask for several themselves.
     """
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # for processes that are started, those of xdist among them
+    threadpool_limits(1, user_api="blas")
     if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
         signal.signal(signal.SIGINT, signal.default_int_handler)
     if os.environ.pop("PYTHONDONTWRITEBYTECODE", None) and "PYTHONPYCACHEPREFIX" not in os.environ:

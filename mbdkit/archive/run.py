@@ -317,10 +317,10 @@ class Run(RecordedData, HtmlView):
         >>> tree["joints"]["reaction_force"].dims
         ('time', 'joint', 'axis')
         """
-        from mbdkit.archive.xarray_tree import to_datatree
-
+        rows = self._contents.whole_rows if self.status == "running" else {}
         with reading("its contents", self.path):
-            return to_datatree(self.file, self._contents.whole_rows if self.status == "running" else {})
+            tree: xarray.DataTree = higher_layers.run_datatree(self.file, rows)
+        return tree
 
     def to_frame(self, group: str) -> pandas.DataFrame:
         """Return a group of the archive as a table with one row for each time in the group.

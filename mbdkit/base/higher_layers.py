@@ -42,6 +42,9 @@ run_summary: Callable[[Any], str]
 run_frame: Callable[[Any, str], Any]
 """Returns a group of a run as a pandas DataFrame."""
 
+run_datatree: Callable[[Any, Any], Any]
+"""Returns an open archive as an xarray DataTree, with some numbers of rows."""
+
 html_of: Callable[[Any], str] = repr
 """Returns an object as HTML, as notebooks show it."""
 

@@ -30,7 +30,9 @@ _SAME_NAME = {
     "mbdkit_explore": "mechanism.unit_of_use",
     "mbdkit_gradients": """
         integrators.differentiated_laws integrators.differentiated_sampling integrators.differentiated_stepper""",
-    "mbdkit_report": "analysis archive.export archive.table_formats figures notebook plot spec.key_words",
+    "mbdkit_report": """
+        analysis archive.export archive.group_table archive.table_formats archive.xarray_tree figures notebook plot
+        spec.key_words""",
     "mbdkit_statics": "mechanism.symbolic_system plot.equilibrium_plot plot.mode_shapes",
     "mbdkit_studies": """
         analysis.cost analysis.sample_statistics analysis.sobol_indices archive.block_writer archive.blocks
@@ -39,11 +41,13 @@ _SAME_NAME = {
         spec.study_spec spec.value_sets""",
     "mbdkit_taylor": "engine.known_series methods.taylor",
     "mbdkit_taylor.kernels": "engine.kernels.power_series engine.kernels.tree_series integrators.taylor_series",
-    "mbdkit_testing": "archive.history_columns archive.layout_document guide.item_places scaffold spec.spec_page",
+    "mbdkit_testing": """
+        archive.history_columns archive.layout_document guide.item_places registry.describe scaffold spec.spec_page""",
 }
 """Modules, without the prefix ``mbdkit.``, that kept the last part of their name, by their new packages."""
 
 _OTHER_NAME = {
+    "cli.plugins": "mbdkit_testing.commands",
     "designs": "mbdkit_design",
     "engine.compiler": "mbdkit_builder",
     "engine.contact_forces": "mbdkit_contact.acting_contacts",

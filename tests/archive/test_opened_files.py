@@ -44,16 +44,19 @@ mbdkit.study({"mbdkit_study": 1, "base": base, "axes": axes, "store": "all"}, ou
 json.dump(drawings, open("drawings.json", "w"))
 """
 READ = """
-import sys
+import json, sys
 from pathlib import Path
 from typer.testing import CliRunner
 import mbdkit
 from mbdkit.cli import app
+specs = json.load(open("specs.json"))
 for path in sorted(Path("archives").glob("*.h5")):
-    for words in (["archive", "info", path], ["archive", "check", path], ["workload", path],
-                  ["archive", "export", path, "--to", "csv", "-o", f"out/{path.stem}"],
-                  ["plot", path, "-o", f"out/{path.stem}.svg"], ["report", path, "-o", f"out/{path.stem}-report.html"],
-                  ["animate", path, "-o", f"out/{path.stem}.html"], ["archive", "diff", path, path]):
+    calls = (["archive", "info", path], ["archive", "check", path], ["workload", path],
+             ["archive", "export", path, "--to", "csv", "-o", f"out/{path.stem}"],
+             ["plot", path, "-o", f"out/{path.stem}.svg"], ["report", path, "-o", f"out/{path.stem}-report.html"],
+             ["animate", path, "-o", f"out/{path.stem}.html"], ["archive", "diff", path, path])
+    # all archives are drawn by the other test, and those without names of files are equal for these commands
+    for words in calls if "file" in json.dumps(specs[path.stem]) else calls[:1]:
         done = CliRunner().invoke(app, list(map(str, words)))
         assert done.exit_code == 0, (words, done.output, done.exception)
         assert "not drawn" not in done.output and "only points" not in done.output, (words, done.output)

@@ -23,7 +23,7 @@ from mbdkit.engine.kernels.elementary import FUNCTIONS
 from mbdkit.engine.native.levels import Level, chosen_level
 from tests.benchmarks.timing import take_turns
 from tests.engine.elementary_cases import CASES, largest_error
-from tests.engine.elementary_code import C_LIBRARY, LANES, NUMBERS, evaluate, library
+from tests.engine.elementary_code import C_LIBRARY, LANES, NUMBERS, built, evaluate
 
 CHUNK = 200_000
 TIMED, REPEATS = 4096, 200
@@ -33,7 +33,7 @@ def _error(folder: Path, level: Level, task: tuple[str, int]) -> tuple[float, tu
     """Return the largest error of a function on a chunk of arguments."""
     name, seed = task
     x, y = CASES[name].arguments(CHUNK, seed)
-    return largest_error(CASES[name], x, y, evaluate(library(folder, level), NUMBERS, name)(x, y))
+    return largest_error(CASES[name], x, y, evaluate(*built(folder, level), NUMBERS, name)(x, y))
 
 
 def _nanoseconds(code: ctypes.CDLL, name: str) -> list[float]:
@@ -55,7 +55,7 @@ def elementary(console: Console, names: Sequence[str] = tuple(FUNCTIONS), count:
     level = chosen_level()
     table = Table("function", "error [ulp]", "at", "C library [ns]", f"{level.name} [ns]", "in lanes [ns]")
     with tempfile.TemporaryDirectory() as work, ProcessPoolExecutor() as pool:
-        code = library(Path(work), level)
+        (code,) = built(Path(work), level)
         for name in names:
             tasks = [(name, seed) for seed in range(max(1, round(count / CHUNK)))]
             error, (x, y) = max(pool.map(partial(_error, Path(work), level), tasks))

@@ -1,6 +1,6 @@
 """Machine code that applies elementary functions to arrays: to numbers, to lanes, and by the C library, for comparison.
 
-``python -m tests.engine.elementary_code FOLDER`` builds a library for the level that ``MBDKIT_PROCESSOR`` names.
+``python -m tests.engine.elementary_code FOLDER LEVEL ...`` builds a library for each of some levels of this platform.
 Each symbol is a C function ``void f(const double *x, const double *y, double *values, int64 count)``.
 """
 
@@ -11,14 +11,15 @@ import math
 import os
 import subprocess
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from mbdkit.base import file_locks
 from mbdkit.engine.kernels.elementary import FUNCTIONS
-from mbdkit.engine.native.levels import WIDTH, Level, chosen_level, this_platform
+from mbdkit.engine.native.levels import WIDTH, Level, this_platform
 from mbdkit.engine.native.machine_code import COMPILED
 
 NUMBERS, LANES, C_LIBRARY = "angles", "lane_loop", "equations"
@@ -27,24 +28,24 @@ NUMBERS, LANES, C_LIBRARY = "angles", "lane_loop", "equations"
 Values = Callable[[np.ndarray, np.ndarray], np.ndarray]
 
 
-def build(folder: Path) -> None:
-    """Build the library of the chosen level."""
+def build(folder: Path, levels: Sequence[Level]) -> None:
+    """Build the libraries of some levels from the same modules."""
     from mbdkit_builder import libraries, lowering, object_code, sources
 
     lowering.symbols()
     lowering.prepare()
-    level, target = chosen_level(), this_platform()
-    modules = {sources.ELEMENTARY: object_code.elementary_module()}
+    target, modules = this_platform(), {sources.ELEMENTARY: object_code.elementary_module()}
     for kind in (NUMBERS, LANES, C_LIBRARY):
         for name in FUNCTIONS:
             modules[f"{kind}__{name}"] = _module(f"{kind}__{name}", kind, name)
-    objects = []
-    for symbol, module in modules.items():
-        code = object_code.emitted(object_code.optimized(module, symbol, level), symbol, target, level)
-        objects.append(folder / f"{symbol}.o")
-        objects[-1].write_bytes(code)
-    path = _path(folder, level)
-    path.write_bytes(libraries._linked(target, objects, path.name, folder))
+    for level in levels:
+        objects = []
+        for symbol, module in modules.items():
+            code = object_code.emitted(object_code.optimized(module, symbol, level), symbol, target, level)
+            objects.append(folder / f"{symbol}-{level.name}.o")
+            objects[-1].write_bytes(code)
+        path = _path(folder, level)
+        path.write_bytes(libraries._linked(target, objects, path.name, folder))
 
 
 def _path(folder: Path, level: Level) -> Path:
@@ -98,12 +99,14 @@ def _module(symbol: str, kind: str, name: str) -> Any:
     return linked_module(symbol, function, arguments, form, wrap)
 
 
-def library(folder: Path, level: Level) -> ctypes.CDLL:
-    """Return the library of a level, built by a process of its own."""
-    if not _path(folder, level).is_file():
-        environment = os.environ | {"MBDKIT_PROCESSOR": level.name, "MBDKIT_KERNELS": COMPILED}
-        subprocess.run([sys.executable, "-m", __name__, str(folder)], env=environment, check=True)
-    return ctypes.CDLL(str(_path(folder, level)))
+def built(folder: Path, *levels: Level) -> list[ctypes.CDLL]:
+    """Return the libraries of some levels, which the first caller builds by a process of its own."""
+    with (folder / "lock").open("w") as lock:
+        file_locks.lock(lock.fileno(), wait=True)
+        if missing := [level.name for level in levels if not _path(folder, level).is_file()]:
+            environment = os.environ | {"MBDKIT_KERNELS": COMPILED}
+            subprocess.run([sys.executable, "-m", __name__, str(folder), *missing], env=environment, check=True)
+    return [ctypes.CDLL(str(_path(folder, level))) for level in levels]
 
 
 def evaluate(code: ctypes.CDLL, kind: str, name: str) -> Values:
@@ -119,4 +122,4 @@ def evaluate(code: ctypes.CDLL, kind: str, name: str) -> Values:
 
 
 if __name__ == "__main__":
-    build(Path(sys.argv[1]))
+    build(Path(sys.argv[1]), [level for level in this_platform().levels if level.name in sys.argv[2:]])

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ctypes
 import math
+import os
 from collections.abc import Callable
 from pathlib import Path
 
@@ -16,7 +17,7 @@ from mbdkit.base.errors import MbdkitError
 from mbdkit.engine.kernels.elementary import FUNCTIONS
 from mbdkit.engine.native.levels import is_able, this_platform
 from tests.engine.elementary_cases import CASES, MPFR, largest_error
-from tests.engine.elementary_code import LANES, NUMBERS, argument_count, evaluate, library
+from tests.engine.elementary_code import LANES, NUMBERS, argument_count, built, evaluate
 
 COUNT, COUNT_IN_PYTHON = 100_000, 2_000
 
@@ -26,10 +27,12 @@ names = pytest.mark.parametrize("name", FUNCTIONS)
 
 @pytest.fixture(scope="module")
 def codes(tmp_path_factory: pytest.TempPathFactory) -> list[ctypes.CDLL]:
-    """Return the libraries of all levels, the best level first."""
+    """Return the libraries of all levels, the best level first, which parallel processes of tests share."""
     pytest.importorskip("ziglang")
-    folder: Path = tmp_path_factory.mktemp("elementary")
-    return [library(folder, level) for level in LEVELS]
+    base = tmp_path_factory.getbasetemp()
+    folder = (base.parent if "PYTEST_XDIST_WORKER" in os.environ else base) / "elementary"
+    folder.mkdir(exist_ok=True)
+    return built(folder, *LEVELS)
 
 
 def in_python(name: str) -> Callable[[np.ndarray, np.ndarray], np.ndarray]:

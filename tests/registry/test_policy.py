@@ -6,9 +6,9 @@ import pytest
 
 import mbdkit
 from mbdkit.base.errors import PluginError, SpecError
-from mbdkit.registry import describe
 from mbdkit.registry.manager import load_registry
 from mbdkit.registry.policy import API, Policy, check_api
+from mbdkit_testing import describe
 
 
 def declaring(module, version):

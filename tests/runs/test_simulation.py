@@ -377,6 +377,8 @@ def threads_of_linear_algebra() -> set[int]:
 
 def test_a_run_uses_one_thread_of_linear_algebra_and_restores_their_number() -> None:
     # expected: with several threads, sums are split, and the last bits of results would depend on the computer
+    import scipy.linalg  # noqa: F401  # loaded during the run, it would begin with one thread
+
     seen = []
     with threadpool_limits(2, user_api="blas"):
         before = threads_of_linear_algebra()

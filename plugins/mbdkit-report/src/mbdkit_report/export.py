@@ -8,7 +8,6 @@ from contextlib import ExitStack
 from pathlib import Path
 from typing import cast
 
-from mbdkit.archive.group_table import group_names, group_table
 from mbdkit.archive.run import Run
 from mbdkit.base.errors import SpecError, file_error
 from mbdkit.base.files import check_folder, check_output, replacing
@@ -16,6 +15,7 @@ from mbdkit.base.text import did_you_mean, listed
 from mbdkit.registry.feature_items import TableFormat
 from mbdkit.registry.manager import registry
 from mbdkit.registry.use import use
+from mbdkit_report.group_table import group_names, group_table
 from mbdkit_report.table_formats import ExportedTable
 
 

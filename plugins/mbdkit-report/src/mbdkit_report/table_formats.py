@@ -13,11 +13,11 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from mbdkit.archive.group_table import TableColumn
 from mbdkit.base.errors import MbdkitError
 from mbdkit.base.plain_data import json_text
 from mbdkit.base.text import csv_cell, shown
 from mbdkit.quantities.array import TEXT
+from mbdkit_report.group_table import TableColumn
 
 MATLAB_LENGTH = 63
 """Longest name of a variable in MATLAB (``namelengthmax``)."""

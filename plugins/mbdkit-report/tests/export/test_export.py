@@ -16,12 +16,12 @@ import pytest
 from scipy.io import loadmat
 
 import mbdkit
-from mbdkit.archive.group_table import group_names, group_table
 from mbdkit.archive.named_columns import NotRecordedError
 from mbdkit.base.errors import MbdkitError, ResourceError, SpecError
 from mbdkit.registry.target import Target
 from mbdkit_report import table_formats
 from mbdkit_report.export import export
+from mbdkit_report.group_table import group_names, group_table
 from tests.synthetic_runs import make_run as make_run
 
 # A rod hangs on a pin and on a spring, has a name that spreadsheets would take for a formula, and passes its lowest
@@ -232,7 +232,7 @@ def test_json_is_strict_and_has_null_for_numbers_that_are_not_finite(make_run, t
 
 def test_long_tables_are_written_in_blocks(run, tmp_path, monkeypatch):
     export(run, tmp_path / "whole", "csv")
-    monkeypatch.setattr("mbdkit.archive.group_table.BLOCK_VALUES", 100)
+    monkeypatch.setattr("mbdkit_report.group_table.BLOCK_VALUES", 100)
     assert len(list(group_table(run, "joints").blocks())) > 20
     export(run, tmp_path / "blocks", "csv")
     for file in (tmp_path / "whole").iterdir():

@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from mbdkit.archive.group_table import data_frame
 from mbdkit.base.errors import MbdkitError
 from mbdkit.measures.measure_expression import SeriesExpression
+from mbdkit_report.group_table import data_frame
 from mbdkit_studies.sample_groups import SampledStudy, groups_where, is_bad, one_group
 
 if TYPE_CHECKING:

@@ -8,10 +8,10 @@ from pathlib import Path
 
 import numpy as np
 
-from mbdkit.archive.group_table import BLOCK_VALUES, TableColumn
 from mbdkit.base.errors import SpecError
 from mbdkit.quantities.array import FLOAT, INTEGER, TEXT, Array
 from mbdkit_report.export import suffix_of, write_tables
+from mbdkit_report.group_table import BLOCK_VALUES, TableColumn
 from mbdkit_studies.study import Study
 
 

@@ -1,9 +1,10 @@
-"""Commands that check an installation or a plugin, and create one: `doctor`, `plugins verify` and `plugins new`."""
+"""Commands on this installation and its plugins: `doctor`, and those of the group `plugins` apart from `where`."""
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Mapping
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
@@ -12,6 +13,7 @@ from mbdkit.base.progress_bars import count_bar
 from mbdkit.base.terminal import say, show, show_json, silence
 from mbdkit.base.text import listed
 from mbdkit.cli.common_options import AsJson, Debug, Overwrite, Quiet, output_to
+from mbdkit_testing import describe
 from mbdkit_testing.scaffold.new_plugin import KINDS, LIKE, Like, NewKind
 
 
@@ -21,20 +23,62 @@ def doctor(as_json: AsJson = False, debug: Debug = False) -> None:
     The hashes of ten runs are compared with stored ones. Exit status 1 if one
     differs or fails, 4 if a plugin could not be loaded.
     """
-    from mbdkit.engine.native.machine_code import code_report, code_text
-    from mbdkit.registry import describe
-    from mbdkit.registry.manager import checked, load_installed
     from mbdkit_testing import self_test
 
-    installed, found = checked(load_installed()), self_test.compared()
-    if as_json:
-        show_json({**describe.diagnosis(installed), "machine_code": code_report(), "self_test": found})
-    else:
-        show(f"{describe.diagnosis_text(installed)}\n{code_text()}\n{self_test.sentences(found)}")
-    if not describe.is_sound(installed):
-        raise typer.Exit(terminal.PLUGIN_FAILED)
+    found = self_test.compared()
+    _diagnose(as_json, {"self_test": found}, [self_test.sentences(found)])
     if any(text != self_test.EQUAL for text in found.values()):
         raise typer.Exit(terminal.DIFFERS)
+
+
+def _diagnose(as_json: bool, further: Mapping[str, Any], lines: Iterable[str] = ()) -> None:
+    """Print the plugins and the machine code in use, and `further` values of the JSON or the `lines` of the text."""
+    from mbdkit.engine.native.machine_code import code_report, code_text
+    from mbdkit.registry.manager import checked, load_installed
+
+    installed = checked(load_installed())
+    if as_json:
+        show_json({**describe.diagnosis(installed), "machine_code": code_report(), **further})
+    else:
+        show("\n".join([describe.diagnosis_text(installed), code_text(), *lines]))
+    if not describe.is_sound(installed):
+        raise typer.Exit(terminal.PLUGIN_FAILED)
+
+
+def plugins_list(as_json: AsJson = False, debug: Debug = False) -> None:
+    """List installed plugins, and those that could not be loaded."""
+    from mbdkit.registry.manager import load_installed
+
+    installed = load_installed()
+    if as_json:
+        show_json(describe.listing(installed))
+    else:
+        show(describe.listing_text(installed))
+
+
+def plugins_show(
+    name: Annotated[str, typer.Argument(metavar="ID", help="A name such as gauss, or an id such as mbdkit:gauss.")],
+    as_json: AsJson = False,
+    debug: Debug = False,
+) -> None:
+    """Show the options, claims and references of a plugin.
+
+    With --json, prints one object with a list "plugins": a model and an
+    integrator may share a name.
+    """
+    items = describe.find(name)
+    if as_json:
+        show_json({"plugins": [describe.details(item) for item in items]})
+    else:
+        show("\n\n".join(describe.page(item) for item in items))
+
+
+def plugins_doctor(as_json: AsJson = False, debug: Debug = False) -> None:
+    """Show the plugins, the machine code in use, and any problems.
+
+    Exit status 4 if a plugin could not be loaded.
+    """
+    _diagnose(as_json, {})
 
 
 def plugins_verify(
@@ -57,7 +101,6 @@ def plugins_verify(
     required group could be run. With --json, prints one object with a list
     "reports": a model and an integrator may share a name.
     """
-    from mbdkit.registry import describe
     from mbdkit.spec.reading import read_assignments
 
     items = describe.find(name, further=["element-kind"])

@@ -21,7 +21,6 @@ from mbdkit.mechanism.pathways import Coordinate, JointAngles, RelativeAngle, Tw
 from mbdkit.mechanism.state_values import Controller, FirstOrderState
 from mbdkit.mechanism.values import Table
 from mbdkit.registry.catalogue import Registered, Registry
-from mbdkit.registry.describe import claim_texts, options_in
 from mbdkit.registry.manager import registry
 from mbdkit.spec.schema import run_schema
 from mbdkit.spec.sections import Baumgarte, NoStabilization, Projection
@@ -30,6 +29,7 @@ from mbdkit_biomech.muscles.muscle import Muscle, PathItem
 from mbdkit_contact.contact import Compliance, Contact, Friction, Shape
 from mbdkit_design.design_spec import DesignSpec
 from mbdkit_studies.study_spec import StudySpec
+from mbdkit_testing.describe import claim_texts, options_in
 
 WIDTH = 120
 

@@ -6,21 +6,26 @@ import json
 
 import pytest
 
+from mbdkit import IntegratorPlugin, ModelPlugin
 from mbdkit.base.errors import PluginError, SpecError
 from mbdkit.base.strict_model import description
-from mbdkit.registry import describe
 from mbdkit.registry.item import Plugin
 from mbdkit.registry.manager import load_registry, registry
+from mbdkit_testing import describe
+from tests.registry.conftest import FakeEntryPoint, SwingOptions, claim_order_one, offering_items
 
 
-def _fail():
-    raise ImportError("no acme here")
+class Broken(FakeEntryPoint):
+    def load(self):
+        raise ImportError("no acme here")
 
 
 @pytest.fixture
-def mixed(entry_point, offering, swing, euler):
-    fine = offering([swing(references=("@book{swing}",))], [euler(name="swing")])
-    return load_registry([entry_point(lambda: fine, "fine"), entry_point(_fail, "broken")])
+def mixed():
+    model = ModelPlugin("swing", "A swing", SwingOptions, print, references=("@book{swing}",))
+    integrator = IntegratorPlugin("swing", "Euler", SwingOptions, print, claims=claim_order_one)
+    fine = offering_items(model, integrator)
+    return load_registry([FakeEntryPoint(lambda: fine, "fine"), Broken(print, "broken")])
 
 
 def test_the_listing_has_the_keys_of_the_contract(mixed):
@@ -29,7 +34,7 @@ def test_the_listing_has_the_keys_of_the_contract(mixed):
     fine = {"distribution": "fine", "version": "2.0", "status": "ok", "error": None}
     assert listing["plugins"][-1] == {"id": "fine:swing", "kind": "integrator", **fine}
     assert listing["plugins"][0]["status"] == "error"
-    place = f"{__file__}, line {_fail.__code__.co_firstlineno + 1}"
+    place = f"{__file__}, line {Broken.load.__code__.co_firstlineno + 1}"
     assert listing["plugins"][0]["error"] == f"ImportError: no acme here ({place})"
 
 
