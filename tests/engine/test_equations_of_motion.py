@@ -90,7 +90,7 @@ def test_rates_of_the_constraints_are_their_total_derivative(name: str) -> None:
     p, s = equations_of(name), symbolic(name)
     q, v, _, _ = somewhere(p)
     total = s.constraints.jacobian(s.q) * s.v + s.constraints.diff(s.t)
-    there = np.array(sp.lambdify([s.t, list(s.q), list(s.v)], total)(T, q, v), dtype=float).ravel()
+    there = np.array(sp.lambdify([s.t, list(s.q), list(s.v)], total, cse=True)(T, q, v), dtype=float).ravel()
     np.testing.assert_allclose(p.constraint_rates(T, q, v), there, rtol=1e-12, atol=1e-12)
 
 
@@ -101,7 +101,7 @@ def tangents(name: str, q: np.ndarray, v: np.ndarray, a: np.ndarray, lam: np.nda
     upper = s.constraint_jacobian.T * lam_s - s.forces
     lower = s.constraint_jacobian * a_s - s.gamma
     parts = [upper.jacobian(s.q), upper.jacobian(s.v), s.gamma.jacobian(s.v), lower.jacobian(s.q)]
-    function = sp.lambdify([s.t, list(s.q), list(s.v), list(a_s), list(lam_s)], parts)
+    function = sp.lambdify([s.t, list(s.q), list(s.v), list(a_s), list(lam_s)], parts, cse=True)
     return [np.array(x, dtype=float) for x in function(T, q, v, a, lam)]
 
 

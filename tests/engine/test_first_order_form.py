@@ -173,7 +173,7 @@ def test_the_time_derivative_is_that_of_the_symbolic_equations(name: str, sides:
     workspace.clamp_motions(*sides)
     p, s = EquationsOfMotion(workspace), symbolic(name)
     q, v, _, _ = somewhere(p)
-    by_time = sp.lambdify([s.t, list(s.q), list(s.v)], [s.forces.diff(s.t), s.gamma.diff(s.t)])(T, q, v)
+    by_time = sp.lambdify([s.t, list(s.q), list(s.v)], [s.forces.diff(s.t), s.gamma.diff(s.t)], cse=True)(T, q, v)
     there = s.evaluate(T, q, v)
     jacobian = there["constraint_jacobian"]
     matrix = np.block([[there["mass_matrix"], jacobian.T], [jacobian, np.zeros((p.m, p.m))]])

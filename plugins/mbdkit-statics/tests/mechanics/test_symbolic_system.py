@@ -214,7 +214,7 @@ def by_time(s: SymbolicSystem, expr: sp.Matrix) -> sp.Matrix:
 
 
 def numbers_of(s: SymbolicSystem, expr: sp.Matrix, q: np.ndarray, v: np.ndarray) -> np.ndarray:
-    return np.array(sp.lambdify([s.t, list(s.q), list(s.v)], expr, "numpy")(T, q, v), dtype=float)
+    return np.array(sp.lambdify([s.t, list(s.q), list(s.v)], expr, "numpy", cse=True)(T, q, v), dtype=float)
 
 
 @mechanisms
