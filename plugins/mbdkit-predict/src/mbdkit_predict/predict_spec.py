@@ -19,7 +19,7 @@ from mbdkit.spec.choices import Choice
 from mbdkit.spec.model_spec import ModelSpec
 from mbdkit.spec.sections import Count, Section
 from mbdkit.spec.study_measures import DefinedMeasure
-from mbdkit_predict.chosen_numbers import ChosenNumbers
+from mbdkit_predict.chosen_numbers import UNKNOWNS, ChosenNumbers, elastic_muscles, unknowns_of
 
 if TYPE_CHECKING:
     from mbdkit.mechanism.mechanism import Mechanism
@@ -272,7 +272,7 @@ class PredictSpec(ModelSpec):
 
     def with_states(self, text: str) -> str:
         """Return an expression in which controls, ``controls["forces.motor.value"]``, are states of the mechanism."""
-        states = dict(zip(self.controls, self.chosen.control_states, strict=True))
+        states = dict(zip(self.chosen.controls, self.chosen.control_states, strict=True))
 
         def state(match: re.Match[str]) -> str:
             name = match[1] or match[2]
@@ -282,11 +282,20 @@ class PredictSpec(ModelSpec):
 
         return re.sub(r"\bcontrols(?:\[\"(.*?)\"\]|\.(\w+))", state, text)
 
+    def control(self, name: str) -> tuple[float, float, float | None]:
+        """Return the bounds and the start of a control; of unknowns of fibres, they are free by default."""
+        if (own := self.controls.get(name)) is not None:
+            return *own.bounds, own.start
+        return (0.0, math.inf, 0.1) if name.endswith(UNKNOWNS[1]) else (-math.inf, math.inf, 0.0)
+
     _chosen: Any = PrivateAttr(default=None)
 
     def _built(self) -> Mechanism:
+        mechanism = super()._built()
+        unknowns = [key for name in elastic_muscles(mechanism) for key in unknowns_of(name)]
         fixed = [key for key in self.sensitivities if key not in self.optimized]
-        chosen = ChosenNumbers(super()._built(), list(self.controls), [*self.optimized, *fixed])
+        controls = list(dict.fromkeys([*self.controls, *unknowns]))
+        chosen = ChosenNumbers(mechanism, controls, [*self.optimized, *fixed])
         self._chosen = chosen
         return chosen.mechanism
 
