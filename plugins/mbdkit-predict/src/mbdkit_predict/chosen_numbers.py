@@ -109,6 +109,8 @@ class ChosenNumbers:
     def _start(self, key: str) -> float:
         value = self._value(key)
         value = getattr(value, "initial", value)  # of a state
+        if isinstance(value, list | tuple):
+            raise SpecError(f"has components, each a control of its own: {key}[0] and {key}[1]", key=f"model.{key}")
         return float(value) if isinstance(value, int | float) else 0.0
 
     def _number(self, key: str) -> float:

@@ -536,7 +536,7 @@ class Transcription:
         try:
             expression = self.system.expression(self.spec.with_states(text))
         except SpecError as error:
-            raise SpecError(error.message, key=key) from None
+            raise SpecError(self.spec.with_controls(error.message), key=key) from None
         unknown = [self.system.symbols[name] for name in OF_STATE]
         if at_node and any(x.numel() and ca.depends_on(expression, x) for x in unknown):
             raise SpecError(

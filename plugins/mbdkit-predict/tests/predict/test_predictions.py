@@ -145,6 +145,11 @@ def test_a_motion_that_cannot_be_is_infeasible(tmp_path: Path) -> None:
         ({"subject_to": {"a": {"value": "block.x", "min": 2, "max": 1}}}, "subject_to.a", "is above"),
         ({"overrides": {"integrator": "x"}}, "overrides", "only parameters and model of the base"),
         ({"parameters": {PUSH: {"bounds": [0, 1]}}}, f"model.{PUSH}", "is a control"),
+        ({"parameters": {"bodies.block.mass": {"bounds": [-1, 2]}}}, "model.bodies.block.mass", "the bound -1 of this"),
+        ({"controls": {"forces.push.value": {"bounds": [0, 1]}}}, "model.forces.push.value", "has components"),
+        ({"compare": {f"model.{PUSH}": 1}}, "compare", "because it is a control"),
+        ({"final": {"block.x": [2, 1]}}, 'final."block.x"', "the lower bound 2 is above the upper bound 1"),
+        ({"minimize": "integral(controls['forces.push.value[0]']"}, "minimize", "is written controls['forces.push"),
     ],
 )
 def test_a_wrong_spec_is_one_sentence(changed: dict[str, Any], key: str, text: str) -> None:
