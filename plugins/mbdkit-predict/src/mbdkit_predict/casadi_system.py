@@ -49,6 +49,10 @@ class CasadiSystem:
         Three results (m, 1): ``position`` Phi, ``velocity`` its first and ``acceleration`` its second time derivative.
     rates : casadi.Function
         Derivatives of the states by time, (Z, 1).
+    equilibrium : casadi.Function
+        Zeros in a motion, two for each muscle whose unknowns are controls: force of the fibres along the tendon less
+        that of the tendon, as a share of the largest force; and, as a share of its length, the room for the tendon less
+        its length (with the curves `millard`, also a difference of forces).
     expression : function
         ``expression(text)`` returns an expression of quantities, such as ``"max(knee.force, 0)**2"``, in the symbols of
         the system. It raises SpecError if the text is not valid, or contains a quantity that cannot be exported.
@@ -70,6 +74,7 @@ class CasadiSystem:
     residual: ca.Function
     constraints: ca.Function
     rates: ca.Function
+    equilibrium: ca.Function
     expression: Callable[[str], ca.SX]
     all_quantities: Callable[[], tuple[dict[str, ca.SX], dict[str, str]]]
 

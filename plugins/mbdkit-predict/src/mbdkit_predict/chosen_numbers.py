@@ -1,7 +1,8 @@
 """Numbers of a mechanism that become arguments of functions: controls, and parameters.
 
 A control is added to the mechanism as a first-order state without a rate, which takes the place of the value of a load,
-the excitation of a muscle, or any other expression of the state. A state of the mechanism may also be a control itself.
+the excitation of a muscle, or any other expression of the state. A state of the mechanism may also be a control itself,
+and so may the two unknowns of the equilibrium of fibres with an elastic tendon, whose solution they replace.
 
 How the arrays of a compiled mechanism depend on parameters is known from compiling it with changed values: each number
 in them must be a linear function of the parameters, as the stiffness of a spring or a point of a joint is.
@@ -17,8 +18,8 @@ from typing import Any
 import numpy as np
 
 from mbdkit.base.errors import SpecError
-from mbdkit.base.plain_data import Path, copied, parse_path, path_text
-from mbdkit.base.text import did_you_mean
+from mbdkit.base.plain_data import Path, copied, parse_path, path_text, quoted
+from mbdkit.base.text import did_you_mean, listed
 from mbdkit.engine.compile_mechanism import compile_mechanism
 from mbdkit.engine.kernels.engine_bundles import Topology
 from mbdkit.mechanism.element_kinds import element_kinds
@@ -30,6 +31,10 @@ LINEAR = 1e-9
 """Largest difference between the slopes for both changes, relative to the slope."""
 NOT_READ = "weight", "length", "row_units"
 """Arrays of numbers that the equations of motion do not contain, only their solution."""
+
+UNKNOWNS = "fiber_velocity", "tendon_force"
+"""Unknowns of the equilibrium of fibres with an elastic tendon: the velocity of the fibres, negative for shortening, as
+a share of the largest velocity, and the force of the tendon as a share of `max_force`."""
 
 
 class ChosenNumbers:
@@ -47,7 +52,9 @@ class ChosenNumbers:
     mechanism
         The mechanism with controls as states.
     control_states
-        Names of the states that are the controls.
+        Names of the states that are the controls; the keys of unknowns of fibres, which are no states.
+    fibers
+        Indices of both `UNKNOWNS` of fibres among the controls, by name of the muscle.
     control_start, parameter_start
         Present values; 0 for controls that are not numbers.
 
@@ -61,12 +68,15 @@ class ChosenNumbers:
         self.controls, self.parameters = tuple(controls), tuple(parameters)
         self._spec = mechanism.to_spec()
         self._original = mechanism
-        self.control_start = [self._start(key) for key in controls]
+        self.fibers = self._fibers()
+        unknowns = {controls[i] for both in self.fibers.values() for i in both}
+        self.control_start = [0.0 if key in unknowns else self._start(key) for key in controls]
         if both := set(controls) & set(parameters):
             raise SpecError("is a control, so that it is no parameter", key=f"model.{min(both)}")
         self.parameter_start = [self._number(key) for key in parameters]
         self.control_states = [
-            self._add_control(key, start) for key, start in zip(controls, self.control_start, strict=True)
+            key if key in unknowns else self._add_control(key, start)
+            for key, start in zip(controls, self.control_start, strict=True)
         ]
         try:
             self.mechanism = self._mechanism(self._spec) if controls else self._of_run(copy(mechanism))
@@ -74,6 +84,17 @@ class ChosenNumbers:
             if error.key.removeprefix("model.") not in controls:
                 raise
             raise SpecError("is no control, because it cannot change with time", key=error.key) from None
+
+    def _fibers(self) -> dict[str, tuple[int, int]]:
+        """Return `fibers`."""
+        fibers = {}
+        for name in elastic_muscles(self._original):
+            keys = unknowns_of(name)
+            if present := [key for key in keys if key in self.controls]:
+                if len(present) == 1:
+                    raise SpecError(f"the equilibrium needs both {listed(keys, 'and')}", key=f"model.{present[0]}")
+                fibers[name] = self.controls.index(keys[0]), self.controls.index(keys[1])
+        return fibers
 
     def _add_control(self, key: str, start: float) -> str:
         """Add a control; return the name of its state."""
@@ -88,6 +109,8 @@ class ChosenNumbers:
     def _start(self, key: str) -> float:
         value = self._value(key)
         value = getattr(value, "initial", value)  # of a state
+        if isinstance(value, list | tuple):
+            raise SpecError(f"has components, each a control of its own: {key}[0] and {key}[1]", key=f"model.{key}")
         return float(value) if isinstance(value, int | float) else 0.0
 
     def _number(self, key: str) -> float:
@@ -192,6 +215,17 @@ class ChosenNumbers:
         return SpecError(
             "is not a parameter that can be exported: the equations of motion are not linear in it", key=f"model.{key}"
         )
+
+
+def elastic_muscles(mechanism: Mechanism) -> list[str]:
+    """Return the names of the muscles with elastic tendons."""
+    muscles: Mapping[str, Any] = mechanism.elements.get("muscles", {})
+    return [name for name, muscle in muscles.items() if muscle.tendon == "elastic"]
+
+
+def unknowns_of(muscle: str) -> list[str]:
+    """Return the keys of both `UNKNOWNS` of the fibres of a muscle."""
+    return [f"muscles.{quoted(muscle)}.{name}" for name in UNKNOWNS]
 
 
 def _numbers(topology: Topology) -> Iterator[tuple[str, np.ndarray]]:

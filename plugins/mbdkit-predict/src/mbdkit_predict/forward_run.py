@@ -19,7 +19,7 @@ PRECISION = 1e-9
 """Relative tolerance of the integration."""
 EXPLICIT, IMPLICIT = "DOP853", "LSODA"
 """Methods; the second one, which is implicit where the motion is stiff, is used if the first one needs too many
-evaluations.
+evaluations, or its numbers overflow.
 """
 MOST_EVALUATIONS = 400
 """Largest number of evaluations of the explicit method in an interval."""
@@ -106,7 +106,7 @@ def _integrated(rates: Rates, span: tuple[float, float], state: np.ndarray, scal
     options: Any = {"rtol": PRECISION, "atol": absolute}
     try:
         result = solve_ivp(counted, span, state, EXPLICIT, **options)
-    except _TooManyError:
+    except (_TooManyError, StepError):
         result = solve_ivp(rates, span, state, IMPLICIT, **options)
     if result.success and np.all(np.isfinite(result.y[:, -1])):
         return np.asarray(result.y[:, -1])

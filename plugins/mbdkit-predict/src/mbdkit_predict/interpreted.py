@@ -100,6 +100,12 @@ class Interpreter:
     ----------
     laws
         Names and compiled laws of the elements of a mechanism.
+
+    Attributes
+    ----------
+    known_forces
+        Forces that are given, by address and program of the law, and index of its parameters; these laws are not
+        evaluated.
     """
 
     def __init__(self, laws: tuple[tuple[str, CompiledLaw], ...]):
@@ -109,6 +115,7 @@ class Interpreter:
             if isinstance(compiled.law, FunctionLaw):
                 self._functions[compiled.address] = compiled.law.function
         self._functions |= {law.address: law for law in LAWS.values()}
+        self.known_forces: dict[tuple[int, int, int], Symbol] = {}
         self._known: dict[Any, Any] = {**_REPLACED, calls.call_law: self.call_law}
         execute, is_true = self(law_programs._execute), self(law_programs._is_true)
 
@@ -170,6 +177,9 @@ class Interpreter:
         out: np.ndarray, row: int, count: int,
     ) -> None:  # fmt: skip
         """Evaluate a law; see `mbdkit.engine.native.calls.call_law`."""
+        if (force := self.known_forces.get((int(address), int(program), begin))) is not None:
+            out[row] = [force, 0.0, 0.0, 0.0]
+            return
         law = self._functions.get(int(address))
         name = self._names.get((int(address), int(program)), "")
         given = parameters[begin:]

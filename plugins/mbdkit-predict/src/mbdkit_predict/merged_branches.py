@@ -1,12 +1,10 @@
 """Functions that branch on symbols, rewritten so that they are executed once.
 
 `merged` rewrites a function of Python: both branches of a condition on symbols are executed, and each variable is
-selected by the condition where they join. A search for the nearest edge thus takes as many selections as there are
-edges, whereas `mbdkit_predict.symbols.every_branch` would execute all sequences of outcomes. Integers that depend on
-conditions, such as the number of this edge, are a `Choice` among a few numbers.
-
-Loops run over numbers, and may be left or continued on symbols. Called functions must not have side effects but on
-arrays, and these must be rewritten too.
+selected by the condition. A search for the nearest edge thus takes as many selections as there are edges, whereas
+`mbdkit_predict.symbols.every_branch` would execute all sequences of outcomes. An integer that depends on conditions,
+such as the number of this edge, is a `Choice` among a few numbers. Functions that are called must be rewritten too, and
+must not change anything but elements of arrays. Loops are ``for`` over `range`, or ``while True``.
 """
 
 from __future__ import annotations
@@ -16,7 +14,7 @@ import inspect
 import operator
 import sys
 import textwrap
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Sequence
 from functools import cache, reduce
 from types import FunctionType
 from typing import Any
@@ -26,61 +24,55 @@ import numpy as np
 from mbdkit_predict.symbols import BranchError, Symbol, where
 
 MOST_REPEATS = 2
-"""Largest number of passes of a search that is repeated until it succeeds; the last one must be complete."""
+"""Number of passes of ``while True``, a search that is repeated until it succeeds; the last one must be complete."""
 
 
 class Choice:
-    """An integer that depends on conditions.
-
-    Attributes
-    ----------
-    cases
-        Its possible values, each with its condition; one of these holds.
-    """
+    """An integer that depends on conditions: its possible values, each with its condition, one of which holds."""
 
     __hash__ = None  # type: ignore[assignment]
 
-    def __init__(self, cases: Mapping[int, Any]):
-        self.cases = dict(cases)
+    def __init__(self, cases: dict[int, Any]):
+        self.cases = cases
 
     def __index__(self) -> int:
         raise BranchError("an integer depends on the state")
-
-
-def _combined(operation: Callable[[int, int], Any]) -> tuple[Callable[..., Any], Callable[..., Any]]:
-    """Return an operation on two integers, at least one of which is a choice, and that with exchanged operands."""
-
-    def combine(x: Any, y: Any) -> Any:
-        cases = dict[Any, Any]()
-        for a, is_a in _cases(x).items():
-            for b, is_b in _cases(y).items():
-                result = operation(a, b)
-                cases[result] = either(cases.get(result, False), both(is_a, is_b))
-        if all(isinstance(result, bool) for result in cases):
-            return cases.get(True, False) if False in cases else True
-        return Choice(cases) if len(cases) > 1 else next(iter(cases))
-
-    return combine, lambda x, y: combine(y, x)
 
 
 def _cases(x: Any) -> dict[int, Any]:
     return x.cases if isinstance(x, Choice) else {int(x): True}
 
 
-for _name in ("add", "sub", "mul", "floordiv", "mod"):
-    for _prefix, _function in zip(("", "r"), _combined(getattr(operator, _name)), strict=True):
-        setattr(Choice, f"__{_prefix}{_name}__", _function)
-for _name in ("eq", "ne", "lt", "le", "gt", "ge"):
-    setattr(Choice, f"__{_name}__", _combined(getattr(operator, _name))[0])
+def _chosen(pairs: Iterator[tuple[Any, Any]]) -> Any:
+    """Return the integer, or the condition, with given values and their conditions."""
+    cases = dict[Any, Any]()
+    for value, holds in pairs:
+        cases[value] = either(cases.get(value, False), holds)
+    if isinstance(next(iter(cases)), bool):
+        return cases.get(True, False) if False in cases else True
+    return Choice(cases) if len(cases) > 1 else next(iter(cases))
+
+
+def _operation(name: str, *, is_reflected: bool = False) -> Callable[..., Any]:
+    def combine(x: Any, y: Any) -> Any:
+        first, second = (y, x) if is_reflected else (x, y)
+        pairs = [(a, b) for a in _cases(first).items() for b in _cases(second).items()]
+        return _chosen((getattr(operator, name)(a, b), both(is_a, is_b)) for (a, is_a), (b, is_b) in pairs)
+
+    return combine
+
+
+for _name in ("add", "sub", "mul", "floordiv", "mod", "eq", "ne", "lt", "le", "gt", "ge"):
+    setattr(Choice, f"__{_name}__", _operation(_name))
+for _name in ("add", "sub", "mul"):
+    setattr(Choice, f"__r{_name}__", _operation(_name, is_reflected=True))
 
 
 class Numbers(np.ndarray):
     """An array of numbers and symbols in which an index may be a choice."""
 
     def __getitem__(self, index: Any) -> Any:
-        if not isinstance(index, Choice):
-            return super().__getitem__(index)
-        (first, _), *others = index.cases.items()
+        (first, _), *others = index.cases.items() if isinstance(index, Choice) else [(index, True)]
         value = super().__getitem__(first)
         for i, condition in others:
             value = where(condition, super().__getitem__(i), value)
@@ -96,32 +88,12 @@ def both(first: Any, second: Any) -> Any:
 
 def either(first: Any, second: Any) -> Any:
     """Return whether one of two conditions holds."""
-    if isinstance(first, Symbol):
-        return first | second if isinstance(second, Symbol) else True if second else first
-    return True if first else second
+    return negated(both(negated(first), negated(second)))
 
 
 def negated(condition: Any) -> Any:
     """Return whether a condition does not hold."""
     return ~condition if isinstance(condition, Symbol) else not condition
-
-
-def every(*conditions: Callable[[], Any]) -> Any:
-    """Return whether all conditions hold; those after a wrong one are not evaluated."""
-    result: Any = True
-    for condition in conditions:
-        if (result := both(result, condition())) is False:
-            break
-    return result
-
-
-def some(*conditions: Callable[[], Any]) -> Any:
-    """Return whether a condition holds; those after a right one are not evaluated."""
-    result: Any = False
-    for condition in conditions:
-        if (result := either(result, condition())) is True:
-            break
-    return result
 
 
 def select(condition: Any, x: Any, y: Any) -> Any:
@@ -130,20 +102,30 @@ def select(condition: Any, x: Any, y: Any) -> Any:
         return x if x is y or condition else y
     if isinstance(x, tuple):
         return tuple(select(condition, *pair) for pair in zip(x, y, strict=True))
-    if isinstance(x, bool) and isinstance(y, bool):
-        return x if x == y else condition if x else negated(condition)
-    if all(isinstance(value, int | Choice) and not isinstance(value, bool) for value in (x, y)):
-        cases = dict[int, Any]()
-        for value, holds in ((x, condition), (y, negated(condition))):
-            for number, is_number in _cases(value).items():
-                cases[number] = either(cases.get(number, False), both(holds, is_number))
-        return Choice(cases) if len(cases) > 1 else x
+    if all(isinstance(value, int | Choice) for value in (x, y)):
+        sides = ((x, condition), (y, negated(condition)))
+        if isinstance(x, bool):
+            return _chosen(iter(sides))
+        return _chosen((i, both(is_i, holds)) for value, holds in sides for i, is_i in _cases(value).items())
     return where(condition, x, y)
+
+
+def every(*conditions: Callable[[], Any]) -> Any:
+    """Return whether all conditions hold; those after a wrong one are not evaluated."""
+    result: Any = True
+    for condition in conditions:
+        result = result if result is False else both(result, condition())
+    return result
+
+
+def some(*conditions: Callable[[], Any]) -> Any:
+    """Return whether a condition holds; those after a right one are not evaluated."""
+    return negated(every(*(lambda x=condition: negated(x()) for condition in conditions)))
 
 
 def if_else(condition: Any, x: Callable[[], Any], y: Callable[[], Any]) -> Any:
     """Return ``x()`` where the condition holds, else ``y()``."""
-    return select(condition, x(), y()) if isinstance(condition, Symbol) else x() if condition else y()
+    return select(condition, x(), y()) if isinstance(condition, Symbol) else (x if condition else y)()
 
 
 class Run:
@@ -156,11 +138,9 @@ class Run:
     _running: list[Run] = []  # noqa: RUF012
 
     def __init__(self) -> None:
-        self._outer = self._running[-1].guard(with_outer=True) if self._running else True
-        self._stack: list[Any] = [True]
-        self._loops: list[int] = []
+        self._stack, self._loops = [True], list[int]()
         self.result: Any = None
-        self._has_result = False
+        self._outer = self._running[-1].guard() if self._running else True
 
     def __enter__(self) -> Run:
         self._running.append(self)
@@ -169,30 +149,26 @@ class Run:
     def __exit__(self, *error: object) -> None:
         self._running.pop()
 
-    def guard(self, begin: int = 0, *, with_outer: bool = False) -> Any:
-        """Return the condition of the present statement, of those on the stack from an index on."""
-        return reduce(both, self._stack[begin:], self._outer if with_outer else True)
+    def guard(self) -> Any:
+        """Return the condition of the statement, in the functions that call this one, too."""
+        return reduce(both, self._stack, self._outer)
 
-    def new(self, value: Any, *old: Callable[[], Any], is_item: bool = False) -> Any:
-        """Return the value of a variable, or those of several, after an assignment."""
-        guard = self.guard(with_outer=is_item)
-        if guard is True:
-            return value
-        values = value if len(old) > 1 else (value,)
+    def new(self, values: Any, *old: Callable[[], Any], is_item: bool) -> Any:
+        """Return the values of variables, or of elements of arrays, after an assignment."""
+        guard = self.guard() if is_item else reduce(both, self._stack)
         results = []
         for x, before in zip(values, old, strict=True):
             try:
-                results.append(select(guard, x, before()))
+                results.append(x if guard is True else select(guard, x, before()))
             except NameError:  # has no value yet
                 results.append(x)
-        return results if len(old) > 1 else results[0]
+        return results
 
     def begins(self, condition: Any) -> bool:
         """Begin a branch; return whether it is executed."""
-        if isinstance(condition, Symbol) or condition:
-            self._stack.append(condition)
-            return True
-        return False
+        is_executed = isinstance(condition, Symbol) or bool(condition)
+        self._stack += [condition] * is_executed
+        return is_executed
 
     def ends(self) -> None:
         """End a branch."""
@@ -200,29 +176,19 @@ class Run:
 
     def returns(self, value: Any) -> bool:
         """Return a value; return whether the function ends."""
-        guard = self.guard()
-        self.result = select(guard, value, self.result) if self._has_result else value
-        self._has_result = True
+        is_first, guard = self._stack[0] is True and self.result is None, reduce(both, self._stack)
+        self.result = value if is_first else select(guard, value, self.result)
         return self._closed(0)
 
     def passes(self, *limits: Any) -> Iterator[int]:
         """Yield the numbers of a range, whose limits may be choices."""
         first, last = limits if len(limits) > 1 else (0, *limits)
-        numbers = range(min(_cases(first)), max(_cases(last)))
-        yield from self._loop((i, both(first <= i, i < last)) for i in numbers)
-
-    def repeats(self, condition: Callable[[], bool]) -> Iterator[int]:
-        """Yield numbers while a condition holds, at most `MOST_REPEATS` times."""
-        yield from self._loop((i, True) for i in range(MOST_REPEATS) if condition())
-
-    def _loop(self, passes: Iterator[tuple[int, Any]]) -> Iterator[int]:
         begin = len(self._stack)
         self._loops.append(begin)
         self._stack += [True, True]
-        for i, takes_part in passes:
-            self._stack[begin + 1 :] = [takes_part]
-            if takes_part is not False:
-                yield i
+        for i in range(min(_cases(first)), max(_cases(last))):
+            self._stack[begin + 1 :] = [both(first <= i, i < last)]
+            yield i
 
     def end_loop(self) -> None:
         """End the loop."""
@@ -237,97 +203,85 @@ class Run:
         return self._closed(self._loops[-1] + 1)
 
     def _closed(self, index: int) -> bool:
-        self._stack[index] = both(self._stack[index], negated(self.guard(index + 1)))
+        self._stack[index] = both(self._stack[index], negated(reduce(both, self._stack[index + 1 :], True)))
         return self._stack[index] is False
 
 
 class _Rewriter(ast.NodeTransformer):
-    """Rewrites statements and conditions."""
+    """Rewrites statements and conditions, innermost first."""
+
+    def visit(self, node: ast.AST) -> Any:
+        self.generic_visit(node)
+        rewrite = getattr(self, f"visit_{type(node).__name__}", None)
+        return node if rewrite is None else rewrite(node)
 
     def visit_FunctionDef(self, node: ast.FunctionDef) -> Any:
-        self.generic_visit(node)
-        body = ast.parse("with _merged.Run() as _run:\n    pass\nreturn _run.result").body
-        body[0].body = node.body  # type: ignore[attr-defined]
-        node.body, node.decorator_list = body, []
+        node.body, node.decorator_list = _block("with _merged.Run() as _run:", node.body, "return _run.result"), []
         return node
 
     def visit_Assign(self, node: ast.Assign) -> Any:
-        self.generic_visit(node)
         (target,) = node.targets
         parts = target.elts if isinstance(target, ast.Tuple) else [target]
+        value = ast.unparse(node.value) if isinstance(target, ast.Tuple) else f"({ast.unparse(node.value)},)"
         is_item = any(isinstance(part, ast.Subscript) for part in parts)
-        old = ", ".join(f"lambda: {ast.unparse(part)}" for part in parts)
-        text = f"{ast.unparse(target)} = _run.new({ast.unparse(node.value)}, {old}, is_item={is_item})"
-        return ast.parse(text).body
+        names = [ast.unparse(part) for part in parts]
+        old = ", ".join(f"lambda: {name}" for name in names)
+        return ast.parse(f"{', '.join(names)}, = _run.new({value}, {old}, is_item={is_item})").body
 
     def visit_AugAssign(self, node: ast.AugAssign) -> Any:
         return self.visit_Assign(ast.Assign([node.target], ast.BinOp(node.target, node.op, node.value)))
 
     def visit_If(self, node: ast.If) -> Any:
-        self.generic_visit(node)
         condition = f"_condition_{node.lineno}"
         statements = ast.parse(f"{condition} = {ast.unparse(node.test)}").body
         for body, test in ((node.body, condition), (node.orelse, f"_merged.negated({condition})")):
             if body:
-                (branch,) = ast.parse(f"if _run.begins({test}):\n    _run.ends()").body
-                branch.body[:0] = body  # type: ignore[attr-defined]
-                statements.append(branch)
+                statements += _block(f"if _run.begins({test}):", [*body, *ast.parse("_run.ends()").body])
         return statements
 
     def visit_For(self, node: ast.For) -> Any:
-        self.generic_visit(node)
-        limits = ast.unparse(node.iter).removeprefix("range(")
-        return self._loop(ast.unparse(node.target), f"passes({limits}", node.body)
+        limits = ast.unparse(node.iter).removeprefix("range")
+        return _block(f"for {ast.unparse(node.target)} in _run.passes{limits}:", node.body, "_run.end_loop()")
 
     def visit_While(self, node: ast.While) -> Any:
-        self.generic_visit(node)
-        return self._loop("_", f"repeats(lambda: {ast.unparse(node.test)})", node.body)
-
-    def _loop(self, target: str, passes: str, body: list[ast.stmt]) -> list[ast.stmt]:
-        loop, *rest = ast.parse(f"for {target} in _run.{passes}:\n    pass\n_run.end_loop()").body
-        loop.body = body  # type: ignore[attr-defined]
-        return [loop, *rest]
+        return _block(f"for _ in _run.passes({MOST_REPEATS}):", node.body, "_run.end_loop()")
 
     def visit_Return(self, node: ast.Return) -> Any:
-        self.generic_visit(node)
-        value = "None" if node.value is None else ast.unparse(node.value)
+        value = ast.unparse(node.value or ast.Constant(None))
         return ast.parse(f"if _run.returns({value}):\n    return _run.result").body
 
-    def visit_Break(self, _node: ast.Break) -> Any:
-        return ast.parse("while True:\n    if _run.leaves():\n        break").body[0].body  # type: ignore[attr-defined]
+    def visit_Break(self, node: ast.Break) -> Any:
+        return _block("if _run.leaves():", [node])
 
-    def visit_Continue(self, _node: ast.Continue) -> Any:
-        return ast.parse("while True:\n    if _run.skips():\n        continue").body[0].body  # type: ignore[attr-defined]
+    def visit_Continue(self, node: ast.Continue) -> Any:
+        return _block("if _run.skips():", [node])
 
     def visit_BoolOp(self, node: ast.BoolOp) -> Any:
-        self.generic_visit(node)
-        return _call("every" if isinstance(node.op, ast.And) else "some", *node.values)
+        return _call("every" if isinstance(node.op, ast.And) else "some", node.values)
 
     def visit_UnaryOp(self, node: ast.UnaryOp) -> Any:
-        self.generic_visit(node)
-        return _expression(f"_merged.negated({ast.unparse(node.operand)})") if isinstance(node.op, ast.Not) else node
+        return _call("negated", [], node.operand) if isinstance(node.op, ast.Not) else node
 
     def visit_IfExp(self, node: ast.IfExp) -> Any:
-        self.generic_visit(node)
-        x, y = ast.unparse(node.body), ast.unparse(node.orelse)
-        return _expression(f"_merged.if_else({ast.unparse(node.test)}, lambda: {x}, lambda: {y})")
+        return _call("if_else", [node.body, node.orelse], node.test)
 
     def visit_Compare(self, node: ast.Compare) -> Any:
-        self.generic_visit(node)
         if isinstance(node.ops[0], ast.In):
-            (group,) = node.comparators
-            return _call("some", *(ast.Compare(node.left, [ast.Eq()], [x]) for x in group.elts))  # type: ignore[attr-defined]
-        operands = [node.left, *node.comparators]
-        pairs = [ast.Compare(operands[i], [op], [operands[i + 1]]) for i, op in enumerate(node.ops)]
-        return node if len(pairs) == 1 else _call("every", *pairs)
+            return _call("some", [ast.Compare(node.left, [ast.Eq()], [x]) for x in node.comparators[0].elts])  # type: ignore[attr-defined]
+        sides = [node.left, *node.comparators]
+        pairs = [ast.Compare(x, [op], [y]) for x, op, y in zip(sides, node.ops, sides[1:], strict=False)]
+        return node if len(pairs) == 1 else _call("every", pairs)
 
 
-def _expression(text: str) -> ast.expr:
-    return ast.parse(text, mode="eval").body
+def _block(head: str, body: list[ast.stmt], after: str = "") -> list[ast.stmt]:
+    first, *others = ast.parse(f"{head}\n    pass\n{after}").body
+    first.body = body  # type: ignore[attr-defined]
+    return [first, *others]
 
 
-def _call(name: str, *conditions: ast.expr) -> ast.expr:
-    return _expression(f"_merged.{name}({', '.join(f'lambda: {ast.unparse(x)}' for x in conditions)})")
+def _call(name: str, delayed: Sequence[ast.expr], *given: ast.expr) -> ast.expr:
+    operands = [*map(ast.unparse, given), *(f"lambda: {ast.unparse(x)}" for x in delayed)]
+    return ast.parse(f"_merged.{name}({', '.join(operands)})", mode="eval").body
 
 
 @cache

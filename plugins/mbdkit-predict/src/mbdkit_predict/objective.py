@@ -68,7 +68,7 @@ def objective_of(spec: PredictSpec, quantity: Callable[[Quantity], Any], t: Any)
     try:
         return _objective(spec, quantity, t)
     except SpecError as error:
-        raise SpecError(error.message, key="minimize") from None
+        raise SpecError(spec.with_controls(error.message), key="minimize") from None
 
 
 def _objective(spec: PredictSpec, quantity: Callable[[Quantity], Any], t: Any) -> Objective:

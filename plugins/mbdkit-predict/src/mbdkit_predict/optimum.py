@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from mbdkit_predict.nonlinear_program import Solution, Stop, statuses
+from mbdkit_predict.nonlinear_program import MOST_ITERATIONS, Solution, Stop, statuses
 from mbdkit_predict.predict_spec import PredictSpec
 from mbdkit_predict.transcription import OF_POINTS, Mesh, Transcription
 
@@ -131,7 +131,7 @@ class _Search:
         random, best = np.random.default_rng(self.spec.seed), None
         for k in range(self.spec.starts):
             guess = self.transcription.guess(random if k else None)
-            mesh = self.transcription.solved(guess, self.stop, ITERATIONS_OF_START if k else None)
+            mesh = self.transcription.solved(guess, self.stop, ITERATIONS_OF_START if k else MOST_ITERATIONS)
             solution = _solution(mesh)
             self.starts.append(solution.objective if solution.is_optimum else np.nan)
             if best is None or _order(mesh) < _order(best):

@@ -19,7 +19,7 @@ from mbdkit.spec.choices import Choice
 from mbdkit.spec.model_spec import ModelSpec
 from mbdkit.spec.sections import Count, Section
 from mbdkit.spec.study_measures import DefinedMeasure
-from mbdkit_predict.chosen_numbers import ChosenNumbers
+from mbdkit_predict.chosen_numbers import UNKNOWNS, ChosenNumbers, elastic_muscles, unknowns_of
 
 if TYPE_CHECKING:
     from mbdkit.mechanism.mechanism import Mechanism
@@ -28,8 +28,8 @@ STAGES = {"radau": (2, 3, 5), "gauss": (1, 2, 3, 4, 5, 6)}
 """Numbers of collocation points of each method."""
 
 
-def _ordered(bounds: tuple[float, float]) -> tuple[float, float]:
-    if bounds[0] > bounds[1]:
+def _ordered(bounds: Any) -> Any:
+    if isinstance(bounds, tuple) and bounds[0] > bounds[1]:
         raise SpecError(f"the lower bound {bounds[0]:g} is above the upper bound {bounds[1]:g}")
     return bounds
 
@@ -46,7 +46,7 @@ def _check_start(start: float | None, bounds: tuple[float, float]) -> None:
 
 
 Bounds = Annotated[tuple[Number, Number], AfterValidator(_ordered)]
-Wanted = Number | Bounds
+Wanted = Annotated[Number | tuple[Number, Number], AfterValidator(_ordered)]
 
 
 class Variable(Section):
@@ -272,22 +272,44 @@ class PredictSpec(ModelSpec):
 
     def with_states(self, text: str) -> str:
         """Return an expression in which controls, ``controls["forces.motor.value"]``, are states of the mechanism."""
-        states = dict(zip(self.controls, self.chosen.control_states, strict=True))
+        states = dict(zip(self.chosen.controls, self.chosen.control_states, strict=True))
 
         def state(match: re.Match[str]) -> str:
-            name = match[1] or match[2]
+            name = match[2] or match[3]
             if name not in states:
                 raise SpecError(f"there is no control '{name}'{did_you_mean(name, states)}")
             return f"states[{json.dumps(states[name])}].value"
 
-        return re.sub(r"\bcontrols(?:\[\"(.*?)\"\]|\.(\w+))", state, text)
+        return re.sub(r"\bcontrols(?:\[([\"'])(.*?)\1\]|\.(\w+))", state, text)
+
+    def control(self, name: str) -> tuple[float, float, float | None]:
+        """Return the bounds and the start of a control; of unknowns of fibres, they are free by default."""
+        if (own := self.controls.get(name)) is not None:
+            return *own.bounds, own.start
+        return (0.0, math.inf, 0.1) if name.endswith(UNKNOWNS[1]) else (-math.inf, math.inf, 0.0)
+
+    def with_controls(self, message: str) -> str:
+        """Return a message in which states that stand for controls are called controls."""
+        for name in self.controls:
+            message = message.replace(f"states[{name!r}]", f"controls[{name!r}]")
+        return message
 
     _chosen: Any = PrivateAttr(default=None)
 
     def _built(self) -> Mechanism:
+        mechanism = super()._built()
+        unknowns = [key for name in elastic_muscles(mechanism) for key in unknowns_of(name)]
         fixed = [key for key in self.sensitivities if key not in self.optimized]
-        chosen = ChosenNumbers(super()._built(), list(self.controls), [*self.optimized, *fixed])
+        controls = list(dict.fromkeys([*self.controls, *unknowns]))
+        chosen = ChosenNumbers(mechanism, controls, [*self.optimized, *fixed])
         self._chosen = chosen
+        for i, (name, variable) in enumerate(self.optimized.items()):
+            for bound in variable.bounds:
+                try:
+                    chosen.with_parameters([*chosen.parameter_start[:i], bound, *chosen.parameter_start[i + 1 :]])
+                except SpecError as error:
+                    why = f"the bound {bound:g} of this parameter is not possible: {error.message}"
+                    raise SpecError(why, key=f"model.{name}") from None
         return chosen.mechanism
 
 

@@ -92,7 +92,7 @@ def _rows(result: Optimum) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarr
     values, n = mesh.values, len(mesh.values["q"])
     begin, own_states = values["start"], slice(2 * n, None)
     ends = [values["nodes"][:, -1]] if method.has_nodes else []
-    low, high = np.array([result.spec.controls[name].bounds for name in method.system.control_names]).T
+    low, high = np.array([result.spec.control(name)[:2] for name in method.system.control_names]).T
     first, last = values["u"][:, : len(method.c)], values["u"][:, -len(method.c) :]
     columns = {
         "q": (begin[:n], [end[:n] for end in ends]),
@@ -172,9 +172,10 @@ def _forward(result: Optimum, equations: EquationsOfMotion, time: np.ndarray, st
     method, s = result.transcription, len(result.transcription.c)
     if not result.is_optimum:
         return Difference()
-    u = result.mesh.values["u"].reshape(-1, len(result.mesh.grid.phase), s)
-    names = [state.name for state in method.states]
-    controls = np.array([names.index(name) for name in result.spec.chosen.control_states])
+    names, chosen = [state.name for state in method.states], result.spec.chosen.control_states
+    are_states = [name in names for name in chosen]  # unknowns of fibres are not
+    u = result.mesh.values["u"][are_states].reshape(sum(are_states), len(result.mesh.grid.phase), s)
+    controls = np.array([names.index(name) for name in chosen if name in names])
     ends = result.mesh.values["duration"] @ (result.mesh.grid.starts + result.mesh.grid.lengths)
     if method.has_nodes:
         nodes, own = result.mesh.values["nodes"].T, np.delete(np.arange(states.shape[1]), 2 * equations.n + controls)

@@ -16,6 +16,7 @@ from mbdkit.base.text import listed
 from mbdkit.engine.compiled_mechanism import CompiledMechanism
 from mbdkit.engine.consistent_start import mechanism_at_start
 from mbdkit.engine.kernels import acting, applied_forces, equations, frames, observe, system
+from mbdkit.engine.kernels.engine_bundles import Topology
 from mbdkit.engine.kernels.frames import Reactions
 from mbdkit.engine.kernels.observe import Observed
 from mbdkit.engine.workspace import Workspace
@@ -25,6 +26,9 @@ from mbdkit.quantities.names import archive_names
 from mbdkit.quantities.quantity import Quantity
 from mbdkit.quantities.states import States
 from mbdkit.quantities.table import KINDS
+from mbdkit_biomech.muscles.acting_muscles import ActingMuscle
+from mbdkit_biomech.muscles.force_curves import CURVES
+from mbdkit_biomech.muscles.hill_laws import fiber_pull, tendon_gap
 from mbdkit_contact.acting_contacts import contact_law, pairs_of_shapes
 from mbdkit_contact.kernels import contact_laws
 from mbdkit_predict.casadi_system import ARGUMENTS, CasadiSystem, function
@@ -59,9 +63,9 @@ class SymbolicMechanism:
         n, m = 3 * len(self._compiled.bodies), len(self._compiled.solved_rows)
         sizes = (n, n, n, m, sum(self._is_state), len(chosen.controls), len(chosen.parameters), 1)
         self.symbols = {name: ca.SX.sym(name, size) for name, size in zip(ARGUMENTS, sizes, strict=True)}
-        self._q, self._v, self._a, self._lam, z, u, self._p, (self.time,) = map(_elements, self.symbols.values())
+        self._q, self._v, self._a, self._lam, z, self._u, self._p, (self.time,) = map(_elements, self.symbols.values())
         states = iter(z)
-        self._z = [u[self._controls[name]] if name in self._controls else next(states) for name in names]
+        self._z = [self._u[self._controls[name]] if name in self._controls else next(states) for name in names]
         self._run = Interpreter(self._compiled.laws)
         self._equations = self._new_equations()
 
@@ -94,17 +98,22 @@ class SymbolicMechanism:
         scratch.law_values[:] = top.law_parameters
         bundle: equations.Equations = _objects(equations.new_equations(top, scratch, work.solver))
         self._run(applied_forces.take_states)(top, scratch, self._z)
+        for muscle, _, force in self._fibers():
+            _, law = self._law_of(muscle)
+            place = int(top.laws[law, 1])
+            names = [name for name, _ in known.laws[law][1].parameters]
+            largest = scratch.law_values[place + 1 + names.index("max_force")]
+            self._run.known_forces[int(top.laws[law, 0]), int(top.laws[law, 3]), place] = largest * force
         return bundle
 
     def _functions(self) -> dict[str, ca.Function]:
-        """Return the functions `residual`, `constraints` and `rates`."""
+        """Return the functions `residual`, `constraints`, `rates` and `equilibrium`."""
         eq, run = self._equations, self._run
         top, w = eq.top, eq.w
         residual = _zeros(len(self._q))
         run(equations.residual_of)(eq, self.time, self._q, self._v, self._a, self._lam, True, residual)
         run(applied_forces.applied_forces)(top, w, eq.q, eq.v)
-        rates = _zeros(len(self._z))
-        run(applied_forces.state_rates)(top, w, eq.v, rates)
+        rates = self._rates(top)
         position, velocity, gamma, acceleration = _zeros(4, len(self._lam))
         run(equations.rows_of)(eq, self.time, self._q, self._v, position, velocity, gamma)
         eq.a[: len(self._a)] = self._a
@@ -118,7 +127,40 @@ class SymbolicMechanism:
             "residual": function("residual", self.symbols, {"residual": column(residual)}),
             "constraints": function("constraints", self.symbols, rows),
             "rates": function("rates", self.symbols, {"rates": column(rates[self._is_state])}),
+            "equilibrium": function("equilibrium", self.symbols, {"equilibrium": column(list(self._equilibrium()))}),
         }
+
+    def _rates(self, top: Topology) -> np.ndarray:
+        """Return the rates of the first-order states."""
+        rates = _zeros(len(self._z))
+        self._run(applied_forces.state_rates)(top, self._equations.w, self._equations.v, rates)
+        for muscle, velocity, _ in self._fibers():
+            own = muscle.force.muscle
+            rates[muscle.activation + 1] = own.max_velocity * own.optimal_length * velocity
+        return rates
+
+    def _fibers(self) -> Iterator[tuple[ActingMuscle, Symbol, Symbol]]:
+        """Yield each muscle whose fibres have unknowns among the controls, with velocity and force."""
+        for muscle in self._compiled.extensions.get("muscles", ()):
+            if indices := self.chosen.fibers.get(muscle.force.name):
+                yield muscle, *(self._u[i] for i in indices)
+
+    def _law_of(self, muscle: ActingMuscle) -> tuple[int, int]:
+        """Return the segment and the law of a muscle."""
+        top = self._compiled.topology
+        (segment,) = np.flatnonzero((top.force_place == muscle.place) & (top.springs[:, 5] > 0))
+        return int(segment), int(top.springs[segment, 3])
+
+    def _equilibrium(self) -> Iterator[Any]:
+        """Yield the conditions of equilibrium of the fibres that have unknowns among the controls."""
+        w, top = self._equations.w, self._equations.top
+        for muscle, velocity, force in self._fibers():
+            segment, law = self._law_of(muscle)
+            names = [name for name, _ in self._compiled.laws[law][1].parameters]
+            values = dict(zip(names, w.law_values[top.laws[law, 1] + 1 :], strict=False))
+            curves = CURVES[muscle.force.muscle.curves]
+            yield fiber_pull(velocity, values, curves) - force
+            yield tendon_gap(w.s[segment, 0], force, values, curves)
 
     @cached_property
     def _states(self) -> States:
@@ -131,7 +173,7 @@ class SymbolicMechanism:
         run(frames.reactions_in_frames)(eq, t, q, v, lam, forces)
         observed = _objects(Observed.zeros(1, self._compiled.topology))
         observed.lam[:], observed.acc[0, : len(self._a)] = forces.lam, self._a
-        run(applied_forces.state_rates)(top, w, eq.v, observed.state_rates[0])
+        observed.state_rates[0] = self._rates(top)
         run(observe.describe)(top, w, eq.q, eq.v, observed, 0)
         run(acting.joint_values)(top, w, eq.q, forces.lam[0], observed.reactions[0], observed.joints[0])
         observed = Observed(*map(symbols, observed))

@@ -207,6 +207,26 @@ def test_muscles_are_those_of_the_machine_code(tendon: str, curves: str) -> None
     check(arm(tendon=tendon, curves=curves), spread=0.01)
 
 
+@pytest.mark.parametrize("curves", ["de-groote-fregly", "millard"])
+def test_unknowns_of_fibers_are_in_equilibrium_at_the_values_of_the_machine_code(curves: str) -> None:
+    m = arm(tendon="elastic", curves=curves)
+    keys = [f"muscles.{name}.{key}" for name in m.muscles for key in ("fiber_velocity", "tendon_force")]
+    system, wanted = m.to_casadi(controls=keys), m.to_casadi()
+    assert system.state_names == wanted.state_names
+    state = (system.q0 + 1e-4, system.v0 + 0.1, np.ones(6), np.ones(4), system.z0 * 1.0005)
+    names = [f"muscles.{name}" for name in m.muscles]
+    both = [wanted.expression(f"{name}.{key}") for name in names for key in ("fiber_rate", "force")]
+    values = np.array(wanted.function("both", {"both": ca.vertcat(*both)})(*state, [], [], 0.3)).ravel()
+    muscle = m.muscles["long"]
+    u = values / np.tile([muscle.max_velocity * muscle.optimal_length, muscle.max_force], 3)
+    assert np.abs(np.array(system.equilibrium(*state, u, [], 0.3))).max() < 1e-12
+    assert np.abs(np.array(system.equilibrium(*state, 1.1 * u, [], 0.3))).min() > 1e-4
+    for found, expected in ((system.residual, wanted.residual), (system.rates, wanted.rates)):
+        assert_same(found(*state, u, [], 0.3), expected(*state, [], [], 0.3), "with unknowns")
+    with pytest.raises(SpecError, match=r"needs both muscles\.long\.fiber_velocity and muscles\.long\.tendon_force"):
+        m.to_casadi(controls=keys[:1])
+
+
 def test_cables_states_and_loads_of_the_state_are_those_of_the_machine_code() -> None:
     m = arm()
     m.muscles.clear()

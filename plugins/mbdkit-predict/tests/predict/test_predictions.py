@@ -47,12 +47,15 @@ def test_starts_find_the_local_optima_of_a_swing_up() -> None:
     run = mbdkit.predict("cart-pole", starts=5, tolerance=1e-2)
     assert abs(run.objective - 57.944781) <= run.objective_error < 0.6
     assert "starts        of 5, " in run.summary()
-    assert sum(abs(value - 58.93) < 0.01 for value in run.starts) == 2
+    assert sum(abs(value - 58.93) < 0.01 for value in run.starts) >= 1
 
 
 def test_gauss_methods_have_their_order_on_nonlinear_joints() -> None:
     # on meshes of equal intervals, errors of order 4 fall by 16; without projection, no motion is found
-    exact, spec = swing_up(5, 80), load_predict_spec("cart-pole", (), collocation={"method": "gauss", "points": 2})
+    exact, spec = (
+        swing_up(5, 80, -10.0),
+        load_predict_spec("cart-pole", (), collocation={"method": "gauss", "points": 2}),
+    )
     method = transcribed(spec)
     mesh = method.solved(method.guess(), Stop())
     errors = []
@@ -142,6 +145,11 @@ def test_a_motion_that_cannot_be_is_infeasible(tmp_path: Path) -> None:
         ({"subject_to": {"a": {"value": "block.x", "min": 2, "max": 1}}}, "subject_to.a", "is above"),
         ({"overrides": {"integrator": "x"}}, "overrides", "only parameters and model of the base"),
         ({"parameters": {PUSH: {"bounds": [0, 1]}}}, f"model.{PUSH}", "is a control"),
+        ({"parameters": {"bodies.block.mass": {"bounds": [-1, 2]}}}, "model.bodies.block.mass", "the bound -1 of this"),
+        ({"controls": {"forces.push.value": {"bounds": [0, 1]}}}, "model.forces.push.value", "has components"),
+        ({"compare": {f"model.{PUSH}": 1}}, "compare", "because it is a control"),
+        ({"final": {"block.x": [2, 1]}}, 'final."block.x"', "the lower bound 2 is above the upper bound 1"),
+        ({"minimize": "integral(controls['forces.push.value[0]']"}, "minimize", "is written controls['forces.push"),
     ],
 )
 def test_a_wrong_spec_is_one_sentence(changed: dict[str, Any], key: str, text: str) -> None:
@@ -312,3 +320,21 @@ def test_what_has_no_optimum_is_told_in_one_sentence(changed: dict[str, Any], co
     run = mbdkit.predict(block(**changed))
     assert (run.status, run.status_reason.split(":")[0]) == ("failed", code)
     assert "\n" not in run.status_reason
+
+
+def test_muscles_with_elastic_tendons_move_a_forearm_as_in_a_run_with_their_excitations() -> None:
+    # expected: the motion of the engine with explicit rates of the fibres, by another method and in its own steps
+    names = ("biceps", "brachialis", "triceps")
+    run = mbdkit.predict(
+        {
+            "mbdkit_predict": 1, "base": "elbow-curl", "duration": 0.8, "collocation": {"intervals": 8},
+            "controls": {f"muscles.{name}.excitation": {"bounds": [0.01, 1], "start": 0.1} for name in names},
+            "tolerance": 1e-2,
+            "initial": {"forearm.angle": -1.396, "forearm.angular_velocity": 0},
+            "final": {"forearm.angle": 0.3, "forearm.angular_velocity": 0},
+            "minimize": "integral(" + "+".join(f"muscles.{name}.activation**2" for name in names) + ")",
+        }
+    )  # fmt: skip
+    assert run.status == "complete"
+    assert run.forward_run["end"] < 1e-3
+    assert 0.1 < np.abs(run.muscles["biceps"].fiber_rate[1:]).max() / (10 * 0.132) < 1.0

@@ -94,6 +94,26 @@ def elastic_tension(length: Any, p: Parameters, curves: ForceCurves) -> Any:
     return p["max_force"] * _value(curves, "tendon", (length - _along(p)) / p["tendon_length"])
 
 
+def fiber_pull(velocity: Any, p: Parameters, curves: ForceCurves) -> Any:
+    """Return the force of fibres along an elastic tendon, as a share of `max_force`, at a normalised velocity."""
+    normal = p["fiber_length"] / p["optimal_length"]
+    active = p["activation"] * _value(curves, "active", normal) * _value(curves, "velocity", velocity)
+    pull = active + _value(curves, "passive", normal) + p["damping"] * velocity
+    return pull * _along(p) / p["fiber_length"]
+
+
+def tendon_gap(length: Any, force: Any, p: Parameters, curves: ForceCurves) -> Any:
+    """Return zero if the tendon exerts a force, a share of `max_force`, where the fibres leave room for it.
+
+    With De Groote's curves, lengths are compared and not forces, which would grow by factors of 10 with each 6 % of
+    strain.
+    """
+    stretch = (length - _along(p)) / p["tendon_length"]
+    if isinstance(curves, Millard):
+        return force - _value(curves, "tendon", stretch)
+    return stretch - curves.stretch(force)[0]
+
+
 def _along(p: Parameters) -> Any:
     """Return the length of the fibres along the tendon; nan if they are shorter than the thickness of the muscle."""
     fiber, thickness = p["fiber_length"], p["thickness"]
