@@ -27,7 +27,13 @@ from mbdkit_biomech.inverse_dynamics.loads import loads_on
 from mbdkit_biomech.inverse_dynamics.recruitment import Recruiter
 from mbdkit_biomech.inverse_dynamics.shared_loads import Programme, share_loads
 from mbdkit_biomech.muscles.muscle_path import MusclePath, PathState
-from mbdkit_biomech.uncertainty.changed_problem import PROPERTIES, ChangedProblem, Changer, with_moved_points
+from mbdkit_biomech.uncertainty.changed_problem import (
+    OF_DYNAMICS,
+    PROPERTIES,
+    ChangedProblem,
+    Changer,
+    with_moved_points,
+)
 from mbdkit_biomech.uncertainty.sources import Place, Source
 
 ROWS = 10_000
@@ -41,9 +47,6 @@ SHORTEST = 1e-3
 
 SMOOTH = "length", "rate", "optimal_length", "tendon_length"
 """Quantities of muscles that are taken to first order; lengths of fibres and tendons follow the scaled segments."""
-
-OF_DYNAMICS = frozenset(("masses", "inertias", "pressure", "plate_gain", "offset"))
-"""Keys of places that leave the paths of muscles as they are."""
 
 EXACT = (*PROPERTIES, "exponent", "minimum")
 """Keys of places that are not taken to first order."""
