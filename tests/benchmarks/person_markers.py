@@ -10,9 +10,11 @@ from __future__ import annotations
 import sys
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from functools import cached_property
 from pathlib import Path
 
 import numpy as np
+from scipy.signal import butter, filtfilt
 from tests.inverse_dynamics.running import table_of
 
 from mbdkit.spec.loading import example_table
@@ -119,12 +121,19 @@ class Walker:
         c, s = np.cos(self.angles[body]), np.sin(self.angles[body])
         return np.column_stack([c * x - s * y, s * x + c * y, np.full(len(self.time), z)])
 
+    @cached_property
+    def _root(self) -> Array:
+        lag = (self.time[:, None] - self.time) / CORRELATION
+        return np.asarray(np.linalg.cholesky(np.exp(-0.5 * lag * lag) + 1e-8 * np.eye(len(self.time))))
+
+    def skin(self, random: np.random.Generator) -> Array:
+        """Return an artefact (T, 3) with the standard deviation 1."""
+        return np.asarray(self._root @ random.standard_normal((len(self.time), 3)))
+
     def markers(self, random: np.random.Generator | None = None, skin: float = 1.0) -> dict[str, Array]:
         """Return the markers (T, 3) by name, with artefacts of `skin` times their standard deviations."""
         found = {}
-        lag = (self.time[:, None] - self.time) / CORRELATION
-        root = np.linalg.cholesky(np.exp(-0.5 * lag * lag) + 1e-8 * np.eye(len(self.time)))
-        noise = (lambda size: skin * size * root @ random.standard_normal((len(root), 3))) if random else np.zeros
+        noise = (lambda size: skin * size * self.skin(random)) if random else np.zeros
         to_pelvis = np.array([HIP[0], HIP[1], 0.0])
         for name, point in PELVIS.items():
             middle = np.column_stack([self.hip, 0.0 * self.time])
@@ -136,6 +145,27 @@ class Walker:
                     own = self.turned(f"{kind}{leg}", (x, y, sign * z))
                     found[side + name] = self.joints[joint + leg] + own + (noise(SKIN[kind]) if random else 0.0)
         return found
+
+    def filtered(self, cutoff: float) -> dict[str, tuple[Array, Array]]:
+        """Return the loads without what exceeds a frequency [Hz], as plates show them: none below 10 N."""
+        interval, found = float(self.time[1] - self.time[0]), {}
+        b, a = butter(2, 2.0 * interval * cutoff / (np.sqrt(2) - 1) ** 0.25)  # two passes
+        for foot, (force, point) in self.loads.items():
+            columns = np.column_stack([force, np.nan_to_num(point[:, 0]) * force[:, 1]])
+            x, y, moment = filtfilt(b, a, columns, axis=0, padlen=int(np.ceil(2.0 / cutoff / interval))).T
+            acts = y > 10.0
+            pressed = np.where(acts, moment / np.where(acts, y, 1.0), 0.0)
+            found[foot] = np.column_stack([x, y]) * acts[:, None], np.column_stack([pressed, 0.0 * pressed])
+        return found
+
+    def move_in_step(self, markers: dict[str, Array], joint: str, shift: tuple[float, float]) -> None:
+        """Move the markers of a segment beside a knee or an ankle in step with its flexion, so that both segments seem
+        to turn about a centre that is shifted with the shank [m].
+        """
+        body = joint.replace("knee", "thigh").replace("ankle", "foot")
+        shank = joint.replace("knee", "shank").replace("ankle", "shank")
+        for name in CLUSTERS[body]:
+            markers[name] = markers[name] + self.turned(shank, (*shift, 0.0)) - self.turned(body, (*shift, 0.0))
 
     def contacts(self) -> list[tuple[str, int, int]]:
         """Return foot, first frame and the frame after the last one of each contact."""

@@ -6,8 +6,10 @@ from tests.persons.walkers import loaded, person_spec
 
 import mbdkit
 from mbdkit import SpecError
+from mbdkit.spec import load_inverse_spec
 from mbdkit_biomech.inverse_dynamics.compute import InverseProblem, compute
 from mbdkit_biomech.uncertainty.changed_problem import Changer
+from mbdkit_biomech.uncertainty.compression_criterion import compression_doubts
 
 
 @pytest.mark.parametrize("axis", ["x", "y"])
@@ -58,3 +60,32 @@ def test_without_uncertainty_bars_say_that_the_person_is_missing():
     with mbdkit.inverse(person_spec(motion={"errors": {"samples": 20}}, uncertainty="none")) as run:
         assert not run.accuracy.parts
         assert "uncertainty of the person's joint centres" in run.summary()
+
+
+@pytest.mark.parametrize(("above", "doubts"), [(0.05, []), (-0.25, ["compression"])])
+def test_a_muscle_along_the_leg_that_pulls_the_shank_off_the_knee_is_doubtful(above, doubts):
+    # A person stands on one leg. A muscle along its axis has hardly a moment arm, so that its activation is the least
+    # one and its tension 0.3 * 1000 N. If its end on the thigh is below that on the shank, it pulls the shank down.
+    model = {"name": "leg", "root": "trunk", "body_mass": 75, "height": 1.8}
+    path = [{"body": "thigh", "point": [1e-4, above - 0.25]}, {"body": "shank", "point": [1e-4, 0.05]}]
+    muscle = {"max_force": 1000, "optimal_length": 0.1, "tendon_length": 0.1, "path": path}
+    still = {"time": np.linspace(0, 1, 41), "hip_x": 0, "hip_y": 0.9542, "trunk_tilt": 0}
+    still |= dict.fromkeys(("hip_flexion", "knee_flexion", "ankle_dorsiflexion"), 0)
+    data = {name: np.full(41, value) if np.isscalar(value) else value for name, value in still.items()}
+    result = compute(
+        InverseProblem.of(
+            load_inverse_spec(
+                {
+                    "mbdkit": 1,
+                    "model": model | {"muscles": {"axial": muscle}},
+                    "motion": {"data": data, "errors": "none"},
+                    "loads": {"ground": {"body": "foot", "force": [0, 735], "point": [0, 0]}},
+                    "actuators": {"hip_flexion": {}, "knee_flexion": {}, "ankle_dorsiflexion": {}},
+                    "recruitment": {"exponent": 2, "minimum": 0.3, "capacity": "isometric", "reserves": 1.0},
+                }
+            )
+        )
+    )
+    found = list(compression_doubts(result))
+    assert [one.criterion for one in found] == doubts
+    assert all("of knee in single stance by up to 300 N" in one.sentence for one in found)

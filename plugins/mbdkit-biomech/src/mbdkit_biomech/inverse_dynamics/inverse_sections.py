@@ -274,8 +274,8 @@ class MeasuredMotion(Section):
     centers: dict[str, Center] | None = None
     """How each joint centre of a person is determined, by joint (`hip`, `knee`, `ankle`, `hip_left`, ...):
     `functional`, from the motion; `hip-regression`, from landmarks of the pelvis; `{midpoint: [MARKER, MARKER]}`; or
-    `static`, midway between medial and lateral markers that have such names. By default, hips are determined by
-    regression if the landmarks are there, other joints by medial and lateral markers, otherwise by the motion."""
+    `static`, midway between medial and lateral markers that have such names. By default, the motion is combined with
+    the regression of hips, and with medial and lateral markers of other joints, if the landmarks are there."""
     static: Named | None = None
     """File of a calibration trial of the person, in which the person stands upright for some time; joints that are
     bent in it are calibrated by it. Several motions of a person may share it."""

@@ -108,13 +108,15 @@ class Shared:
     multipliers: np.ndarray
 
 
-def share_loads(programme: Programme, exponent: float) -> Shared:
+def share_loads(programme: Programme, exponent: float, start: np.ndarray | None = None) -> Shared:
     """Solve the programmes of all frames.
 
     Parameters
     ----------
     exponent
         p: 1, 2, 3, ..., or infinity, for which the largest ``|x / weight|`` is minimised.
+    start
+        (T, K) multipliers of similar programmes, which save iterations for 1 < p < infinity.
     """
     # The programme is scaled such that all weights are 1, all equations have size 1, and the multipliers are about as
     # large as the cost.
@@ -126,23 +128,29 @@ def share_loads(programme: Programme, exponent: float) -> Shared:
         programme.high / weight,
         np.ones_like(weight),
     )
-    solve = _linear if exponent == 1 or math.isinf(exponent) else _dual_newton
-    value, certificate, multipliers = solve(scaled, exponent)
+    if exponent == 1 or math.isinf(exponent):
+        value, certificate, multipliers = _linear(scaled, exponent)
+    else:
+        value, certificate, multipliers = _dual_newton(scaled, exponent, None if start is None else start * size)
     return Shared(value * weight, np.where(certificate <= SOLVED, certificate, np.inf), multipliers / size)
 
 
-def _dual_newton(programme: Programme, p: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _dual_newton(
+    programme: Programme, p: float, start: np.ndarray | None = None
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return solutions (T, N), certificates (T,) and multipliers (T, K) for p > 1 and weights of 1."""
     frames, equations, _ = programme.matrix.shape
-    y = np.zeros((frames, equations))
-    if p > 2:  # start from the solution for p = 2, with the derivative of the cost converted from 2 x to p x^(p - 1)
+    y = np.zeros((frames, equations)) if start is None else start.copy()
+    if (
+        p > 2 and start is None
+    ):  # start from the solution for p = 2, with the derivative of the cost converted from 2 x to p x^(p - 1)
         x, _, _ = _dual_newton(programme, 2.0)
         cost = p * np.sign(x) * elementary.pow(np.abs(x), p - 1)
         y = least_norms(np.swapaxes(programme.matrix, 1, 2), cost, 1e-10)
     trace = np.sum(programme.matrix**2, axis=(1, 2)) * 0.5
     trace = np.where(trace > 0, trace, 1.0)
     left = np.arange(frames)
-    for proximal in PROXIMAL:
+    for proximal in PROXIMAL if start is None else PROXIMAL[1:]:
         y[left] = _proximal_newton(programme.only(left), y[left], p, proximal * trace[left])
         x, _ = _unknowns(programme, y, p)
         residual = np.max(np.abs(_residual(programme, x)), axis=1, initial=0.0)

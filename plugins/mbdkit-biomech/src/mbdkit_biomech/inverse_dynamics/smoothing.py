@@ -88,6 +88,11 @@ def smoothed(time: np.ndarray, series: np.ndarray, how: Smoothing) -> Smoothed:
     return _opensim(time, series, how)
 
 
+def low_passed(time: np.ndarray, series: np.ndarray, how: Smoothing) -> np.ndarray:
+    """Return series (T, K) filtered as the motion if `how` is a Butterworth filter, and otherwise unchanged."""
+    return _butterworth(time, series, how) if isinstance(how, Butterworth) else series
+
+
 def fixed(time: np.ndarray, series: np.ndarray, how: Smoothing) -> list[Smoothing]:
     """Return the smoothing of each series with fixed parameters.
 

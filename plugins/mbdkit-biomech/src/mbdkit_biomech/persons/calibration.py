@@ -20,14 +20,11 @@ from mbdkit_biomech.persons.joint_centers import (
     landmark_center,
     turn_of,
 )
-from mbdkit_biomech.persons.landmarks import Side, landmark, side_of
+from mbdkit_biomech.persons.landmarks import LEFT, Side, landmark, side_of
 from mbdkit_biomech.persons.marker_files import MarkerFile
 from mbdkit_biomech.persons.motion_plane import MotionPlane
 from mbdkit_biomech.persons.person_sections import Center, Midpoint
 from mbdkit_biomech.persons.rigid_clusters import Artefact, Cluster, Poses, rate_of
-
-LEFT = "_left"
-"""Suffix of the names of the second leg."""
 
 LEAST_TURN = np.radians(20.0)
 """A calibration trial is used for a functional centre if the joint turns by at least this angle in it [rad]."""
@@ -42,6 +39,13 @@ LEAST_ROWS = 10
 def legs_of(count: int) -> tuple[str, ...]:
     """Return the suffixes of the names of the legs."""
     return ("", LEFT)[:count]
+
+
+def joints_of(legs: tuple[str, ...]) -> dict[str, tuple[str, str]]:
+    """Return the proximal and the distal body of each joint, by joint, for suffixes of legs."""
+    chains = {leg: ("trunk", f"thigh{leg}", f"shank{leg}", f"foot{leg}") for leg in legs}
+    names = ("hip", "knee", "ankle")
+    return {f"{name}{leg}": two for leg, one in chains.items() for name, two in zip(names, pairwise(one), strict=True)}
 
 
 @dataclass(frozen=True)
@@ -145,11 +149,7 @@ class Segments:
     @property
     def joints(self) -> dict[str, tuple[str, str]]:
         """The proximal and the distal body of each joint, by joint."""
-        chains = {leg: ("trunk", f"thigh{leg}", f"shank{leg}", f"foot{leg}") for leg in self.legs}
-        names = ("hip", "knee", "ankle")
-        return {
-            f"{name}{leg}": two for leg, one in chains.items() for name, two in zip(names, pairwise(one), strict=True)
-        }
+        return joints_of(self.legs)
 
     def trials(self) -> list[Trial]:
         """Return the calibration trial, if there is one, and the motion."""
@@ -200,8 +200,19 @@ class Segments:
         pelvis = self._pelvis() if kind == "hip" else None
         sides = [] if kind == "hip" else [self.named(f"{kind}.{one}", side) for one in ("medial", "lateral")]
         names = method.midpoint if isinstance(method, Midpoint) else [one[1] for one in sides if one is not None]
-        if method is None:
-            method = "hip-regression" if pelvis else "static" if len(names) == 2 else "functional"
+        trial = self.motion
+        if self.static is not None:
+            own = self.pair(joint, bodies, self.static, plane)
+            trial = self.static if turn_of(*own.known()) >= LEAST_TURN else self.motion
+        moving = self.pair(joint, bodies, trial, plane)
+        if method is None and (pelvis or len(names) == 2):
+            other = self._center(joint, bodies, "hip-regression" if pelvis else "static", plane)
+            try:
+                return functional_center(moving, other)
+            except SpecError:  # the motion does not determine it
+                return other
+        if method is None or method == "functional":
+            return functional_center(moving)
         if method == "hip-regression":
             if kind != "hip":
                 raise SpecError("is for hips; this joint takes functional, static or a midpoint", key=key)
@@ -213,12 +224,6 @@ class Segments:
                     key=key,
                 )
             return hip_center(self.pair(joint, bodies, self.motion, plane), pelvis, side)
-        if method == "functional":
-            trial = self.motion
-            if self.static is not None:
-                own = self.pair(joint, bodies, self.static, plane)
-                trial = self.static if turn_of(*own.known()) >= LEAST_TURN else self.motion
-            return functional_center(self.pair(joint, bodies, trial, plane))
         if len(names) < 2:
             raise SpecError(
                 "needs a marker on the medial and on the lateral side of the joint whose names say so, such as "

@@ -8,6 +8,9 @@ from typing import Literal
 
 Side = Literal["r", "l"]
 
+LEFT = "_left"
+"""Suffix of the names of the second leg."""
+
 _KNEE, _ANKLE = r"(knee|kne|femoral)?(epicondyle|epi|condyle)?(knee|kne)?", r"(ankle|ank)?(malleolus|mal)?(ankle|ank)?"
 PATTERNS = {
     "asis": r"asis?|ias",

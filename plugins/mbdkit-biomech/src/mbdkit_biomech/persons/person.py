@@ -13,8 +13,9 @@ from mbdkit.base.text import listed
 from mbdkit.engine.linear_systems import product, symmetric_eigenvectors
 from mbdkit.trust.finding import Finding
 from mbdkit_biomech.models._measured_segments import MeasuredPerson
-from mbdkit_biomech.persons.calibration import LEAST_FRAMES, LEFT, Segments, angle_of
+from mbdkit_biomech.persons.calibration import LEAST_FRAMES, Segments, angle_of
 from mbdkit_biomech.persons.joint_centers import JointCenter
+from mbdkit_biomech.persons.landmarks import LEFT
 from mbdkit_biomech.persons.motion_plane import MotionPlane, plane_of
 from mbdkit_biomech.persons.person_sections import Center, PlaneAxes, Subject
 from mbdkit_biomech.persons.plate_contacts import FootMotion, PlateResult
@@ -36,6 +37,10 @@ VARIES = 0.03
 
 STATED, THICKNESS = 10.0, 0.04
 """Angle between the stated and the found plane [deg], and residual of the plane [m], from which it is doubtful."""
+
+MISFIT = 2.5
+"""Misfit of a centre by landmarks and by the motion from which it is doubtful: 0.03 % of such centres exceed it by
+chance."""
 
 SIDES = 3.0
 """Difference of the lengths of two legs that is doubtful, in standard deviations."""
@@ -79,8 +84,8 @@ class Person:
     reference
         Index of the frame in whose pose the covariances of the centres and `shifts` are given.
     shifts
-        (C, 6) shifts of the C columns, by body, for artefacts of the pose of its cluster: six independent errors with
-        the standard deviation 1.
+        (C, E) shifts of the C columns, by body, for artefacts of its cluster: E independent errors with the standard
+        deviation 1, six of its pose, and two of each of its joints by the slip of the whole cluster.
     """
 
     subject: Subject
@@ -115,8 +120,10 @@ class Person:
             for name, one in self.lengths.items()
         )
         centers = (f"{name} {one.method} +- {1000 * max(one.deviation):.0f} mm" for name, one in self.centers.items())
-        value, bound = (1000 * one for one in self.plates.offset or (0.0, 0.0))
-        offset = f"; {value:.0f} ms late, known to {bound:.0f} ms" if self.plates.offset else ""
+        offset = ""
+        if (own := self.plates.offset) is not None:
+            done = "corrected" if own.corrected else "not corrected"
+            offset = f"; {1000 * own.late:.0f} +- {1000 * own.deviation:.0f} ms late, {done}"
         return {
             "subject": f"{of.mass:g} kg, {of.height:g} m, {of.sex}; {', '.join(lengths)}",
             "centres": ", ".join(centers),
@@ -164,6 +171,14 @@ class Builder:
         self._require_sides()
         self.plane = self.plane.with_residual(list(self.positions.values()))
         self._judge_plane()
+        for joint, one in self.centers.items():
+            if one.misfit > MISFIT:
+                self._doubt(
+                    "centers",
+                    f"landmarks and motion determine centres of {joint} that differ {one.misfit:.1f} times as much as "
+                    f"their uncertainties explain (doubtful above {MISFIT:g}): check names and places of the markers, "
+                    f"or choose one of both with `motion.centers.{joint}`",
+                )
         self.points = {joint: self.plane.coordinates(points) for joint, points in self.positions.items()}
         self.lengths = {name: self._length(name) for name in ("thigh", "shank")}
         self._judge_lengths()
@@ -338,26 +353,30 @@ class Builder:
 
     def _shifts(self, columns: Sequence[str]) -> dict[str, np.ndarray]:
         """Return the shifts of columns by artefacts; see `Person.shifts`."""
-        found = {body: np.zeros((len(columns), 6)) for body in self.poses}
+        found = {}
         for body, cluster in self.segments.clusters.items():
             size, rotation = self.segments.motion.artefacts[body].deviation, self.poses[body].rotation
             to_plane = product(self.plane.axes, rotation[self.segments.reference])
             values, vectors = symmetric_eigenvectors(cluster.inverse_inertia)
             turns = size * vectors * np.sqrt(np.maximum(values, 0.0))
+            shifts = [np.zeros((len(columns), 6))]
             angle = f"bodies.{body}.angle"
             if angle in columns:
-                found[body][columns.index(angle), 3:] = product(to_plane, turns)[2]
-            for joint, (first, second) in self.segments.joints.items():
-                center = self.centers[joint]
-                for one, point, weight in ((first, center.proximal, center.weights[0]),
-                                           (second, center.distal, center.weights[1])):  # fmt: skip
-                    if one != body:
-                        continue
-                    is_hip = joint.startswith("hip")
-                    own = weight / (len(self.segments.legs) if is_hip else 1)
-                    moves = np.hstack(
-                        [size / np.sqrt(len(cluster.names)) * np.eye(3), -product(cross_matrix(point), turns)]
-                    )
-                    row = columns.index(f"markers.{'hip' if is_hip else joint}.x")
-                    found[body][row : row + 2] += own * product(to_plane, moves)[:2]
+                shifts[0][columns.index(angle), 3:] = product(to_plane, turns)[2]
+            for joint, pair in self.segments.joints.items():
+                if body not in pair:
+                    continue
+                center, side = self.centers[joint], pair.index(body)
+                is_hip = joint.startswith("hip")
+                weight = center.fit.weights[side] / (len(self.segments.legs) if is_hip else 1)
+                point = (center.proximal, center.distal)[side]
+                moves = np.hstack(
+                    [size / np.sqrt(len(cluster.names)) * np.eye(3), -product(cross_matrix(point), turns)]
+                )
+                row = columns.index(f"markers.{'hip' if is_hip else joint}.x")
+                shifts[0][row : row + 2] += weight * product(to_plane, moves)[:2]
+                slip = np.zeros((len(columns), 2))
+                slip[row : row + 2] = weight * center.fit.slip[side] * np.eye(2)
+                shifts.append(slip)
+            found[body] = np.hstack(shifts)
         return found

@@ -52,10 +52,12 @@ def _plates(spec: InverseSpec, file: MarkerFile, builder: Builder) -> PlateResul
     asked: dict[str, tuple[str, Sequence[int]]] = {
         name: (load.body, load.plates) for name, load in spec.loads.items() if load.plates is not None
     }
-    numbers, feet = plate_numbers(file), builder.feet()
-    if spec.loads or not numbers:
-        return plates_under_feet(file, builder.plane, feet, asked, every=True) if asked else PlateResult()
-    return plates_under_feet(file, builder.plane, feet, {LOADS[body]: (body, numbers) for body in feet}, every=False)
+    numbers, feet, every = plate_numbers(file), builder.feet(), bool(spec.loads)
+    if not every and numbers:
+        asked = {LOADS[body]: (body, numbers) for body in feet}
+    if not asked:
+        return PlateResult()
+    return plates_under_feet(file, builder.plane, feet, asked, spec.motion.smooth, every=every)
 
 
 def _expanded(spec: InverseSpec, person: Person) -> InverseSpec:

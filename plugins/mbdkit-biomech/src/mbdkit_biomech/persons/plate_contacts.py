@@ -15,8 +15,9 @@ from mbdkit.base.errors import SpecError
 from mbdkit.base.text import listed
 from mbdkit.trust.finding import Finding
 from mbdkit_biomech.inverse_dynamics.c3d_file import UNLOADED
-from mbdkit_biomech.inverse_dynamics.inverse_sections import ColumnOfTable
+from mbdkit_biomech.inverse_dynamics.inverse_sections import ColumnOfTable, Smoothing
 from mbdkit_biomech.inverse_dynamics.measured import si_values
+from mbdkit_biomech.inverse_dynamics.smoothing import low_passed
 from mbdkit_biomech.persons.marker_files import MarkerFile
 from mbdkit_biomech.persons.motion_plane import MotionPlane
 
@@ -39,8 +40,8 @@ LARGEST_OFFSET = 0.1
 
 
 class FootMotion(NamedTuple):
-    """Middle of the markers of a foot (T, 3) [m] and its velocity (T, 3) [m/s], as (forward, up, right), and rate of
-    the angle of the foot (T,) [rad/s], counter-clockwise.
+    """Middle of the markers of a foot (T, 3) [m] and its velocity (T, 3) [m/s], as (forward, up, right), and rate
+    of the angle of the foot (T,) [rad/s], counter-clockwise.
     """
 
     middle: np.ndarray
@@ -79,14 +80,24 @@ class PlateLoad(NamedTuple):
     torque: np.ndarray
 
 
+class Offset(NamedTuple):
+    """Time by which plates are later than markers, and its standard deviation [s]."""
+
+    late: float
+    deviation: float
+
+    @property
+    def corrected(self) -> float:
+        """The offset of the loads that is corrected [s]: 0 if it is smaller than two standard deviations."""
+        return self.late if abs(self.late) > 2.0 * self.deviation else 0.0
+
+
 class PlateResult(NamedTuple):
-    """Loads of feet by name, contacts, time by which plates are late and half the width of the range of offsets that
-    explain the data almost as well [s] (None without contacts), and what was found.
-    """
+    """Loads of feet by name, contacts, offset in time of the plates (None without contacts), and what was found."""
 
     loads: Mapping[str, PlateLoad] = {}
     contacts: Sequence[Contact] = ()
-    offset: tuple[float, float] | None = None
+    offset: Offset | None = None
     findings: Sequence[Finding] = ()
 
 
@@ -155,6 +166,7 @@ def plates_under_feet(
     plane: MotionPlane,
     feet: Mapping[str, FootMotion],
     asked: Mapping[str, tuple[str, Sequence[int]]],
+    smooth: Smoothing,
     *,
     every: bool,
 ) -> PlateResult:
@@ -166,6 +178,8 @@ def plates_under_feet(
         Motion of the feet by body.
     asked
         Foot and numbers of the plates by name of the load.
+    smooth
+        Smoothing of the motion.
     every
         Whether a load without contact is an error; otherwise it is left out, and so are, with one leg, contacts of the
         other foot.
@@ -182,6 +196,8 @@ def plates_under_feet(
     contacts = [
         one for number, plate in plates.items() for one in plate.contacts(feet, time, keys[number] if strict else "")
     ]
+    offset = _offset(time, [(plates[one.plate], one, feet[one.body]) for one in contacts]) if contacts else None
+    late = 0.0 if offset is None else offset.corrected
     for name, (body, own) in asked.items():
         if body not in feet:
             feet_named = listed([f"'{foot}'" for foot in feet])
@@ -189,7 +205,7 @@ def plates_under_feet(
         mine = [one for one in contacts if one.plate in own and one.body == body]
         other = next((f"'{one.body}' stands on plate {one.plate}" for one in contacts if one.plate in own), "")
         if mine:
-            loads[name] = _load([plates[one.plate] for one in mine], mine, len(time))
+            loads[name] = _load([plates[one.plate] for one in mine], mine, time, late, smooth)
         elif every:
             raise SpecError(
                 f"'{body}' stands on none of the plates {listed(list(map(str, own)), 'and')}; "
@@ -209,58 +225,85 @@ def plates_under_feet(
         if len(feet) == 2 and np.mean(np.all([*near, *rest], axis=0)) > BOTH:
             sentence = f"both feet stand on {where}, so that its force is not that of {one.body} alone"
             findings.append(Finding("plates", "doubtful", sentence))
-    offset = _offset(time, [(plates[one.plate], one, feet[one.body]) for one in contacts]) if contacts else None
-    if offset is not None and abs(offset[0]) > offset[1]:
-        findings.append(
-            Finding(
-                "plates",
-                "doubtful",
-                f"the plates are {1000 * abs(offset[0]):.0f} ms {'late' if offset[0] > 0 else 'early'} relative to the "
-                f"markers (known to {1000 * offset[1]:.0f} ms), since the feet slip least with this offset: check the "
-                "synchronisation",
-            )
+    if offset is not None and abs(late) > float(np.median(np.diff(time))):
+        side = "late" if late > 0 else "early"
+        sentence = (
+            f"the plates are {1000 * abs(late):.0f} ms {side} relative to the markers (known to "
+            f"{1000 * offset.deviation:.0f} ms), since the feet slip least with this offset, which is corrected: check "
+            "the synchronisation"
         )
+        findings.append(Finding("plates", "doubtful", sentence))
     return PlateResult(loads, contacts, offset, findings)
 
 
-def _load(plates: Sequence[_Plate], contacts: Sequence[Contact], count: int) -> PlateLoad:
-    """Return the sum of the forces of contacts, at the point about which they have no moment but the free torques."""
-    force, torque, moment, height = np.zeros((count, 2)), np.zeros(count), np.zeros(count), np.zeros(count)
+def later(time: np.ndarray, values: np.ndarray, late: float) -> np.ndarray:
+    """Return values (T, ...) as they are at times that are later by `late` [s]."""
+    columns = values.reshape(len(time), -1)
+    return np.stack([np.interp(time + late, time, column) for column in columns.T], axis=-1).reshape(values.shape)
+
+
+def _load(
+    plates: Sequence[_Plate], contacts: Sequence[Contact], time: np.ndarray, late: float, smooth: Smoothing
+) -> PlateLoad:
+    """Return the sum of the forces of contacts at the point about which they have no moment but the free torques.
+
+    The time by which plates are late [s] is corrected. Forces and moments are filtered as the motion: if they had more
+    of the impact at heel strike than the accelerations, moments of joints would have peaks that are artefacts (S. K.
+    Bisseling and A. L. Hof, J. Biomech. 39 (2006) 2438-2444; E. Kristianslund, T. Krosshaug and A. J. van den Bogert,
+    J. Biomech. 45 (2012) 666-671).
+    """
+    columns = np.zeros((len(time), 5))  # force forward and up, free torque, moment, and height times force
     for plate, one in zip(plates, contacts, strict=True):
         own = np.s_[one.first : one.end]
         f, p = plate.force[own, :2], np.nan_to_num(plate.point[own, :2])
-        force[own] += f
-        torque[own] += plate.torque[own, 2]
-        moment[own] += p[:, 0] * f[:, 1] - p[:, 1] * f[:, 0]
-        height[own] += f[:, 1] * p[:, 1]
+        columns[own, :2] += f
+        columns[own, 2] += plate.torque[own, 2]
+        columns[own, 3] += p[:, 0] * f[:, 1] - p[:, 1] * f[:, 0]
+        columns[own, 4] += f[:, 1] * p[:, 1]
+    columns = low_passed(time, later(time, columns, late), smooth)
+    columns[columns[:, 1] <= UNLOADED] = 0.0
+    force, (torque, moment, height) = columns[:, :2], columns[:, 2:].T
     acts = force[:, 1] > 0
-    force[~acts], torque[~acts] = 0.0, 0.0
     with np.errstate(divide="ignore", invalid="ignore"):
         y = height / force[:, 1]
         x = (moment + y * force[:, 0]) / force[:, 1]
     return PlateLoad(force, np.where(acts[:, None], np.stack([x, y], axis=1), np.nan), torque)
 
 
-def _offset(time: np.ndarray, contacts: Sequence[tuple[_Plate, Contact, FootMotion]]) -> tuple[float, float] | None:
-    """Return the offset of the plates for which the points of the feet at the points of application move least, and the
-    largest distance of offsets whose mean square velocity is at most twice as large; None if it is not known.
+def _offset(time: np.ndarray, contacts: Sequence[tuple[_Plate, Contact, FootMotion]]) -> Offset | None:
+    """Return the offset of the plates for which the points of the feet at the points of application have the least mean
+    square velocity; None if it is not known.
+
+    The standard deviation is that by the scatter of the contacts (P. J. Huber, Proc. 5th Berkeley Symp. 1 (1967)
+    221-233), and at least that of least squares with an independent velocity in each frame. It is `LARGEST_OFFSET` if
+    no offset is better than all others.
     """
     interval = float(np.median(np.diff(time)))
     most = int(LARGEST_OFFSET / interval)
-    steps, costs = np.arange(-most, most + 1), []
-    for step in steps.tolist():
-        square = weight = 0.0
-        for plate, contact, foot in contacts:
+    squares, weights = np.zeros((2, len(contacts), 2 * most + 1))
+    for row, (plate, contact, foot) in enumerate(contacts):
+        for column, step in enumerate(range(-most, most + 1)):
             own = np.arange(max(contact.first, step), min(contact.end, len(time) + step))
             arm, speed = (plate.point[own] - foot.middle[own - step]), foot.velocity[own - step]
             rate, force = foot.angle_rate[own - step], plate.force[own, 1]
             x, y = speed[:, 0] - rate * arm[:, 1], speed[:, 1] + rate * arm[:, 0]
             slip = (x * x + y * y) * force
             known = ~np.isnan(slip)
-            square, weight = square + float(np.sum(slip[known])), weight + float(np.sum(force[known]))
-        costs.append(square / weight if weight > 0 else np.inf)
+            squares[row, column], weights[row, column] = float(np.sum(slip[known])), float(np.sum(force[known]))
+    whole = np.sum(weights, axis=0)
+    shares = np.where(whole > 0, squares / np.where(whole > 0, whole, 1.0), np.inf)
+    costs = np.sum(shares, axis=0)
     best = int(np.argmin(costs))
     if not np.isfinite(costs[best]):
         return None
-    within = np.flatnonzero(np.array(costs) <= 2.0 * costs[best])
-    return float(steps[best]) * interval, max(float(np.max(np.abs(within - best))) * interval, interval / 2)
+    if not 0 < best < 2 * most or not np.isfinite(costs[best + 1] + costs[best - 1]):
+        return Offset((best - most) * interval, LARGEST_OFFSET)
+    slopes = (shares[:, best + 1] - shares[:, best - 1]) / 2.0
+    bends = shares[:, best + 1] - 2.0 * shares[:, best] + shares[:, best - 1]
+    bend, count = float(np.sum(bends)), len(contacts)
+    shift = -float(np.sum(slopes)) / bend  # least value of the parabola through three costs
+    slopes = slopes + shift * bends
+    scatter = float(np.sqrt(np.sum(slopes * slopes) * count / max(1, count - 1))) / bend
+    frames = sum(contact.end - contact.first for _, contact, _ in contacts)
+    alone = float(np.sqrt(costs[best] / (bend * frames)))
+    return Offset((best - most + shift) * interval, interval * max(scatter, alone))

@@ -11,7 +11,6 @@ from collections.abc import Mapping
 from copy import copy
 from dataclasses import dataclass, replace
 from functools import cached_property
-from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -30,7 +29,9 @@ from mbdkit_biomech.inverse_dynamics.reduced_motion import Independent, Motion, 
 from mbdkit_biomech.inverse_dynamics.several_quantities import Quantities
 from mbdkit_biomech.inverse_dynamics.smoothing import fixed, smoothed_each
 from mbdkit_biomech.muscles.muscle import Muscle
-from mbdkit_biomech.persons.calibration import LEFT
+from mbdkit_biomech.persons.calibration import joints_of
+from mbdkit_biomech.persons.landmarks import LEFT
+from mbdkit_biomech.persons.plate_contacts import later
 from mbdkit_biomech.persons.scaled_model import moved_muscle, of_model, scaled_model
 from mbdkit_biomech.uncertainty.sources import Place, segment_of
 
@@ -39,6 +40,9 @@ MOVING = ("centers", "lengths", "angles")
 
 MODEL = ("centers", "lengths", "masses", "inertias", "muscle_points")
 """Keys of places that change the mechanism."""
+
+OF_DYNAMICS = frozenset(("masses", "inertias", "pressure", "plate_gain", "offset"))
+"""Keys of places that leave the paths of muscles as they are."""
 
 PROPERTIES = ("max_force", "optimal_length", "tendon_length")
 """Properties of muscles that have factors."""
@@ -104,7 +108,7 @@ class Changer:
             fitted = replace(fitted, measured=replace(fitted.measured, quantities=quantities))
         if keys & set(MOVING):
             fitted, independent, motion = self._moved(problem, fitted, change)
-        if base.recruiter is not None and not keys <= {"masses", "inertias", "pressure", "plate_gain", "offset"}:
+        if base.recruiter is not None and not keys <= OF_DYNAMICS:
             problem = replace(problem, recruiter=self._recruiter(problem, change))
         return ChangedProblem(problem, fitted, independent, motion)
 
@@ -136,16 +140,6 @@ class Changer:
         return other
 
     @cached_property
-    def _segments(self) -> dict[str, tuple[str, str]]:
-        """The proximal and the distal body of each joint of a person."""
-        chains = {leg: ("trunk", f"thigh{leg}", f"shank{leg}", f"foot{leg}") for leg in self._legs}
-        return {
-            f"{name}{leg}": two
-            for leg, one in chains.items()
-            for name, two in zip(("hip", "knee", "ankle"), pairwise(one), strict=True)
-        }
-
-    @cached_property
     def _legs(self) -> tuple[str, ...]:
         return ("", LEFT) if f"hip{LEFT}" in self.person.centers else ("",)
 
@@ -162,7 +156,7 @@ class Changer:
         """Return the displacement (T, 2) of a joint centre."""
         x, y = (change.get(("centers", joint, axis), 0.0) for axis in "xy")
         found = np.zeros((len(self.result.motion.time), 2))
-        for weight, body in zip(self.person.centers[joint].weights, self._segments[joint], strict=True):
+        for weight, body in zip(self.person.centers[joint].fit.weights, joints_of(self._legs)[joint], strict=True):
             angle = self._angle(body)
             turn = angle - angle[self._reference]
             c, s = elementary.cos(turn), elementary.sin(turn)
@@ -239,8 +233,8 @@ class Changer:
             if move := change.get(("pressure", name), 0.0):
                 one = one.moved(("point", 0), move)
             if late and name in self.person.plates.loads:
-                point = None if one.point is None else _later(one.time, one.point, late)
-                force, torque = (_later(one.time, x, late) for x in (one.force, one.torque))
+                point = None if one.point is None else later(one.time, one.point, late)
+                force, torque = (later(one.time, x, late) for x in (one.force, one.torque))
                 one = replace(one, force=force, torque=torque, point=point)
             found[name] = one
         return found
@@ -261,12 +255,6 @@ class Changer:
 def factor(change: Change, key: str, element: str) -> float:
     """Return the factor of a share; 1 if it is not changed."""
     return float(elementary.exp(change.get((key, element), 0.0)))
-
-
-def _later(time: np.ndarray, values: np.ndarray, late: float) -> np.ndarray:
-    """Return values (R, ...) as they are at times that are later by `late` [s]."""
-    columns = values.reshape(len(time), -1)
-    return np.stack([np.interp(time + late, time, column) for column in columns.T], axis=-1).reshape(values.shape)
 
 
 def _stretched_points(element: Any, sizes: Mapping[str, float]) -> Any:

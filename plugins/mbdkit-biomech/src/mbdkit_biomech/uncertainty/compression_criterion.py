@@ -10,7 +10,7 @@ from mbdkit.base import elementary
 from mbdkit.plugin import Finding
 from mbdkit_biomech.inverse_dynamics.compute import Inverse, reaction_forces_without_muscles, recorded_states
 from mbdkit_biomech.inverse_dynamics.doubt import doubt
-from mbdkit_biomech.persons.calibration import LEFT
+from mbdkit_biomech.persons.landmarks import LEFT
 
 STANCE = 0.5
 """A foot stands alone if its load exceeds this share of the largest load of all plates, and no other one acts."""

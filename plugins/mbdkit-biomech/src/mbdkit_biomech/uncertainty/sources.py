@@ -171,22 +171,8 @@ class _Sources:
         yield from self._of_loads()
         yield from self._angles()
         if self.person is not None and self.person.plates.offset is not None and self.person.plates.loads:
-            yield Source("offset in time of the plates", "person", {("offset",): self._offset()})
+            yield Source("offset in time of the plates", "person", {("offset",): self.person.plates.offset.deviation})
         yield from self._of_muscles()
-
-    def _offset(self) -> float:
-        """Return the standard deviation of the offset of the plates [s].
-
-        At its bound, the slip of the feet is twice as large as at the best offset. The mean of N independent frames
-        determines the offset to the bound divided by the root of N; it is rounded to frames.
-        """
-        plates, interval = self.person.plates, float(np.median(np.diff(self.person.time)))
-        independent = 0.0
-        for one in plates.contacts:
-            lags = self.person.artefacts[one.body].correlation
-            independent += (one.end - one.first) / (2.0 * float(np.sum(lags)) - 1.0)
-        bound = float(plates.offset[1])
-        return max(bound / float(np.sqrt(max(1.0, independent))), interval / float(np.sqrt(12.0)))
 
     def _size(self, key: str) -> Any:
         """Return the value of a key: that of the spec, or the default of a person."""

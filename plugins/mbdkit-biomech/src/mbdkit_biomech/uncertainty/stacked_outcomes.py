@@ -27,7 +27,13 @@ from mbdkit_biomech.inverse_dynamics.loads import loads_on
 from mbdkit_biomech.inverse_dynamics.recruitment import Recruiter
 from mbdkit_biomech.inverse_dynamics.shared_loads import Programme, share_loads
 from mbdkit_biomech.muscles.muscle_path import MusclePath, PathState
-from mbdkit_biomech.uncertainty.changed_problem import PROPERTIES, ChangedProblem, Changer, with_moved_points
+from mbdkit_biomech.uncertainty.changed_problem import (
+    OF_DYNAMICS,
+    PROPERTIES,
+    ChangedProblem,
+    Changer,
+    with_moved_points,
+)
 from mbdkit_biomech.uncertainty.sources import Place, Source
 
 ROWS = 10_000
@@ -41,9 +47,6 @@ SHORTEST = 1e-3
 
 SMOOTH = "length", "rate", "optimal_length", "tendon_length"
 """Quantities of muscles that are taken to first order; lengths of fibres and tendons follow the scaled segments."""
-
-OF_DYNAMICS = frozenset(("masses", "inertias", "pressure", "plate_gain", "offset"))
-"""Keys of places that leave the paths of muscles as they are."""
 
 EXACT = (*PROPERTIES, "exponent", "minimum")
 """Keys of places that are not taken to first order."""
@@ -139,6 +142,7 @@ class StackedOutcomes:
         own = ChangedProblem(result.problem, result.fitted, result.independent, result.motion)
         base, self._mechanics = self._smooth(own), _Mechanics(own)
         frames, count = len(result.motion.time), len(sources)
+        self._starts: dict[float, np.ndarray] = {}  # multipliers of the result by exponent
         self._base, self.moves = base, np.zeros((count, frames, result.motion.q.shape[1] // 3, 6))
         slopes, changer = {}, Changer(result)
         for index, source in enumerate(sources):
@@ -246,15 +250,16 @@ class StackedOutcomes:
             return
         frames, count = smooth.shape[:2]
         flat = {name: one.reshape(frames * count, *one.shape[2:]) for name, one in own.items()}
-        capacity, passive = self._capacities(recruiter, values, own)
-        minimum = recruiter.asked.minimum + self._total(values, ("minimum",))
-        driven = recruited.sharing.driven
-        programme = recruiter.programme(
-            flat["arms"], driven, flat["value"], np.nan_to_num(capacity), np.nan_to_num(passive),
-            np.tile(minimum, frames),
-        )  # fmt: skip
-        exponent = recruiter.exponent + float(self._total(values[:1], ("exponent",))[0])
-        force = _tensions(programme, exponent, capacity, passive)
+        driven, exponent = recruited.sharing.driven, recruiter.exponent + float(self._total(values, ("exponent",))[0])
+        programme, capacity, passive = self._programme(recruiter, driven, values, own)
+        if exponent not in self._starts:
+            nominal = self._programme(recruiter, driven, np.zeros((1, values.shape[1])), self._layout.split(self._base))
+            shared = share_loads(nominal[0], exponent)
+            solved = np.isfinite(shared.certificate)[:, None]
+            self._starts[exponent] = np.where(solved, shared.multipliers, 0.0)
+        shared = share_loads(programme, exponent, np.repeat(self._starts[exponent], count, axis=0))
+        solved = np.isfinite(shared.certificate)[:, None]
+        force = np.where(solved, capacity * shared.value[:, : capacity.shape[1]] + passive, np.nan)
         beside = flat["value"] - products(flat["arms"], force)
         beside[:, recruiter.is_taken_over(driven)] = 0.0
         reserve = np.where(driven, beside, 0.0)[:, recruiter.reserve_places]
@@ -264,6 +269,19 @@ class StackedOutcomes:
         for target, found in ((out.actuators, actuators), (out.reactions, joint), (out.muscles, force)):
             shape = frames, count, *target.shape[2:]
             target[rows] = np.swapaxes(found.reshape(shape), 0, 1)
+
+    def _programme(
+        self, recruiter: Recruiter, driven: np.ndarray, values: np.ndarray, smooth: Mapping[str, np.ndarray]
+    ) -> tuple[Programme, np.ndarray, np.ndarray]:
+        """Return the programmes of T * S samples, and capacities and passive forces (T * S, M) of muscles, which are
+        nan where a tendon is too long.
+        """
+        capacity, passive = self._capacities(recruiter, values, smooth)
+        minimum = np.tile(recruiter.asked.minimum + self._total(values, ("minimum",)), len(self._base))
+        arms = smooth["arms"].reshape(len(minimum), *smooth["arms"].shape[-2:])
+        value = smooth["value"].reshape(len(minimum), -1)
+        programme = recruiter.programme(arms, driven, value, np.nan_to_num(capacity), np.nan_to_num(passive), minimum)
+        return programme, capacity, passive
 
     def _capacities(
         self, recruiter: Recruiter, values: np.ndarray, smooth: Mapping[str, np.ndarray]
@@ -283,13 +301,6 @@ class StackedOutcomes:
             columns.append((active, passive if asked.passive else np.zeros_like(passive)))
         capacity, passive = (np.stack(one, axis=-1).reshape(-1, len(columns)) for one in zip(*columns, strict=True))
         return capacity, passive
-
-
-def _tensions(programme: Programme, exponent: float, capacity: np.ndarray, passive: np.ndarray) -> np.ndarray:
-    """Return the tensions (R, M) that solve programmes; nan where there is no solution."""
-    shared = share_loads(programme, exponent)
-    solved = np.isfinite(shared.certificate)
-    return np.asarray(np.where(solved[:, None], capacity * shared.value[:, : capacity.shape[1]] + passive, np.nan))
 
 
 def _blocks(exponents: np.ndarray, most: int) -> Iterator[slice]:

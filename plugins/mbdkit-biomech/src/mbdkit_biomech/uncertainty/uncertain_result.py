@@ -1,7 +1,9 @@
 """How uncertain scalars change the results of inverse dynamics: bars from samples, and shares of the sources.
 
 Bars are quantiles of the magnitudes of the changes in samples of all scalars together, so that they contain the bounds
-of activations, interactions of the sources, and the bias of the result. Normal scalars of the samples are orthogonal to
+of activations, interactions of the sources, and the bias of the result. Bars of largest forces are about the median of
+the samples: on average, the largest value of a disturbed curve exceeds that of the curve, and the result is one too.
+Normal scalars of the samples are orthogonal to
 each other and come in pairs of opposite sign: for linear functions, mean squares over samples are then exact.
 
 The share of a source in the mean square of a change d is ``E[d_k . d] / E[d . d]``, with the change d_k of the source
@@ -139,12 +141,13 @@ def uncertain_result(result: Inverse, random: np.random.Generator) -> UncertainR
         moves[..., 3:],
         _bound(np.abs(muscles)) ** 2,
     ]
-    largest, own = (np.max(_norm(one.reactions[..., :2]), axis=1) for one in (sampled, nominal))
+    largest = np.max(_norm(sampled.reactions[..., :2]), axis=1)
     groups = tuple(dict.fromkeys(one.group for one in sources))
     shares = _shares(stacked, sources, nominal, force, groups)
     kinds = {one.group: one.kind for one in sources}
+    peaks = _bound(np.abs(largest - np.nanmedian(largest, axis=0)))
     return UncertainResult(
-        squares, _bound(np.abs(largest - own)), groups, tuple(kinds[one] for one in groups), shares, len(sources),
+        squares, peaks, groups, tuple(kinds[one] for one in groups), shares, len(sources),
         len(values), failed, float(np.mean(np.isnan(sampled.reactions).any(axis=(2, 3)))),
     )  # fmt: skip
 
