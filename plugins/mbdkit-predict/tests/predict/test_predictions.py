@@ -341,6 +341,14 @@ def test_muscles_with_elastic_tendons_move_a_forearm_as_in_a_run_with_their_exci
     assert 0.1 < np.abs(run.muscles["biceps"].fiber_rate[1:]).max() / (10 * 0.132) < 1.0
 
 
+def test_finer_meshes_of_a_squat_with_active_limits_confirm_its_spring() -> None:
+    run = mbdkit.predict("assisted-squat")
+    assert (run.status, run.verdict) == ("complete", "good")
+    assert run.gain().value > 1e4 * run.gain().error
+    # `final` and `subject_to` both hold the knee straight: its multiplier is finite, since only one of them is asked
+    assert abs(run.sensitivities["final: knee.angle"]) < 1.0
+
+
 def test_second_derivatives_of_points_and_ends_are_those_of_the_whole_program() -> None:
     phases = [
         {"duration": {"bounds": [0.1, 1.0]}, "subject_to": {"slow": {"value": "block.vx**2", "max": 3}}},
