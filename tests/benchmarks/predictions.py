@@ -1,4 +1,5 @@
-"""Predictions beside Moco: a squat-to-stand of the same leg on one core; and the gain of a spring at the knee.
+"""Predictions beside Moco: a squat-to-stand of the same leg on one core; the gain of a spring at the knee; and times
+against the number of intervals.
 
 Moco runs in a Python that has the package `opensim`, whose path is in the environment variable OPENSIM_PYTHON.
 """
@@ -19,7 +20,9 @@ from rich.console import Console
 from rich.table import Table
 
 import mbdkit
+from mbdkit_predict.nonlinear_program import Stop
 from mbdkit_predict.predict_loading import load_predict_spec
+from mbdkit_predict.predicted_run import transcribed
 
 LARGEST = {"hip": 150.0, "knee": 300.0, "ankle": 150.0}
 """Largest torques of the joints [N m]."""
@@ -27,6 +30,10 @@ START = {"hip": 2.0, "knee": -2.0, "ankle": 0.5}
 """Angles of the joints at the start [rad]; all are 0 at the end."""
 MESHES = 25, 50
 """Numbers of intervals of Moco."""
+COLLOCATIONS = {"points": 3, "intervals": 20}, {"points": 3, "intervals": 10}, {"points": 5, "intervals": 3}
+"""First meshes of predictions, and their numbers of points."""
+COUNTS = 25, 50, 100, 200, 400
+"""Numbers of intervals whose times are compared."""
 SPRING = "forces.spring.stiffness"
 
 
@@ -85,24 +92,34 @@ def moco(intervals: int) -> Mapping[str, Any]:
 
 def predictions(console: Console) -> None:
     """Print objectives and processor times of a squat-to-stand, and the gain and the sensitivity of a spring."""
+    _beside_moco(console)
+    _with_a_spring(console)
+    _by_intervals(console)
+
+
+def _beside_moco(console: Console) -> None:
     table = Table("program", "intervals", "objective", "processor time [s]", title="Squat-to-stand, one core")
     mbdkit.predict(squat(tolerance=1e-2))  # imports are not timed
-    for tolerance in (1e-4, 1e-6):
+    for collocation in COLLOCATIONS:
         begin = time.process_time()
-        run: Any = mbdkit.predict(squat(tolerance=tolerance))
-        value = f"{run.objective:.9f} ± {run.objective_error:.1g}"
+        run: Any = mbdkit.predict(squat(tolerance=1e-4, collocation=collocation))
+        value = f"{run.objective:.10f} ± {run.objective_error:.1g}"
         taken = time.process_time() - begin
-        table.add_row("mbdkit", ", ".join(str(count) for count, _ in run.mesh), value, f"{taken:.2f}")
+        program = f"mbdkit, {collocation['points']} points"
+        table.add_row(program, ", ".join(str(count) for count, _ in run.mesh), value, f"{taken:.2f}")
     try:
         for intervals in MESHES:
             result = moco(intervals)
-            table.add_row("Moco", str(intervals), f"{result['objective']:.9f}", f"{result['cpu_s']:.2f}")
+            table.add_row("Moco", str(intervals), f"{result['objective']:.10f}", f"{result['cpu_s']:.2f}")
     except (OSError, subprocess.CalledProcessError):
         console.print("Moco is not installed: set OPENSIM_PYTHON to a Python that has the package opensim")
     console.print(table)
+
+
+def _with_a_spring(console: Console) -> None:
     begin = time.process_time()
     chosen = {"parameters": {SPRING: {"bounds": [0.0, 200.0], "start": 50.0}}}
-    run = mbdkit.predict(squat(**chosen, compare={f"model.{SPRING}": 0.0}, tolerance=1e-4))
+    run: Any = mbdkit.predict(squat(**chosen, compare={f"model.{SPRING}": 0.0}, tolerance=1e-4))
     console.print(run.summary(), f"processor time {time.process_time() - begin:.1f} s", sep="\n")
 
     def optimum(stiffness: float, **sections: Any) -> Any:
@@ -115,3 +132,14 @@ def predictions(console: Console) -> None:
     difference = (high - low) / 0.2
     console.print(f"derivative at 30 N m/rad: {slope:.8g} by multipliers, {difference:.8g} by optima, ",
                   f"relative difference {abs(slope / difference - 1.0):.1g}")  # fmt: skip
+
+
+def _by_intervals(console: Console) -> None:
+    table = Table("intervals", "iterations", "processor time [s]", "per interval [ms]", title="First mesh of the squat")
+    for count in COUNTS:
+        problem = transcribed(load_predict_spec(squat(collocation={"intervals": count})))
+        begin = time.process_time()
+        mesh = problem.solved(problem.guess(), Stop())
+        taken = time.process_time() - begin
+        table.add_row(str(count), str(mesh.iterations), f"{taken:.2f}", f"{1e3 * taken / count:.1f}")
+    console.print(table)

@@ -13,15 +13,16 @@ import casadi as ca
 import numpy as np
 
 from mbdkit.base.interrupts import interrupts_noted
+from mbdkit_predict.point_hessian import PointHessian
 
 MOST_ITERATIONS = 2000
 """Largest number of iterations of the optimizer on a mesh."""
 PRECISION = 1e-10
 """Tolerance of the optimizer, to which it scales the conditions of optimality."""
-SCALE = 1000.0
-"""Factor of the objective for the optimizer, whose regularization is smaller in comparison: a squat takes 18 iterations
-instead of 40, and walking with muscles 117 instead of 240. The barrier parameter is adaptive, without which walking is
-not found at all."""
+SCALE = 100.0
+"""Factor of the objective for the optimizer, by which its last barrier parameter has less effect: the error of a squat
+due to it is 2e-11 instead of 2e-9. The barrier parameter of first meshes is adaptive, without which walking is not
+found."""
 NEAR, BARRIER = 1e-6, 1e-7
 """Least distance from bounds, and barrier parameter, at the start on a finer mesh."""
 FEASIBLE = 1e-6
@@ -131,6 +132,8 @@ class NonlinearProgram:
         What is minimized.
     sizes
         Natural size of each row of unknowns, by which they are divided for the optimizer; 1 if it is not given.
+    hessian
+        The second derivatives; those of CasADi by default.
 
     Attributes
     ----------
@@ -145,6 +148,7 @@ class NonlinearProgram:
         conditions: Sequence[Condition],
         objective: ca.MX,
         sizes: Mapping[str, np.ndarray],
+        hessian: PointHessian | None = None,
     ):
         self._names, self._shapes = list(unknowns), {name: bounds[name][0].shape for name in unknowns}
         self.points = {condition.name: condition.points for condition in conditions if condition.points is not None}
@@ -162,6 +166,8 @@ class NonlinearProgram:
         x = ca.MX.sym("x", *given.shape)
         program = ca.Function("program", [given], values)
         self._functions: Any = dict(zip("xfg", [x, *program(ca.DM(self._sizes) * x)], strict=True))
+        by_name = {condition.name: condition.value for condition in conditions}
+        self._hessian = {} if hessian is None else {"hess_lag": hessian.whole(by_name, given, self._sizes)}
 
     def solve(
         self,
@@ -177,7 +183,7 @@ class NonlinearProgram:
         watcher = _Watcher(len(self._low_x), self._low, self._high, stop)
         options: dict[str, Any] = {
             "ipopt.max_iter": most_iterations, "iteration_callback": watcher, "ipopt.obj_scaling_factor": SCALE,
-            **({"ipopt.mu_strategy": "adaptive"} if slopes is None else _warm(NEAR, BARRIER)),
+            **({"ipopt.mu_strategy": "adaptive"} if slopes is None else _warm(NEAR, BARRIER)), **self._hessian,
         }  # fmt: skip
         with redirect_stderr(io.StringIO()):
             self._solver = ca.nlpsol("prediction", "ipopt", self._functions, _options(**options))
@@ -292,10 +298,13 @@ def _options(**further: Any) -> dict[str, Any]:
     """Return the options of the optimizer.
 
     `calc_lam_x` computes multipliers of unknowns with equal bounds too, which the optimizer takes for constants.
+    `mumps_pivtol` is the default of the linear solver itself. With that of the optimizer, 1e-6, the inertia of the
+    matrix is wrong on meshes of 100 intervals or more, and the problem is regularized without need.
     """
     return {
         "print_time": False, "show_eval_warnings": False, "calc_lam_x": True, "ipopt.print_level": 0,
-        "ipopt.sb": "yes", "ipopt.tol": PRECISION, "ipopt.bound_relax_factor": 0.0, **further,
+        "ipopt.sb": "yes", "ipopt.tol": PRECISION, "ipopt.bound_relax_factor": 0.0, "ipopt.mumps_pivtol": 0.01,
+        **further,
     }  # fmt: skip
 
 

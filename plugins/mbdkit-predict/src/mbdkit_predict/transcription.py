@@ -18,7 +18,7 @@ States are continuous from phase to phase, because the end of an interval is the
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
@@ -39,6 +39,7 @@ from mbdkit_predict.nonlinear_program import (
     solve_pose,
 )
 from mbdkit_predict.objective import INTEGRAL, Objective
+from mbdkit_predict.point_hessian import PointHessian, Terms, assembled
 from mbdkit_predict.predict_spec import Duration, PathCondition, PredictSpec, bounds_of
 from mbdkit_predict.symbolic_mechanism import SymbolicMechanism
 
@@ -50,7 +51,7 @@ CUTS = 2, 8
 """Parts into which intervals are divided, and those in which controls or accelerations are discontinuous."""
 UNEVEN = 10.0
 """Intervals are divided into more parts if jumps at their ends are larger than this multiple of the median."""
-COLLOCATION, ENDS = "the collocation", "the collocation at the ends of intervals"
+MOTION, COLLOCATION, ENDS = "the equations of motion", "the collocation", "the collocation at the ends of intervals"
 JOINTS = "the joints at the ends of intervals"
 """Names of conditions."""
 WEIGHT_OF_START = 10.0
@@ -289,7 +290,8 @@ class Transcription:
 
     def solved(self, guess: Mesh, stop: Stop, most_iterations: int = MOST_ITERATIONS) -> Mesh:
         """Return the optimum on the grid of a guess."""
-        program = NonlinearProgram(*self._program(guess.grid), self._sizes())
+        unknowns, bounds, conditions, objective, hessian = self._program(guess.grid)
+        program = NonlinearProgram(unknowns, bounds, conditions, objective, self._sizes(), hessian)
         solution = program.solve(guess.values, stop, most_iterations, guess.slopes)
         return replace(
             guess, values=solution.values, iterations=guess.iterations + solution.iterations, solution=solution,
@@ -300,7 +302,7 @@ class Transcription:
         """Return the violations, by name, of the motion whose conditions of the user have the smallest sum of
         violations; empty if it is not found.
         """
-        unknowns, bounds, conditions, _ = self._program(guess.grid)
+        unknowns, bounds, conditions, *_ = self._program(guess.grid)
         total: Any = ca.MX(0)
         values, rows = dict(guess.values), []
         for k, row in enumerate(conditions):
@@ -337,6 +339,7 @@ class Transcription:
             ca.vertcat(ca.SX(0, 1), *integrands), system.residual(*given) / self._weight,
             ca.vertcat(ca.SX(0, 1), *(path.expression for path in self._path)),
         ]  # fmt: skip
+        self._curvature = self._curvature_function(results, mu)
         return ca.Function("point", [*given, mu], ca.cse(results))
 
     def _projection_function(self) -> tuple[ca.Function, np.ndarray]:
@@ -362,6 +365,26 @@ class Transcription:
             np.array(self._at_node(weight)(*start)),
         )
 
+    def _curvature_function(self, results: Sequence[ca.SX], mu: ca.SX) -> ca.Function:
+        """Return the function of a collocation point that is the Hessian of its part of the Lagrangian, by `OF_POINTS`,
+        parameters, time, and length of the interval.
+        """
+        closed, position_rates, rates, integrands, balance, path = results
+        known = {**self.system.symbols, "mu": mu}
+        slopes, motion = ca.vertcat(position_rates, self.system.a, rates), ca.vertcat(balance, closed)
+        h = ca.SX.sym("h")
+        costates, of_motion, of_path, weights = (
+            ca.SX.sym("lam", x.numel()) for x in (slopes, motion, path, integrands)
+        )
+        lagrangian = (
+            ca.dot(of_motion, motion)
+            + ca.dot(of_path, path)
+            + h * (ca.dot(weights, integrands) - ca.dot(costates, slopes))
+        )
+        variables = [*(known[name] for name in OF_POINTS), self.system.p, self.system.t, h]
+        hessian, _ = ca.hessian(lagrangian, ca.vertcat(*variables))
+        return ca.Function("curvature", [*variables, costates, of_motion, of_path, weights], [ca.cse(hessian)])
+
     def _without_effect(self) -> np.ndarray:
         """Return which positions and velocities (2 n,) affect nothing, such as the angle of a point mass."""
         system, n = self.system, len(self.system.q0)
@@ -373,8 +396,10 @@ class Transcription:
         of_q, of_v = (np.array(ca.which_depends(everything, system.symbols[name], 1)) for name in "qv")
         return np.concatenate([~of_q, ~(of_q | of_v)]) if n else np.zeros(0, dtype=bool)
 
-    def _program(self, grid: Grid) -> tuple[dict[str, ca.MX], dict[str, Any], list[Condition], ca.MX]:
-        """Return unknowns, their bounds, conditions, and the objective on a grid."""
+    def _program(
+        self, grid: Grid
+    ) -> tuple[dict[str, ca.MX], dict[str, Any], list[Condition], ca.MX, PointHessian | None]:
+        """Return unknowns, their bounds, conditions, objective, and second derivatives on a grid."""
         system, s = self.system, len(self.c)
         count = len(grid.phase)
         total = count * s
@@ -395,7 +420,7 @@ class Transcription:
             ca.mtimes(h, spread), states.shape[0], 1
         )
         conditions = [
-            Condition("the equations of motion", ca.vertcat(balance, closed), points=points),
+            Condition(MOTION, ca.vertcat(balance, closed), points=points),
             Condition(COLLOCATION, states - ca.mtimes(begins, spread) - integrals),
         ]
         if self.has_nodes:
@@ -434,7 +459,61 @@ class Transcription:
             next(values) if kind == INTEGRAL else self._at_node(expression)(end, x["p"], duration)
             for kind, expression in self.objective.functionals
         ]
-        return x, bounds, conditions, self.objective.value(ca.vertcat(ca.MX(0, 1), *functionals), duration)
+        objective = self.objective.value(ca.vertcat(ca.MX(0, 1), *functionals), duration)
+        slope = self._slope_of_integrals()
+        if slope is None or self.has_nodes:  # projections are curved, too
+            return x, bounds, conditions, objective, None
+        others = [
+            0.0 if kind == INTEGRAL else x for (kind, _), x in zip(self.objective.functionals, functionals, strict=True)
+        ]
+
+        def matrix(factor: ca.MX, multipliers: Mapping[str, ca.MX]) -> ca.MX:
+            costates = ca.mtimes(multipliers[COLLOCATION], ca.kron(each, ca.DM(self.a)))
+            of_path = [
+                ca.mtimes(multipliers[path.name], ca.DM.eye(total)[self._points(grid, path).tolist(), :])
+                for path in self._path
+            ]
+            weight = factor * ca.DM(np.outer(slope, np.tile(self.b, count)))
+            blocks = self._curvature.map(total)(
+                *(x[name] for name in OF_POINTS), ca.repmat(x["p"], 1, total), times, ca.mtimes(h, spread), costates,
+                multipliers[MOTION], ca.vertcat(ca.MX(0, total), *of_path), weight,
+            )  # fmt: skip
+            return assembled(
+                blocks, self._curvature.sparsity_out(0), self._places(grid, x), sum(y.numel() for y in x.values())
+            )
+
+        names = (MOTION, COLLOCATION, *(path.name for path in self._path))
+        return (
+            x,
+            bounds,
+            conditions,
+            objective,
+            PointHessian(matrix, names, self.objective.value(ca.vertcat(ca.MX(0, 1), *others), duration)),
+        )
+
+    def _slope_of_integrals(self) -> np.ndarray | None:
+        """Return the derivatives of the objective by its integrals; None if they are not constant."""
+        kinds = [kind for kind, _ in self.objective.functionals]
+        values, duration = ca.SX.sym("values", len(kinds)), ca.SX.sym("duration")
+        slope = ca.densify(ca.jacobian(self.objective.value(values, duration), values))
+        integrals = [k for k, kind in enumerate(kinds) if kind == INTEGRAL]
+        chosen = slope[0, integrals] if integrals else ca.SX(1, 0)
+        return np.array(ca.DM(chosen)).ravel() if chosen.is_constant() else None
+
+    def _places(self, grid: Grid, x: Mapping[str, ca.MX]) -> list[Terms]:
+        """Return where the variables of `_curvature` are among the unknowns."""
+        begins = dict(zip(x, np.cumsum([0, *(value.numel() for value in x.values())]).tolist(), strict=False))
+        total = grid.points.shape[1]
+        columns, ones = np.arange(total), np.ones(total)
+        places: list[Terms] = [
+            [(begins[name] + row + x[name].shape[0] * columns, ones)]
+            for name in OF_POINTS
+            for row in range(x[name].shape[0])
+        ]
+        places += [[(np.full(total, begins["p"] + k), ones)] for k in range(x["p"].numel())]
+        for factors in (grid.points, np.repeat(grid.lengths, len(self.c), axis=1)):
+            places.append([(np.full(total, begins["duration"] + k), row) for k, row in enumerate(factors)])
+        return places
 
     def _points(self, grid: Grid, path: _Path) -> np.ndarray:
         """Return the indices of the collocation points at which a condition along the path is asked.

@@ -8,6 +8,7 @@ import threading
 from pathlib import Path
 from typing import Any
 
+import casadi as ca
 import numpy as np
 import pytest
 from scipy.interpolate import CubicSpline
@@ -20,7 +21,7 @@ from mbdkit_predict.nonlinear_program import Stop
 from mbdkit_predict.predict_loading import load_predict_spec
 from mbdkit_predict.predicted_run import transcribed
 from mbdkit_predict.transcription import OF_POINTS, Mesh
-from predict.exact_optima import EXACT, PUSH, block, of_states, swing_up
+from predict.exact_optima import DRAG, EXACT, PUSH, block, of_states, swing_up
 
 
 @pytest.mark.parametrize("name", EXACT)
@@ -181,10 +182,10 @@ def test_an_interrupted_prediction_keeps_the_best_motion(tmp_path: Path) -> None
 
 
 def test_examples_are_valid_and_without_casadi_the_package_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
-    for name in ("block", "cart-pole"):
+    for name in ("block", "cart-pole", "assisted-sit-to-stand", "elastic-jump"):
         assert load_predict_spec(name).title
         done = CliRunner().invoke(app, ["validate", name], prog_name="mbdkit")
-        assert "controls     forces.push.value[0]" in done.stdout
+        assert "controls     forces." in done.stdout
     monkeypatch.setitem(sys.modules, "casadi", None)
     with pytest.raises(MbdkitError, match=r"predictions need the package casadi: install it with `pip install"):
         mbdkit.predict("block")
@@ -338,3 +339,38 @@ def test_muscles_with_elastic_tendons_move_a_forearm_as_in_a_run_with_their_exci
     assert run.status == "complete"
     assert run.forward_run["end"] < 1e-3
     assert 0.1 < np.abs(run.muscles["biceps"].fiber_rate[1:]).max() / (10 * 0.132) < 1.0
+
+
+def test_finer_meshes_of_a_squat_with_active_limits_confirm_its_spring() -> None:
+    run = mbdkit.predict("assisted-squat")
+    assert (run.status, run.verdict) == ("complete", "good")
+    assert run.gain().value > 1e4 * run.gain().error
+    # `final` and `subject_to` both hold the knee straight: its multiplier is finite, since only one of them is asked
+    assert abs(run.sensitivities["final: knee.angle"]) < 1.0
+
+
+def test_second_derivatives_of_points_and_ends_are_those_of_the_whole_program() -> None:
+    phases = [
+        {"duration": {"bounds": [0.1, 1.0]}, "subject_to": {"slow": {"value": "block.vx**2", "max": 3}}},
+        {"duration": {"bounds": [0.2, 1.0]}, "intervals": 3, "final": {"block.x**3": 1}},
+    ]
+    spec = block(
+        phases=phases, forces=DRAG | spring(3.0), parameters={"forces.spring.stiffness": {"bounds": [0, 10]}},
+        minimize="integral(forces.push.value**2) + final(t)**2 + final(block.vx)**2",
+        collocation={"points": 2, "intervals": 2},
+    )  # fmt: skip
+    problem = transcribed(load_predict_spec({k: x for k, x in spec.items() if k not in ("duration", "final")}))
+    unknowns, _, conditions, objective, hessian = problem._program(problem.guess().grid)
+    x, factor = ca.vertcat(*map(ca.vec, unknowns.values())), ca.MX.sym("factor")
+    values = ca.vertcat(*(ca.vec(condition.value) for condition in conditions))
+    lam, random = ca.MX.sym("lam", values.numel()), np.random.default_rng(0)
+    whole = ca.Function(
+        "whole", [x, factor, lam], [ca.triu(ca.hessian(factor * objective + ca.dot(lam, values), x)[0])]
+    )
+    sizes = random.uniform(0.5, 2.0, x.numel())
+    parts = hessian.whole({condition.name: condition.value for condition in conditions}, x, sizes)
+    at, multipliers = random.standard_normal(x.numel()), random.standard_normal(values.numel())
+    expected = np.diag(sizes) @ np.array(ca.DM(whole(sizes * at, 1.7, multipliers))) @ np.diag(sizes)
+    np.testing.assert_allclose(
+        np.array(ca.DM(parts(at, [], 1.7, multipliers))), expected, atol=1e-13 * abs(expected).max()
+    )
