@@ -29,7 +29,10 @@ FEASIBLE = 1e-6
 """Of two iterates with violations below this, that with the smaller objective is the better one."""
 ACTIVE = 1e-6
 """Relative distance from a bound up to which it is active."""
+ACCEPTABLE = 1e-8
+"""Violation of the conditions of optimality up to which an optimizer that cannot reduce it further has succeeded."""
 SUCCESSES = ("Solve_Succeeded", "Solved_To_Acceptable_Level")
+ROUNDED = "Search_Direction_Becomes_Too_Small"
 STOPPED = "User_Requested_Stop"
 """Reports of the optimizer."""
 
@@ -196,6 +199,8 @@ class NonlinearProgram:
         self._result = self._call(self._solver, **start)
         report, result = self._solver.stats(), self._result
         status, x, g, objective = report["return_status"], result["x"], result["g"], result["f"]
+        if status == ROUNDED and max(report["iterations"][name][-1] for name in ("inf_pr", "inf_du")) <= ACCEPTABLE:
+            status = SUCCESSES[1]
         if status not in SUCCESSES and watcher.best is not None:
             _, x, g, objective = watcher.best
         x, g = np.array(x).ravel(), np.array(g).ravel()
@@ -357,7 +362,7 @@ def statuses() -> Mapping[str, tuple[str, str]]:
         "Maximum_Iterations_Exceeded": ("iteration-limit", f"no optimum was found in {MOST_ITERATIONS} iterations"),
         "Diverging_Iterates": ("unbounded", "unknowns grow without limit; give bounds to what is free"),
         "Invalid_Number_Detected": wrong_number,
-        "Search_Direction_Becomes_Too_Small": (
+        ROUNDED: (
             "not-solved",
             "the optimizer makes no progress, although conditions of optimality are violated",
         ),

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from itertools import pairwise
 
 import numpy as np
 
@@ -156,9 +157,8 @@ class _Search:
             return max(floor, float(changes[-1])), settled
         stages = len(self.transcription.c)
         order = 2 * stages if self.transcription.has_nodes else 2 * stages - 1
-        return max(
-            floor, extrapolated(changes, order, ACCIDENT if is_smooth else ACCIDENT_OF_ACTIVE)
-        ), is_smooth or len(changes) > 2
+        last, accident = (2, ACCIDENT) if is_smooth else (3, ACCIDENT_OF_ACTIVE)
+        return max(floor, extrapolated(changes[-last:], order, accident)), is_smooth or len(changes) > 2
 
     def _floor(self) -> float:
         """Return the smallest error of the objective, due to the optimizer."""
@@ -205,11 +205,12 @@ def find_optimum(spec: PredictSpec, transcription: Transcription, stop: Stop) ->
 def extrapolated(changes: Sequence[float] | np.ndarray, order: int, accident: float) -> float:
     """Return the estimated error of the last value of a sequence, from the changes of its values by refinement.
 
-    Halving all intervals divides the error by a constant ratio, at most 2^order, which the last two changes show. A
-    last change below `accident` times the one before may be so small by accident.
+    Halving all intervals divides the error by a constant ratio, at most 2^order, which two changes in a row show: the
+    largest of them is taken. A last change below `accident` times the one before may be so small by accident.
     """
     before, last = float(changes[-2]), float(changes[-1])
-    ratio = min(max(last / before if before else 1.0, 2.0**-order, FASTEST), SLOWEST)
+    ratios = [float(after / change) if change else 1.0 for change, after in pairwise(changes)]
+    ratio = min(max(*ratios, 2.0**-order, FASTEST), SLOWEST)
     return SAFETY * ratio / (1.0 - ratio) * max(last, before * accident)
 
 

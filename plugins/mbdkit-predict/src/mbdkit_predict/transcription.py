@@ -483,13 +483,8 @@ class Transcription:
             )
 
         names = (MOTION, COLLOCATION, *(path.name for path in self._path))
-        return (
-            x,
-            bounds,
-            conditions,
-            objective,
-            PointHessian(matrix, names, self.objective.value(ca.vertcat(ca.MX(0, 1), *others), duration)),
-        )
+        rest = self.objective.value(ca.vertcat(ca.MX(0, 1), *others), duration)
+        return x, bounds, conditions, objective, PointHessian(matrix, names, rest)
 
     def _slope_of_integrals(self) -> np.ndarray | None:
         """Return the derivatives of the objective by its integrals; None if they are not constant."""
@@ -505,11 +500,10 @@ class Transcription:
         begins = dict(zip(x, np.cumsum([0, *(value.numel() for value in x.values())]).tolist(), strict=False))
         total = grid.points.shape[1]
         columns, ones = np.arange(total), np.ones(total)
-        places: list[Terms] = [
-            [(begins[name] + row + x[name].shape[0] * columns, ones)]
-            for name in OF_POINTS
-            for row in range(x[name].shape[0])
-        ]
+        places: list[Terms] = []
+        for name in OF_POINTS:
+            rows = x[name].shape[0]
+            places += [[(begins[name] + row + rows * columns, ones)] for row in range(rows)]
         places += [[(np.full(total, begins["p"] + k), ones)] for k in range(x["p"].numel())]
         for factors in (grid.points, np.repeat(grid.lengths, len(self.c), axis=1)):
             places.append([(np.full(total, begins["duration"] + k), row) for k, row in enumerate(factors)])
