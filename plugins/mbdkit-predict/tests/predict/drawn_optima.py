@@ -10,10 +10,10 @@ import time
 from typing import Any
 
 import numpy as np
+from exact_optima import EFFORT, PUSH, block
 from scipy.linalg import expm
 
 import mbdkit
-from predict.exact_optima import EFFORT, PUSH, block
 
 Problem = tuple[dict[str, Any], float]
 
