@@ -28,7 +28,7 @@ import numpy as np
 from mbdkit.base import elementary
 from mbdkit.base.errors import SpecError
 from mbdkit.engine.linear_systems import inverse_of, product, symmetric_eigenvectors
-from mbdkit_biomech.persons.rigid_clusters import Artefact, Cluster, Poses, apply, transposed
+from mbdkit_biomech.persons.rigid_clusters import Artefact, Cluster, Poses
 
 MOST_FRAMES = 300
 """Largest number of frames, evenly spaced, in a functional calibration."""
@@ -193,7 +193,7 @@ class Pair:
 
 def turn_of(first: Poses, second: Poses) -> float:
     """Return the largest angle [rad] between the relative orientations of two segments in any frame and the first."""
-    relative = _product(transposed(first.rotation), second.rotation)
+    relative = product(first.rotation.mT, second.rotation[:, None])
     trace = np.sum(relative * relative[0], axis=(1, 2))
     return float(np.max(elementary.acos(np.clip((trace - 1.0) / 2.0, -1.0, 1.0))))
 
@@ -221,15 +221,16 @@ def functional_center(pair: Pair, other: JointCenter | None = None) -> JointCent
     turn = float(np.degrees(radians))
     middle = (np.mean(first.position, axis=0) + np.mean(second.position, axis=0)) / 2
     weight = EXPECTED * EXPECTED / (ACROSS * ACROSS) * len(right)
-    normal = np.sum(transposed(matrix)[:, :, None, :] * transposed(matrix)[:, None, :, :], axis=(0, 3))
-    vector = np.sum(transposed(matrix) * right[:, None, :], axis=(0, 2))
+    columns = matrix.mT
+    normal = np.sum(columns[:, :, None, :] * columns[:, None, :, :], axis=(0, 3))
+    vector = np.sum(columns * right[:, None, :], axis=(0, 2))
     across = np.zeros(6)
     for number, poses in enumerate((first, second)):
         part = slice(3 * number, 3 * number + 3)
         square = pair.artefacts[number].deviation * pair.artefacts[number].deviation
         normal[part, part] -= len(right) * square * pair.clusters[number].lever_matrix
         row = np.zeros(6)
-        row[part] = np.mean(apply(transposed(poses.rotation), side), axis=0)
+        row[part] = np.mean(product(poses.rotation.mT, side), axis=0)
         normal, across = normal + weight * row[:, None] * row, across + weight * ACROSS * row
         vector = vector + weight * row * float(np.mean(np.sum(side * (middle - poses.position), axis=1)))
     if not symmetric_eigenvectors(normal)[0][0] > 0:
@@ -251,7 +252,7 @@ def functional_center(pair: Pair, other: JointCenter | None = None) -> JointCent
     for number, (cluster, artefact) in enumerate(zip(pair.clusters, pair.artefacts, strict=True)):
         own = artefact.deviation * artefact.deviation * cluster.covariance(points[number])
         rotation = (first, second)[number].rotation
-        spread = spread + _spread(_product(transposed(rotation), matrix), own, artefact.correlation[::step])
+        spread = spread + _spread(product(rotation.mT, matrix[:, None]), own, artefact.correlation[::step])
         expected += float(np.trace(own))
     birge = max(1.0, residual * residual / expected)
     covariance = product(product(inverse, birge * spread + across[:, None] * across), inverse)
@@ -294,11 +295,6 @@ def _turn_together(pair: Pair, turn: float, deviation: float) -> SpecError:
     )
 
 
-def _product(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """Return products (T, I, J) of matrices (T, I, K) and (T, K, J)."""
-    return np.asarray(np.sum(a[..., :, :, None] * b[..., None, :, :], axis=-2))
-
-
 def _spread(matrix: np.ndarray, covariance: np.ndarray, correlation: np.ndarray) -> np.ndarray:
     """Return the covariance (6, 6) of the sum over frames of ``matrix^T error``.
 
@@ -313,7 +309,7 @@ def _spread(matrix: np.ndarray, covariance: np.ndarray, correlation: np.ndarray)
     """
     frames = len(matrix)
     found = np.zeros((6, 6))
-    weighted = _product(np.broadcast_to(covariance, (frames, 3, 3)), matrix)
+    weighted = product(covariance, matrix[:, None])
     for lag, share in enumerate(correlation[:frames]):
         own = np.sum(matrix[: frames - lag, :, :, None] * weighted[lag:, :, None, :], axis=(0, 1))
         found = found + share * (own if lag == 0 else own + own.T)

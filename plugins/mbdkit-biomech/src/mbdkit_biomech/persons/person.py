@@ -19,7 +19,7 @@ from mbdkit_biomech.persons.landmarks import LEFT
 from mbdkit_biomech.persons.motion_plane import MotionPlane, plane_of
 from mbdkit_biomech.persons.person_sections import Center, PlaneAxes, Subject
 from mbdkit_biomech.persons.plate_contacts import FootMotion, PlateResult
-from mbdkit_biomech.persons.rigid_clusters import Artefact, apply, cross_matrix, rate_of
+from mbdkit_biomech.persons.rigid_clusters import Artefact, rate_of
 
 TRUNK_ABOVE_FEET = 0.2, 1.2
 """Heights of the markers of the trunk above those of the feet, as shares of body height, between which the unit of
@@ -306,7 +306,7 @@ class Builder:
             rotation = static.poses[body].rotation[static.still()]
         upright = np.sum(rotation * self.plane.axes[1][:, None], axis=1)
         mean = np.mean(upright, axis=0)
-        found = angle_of(self.plane.coordinates(apply(poses.rotation, mean)))
+        found = angle_of(self.plane.coordinates(product(poses.rotation, mean)))
         if static is not None:
             lean = upright - mean
             self.zeros[body] = float(np.sqrt(np.mean(np.sum(lean * lean, axis=1))))
@@ -371,7 +371,7 @@ class Builder:
                 weight = center.fit.weights[side] / (len(self.segments.legs) if is_hip else 1)
                 point = (center.proximal, center.distal)[side]
                 moves = np.hstack(
-                    [size / np.sqrt(len(cluster.names)) * np.eye(3), -product(cross_matrix(point), turns)]
+                    [size / np.sqrt(len(cluster.names)) * np.eye(3), -product(np.cross(np.eye(3), point), turns)]
                 )
                 row = columns.index(f"markers.{'hip' if is_hip else joint}.x")
                 shifts[0][row : row + 2] += weight * product(to_plane, moves)[:2]

@@ -41,27 +41,12 @@ ROUNDS = 3
 """Number of averages for a template; further ones change it by rounding errors."""
 
 
-def apply(matrix: np.ndarray, points: np.ndarray) -> np.ndarray:
-    """Return products of matrices (..., 3, 3) with vectors (..., 3)."""
-    return np.asarray(np.sum(matrix * points[..., None, :], axis=-1))
-
-
-def transposed(matrix: np.ndarray) -> np.ndarray:
-    """Return transposed matrices (..., J, I) of matrices (..., I, J)."""
-    return np.swapaxes(matrix, -1, -2)
-
-
 def rate_of(values: np.ndarray, time: np.ndarray) -> np.ndarray:
     """Return rates (T, ...) of values (T, ...) by differences; one-sided at the ends."""
     rows = np.arange(len(time))
     first, last = np.maximum(rows - SPAN, 0), np.minimum(rows + SPAN, len(time) - 1)
     interval = (time[last] - time[first]).reshape(-1, *[1] * (values.ndim - 1))
     return np.asarray((values[last] - values[first]) / interval)
-
-
-def cross_matrix(p: np.ndarray) -> np.ndarray:
-    """Return the matrix [p] (3, 3) with ``[p] x = p x x``."""
-    return np.array([[0.0, -p[2], p[1]], [p[2], 0.0, -p[0]], [-p[1], p[0], 0.0]])
 
 
 @dataclass(frozen=True)
@@ -89,11 +74,11 @@ class Poses:
 
     def point(self, p: np.ndarray) -> np.ndarray:
         """Return the positions (T, 3) in the laboratory of a point `p` (3,) of the segment."""
-        return np.asarray(apply(self.rotation, p) + self.position)
+        return product(self.rotation, p) + self.position
 
     def inside(self, points: np.ndarray) -> np.ndarray:
         """Return points (T, 3) of the laboratory in the frame of the segment."""
-        return apply(transposed(self.rotation), points - self.position)
+        return product(points - self.position, self.rotation)
 
     def rows(self, frames: np.ndarray) -> Poses:
         """Return the poses in some frames."""
@@ -162,7 +147,7 @@ class Cluster:
 
     def covariance(self, p: np.ndarray) -> np.ndarray:
         """Return the covariance (3, 3) of a point of the segment for errors of markers with the variance 1."""
-        cross = cross_matrix(p)
+        cross = np.cross(np.eye(3), p)  # [p]
         return np.asarray(np.eye(3) / len(self.template) - product(product(cross, self.inverse_inertia), cross))
 
     @property
@@ -190,10 +175,9 @@ def poses_of(template: np.ndarray, markers: np.ndarray) -> Poses:
     rotation = np.full((len(markers), 3, 3), np.nan)
     for frame in np.flatnonzero(known):
         rotation[frame] = _rotation(moments[frame])
-    position = x_mean - apply(rotation, p_mean)
+    position = x_mean - product(p_mean, rotation.mT)
     position[~known] = np.nan
-    own = apply(transposed(rotation)[:, None], markers - position[:, None])
-    return Poses(rotation, position, own - template)
+    return Poses(rotation, position, product(markers - position[:, None], rotation[:, None]) - template)
 
 
 def _determines(template: np.ndarray) -> bool:
