@@ -20,7 +20,7 @@ from mbdkit_biomech.persons.joint_centers import (
     landmark_center,
     turn_of,
 )
-from mbdkit_biomech.persons.landmarks import LEFT, Side, landmark, side_of
+from mbdkit_biomech.persons.landmarks import LEFT, SIDES, Side, landmark, side_of
 from mbdkit_biomech.persons.marker_files import MarkerFile
 from mbdkit_biomech.persons.motion_plane import MotionPlane
 from mbdkit_biomech.persons.person_sections import Center, Midpoint
@@ -70,10 +70,7 @@ class Trial:
         SpecError
             If there are too few.
         """
-        speeds = []
-        for own in self.poses.values():
-            velocity = rate_of(own.position, self.file.time)
-            speeds.append(np.sqrt(np.sum(velocity * velocity, axis=1)))
+        speeds = [np.linalg.norm(rate_of(own.position, self.file.time), axis=1) for own in self.poses.values()]
         frames = np.flatnonzero(np.max(speeds, axis=0) < STILL)
         if len(frames) < LEAST_FRAMES:
             raise SpecError(
@@ -233,20 +230,19 @@ class Segments:
             )
         trial = next((one for one in self.trials() if all(map(one.file.has, names))), self.motion)
         points = [trial.file.marker(name, key) for name in names]
-        told = "static" if method == "static" else "midpoint"
-        return landmark_center(self.pair(joint, bodies, trial, plane), told, (points[0] + points[1]) / 2)
+        name = "static" if method == "static" else "midpoint"
+        return landmark_center(self.pair(joint, bodies, trial, plane), name, (points[0] + points[1]) / 2)
 
-    def _pelvis(self) -> dict[str, np.ndarray] | None:
-        """Return the landmarks of the pelvis in the frame of its cluster; None if some are missing."""
-        found = {"right": self.named("asis", "r"), "left": self.named("asis", "l")}
-        back = [one for one in (self.named("psis", "r"), self.named("psis", "l")) if one is not None]
-        sacrum = self.named("sacrum", None)
-        back = back if len(back) == 2 else [] if sacrum is None else [sacrum]
-        if not back or None in found.values():
+    def _pelvis(self) -> tuple[np.ndarray, np.ndarray, np.ndarray] | None:
+        """Return the landmarks of `hip_center`; None if some are missing."""
+        right, left, *back = (self.named(kind, side) for kind in ("asis", "psis") for side in SIDES)
+        if None in back:
+            back = [self.named("sacrum", None)]
+        named = [one for one in (right, left, *back) if one is not None]
+        if len(named) < 2 + len(back):
             return None
-        landmarks = {name: self._inside(one) for name, one in found.items() if one is not None}
-        points = [self._inside(one) for one in back]
-        return landmarks | {"back": sum(points[1:], start=points[0]) / len(points)}
+        points = [self._inside(one) for one in named]
+        return points[0], points[1], np.mean(points[2:], axis=0)
 
     def _inside(self, landmark: tuple[Trial, str]) -> np.ndarray:
         """Return a landmark of the pelvis in the frame of its cluster."""

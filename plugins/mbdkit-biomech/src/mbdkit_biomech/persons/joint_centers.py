@@ -21,13 +21,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
 
 from mbdkit.base import elementary
 from mbdkit.base.errors import SpecError
 from mbdkit.engine.linear_systems import inverse_of, product, symmetric_eigenvectors
+from mbdkit_biomech.persons.landmarks import Side
 from mbdkit_biomech.persons.rigid_clusters import Artefact, Cluster, Poses
 
 MOST_FRAMES = 300
@@ -72,7 +72,8 @@ which leaves no residual. Such motions are the largest of the thigh in walking (
 assumption."""
 
 
-class Fit(NamedTuple):
+@dataclass(frozen=True)
+class Fit:
     """How the points of two segments stay together in a calibration.
 
     Attributes
@@ -331,7 +332,7 @@ def landmark_center(pair: Pair, method: str, points: np.ndarray) -> JointCenter:
     return pair.center(method, found, LANDMARKS * LANDMARKS * np.eye(3))
 
 
-def hip_center(pair: Pair, landmarks: dict[str, np.ndarray], side: str) -> JointCenter:
+def hip_center(pair: Pair, landmarks: tuple[np.ndarray, np.ndarray, np.ndarray], side: Side) -> JointCenter:
     """Return the centre of a hip by regression.
 
     M. E. Harrington et al., J. Biomech. 40 (2007) 595-602: from the middle of the anterior superior iliac spines, with
@@ -341,24 +342,18 @@ def hip_center(pair: Pair, landmarks: dict[str, np.ndarray], side: str) -> Joint
     Parameters
     ----------
     landmarks
-        (3,) the points ``right``, ``left`` (anterior superior iliac spines) and ``back`` (middle of the posterior ones,
-        or the sacrum) in the frame of the cluster of the pelvis [m].
-    side
-        ``r`` or ``l``.
+        (3,) the right and the left anterior superior iliac spine, and the middle of the posterior ones or the sacrum,
+        in the frame of the cluster of the pelvis [m].
     """
-    right, left, back = (landmarks[name] for name in ("right", "left", "back"))
+    right, left, back = landmarks
     middle = (right + left) / 2
-    width, lateral = _size_and_direction(right - left)
-    depth, forward = _size_and_direction(middle - back)
-    _, forward = _size_and_direction(forward - lateral * float(np.sum(lateral * forward)))
+    width, depth = np.linalg.norm(right - left, axis=0), np.linalg.norm(middle - back, axis=0)
+    lateral, forward = (right - left) / width, (middle - back) / depth
+    forward = forward - lateral * np.sum(lateral * forward)
+    forward = forward / np.linalg.norm(forward, axis=0)
     out = (0.33 * width + 0.0073) * (1.0 if side == "r" else -1.0)
     behind, below = 0.24 * depth + 0.0099, 0.30 * width + 0.0109
     point = middle - behind * forward - below * np.cross(lateral, forward) + out * lateral
     first, second = pair.known()
     distal = np.mean(second.inside(first.point(point)), axis=0)
     return pair.center("hip-regression", (point, distal), REGRESSION * REGRESSION * np.eye(3))
-
-
-def _size_and_direction(vector: np.ndarray) -> tuple[float, np.ndarray]:
-    size = float(np.sqrt(np.sum(vector * vector)))
-    return size, vector / size

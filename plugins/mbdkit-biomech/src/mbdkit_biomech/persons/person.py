@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, fields, is_dataclass, replace
-from typing import Any, NamedTuple
+from dataclasses import asdict, dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -46,7 +46,8 @@ SIDES = 3.0
 """Difference of the lengths of two legs that is doubtful, in standard deviations."""
 
 
-class SegmentLength(NamedTuple):
+@dataclass(frozen=True)
+class SegmentLength:
     """Mean length of a segment of both legs in the plane of motion, weighted by their variances, its standard
     deviation, and the largest standard deviation over time [m], with the lengths by body.
     """
@@ -103,11 +104,10 @@ class Person:
     shifts: Mapping[str, np.ndarray]
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the person without motion and loads as plain data, for the archive; None where a number is nan."""
-        kept = ("plane", "centers", "lengths", "masses", "zeros", "artefacts")
-        own = {name: getattr(self, name) for name in kept}
-        plain: dict[str, Any] = _plain(own | {"contacts": self.plates.contacts, "offset": self.plates.offset})
-        return plain
+        """Return the person without motion and loads as dicts, lists and arrays, for the archive."""
+        data = asdict(self)
+        kept = {name: data[name] for name in ("plane", "centers", "lengths", "masses", "zeros", "artefacts")}
+        return kept | {"contacts": data["plates"].contacts, "offset": data["plates"].offset}
 
     def lines(self) -> dict[str, str]:
         """Return lines of a summary by label."""
@@ -130,21 +130,6 @@ class Person:
             "plane": f"{'found' if self.plane.is_fitted else 'stated'}, residual {1000 * self.plane.residual:.0f} mm",
             "plates": ", ".join(plates) + offset,
         }
-
-
-def _plain(value: Any) -> Any:
-    """Return dataclasses, named tuples, mappings, sequences and arrays as dicts and lists."""
-    if isinstance(value, np.ndarray):
-        return _plain(value.tolist())
-    if is_dataclass(value):
-        return {one.name: _plain(getattr(value, one.name)) for one in fields(value)}
-    if hasattr(value, "_asdict"):
-        value = value._asdict()
-    if isinstance(value, Mapping):
-        return {name: _plain(one) for name, one in value.items()}
-    if isinstance(value, list | tuple):
-        return [_plain(one) for one in value]
-    return None if isinstance(value, float) and np.isnan(value) else value
 
 
 class Builder:
@@ -264,7 +249,7 @@ class Builder:
         for leg in self.segments.legs:
             first, last = (f"{end}{leg}" for end in ends)
             gap = (self.points[first] - self.points[last])[:, :2]
-            sizes = np.sqrt(np.sum(gap * gap, axis=1))
+            sizes = np.linalg.norm(gap, axis=1)
             direction = gap[self.segments.reference] / sizes[self.segments.reference]
             covariance = (self.centers[first].covariance + self.centers[last].covariance)[:2, :2]
             values[f"{name}{leg}"] = float(np.nanmean(sizes))

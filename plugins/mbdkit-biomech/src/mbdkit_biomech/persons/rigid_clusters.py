@@ -74,7 +74,7 @@ class Poses:
 
     def point(self, p: np.ndarray) -> np.ndarray:
         """Return the positions (T, 3) in the laboratory of a point `p` (3,) of the segment."""
-        return product(self.rotation, p) + self.position
+        return np.asarray(product(self.rotation, p) + self.position)
 
     def inside(self, points: np.ndarray) -> np.ndarray:
         """Return points (T, 3) of the laboratory in the frame of the segment."""

@@ -127,37 +127,30 @@ def uncertain_result(result: Inverse, random: np.random.Generator) -> UncertainR
     asked = asked_uncertainty(result.problem)
     assert asked is not None
     stacked = StackedOutcomes(result, sources)
-    nominal, _ = stacked.at(np.zeros((1, len(sources))))
+    nominal = stacked.at(np.zeros((1, len(sources))))
     values = drawn(sources, asked[0].samples, random)
-    sampled, failed = stacked.at(values)
-    actuators, reactions, muscles = (one - own for one, own in zip(_arrays(sampled), _arrays(nominal), strict=True))
+    sampled = stacked.at(values)
+    failed = np.isnan(sampled.reactions).any(axis=(2, 3))
+    actuators, reactions, muscles = (one - own for one, own in zip(sampled, nominal, strict=True))
     force = reactions[..., :2]
     moves = np.sum(stacked.moves * stacked.moves, axis=0) * quantile(1.0)
     squares = [
         _bound(np.abs(actuators)) ** 2,
-        _bound(_norm(force)) ** 2,
+        _bound(np.linalg.norm(force, axis=-1)) ** 2,
         _bound(np.abs(reactions[..., 2])) ** 2,
         moves[..., :3],
         moves[..., 3:],
         _bound(np.abs(muscles)) ** 2,
     ]
-    largest = np.max(_norm(sampled.reactions[..., :2]), axis=1)
+    largest = np.max(np.linalg.norm(sampled.reactions[..., :2], axis=-1), axis=1)
     groups = tuple(dict.fromkeys(one.group for one in sources))
     shares = _shares(stacked, sources, nominal, force, groups)
     kinds = {one.group: one.kind for one in sources}
     peaks = _bound(np.abs(largest - np.nanmedian(largest, axis=0)))
     return UncertainResult(
         squares, peaks, groups, tuple(kinds[one] for one in groups), shares, len(sources),
-        len(values), failed, float(np.mean(np.isnan(sampled.reactions).any(axis=(2, 3)))),
+        len(values), int(np.sum(failed.any(axis=1))), float(np.mean(failed)),
     )  # fmt: skip
-
-
-def _arrays(one: Outcomes) -> tuple[np.ndarray, ...]:
-    return one.actuators, one.reactions, one.muscles
-
-
-def _norm(vectors: np.ndarray) -> np.ndarray:
-    return np.asarray(np.sqrt(np.sum(vectors * vectors, axis=-1)))
 
 
 def _bound(sizes: np.ndarray) -> np.ndarray:
@@ -208,22 +201,19 @@ def _shares(
     safe = np.where(square > 0, square, 1.0)
     found = np.zeros((len(groups), *square.shape))
     for group, weights, changed in _alone(stacked, sources):
-        change = np.nan_to_num(changed.reactions[..., :2] - nominal.reactions[..., :2])
-        own = np.sum(weights[:, None, None, None] * change, axis=0)
-        own_square = np.sum(np.sum(weights[:, None, None, None] * change * change, axis=0), axis=-1)
+        change = np.nan_to_num(changed - nominal.reactions[..., :2])
+        weighted = weights[:, None, None, None] * change
+        own, own_square = np.sum(weighted, axis=0), np.sum(np.sum(weighted * change, axis=0), axis=-1)
         found[groups.index(group)] += (own_square + np.sum(own * (mean - own), axis=-1)) / safe
     return found
 
 
-def _alone(stacked: StackedOutcomes, sources: Sequence[Source]) -> Iterator[tuple[str, np.ndarray, Outcomes]]:
-    """Yield the group, the weights and the outcomes of the nodes of each scalar."""
-    nodes = [(index, value, weight) for index, one in enumerate(sources) for value, weight in one.nodes]
-    values = np.zeros((len(nodes), len(sources)))
-    for row, (index, value, _) in enumerate(nodes):
-        values[row, index] = value
-    every, _ = stacked.at(values)
-    owner = np.array([index for index, _, _ in nodes])
-    weights = np.array([weight for _, _, weight in nodes])
-    for index, one in enumerate(sources):
-        rows = owner == index
-        yield one.group, weights[rows], Outcomes(*(x[rows] for x in _arrays(every)))
+def _alone(stacked: StackedOutcomes, sources: Sequence[Source]) -> Iterator[tuple[str, np.ndarray, np.ndarray]]:
+    """Yield the group, the weights (N,) and the forces (N, T, J, 2) of the nodes of each scalar."""
+    units = zip(np.eye(len(sources)), sources, strict=True)
+    values = np.array([value * unit for unit, one in units for value, _ in one.nodes])
+    every, begin = stacked.at(values).reactions[..., :2], 0
+    for one in sources:
+        weights = np.array([weight for _, weight in one.nodes])
+        yield one.group, weights, every[begin : begin + len(weights)]
+        begin += len(weights)
