@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass
 from itertools import pairwise
 
@@ -34,6 +34,10 @@ STILL, LEAST_FRAMES = 0.05, 5
 
 LEAST_ROWS = 10
 """Least number of rows of a motion."""
+
+
+ENDS = {"thigh": ("hip", "knee"), "shank": ("knee", "ankle")}
+"""Joints at the ends of the segments whose lengths are measured."""
 
 
 def legs_of(count: int) -> tuple[str, ...]:
@@ -127,9 +131,8 @@ class Segments:
         for body in asked:
             if body not in bodies:
                 hint = did_you_mean(body, bodies) or f"; segments: {listed(bodies)}"
-                what = (
-                    "is for a second leg: add `legs: 2` to the model" if body.endswith(LEFT) else f"is no segment{hint}"
-                )
+                second = "is for a second leg: add `legs: 2` to the model"
+                what = second if body.endswith(LEFT) else f"is no segment{hint}"
                 raise SpecError(what, key=f"motion.clusters.{quoted(body)}")
         clusters = {}
         for body in bodies:
@@ -185,10 +188,7 @@ class Segments:
         SpecError
             If a centre is not determined; the error states the reason.
         """
-        for joint in asked:
-            if joint not in self.joints:
-                hint = did_you_mean(joint, list(self.joints)) or f"; joints: {listed(list(self.joints))}"
-                raise SpecError(f"is no joint of the person{hint}", key=f"motion.centers.{quoted(joint)}")
+        require_joints(asked, self.joints, "motion.centers")
         return {joint: self._center(joint, bodies, asked.get(joint), plane) for joint, bodies in self.joints.items()}
 
     def _center(self, joint: str, bodies: tuple[str, str], method: Center | None, plane: MotionPlane) -> JointCenter:
@@ -252,6 +252,14 @@ class Segments:
             raise SpecError(f"in no frame is {shown(name)} seen together with three markers of the trunk",
                             key="motion.clusters.trunk")  # fmt: skip
         return np.asarray(np.nanmean(own, axis=0))
+
+
+def require_joints(asked: Iterable[str], joints: Collection[str], key: str) -> None:
+    """Raise SpecError if names below a key of the spec are not among the joints of a person."""
+    for joint in asked:
+        if joint not in joints:
+            hint = did_you_mean(joint, joints) or f"; joints: {listed(joints)}"
+            raise SpecError(f"is no joint of the person{hint}", key=f"{key}.{quoted(joint)}")
 
 
 def angle_of(direction: np.ndarray) -> np.ndarray:

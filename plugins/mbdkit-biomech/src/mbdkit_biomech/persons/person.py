@@ -13,7 +13,7 @@ from mbdkit.base.text import listed
 from mbdkit.engine.linear_systems import product, symmetric_eigenvectors
 from mbdkit.trust.finding import Finding
 from mbdkit_biomech.models._measured_segments import MeasuredPerson
-from mbdkit_biomech.persons.calibration import LEAST_FRAMES, Segments, angle_of
+from mbdkit_biomech.persons.calibration import ENDS, LEAST_FRAMES, Segments, angle_of
 from mbdkit_biomech.persons.joint_centers import JointCenter
 from mbdkit_biomech.persons.landmarks import LEFT
 from mbdkit_biomech.persons.motion_plane import MotionPlane, plane_of
@@ -111,14 +111,10 @@ class Person:
 
     def lines(self) -> dict[str, str]:
         """Return lines of a summary by label."""
-        of, plates = (
-            self.subject,
-            (f"{one.body} on plate {one.plate} {one.when(self.time)}" for one in self.plates.contacts),
-        )
-        lengths = (
-            f"{name} {one.value:.3f} +- {one.deviation:.3f} m, {self.masses[name]:.3g} kg"
-            for name, one in self.lengths.items()
-        )
+        of, kg = self.subject, self.masses
+        plates = (f"{one.body} on plate {one.plate} {one.when(self.time)}" for one in self.plates.contacts)
+        sizes = ((name, one.value, one.deviation) for name, one in self.lengths.items())
+        lengths = (f"{name} {size:.3f} +- {deviation:.3f} m, {kg[name]:.3g} kg" for name, size, deviation in sizes)
         centers = (f"{name} {one.method} +- {1000 * max(one.deviation):.0f} mm" for name, one in self.centers.items())
         offset = ""
         if (own := self.plates.offset) is not None:
@@ -165,7 +161,7 @@ class Builder:
                     f"or choose one of both with `motion.centers.{joint}`",
                 )
         self.points = {joint: self.plane.coordinates(points) for joint, points in self.positions.items()}
-        self.lengths = {name: self._length(name) for name in ("thigh", "shank")}
+        self.lengths = {name: self._length(name) for name in ENDS}
         self._judge_lengths()
         self.zeros: dict[str, float] = {}
         self.angles = {body: self._angle(body) for body in self.poses if body.startswith(("trunk", "foot"))}
@@ -189,13 +185,9 @@ class Builder:
         """Let the plane point forward: knees bend backward, and feet point forward."""
         turns, feet = [], []
         for leg in self.segments.legs:
-            hip, knee, ankle, foot = (
-                self.plane.coordinates(points)
-                for points in (
-                    *(self.positions[f"{name}{leg}"] for name in ("hip", "knee", "ankle")),
-                    self.poses[f"foot{leg}"].position,
-                )
-            )
+            points = [self.positions[f"{name}{leg}"] for name in ("hip", "knee", "ankle")]
+            points.append(self.poses[f"foot{leg}"].position)
+            hip, knee, ankle, foot = map(self.plane.coordinates, points)
             turn = angle_of(hip - knee) - angle_of(knee - ankle)
             turns.append(turn - 2 * np.pi * np.round(turn / (2 * np.pi)))
             feet.append((foot - ankle)[:, 0])
@@ -223,9 +215,9 @@ class Builder:
                     key=f"motion.clusters.{wrong[0]}",
                 )
         elif (mean["thigh"] > mean["trunk"]) != ((side := self.segments.side("")) == "r"):
-            name = "right" if side == "r" else "left"
+            leg = "right" if side == "r" else "left"
             self._doubt(
-                "centers", f"by the names of its markers, the leg is the {name} one, but it is on the other side"
+                "centers", f"by the names of its markers, the leg is the {leg} one, but it is on the other side"
             )
 
     def _judge_plane(self) -> None:
@@ -244,10 +236,9 @@ class Builder:
             )
 
     def _length(self, name: str) -> SegmentLength:
-        ends = {"thigh": ("hip", "knee"), "shank": ("knee", "ankle")}[name]
         values, variances, variation = {}, [], 0.0
         for leg in self.segments.legs:
-            first, last = (f"{end}{leg}" for end in ends)
+            first, last = (f"{end}{leg}" for end in ENDS[name])
             gap = (self.points[first] - self.points[last])[:, :2]
             sizes = np.linalg.norm(gap, axis=1)
             direction = gap[self.segments.reference] / sizes[self.segments.reference]
@@ -257,7 +248,7 @@ class Builder:
             variation = max(variation, float(np.nanstd(sizes)))
         weights, size = 1.0 / np.array(variances), float(np.sqrt(sum(variances)))
         lengths = list(values.values())
-        if lengths[0] - lengths[-1] > SIDES * size or lengths[-1] - lengths[0] > SIDES * size:
+        if abs(lengths[0] - lengths[-1]) > SIDES * size:
             self._doubt(
                 "lengths",
                 f"{listed([f'{body} {own:.3f} m' for body, own in values.items()], 'and')} long differ by more than "
@@ -355,9 +346,11 @@ class Builder:
                 is_hip = joint.startswith("hip")
                 weight = center.fit.weights[side] / (len(self.segments.legs) if is_hip else 1)
                 point = (center.proximal, center.distal)[side]
-                moves = np.hstack(
-                    [size / np.sqrt(len(cluster.names)) * np.eye(3), -product(np.cross(np.eye(3), point), turns)]
+                shift, turn = (
+                    size / np.sqrt(len(cluster.names)) * np.eye(3),
+                    -product(np.cross(np.eye(3), point), turns),
                 )
+                moves = np.hstack([shift, turn])
                 row = columns.index(f"markers.{'hip' if is_hip else joint}.x")
                 shifts[0][row : row + 2] += weight * product(to_plane, moves)[:2]
                 slip = np.zeros((len(columns), 2))

@@ -29,7 +29,7 @@ from mbdkit_biomech.inverse_dynamics.reduced_motion import Independent, Motion, 
 from mbdkit_biomech.inverse_dynamics.several_quantities import Quantities
 from mbdkit_biomech.inverse_dynamics.smoothing import fixed, smoothed_each
 from mbdkit_biomech.muscles.muscle import Muscle
-from mbdkit_biomech.persons.calibration import joints_of
+from mbdkit_biomech.persons.calibration import ENDS, joints_of
 from mbdkit_biomech.persons.landmarks import LEFT
 from mbdkit_biomech.persons.plate_contacts import later
 from mbdkit_biomech.persons.scaled_model import moved_muscle, of_model, scaled_model
@@ -157,7 +157,7 @@ class Changer:
         if not any(place[0] == "centers" for place in change):
             return {}
         found = {}
-        for name, ends in (("thigh", ("hip", "knee")), ("shank", ("knee", "ankle"))):
+        for name, ends in ENDS.items():
             moves, weights = [], []
             for leg in self._legs:
                 first, last = (f"{end}{leg}" for end in ends)

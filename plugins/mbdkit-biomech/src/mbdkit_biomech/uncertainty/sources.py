@@ -9,13 +9,13 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import product
 from typing import Any, Literal, TypeAlias
 
 import numpy as np
 
 from mbdkit.base.errors import SpecError
-from mbdkit.base.plain_data import quoted
-from mbdkit.base.text import did_you_mean, listed
+from mbdkit_biomech.persons.calibration import require_joints
 from mbdkit_biomech.uncertainty.uncertainty_section import Uncertainty
 
 InverseProblem: TypeAlias = Any
@@ -45,10 +45,8 @@ WORDS = {
     "max_force": "strength of {}",
     "optimal_length": "fibre length of {}",
     "tendon_length": "tendon length of {}",
-    "muscle_points": "points of {}",
     "pressure": "pressure point of {}",
     "plate_gain": "gain of {}",
-    "angles": "zero of {}",
 }
 
 ADVICE = {
@@ -193,23 +191,16 @@ class _Sources:
             return
         given = self.asked.centers
         own = given if isinstance(given, dict) else {}
-        for joint in own:
-            if joint not in self.person.centers:
-                known = list(self.person.centers)
-                hint = did_you_mean(joint, known) or f"; joints: {listed(known)}"
-                raise SpecError(f"is no joint of the person{hint}", key=f"uncertainty.centers.{quoted(joint)}")
+        require_joints(own, self.person.centers, "uncertainty.centers")
         for joint, center in self.person.centers.items():
             size = own.get(joint) if isinstance(given, dict) else given
-            (xx, xy), (_, yy) = center.covariance[:2, :2].tolist() if size is None else ((size * size, 0.0),
-                                                                                        (0.0, size * size))  # fmt: skip
+            (xx, xy), (_, yy) = (center.covariance[:2, :2] if size is None else size * size * np.eye(2)).tolist()
             first = np.sqrt(xx)
             shared = xy / first if first > 0 else 0.0
             name = f"centre of the {joint.replace('_', ' ')}"
-            for moves in ((first, shared), (0.0, np.sqrt(max(0.0, yy - shared * shared)))):
-                if any(moves):
-                    yield Source(
-                        name, "person", {("centers", joint, a): one for a, one in zip("xy", moves, strict=True)}
-                    )
+            for x, y in ((first, shared), (0.0, np.sqrt(max(0.0, yy - shared * shared)))):
+                if x or y:
+                    yield Source(name, "person", {("centers", joint, "x"): x, ("centers", joint, "y"): y})
 
     def _of_loads(self) -> Iterator[Source]:
         loads = self.problem.loads
@@ -227,12 +218,10 @@ class _Sources:
         if not angles:
             self._require("angles", "needs an observed angle, but the motion has none")
         for name in angles:
-            own = size
-            if size is None and self.person is not None:
-                own = self.person.zeros[name.split(".")[1]]
-                own = TRUNK_ZERO if np.isnan(own) else own
-            if own:
-                yield Source(f"zero of {name}", "person", {("angles", name): own})
+            zero = self.person.zeros[name.split(".")[1]] if size is None and self.person is not None else size
+            if zero:
+                zero = TRUNK_ZERO if np.isnan(zero) else zero
+                yield Source(f"zero of {name}", "person", {("angles", name): zero})
 
     def _of_muscles(self) -> Iterator[Source]:
         recruiter = self.problem.recruiter
@@ -249,10 +238,9 @@ class _Sources:
                 yield from (self._scalar(key, name, size, "muscles") for name in recruiter.muscles)
         if size := self._size("muscle_points"):
             for name, muscle in recruiter.muscles.items():
-                group = WORDS["muscle_points"].format(name.replace("_", " "))
-                for body in dict.fromkeys(item.on for item in muscle.path):
-                    for axis in "xy":
-                        yield Source(group, "muscles", {("muscle_points", name, body, axis): size})
+                group = f"points of {name.replace('_', ' ')}"
+                for place in product(["muscle_points"], [name], dict.fromkeys(item.on for item in muscle.path), "xy"):
+                    yield Source(group, "muscles", {place: size})
         for key, name, value in (
             ("exponent", "exponent of recruitment", recruiter.exponent),
             ("minimum", "least activation", recruiter.asked.minimum),
