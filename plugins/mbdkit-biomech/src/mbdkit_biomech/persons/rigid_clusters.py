@@ -192,9 +192,7 @@ def _determines(template: np.ndarray) -> bool:
 def _rotation(s: np.ndarray) -> np.ndarray:
     """Return the rotation (3, 3) by the moments (3, 3) of template and markers."""
     trace, skew = s[0, 0] + s[1, 1] + s[2, 2], [s[1, 2] - s[2, 1], s[2, 0] - s[0, 2], s[0, 1] - s[1, 0]]
-    matrix = np.empty((4, 4))
-    matrix[0, 0], matrix[0, 1:], matrix[1:, 0] = trace, skew, skew
-    matrix[1:, 1:] = s + s.T - trace * np.eye(3)
+    matrix = np.vstack([[trace, *skew], np.column_stack([skew, s + s.T - trace * np.eye(3)])])
     w, x, y, z = symmetric_eigenvectors(matrix)[1][:, -1].tolist()
     return np.array(
         [

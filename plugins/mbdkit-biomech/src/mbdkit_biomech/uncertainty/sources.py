@@ -107,8 +107,8 @@ class Source:
         return [(float(value), 1 / LEVELS) for value in self.levels]
 
 
-def asked_uncertainty(problem: InverseProblem) -> tuple[Uncertainty, bool] | None:
-    """Return the uncertainty of a problem, and whether it is that of `recruitment.deviations`; None if there is none.
+def asked_uncertainty(problem: InverseProblem) -> Uncertainty | None:
+    """Return the uncertainty of a problem, which may be that of `recruitment.deviations`; None if there is none.
 
     Raises
     ------
@@ -121,11 +121,10 @@ def asked_uncertainty(problem: InverseProblem) -> tuple[Uncertainty, bool] | Non
         raise SpecError("is the short form of `uncertainty`, which is given too: remove one of them",
                         key="recruitment.deviations")  # fmt: skip
     if short is not None:
-        own = {key: getattr(short, key) for key in ("max_force", "optimal_length", "tendon_length", "samples")}
-        return Uncertainty(**own), True
+        return Uncertainty(**short.model_dump())
     if spec.uncertainty == "none" or (spec.uncertainty is None and spec.subject is None):
         return None
-    return spec.uncertainty or Uncertainty(), False
+    return spec.uncertainty or Uncertainty()
 
 
 def sources_of(problem: InverseProblem) -> list[Source]:
@@ -137,7 +136,7 @@ def sources_of(problem: InverseProblem) -> list[Source]:
         If the spec states the uncertainty of something that it does not have, or asks for no error bars.
     """
     asked = asked_uncertainty(problem)
-    found = [] if asked is None else [*_Sources(problem, *asked).all()]
+    found = [] if asked is None else [*_Sources(problem, asked).all()]
     if isinstance(problem.source.uncertainty, Uncertainty) and problem.source.motion.errors == "none":
         raise SpecError("has no effect, because `motion.errors: none` asks for no error bars: remove one of them",
                         key="uncertainty")  # fmt: skip
@@ -156,13 +155,13 @@ def change_of(sources: Sequence[Source], values: np.ndarray) -> dict[Place, floa
 class _Sources:
     """Builds the sources of a problem."""
 
-    def __init__(self, problem: InverseProblem, asked: Uncertainty, is_short: bool):
-        self.problem, self.asked, self.is_short = problem, asked, is_short
-        self.person, self.mechanism = problem.source.person, problem.names.mechanism
+    def __init__(self, problem: InverseProblem, asked: Uncertainty):
+        self.problem, self.asked = problem, asked
+        self.person = problem.source.person
 
     def all(self) -> Iterator[Source]:
         yield from self._centers()
-        segments = dict.fromkeys(segment_of(name, self.person) for name in self.mechanism.bodies)
+        segments = dict.fromkeys(segment_of(name, self.person) for name in self.problem.names.mechanism.bodies)
         for key in ("lengths", "masses", "inertias"):
             if size := self._size(key):
                 yield from (self._scalar(key, segment, size) for segment in segments)
@@ -182,7 +181,7 @@ class _Sources:
 
     def _require(self, key: str, reason: str) -> None:
         """Raise SpecError if the spec itself has a key that needs something else."""
-        if getattr(self.asked, key) and not self.is_short:
+        if getattr(self.asked, key):
             raise SpecError(reason, key=f"uncertainty.{key}")
 
     def _centers(self) -> Iterator[Source]:
@@ -190,10 +189,10 @@ class _Sources:
             self._require("centers", "needs `subject`: only a person from markers has joint centres that are measured")
             return
         given = self.asked.centers
-        own = given if isinstance(given, dict) else {}
-        require_joints(own, self.person.centers, "uncertainty.centers")
+        sizes = given if isinstance(given, dict) else dict.fromkeys(self.person.centers, given)
+        require_joints(sizes, self.person.centers, "uncertainty.centers")
         for joint, center in self.person.centers.items():
-            size = own.get(joint) if isinstance(given, dict) else given
+            size = sizes.get(joint)
             (xx, xy), (_, yy) = (center.covariance[:2, :2] if size is None else size * size * np.eye(2)).tolist()
             first = np.sqrt(xx)
             shared = xy / first if first > 0 else 0.0
@@ -230,7 +229,7 @@ class _Sources:
             for key in keys:
                 self._require(key, "needs `recruitment`: without it, muscles exert no force")
             return
-        if (size := self._size("max_force")) and not self.is_short:
+        if (size := self._size("max_force")) and self.problem.source.recruitment.deviations is None:
             moves: dict[Place, float] = {("max_force", name): size for name in recruiter.muscles}
             yield Source("strength of all muscles", "muscles", moves)
         for key in keys[:3]:

@@ -18,7 +18,7 @@ small, by half in one of twenty frames.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -47,8 +47,8 @@ class UncertainResult:
         3), and tensions (T, M); each bound holds with the probability `LEVEL`.
     peaks
         (J,) bounds of the errors of the largest forces of joints over the motion [N].
-    groups, kinds
-        Names and kinds of the G sources.
+    kinds
+        Kinds of the G sources by name.
     shares
         (G, T, J) shares of the sources in the mean square changes of the forces of joints.
     scalars, samples, failed
@@ -59,8 +59,7 @@ class UncertainResult:
 
     squares: list[np.ndarray]
     peaks: np.ndarray
-    groups: tuple[str, ...]
-    kinds: tuple[Kind, ...]
+    kinds: Mapping[str, Kind]
     shares: np.ndarray
     scalars: int
     samples: int
@@ -81,7 +80,7 @@ class UncertainResult:
         failed = f", of which {self.failed} have frames that the muscles cannot produce" if self.failed else ""
         return (
             f" Uncertain properties of the person, loads and muscles: {counted(self.samples, 'sample')} of "
-            f"{counted(self.scalars, 'scalar')} of {counted(len(self.groups), 'source')}{failed}."
+            f"{counted(self.scalars, 'scalar')} of {counted(len(self.kinds), 'source')}{failed}."
         )
 
     def parts(self, of_data: np.ndarray, whole: np.ndarray) -> dict[str, np.ndarray]:
@@ -99,7 +98,7 @@ class UncertainResult:
             "reaction_error_data": np.sqrt(of_data),
             **{f"reaction_error_{kind}": np.sqrt(self.share_of(kind) * own) for kind in KINDS},
             "reaction_peak_error": self.peaks,
-            "source": np.array([OF_DATA, *self.groups, INTERACTIONS], object),
+            "source": np.array([OF_DATA, *self.kinds, INTERACTIONS], object),
             "contribution": np.array(rows),
         }
 
@@ -107,7 +106,7 @@ class UncertainResult:
         """Return the share (T, J) of a kind of sources in the squared bars; interactions are divided among the kinds in
         proportion.
         """
-        own = [np.sum(self.shares[[one == each for one in self.kinds]], axis=0) for each in KINDS]
+        own = [np.sum(self.shares[[one == each for one in self.kinds.values()]], axis=0) for each in KINDS]
         own = [np.maximum(one, 0.0) for one in own]
         whole = own[0] + own[1]
         return np.asarray(own[KINDS.index(kind)] / np.where(whole > 0, whole, 1.0))
@@ -128,7 +127,7 @@ def uncertain_result(result: Inverse, random: np.random.Generator) -> UncertainR
     assert asked is not None
     stacked = StackedOutcomes(result, sources)
     nominal = stacked.at(np.zeros((1, len(sources))))
-    values = drawn(sources, asked[0].samples, random)
+    values = drawn(sources, asked.samples, random)
     sampled = stacked.at(values)
     failed = np.isnan(sampled.reactions).any(axis=(2, 3))
     actuators, reactions, muscles = (one - own for one, own in zip(sampled, nominal, strict=True))
@@ -143,14 +142,11 @@ def uncertain_result(result: Inverse, random: np.random.Generator) -> UncertainR
         _bound(np.abs(muscles)) ** 2,
     ]
     largest = np.max(np.linalg.norm(sampled.reactions[..., :2], axis=-1), axis=1)
-    groups = tuple(dict.fromkeys(one.group for one in sources))
-    shares = _shares(stacked, sources, nominal, force, groups)
     kinds = {one.group: one.kind for one in sources}
+    shares = _shares(stacked, sources, nominal, force, [*kinds])
     peaks = _bound(np.abs(largest - np.nanmedian(largest, axis=0)))
-    return UncertainResult(
-        squares, peaks, groups, tuple(kinds[one] for one in groups), shares, len(sources),
-        len(values), int(np.sum(failed.any(axis=1))), float(np.mean(failed)),
-    )  # fmt: skip
+    failures = int(np.sum(failed.any(axis=1))), float(np.mean(failed))
+    return UncertainResult(squares, peaks, kinds, shares, len(sources), len(values), *failures)
 
 
 def _bound(sizes: np.ndarray) -> np.ndarray:
