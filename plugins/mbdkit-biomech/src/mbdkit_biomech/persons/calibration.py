@@ -87,25 +87,17 @@ class Trial:
 
 @dataclass(frozen=True)
 class Segments:
-    """The segments of a person in a motion, and in a calibration trial if there is one.
-
-    Attributes
-    ----------
-    legs
-        Suffixes of the names of the legs.
-    clusters
-        Clusters by body.
-    motion, static
-        The trials.
-    reference
-        The first frame of the motion in which all segments are seen.
-    """
+    """The segments of a person in a motion, and in a calibration trial if there is one."""
 
     legs: tuple[str, ...]
+    """Suffixes of the names of the legs."""
     clusters: Mapping[str, Cluster]
+    """Clusters by body."""
     motion: Trial
     static: Trial | None
+    """The trials."""
     reference: int
+    """The first frame of the motion in which all segments are seen."""
 
     @classmethod
     def of(

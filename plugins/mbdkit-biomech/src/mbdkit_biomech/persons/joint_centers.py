@@ -74,53 +74,36 @@ assumption."""
 
 @dataclass(frozen=True)
 class Fit:
-    """How the points of two segments stay together in a calibration.
-
-    Attributes
-    ----------
-    residual
-        Root mean square distance of both points [m].
-    slip
-        Standard deviations along each axis by which the skin moves all markers of each segment together at the joint
-        [m]. They explain the part of the residual that the motion of the markers relative to each other does not.
-        `TOGETHER` divides the residual among both segments.
-    weights
-        Weights of both points in the position of the centre, by their variances; their sum is 1.
-    """
+    """How the points of two segments stay together in a calibration."""
 
     residual: float
+    """Root mean square distance of both points [m]."""
     slip: tuple[float, float]
+    """Standard deviations along each axis by which the skin moves all markers of each segment together at the joint
+    [m]. They explain the part of the residual that the motion of the markers relative to each other does not.
+    `TOGETHER` divides the residual among both segments."""
     weights: tuple[float, float]
+    """Weights of both points in the position of the centre, by their variances; their sum is 1."""
 
 
 @dataclass(frozen=True)
 class JointCenter:
-    """The centre of a joint between a proximal and a distal segment.
-
-    Attributes
-    ----------
-    method
-        ``functional``, ``hip-regression``, ``midpoint``, ``static``, or ``combined`` of the first and another one.
-    proximal, distal
-        (3,) the centre in the frames of the clusters of both segments [m].
-    covariance
-        (3, 3) covariance of the position, along the axes forward, up and right of the plane of motion, in the pose of
-        the reference frame of the person [m^2].
-    fit
-        How both points stay together.
-    turn
-        Range of the angle between both segments in these frames [rad].
-    misfit
-        Root mean square difference of two combined centres, relative to what their covariances explain; 0 for others.
-    """
+    """The centre of a joint between a proximal and a distal segment."""
 
     method: str
+    """``functional``, ``hip-regression``, ``midpoint``, ``static``, or ``combined`` of the first and another one."""
     proximal: np.ndarray
     distal: np.ndarray
+    """(3,) the centre in the frames of the clusters of both segments [m]."""
     covariance: np.ndarray
+    """(3, 3) covariance of the position, along the axes forward, up and right of the plane of motion, in the pose of
+    the reference frame of the person [m^2]."""
     fit: Fit
+    """How both points stay together."""
     turn: float
+    """Range of the angle between both segments in these frames [rad]."""
     misfit: float = 0.0
+    """Root mean square difference of two combined centres, relative to what their covariances explain; 0 for others."""
 
     @property
     def deviation(self) -> tuple[float, float]:
@@ -136,28 +119,19 @@ class JointCenter:
 
 @dataclass(frozen=True)
 class Pair:
-    """Both segments of a joint in the frames of a calibration, and the axes of the plane of motion.
-
-    Attributes
-    ----------
-    joint
-        Name of the joint.
-    clusters, artefacts
-        Clusters of the proximal and the distal segment, and their artefacts.
-    poses
-        Their poses in the frames of the calibration.
-    reference
-        Their rotations (3, 3) in the reference frame of the person.
-    axes
-        (3, 3) rows: directions forward, up and right in the laboratory.
-    """
+    """Both segments of a joint in the frames of a calibration, and the axes of the plane of motion."""
 
     joint: str
+    """Name of the joint."""
     clusters: tuple[Cluster, Cluster]
     artefacts: tuple[Artefact, Artefact]
+    """Clusters of the proximal and the distal segment, and their artefacts."""
     poses: tuple[Poses, Poses]
+    """Their poses in the frames of the calibration."""
     reference: tuple[np.ndarray, np.ndarray]
+    """Their rotations (3, 3) in the reference frame of the person."""
     axes: np.ndarray
+    """(3, 3) rows: directions forward, up and right in the laboratory."""
 
     @property
     def key(self) -> str:

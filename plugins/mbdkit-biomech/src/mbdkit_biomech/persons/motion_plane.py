@@ -18,27 +18,18 @@ SIDEWAYS = 0.5
 
 @dataclass(frozen=True)
 class MotionPlane:
-    """The plane of motion.
-
-    Attributes
-    ----------
-    axes
-        (3, 3) rows: the directions forward, up, and right of the person, in the laboratory.
-    is_fitted
-        Whether the plane was found from the motion.
-    sideways
-        Root mean square horizontal velocity of the segments across the plane, relative to that along the plane.
-    off
-        Angle between this plane and the one with the least motion across [rad].
-    residual
-        Root mean square deviation of the joint centres from their mean distances to the plane [m].
-    """
+    """The plane of motion."""
 
     axes: np.ndarray
+    """(3, 3) rows: the directions forward, up, and right of the person, in the laboratory."""
     is_fitted: bool
+    """Whether the plane was found from the motion."""
     sideways: float
+    """Root mean square horizontal velocity of the segments across the plane, relative to that along the plane."""
     off: float = 0.0
+    """Angle between this plane and the one with the least motion across [rad]."""
     residual: float = 0.0
+    """Root mean square deviation of the joint centres from their mean distances to the plane [m]."""
 
     def coordinates(self, points: np.ndarray) -> np.ndarray:
         """Return points or vectors (..., 3) of the laboratory as (forward, up, right)."""

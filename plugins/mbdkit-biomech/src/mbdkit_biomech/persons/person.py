@@ -60,48 +60,33 @@ class SegmentLength:
 
 @dataclass(frozen=True)
 class Person:
-    """What the markers of a motion tell about a person.
-
-    Attributes
-    ----------
-    subject, plane
-        Mass, height and sex, and the plane of motion.
-    centers
-        Joint centres by joint, each with its covariance.
-    lengths
-        Lengths of `thigh` and `shank`.
-    masses
-        Masses of trunk, thigh, shank and foot [kg].
-    artefacts
-        Artefacts of the markers by body.
-    zeros
-        Standard deviations of the zeros of the angles of trunk and feet, by body [rad]; nan where it is not known.
-    plates
-        Contacts and loads of the feet.
-    findings
-        Doubts and remarks.
-    time, columns
-        Times (T,) and observed quantities (T,) of the model by name; nan in gaps.
-    reference
-        Index of the frame in whose pose the covariances of the centres and `shifts` are given.
-    shifts
-        (C, E) shifts of the C columns, by body, for artefacts of its cluster: E independent errors with the standard
-        deviation 1, six of its pose, and two of each of its joints by the slip of the whole cluster.
-    """
+    """What the markers of a motion tell about a person."""
 
     subject: Subject
     plane: MotionPlane
+    """Mass, height and sex, and the plane of motion."""
     centers: Mapping[str, JointCenter]
+    """Joint centres by joint, each with its covariance."""
     lengths: Mapping[str, SegmentLength]
+    """Lengths of `thigh` and `shank`."""
     masses: Mapping[str, float]
+    """Masses of trunk, thigh, shank and foot [kg]."""
     artefacts: Mapping[str, Artefact]
+    """Artefacts of the markers by body."""
     zeros: Mapping[str, float]
+    """Standard deviations of the zeros of the angles of trunk and feet, by body [rad]; nan where it is not known."""
     plates: PlateResult
+    """Contacts and loads of the feet."""
     findings: tuple[Finding, ...]
+    """Doubts and remarks."""
     time: np.ndarray
     columns: Mapping[str, np.ndarray]
+    """Times (T,) and observed quantities (T,) of the model by name; nan in gaps."""
     reference: int
+    """Index of the frame in whose pose the covariances of the centres and `shifts` are given."""
     shifts: Mapping[str, np.ndarray]
+    """(C, E) shifts of the C columns, by body, for artefacts of its cluster: E independent errors with the standard
+    deviation 1, six of its pose, and two of each of its joints by the slip of the whole cluster."""
 
     def to_dict(self) -> dict[str, Any]:
         """Return the person without motion and loads as dicts, lists and arrays, for the archive."""

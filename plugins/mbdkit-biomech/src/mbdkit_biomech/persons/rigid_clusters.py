@@ -51,21 +51,14 @@ def rate_of(values: np.ndarray, time: np.ndarray) -> np.ndarray:
 
 @dataclass(frozen=True)
 class Poses:
-    """Poses of a segment in T frames; nan where too few of its markers were seen.
-
-    Attributes
-    ----------
-    rotation
-        (T, 3, 3) from the frame of the segment to the laboratory.
-    position
-        (T, 3) origin of the segment in the laboratory [m].
-    residual
-        (T, N, 3) markers minus template, in the frame of the segment [m]; nan where a marker was not seen.
-    """
+    """Poses of a segment in T frames; nan where too few of its markers were seen."""
 
     rotation: np.ndarray
+    """(T, 3, 3) from the frame of the segment to the laboratory."""
     position: np.ndarray
+    """(T, 3) origin of the segment in the laboratory [m]."""
     residual: np.ndarray
+    """(T, N, 3) markers minus template, in the frame of the segment [m]; nan where a marker was not seen."""
 
     @property
     def known(self) -> np.ndarray:
@@ -87,22 +80,15 @@ class Poses:
 
 @dataclass(frozen=True)
 class Cluster:
-    """Markers that count as fixed to a segment.
-
-    Attributes
-    ----------
-    body
-        Name of the body.
-    names
-        Names of the N markers.
-    template
-        (N, 3) positions of the markers in the frame of the segment, whose origin is their centroid [m]. Its axes are
-        parallel to those of the laboratory in the first frame of the template.
-    """
+    """Markers that count as fixed to a segment."""
 
     body: str
+    """Name of the body."""
     names: tuple[str, ...]
+    """Names of the N markers."""
     template: np.ndarray
+    """(N, 3) positions of the markers in the frame of the segment, whose origin is their centroid [m]. Its axes are
+    parallel to those of the laboratory in the first frame of the template."""
 
     @classmethod
     def of(cls, body: str, names: tuple[str, ...], markers: np.ndarray) -> Cluster:
@@ -205,19 +191,13 @@ def _rotation(s: np.ndarray) -> np.ndarray:
 
 @dataclass(frozen=True)
 class Artefact:
-    """Motion of the markers of a cluster relative to each other.
-
-    Attributes
-    ----------
-    deviation
-        Standard deviation of a coordinate of a marker [m].
-    correlation
-        (L,) correlation of errors that are 0, 1, ..., L - 1 frames apart, up to its first zero. The correlation of
-        artefacts that oscillate is negative beyond, and without it, covariances are too large rather than too small.
-    """
+    """Motion of the markers of a cluster relative to each other."""
 
     deviation: float
+    """Standard deviation of a coordinate of a marker [m]."""
     correlation: np.ndarray
+    """(L,) correlation of errors that are 0, 1, ..., L - 1 frames apart, up to its first zero. The correlation of
+    artefacts that oscillate is negative beyond, and without it, covariances are too large rather than too small."""
 
     @classmethod
     def of(cls, poses: Poses) -> Artefact:

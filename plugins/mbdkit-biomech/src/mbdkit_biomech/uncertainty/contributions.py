@@ -40,27 +40,19 @@ def excluded_error(run: Run) -> str:
 
 @dataclass(frozen=True)
 class Contributions:
-    """What contributes to the error bar of the force of a joint at a time.
-
-    Attributes
-    ----------
-    joint
-        Name of the joint.
-    time
-        Time of the row [s].
-    force, error
-        Force of the joint and its error bar, which holds with a probability of 95 % [N].
-    shares
-        Shares of the sources in the square of the error bar, the largest first; their sum is 1. The share of
-        ``interactions`` is what the others leave. A share is negative if a source shifts the force in one direction,
-        and all of them together in the other.
-    """
+    """What contributes to the error bar of the force of a joint at a time."""
 
     joint: str
+    """Name of the joint."""
     time: float
+    """Time of the row [s]."""
     force: float
     error: float
+    """Force of the joint and its error bar, which holds with a probability of 95 % [N]."""
     shares: dict[str, float]
+    """Shares of the sources in the square of the error bar, the largest first; their sum is 1. The share of
+    ``interactions`` is what the others leave. A share is negative if a source shifts the force in one direction, and
+    all of them together in the other."""
 
     @property
     def advice(self) -> str:

@@ -70,24 +70,16 @@ ADVICE = {
 
 @dataclass(frozen=True)
 class Source:
-    """A scalar that is not known exactly.
-
-    Attributes
-    ----------
-    group
-        Name of the source in tables, which several scalars may share.
-    kind
-        ``person`` or ``muscles``.
-    moves
-        Changes of places for a change of the scalar by 1.
-    span
-        None if the scalar is normal with the standard deviation 1; otherwise it is uniform between these two.
-    """
+    """A scalar that is not known exactly."""
 
     group: str
+    """Name of the source in tables, which several scalars may share."""
     kind: Kind
+    """``person`` or ``muscles``."""
     moves: Mapping[Place, float]
+    """Changes of places for a change of the scalar by 1."""
     span: tuple[float, float] | None = None
+    """None if the scalar is normal with the standard deviation 1; otherwise it is uniform between these two."""
 
     @property
     def levels(self) -> np.ndarray:

@@ -38,33 +38,23 @@ KINDS: tuple[Kind, Kind] = ("person", "muscles")
 
 @dataclass(frozen=True)
 class UncertainResult:
-    """Effects of uncertain scalars on a result in T frames.
-
-    Attributes
-    ----------
-    squares
-        Squared bounds of actuators (T, U), forces (T, J) and torques (T, J) of joints, positions and velocities (T, B,
-        3), and tensions (T, M); each bound holds with the probability `LEVEL`.
-    peaks
-        (J,) bounds of the errors of the largest forces of joints over the motion [N].
-    kinds
-        Kinds of the G sources by name.
-    shares
-        (G, T, J) shares of the sources in the mean square changes of the forces of joints.
-    scalars, samples, failed
-        Number of scalars, of samples, and of samples in which the muscles cannot produce some frames.
-    failed_rows
-        Share of the frames of all samples that the muscles cannot produce.
-    """
+    """Effects of uncertain scalars on a result in T frames."""
 
     squares: list[np.ndarray]
+    """Squared bounds of actuators (T, U), forces (T, J) and torques (T, J) of joints, positions and velocities (T, B,
+    3), and tensions (T, M); each bound holds with the probability `LEVEL`."""
     peaks: np.ndarray
+    """(J,) bounds of the errors of the largest forces of joints over the motion [N]."""
     kinds: Mapping[str, Kind]
+    """Kinds of the G sources by name."""
     shares: np.ndarray
+    """(G, T, J) shares of the sources in the mean square changes of the forces of joints."""
     scalars: int
     samples: int
     failed: int
+    """Number of scalars, of samples, and of samples in which the muscles cannot produce some frames."""
     failed_rows: float
+    """Share of the frames of all samples that the muscles cannot produce."""
 
     @property
     def failures(self) -> str:
