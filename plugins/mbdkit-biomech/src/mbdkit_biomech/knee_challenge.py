@@ -97,13 +97,7 @@ def spec_of(markers: Path, **sections: Any) -> dict[str, Any]:
 
 
 def file_of(folder: Path, name: str) -> Path:
-    """Return the file of a name in a folder or below it.
-
-    Raises
-    ------
-    SpecError
-        If there is no such file.
-    """
+    """Return the file of a name in a folder or below it; raise SpecError if there is none."""
     if not folder.is_dir():
         raise SpecError(f"{folder} is not a folder; give a copy of github.com/AnyBody/knee-grand-challenge-4th")
     found = sorted(path for path in folder.rglob(name) if path.is_file())
@@ -116,12 +110,8 @@ def file_of(folder: Path, name: str) -> Path:
 
 
 def measured_of(file: Path, markers: Path) -> dict[str, np.ndarray]:
-    """Return the columns of a table of forces, (T,) each: ``force`` [N], ``GON`` [deg] and ``GRFz`` [N].
-
-    Raises
-    ------
-    SpecError
-        If a column is missing, or the rows are not the frames of the C3D file.
+    """Return the columns of a table of forces, (T,) each: ``force`` [N], ``GON`` [deg] and ``GRFz`` [N]; raise
+    SpecError if one is missing, or the rows are not the frames of the C3D file.
     """
     try:
         lines = [line.strip().rstrip(",") for line in file.read_text(encoding="utf-8").splitlines() if line.strip()]
@@ -144,13 +134,7 @@ def measured_of(file: Path, markers: Path) -> dict[str, np.ndarray]:
 
 
 def phases_of(person: Person) -> list[Phase]:
-    """Return the stances of the right foot, and the swings between them.
-
-    Raises
-    ------
-    SpecError
-        If the right foot is on no plate.
-    """
+    """Return the stances of the right foot, and the swings between them; raise SpecError if it is on no plate."""
     own = sorted((one for one in person.plates.contacts if one.body == "foot"), key=lambda one: one.first)
     if not own:
         raise SpecError("the right foot stands on no force plate in this trial")

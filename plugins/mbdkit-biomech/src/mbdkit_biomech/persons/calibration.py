@@ -24,7 +24,7 @@ from mbdkit_biomech.persons.landmarks import LEFT, SIDES, Side, landmark, side_o
 from mbdkit_biomech.persons.marker_files import MarkerFile
 from mbdkit_biomech.persons.motion_plane import MotionPlane
 from mbdkit_biomech.persons.person_sections import Center, Midpoint
-from mbdkit_biomech.persons.rigid_clusters import Artefact, Cluster, Poses, rate_of
+from mbdkit_biomech.persons.rigid_clusters import Artefact, Cluster, Poses, poses_of, rate_of
 
 LEAST_TURN = np.radians(20.0)
 """A calibration trial is used for a functional centre if the joint turns by at least this angle in it [rad]."""
@@ -63,17 +63,12 @@ class Trial:
     @classmethod
     def of(cls, file: MarkerFile, clusters: Mapping[str, Cluster]) -> Trial:
         """Return the trial of a file."""
-        poses = {body: one.poses(file.markers(one.names, f"motion.clusters.{body}")) for body, one in clusters.items()}
+        markers = {body: file.markers(one.names, f"motion.clusters.{body}") for body, one in clusters.items()}
+        poses = {body: poses_of(clusters[body].template, own) for body, own in markers.items()}
         return cls(file, poses, {body: Artefact.of(own) for body, own in poses.items()})
 
     def still(self) -> np.ndarray:
-        """Return the frames in which the person stands still.
-
-        Raises
-        ------
-        SpecError
-            If there are too few.
-        """
+        """Return the frames in which the person stands still; raise SpecError if there are too few."""
         speeds = [np.linalg.norm(rate_of(own.position, self.file.time), axis=1) for own in self.poses.values()]
         frames = np.flatnonzero(np.max(speeds, axis=0) < STILL)
         if len(frames) < LEAST_FRAMES:
@@ -103,12 +98,8 @@ class Segments:
     def of(
         cls, asked: Mapping[str, list[str]] | None, legs: tuple[str, ...], motion: MarkerFile, static: MarkerFile | None
     ) -> Segments:
-        """Find the segments of a person.
-
-        Raises
-        ------
-        SpecError
-            If a segment has no cluster, a marker is missing, or a cluster has no pose.
+        """Find the segments of a person; raise SpecError if a segment has no cluster, a marker is missing, or a cluster
+        has no pose.
         """
         if len(motion.time) < LEAST_ROWS:
             raise SpecError(f"has {len(motion.time)} rows, but a person needs {LEAST_ROWS}", key="motion.file")
@@ -153,9 +144,9 @@ class Segments:
             return "l" if leg else "r"
         return side_of(self.clusters[f"thigh{leg}"].names)
 
-    def pair(self, joint: str, bodies: tuple[str, str], trial: Trial, plane: MotionPlane) -> Pair:
+    def pair(self, joint: str, trial: Trial, plane: MotionPlane) -> Pair:
         """Return both segments of a joint in a trial."""
-        a, b = bodies
+        a, b = self.joints[joint]
         return Pair(
             joint,
             (self.clusters[a], self.clusters[b]),
@@ -173,29 +164,22 @@ class Segments:
         return None
 
     def centers(self, asked: Mapping[str, Center], plane: MotionPlane) -> dict[str, JointCenter]:
-        """Return the joint centres by joint.
-
-        Raises
-        ------
-        SpecError
-            If a centre is not determined; the error states the reason.
-        """
+        """Return the joint centres by joint; raise SpecError with the reason if a centre is not determined."""
         require_joints(asked, self.joints, "motion.centers")
-        return {joint: self._center(joint, bodies, asked.get(joint), plane) for joint, bodies in self.joints.items()}
+        return {joint: self._center(joint, asked.get(joint), plane) for joint in self.joints}
 
-    def _center(self, joint: str, bodies: tuple[str, str], method: Center | None, plane: MotionPlane) -> JointCenter:
+    def _center(self, joint: str, method: Center | None, plane: MotionPlane) -> JointCenter:
         kind, key = joint.removesuffix(LEFT), f"motion.centers.{joint}"
         side = self.side(LEFT if joint.endswith(LEFT) else "")
         pelvis = self._pelvis() if kind == "hip" else None
         sides = [] if kind == "hip" else [self.named(f"{kind}.{one}", side) for one in ("medial", "lateral")]
         names = method.midpoint if isinstance(method, Midpoint) else [one[1] for one in sides if one is not None]
-        trial = self.motion
-        if self.static is not None:
-            own = self.pair(joint, bodies, self.static, plane)
-            trial = self.static if turn_of(*own.known()) >= LEAST_TURN else self.motion
-        moving = self.pair(joint, bodies, trial, plane)
+        for trial in self.trials():
+            moving = self.pair(joint, trial, plane)
+            if turn_of(*moving.known()) >= LEAST_TURN:
+                break
         if method is None and (pelvis or len(names) == 2):
-            other = self._center(joint, bodies, "hip-regression" if pelvis else "static", plane)
+            other = self._center(joint, "hip-regression" if pelvis else "static", plane)
             try:
                 return functional_center(moving, other)
             except SpecError:  # the motion does not determine it
@@ -212,7 +196,7 @@ class Segments:
                     "them like this",
                     key=key,
                 )
-            return hip_center(self.pair(joint, bodies, self.motion, plane), pelvis, side)
+            return hip_center(self.pair(joint, self.motion, plane), pelvis, side)
         if len(names) < 2:
             raise SpecError(
                 "needs a marker on the medial and on the lateral side of the joint whose names say so, such as "
@@ -223,7 +207,7 @@ class Segments:
         trial = next((one for one in self.trials() if all(map(one.file.has, names))), self.motion)
         points = [trial.file.marker(name, key) for name in names]
         name = "static" if method == "static" else "midpoint"
-        return landmark_center(self.pair(joint, bodies, trial, plane), name, (points[0] + points[1]) / 2)
+        return landmark_center(self.pair(joint, trial, plane), name, (points[0] + points[1]) / 2)
 
     def _pelvis(self) -> tuple[np.ndarray, np.ndarray, np.ndarray] | None:
         """Return the landmarks of `hip_center`; None if some are missing."""

@@ -99,7 +99,6 @@ class JointCenter:
     """(3, 3) covariance of the position, along the axes forward, up and right of the plane of motion, in the pose of
     the reference frame of the person [m^2]."""
     fit: Fit
-    """How both points stay together."""
     turn: float
     """Range of the angle between both segments in these frames [rad]."""
     misfit: float = 0.0
@@ -122,7 +121,6 @@ class Pair:
     """Both segments of a joint in the frames of a calibration, and the axes of the plane of motion."""
 
     joint: str
-    """Name of the joint."""
     clusters: tuple[Cluster, Cluster]
     artefacts: tuple[Artefact, Artefact]
     """Clusters of the proximal and the distal segment, and their artefacts."""

@@ -44,13 +44,7 @@ class MarkerFile:
         return np.stack(columns, axis=1)
 
     def marker(self, name: str, key: str) -> np.ndarray:
-        """Return the positions (T, 3) of a marker [m]; nan where it was not seen.
-
-        Raises
-        ------
-        SpecError
-            If there is no such marker.
-        """
+        """Return the positions (T, 3) of a marker [m], nan where it was not seen; raise SpecError if there is none."""
         if not self.has(name):
             names = [shown(one) for one in self.names]
             some = listed(names[:HEADINGS_SHOWN]) + (", ..." if len(names) > HEADINGS_SHOWN else "")

@@ -114,13 +114,7 @@ class Person:
 
 
 class Builder:
-    """Builds a person from its segments; each step uses those before.
-
-    Raises
-    ------
-    SpecError
-        If the markers do not determine the person; the error states the key and the reason.
-    """
+    """Builds a person from its segments; raises SpecError with key and reason if the markers do not determine it."""
 
     def __init__(self, subject: Subject, segments: Segments, plane: PlaneAxes | None, centers: Mapping[str, Center]):
         self.subject, self.segments = subject, segments

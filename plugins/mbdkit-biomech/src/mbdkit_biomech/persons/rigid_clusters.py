@@ -83,7 +83,6 @@ class Cluster:
     """Markers that count as fixed to a segment."""
 
     body: str
-    """Name of the body."""
     names: tuple[str, ...]
     """Names of the N markers."""
     template: np.ndarray
@@ -92,12 +91,8 @@ class Cluster:
 
     @classmethod
     def of(cls, body: str, names: tuple[str, ...], markers: np.ndarray) -> Cluster:
-        """Return the mean shape of markers (T, N, 3).
-
-        Raises
-        ------
-        SpecError
-            If the cluster has less than three markers, if they lie on a line, or if no frame has all of them.
+        """Return the mean shape of markers (T, N, 3); raise SpecError if there are less than three, if they lie on a
+        line, or if no frame has all of them.
         """
         key = f"motion.clusters.{body}"
         if len(names) < LEAST_MARKERS:
@@ -126,10 +121,6 @@ class Cluster:
             template = template + np.mean(poses_of(template, frames).residual, axis=0)
             template = template - np.mean(template, axis=0)
         return cls(body, names, template)
-
-    def poses(self, markers: np.ndarray) -> Poses:
-        """Return the poses of markers (T, N, 3)."""
-        return poses_of(self.template, markers)
 
     def covariance(self, p: np.ndarray) -> np.ndarray:
         """Return the covariance (3, 3) of a point of the segment for errors of markers with the variance 1."""

@@ -30,13 +30,7 @@ POSE = ("hip_flexion", "knee_flexion", "ankle_dorsiflexion", "trunk_angle", "lef
 
 
 def leg_options(model: Any) -> LegOptions:
-    """Return the options of the model of a person.
-
-    Raises
-    ------
-    SpecError
-        If it is not a leg with a free trunk.
-    """
+    """Return the options of the model of a person; raise SpecError if it is not a leg with a free trunk."""
     if not isinstance(model, LegOptions) or isinstance(model, LegFourBarOptions):
         raise SpecError("should be `leg`, the model that `subject` scales", key="model.name")
     if model.root != "trunk":

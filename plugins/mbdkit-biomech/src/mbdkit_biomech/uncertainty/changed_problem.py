@@ -73,13 +73,7 @@ class Changer:
         self.person = result.problem.source.person
 
     def at(self, change: Change) -> ChangedProblem:
-        """Return the problem with changes.
-
-        Raises
-        ------
-        MbdkitError
-            If the changed problem has no solution.
-        """
+        """Return the problem with changes; raise MbdkitError if it has no solution."""
         base, keys = self.problem, {place[0] for place in change}
         mechanism = self._mechanism(change) if keys & set(MODEL) else base.names.mechanism
         names = QuantityNames(mechanism)
@@ -228,12 +222,10 @@ class Changer:
         asked = self.problem.recruiter.asked  # type: ignore[union-attr]
         moved = {key: getattr(asked, key) + change[key,] for key in ("exponent", "minimum") if (key,) in change}
         recruiter = Recruiter(asked.model_copy(update=moved), problem.names, problem.actuators)
-        muscles = {
-            name: muscle.model_copy(
-                update={key: getattr(muscle, key) * factor(change, key, name) for key in PROPERTIES}
-            )
-            for name, muscle in recruiter.muscles.items()
-        }
+        muscles = {}
+        for name, muscle in recruiter.muscles.items():
+            changed = {key: getattr(muscle, key) * factor(change, key, name) for key in PROPERTIES}
+            muscles[name] = muscle.model_copy(update=changed)
         return recruiter.with_muscles(muscles)
 
 

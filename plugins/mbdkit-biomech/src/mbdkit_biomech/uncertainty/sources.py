@@ -100,12 +100,8 @@ class Source:
 
 
 def asked_uncertainty(problem: InverseProblem) -> Uncertainty | None:
-    """Return the uncertainty of a problem, which may be that of `recruitment.deviations`; None if there is none.
-
-    Raises
-    ------
-    SpecError
-        If `uncertainty` and `recruitment.deviations` are both given.
+    """Return the uncertainty of a problem, which may be that of `recruitment.deviations`; None if there is none. Raise
+    SpecError if both are given.
     """
     spec = problem.source
     short = None if spec.recruitment is None else spec.recruitment.deviations
@@ -120,12 +116,8 @@ def asked_uncertainty(problem: InverseProblem) -> Uncertainty | None:
 
 
 def sources_of(problem: InverseProblem) -> list[Source]:
-    """Return the sources of uncertainty of a problem; empty if it has none.
-
-    Raises
-    ------
-    SpecError
-        If the spec states the uncertainty of something that it does not have, or asks for no error bars.
+    """Return the sources of uncertainty of a problem; empty if it has none. Raise SpecError if the spec states the
+    uncertainty of something that it does not have, or asks for no error bars.
     """
     asked = asked_uncertainty(problem)
     found = [] if asked is None else [*_Sources(problem, asked).all()]

@@ -94,19 +94,9 @@ class _Mechanics:
 
 
 class StackedOutcomes:
-    """Computes outcomes for values of the scalars of sources.
+    """Computes outcomes of a result for values of the scalars of K sources.
 
-    Parameters
-    ----------
-    result
-        The result.
-    sources
-        The K sources.
-
-    Attributes
-    ----------
-    moves : (K, T, B, 6) array
-        Changes of positions and velocities of the bodies by a change of each scalar by 1.
+    The changes of positions and velocities of the bodies by a change of each scalar by 1 are `moves` (K, T, B, 6).
     """
 
     def __init__(self, result: Inverse, sources: Sequence[Source]):
@@ -154,13 +144,7 @@ class StackedOutcomes:
         return np.dtype([(name, float, shape) for name, shape in shapes.items()])
 
     def _smooth(self, own: ChangedProblem, keys: set[str] | None = None) -> np.ndarray:
-        """Return rows (T, W) of smooth values, see `_layout`.
-
-        Parameters
-        ----------
-        keys
-            Keys of what is changed; None for the result itself.
-        """
+        """Return rows (T, W) of smooth values, see `_layout`; `keys` of what is changed, None for the result itself."""
         mechanics, same_paths = _Mechanics(own), keys is not None and keys <= OF_DYNAMICS
         rows = self._base.copy() if same_paths else np.zeros((len(own.motion.time), self._layout.itemsize // 8))
         out = rows.view(self._layout)[:, 0]
@@ -191,19 +175,17 @@ class StackedOutcomes:
         frames, joints = len(self._base), self._layout["reactions"].shape
         shapes = (len(self.result.problem.recorded_actuators),), joints, (len(self._names),)
         out = Outcomes(*(np.empty((len(values), frames, *shape)) for shape in shapes))
-        order = np.argsort(self._total(values, ("exponent",)), kind="stable")  # equal exponents are solved together
-        blocks = _blocks(self._total(values, ("exponent",))[order], max(1, ROWS // frames))
+        exponents, most = self._total(values, ("exponent",)), max(1, ROWS // frames)
+        equal = (np.flatnonzero(exponents == one) for one in np.unique(exponents))  # they are solved together
+        blocks = [rows[begin : begin + most] for rows in equal for begin in range(0, len(rows), most)]
         with ThreadPoolExecutor(THREADS) as pool:  # NumPy and machine code release the lock of the interpreter
-            list(pool.map(lambda chosen: self._fill(values[order[chosen]], order[chosen], out), blocks))
+            list(pool.map(lambda rows: self._fill(values[rows], rows, out), blocks))
         return out
 
     def _total(self, values: np.ndarray, place: Place) -> np.ndarray:
         """Return the changes (S,) of a place."""
-        found = np.zeros(len(values))
-        for index, source in enumerate(self.sources):
-            if place in source.moves:
-                found = found + values[:, index] * source.moves[place]
-        return found
+        moves = ((column, source.moves.get(place)) for column, source in zip(values.T, self.sources, strict=True))
+        return sum((size * column for column, size in moves if size is not None), start=np.zeros(len(values)))
 
     def _fill(self, values: np.ndarray, rows: np.ndarray, out: Outcomes) -> None:
         """Compute the outcomes of samples and put them into the rows (S,) of the arrays."""
@@ -261,12 +243,3 @@ class StackedOutcomes:
                 active = np.where(along > SHORTEST, fibers.active, np.nan) if asked.capacity == "full" else active
             columns.append((active, passive if asked.passive else np.zeros_like(passive)))
         return (np.stack(one, axis=-1).reshape(-1, len(columns)) for one in zip(*columns, strict=True))
-
-
-def _blocks(exponents: np.ndarray, most: int) -> Iterator[slice]:
-    """Yield slices of at most `most` equal values of a sorted array."""
-    begin = 0
-    while begin < len(exponents):
-        end = min(begin + most, int(np.searchsorted(exponents, exponents[begin], side="right")))
-        yield slice(begin, end)
-        begin = end

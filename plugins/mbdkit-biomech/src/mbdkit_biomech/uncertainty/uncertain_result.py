@@ -103,12 +103,8 @@ class UncertainResult:
 
 
 def uncertain_result(result: Inverse, random: np.random.Generator) -> UncertainResult | None:
-    """Return the effects of the uncertain scalars of a result; None if its spec states none.
-
-    Raises
-    ------
-    MbdkitError
-        If the result does not exist for a scalar that is changed by its standard deviation.
+    """Return the effects of the uncertain scalars of a result; None if its spec states none. Raise MbdkitError if the
+    result does not exist for a scalar that is changed by its standard deviation.
     """
     sources = sources_of(result.problem)
     if not sources:
